@@ -184,7 +184,10 @@ def test_durations_bounds_and_limits_take_texts_and_pint():
     [
         (lambda: po.Input("scene.stiffness", "20 kN"), "wrong unit"),
         (lambda: po.Output("mean_draft", upper="8 m"), "wrong unit"),
-        (lambda: po.Input("gap", 1.0, 2.0, unit="mm", symbol=ca.MX.sym("gap")), "is a plain number, and 'mm' is no SI"),
+        (
+            lambda: po.Input("gap", 1.0, 2.0, unit="mm", symbol=ca.MX.sym("gap")),
+            "is a plain number, and 'mm' is not an",
+        ),
     ],
 )
 def test_bounds_of_another_kind_are_refused(make, said):

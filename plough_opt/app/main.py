@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            # A title in a script that the terminal cannot show is no reason to fail; in JSON this is an escape.
+            # A title in a script that the terminal cannot show must not make a command fail; in JSON this is an escape.
             stream.reconfigure(errors="backslashreplace")
     try:
         with interruptible(), without_notices(), messages(options):

@@ -71,7 +71,7 @@ _DECADES = 20.0
 _PANELS = 3
 _SURFACE, _STEEL = "#cfd4d8", "#4a5a68"
 _FORCE, _ACCENT, _SOIL = COLOURS[0], COLOURS[1], COLOURS[4]
-# Margins [%] beyond which a bar is cut: such a requirement is no matter.
+# Margins [%] beyond which a bar is cut: such a requirement does not matter.
 _WIDE_MARGIN = 100.0
 
 

@@ -125,9 +125,10 @@ class Origin:
         for name in self.data:
             if Path(name).is_absolute() or ".." in Path(name).parts:
                 raise InputError(f"the problem reads '{name}', which is not below its folder: move it there")
-        for name, text in self.data.items():
-            write_new(around / name, "file of data", text)
-        return write_new(around / self.file, "problem file", self.text)
+        for name, text in {**self.data, self.file: self.text}.items():
+            (around / name).parent.mkdir(parents=True, exist_ok=True)
+            write_new(around / name, "problem file" if name == self.file else "file of data", text)
+        return around / self.file
 
     def display(self, name: str, unit: str, *values: float) -> Display:
         """Return the unit in which a quantity or a result is shown: the question's, else the customary one.
@@ -193,7 +194,7 @@ class Keepable(Readable):
             page: what it shows of itself, where that is more than `page` says.
 
         Raises:
-            InputError: something in it that is no data.
+            InputError: something in it that is not data.
         """
         origin: Origin = getattr(self, "origin", Origin())
         own = (SCHEMA, self.kind, origin.title, self.made_by, to_plain(page or self.shown_page(), Page))
@@ -206,7 +207,7 @@ class Keepable(Readable):
         """Write the result as JSON, making its folder; `plough_opt.load` reads it back.
 
         Raises:
-            InputError: something in it that is no data, or a place that cannot be written.
+            InputError: something in it that is not data, or a place that cannot be written.
         """
         return write_file(path, "result", f"{self.to_json()}\n")
 

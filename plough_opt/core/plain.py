@@ -130,7 +130,7 @@ def _object(hint: type, data: Any, place: str) -> Any:
     kind = hint if name == hint.__name__ else _known(name)
     if kind is None and ":" in str(name) and not is_dataclass(hint):
         kind = _stand_in(hint, name, [key for key in data if key != _CLASS])
-    _expect(kind is hint or (isinstance(kind, type) and is_dataclass(kind)), place, f"is no {hint.__name__}")
+    _expect(kind is hint or (isinstance(kind, type) and is_dataclass(kind)), place, f"is not of type {hint.__name__}")
     hints, given = annotations_of(kind), {}
     for key, default in fields_of(kind).items():
         if key in data:
@@ -143,12 +143,12 @@ def _object(hint: type, data: Any, place: str) -> Any:
     given |= {one.name: None for one in (fields(kind) if unkept_of(kind) else ())
               if one.name in unkept_of(kind) and _default(one) is MISSING}  # fmt: skip
     found = kind(**given)
-    _expect(isinstance(found, hint), place, f"is no {hint.__name__}")
+    _expect(isinstance(found, hint), place, f"is not of type {hint.__name__}")
     return found
 
 
 def _read_any(data: Any, place: str) -> Any:
-    """Return an expression of numbers: one, or an array of them."""
+    """Return a number, or an array of numbers."""
     if isinstance(data, list):
         return _array(data, place, ())
     _expect(_is_number(data), place, "Input should be a valid number")

@@ -171,7 +171,7 @@ def unit_of(what: str, unit: str, *values: Any) -> tuple[str, Display | None]:
     factor, symbol = _to_si(unit)
     if plain is not None and factor != 1.0:
         raise InputError(
-            f"{what}: {plain} is a plain number, and '{unit}' is no SI unit: give a text, \"{plain} {unit}\", or"
+            f"{what}: {plain} is a plain number, and '{unit}' is not an SI unit: give a text, \"{plain} {unit}\", or"
             f' {plain * factor:.6g} with unit="{symbol}"'
         )
     if written is None:

@@ -29,7 +29,7 @@ Catalogue = float | Sequence[float]
 # The optimiser stops this near a bound; a value of the catalogue this near is the optimum's own.
 _ITSELF = 1e-6
 _ROUNDING = 1e-12
-# Multiples of a step beyond which they are not told apart in floating point.
+# Multiples of a step beyond which floating point cannot distinguish them.
 _MOST_MULTIPLES = 1e15
 
 

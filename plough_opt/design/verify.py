@@ -41,7 +41,7 @@ _MOST_KEPT: Final = 4096
 
 
 class TightEvaluation:
-    """Expressions of symbols as functions of numbers, through runs that are re-integrated tightly.
+    """Expressions of symbols as numeric functions, through runs that are re-integrated tightly.
 
     Attributes:
         runs: the runs in the expressions.

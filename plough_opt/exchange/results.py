@@ -26,7 +26,7 @@ def load(path: str | Path) -> Any:
     """Read a result that ``save``, or a command with ``--json``, wrote, of whatever kind.
 
     It prints, draws itself and gives data frames as it did when it was saved. It does not compute further where that
-    needs what is no data, such as the design behind an optimum: solve again for this.
+    needs what is not data, such as the design behind an optimum: solve again for this.
 
     Returns:
         A `Run`, `Machine`, `Optimum`, `LocalOptimum`, `TradeOff`, `AccuracyStudy`, `Fit`, `BatchResult`, or a robust

@@ -135,7 +135,7 @@ class ResistanceLaw(Protocol):
         raise InputError(self.refusal("loosened_radius"))
 
     def warnings(self, at: ShareInSoil) -> tuple[str, ...]:
-        """Return, of numbers, sentences on the law's limits that a reader of results must know."""
+        """Return sentences on the law's limits that a reader of numeric results must know."""
         found = [f"{self.label}: {self.standing}"] if self.standing else []
         if self.lacks("added_mass") and not self.lacks("motion"):
             found.append(f"{self.label} {self.lacking['added_mass']}: the share moves with its own mass alone")

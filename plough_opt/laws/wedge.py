@@ -213,7 +213,7 @@ def least_angle(
         what: name of the model, for the refusal.
 
     Raises:
-        DomainError: the force of numbers is least at the end of the interval, not inside. Of MX symbols that is a
+        DomainError: a numeric force is least at the end of the interval, not inside. Of MX symbols that is a
             limit that a `Design` keeps by itself; of SX it is unseen.
     """
     search = _search(force, len(parameters))

@@ -92,5 +92,5 @@ class Accuracy:
         sound = is_count(value) if whole else isinstance(value, int | float | np.number) and not isinstance(value, bool)
         value = float(value) if isinstance(value, np.floating) else value  # of few bytes it is compared with its like
         if not (sound and low <= value <= high):
-            kind, told = ", as a whole number" if whole else "", f"{min(value, 1e300):g}" if sound else shown(value)
-            raise InputError(f"accuracy {name} = {told} must lie between {low:g} and {high:g}{kind}")
+            kind, given = ", as a whole number" if whole else "", f"{min(value, 1e300):g}" if sound else shown(value)
+            raise InputError(f"accuracy {name} = {given} must lie between {low:g} and {high:g}{kind}")

@@ -47,7 +47,7 @@ def assemble(
     """Turn the changes since the start that were integrated into forces and travel.
 
     Args:
-        scene: the scene, of numbers or symbolic.
+        scene: the scene, numeric or symbolic.
         duration: simulated time [s].
         fractions: output times as fractions of it.
         states: (w; w') as two columns over the outputs.

@@ -214,7 +214,7 @@ def refuse_stiff_orbit(scene: Scene) -> None:
     total = plan.phase(plan.numbers_of(scene), float(as_number(scene.wave_period))) if scene.effects.waves else 0.0
     if total <= plan.MOST_SHOT:
         return
-    stands = "" if scene.effects.orbit == "periodic" else ", from which this stand-in's error is told,"
+    stands = "" if scene.effects.orbit == "periodic" else ", from which this stand-in's error follows,"
     raise IntegrationError(
         f"the lasting orbit of a {scene.describe()}: its fastest part runs through {total / (2.0 * math.pi):.3g} turns"
         f" in one wavelength, so that the orbit{stands} would take minutes to find: take a softer or less damped mount,"

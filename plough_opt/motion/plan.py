@@ -117,7 +117,7 @@ def fastest_rate(p: Mapping[str, float]) -> float:
 
 
 def summed_rate(p: Mapping[str, Any]) -> Any:
-    """Return the sum of mount's, wave's and decay's rates [1/s], of numbers or arrays: steps are in proportion to it.
+    """Return the sum of mount's, wave's and decay's rates [1/s], for numbers or arrays: steps are in proportion to it.
 
     Of 23 sampled scenes under contact "resisting", steps of order 8 reached 1e-8 with 0.84 to 1.2 rad of it in the
     slower half, where `fastest_rate` scattered twice as far.
@@ -127,7 +127,7 @@ def summed_rate(p: Mapping[str, Any]) -> Any:
 
 
 def summed_and_lasting_phase(p: Mapping[str, Any], duration: Any) -> tuple[Any, Any]:
-    """Return two phases of a run [rad], of numbers or arrays: by `summed_rate`, and of what swings on by itself.
+    """Return two phases of a run [rad], for numbers or arrays: by `summed_rate`, and of what swings on by itself.
 
     The latter is the phase of the share's own oscillation while it lasts, along which errors of its amplitude add up.
 

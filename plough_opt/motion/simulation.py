@@ -48,7 +48,7 @@ def simulate(
             another method or model takes the run, a warning says so.
 
     Returns:
-        A `Run` of numbers or of expressions. A numeric run is integrated a second time, more coarsely, of a method
+        A numeric or symbolic `Run`. A numeric run is integrated a second time, more coarsely, of a method
         that is named more finely, and ``error_estimate`` is the largest difference of the two, twice that where the
         second run is not the coarser or the contact has kinks, and after events no less than 1e-11, or than what a stop
         between the outputs may change that the integrator may have passed over. It covers every result, each relative
@@ -102,7 +102,7 @@ def simulate(
         check_single("simulate", (scene, duration))
         if any(map(is_symbolic, (*parameters(scene).values(), scene.mass, duration))):
             if compiled:
-                raise InputError("a symbolic run is no machine code: what it becomes part of is compiled as a whole")
+                raise InputError("a symbolic run has no machine code: what it becomes part of is compiled as a whole")
             check_strength(scene.effects.waves)
             return _symbolic(scene, duration, accuracy, outputs)
         scene, duration = map_expressions((scene, duration), lambda value: float(as_number(value)))

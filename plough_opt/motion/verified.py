@@ -65,12 +65,12 @@ def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...
     if accuracy.method != "auto":
         named = plan.with_setting(accuracy, plan.steps_for(case.phase), case.outputs)
         found, error = _twice(case, named, plan.check_of(named, case.p, case.duration, case.structure.kinked))
-        error, notes = _told(case, found, error, None)
+        error, notes = _stated(case, found, error, None)
     else:
         refuse_ringing(case.scene, case.duration)
         refuse_countless_waves(case.scene, case.p, case.duration, plan.MOST_FORCED)
         found, error = _automatic(case, wanted)
-        error, notes = _told(case, found, error, wanted)
+        error, notes = _stated(case, found, error, wanted)
     _LOG.debug("motion by %s: estimated error %.2g", found.run.accuracy, error)
     return thinned(found.run, case.outputs), error, (*notes, *remarks(found.run))
 
@@ -233,7 +233,7 @@ def _is_coarser(one: Accuracy, other: Accuracy) -> bool:
     )
 
 
-def _told(case: Case, found: Followed, error: float, wanted: float | None) -> tuple[float, tuple[str, ...]]:
+def _stated(case: Case, found: Followed, error: float, wanted: float | None) -> tuple[float, tuple[str, ...]]:
     """Return the estimated error, and in words that it is larger than wanted, or that no motion could be predicted."""
     if error <= (wanted or TELLING):
         return error, ()
@@ -246,9 +246,9 @@ def _told(case: Case, found: Followed, error: float, wanted: float | None) -> tu
         if apart > _SENSITIVE * _SHAKEN:
             # Differences of the size of the motion itself are bounded by nothing that two runs show.
             error = max(error, _MARGIN * apart) if apart < _LOST else math.inf
-            told = f"to better than {error:.1e}" if error < math.inf else "at all"
+            until = f"to better than {error:.1e}" if error < math.inf else "at all"
             return error, (
-                f"{missed}: the motion is too sensitive to be predicted {told}, for a change of the scene's numbers by"
+                f"{missed}: the motion is too sensitive to be predicted {until}, for a change of the scene's numbers by"
                 f" {_SHAKEN:.0e} of themselves changes it by {apart:.1e}",
             )
     return error, (f"{missed}: the estimate is {error:.1e}",)

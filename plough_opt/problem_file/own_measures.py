@@ -62,7 +62,7 @@ def own_measure(text: str, unit: str) -> Measure:
         unit: unit of the result, "" for a pure number.
 
     Raises:
-        InputError: a text that is no such expression, a name that is unknown, or a unit of another kind.
+        InputError: a text that is not such an expression, a name that is unknown, or a unit of another kind.
     """
     if len(text) > _LONGEST:
         raise InputError(f"the expression has {len(text)} characters, and at most {_LONGEST} can be read")

@@ -81,7 +81,7 @@ class _RobustDesign:
 
     @cached_property
     def _responses(self) -> Robust:
-        """The results over the samples, of numbers."""
+        """The numeric results over the samples."""
         return self._declared({key: v.guess for key, v in self._problem.variables.items()})[1]
 
     def spreads(self, at: Mapping[str, float]) -> dict[str, float]:

@@ -52,7 +52,7 @@ def turns_of(waves: Sequence[StrengthWave]) -> tuple[int, ...]:
     if len(waves) == 1:
         return (1,)
     if any(is_symbolic(wave.wavelength) for wave in waves):
-        raise InputError("a lasting orbit under several waves needs wavelengths of numbers: they decide its period")
+        raise InputError("a lasting orbit under several waves needs numeric wavelengths: they decide its period")
     lengths = np.array([float(as_number(wave.wavelength)) for wave in waves])
     for count in range(1, _MOST_TURNS + 1):
         turns = count * np.max(lengths) / lengths

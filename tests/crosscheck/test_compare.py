@@ -235,7 +235,7 @@ def test_arguments_that_no_model_could_take_are_refused(options, error, words):
 
 
 def test_a_scene_with_symbols_is_refused():
-    with pytest.raises(po.InputError, match="comparison is of numbers"):
+    with pytest.raises(po.InputError, match="comparison needs numbers"):
         compare(dataclasses.replace(scene(), tow_speed=ca.SX.sym("speed")))
 
 

@@ -46,7 +46,7 @@ class Input:
         symbol: a CasADi symbol in the scene; it needs bounds.
 
     Raises:
-        InputError: a text that is no quantity of this kind, or plain numbers with a unit that is not SI.
+        InputError: a text that is not a quantity of this kind, or plain numbers with a unit that is not SI.
 
     Example:
         >>> import plough_opt as po

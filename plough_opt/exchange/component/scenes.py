@@ -99,7 +99,7 @@ class Scenes:
         return scene, scene.wave_period
 
     def at_numbers(self, x: Iterable[float]) -> tuple[Scene, float]:
-        """Return scene and duration of numbers in order."""
+        """Return numeric scene and duration of numbers in order."""
         scene, duration = self.at([float(value) for value in x])
         return scene, float(as_number(duration))
 

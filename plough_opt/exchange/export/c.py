@@ -131,7 +131,7 @@ def _graph(name: str, functions: Collection[ca.Function]) -> str:
     """Return CasADi's C of Functions.
 
     Raises:
-        InputError: a part of which there is no C.
+        InputError: a part for which CasADi has no C.
     """
     if any(inner.class_name() == "Newton" for function in functions for inner in function.find_functions()):
         raise InputError(

@@ -157,7 +157,7 @@ def points(first: Expression, second: Expression, *others: Any) -> tuple[Express
 
 
 def check_off_nodes(offsets: Sequence[Expression], distance: Expression) -> None:
-    """Raise DomainError for points of numbers on a node, where the stresses are infinite."""
+    """Raise DomainError for numeric points on a node, where the stresses are infinite."""
     for k, offset in enumerate(offsets):
         if is_symbolic(offset) or is_symbolic(distance):
             continue

@@ -77,7 +77,7 @@ class Motion:
         p: its parameters.
         swing: inverse of the lightest share's angular frequency on its mount [s].
         scales: sizes of w [m] and w' [m/s], to which rounding is relative.
-        ramp: when the strut's ramp ends, if that is no event [s]; else 0.
+        ramp: when the strut's ramp ends, if that is not an event [s]; else 0.
         start: state at time 0.
     """
 

@@ -83,7 +83,7 @@ def reference_run(scene: Scene, duration: float | None = None, *, outputs: int =
         outputs: number of equal intervals between output times.
 
     Raises:
-        InputError: a scene of which there is no reference; the message says why.
+        InputError: a scene that has no reference; the message says why.
         IntegrationError: the motion could not be followed.
     """
     followed = _way(scene, duration)

@@ -68,7 +68,7 @@ def compare(
     """
     check_kind("the scene", scene, Scene, "a numeric Scene")
     if holds_casadi((scene, depth, width, rake_angle, speeds, rupture_ratio, surcharge, adhesion)):
-        raise InputError("a comparison is of numbers: evaluate the scene with best(scene) first")
+        raise InputError("a comparison needs numbers: evaluate the scene with best(scene) first")
     for name, value, known in (("texture", texture, TEXTURES), ("point", point, POINTS)):
         if not (value is None and name == "texture"):
             check_named(f"{name} = {{}} is none of D497", value, known)

@@ -95,7 +95,7 @@ class ResponseValues:
 
 
 class Responses:
-    """The results of a function for each of very many soils, at one design of numbers.
+    """The results of a function for each of very many soils, at one numeric design.
 
     The function is called once, with symbols for the uncertain properties. Design and properties are then the variables
     of a population, which follows the runs of all soils side by side where it can, and evaluates the algebra around

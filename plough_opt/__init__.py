@@ -50,9 +50,8 @@ if TYPE_CHECKING:
     from plough_opt.problem_file import Problem, read_problem
     from plough_opt.problem_file.readings import Penetrometer, read_penetrometer, read_strength_record
     from plough_opt.problem_file.sweeping import sweep
-    from plough_opt.soil.record_waves import RecordWaves
-    from plough_opt.soil.rig import Rig
-    from plough_opt.soil.strength_record import StrengthRecord, strength_spectrum, strength_waves
+    from plough_opt.soil.record_waves import RecordWaves, strength_waves
+    from plough_opt.soil.strength_record import Rig, StrengthRecord, strength_spectrum
     from plough_opt.studies import crosscheck
     from plough_opt.studies.accuracy.result import AccuracyStudy
     from plough_opt.studies.accuracy.study import study_accuracy, study_design
@@ -84,9 +83,8 @@ _NAMES_LATER = {
     ),
     "plough_opt.problem_file": ("Problem", "read_problem"),
     "plough_opt.problem_file.readings": ("Penetrometer", "read_penetrometer", "read_strength_record"),
-    "plough_opt.soil.record_waves": ("RecordWaves",),
-    "plough_opt.soil.rig": ("Rig",),
-    "plough_opt.soil.strength_record": ("StrengthRecord", "strength_spectrum", "strength_waves"),
+    "plough_opt.soil.record_waves": ("RecordWaves", "strength_waves"),
+    "plough_opt.soil.strength_record": ("Rig", "StrengthRecord", "strength_spectrum"),
     "plough_opt.exchange.results": ("load",),
     "plough_opt.studies.sweep.points": ("Range",),
     "plough_opt.studies.sweep.result": ("Sweep",),

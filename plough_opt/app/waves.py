@@ -15,7 +15,7 @@ from plough_opt.core.tables import Grid
 
 if TYPE_CHECKING:
     from plough_opt.soil.record_waves import RecordWaves
-    from plough_opt.soil.rig import Rig
+    from plough_opt.soil.strength_record import Rig
 
 _RIG = {
     "mass": QuantityOption("kg", "20 kg", "mass on the rig that felt the force"),
@@ -39,7 +39,7 @@ def add_options(verb: argparse.ArgumentParser) -> None:
 def waves(options: argparse.Namespace) -> None:
     """Find the waves of a record, and print them as a problem file takes them."""
     from plough_opt.problem_file.readings import read_strength_record
-    from plough_opt.soil.strength_record import strength_waves
+    from plough_opt.soil.record_waves import strength_waves
 
     check_outputs(options)
     rig = given_quantities(options, _RIG)
@@ -55,7 +55,7 @@ def waves(options: argparse.Namespace) -> None:
 
 def _rig(given: dict[str, float]) -> Rig | None:
     """Return the rig that the options describe, if they do."""
-    from plough_opt.soil.rig import Rig
+    from plough_opt.soil.strength_record import Rig
 
     if not {"mass", "stiffness", "damping"} & {*given}:
         return None

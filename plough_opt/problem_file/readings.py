@@ -17,8 +17,7 @@ from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.schema import RANDOM
 from plough_opt.problem_file.source import Source
 from plough_opt.soil.random_strength import Spectrum
-from plough_opt.soil.rig import Rig
-from plough_opt.soil.strength_record import StrengthRecord, strength_spectrum
+from plough_opt.soil.strength_record import Rig, StrengthRecord, strength_spectrum
 from plough_opt.studies.sweep.points import Range
 
 Vector = NDArray[np.float64]

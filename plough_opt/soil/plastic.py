@@ -26,7 +26,6 @@ from plough_opt.core.expressions import (
 from plough_opt.core.labels import checked_in_designs
 from plough_opt.soil.compaction import front, mean_ratio, ratio
 from plough_opt.soil.soil import Soil, check_soil
-from plough_opt.soil.yielding import Yielding
 
 
 @dataclass(frozen=True)
@@ -68,6 +67,11 @@ class WallPressure:
     rate: Expression
     inertia: Expression
 
+    def around(self, cavity: Cavity, soil: Soil) -> Expression:
+        """Return the gauge pressure [Pa] around a cavity."""
+        motion = self.rate * cavity.rate**2 + self.inertia * cavity.radius * cavity.acceleration
+        return self.strength + soil.density * motion
+
 
 @checked_in_designs
 def wall_pressure(soil: Soil, radius: Expression | None = None) -> WallPressure:
@@ -91,12 +95,13 @@ def wall_pressure(soil: Soil, radius: Expression | None = None) -> WallPressure:
         InputError: a density profile and no radius.
     """
     check_soil(soil)
+    yielding = soil.yielding
+    nu, b1 = yielding.nu, soil.density_ratio
     if soil.density_profile is not None:
         if radius is None:
             raise InputError("the wall pressure of a density profile depends on the cavity: give its radius")
-        return _wall_pressure_of_profile(soil, radius)
-    yielding = _yielding(soil)
-    nu, b1 = yielding.nu, soil.density_ratio
+        check_domain("cavity radius", radius, "m", above=0.0, why="with a density profile the pressure depends on it")
+        return _pressure(0.0, radius, front(radius, soil), soil)
     log_a = -log1p(-b1)
     log_a_over_b1 = log1p_ratio(-b1)
     growth = expm1_ratio(nu * log_a / 2.0)
@@ -105,10 +110,6 @@ def wall_pressure(soil: Soil, radius: Expression | None = None) -> WallPressure:
         rate=log_a_over_b1 / 2.0 * (growth - expm1_ratio((nu / 2.0 - 1.0) * log_a)) + exp(nu * log_a / 2.0),
         inertia=log_a_over_b1 / 2.0 * growth,
     )
-
-
-def _yielding(soil: Soil) -> Yielding:
-    return Yielding.of(soil.friction_angle, soil.cohesion)
 
 
 @checked_in_designs
@@ -126,9 +127,7 @@ def surface_pressure(cavity: Cavity, soil: Soil) -> Expression:
         DomainError: a density profile and a cavity of radius 0, or a profile without a front.
     """
     _check_cavity(cavity)
-    p = wall_pressure(soil, cavity.radius)
-    motion = p.rate * cavity.rate**2 + p.inertia * cavity.radius * cavity.acceleration
-    return p.strength + soil.density * motion
+    return wall_pressure(soil, cavity.radius).around(cavity, soil)
 
 
 @checked_in_designs
@@ -189,7 +188,7 @@ def current_radius(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
         DomainError: a radius below 0 or ahead of the front, where the soil is undisturbed.
     """
     _check_behind(r, front_radius(cavity, soil))
-    return _current_radius(r, cavity, soil)
+    return sqrt(mean_ratio(r, soil) * r**2 + cavity.radius**2)
 
 
 @checked_in_designs
@@ -251,8 +250,8 @@ def stress(r: Expression, cavity: Cavity, soil: Soil) -> Stress:
     check_domain("cavity radius", cavity.radius, "m", above=0.0, why="at the tip the stress is not unique")
     r_front = front_radius(cavity, soil)
     _check_behind(r, r_front)
-    pressure = _pressure(r, r_front, cavity, soil)
-    yielding = _yielding(soil)
+    pressure = soil.ambient_pressure + _pressure(r, cavity.radius, r_front, soil).around(cavity, soil)
+    yielding = soil.yielding
     # (1 - mu)/(1 + mu), in a form that does not cancel near 90 degrees.
     transferred = (cos(soil.friction_angle) / (1.0 + yielding.mu)) ** 2
     tangential = transferred * pressure - yielding.tau0 / (1.0 + yielding.mu)
@@ -296,45 +295,26 @@ def _check_behind(r: Expression, r_front: Expression) -> None:
     )
 
 
-def _current_radius(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
-    return sqrt(mean_ratio(r, soil) * r**2 + cavity.radius**2)
-
-
-def _pressure(r: Expression, r_front: Expression, cavity: Cavity, soil: Soil) -> Expression:
-    """Return the radial pressure [Pa] at Lagrangian radius r, equation (14) with (18) and (21)."""
-    yielding = _yielding(soil)
-    y = _current_radius(r, cavity, soil)
+def _pressure(r: Expression, radius: Expression, r_front: Expression, soil: Soil) -> WallPressure:
+    """Return the coefficients of the gauge pressure at Lagrangian radius r, equation (14) with (18) and (21)."""
+    yielding = soil.yielding
+    nu, wall = yielding.nu, radius**2
+    y_squared = mean_ratio(r, soil) * r**2 + wall
     if soil.density_profile is None:
         # r*^2 - y^2 = b1 (r*^2 - r^2): the logarithm of a ratio near one, without cancellation.
-        spread = (r_front - r) * (r_front + r) / y**2
+        spread = (r_front - r) * (r_front + r) / y_squared
         log_over_b1 = spread * log1p_ratio(soil.density_ratio * spread) / 2.0
-        log = soil.density_ratio * log_over_b1
-        growth, jump = expm1_ratio(yielding.nu * log), cavity.rate**2
-        spreading = cavity.rate**2 + cavity.radius * cavity.acceleration
-        slowing = (cavity.radius * cavity.rate / y) ** 2 * expm1_ratio((yielding.nu - 2.0) * log)
-        inertial = log_over_b1 * (spreading * growth - slowing)
+        log, jump = soil.density_ratio * log_over_b1, 1.0
+        swelling = log_over_b1 * expm1_ratio(nu * log)
+        spreading = swelling - log_over_b1 * wall / y_squared * expm1_ratio((nu - 2.0) * log)
     else:
         # The difference of the squares of front and particle, in which R^2 has been cancelled.
-        log = log1p((mean_ratio(r_front, soil) * r_front**2 - mean_ratio(r, soil) * r**2) / y**2) / 2.0
-        growth = expm1_ratio(yielding.nu * log)
-        jump = (cavity.radius * cavity.rate / r_front) ** 2 / (1.0 - ratio(r_front, soil))
-        swelling, spreading = _inertia_of_profile(r, r_front, cavity.radius, soil)
-        inertial = swelling * cavity.radius * cavity.acceleration + spreading * cavity.rate**2
-    strength = yielding.tau0 / (1.0 + yielding.mu) * log * growth
-    return exp(yielding.nu * log) * (soil.ambient_pressure + soil.density * jump) + strength + soil.density * inertial
-
-
-def _wall_pressure_of_profile(soil: Soil, radius: Expression) -> WallPressure:
-    """Return the coefficients of the wall pressure around a cavity of radius R [m], by quadrature."""
-    check_domain("cavity radius", radius, "m", above=0.0, why="the wall pressure of a density profile depends on it")
-    yielding = _yielding(soil)
-    r_front = front(radius, soil)
-    log = -log1p(-mean_ratio(r_front, soil)) / 2.0
-    jump = (radius / r_front) ** 2 / (1.0 - ratio(r_front, soil))
-    swelling, spreading = _inertia_of_profile(0.0, r_front, radius, soil)
+        log = log1p((mean_ratio(r_front, soil) * r_front**2 - mean_ratio(r, soil) * r**2) / y_squared) / 2.0
+        jump = (radius / r_front) ** 2 / (1.0 - ratio(r_front, soil))
+        swelling, spreading = _inertia_of_profile(r, r_front, radius, soil)
     return WallPressure(
-        strength=log * expm1_ratio(yielding.nu * log) * yielding.strength(soil.ambient_pressure),
-        rate=exp(yielding.nu * log) * jump + spreading,
+        strength=log * expm1_ratio(nu * log) * yielding.strength(soil.ambient_pressure),
+        rate=exp(nu * log) * jump + spreading,
         inertia=swelling,
     )
 
@@ -343,7 +323,7 @@ def _inertia_of_profile(
     r: Expression, r_front: Expression, radius: Expression, soil: Soil
 ) -> tuple[Expression, Expression]:
     """Return the integrals from r to r* of (y_s/y)^nu s/y_s^2 ds, and of the same times 2 psi(s)/y_s^2 [-]."""
-    nu = _yielding(soil).nu
+    nu = soil.yielding.nu
     wall = radius**2
     y_squared = wall + mean_ratio(r, soil) * r**2
     swelling: Expression = 0.0

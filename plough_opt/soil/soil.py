@@ -11,9 +11,20 @@ import numpy as np
 
 from plough_opt.core.checks import check_kind, check_named, shown
 from plough_opt.core.errors import InputError, nearest, unprintable
-from plough_opt.core.expressions import COUNT, Expression, as_number, cos, is_count, is_symbolic
+from plough_opt.core.expressions import (
+    COUNT,
+    Expression,
+    as_number,
+    cos,
+    expm1,
+    expm1_ratio,
+    is_count,
+    is_symbolic,
+    log1p,
+    log1p_ratio,
+    sin,
+)
 from plough_opt.core.quantities import EVERY, QUANTITIES, settle
-from plough_opt.soil.yielding import Yielding, density_ratio_of, growth
 
 STANDARD_ATMOSPHERE = 101325.0
 """Ambient pressure [Pa] of the named soils and of the source."""
@@ -60,6 +71,28 @@ class DensityProfile:
     def at(self, r: Expression) -> Expression:
         """Return the density [kg/m^3] at a Lagrangian radius [m]."""
         return self.density(r, *self.parameters)
+
+
+@dataclass(frozen=True)
+class Yielding:
+    """The yield condition (10): p_r - p_theta = tau0 + mu (p_r + p_theta), and nu = 2 mu/(1 + mu)."""
+
+    mu: Expression
+    nu: Expression
+    tau0: Expression
+
+    def strength(self, ambient_pressure: Expression) -> Expression:
+        """Return nu p_a + tau0/(1 + mu) [Pa]."""
+        return self.nu * ambient_pressure + self.tau0 / (1.0 + self.mu)
+
+    def growth(self, density_ratio: Expression) -> Expression:
+        """Return phi = (a^(nu/2) - 1)/nu with a = 1/(1 - b1) [-], the factor on the strength at the cavity wall."""
+        log_a = -log1p(-density_ratio)
+        return log_a / 2.0 * expm1_ratio(self.nu * log_a / 2.0)
+
+    def density_ratio(self, growth: Expression) -> Expression:
+        """Return the b1 of a `growth`, 1 - (1 + nu phi)^(-2/nu), regular without internal friction."""
+        return -expm1(-2.0 * growth * log1p_ratio(self.nu * growth))
 
 
 @dataclass(frozen=True)
@@ -116,6 +149,12 @@ class Soil:
                 f"name = {shown(self.name)} must be a text that can be printed: it names the soil in reports"
             )
         settle(self, **{quantity.key: quantity.name for quantity in _PROPERTIES})
+
+    @property
+    def yielding(self) -> Yielding:
+        """The condition under which it yields."""
+        mu = sin(self.friction_angle)
+        return Yielding(mu, 2.0 * mu / (1.0 + mu), 2.0 * self.cohesion * cos(self.friction_angle))
 
     def with_density_profile(
         self, density: Callable[..., Expression], *parameters: Expression, order: int = 16
@@ -199,13 +238,20 @@ class Soil:
 
 def _adjusted(reading: Expression, soil: Soil, adjust: Adjust) -> Expression:
     """Return the property of a soil that follows from a cone index [Pa]."""
-    yielding = Yielding.of(soil.friction_angle, soil.cohesion)
+    yielding = soil.yielding
     friction = 1.0 + soil.tool_friction / math.tan(CONE_HALF_ANGLE)
-    phi = growth(soil.density_ratio, yielding.nu)
+    phi = yielding.growth(soil.density_ratio)
     if adjust == "cohesion":
         level = soil.strength_factor * friction * phi
         without = yielding.nu * soil.ambient_pressure
-        _check_reading(reading, level * without)
+        if not (is_symbolic(reading) or is_symbolic(level * without)):
+            short = float(np.max(as_number(level * without) - as_number(reading)))
+            if short > 0.0:
+                raise InputError(
+                    f"friction and ambient pressure alone give a cone index {short / 1e3:.4g} kPa above the reading,"
+                    " which no cohesion can match; adjust the strength factor, or lower the ambient pressure or the"
+                    " friction angle"
+                )
         return (reading / level - without) * (1.0 + yielding.mu) / (2.0 * cos(soil.friction_angle))
     strength = yielding.strength(soil.ambient_pressure)
     if not is_symbolic(strength) and np.any(as_number(strength) == 0.0):
@@ -213,79 +259,44 @@ def _adjusted(reading: Expression, soil: Soil, adjust: Adjust) -> Expression:
                          " the cohesion")  # fmt: skip
     if adjust == "strength factor":
         return reading / (friction * phi * strength)
-    return density_ratio_of(reading / (soil.strength_factor * friction * strength), yielding.nu)
-
-
-def _check_reading(reading: Expression, least: Expression) -> None:
-    """Raise InputError for a reading below that of a soil without cohesion."""
-    if is_symbolic(reading) or is_symbolic(least):
-        return
-    short = float(np.max(as_number(least) - as_number(reading)))
-    if short > 0.0:
-        raise InputError(
-            f"friction and ambient pressure alone give a cone index {short / 1e3:.4g} kPa above the reading, which no"
-            " cohesion can match; adjust the strength factor, or lower the ambient pressure or the friction angle"
-        )
+    return yielding.density_ratio(reading / (soil.strength_factor * friction * strength))
 
 
 _CHOICE = "engineering choice inside published brackets, not measured on one soil"
 _FRICTION = "tool friction: soil on steel 0.13-0.85 by moisture (Manuwa 2012, Mod. Appl. Sci. 6(4):117)"
 
 
-def _preset(
-    name: str,
-    density: float,
-    density_ratio: float,
-    cohesion: float,
-    friction_angle: float,
-    tool_friction: float,
-    youngs_modulus: float,
-    poisson_ratio: float,
-    brackets: str,
-) -> Soil:
-    """Return a named soil from kPa, degrees and MPa, the units of the table below."""
-    return Soil(
+# Name, density [kg/m^3], density ratio, cohesion [kPa], friction angle [deg], tool friction, Young's modulus [MPa],
+# Poisson's ratio, and the brackets that are published.
+_TABLE = (
+    ("loose sandy loam", 1300, 0.722, 5, 30, 0.40, 3, 0.30,
+     "density: light loam after subsoiling 1300 kg/m^3 (zzs.ujs.edu.cn, abstract 948)"),
+    ("firm sandy loam", 1500, 0.815, 15, 32, 0.45, 8, 0.30,
+     "locked density: Proctor maximum 1840 kg/m^3 of a savanna sandy loam (Hossne Garcia et al. 2012)"),
+    ("serozem", 1350, 0.794, 20, 28, 0.50, 10, 0.33,
+     "density: Syrdarya grey-meadow soils 1280-1370 kg/m^3 (tjabs 3738); modulus: compacted loess"
+     " 18-34 MPa at small strain (Adv. Civ. Eng. 2021, 9574548)"),
+    ("hardpan", 1600, 0.914, 35, 32, 0.50, 20, 0.35,
+     "density: critical for roots in clay loam 1450-1550 kg/m^3 (Harris 1990; Morris and Lowery 1988);"
+     " strength: Kenyan sandy clay loam 22-39 kPa (Mwonga et al. 2019, doi 10.4236/ojop.2019.83008)"),
+    ("heavy clay", 1300, 0.812, 45, 15, 0.40, 8, 0.40,
+     "density: growth-restricting above 1470 kg/m^3 in clay; cohesion of a clay at 1550 kg/m^3 30 kPa"
+     " (Horn and Fleige 2003)"),
+)  # fmt: skip
+_NAMED = {
+    name: Soil(
         density=density,
-        density_ratio=density_ratio,
+        density_ratio=ratio,
         cohesion=cohesion * 1e3,
         friction_angle=math.radians(friction_angle),
         tool_friction=tool_friction,
-        ambient_pressure=STANDARD_ATMOSPHERE,
-        youngs_modulus=youngs_modulus * 1e6,
+        youngs_modulus=modulus * 1e6,
         poisson_ratio=poisson_ratio,
         name=name,
         source=f"{_CHOICE}; {brackets}; {_FRICTION}",
     )
-
-
-_NAMED = {
-    soil.name: soil
-    for soil in (
-        _preset(
-            "loose sandy loam", 1300, 0.722, 5, 30, 0.40, 3, 0.30,
-            "density: light loam after subsoiling 1300 kg/m^3 (zzs.ujs.edu.cn, abstract 948)",
-        ),
-        _preset(
-            "firm sandy loam", 1500, 0.815, 15, 32, 0.45, 8, 0.30,
-            "locked density: Proctor maximum 1840 kg/m^3 of a savanna sandy loam (Hossne Garcia et al. 2012)",
-        ),
-        _preset(
-            "serozem", 1350, 0.794, 20, 28, 0.50, 10, 0.33,
-            "density: Syrdarya grey-meadow soils 1280-1370 kg/m^3 (tjabs 3738); modulus: compacted loess"
-            " 18-34 MPa at small strain (Adv. Civ. Eng. 2021, 9574548)",
-        ),
-        _preset(
-            "hardpan", 1600, 0.914, 35, 32, 0.50, 20, 0.35,
-            "density: critical for roots in clay loam 1450-1550 kg/m^3 (Harris 1990; Morris and Lowery 1988);"
-            " strength: Kenyan sandy clay loam 22-39 kPa (Mwonga et al. 2019, doi 10.4236/ojop.2019.83008)",
-        ),
-        _preset(
-            "heavy clay", 1300, 0.812, 45, 15, 0.40, 8, 0.40,
-            "density: growth-restricting above 1470 kg/m^3 in clay; cohesion of a clay at 1550 kg/m^3 30 kPa"
-            " (Horn and Fleige 2003)",
-        ),
-    )
-}  # fmt: skip
+    for name, density, ratio, cohesion, friction_angle, tool_friction, modulus, poisson_ratio, brackets in _TABLE
+}
 
 
 def soil_names() -> tuple[str, ...]:

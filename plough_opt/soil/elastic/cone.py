@@ -1,18 +1,28 @@
 """Slender cone on its axis: equations (3) and (4) and the stresses by Hooke's law, for piecewise-linear profiles.
 
-The body acts as a line of sources S' on its axis: on a small cylinder around it r u_r = S(x), with
-S = section_factor R^2. With the potentials N and M of `plough_opt.soil.elastic.sources` the axial displacement is
-2 (N_alpha - N_eta)/m - N_alpha + 2 N_eta and the radial one 2 (M_alpha - M_eta)/m - M_alpha.
+The body acts as a line of sources s = S' on its axis: on a small cylinder around it r u_r = S(x), with
+S = section_factor R^2. With X = x - xi and rho_k^2 = X^2 + k^2 r^2, for k = alpha and eta, the potentials are::
+
+    N_k = 1/2 int s/rho_k dxi,    M_k = -1/(2r) int s (1 + X/rho_k) dxi
+
+the axial displacement is 2 (N_alpha - N_eta)/m - N_alpha + 2 N_eta and the radial one 2 (M_alpha - M_eta)/m - M_alpha.
+Differences over m are formed without cancellation, in closed form, and far from a piece by quadrature. The part S(x)/r
+of the radial displacement is split off, so that no digits are lost beside the axis.
 """
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import TypeVar
 
 from plough_opt.core.checks import LEAST, check_domain
-from plough_opt.core.expressions import Expression
-from plough_opt.soil.elastic.medium import Medium, medium
-from plough_opt.soil.elastic.profile import Body, Profile, body, points
-from plough_opt.soil.elastic.sources import Potentials, displaced, potentials
+from plough_opt.core.expressions import Expression, arcsinh, arcsinh_ratio, gauss_legendre, one_node, sqrt, where
+from plough_opt.soil.elastic.medium import FAR, FAR_NODES, Medium, Ratios, medium
+from plough_opt.soil.elastic.profile import Body, Profile, Segment, body, points
 from plough_opt.soil.soil import Soil
+
+_Field = TypeVar("_Field")
 
 SECTION_FACTOR = 0.5
 """S/R^2 that conserves the displaced volume; 1 balances the energy. The slender-body model leaves the choice open."""
@@ -86,12 +96,7 @@ def cone_displacement(
         DomainError: a speed at or beyond the shear wave's, a point on the axis, or a number outside its domain.
         InputError: an invalid profile, or a soil without elastic constants.
     """
-    state, cone, x, r = _place(x, r, profile, soil, speed, section_factor)
-    offsets = cone.offsets(x)
-    found = potentials(offsets, r, cone, state, section_factor)
-    section = displaced(offsets, cone, section_factor)
-    displacement: ConeDisplacement = state.limited(displacement_of(found, section, r, state))
-    return displacement
+    return _around(displacement_of, x, r, profile, soil, speed, section_factor)
 
 
 def cone_stress(
@@ -103,11 +108,7 @@ def cone_stress(
     section_factor: Expression = SECTION_FACTOR,
 ) -> ConeStress:
     """Return the stresses around a slender cone: arguments, errors and limits as of `cone_displacement`."""
-    state, cone, x, r = _place(x, r, profile, soil, speed, section_factor)
-    offsets = cone.offsets(x)
-    found = potentials(offsets, r, cone, state, section_factor)
-    stress: ConeStress = state.limited(stress_of(found, displaced(offsets, cone, section_factor), r, state))
-    return stress
+    return _around(stress_of, x, r, profile, soil, speed, section_factor)
 
 
 def cone_pressure(
@@ -154,12 +155,226 @@ def state_of(soil: Soil, speed: Expression) -> Medium:
     return state
 
 
-def _place(
-    x: Expression, r: Expression, profile: Profile, soil: Soil, speed: Expression, section_factor: Expression
-) -> tuple[Medium, Body, Expression, Expression]:
-    """Return the medium, the body, and the coordinates of a point off the axis."""
+def _around(
+    field_of: Callable[[Potentials, Expression, Expression, Medium], _Field],
+    x: Expression,
+    r: Expression,
+    profile: Profile,
+    soil: Soil,
+    speed: Expression,
+    section_factor: Expression,
+) -> _Field:
+    """Return a field at a point off the axis, made of the potentials and the displaced section there."""
     check_domain("r", r, "m", above=0.0, at_least=LEAST, why="the axis itself is singular inside the body")
     check_domain("section factor", section_factor, above=0.0)
     state, cone = state_of(soil, speed), body(profile)
     x, r = points(x, r, cone, state, section_factor)
-    return state, cone, x, r
+    offsets = cone.offsets(x)
+    found = potentials(offsets, r, cone, state, section_factor)
+    return state.limited(field_of(found, displaced(offsets, cone, section_factor), r, state))
+
+
+# --- potentials of a line of sources ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Potentials:
+    """Functions of which the fields of a cone are sums.
+
+    Attributes:
+        n: N_alpha.
+        n_change: (N_alpha - N_eta)/m.
+        n_x: derivative of N_alpha along x.
+        n_x_change: derivative of n_change along x.
+        n_r_change: derivative of n_change along r.
+        outward: u_r - S(x)/r.
+    """
+
+    n: Expression
+    n_change: Expression
+    n_x: Expression
+    n_x_change: Expression
+    n_r_change: Expression
+    outward: Expression
+
+    @classmethod
+    def zero(cls) -> Potentials:
+        """Return the potentials of no body."""
+        return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def plus(self, other: Potentials, weight: Expression = 1.0) -> Potentials:
+        """Return the sum with other potentials times a weight."""
+        return Potentials(*(getattr(self, f.name) + weight * getattr(other, f.name) for f in fields(self)))
+
+    def where(self, condition: Expression, other: Potentials) -> Potentials:
+        """Return these potentials where a condition holds, and the others elsewhere."""
+        return Potentials(*(where(condition, getattr(self, f.name), getattr(other, f.name)) for f in fields(self)))
+
+
+class _Point:
+    """A point as seen from a place on the axis: distances and their differences over m, without cancellation.
+
+    Attributes:
+        distance: |X|, on the side of X > 0 at 0, as the section S(x) is: their kinks cancel.
+        fast: rho_alpha.
+        slow: rho_eta.
+        change: (rho_alpha - rho_eta)/(m r^2).
+        inverse_change: (1/rho_alpha - 1/rho_eta)/m.
+        beyond_fast: rho_alpha - |X|, of which nothing is left beside the axis if it is computed so.
+        beyond_slow: rho_eta - |X|.
+    """
+
+    def __init__(self, x: Expression, r: Expression, soil: Ratios) -> None:
+        self.x, self.r, self.soil = x, r, soil
+        wide, narrow = (soil.alpha * r) ** 2, (soil.eta * r) ** 2
+        self.distance = where(x < 0.0, -x, x)
+        self.fast, self.slow = sqrt(x**2 + wide), sqrt(x**2 + narrow)
+        self.change = (1.0 - soil.kappa) / (self.fast + self.slow)
+        self.inverse_change = -(r**2) * self.change / (self.fast * self.slow)
+        self.beyond_fast, self.beyond_slow = wide / (self.fast + self.distance), narrow / (self.slow + self.distance)
+
+    @property
+    def scaled_inverse_change(self) -> Expression:
+        """(alpha^2/rho_alpha - eta^2/rho_eta)/m."""
+        return (1.0 - self.soil.kappa) / self.fast + self.soil.eta**2 * self.inverse_change
+
+    @property
+    def gap(self) -> Expression:
+        """2 (rho_alpha - rho_eta)/(m r^2) - (rho_alpha - |X|)/r^2."""
+        upper = (2.0 * self.distance + self.beyond_fast) * _stiffness(self.soil)
+        upper = upper - self.soil.alpha**2 * self.beyond_slow
+        return upper / ((self.fast + self.slow) * (self.fast + self.distance))
+
+
+def _stiffness(soil: Ratios) -> Expression:
+    """Return 2 (1 - kappa) - alpha^2 = 1 - 2 kappa + kappa m, in which nothing cancels."""
+    return soil.stiffening + soil.kappa * soil.m
+
+
+def sources(segment: Segment, section_factor: Expression) -> tuple[Expression, Expression]:
+    """Return S' [m] at the first node of a piece and its slope along x [-]."""
+    slope = 2.0 * section_factor * segment.slope
+    return slope * segment.first, slope * segment.slope
+
+
+def potentials(
+    offsets: list[Expression], r: Expression, cone: Body, soil: Medium, section_factor: Expression
+) -> Potentials:
+    """Return the potentials at distances from the nodes and from the axis: in closed form, or far off by quadrature."""
+    total = Potentials.zero()
+    for segment in cone.segments:
+        place = (offsets[segment.start], offsets[segment.start + 1], r)
+        arguments = (*place, segment.length, *sources(segment, section_factor), *soil.in_order)
+        total = total.plus(Potentials(*_piece(*arguments)))
+    return total
+
+
+@one_node
+def _piece(
+    x0: Expression,
+    x1: Expression,
+    r: Expression,
+    length: Expression,
+    at_first: Expression,
+    slope: Expression,
+    *state: Expression,
+) -> tuple[Expression, ...]:
+    """Return the potentials of one piece, from the distances from its ends and the axis, its source and the medium."""
+    soil = Ratios(*state)
+    first, last = _Point(x0, r, soil), _Point(x1, r, soil)
+    far = first.slow + last.slow > FAR * length
+    found = _far(first, last, length, (at_first, slope)).where(far, _near(first, last, (at_first, slope)))
+    return tuple(getattr(found, f.name) for f in fields(found))
+
+
+def _near(first: _Point, last: _Point, source: tuple[Expression, Expression]) -> Potentials:
+    """Return the potentials of a piece in closed form."""
+    at_first, slope = source
+    soil, r = first.soil, first.r
+    here = at_first + slope * first.x
+    at_last = here - slope * last.x
+    log, log_change = _logarithm(first, last)
+    inverse = first.inverse_change, last.inverse_change
+    scaled = first.scaled_inverse_change - last.scaled_inverse_change
+    moments = last.x * last.gap - first.x * first.gap + _stiffness(soil) * log + 2.0 * soil.eta**2 * log_change
+    return Potentials(
+        n=(here * log - slope * (first.fast - last.fast)) / 2.0,
+        n_change=(here * log_change - slope * r**2 * (first.change - last.change)) / 2.0,
+        n_x=(slope * log + at_first / first.fast - at_last / last.fast) / 2.0,
+        n_x_change=(slope * log_change + at_first * inverse[0] - at_last * inverse[1]) / 2.0,
+        n_r_change=-(here / r * (first.x * inverse[0] - last.x * inverse[1]) + slope * r * scaled) / 2.0,
+        outward=r / 2.0 * (here * (last.gap - first.gap) - slope * moments / 2.0),
+    )
+
+
+def _logarithm(first: _Point, last: _Point) -> tuple[Expression, Expression]:
+    """Return ln((X0 + rho0)/(X1 + rho1)) for alpha, and its difference to that for eta over m."""
+    soil, r = first.soil, first.r
+    log = arcsinh(first.x / (soil.alpha * r)) - arcsinh(last.x / (soil.alpha * r))
+    shift = (1.0 - soil.kappa) / (soil.alpha * soil.eta)
+    z0, z1 = (shift * point.x / (point.fast + point.slow) for point in (first, last))
+    root0, root1 = (sqrt(1.0 + (soil.m * z) ** 2) for z in (z0, z1))
+    # On one side of the piece both terms of z0 root1 - z1 root0 are alike: their difference is that of the squares.
+    beside = first.x * last.x > 0.0
+    crossings = (
+        k**2 / where(beside, first.x * last_rho + last.x * first_rho, 1.0)
+        for k, first_rho, last_rho in ((soil.alpha, first.fast, last.fast), (soil.eta, first.slow, last.slow))
+    )
+    span = (first.x - last.x) * (first.x + last.x) * r**2
+    apart = shift * span * sum(crossings) / ((first.fast + first.slow) * (last.fast + last.slow))
+    alike = apart * (z0 + z1) / where(beside, z0 * root1 + z1 * root0, 1.0)
+    turn = where(beside, alike, z0 * root1 - z1 * root0)
+    return log, -turn * arcsinh_ratio(soil.m * turn)
+
+
+def _far(first: _Point, last: _Point, length: Expression, source: tuple[Expression, Expression]) -> Potentials:
+    """Return the potentials of a piece by Gauss-Legendre over it."""
+    at_first, slope = source
+    soil, r = first.soil, first.r
+    above = (first.x >= 0.0) * (last.x < 0.0)
+    total = Potentials.zero()
+    for node, weight in zip(*gauss_legendre(FAR_NODES), strict=True):
+        point = _Point(first.x - node * length, r, soil)
+        cubed = 1.0 / point.fast**2 + 1.0 / (point.fast * point.slow) + 1.0 / point.slow**2
+        cubed_change = point.inverse_change * cubed
+        share = length * weight * (at_first + slope * node * length) / 2.0
+        side = where(point.x < 0.0, -1.0, 1.0)
+        # Above the piece the whole u_r, ahead of it and behind what is left of it without S/r.
+        radial = (
+            where(point.x < 0.0, point.beyond_fast, point.fast + point.x) / (r * point.fast)
+            - 2.0 * point.x * point.inverse_change / r
+        )
+        kernel = Potentials(
+            n=1.0 / point.fast,
+            n_change=point.inverse_change,
+            n_x=-point.x / point.fast**3,
+            n_x_change=-point.x * cubed_change,
+            n_r_change=-r * ((1.0 - soil.kappa) / point.fast**3 + soil.eta**2 * cubed_change),
+            outward=where(above, radial, side * _outward(point)),
+        )
+        total = total.plus(kernel, share)
+    passed = _passed(first.x, last.x, length, source)
+    return total.plus(Potentials(0.0, 0.0, 0.0, 0.0, 0.0, where(above, -passed / r, 0.0)))
+
+
+def _passed(x0: Expression, x1: Expression, length: Expression, source: tuple[Expression, Expression]) -> Expression:
+    """Return the part of S(x) that a piece contributes, from the distances from its ends."""
+    over = where(x0 < 0.0, 0.0, where(x1 < 0.0, x0, length))
+    return over * (source[0] + source[1] * over / 2.0)
+
+
+def _outward(point: _Point) -> Expression:
+    """Return the kernel of u_r - S/r ahead of a source, with the sign it has behind it."""
+    distance, fast, slow = point.distance, point.beyond_fast, point.beyond_slow
+    upper = _stiffness(point.soil) * distance * (2.0 * distance + fast)
+    upper = upper - point.soil.alpha**2 * slow * (3.0 * distance + fast + slow)
+    return point.r * upper / (point.fast * point.slow * (point.fast + point.slow) * (point.fast + distance))
+
+
+def displaced(offsets: list[Expression], cone: Body, section_factor: Expression) -> Expression:
+    """Return S(x) = section_factor R^2 [m^2] at distances from the nodes."""
+    total: Expression = 0.0
+    for segment in cone.segments:
+        place = offsets[segment.start], offsets[segment.start + 1]
+        total = total + _passed(*place, segment.length, sources(segment, section_factor))
+    return total

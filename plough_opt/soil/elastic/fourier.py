@@ -15,7 +15,6 @@ from plough_opt.core.checks import check_domain, check_single
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Expression, expm1_ratio, gauss_legendre, holds_casadi, is_count
 from plough_opt.soil.elastic import cone as cones
-from plough_opt.soil.elastic import sources
 from plough_opt.soil.elastic import wedge as wedges
 from plough_opt.soil.elastic.medium import Medium, medium
 from plough_opt.soil.soil import Soil
@@ -34,6 +33,29 @@ _GRADED = 44
 # Below this m the difference of two Bessel functions over m is computed as their mean slope.
 _SLOW = 0.2
 _SLOPE_NODES = 10
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Points beside a body in the medium that streams past.
+
+    Attributes:
+        medium: the soil at a speed.
+        at: the points as rows (x, distance from the axis) [m].
+        shape: of the points as they were given.
+        length: of the body [m].
+        order: Gauss-Legendre nodes in a panel.
+    """
+
+    medium: Medium
+    at: Array
+    shape: tuple[int, ...]
+    length: float
+    order: int
+
+    def shaped(self, columns: Array) -> list[Expression]:
+        """Return columns over the points in the points' shape, as floats for a single point."""
+        return [column.reshape(self.shape) if self.shape else float(column[0]) for column in columns.T]
 
 
 @dataclass(frozen=True)
@@ -74,11 +96,11 @@ def wedge_stress(
         DomainError: a number outside its domain, or a point so near that the quadrature would be too long.
         InputError: symbols, or a soil without elastic constants.
     """
-    state, places, shape = _place(x, y, length, soil, speed, order)
-    spectrum = _spectrum(profile, length, places, state, order, graded=False)
+    places = _places(x, y, length, soil, speed, order)
+    spectrum, state = _spectrum(profile, places, graded=False), places.medium
     p, c = spectrum.p, state.slowing
-    found = np.empty((len(places), 4))
-    for k, (xk, yk) in enumerate(places):
+    found = np.empty((len(places.at), 4))
+    for k, (xk, yk) in enumerate(places.at):
         wave = spectrum.at(xk)
         fast, slow = np.exp(-p * state.alpha * yk), np.exp(-p * state.eta * yk)
         # exp(-p alpha y) - exp(-p eta y), over m: alpha - eta = m c.
@@ -89,7 +111,7 @@ def wedge_stress(
             wave.real @ fast,
             -(wave.real @ change),
         ]
-    return wedges.stress_of(wedges.Potentials(*_shaped(found, shape)), state)
+    return wedges.stress_of(wedges.Potentials(*places.shaped(found)), state)
 
 
 def cone_displacement(
@@ -118,8 +140,7 @@ def cone_displacement(
         DomainError: a number outside its domain, or a point so near that the quadrature would be too long.
         InputError: symbols, or a soil without elastic constants.
     """
-    found, section, r, state = _cone(x, r, profile, length, soil, speed, order, section_factor)
-    return cones.displacement_of(found, section, r, state)
+    return cones.displacement_of(*_cone(_places(x, r, length, soil, speed, order), profile, section_factor))
 
 
 def cone_stress(
@@ -133,31 +154,23 @@ def cone_stress(
     section_factor: float = cones.SECTION_FACTOR,
 ) -> cones.ConeStress:
     """Return the stresses around a slender body of any profile: arguments and errors as of `cone_displacement`."""
-    found, section, r, state = _cone(x, r, profile, length, soil, speed, order, section_factor)
-    return cones.stress_of(found, section, r, state)
+    return cones.stress_of(*_cone(_places(x, r, length, soil, speed, order), profile, section_factor))
 
 
 def _cone(
-    x: Expression,
-    r: Expression,
-    profile: Curve,
-    length: float,
-    soil: Soil,
-    speed: float,
-    order: int,
-    section_factor: float,
-) -> tuple[sources.Potentials, Expression, Expression, Medium]:
-    """Return the potentials of a slender body, its displaced section S(x), and r."""
+    places: _Places, profile: Curve, section_factor: float
+) -> tuple[cones.Potentials, Expression, Expression, Medium]:
+    """Return the potentials of a slender body, its displaced section S(x), r, and the medium."""
     check_domain("section factor", section_factor, above=0.0)
-    state, places, shape = _place(x, r, length, soil, speed, order)
+    state, length = places.medium, places.length
 
     def section(x: float) -> float:
         return section_factor * float(profile(min(max(x, 0.0), length))) ** 2
 
-    spectrum = _spectrum(section, length, places, state, order, graded=True)
+    spectrum = _spectrum(section, places, graded=True)
     p = spectrum.p
-    found, sections = np.empty((len(places), 6)), np.empty(len(places))
-    for k, (xk, rk) in enumerate(places):
+    found, sections = np.empty((len(places.at), 6)), np.empty(len(places.at))
+    for k, (xk, rk) in enumerate(places.at):
         wave = spectrum.at(xk)
         along, across = wave.real, wave.imag
         fast, change, turned, turned_change = _bessel(p * rk, state)
@@ -171,8 +184,8 @@ def _cone(
         ]
         sections[k] = section(xk)
         found[k, 5] += (section(length) / 2.0 - sections[k]) / rk
-    potentials = sources.Potentials(*_shaped(found, shape))
-    return potentials, _shaped(sections[:, None], shape)[0], _shaped(places[:, 1:], shape)[0], state
+    displaced, r = (places.shaped(values[:, None])[0] for values in (sections, places.at[:, 1]))
+    return cones.Potentials(*places.shaped(found)), displaced, r, state
 
 
 def _bessel(z: Array, state: Medium) -> tuple[Array, Array, Array, Array]:
@@ -192,10 +205,8 @@ def _bessel(z: Array, state: Medium) -> tuple[Array, Array, Array, Array]:
     return fast, change, turned, turned_change
 
 
-def _place(
-    x: Expression, distance: Expression, length: float, soil: Soil, speed: float, order: int
-) -> tuple[Medium, Array, tuple[int, ...]]:
-    """Return the medium, the places as rows (x, distance from the axis), and the shape of the points."""
+def _places(x: Expression, distance: Expression, length: float, soil: Soil, speed: float, order: int) -> _Places:
+    """Return the points, checked."""
     if holds_casadi((x, distance, length, soil, speed)):
         raise InputError("the Fourier integrals need numbers: for symbols use the closed forms, with elastic.knots")
     x, distance = (np.asarray(value) if isinstance(value, list | tuple) else value for value in (x, distance))
@@ -208,22 +219,18 @@ def _place(
     state = medium(soil, speed)
     check_domain("speed over shear wave speed", state.mach, below=1.0, why="at it the integrals do not converge")
     across, away = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(distance, dtype=float))
-    return state, np.column_stack([across.ravel(), away.ravel()]), across.shape
+    return _Places(state, np.column_stack([across.ravel(), away.ravel()]), across.shape, length, order)
 
 
-def _shaped(columns: Array, shape: tuple[int, ...]) -> list[Expression]:
-    """Return columns over the points in the points' shape, as floats for a single point."""
-    return [column.reshape(shape) if shape else float(column[0]) for column in columns.T]
-
-
-def _spectrum(curve: Curve, length: float, places: Array, state: Medium, order: int, *, graded: bool) -> _Spectrum:
+def _spectrum(curve: Curve, places: _Places, *, graded: bool) -> _Spectrum:
     """Return the transform of a curve's slope on wave numbers that resolve the integrals at all places."""
-    last = _DECAY / (float(state.eta) * float(np.min(places[:, 1])))
-    longest = max(float(np.max(np.abs(places[:, 0]))), float(np.max(np.abs(places[:, 0] - length))), length)
+    length, order, nearest = places.length, places.order, float(np.min(places.at[:, 1]))
+    last = _DECAY / (places.medium.eta * nearest)
+    longest = max(length, *(float(np.max(np.abs(places.at[:, 0] - end))) for end in (0.0, length)))
     waves, lengths = (order * last * longest / (2.0 * math.pi), order * length * last / (2.0 * math.pi))
     if waves * lengths > _MOST_NODES:
         raise DomainError(
-            f"distance from the axis = {float(np.min(places[:, 1])):.3g} m must be larger for a body of {length:g} m:"
+            f"distance from the axis = {nearest:.3g} m must be larger for a body of {length:g} m:"
             f" the Fourier integrals would take {waves:.0f} by {lengths:.0f} nodes; the closed forms have no such limit"
         )
     p, weights = _panels(last, 2.0 * math.pi / longest, order, graded)

@@ -5,7 +5,18 @@ from typing import Any, TypeVar
 
 from plough_opt.core.checks import check_domain
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, is_symbolic, map_expressions, sqrt, where
+from plough_opt.core.expressions import (
+    Expression,
+    absolute,
+    arctan2,
+    arctan_ratio,
+    arctanh_ratio,
+    is_symbolic,
+    log,
+    map_expressions,
+    sqrt,
+    where,
+)
 from plough_opt.core.labels import Limit, attach, checked_in_designs, unlabelled
 from plough_opt.soil.soil import Soil, check_soil
 
@@ -68,26 +79,27 @@ def rayleigh_speed(soil: Soil) -> Expression:
 
 
 @dataclass(frozen=True)
-class Medium:
-    """An elastic soil that streams past the body.
+class Ratios:
+    """Numbers of an elastic soil at a speed, of which all fields are made.
 
     Attributes:
-        shear_modulus: mu [Pa].
         m: (V0/c2)^2 [-], from 0 to 1.
         kappa: (c2/c1)^2 [-].
         stiffening: 1 - 2 kappa = nu/(1 - nu) = lambda/(lambda + 2 mu) [-].
         alpha: sqrt(1 - V0^2/c1^2) [-].
         eta: sqrt(1 - V0^2/c2^2) [-].
-        mach: V0/c2 [-].
     """
 
-    shear_modulus: Expression
     m: Expression
     kappa: Expression
     stiffening: Expression
     alpha: Expression
     eta: Expression
-    mach: Expression
+
+    @property
+    def in_order(self) -> tuple[Expression, ...]:
+        """The five numbers, as `Ratios` takes them."""
+        return self.m, self.kappa, self.stiffening, self.alpha, self.eta
 
     @property
     def lateral(self) -> Expression:
@@ -108,6 +120,19 @@ class Medium:
     def rayleigh(self) -> Expression:
         """Return R/m = ((1 + eta^2)^2 - 4 alpha eta)/m, which changes its sign at the Rayleigh speed."""
         return 4.0 * self.product - 4.0 + self.m
+
+
+@dataclass(frozen=True)
+class Medium(Ratios):
+    """An elastic soil that streams past the body.
+
+    Attributes:
+        shear_modulus: mu [Pa].
+        mach: V0/c2 [-].
+    """
+
+    shear_modulus: Expression
+    mach: Expression
 
     def limited(self, result: _Result) -> _Result:
         """Return a result; every expression in it is labelled with the limit on the speed, for designs."""
@@ -163,3 +188,31 @@ def _constants(soil: Soil) -> tuple[Expression, Expression]:
 def _kappa(poisson_ratio: Expression) -> Expression:
     """Return (c2/c1)^2 = (1 - 2 nu)/(2 (1 - nu))."""
     return (1.0 - 2.0 * poisson_ratio) / (2.0 * (1.0 - poisson_ratio))
+
+
+# --- differences over m, which is small at low speed, without cancellation -----------------------------------
+
+
+FAR = 1.6
+"""Sum of the distances from both ends of a piece, in its lengths, beyond which a Gauss rule is the more accurate."""
+
+FAR_NODES = 24
+"""Nodes of that rule."""
+
+_SERIES_BELOW = 0.5
+
+
+def log_difference(a: Expression, b: Expression, change: Expression, m: Expression = 1.0) -> Expression:
+    """Return ln(a/b)/m for positive a and b whose difference a - b = m change is known to rounding."""
+    w = change / (a + b)
+    near = absolute(m * w) < _SERIES_BELOW
+    close = 2.0 * w * arctanh_ratio(where(near, m * w, 0.0))
+    return where(near, close, log(a / b) / where(near, 1.0, m))
+
+
+def angle_difference(rise: Expression, run: Expression, m: Expression) -> Expression:
+    """Return the angle of the point (run, m rise), divided by m, without cancellation for small m."""
+    near = absolute(m * rise) < _SERIES_BELOW * run
+    safe_run = where(near, run, 1.0)
+    close = rise / safe_run * arctan_ratio(where(near, m * rise / safe_run, 0.0))
+    return where(near, close, arctan2(m * rise, where(near, 1.0, run)) / where(near, 1.0, m))

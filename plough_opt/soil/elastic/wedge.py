@@ -14,8 +14,15 @@ from dataclasses import dataclass
 
 from plough_opt.core.checks import check_domain
 from plough_opt.core.expressions import Expression, arctan2, gauss_legendre, one_node, sqrt, where
-from plough_opt.soil.elastic.differences import FAR, FAR_NODES, angle_difference, log_difference
-from plough_opt.soil.elastic.medium import Medium, medium
+from plough_opt.soil.elastic.medium import (
+    FAR,
+    FAR_NODES,
+    Medium,
+    Ratios,
+    angle_difference,
+    log_difference,
+    medium,
+)
 from plough_opt.soil.elastic.profile import Body, Profile, body, check_off_nodes, points
 from plough_opt.soil.soil import Soil
 
@@ -62,26 +69,21 @@ class Potentials:
 
 def potentials(offsets: list[Expression], y: Expression, wedge: Body, soil: Medium) -> Potentials:
     """Return the potentials in closed form, at distances from the nodes and at y >= 0."""
-    q: Expression = 0.0
-    q_change: Expression = 0.0
-    p: Expression = 0.0
-    p_change: Expression = 0.0
+    pieces = []
     for segment in wedge.segments:
         place = offsets[segment.start], offsets[segment.start + 1], y, segment.length
-        log, log_change, angle, angle_change = _piece(*place, soil.m, soil.kappa, soil.alpha, soil.eta)
-        gain = segment.slope / math.pi
-        q, q_change = q + gain / 2.0 * log, q_change + gain / 2.0 * log_change
-        p, p_change = p + gain * angle, p_change + gain * angle_change
-    return Potentials(q, q_change, p, p_change)
+        pieces.append([segment.slope / math.pi * value for value in _piece(*place, *soil.in_order)])
+    return Potentials(*map(sum, zip(*pieces, strict=True)))
 
 
 @one_node
 def _piece(
     x0: Expression, x1: Expression, y: Expression, length: Expression, *state: Expression
 ) -> tuple[Expression, ...]:
-    """Return 2 pi/g times Q_alpha and its difference, pi/g times P_alpha and its difference, of a piece of slope g."""
-    m, kappa, alpha, eta = state
-    product, slowing = alpha * eta * y**2, (1.0 - kappa) / (alpha + eta)
+    """Return pi/g times Q_alpha and its difference, P_alpha and its difference, of a piece of slope g."""
+    soil = Ratios(*state)
+    m, kappa, alpha, eta, slowing = soil.m, soil.kappa, soil.alpha, soil.eta, soil.slowing
+    product = alpha * eta * y**2
     slow, fast = ((x0**2 + (k * y) ** 2, x1**2 + (k * y) ** 2) for k in (eta, alpha))
     change = length * (x0 + x1)
     # A_alpha B_eta - A_eta B_alpha = -m (1 - kappa) y^2 L (X0 + X1)
@@ -89,8 +91,8 @@ def _piece(
     rise = slowing * y * length * (product - x0 * x1)
     run = (product + x0**2) * (product + x1**2) + (m * slowing * y) ** 2 * x0 * x1
     return (
-        log_difference(*fast, change),
-        log_difference(*crossed, -(1.0 - kappa) * y**2 * change, m),
+        log_difference(*fast, change) / 2.0,
+        log_difference(*crossed, -(1.0 - kappa) * y**2 * change, m) / 2.0,
         arctan2(alpha * y * length, (alpha * y) ** 2 + x0 * x1),
         angle_difference(rise, run, m),
     )
@@ -166,7 +168,7 @@ def wedge_displacement(x: Expression, y: Expression, profile: Profile, soil: Soi
     total: Expression = 0.0
     for segment in wedge.segments:
         place = offsets[segment.start], offsets[segment.start + 1], y, segment.length
-        (shift,) = _shift(*place, state.m, state.kappa, state.alpha, state.eta)
+        (shift,) = _shift(*place, *state.in_order)
         total = total + segment.slope / math.pi * shift
     return state.limited(side * total)
 
@@ -233,8 +235,9 @@ def _shift(
     x0: Expression, x1: Expression, y: Expression, length: Expression, *state: Expression
 ) -> tuple[Expression, ...]:
     """Return uy of a piece of slope pi: the integral of uy_x from far ahead."""
-    m, kappa, alpha, eta = state
-    slowing, product, change = (1.0 - kappa) / (alpha + eta), alpha * eta * y**2, length * (x0 + x1)
+    soil = Ratios(*state)
+    m, kappa, alpha, eta, slowing = soil.m, soil.kappa, soil.alpha, soil.eta, soil.slowing
+    product, change = alpha * eta * y**2, length * (x0 + x1)
 
     def turn(x: Expression) -> Expression:
         """Return the difference of the angles of x + i alpha y and x + i eta y, over m."""

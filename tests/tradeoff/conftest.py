@@ -63,6 +63,15 @@ def broken():
     return po.trade_off(d, first, po.Goal("b", (x - 0.3) ** 2 * (0.8 - x) + y**2), points=41, search=["x"])
 
 
+@pytest.fixture(scope="session")
+def alone():
+    """The front of two objectives that are best in the same design."""
+    d = po.Design()
+    x, y = (d.variable(name, guess=0.4, lower=-2.0, upper=2.0) for name in "xy")
+    goals = po.Goal("draft", 1.0 + x**2 + y**2), po.Goal("power", 3.0 + 2.0 * x**2 + y**2)
+    return po.trade_off(d, *goals, points=21)
+
+
 def mount(soil):
     """Return problem R1 with a damper and two objectives, and its expressions."""
     d = po.Design()

@@ -7,8 +7,6 @@ import plough_opt as po
 from plough_opt.design import program as program_module
 from plough_opt.design.optimality import least
 from plough_opt.studies.tradeoff import level as level_module
-from plough_opt.studies.tradeoff.domination import volume
-from plough_opt.studies.tradeoff.positions import Lattice, neighbours, parts_of, uncrowded
 
 # --- quadratic programs -------------------------------------------------------------------------------------
 
@@ -108,40 +106,3 @@ def test_parameters_that_cannot_be(parameters, message):
     d, goals = shifted()
     with pytest.raises(po.InputError, match=message):
         po.trade_off(d, *goals, points=9, parameters=parameters)
-
-
-# --- lattice and volume -------------------------------------------------------------------------------------
-
-
-def test_the_lattice():
-    lattice = Lattice.with_nodes(28)
-    nodes = lattice.triangle()
-    assert len(nodes) == 28
-    assert {sum(node) for node in nodes} == {6}
-    for node in nodes:
-        at = np.array(node) / 6.0
-        assert lattice.node_at(at + 5.0) == node
-        assert lattice.off((at + 5.0)[None], node) == pytest.approx(0.0, abs=1e-12)
-        assert lattice.off(np.array(neighbours(node)) / 6.0, node) == pytest.approx(np.ones(6))
-    # With a node more the triangle needs a longer side.
-    assert Lattice.with_nodes(29).steps == 7
-
-
-def test_volume_is_that_of_the_boxes():
-    rng = np.random.default_rng(2)
-    points = rng.random((15, 3))
-    # By inclusion and exclusion: of all cells between the points' coordinates those that a point dominates.
-    cuts = [np.unique(np.r_[points[:, k], 1.1]) for k in range(3)]
-    sizes = np.einsum("i,j,k->ijk", *(np.diff(cut) for cut in cuts))
-    corners = np.stack(np.meshgrid(*(cut[:-1] for cut in cuts), indexing="ij"), axis=-1)
-    covered = np.any(np.all(corners[..., None, :] >= points, axis=-1), axis=-1)
-    assert volume(points, np.full(3, 1.1)) == pytest.approx(np.sum(sizes[covered]), rel=1e-13)
-    assert volume(points, np.zeros(3)) == 0.0
-
-
-def test_parts_and_crowds():
-    row = np.array([[k * 0.1, 1.0 - k * 0.1, 0.0] for k in (0, 1, 2, 6, 7)])
-    parts, holes = parts_of(row, 0.1)
-    assert parts == [[0, 1, 2], [3, 4]]
-    assert [sorted(pair) for pair in holes] == [[2, 3]]
-    assert uncrowded(row, np.array([0, 1, 2, 2, 1]), 0.15).tolist() == [0, 2, 4]

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.design import program as program_module
 from plough_opt.studies.tradeoff.assembly import hole
 from plough_opt.studies.tradeoff.front import Failure
 
@@ -138,15 +137,6 @@ def test_a_maximised_objective_is_its_negative(plane):
     assert "less b" in most.in_words(4)
 
 
-def test_the_program_is_built_once(plane, monkeypatch):
-    built = []
-    real = program_module.build_nlp
-    monkeypatch.setattr(program_module, "build_nlp", lambda *a: built.append(1) or real(*a))
-    d, x, y = plane
-    po.trade_off(d, x**2 + y**2, (x - 1.0) ** 2 + y**2, points=9)
-    assert len(built) == 2  # one, and a rough one for scans
-
-
 def test_the_design_stays_as_it_was(plane):
     d, x, y = plane
     d.minimise((x - 0.7) ** 2 + y**2)
@@ -181,13 +171,6 @@ def test_rate_in_words(convex):
     cost = np.sqrt(convex.objectives[5, 0] / convex.objectives[5, 1])
     assert convex.cost(5) == pytest.approx(cost, rel=1e-7)
     assert convex.in_words(5).endswith(f"1 % less first objective costs {cost:.3g} % more second objective")
-
-
-def test_a_design_that_stands_alone_has_no_rate(plane):
-    d, x, y = plane
-    front = po.trade_off(d, 1.0 + x**2 + y**2, 3.0 + 2.0 * x**2 + y**2, points=21)
-    assert front.points[0].rate is None
-    assert "no finite rate" in front.in_words(0)
 
 
 def test_knee_and_area(convex):
@@ -236,26 +219,6 @@ def test_positions_without_a_design_are_named():
     first, found = front.objectives.T
     assert np.all((first < 0.4) | (first > 0.6))
     assert found == pytest.approx(1.0 - first + 1e-3 * np.sqrt((first - 0.5) ** 2 - 0.01), abs=1e-9)
-
-
-# --- no conflict --------------------------------------------------------------------------------------------
-
-
-def test_objectives_that_do_not_conflict_give_one_design_and_say_so(plane):
-    d, x, y = plane
-    front = po.trade_off(d, po.Goal("draft", 1.0 + x**2 + y**2), po.Goal("power", 3.0 + 2.0 * x**2 + y**2), points=21)
-    assert front.objectives == pytest.approx(np.array([[1.0, 3.0]]), abs=1e-9)
-    assert front.notes == ("'draft' and 'power' do not conflict: one design is best in both",)
-    assert front.holes == ()
-    assert front.knee is None
-
-
-def test_objectives_that_hardly_conflict_say_so(plane):
-    d, x, y = plane
-    front = po.trade_off(d, 100.0 + x**2 + y**2, 100.0 + (x - 0.5) ** 2 + y**2, points=9)
-    assert len(front.points) == 9
-    (note,) = front.notes
-    assert note.endswith("hardly conflict: along the whole front they change by 0.25 % and 0.25 %")
 
 
 # --- refusals -----------------------------------------------------------------------------------------------

@@ -77,3 +77,21 @@ def test_objectives_near_zero_make_no_needle():
     front = po.trade_off(d, 100.0 + 1e-3 * x, (1.0 - x) ** 2 + y**2)
     assert len(front.notes) == 1
     assert front.notes[0].endswith("do not conflict: one design is best in both, to within 0.001 %")
+
+
+def test_objectives_that_do_not_conflict_give_one_design_and_say_so(alone, tmp_path):
+    assert alone.objectives == pytest.approx(np.array([[1.0, 3.0]]), abs=1e-9)
+    assert alone.notes == ("'draft' and 'power' do not conflict: one design is best in both",)
+    assert alone.holes == ()
+    assert alone.knee is None
+    assert alone.points[0].rate is None
+    assert "no finite rate" in alone.in_words(0)
+    assert po.TradeOff.load(alone.save(tmp_path / "one.json")).points == alone.points
+
+
+def test_objectives_that_hardly_conflict_say_so(plane):
+    d, x, y = plane
+    front = po.trade_off(d, 100.0 + x**2 + y**2, 100.0 + (x - 0.5) ** 2 + y**2, points=9)
+    assert len(front.points) == 9
+    (note,) = front.notes
+    assert note.endswith("hardly conflict: along the whole front they change by 0.25 % and 0.25 %")

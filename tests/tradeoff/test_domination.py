@@ -1,0 +1,152 @@
+"""Domination, positions, gaps, area, volume and knee of points, against brute force and closed forms."""
+
+import numpy as np
+import pytest
+
+from plough_opt.studies.tradeoff.domination import (
+    beating,
+    beyond_front,
+    beyond_points,
+    in_order,
+    knee,
+    undominated,
+    volume,
+)
+from plough_opt.studies.tradeoff.positions import Lattice, gaps, neighbours, parts_of, spread, uncrowded
+
+LINE = np.column_stack([np.linspace(0.0, 1.0, 11), np.linspace(1.0, 0.0, 11)])
+
+
+# --- domination ---------------------------------------------------------------------------------------------
+
+
+def test_efficient_rows_are_those_that_brute_force_finds():
+    rng = np.random.default_rng(1)
+    points = rng.random((300, 2))
+    beaten = [any(np.all(other < point) for other in points) for point in points]
+    found = in_order(points)
+    assert sorted(found) == np.flatnonzero(~np.array(beaten)).tolist()
+    assert np.all(np.diff(points[found, 0]) > 0.0)
+    assert np.all(np.diff(points[found, 1]) < 0.0)
+
+
+def test_equal_rows_stay_once():
+    assert len(in_order(np.array([[0.0, 1.0], [0.0, 1.0], [1.0, 0.0], [1.0, 0.0]]))) == 2
+
+
+def test_of_rows_as_good_in_one_objective_the_better_in_the_other_stays():
+    assert in_order(np.array([[0.0, 1.0], [0.0, 0.4], [1e-9, 0.2]])).tolist() == [2]
+
+
+def test_gaps_follow_rows_whose_neighbour_is_far():
+    front = np.array([[0.0, 1.0], [0.1, 0.9], [0.5, 0.5], [0.6, 0.4]])
+    assert gaps(front, 0.2) == [1]
+    assert gaps(front, 1.0) == []
+
+
+def test_crowded_rows_go_and_ends_of_parts_stay():
+    front = np.array([[0.0, 1.0], [0.001, 0.999], [0.1, 0.9], [0.2, 0.8], [0.201, 0.799], [0.9, 0.1], [1.0, 0.0]])
+    assert spread(front, 0.2).tolist() == [0, 2, 4, 5, 6]
+
+
+def test_area_of_a_staircase():
+    front = np.array([[0.0, 2.0], [1.0, 1.0], [3.0, 0.0]])
+    # Columns of heights 3, 4 and 5 - y: (1 - 0) 1 + (3 - 1) 2 + (4 - 3) 3 under a corner at (4, 3).
+    assert volume(front, np.array([4.0, 3.0])) == pytest.approx(8.0, rel=1e-15)
+    assert volume(front, np.array([0.5, 1.5])) == 0.0
+
+
+def test_knee_is_the_farthest_point_below_the_line_of_the_ends():
+    x = np.linspace(0.0, 1.0, 101)
+    assert knee(np.column_stack([x, (1.0 - np.sqrt(x)) ** 2])) == 25
+    assert knee(np.column_stack([x, np.sqrt(1.0 - x**2)])) is None
+    assert knee(np.column_stack([x, 1.0 - x])) is None
+
+
+def test_of_rows_that_beat_each_other_by_rounding_one_stays():
+    # Each is better than the next by 1.7e-7 in one objective and worse by 0.9e-7 in two: less than 1e-7 is none.
+    turn = np.array([[0.0, 0.8, -0.9], [-0.9, 0.0, 0.8], [0.8, -0.9, 0.0]]) * 1e-7
+    assert undominated(np.vstack([turn, turn[0] + 1e-3])).tolist() == [0, 2]
+    twice = np.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]])
+    assert undominated(twice).tolist() == [0, 2]
+
+
+def test_volume_is_that_of_the_boxes():
+    rng = np.random.default_rng(2)
+    points = rng.random((15, 3))
+    # By inclusion and exclusion: of all cells between the points' coordinates those that a point dominates.
+    cuts = [np.unique(np.r_[points[:, k], 1.1]) for k in range(3)]
+    sizes = np.einsum("i,j,k->ijk", *(np.diff(cut) for cut in cuts))
+    corners = np.stack(np.meshgrid(*(cut[:-1] for cut in cuts), indexing="ij"), axis=-1)
+    covered = np.any(np.all(corners[..., None, :] >= points, axis=-1), axis=-1)
+    assert volume(points, np.full(3, 1.1)) == pytest.approx(np.sum(sizes[covered]), rel=1e-13)
+    assert volume(points, np.zeros(3)) == 0.0
+
+
+# --- designs beyond a front ---------------------------------------------------------------------------------
+
+
+def test_designs_beyond_a_line():
+    designs = np.array([[0.33, 0.67], [0.33, 0.57], [0.33, 0.77], [-0.1, 1.5], [1.2, 0.3]])
+    # On the line, 0.05 below it in both objectives, above it, beyond an end by 0.1, and beaten by an end.
+    assert beyond_front(LINE, designs, 0.2)[:4] == pytest.approx([0.0, 0.05, -0.05, 0.1], abs=1e-12)
+    assert beyond_front(LINE, designs, 0.2)[4] < 0.0
+
+
+def test_in_a_gap_only_points_count():
+    broken = np.delete(LINE, [4, 5, 6], axis=0)
+    middle = np.array([[0.5, 0.5]])
+    assert beyond_front(broken, middle, 0.2) == pytest.approx([0.2])
+    assert beyond_points(broken, middle) == pytest.approx([0.2])
+    # Neighbours three steps apart are one part of steps that long.
+    assert beyond_front(broken, middle, 0.8) == pytest.approx([0.0], abs=1e-12)
+
+
+def test_designs_beyond_a_plane():
+    plane = np.array([[i, j, 6 - i - j] for i in range(7) for j in range(7 - i)]) / 6.0
+    designs = np.array([[0.3, 0.3, 0.4], [0.3, 0.3, 0.37], [0.3, 0.3, 0.43]])
+    assert beyond_front(plane, designs, 1.0 / 6.0) == pytest.approx([0.0, 0.01, -0.01], abs=1e-12)
+    # Beside the edge half a step is none.
+    outside = np.array([[-0.05, 0.5, 0.55]])
+    assert beyond_front(plane, outside, 1.0 / 6.0)[0] < 0.0 < beyond_points(plane, outside)[0]
+
+
+def test_by_how_much_designs_beat_a_point():
+    designs = np.array([[0.4, 0.5], [0.1, 0.95], [0.5, 0.6]])
+    most, by = beating(LINE, designs)
+    assert by == pytest.approx([max(min(a - c, b - d) for c, d in designs) for a, b in LINE], abs=1e-15)
+    assert [most[0], most[10]] == [1, 0]
+    assert np.all(beating(LINE, np.empty((0, 2)))[1] == -np.inf)
+
+
+def test_thinned_designs_beat_all_others_to_a_tolerance():
+    designs = np.random.default_rng(1).random((2000, 3))
+    kept = designs[undominated(designs, 0.01)]
+    behind = np.max(kept[None] - designs[:, None], axis=2).min(axis=1)
+    assert np.max(behind) <= 0.01
+    assert not any(np.any(np.all(designs < own, axis=1)) for own in kept)
+
+
+# --- lattice ------------------------------------------------------------------------------------------------
+
+
+def test_the_lattice():
+    lattice = Lattice.with_nodes(28)
+    nodes = lattice.triangle()
+    assert len(nodes) == 28
+    assert {sum(node) for node in nodes} == {6}
+    for node in nodes:
+        at = np.array(node) / 6.0
+        assert lattice.node_at(at + 5.0) == node
+        assert lattice.off((at + 5.0)[None], node) == pytest.approx(0.0, abs=1e-12)
+        assert lattice.off(np.array(neighbours(node)) / 6.0, node) == pytest.approx(np.ones(6))
+    # With a node more the triangle needs a longer side.
+    assert Lattice.with_nodes(29).steps == 7
+
+
+def test_parts_and_crowds():
+    row = np.array([[k * 0.1, 1.0 - k * 0.1, 0.0] for k in (0, 1, 2, 6, 7)])
+    parts, holes = parts_of(row, 0.1)
+    assert parts == [[0, 1, 2], [3, 4]]
+    assert [sorted(pair) for pair in holes] == [[2, 3]]
+    assert uncrowded(row, np.array([0, 1, 2, 2, 1]), 0.15).tolist() == [0, 2, 4]

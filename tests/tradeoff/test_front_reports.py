@@ -1,0 +1,163 @@
+"""Fronts as JSON, as tables on the screen and in files, and as pictures."""
+
+import csv
+import io
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from rich.console import Console
+
+import plough_opt as po
+from plough_opt.app.terminal import print_page
+from plough_opt.studies.tradeoff.front import Failure
+
+# --- files and pictures -------------------------------------------------------------------------------------
+
+
+def test_json_and_back(broken, tmp_path):
+    path = broken.save(tmp_path / "deep" / "front.json")
+    back = po.TradeOff.load(path)
+    assert back == po.load(path) == replace(broken, versions=dict(broken.versions))
+    assert np.array_equal(back.designs, broken.designs)
+    text = json.loads(path.read_text(encoding="utf-8"))
+    assert text["schema"] == 2
+    assert text["kind"] == "trade-off"
+    assert text["versions"]["plough_opt"]
+
+
+def test_files_that_are_no_front(tmp_path):
+    path = tmp_path / "other.json"
+    path.write_text('{"schema": 2, "kind": "run"}', encoding="utf-8")
+    with pytest.raises(po.InputError, match="is not a trade-off of this version"):
+        po.TradeOff.load(path)
+    with pytest.raises(po.InputError, match="cannot be read"):
+        po.TradeOff.load(tmp_path / "none.json")
+
+
+def test_places_that_cannot_be_written(convex, tmp_path):
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    for write in (convex.save, convex.to_csv):
+        with pytest.raises(po.InputError, match="cannot be written"):
+            write(tmp_path / "file" / "front")
+
+
+def test_table_and_back(broken, tmp_path):
+    path = broken.to_csv(tmp_path / "deep" / "front.csv")
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    own = [row for row in rows if row["status"] == "front"]
+    assert len(rows) == len(broken.points) + len(broken.dominated)
+    # repr of a float reads back as the same float.
+    assert np.array_equal([[float(row["a [N]"]), float(row["b"])] for row in own], broken.objectives)
+    assert np.array_equal([[float(row["x"]), float(row["y"])] for row in own], broken.designs)
+    rates = np.array([float(row["rate"] or "nan") for row in own])
+    assert np.array_equal(rates, broken.rates, equal_nan=True)
+    assert [int(row["part"]) for row in own] == [1 + (k in broken.parts[1]) for k in range(len(own))]
+
+
+def test_picture(broken, tmp_path):
+    figure = broken.plot(tmp_path / "front.png")
+    assert (tmp_path / "front.png").read_bytes().startswith(b"\x89PNG")
+    left, *panels = figure.axes
+    varying = [name for name, own in zip("xy", broken.designs.T, strict=True) if np.ptp(own) > 1e-4 * np.max(own)]
+    assert [axes.get_ylabel() for axes in panels] == varying
+    assert all(f"{name} " in figure.get_suptitle() for name in "xy" if name not in varying)
+    assert left.get_xlabel() == "a [N]"
+    labels = [text.get_text() for text in left.get_legend().get_texts()]
+    assert labels[:4] == ["local optima, dominated", "front, part 1", "front, part 2", "hole: no efficient design"]
+    lines = {line.get_label(): line.get_xydata() for line in left.lines}
+    drawn = np.vstack([lines["front, part 1"], lines["front, part 2"]])
+    assert drawn == pytest.approx(broken.objectives)
+    assert len(lines["local optima, dominated"]) == len(broken.dominated)
+
+
+def test_picture_on_given_axes(convex):
+    axes = Figure().subplots()
+    assert convex.plot(axes) is axes
+    assert len(axes.figure.axes) == 1
+    assert axes.lines[0].get_xydata() == pytest.approx(convex.objectives)
+
+
+def test_picture_of_an_unknown_kind(convex, tmp_path):
+    with pytest.raises(po.InputError, match="no known picture format"):
+        convex.plot(tmp_path / "front.bmp")
+
+
+# --- tables -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def surface():
+    """A surface of three objectives and four variables, with names and values as long as those of a problem file."""
+    d = po.Design()
+    names = {"share.wedge_angle": 1.0, "share.height": 0.1, "scene.stiffness": 1e5, "scene.tow_speed": 1.0}
+    x = [d.variable(name, guess=0.7 * size, lower=0.0, upper=1.5 * size, unit="") for name, size in names.items()]
+    x = [own / size for own, size in zip(x, names.values(), strict=True)]
+    goals = ("mean_draft", "N", 4321.09876), ("force_rms", "N", 12.3456789), ("loosened_radius", "m", 0.0123456)
+    rest = 0.1 + (x[2] - 0.5) ** 2 + (x[3] - 0.5) ** 2
+    corners = (0.0, 0.0), (1.0, 0.0), (0.0, 1.0)
+    return po.trade_off(
+        d,
+        *(
+            po.Goal(name, size * (rest + (x[0] - a) ** 2 + (x[1] - b) ** 2), unit)
+            for (name, unit, size), (a, b) in zip(goals, corners, strict=True)
+        ),
+        points=10,
+        search="near",
+    )
+
+
+def printed(front, width=120):
+    """Return the lines of a front."""
+    out = io.StringIO()
+    print_page(Console(file=out, width=width), front.page())
+    return out.getvalue().splitlines()
+
+
+def test_a_surface_fits_into_120_characters_with_every_number_whole(surface):
+    lines = printed(surface)
+    table = [line for line in lines if line.startswith("│")]
+    assert len(table) == len(surface.points)
+    assert all(len(line) <= 120 for line in table)
+    first = [cell.strip() for cell in table[0].split("│")[1:-1]]
+    point = surface.points[0]
+    shown = [point.objectives[0] / 1e3, point.objectives[1] / 1e3, point.objectives[2]]
+    shown += [point.variables[axis.name] / (1e3 if axis.unit == "N/m" else 1.0) for axis in surface.variables]
+    assert first[: len(shown)] == [f"{value:.5g}" for value in shown]
+    headings = "".join(line for line in lines if line.startswith("┃"))
+    for word in ("[kN]", "loosened", "stiffness", "(c)", "[%]"):
+        assert word in headings
+
+
+def test_on_a_narrow_terminal_no_digit_is_lost(surface):
+    lines = [line for line in printed(surface, 60) if line.startswith("│")]
+    assert "…" not in "".join(lines)
+    columns = [
+        "".join(cell.strip() for cell in column) for column in zip(*(line.split("│") for line in lines), strict=True)
+    ]
+    order = [k for part in surface.parts for k in part]
+    assert columns[1] == "".join(f"{surface.points[k].objectives[0] / 1e3:.5g}" for k in order)
+
+
+def test_failures_are_told_in_words_and_each_reason_once(surface):
+    at = [point.objectives for point in surface.points[:3]]
+    reasons = ("Infeasible_Problem_Detected: no design near the start meets the requirements",) * 2
+    failures = tuple(map(Failure, at, (*reasons, "Odd_Status: the optimiser stopped without an optimum")))
+    told = [line for line in printed(replace(surface, failures=failures), 1000) if "No certified design" in line]
+    assert len(told) == 2
+    assert told[0].endswith(": no design near the start meets the requirements.")
+    assert told[0].count(" kN and ") + told[0].count(" m;") >= 2
+    assert "_Problem_Detected" not in "".join(told)
+    assert "Odd_Status" not in "".join(told)
+
+
+def test_the_knee_is_told_in_the_units_of_the_table(surface, monkeypatch):
+    point = surface.points[len(surface.points) // 2]
+    monkeypatch.setattr(po.TradeOff, "knee", property(lambda _: point))
+    (line,) = [line for line in printed(surface, 1000) if line.startswith("Knee")]
+    assert f"at {point.objectives[0] / 1e3:.5g} kN, " in line
+    assert line.count(" N") == 0
+    assert len(line.split(";")) == 3

@@ -56,25 +56,6 @@ def test_conditional_value_at_risk_of_a_linear_loss():
     assert found == pytest.approx(closed, abs=2e-2)
 
 
-@pytest.mark.parametrize("part", [0.6, 0.9])
-def test_newsvendor(part):
-    """Least expected cost of too little (part) and too much (1 - part) stock is the demand's quantile."""
-    d, x = _design(guess=2.5)
-    width = 0.3
-
-    def response(soil):
-        return {"demand": soil.cohesion / 1e4}
-
-    samples = FIELD.sample(256, seed=3)
-    demand = _numbers(samples)
-    # By the threshold of Rockafellar and Uryasev the least of x + CVaR part of what is missing is at that quantile.
-    d.minimise(x + width * po.uncertainty.expected(measures.ramp((demand - x) / width)) / (1 - part))
-    found = d.solve().variables["x"]
-    assert found == pytest.approx(measures.quantile(demand, part, width=width), abs=1e-8)
-    assert found == pytest.approx(M + S * stats.norm.ppf(part), abs=0.02)
-    assert response(samples.soils[0])["demand"] == demand[0]
-
-
 @pytest.mark.parametrize("probability", [pytest.param(0.8, marks=pytest.mark.slow), 0.95])
 def test_chance_constraint_on_a_normal_variable(probability):
     """The least stock that suffices with a probability is mean + z std."""

@@ -121,12 +121,6 @@ def test_bias_of_cvar_is_of_second_order(level):
         assert bias == pytest.approx(density * width**2 / 18.0 / (1.0 - level), rel=width**2, abs=1e-5)
 
 
-def test_cvar_of_a_normal_distribution_against_its_closed_form():
-    level = 0.9
-    # The mean over the last sample's share of the tail converges with 1/n.
-    assert measures.cvar(NORMAL, level) == pytest.approx(stats.norm.pdf(stats.norm.ppf(level)) / 0.1, abs=2e-5)
-
-
 # --- derivatives -----------------------------------------------------------------------------------------
 
 

@@ -65,13 +65,6 @@ def _linear(correlation=None):
     return po.Robust(field, response, samples=8)
 
 
-def test_linear_model():
-    (own,) = sobol_indices(_linear(), {}, samples=1024, seed=2).values()
-    assert own.first == pytest.approx([9 / 13, 4 / 13, 0.0], abs=0.01)
-    assert own.total == pytest.approx([9 / 13, 4 / 13, 0.0], abs=0.01)
-    assert own.note == ""
-
-
 def test_correlated_properties_are_refused_or_taken_in_order():
     rho = -0.5
     robust = _linear({("cohesion", "tool_friction"): rho})

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from plough_opt.app.run_picture import LIMIT, OWN, SOIL, STRUT, changing, draw_deflection, subject
 from plough_opt.core.checks import check_domain, path_of
 from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import as_number, sin
 from plough_opt.core.files import check_file, write_file
 from plough_opt.motion import Run
 
@@ -53,7 +54,8 @@ def _gif(run: Run, slower: float) -> bytes:
     figure.suptitle(f"{subject(run)}, {slower:g} times slower", fontsize="medium")
     draw_deflection(lower, run)
     (dot,) = lower.plot([], [], "o", color=LIMIT, markersize=8)
-    factor = run.origin.common("m", {"deflection": run.peak_deflection, "mean_deflection": run.mean_deflection}).factor
+    mean = float(run.mean_deflection)
+    factor = run.origin.common("m", {"deflection": run.peak_deflection, "mean_deflection": mean}).factor
     _draw_scene(upper, run, 0.0, 0.0)
     canvas.draw()  # type: ignore[no-untyped-call]
     figure.set_layout_engine("none")  # which would lay out every picture anew
@@ -82,7 +84,7 @@ def _draw_scene(axes: Axes, run: Run, time: float, deflection: float) -> None:
     x = np.linspace(-3.0 * height, 1.5 * height, _SHADES)
     strength = np.ones_like(x)
     for wave in scene.effects.waves:
-        strength += wave.amplitude * np.sin(2.0 * math.pi * (x + strut) / wave.wavelength + wave.phase)
+        strength += as_number(wave.amplitude * sin(2.0 * math.pi * (x + strut) / wave.wavelength + wave.phase))
     deep = 1.25 * max(front, radius)
     axes.imshow(strength[None], extent=(x[0], x[-1], -deep, deep), aspect="auto", cmap=_GROUND, vmin=0.0, vmax=2.0)
     tip = -larger * deflection

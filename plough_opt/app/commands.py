@@ -108,7 +108,8 @@ def check(options: argparse.Namespace) -> None:
     if options.effects:
         with progress() as notify:
             notify("measuring the effects", 0.0)
-            found = effect_costs(problem.scene(), problem.values().get("scene.duration"))
+            duration: Any = problem.values().get("scene.duration")
+            found = effect_costs(problem.scene(), duration)
         report.print_effects(console(), found)
     if comparison is not None:
         if problem.variables:
@@ -244,7 +245,7 @@ def accuracy(options: argparse.Namespace) -> None:
         if options.design:
             study = study_design(problem.design()[0], limit=10.0 * options.seconds, **common)
         else:
-            duration = problem.values().get("scene.duration")
+            duration: Any = problem.values().get("scene.duration")
             study = study_accuracy(problem.scene(), duration, allowance=options.seconds, **common)
     nominal = ("the soil is the nominal one: its uncertainty takes no part",) if problem.table.uncertain else ()
     study = dataclasses.replace(study, origin=problem.origin, notes=(*study.notes, *nominal))

@@ -58,7 +58,8 @@ def export(options: argparse.Namespace) -> None:
     chosen = FORMATS[options.to]
     given = _options(options)
     problem = read(options)
-    values, name = problem.values(), options.name or "share"
+    values: dict[str, Any] = problem.values()
+    name = options.name or "share"
     request = Request(
         path=options.output,
         name=name,

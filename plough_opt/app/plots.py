@@ -23,6 +23,7 @@ from plough_opt.app.run_picture import (
     subject,
 )
 from plough_opt.core.checks import check_kind
+from plough_opt.core.expressions import absolute, as_number
 from plough_opt.core.files import COLOURS, check_format
 from plough_opt.core.files import PICTURE_FORMATS as FORMATS
 from plough_opt.core.files import save_figure as save
@@ -102,15 +103,15 @@ def plot_wedge_field(profile: Profile, soil: Soil, speed: float) -> Figure:
         speed: of the wedge [m/s], up to the shear wave's.
     """
     wedge = body(profile)
-    length = wedge.places[-1] - wedge.places[0]
-    x = wedge.places[0] + length * np.linspace(-0.6, 1.6, 221)
+    length = float(wedge.places[-1] - wedge.places[0])
+    x = float(wedge.places[0]) + length * np.linspace(-0.6, 1.6, 221)
     y = length * np.linspace(-0.8, 0.8, 162)  # an even number: the nodes lie between two rows
     along, across = np.meshgrid(x, y)
     field = wedge_stress(along, across, profile, soil, speed)
     figure = Figure(figsize=(12, 4.8), layout="constrained")
     for axes, name, values in zip(figure.subplots(1, 2), ("yy", "xy"), (field.yy, field.xy), strict=True):
         # Stresses are infinite at the nodes: the scale ends where all but the last hundredth of the field does.
-        largest = float(np.quantile(np.abs(values), 0.99)) / 1e3
+        largest = float(np.quantile(absolute(as_number(values)), 0.99)) / 1e3
         levels = MaxNLocator(20, symmetric=True).tick_values(-largest, largest)
         filled = axes.contourf(x, y, values / 1e3, levels, cmap="RdBu", extend="both")
         figure.colorbar(filled, ax=axes, label=f"$\\sigma_{{{name}}}$ [kPa], tension positive")
@@ -245,14 +246,14 @@ def draw_wedge(axes: Axes, scene: Scene) -> None:
         axes.text(0.5, 0.5, "the share is given as a cone", ha="center", transform=axes.transAxes)
         axes.set_axis_off()
         return
-    edge = share.height / math.cos(share.chisel_angle)
+    edge = float(share.height) / math.cos(share.chisel_angle)
     width = edge * math.tan(share.angle)
     for side in (1.0, -1.0):
         axes.fill([0, edge, edge], [0, 0, side * width], facecolor=_STEEL, alpha=0.75 if side > 0 else 0.55,
                   edgecolor="black", linewidth=0.8)  # fmt: skip
-    angles = np.linspace(0.0, share.angle, 30)
+    angles = np.linspace(0.0, float(share.angle), 30)
     axes.plot(0.3 * edge * np.cos(angles), 0.3 * edge * np.sin(angles), color="white", linewidth=1.2)
-    axes.text(0.34 * edge * math.cos(share.angle / 2), 0.34 * edge * math.sin(share.angle / 2),
+    axes.text(0.34 * edge * math.cos(angles[-1] / 2), 0.34 * edge * math.sin(angles[-1] / 2),
               f"λ = {math.degrees(share.angle):.1f}°", color="white", ha="left", va="center")  # fmt: skip
     axes.set_xlabel(
         f"along the edge $h/\\cos\\,\\beta_{{pl}}$ = {edge:.3f} m\nh = {share.height:.3f} m,"
@@ -265,25 +266,25 @@ def draw_wedge(axes: Axes, scene: Scene) -> None:
 def draw_cone(axes: Axes, scene: Scene) -> None:
     """Draw the equivalent cone in longitudinal section, with the compaction front around it."""
     cone = scene.cone
-    radius = cone.height * cone.slope
+    height, radius = float(cone.height), float(cone.height * cone.slope)
     loosens = not scene.law.lacks("loosened_radius")
-    front = scene.loosened_radius if loosens else radius
+    front = float(scene.loosened_radius) if loosens else radius
     if loosens:
-        axes.fill([0, cone.height, cone.height], [0, front, -front], facecolor=_SOIL, alpha=0.35, edgecolor="none",
+        axes.fill([0, height, height], [0, front, -front], facecolor=_SOIL, alpha=0.35, edgecolor="none",
                   label=f"compacted soil, r* = {front:.3f} m")  # fmt: skip
         for side in (1.0, -1.0):
-            axes.plot([0, cone.height], [0, side * front], color=_SOIL, linestyle="--", linewidth=1.2)
+            axes.plot([0, height], [0, side * front], color=_SOIL, linestyle="--", linewidth=1.2)
         axes.legend(loc="upper left", fontsize="small")
-    axes.fill([0, cone.height, cone.height], [0, radius, -radius], facecolor=_STEEL, alpha=0.85, edgecolor="black",
+    axes.fill([0, height, height], [0, radius, -radius], facecolor=_STEEL, alpha=0.85, edgecolor="black",
               linewidth=0.8)  # fmt: skip
-    axes.annotate("", xy=(-0.28 * cone.height, 0), xytext=(-0.05 * cone.height, 0),
+    axes.annotate("", xy=(-0.28 * height, 0), xytext=(-0.05 * height, 0),
                   arrowprops={"arrowstyle": "->", "color": "black"})  # fmt: skip
-    axes.text(-0.165 * cone.height, 0.04 * front, "travel", ha="center", va="bottom")
-    axes.text(0.6 * cone.height, 0, f"β = {math.degrees(cone.half_angle):.1f}°", color="white", ha="left", va="center")
+    axes.text(-0.165 * height, 0.04 * front, "travel", ha="center", va="bottom")
+    axes.text(0.6 * height, 0, f"β = {math.degrees(cone.half_angle):.1f}°", color="white", ha="left", va="center")
     axes.set_title("Cone of equal height and surface")
-    axes.set_xlabel(f"along the axis [m]\nh = {cone.height:.3f} m, base radius {radius:.3f} m")
+    axes.set_xlabel(f"along the axis [m]\nh = {height:.3f} m, base radius {radius:.3f} m")
     axes.set_ylabel("[m]")
-    _pad(axes, cone.height, front, ahead=0.35 * cone.height)
+    _pad(axes, height, front, ahead=0.35 * height)
 
 
 def draw_search(axes: Axes, best: Optimum, variable: int) -> None:

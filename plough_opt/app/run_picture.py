@@ -57,16 +57,17 @@ class Panel:
 
 def force_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
     """Return mount force and soil resistance, with mean draft and RMS, and the limits of both."""
-    unit = run.origin.common("N", {"mount_force": run.peak_force, "mean_draft": run.mean_draft})
+    draft, deviation = float(run.mean_draft), float(run.force_rms)
+    unit = run.origin.common("N", {"mount_force": run.peak_force, "mean_draft": draft})
     lines = {"mount force": (run.mount_force, OWN, False), "soil resistance": (run.soil_resistance, SOIL, False)}
-    mean = ("mean draft", run.mean_draft, run.force_rms)
+    mean = ("mean draft", draft, deviation)
     return Panel("force", unit, lines, limits_of(run, limits, "mount_force", "mean_draft"), mean)
 
 
 def deflection_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
     """Return the spring's deflection, with its mean and RMS, and the limits of these."""
-    unit = run.origin.common("m", {"deflection": run.peak_deflection, "mean_deflection": run.mean_deflection})
-    mean = ("mean", run.mean_deflection, run.displacement_rms)
+    mean = ("mean", float(run.mean_deflection), float(run.displacement_rms))
+    unit = run.origin.common("m", {"deflection": run.peak_deflection, "mean_deflection": mean[1]})
     lines = {"deflection": (run.deflection, OWN, False)}
     return Panel("deflection", unit, lines, limits_of(run, limits, "deflection", "mean_deflection"), mean)
 

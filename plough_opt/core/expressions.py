@@ -9,7 +9,7 @@ import math
 import numbers
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache, wraps
-from typing import Any, Protocol, TypeAlias, TypeVar, overload
+from typing import Any, Protocol, TypeAlias, TypeVar, overload, runtime_checkable
 
 import casadi as ca
 import numpy as np
@@ -17,8 +17,27 @@ from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError
 
-Expression: TypeAlias = Any
-"""A float, a NumPy array, or a CasADi ``SX``, ``MX`` or ``DM``: the argument of every physical function."""
+
+@runtime_checkable
+class Expression(Protocol):
+    """A float, a NumPy array, or a CasADi ``SX``, ``MX`` or ``DM``: the argument of every physical function."""
+
+    def __add__(self, other: Any, /) -> "Expression": ...
+    def __radd__(self, other: Any, /) -> "Expression": ...
+    def __sub__(self, other: Any, /) -> "Expression": ...
+    def __rsub__(self, other: Any, /) -> "Expression": ...
+    def __mul__(self, other: Any, /) -> "Expression": ...
+    def __rmul__(self, other: Any, /) -> "Expression": ...
+    def __truediv__(self, other: Any, /) -> "Expression": ...
+    def __rtruediv__(self, other: Any, /) -> "Expression": ...
+    def __pow__(self, other: Any, /) -> "Expression": ...
+    def __neg__(self) -> "Expression": ...
+    def __abs__(self) -> "Expression": ...
+    def __lt__(self, other: Any, /) -> "Expression": ...
+    def __le__(self, other: Any, /) -> "Expression": ...
+    def __gt__(self, other: Any, /) -> "Expression": ...
+    def __ge__(self, other: Any, /) -> "Expression": ...
+    def __float__(self) -> float: ...
 
 
 Column: TypeAlias = Any
@@ -58,17 +77,17 @@ COUNT = {"quantity": False}
 """Metadata of a dataclass's field that counts something, and is not a quantity that a design could vary."""
 
 
-def is_symbolic(value: Expression) -> bool:
+def is_symbolic(value: Any) -> bool:
     """Return whether ``value`` is a CasADi expression that depends on symbols (``SX`` or ``MX``)."""
     return isinstance(value, _SYMBOLIC) and not value.is_constant()
 
 
-def is_casadi(value: Expression) -> bool:
+def is_casadi(value: Any) -> bool:
     """Return whether ``value`` is any CasADi matrix type: ``SX``, ``MX`` or ``DM``."""
     return isinstance(value, _CASADI)
 
 
-def as_number(value: Expression) -> NDArray[np.float64]:
+def as_number(value: Any) -> NDArray[np.float64]:
     """Return a number, an array or a constant CasADi matrix as a NumPy array without axes of length 1.
 
     Raises:
@@ -190,7 +209,7 @@ def stacked(*parts: Column) -> Column:
 
 def total(values: Column) -> Expression:
     """Return the sum over an array or a CasADi column."""
-    return ca.sum1(values) if is_casadi(values) else float(np.sum(values))
+    return _sum(values) if is_casadi(values) else float(np.sum(values))
 
 
 def one_node(function: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[Any, ...]]:
@@ -219,6 +238,7 @@ def one_node(function: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[An
 
 # The same functions for any operand: CasADi's and NumPy's own signatures name their own types only.
 _if_else: Callable[..., Expression] = ca.if_else
+_sum: Callable[..., Expression] = ca.sum1
 _choose: Callable[..., NDArray[np.float64]] = np.where
 
 

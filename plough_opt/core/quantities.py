@@ -132,7 +132,8 @@ class Quantity:
             raise DomainError(f"{error}; {slip}" if slip else str(error)) from None
         if slip:
             warn_of(f"{self.called} = {value:g} {self.unit}: {slip}", stacklevel + 1)
-        return value
+        read: Expression = value
+        return read
 
     def slip(self, value: Any) -> str:
         """Return a question if a number is implausible in SI but plausible in another customary unit, else ""."""

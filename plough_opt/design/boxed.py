@@ -7,6 +7,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
+from plough_opt.core.expressions import Column
 from plough_opt.design.declarations import Declarations, Requirement, Variable
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import FEASIBLE, Landscape
@@ -83,7 +84,9 @@ def over_box(declared: Declarations, over: Over, designs: int, bounds: tuple[flo
     asked = [declared.objective, *(r.expression for r in declared.requirements)]
     found = []
     for parts in unit_box(len(symbols))[:designs]:
-        within = [v.within_tolerance(v.symbol, float(part)) for v, part in zip(declared.variables, parts, strict=True)]
+        within: list[Column] = [
+            v.within_tolerance(v.symbol, float(part)) for v, part in zip(declared.variables, parts, strict=True)
+        ]
         found.append(ca.graph_substitute(asked, symbols, within))
     objectives, *columns = (ca.vertcat(*column) for column in zip(*found, strict=True))
     everywhere = [replace(r, expression=column) for r, column in zip(declared.requirements, columns, strict=True)]

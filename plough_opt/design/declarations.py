@@ -91,8 +91,8 @@ class Variable:
         if self.tolerance is None:
             return max(0.0, y - _TOLERANCE), min(1.0, y + _TOLERANCE)
         value = self.value(y)
-        half = self._half_width(value)
-        return self.scaled(max(self.lower, value - half)), self.scaled(min(self.upper, value + half))
+        half = float(self._half_width(value))
+        return float(self.scaled(max(self.lower, value - half))), float(self.scaled(min(self.upper, value + half)))
 
     def within_tolerance(self, value: Expression, part: float) -> Expression:
         """Return a value within the tolerance of another, clipped at the bounds: its lower end at part 0, upper at 1.

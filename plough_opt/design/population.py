@@ -58,7 +58,7 @@ class Linear:
         wanted = least if self.objective > 0.0 else most if self.objective < 0.0 else nearest
         best = np.clip(np.where(np.isnan(wanted), value, value + wanted), v.lower, v.upper)
         moved = points.copy()
-        moved[:, self.number] = np.clip(v.scaled(best), 0.0, 1.0)
+        moved[:, self.number] = np.clip(np.asarray(v.scaled(best)), 0.0, 1.0)
         change = best - value
         return moved, f + self.objective * change, g + change[:, None] * self.rows
 

@@ -19,7 +19,7 @@ from plough_opt.core.checks import (
     shown,
 )
 from plough_opt.core.errors import InputError, nearest, unprintable
-from plough_opt.core.expressions import Expression, is_casadi
+from plough_opt.core.expressions import Column, Expression, is_casadi
 from plough_opt.core.kept import Origin
 from plough_opt.core.quantities import ask_about
 from plough_opt.core.units import Display, has_unit, in_si, unit_of
@@ -312,12 +312,13 @@ def _check_name(name: Any) -> None:
         raise InputError(f"name = {shown(name)} must be a text that says what it is, as 'share height'")
 
 
-def _expression(what: str, value: Expression) -> ca.MX:
+def _expression(what: str, value: Column) -> ca.MX:
     """Return a value as a column of a design's expressions."""
     if isinstance(value, ca.SX):
         raise InputError(f"{what} is an SX expression: build it from this design's own variables, which are MX")
     if is_casadi(value):
-        return ca.vec(ca.MX(value))
+        column: Column = ca.vec(ca.MX(value))
+        return ca.MX(column)
     try:
         return ca.MX(ca.DM(np.atleast_1d(np.asarray(value, dtype=float))))
     except NOT_NUMBERS:

@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Column
 from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.forms import ActiveRows, as_machine_code, chosen_rows, first_slack, relaxed
 from plough_opt.design.ipopt import FROM_AFAR, Point, SolveOptions, Solver, Vector
@@ -181,7 +182,7 @@ class Program:
     def values_of(self, points: Vector) -> Vector:
         """Return the same of many designs, a row each."""
         columns = [
-            np.select([y <= 0.0, y >= 1.0], [v.lower, v.upper], v.unscaled(y))
+            np.select([y <= 0.0, y >= 1.0], [v.lower, v.upper], np.asarray(v.unscaled(y)))
             for v, y in zip(self.declared.variables, points.T, strict=True)
         ]
         return np.column_stack(columns)
@@ -281,7 +282,7 @@ class Program:
     def _of_scaled(self, expressions: list[ca.MX], y: ca.MX, p: ca.MX) -> list[ca.MX]:
         """Return expressions of the design's symbols as those of scaled variables and of parameters."""
         declared = self.declared
-        unscaled = [v.unscaled(x) for v, x in zip(declared.variables, ca.vertsplit(y), strict=True)]
+        unscaled: list[Column] = [v.unscaled(x) for v, x in zip(declared.variables, ca.vertsplit(y), strict=True)]
         replacements = [*unscaled, *(ca.vertsplit(p) if declared.parameters else [])]
         return list(ca.graph_substitute(expressions, declared.symbols(), replacements))
 

@@ -9,7 +9,7 @@ import casadi as ca
 
 from plough_opt.core.checks import check_named
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_symbolic, map_expressions
+from plough_opt.core.expressions import Column, Expression, as_number, holds_casadi, is_symbolic, map_expressions
 from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.scene_quantities import quantities_of, with_quantities
@@ -124,7 +124,8 @@ class NamedScene:
         """
         scene, duration = self.scene, self.duration
         if self._expressions:
-            results = iter(self._of_symbols.call([changes[name] for name in self.symbols]))
+            given: list[Column] = [changes[name] for name in self.symbols]
+            results = iter(self._of_symbols.call(given))
             scene, duration = map_expressions((scene, duration), lambda _: _simple(next(results)))
         own = {name: value for name, value in changes.items() if name not in self.symbols}
         scene = with_quantities(scene, {name: value for name, value in own.items() if name in QUANTITIES})

@@ -16,7 +16,7 @@ import numpy as np
 
 from plough_opt.core.checks import LEAST, check_domain, check_kind
 from plough_opt.core.errors import DomainError
-from plough_opt.core.expressions import Expression, arctan, arctan2, cos, is_casadi, minimum, sin, sqrt, tan
+from plough_opt.core.expressions import Column, Expression, arctan, arctan2, cos, is_casadi, minimum, sin, sqrt, tan
 from plough_opt.core.labels import Limit, attach
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil
 from plough_opt.soil.geometry import Wedge
@@ -199,9 +199,7 @@ def horizontal(force: Expression, tine: Tine, angles: WedgeAngles) -> Expression
     return force * sin(angles.rake + angles.tool_friction) + along
 
 
-def least_angle(
-    force: Callable[..., Expression], angles: WedgeAngles, *parameters: Expression, what: str
-) -> Expression:
+def least_angle(force: Callable[..., Column], angles: WedgeAngles, *parameters: Expression, what: str) -> Expression:
     """Return the rupture angle [rad] at which ``force(angles, beta, *parameters)`` is least.
 
     It lies above 0 and below 90 degrees, and 180 degrees less omega.
@@ -220,7 +218,7 @@ def least_angle(
     upper = minimum(math.pi / 2, math.pi - angles.total)
     arguments = (upper, angles.rake, angles.tool_friction, angles.friction, *parameters)
     if any(map(is_casadi, arguments)):
-        found = search(*arguments)
+        found: Column = search(*arguments)
         over_end = force(angles, found, *parameters) / force(angles, upper * _INSIDE, *parameters)
         limit = Limit(f"{what}: least force of a wedge over that at the end of the possible angles", at_most=1.0)
         return attach(found, over_end, limit, limit)
@@ -239,7 +237,7 @@ def least_angle(
 
 
 @lru_cache(maxsize=8)
-def _search(force: Callable[..., Expression], count: int) -> ca.Function:
+def _search(force: Callable[..., Column], count: int) -> ca.Function:
     """Return (upper, angles, parameters) -> angle: a grid, bisection of the slope's sign, Newton's steps."""
     beta, upper = ca.SX.sym("beta"), ca.SX.sym("upper")
     p = [ca.SX.sym(f"p{k}") for k in range(3 + count)]

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.expressions import Column
 from plough_opt.motion.effects import ramp_time
 from plough_opt.motion.equation import equation_of_motion, signals, start_state
 from plough_opt.motion.integrators import Integration, integration
@@ -174,8 +175,8 @@ def _at_start(structure: Structure, varying: tuple[int, ...], order: int) -> ca.
     shifted = ca.SX(p)
     shifted[list(varying)] = p[list(varying)] + e
     known = dict(zip(names, ca.vertsplit(shifted[:-1]), strict=True))
-    part = ramp_time(known) / shifted[-1] if structure.ramp else ca.SX(0)
-    results = (_expand(ca.densify(y), e, order) for y in (start_state(structure, known), part))
+    part: Column = ramp_time(known) / shifted[-1] if structure.ramp else ca.SX(0)
+    results = (_expand(ca.densify(ca.SX(y)), e, order) for y in (start_state(structure, known), part))
     return ca.Function("at_start", [p], [ca.densify(jet) for jet in results])
 
 

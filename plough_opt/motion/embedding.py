@@ -7,7 +7,7 @@ import casadi as ca
 
 from plough_opt.core import expressions
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, classes_in, is_symbolic, stacked, template_of
+from plough_opt.core.expressions import Column, Expression, classes_in, is_symbolic, stacked, template_of
 from plough_opt.core.labels import Meanings, attach
 from plough_opt.motion.integrators import Integration
 from plough_opt.motion.methods import is_stepped
@@ -42,7 +42,7 @@ def with_numbers(template: Scene, quantities: Sequence[float]) -> Scene:
     return scene
 
 
-def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[Expression, ...]:
+def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[Column, ...]:
     """Return the run's results as expressions of the symbols in its scene.
 
     Args:
@@ -70,7 +70,7 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[E
     return tuple(run.call([inputs, carried]))
 
 
-def labelled(value: Expression, scene: Scene) -> Expression:
+def labelled(value: Column, scene: Scene) -> Expression:
     """Return a value of a scene, labelled, where the scene holds MX symbols, with its template and its quantities."""
     template, quantities = template_of(scene)
     carried = stacked(*quantities)

@@ -39,7 +39,7 @@ class EquationOfMotion:
     events: ca.Function | None
     names: tuple[str, ...]
 
-    def rates(self, time: Expression, state: Column, p: Parameters) -> Column:
+    def rates(self, time: Column, state: Column, p: Parameters) -> Column:
         """Return the rate of the state, of parameters by name."""
         return self.function(time, state, stacked(*(p[name] for name in self.names)))
 
@@ -185,9 +185,10 @@ class Signals:
         p = kind.sym("p", len(self.parameters) + 1)
         return p, self.named(p)
 
-    def named(self, p: Expression) -> dict[str, Expression]:
+    def named(self, p: Column) -> dict[str, Expression]:
         """Return a column of the parameters, with the duration last, by name; without the duration."""
-        return dict(zip(self.parameters, ca.vertsplit(p[:-1]), strict=True))
+        values: list[Column] = ca.vertsplit(p[:-1])
+        return dict(zip(self.parameters, values, strict=True))
 
 
 @lru_cache(maxsize=64)
@@ -200,7 +201,7 @@ def signals(structure: Structure) -> Signals:
         ramped = ca.SX.sym("ramped")
         state, symbols = stacked(state, ramped), symbols | {"ramped": ramped}
     force = terms.pull(structure, symbols, w, rate - terms.start_rate(structure, symbols))
-    values = [w, force] if structure.damper else [w]
+    values: list[Expression] = [w, force] if structure.damper else [w]
     squared = len(values)
     if structure.ramp:
         speed = terms.start_speed(structure, symbols) + terms.strut(structure, symbols, time).gain

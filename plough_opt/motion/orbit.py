@@ -12,7 +12,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.expressions import Expression, stacked
+from plough_opt.core.expressions import Column, stacked
 from plough_opt.motion.effects import StrengthWaves, wave_names
 from plough_opt.motion.equation import equation_of_motion, signals
 from plough_opt.motion.runge_kutta import run_from
@@ -48,7 +48,7 @@ def monodromy(structure: Structure, timeline: Timeline) -> ca.Function:
     return ca.Function("monodromy", [first, p], [ca.jacobian(last, first)])
 
 
-def _response(structure: Structure, p: dict[str, Expression]) -> tuple[Expression, Expression, Expression]:
+def _response(structure: Structure, p: dict[str, Column]) -> tuple[Column, Column, Column]:
     """Return mean, sine and cosine coefficients [m] of w in the linear forced response about steady sliding.
 
     On the steady path L = V0 t, theta = omega t, the resistance is a series Fm + sum of Fs sin(n theta) + Fc cos(n
@@ -56,16 +56,16 @@ def _response(structure: Structure, p: dict[str, Expression]) -> tuple[Expressio
     2 pi z0/ell, with d = c + dF/dL'. Coefficients are columns by n.
     """
     names, repeats = signals(structure).parameters, _wave(structure).repeats(p)
-    omega = 2.0 * math.pi * p["tow_speed"] / repeats
+    omega: Column = 2.0 * math.pi * p["tow_speed"] / repeats
     mean, along_sine, along_cosine, slope = _series(structure)(stacked(*(p[name] for name in names)))
     turns = _turns(structure)
     n = ca.DM(turns)
     damping = pull(structure, p, 0.0, 1.0) + slope
     spring, damped = p["stiffness"] - p["inertia"] * (n * omega) ** 2, damping * n * omega
     size = 1.0 / (spring**2 + damped**2)
-    sine = size * (spring * along_sine + damped * along_cosine)
-    cosine = size * (spring * along_cosine - damped * along_sine)
-    lag = n * (2.0 * math.pi / repeats * start_deflection(structure, p))
+    sine: Column = size * (spring * along_sine + damped * along_cosine)
+    cosine: Column = size * (spring * along_cosine - damped * along_sine)
+    lag: Column = n * (2.0 * math.pi / repeats * start_deflection(structure, p))
     every = ca.DM.eye(turns[-1])[:, [turn - 1 for turn in turns]]
     sines = ca.mtimes(every, sine * ca.cos(lag) + cosine * ca.sin(lag))
     return mean / p["stiffness"], sines, ca.mtimes(every, cosine * ca.cos(lag) - sine * ca.sin(lag))
@@ -91,20 +91,21 @@ def _series(structure: Structure) -> ca.Function:
     names, turns = signals(structure).parameters, _turns(structure)
     given, travel, gain = ca.SX.sym("given", len(names)), ca.SX.sym("travel"), ca.SX.sym("gain")
     known = dict(zip(names, ca.vertsplit(given), strict=True))
-    force = ca.SX(resistance_change(structure, known, travel, gain))
+    change: Column = resistance_change(structure, known, travel, gain)
+    force = ca.SX(change)
     slope = ca.substitute(ca.jacobian(force, gain), gain, 0.0)
     at = ca.Function("at", [travel, given], [ca.densify(ca.substitute(force, gain, 0.0)), ca.densify(slope)])
     count = _SAMPLES * turns[-1]
     phases = 2.0 * math.pi * np.arange(count) / count
     p = ca.MX.sym("p", len(names))
-    repeats = _wave(structure).repeats(dict(zip(names, ca.vertsplit(p), strict=True)))
+    repeats: Column = _wave(structure).repeats(dict(zip(names, ca.vertsplit(p), strict=True)))
     forces, slopes = at.map(count)(ca.DM(phases).T / (2.0 * math.pi) * repeats, ca.repmat(p, 1, count))
     sines, cosines = (2.0 / count * function(np.outer(phases, turns)) for function in (np.sin, np.cos))
     found = [ca.sum2(forces) / count, *((forces @ ca.DM(b)).T for b in (sines, cosines)), ca.sum2(slopes) / count]
     return ca.Function("series", [p], found)
 
 
-def _size(structure: Structure, p: dict[str, Expression]) -> Expression:
+def _size(structure: Structure, p: dict[str, Column]) -> Column:
     """Return the unit [m] of an orbit's unknowns: the waves' deflection of the spring."""
     amplitude = ca.sqrt(sum(p[wave_names(k)[0]] ** 2 for k in range(_wave(structure).count)) + _LEAST_AMPLITUDE**2)
     return amplitude * p["static"] / p["stiffness"] + 1e-30
@@ -114,7 +115,7 @@ def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
     """Return the orbit to which one period of steps returns."""
     (p, known), x = signals(structure).symbols(ca.MX), ca.MX.sym("x", 2)
     mean, sines, cosines = _response(structure, known)
-    omega = 2.0 * math.pi * known["tow_speed"] / _wave(structure).repeats(known)
+    omega: Column = 2.0 * math.pi * known["tow_speed"] / _wave(structure).repeats(known)
     size = _size(structure, known)
     unit = stacked(size, size * omega)
     once = run_from(structure, Timeline(1, timeline.steps))
@@ -141,7 +142,7 @@ def _balanced(structure: Structure) -> ca.Function:
     basis, slope, bend = _basis(count, phases)
     (p, known), x = signals(structure).symbols(ca.MX), ca.MX.sym("x", 2 * count + 1)
     mean, sines, cosines = _response(structure, known)
-    omega = 2.0 * math.pi * known["tow_speed"] / _wave(structure).repeats(known)
+    omega: Column = 2.0 * math.pi * known["tow_speed"] / _wave(structure).repeats(known)
     size = _size(structure, known)
     w, rate, acceleration = (size * ca.mtimes(ca.DM(b), x) for b in (basis, slope, bend))
     rate, acceleration = rate * omega, acceleration * omega**2
@@ -181,13 +182,14 @@ def _basis(count: int, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
 def _from_series(structure: Structure, timeline: Timeline, series: ca.Function) -> ca.Function:
     """Return states at the outputs, means and variances of a Fourier series."""
     p, known = signals(structure).symbols(ca.MX)
-    omega = 2.0 * math.pi * known["tow_speed"] / _wave(structure).repeats(known)
+    omega: Column = 2.0 * math.pi * known["tow_speed"] / _wave(structure).repeats(known)
     x = series(p)
     count = (x.numel() - 1) // 2
     basis, slope, _ = _basis(count, 2.0 * math.pi * timeline.output_fractions)
     states = ca.horzcat(ca.mtimes(ca.DM(basis), x), omega * ca.mtimes(ca.DM(slope), x)).T
     cosines, sines = x[1 : count + 1], x[count + 1 :]
-    means, variances = [x[0]], [ca.sumsqr(x[1:]) / 2.0]
+    means: list[Column] = [x[0]]
+    variances = [ca.sumsqr(x[1:]) / 2.0]
     if structure.damper:
         k, c = known["stiffness"], known["damping"] * omega * ca.DM(np.arange(1, count + 1))
         means.append(k * x[0])

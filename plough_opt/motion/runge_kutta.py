@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.expressions import Expression, stacked
+from plough_opt.core.expressions import Column, stacked
 from plough_opt.motion.effects import ramp_time
 from plough_opt.motion.equation import equation_of_motion, signals, start_state
 from plough_opt.motion.methods import DOP853, Tableau
@@ -70,7 +70,7 @@ def pooled(moments: Sequence[ca.MX], average: Average, signals: int, count: int 
 _BISECTIONS = 10
 
 
-def ends(timeline: Timeline, duration: Expression, ramp: Expression) -> tuple[Expression, Expression]:
+def ends(timeline: Timeline, duration: Column, ramp: Column) -> tuple[Column, Column]:
     """Return a and b, columns: steps end at a * duration + b * ramp, at the ramp's end too if that is within the run.
 
     Both are numbers to a derivative. Where the ramp ends at a step's end, or behind the run, one step has no length.
@@ -107,15 +107,16 @@ class OneStep:
     structure: Structure
     span: ca.SX
     p: ca.SX
-    known: dict[str, ca.SX]
-    start: ca.SX
-    size: ca.SX
+    known: dict[str, Column]
+    start: Column
+    size: Column
 
     @classmethod
     def of(cls, structure: Structure, width: int) -> OneStep:
         """Make the symbols of a step with a span of that width."""
         span, (p, known) = ca.SX.sym("span", width), signals(structure).symbols(ca.SX)
-        start, size = span[0] * p[-1], span[1] * p[-1]
+        start: Column = span[0] * p[-1]
+        size: Column = span[1] * p[-1]
         if width > 2:
             structure = replace(structure, ramp_by_step=True)
             start, size = start + span[2] * ramp_time(known), size + span[3] * ramp_time(known)
@@ -123,7 +124,7 @@ class OneStep:
         return cls(structure, span, p, known, start, size)
 
 
-def moving_ramp(structure: Structure, timeline: Timeline, p: ca.MX) -> ca.MX | None:
+def moving_ramp(structure: Structure, timeline: Timeline, p: ca.MX) -> Column:
     """Return the time of a ramp [s] at whose end a step ends wherever that is, or None. The duration is last in p."""
     return ramp_time(signals(structure).named(p)) if timeline.moving and structure.ramp else None
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, TypeVar
 
-from plough_opt.core.expressions import Column, Expression
+from plough_opt.core.expressions import Expression
 from plough_opt.core.labels import unlabelled
 from plough_opt.motion.effects import (
     TERMS,
@@ -224,13 +224,16 @@ def resistance_change(structure: Structure, p: Parameters, travel: Expression, g
         gain: L' - s'(0), the share's speed above the strut's initial speed [m/s].
     """
     at = Place(travel, Changed(start_speed(structure, p), gain))
-    return _resist(structure, p, Changed(p["static"], 0.0), at).change
+    found: Any = _resist(structure, p, Changed(p["static"], 0.0), at)
+    change: Expression = found.change
+    return change
 
 
-def _resist(structure: Structure, p: Parameters, force: Any, at: Place) -> Column:
+def _resist(structure: Structure, p: Parameters, force: Any, at: Place) -> Expression:
+    found: Expression = force
     for term in structure.terms:
-        force = term.resist(force, at, p)
-    return force
+        found = term.resist(found, at, p)
+    return found
 
 
 def hold(structure: Structure, p: Parameters, travel: Expression) -> Expression:

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from plough_opt.core.checks import check_switch, mapping_of
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression
+from plough_opt.core.expressions import Column, Expression
 from plough_opt.core.kept import Origin
 from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
 from plough_opt.core.units import Display
@@ -193,7 +193,7 @@ class Problem:
             own.setdefault(EVERY[table.adjusted].key, EVERY[table.adjusted].typical)
         return Soil.from_cone_index(reading, self._soil_of(own), table.adjust)
 
-    def _soil_of(self, own: dict[str, Expression]) -> Soil:
+    def _soil_of(self, own: dict[str, Column]) -> Soil:
         name = self.table.soil.name
         if name is None:
             return Soil(**own, name="the soil of this file", source=f"values in {self.name}")
@@ -207,7 +207,8 @@ class Problem:
 
     def machine(self, changes: Mapping[str, float] | None = None) -> Machine:
         """Simulate all shares of a file with several."""
-        runs = {name: part.simulate(self._of_share(name, self.values(changes))) for name, part in self.shares.items()}
+        values: dict[str, Column] = self.values(changes)
+        runs = {name: part.simulate(self._of_share(name, values)) for name, part in self.shares.items()}
         return Machine(runs, self.origin)
 
     def _of_share(self, share: str, values: Mapping[str, _T]) -> dict[str, _T]:

@@ -185,7 +185,7 @@ class EffectsTable(Table):
             for name in WAVES
             if f"{name}.amplitude" in values
         ]
-        random = [values.get(f"{RANDOM}.{key}") for key in ("rms", "correlation_length")]
+        random: list[Any] = [values.get(f"{RANDOM}.{key}") for key in ("rms", "correlation_length")]
         contact: Literal["resisting"] | Smooth | StickSlip = "resisting"
         if self.contact == "smooth":
             contact = Smooth(values["effects.contact_width"])

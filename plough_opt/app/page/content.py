@@ -167,15 +167,15 @@ def share(report: Report) -> Table:
     rows = []
     if isinstance(body, Wedge):
         rows = [
-            ("wedge angle", angle.text(body.angle, 4)),
-            ("chisel angle", angle.text(body.chisel_angle, 4)),
+            ("wedge angle", angle.text(float(body.angle), 4)),
+            ("chisel angle", angle.text(float(body.chisel_angle), 4)),
             ("area of the two faces", f"{1e4 * body.area:.4g} cm^2"),
             ("angle between the faces, as drawn", angle.text(body.opening, 4)),
         ]
     rows += [
-        ("height", length.text(cone.height, 4)),
-        ("half angle of the cone", angle.text(cone.half_angle, 4)),
-        ("base radius of the cone", length.text(cone.height * cone.slope, 4)),
+        ("height", length.text(float(cone.height), 4)),
+        ("half angle of the cone", angle.text(float(cone.half_angle), 4)),
+        ("base radius of the cone", length.text(float(cone.height * cone.slope), 4)),
         ("moving mass, frame and share", f"{float(report.run.scene.mass):.4g} kg"),
     ]
     return Table("Measures", (), [(name, nice(value)) for name, value in rows])

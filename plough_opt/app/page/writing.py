@@ -45,7 +45,7 @@ def reported(problem: Problem, notify: Progress, *, seed: int = 0, accuracy: boo
     study = None
     if accuracy:
         lasting = run.scene.effects.orbit != "transient"
-        duration = None if lasting else problem.values().get("scene.duration")
+        duration: Any = None if lasting else problem.values().get("scene.duration")
         study = study_accuracy(run.scene, duration, allowance=_ALLOWANCE, derivatives=False, thin=True, progress=notify)
     return Report(problem, run, best, sensitivities, unknown, study)
 

@@ -68,7 +68,7 @@ class Component(ca.Function):
         self.inputs, self.outputs, self.accuracy = inputs, outputs, accuracy
         self.error_estimate, self.warnings = error_estimate, warnings
 
-    def __call__(self, *values: Expression, **named: Expression) -> Any:
+    def __call__(self, *values: Any, **named: Any) -> Any:
         """Return the outputs of inputs in order, as a tuple or alone; or of inputs by name, as a dictionary.
 
         Args:
@@ -84,7 +84,7 @@ class Component(ca.Function):
         if not named and len(values) != len(self.inputs):
             names = ", ".join(port.name for port in self.inputs)
             raise InputError(f"'{self.name()}' takes {len(self.inputs)} inputs ({names}), not {len(values)}")
-        given = self._complete(named) if named else list(values)
+        given: list[Any] = self._complete(named) if named else list(values)
         numbers = not any(map(is_symbolic, given))
         if numbers:
             given = [self._number(port, value) for port, value in zip(self.inputs, given, strict=True)]
@@ -99,7 +99,7 @@ class Component(ca.Function):
     def _complete(self, named: Mapping[str, Expression]) -> list[Expression]:
         """Return every input, those that are not named at their values."""
         known = {name: port for port in self.inputs for name in (port.argument, port.name)}
-        values = {port: port.value for port in self.inputs}
+        values: dict[Port, Expression] = {port: port.value for port in self.inputs}
         for name, value in named.items():
             if name not in known:
                 raise InputError(

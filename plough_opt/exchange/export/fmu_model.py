@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, is_quantity, map_expressions, template_of
+from plough_opt.core.expressions import Column, Expression, is_quantity, map_expressions, template_of
 from plough_opt.core.quantities import EVERY
 from plough_opt.exchange.export.fmu_share import Share
 from plough_opt.exchange.named_scene import NamedScene
@@ -242,7 +242,7 @@ def _scene_with(named: NamedScene, values: Mapping[str, Expression]) -> Scene:
     return replace(scene, effects=replace(scene.effects, own=with_values(scene.effects.own)))
 
 
-def _moving(share: Share, scene: Scene) -> dict[str, dict[Variable, Expression]]:
+def _moving(share: Share, scene: Scene) -> dict[str, Mapping[Variable, Column]]:
     """Return the variables that change in a run with their expressions, by kind.
 
     Args:

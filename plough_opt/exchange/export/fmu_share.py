@@ -100,8 +100,10 @@ class Share:
         if not self.structure.events:
             return [self.travel, self.speed, *rest], []
         slowed: Column = self.speed
-        stopped = ca.logic_and(self.speed <= _BESIDE * self._swift, self._slipping <= 0.0)
-        closed = ca.logic_and(self.opening <= _BESIDE * self._high, self.speed > 0.0)
+        slipping: Column = self._slipping
+        behind: Column = self.opening
+        stopped = ca.logic_and(slowed <= _BESIDE * self._swift, slipping <= 0.0)
+        closed = ca.logic_and(behind <= _BESIDE * self._high, slowed > 0.0)
         if self.sticks:
             held = self.pull < self._hold - _BESIDE * absolute(self._hold)
             freed = where(self.pull < 0.0, GAP, where(held, STICK, SLIP))

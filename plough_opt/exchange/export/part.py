@@ -121,7 +121,7 @@ def _dxf(part: _Part) -> str:
 
 def _wedge_pattern(page: Any, share: Wedge, opening: float, thickness: float | None) -> tuple[float, float, list[str]]:
     """Draw the two faces, beside each other along the ridge; return length and half width [mm], and notes."""
-    ridge = _MM * share.height / math.cos(share.chisel_angle)
+    ridge = _MM * float(share.height) / math.cos(share.chisel_angle)
     width = ridge * math.tan(share.angle)
     page.add_lwpolyline([(0.0, 0.0), (ridge, -width), (ridge, width)], close=True, dxfattribs={"layer": "CUT"})
     page.add_line((0.0, 0.0), (ridge, 0.0), dxfattribs={"layer": "BEND"})
@@ -135,7 +135,7 @@ def _wedge_pattern(page: Any, share: Wedge, opening: float, thickness: float | N
 
 def _cone_pattern(page: Any, cone: Cone) -> tuple[float, float, list[str]]:
     """Draw the sector that rolls up to a cone; return length and half width [mm], and notes."""
-    slant, half = _MM * cone.height / math.cos(cone.half_angle), math.pi * math.sin(cone.half_angle)
+    slant, half = _MM * float(cone.height) / math.cos(cone.half_angle), math.pi * math.sin(cone.half_angle)
     x, y = slant * math.cos(half), slant * math.sin(half)
     # The bulge of an edge is the tangent of a quarter of its arc.
     corners = [(0.0, 0.0, 0.0), (x, -y, math.tan(half / 2.0)), (x, y, 0.0)]

@@ -11,7 +11,16 @@ from numpy.typing import ArrayLike
 
 from plough_opt.core.checks import NOT_NUMBERS, check_kind, check_single, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, as_number, is_casadi, is_count, is_symbolic, template_of
+from plough_opt.core.expressions import (
+    Column,
+    Expression,
+    as_number,
+    is_casadi,
+    is_count,
+    is_symbolic,
+    stacked,
+    template_of,
+)
 from plough_opt.core.quantities import BESIDE
 from plough_opt.motion.batch.advance import advance
 from plough_opt.motion.batch.c_source import Kernels
@@ -71,9 +80,7 @@ class Batch:
         2
     """
 
-    def __init__(
-        self, scene: Scene, duration: Expression, inputs: Sequence[Expression], *, error: float = 1e-6
-    ) -> None:
+    def __init__(self, scene: Scene, duration: Expression, inputs: Sequence[Column], *, error: float = 1e-6) -> None:
         _refuse(scene)
         if not (isinstance(error, int | float | np.number) and 1e-11 <= error <= 1e-2):
             raise InputError(f"error = {shown(error)} must lie between 1e-11 and 1e-2")
@@ -86,7 +93,7 @@ class Batch:
         self._check = DomainCheck(template, [None if is_symbolic(q) else float(as_number(q)) for q in quantities])
         varying = [q for q in quantities if is_symbolic(q)]
         functions = {
-            "quantities": of_column("quantities", symbols, ca.vertcat(*varying, duration)),
+            "quantities": of_column("quantities", symbols, stacked(*varying, duration)),
             "setup": setup(self._layout, scene, duration, symbols, error),
         }
         self._inputs = functions["setup"].numel_in(0)
@@ -248,7 +255,7 @@ class Batch:
         )
 
 
-def _symbols(inputs: Sequence[Expression]) -> list[Expression]:
+def _symbols(inputs: Sequence[Column]) -> list[Expression]:
     """Return the inputs as a list.
 
     Raises:

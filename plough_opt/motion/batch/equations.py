@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Column, Expression, minimum, stacked
+from plough_opt.core.expressions import Column, Expression, absolute, minimum, stacked
 from plough_opt.core.labels import labels_in, without_labels
 from plough_opt.motion.batch.engine import Array
 from plough_opt.motion.effects import StrengthWaves
@@ -140,14 +140,12 @@ class Start:
         return np.stack([mean_draft, force_rms, self.deflection + means[0], displacement_rms, tow_power, error])
 
 
-def setup(
-    layout: Layout, scene: Scene, duration: Expression, inputs: Sequence[Expression], error: float
-) -> ca.Function:
+def setup(layout: Layout, scene: Scene, duration: Expression, inputs: Sequence[Column], error: float) -> ca.Function:
     """Return inputs -> the parameters of a step, and `Start`, in one column."""
     structure, known = layout.structure, parameters(scene)
     values = [known[name] for name in layout.parameters]
     end = minimum(known["ramp_time"], duration) if structure.ramp else duration
-    size = ca.fabs(scene.steady_resistance / scene.stiffness) + _TINY
+    size = absolute(scene.steady_resistance / scene.stiffness) + _TINY
     phase, part = _phase_and_part(layout)(stacked(*values, end, duration, 0.0, 0.0))
     rate = start_rate(structure, known)
     start = Start(
@@ -163,7 +161,7 @@ def setup(
     return of_column("setup", inputs, column)
 
 
-def of_column(name: str, inputs: Sequence[Expression], result: Expression) -> ca.Function:
+def of_column(name: str, inputs: Sequence[Column], result: Column) -> ca.Function:
     """Return a column of inputs -> result, of SX where the graph can be one.
 
     Raises:
@@ -175,7 +173,7 @@ def of_column(name: str, inputs: Sequence[Expression], result: Expression) -> ca
         raise InputError(f"the scene depends on {', '.join(inner.get_free())}: name it among the inputs of the batch")
     if inner.is_a("MXFunction") and (labels := labels_in(inner)):
         inner = ca.Function(name, list(inputs), without_labels([dense], labels))
-    kind: type[Expression] = ca.SX
+    kind: Any = ca.SX
     try:
         inner = inner.expand()
     except RuntimeError:

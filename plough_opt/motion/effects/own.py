@@ -14,7 +14,14 @@ import numpy as np
 
 from plough_opt.core.checks import shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, as_number, is_casadi, is_quantity, map_expressions, template_of
+from plough_opt.core.expressions import (
+    Expression,
+    as_number,
+    is_casadi,
+    is_quantity,
+    map_expressions,
+    template_of,
+)
 from plough_opt.motion.effects.term import Parameters, Place, Rates, Term, Towed
 
 # What prints all that it is, or its own place in memory, beside single numbers and expressions.
@@ -163,6 +170,7 @@ class Own(Term):
         return own + force
 
     def hold(self, force: Expression, at: Place, p: Parameters) -> Expression:
+        assert at.travel is not None  # a share at rest is somewhere
         return force + self.at_rest(p, at.travel)
 
     def force(self, p: Parameters, travel: Expression, speed: Expression) -> Expression:
@@ -185,7 +193,7 @@ class Own(Term):
         """Return what a method of the user's class gives at travel, and at speed if it takes one."""
         values = (p[name] for name in self.names)
         effect: OwnResistance = map_expressions(self.template, lambda _: next(values))
-        found = getattr(effect, method)(*at)
+        found: Expression = getattr(effect, method)(*at)
         if not (is_quantity(found) or isinstance(found, np.ndarray)) or _size(found) not in {1, *map(_size, at)}:
             raise InputError(
                 f"{self.kind.__name__}.{method} returned {found!r}: an own effect returns its resistance [N], a number"
@@ -193,8 +201,8 @@ class Own(Term):
             )
         if isinstance(found, ca.DM) and not is_casadi(at[0]):
             # CasADi's own functions of an array, as a table is one, give a column.
-            found = as_number(found)
-            return float(found) if found.ndim == 0 else found
+            number = as_number(found)
+            return float(number) if number.ndim == 0 else number
         return found
 
     @staticmethod

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol, cast
 
 from plough_opt.core.expressions import Expression
 from plough_opt.laws.law import SoilReaction
@@ -32,7 +32,10 @@ class Towed(Protocol):
 
 @dataclass(frozen=True)
 class Changed:
-    """A quantity as its value at the start and the change since: what does not change cancels on paper."""
+    """A quantity as its value at the start and the change since: what does not change cancels on paper.
+
+    It takes the place of an expression in the sums and products of resistances.
+    """
 
     first: Expression
     change: Expression
@@ -68,18 +71,19 @@ class Place(NamedTuple):
     @property
     def squared_speed(self) -> Expression:
         """The share's speed, squared."""
-        return self.speed.squared() if isinstance(self.speed, Changed) else self.speed**2
+        return cast(Expression, self.speed.squared() if isinstance(self.speed, Changed) else self.speed**2)
 
     def varying(self, value: Expression) -> Expression:
         """Return a quantity whose mean along the path is zero, and which an equilibrium start leaves out."""
-        return Changed(0.0, value) if isinstance(self.speed, Changed) else value
+        return cast(Expression, Changed(0.0, value)) if isinstance(self.speed, Changed) else value
 
-    def of(self, function: Callable[[Expression, Expression], Expression]) -> Expression:
+    def of(self, function: Callable[..., Expression]) -> Expression:
         """Return a function of travel and speed."""
         if not isinstance(self.speed, Changed):
             return function(0.0 if self.travel is None else self.travel, self.speed)
         first = function(0.0, self.speed.first)
-        return Changed(first, function(self.travel, self.speed.first + self.speed.change) - first)
+        change = function(self.travel, self.speed.first + self.speed.change) - first
+        return cast(Expression, Changed(first, change))
 
 
 class Rates(NamedTuple):

@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import stacked
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.nlp import averages_only
 from plough_opt.design.program import Program
@@ -288,7 +289,7 @@ def _collocated(structure: Structure, form: Mesh) -> _Piece:
     state, inner, span = ca.SX.sym("state", 2), ca.SX.sym("inner", 2 * degree), ca.SX.sym("span", 2)
     p = ca.SX.sym("p", len(observed.parameters) + 1)
     known = observed.named(p)
-    own = ca.vertcat(*(known[name] for name in motion.names))
+    own = stacked(*(known[name] for name in motion.names))
     size = span[1] * p[-1]
     states = ca.reshape(inner, 2, degree)
     rates, values = [], []

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import DomainError, InputError
-from plough_opt.core.expressions import Expression, as_number, stacked
+from plough_opt.core.expressions import Column, Expression, as_number, stacked
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion import simulate
 from plough_opt.motion.plan import numbers_of, phase
@@ -88,7 +88,8 @@ class Rows:
             InputError: a row whose conditions are outside the model's domain, or a missing duration.
         """
         if self.direct:
-            value = ca.MX.ones(self.measured.rows) * self.model.values(ca.vertsplit(y))[self.measured.result]
+            values: dict[str, Column] = {**self.model.values(ca.vertsplit(y))}
+            value = ca.MX.ones(self.measured.rows) * values[self.measured.result]
             return value, ca.jacobian(value, y), True
         for scene, duration, _ in self.scenes(self.model.guess):
             needs_run = not is_closed(scene, self.measured.result) and scene.effects.orbit == "transient"
@@ -173,7 +174,8 @@ def _force_at(
     times = measured.time[rows]
     outputs = _outputs(example, duration, times)
     run = simulate(scene, duration, accuracy=model.accuracy, outputs=outputs)
-    return ca.DM(reading(times / duration, outputs)) @ run.mount_force
+    forces: Expression = ca.DM(reading(times / duration, outputs)) @ run.mount_force
+    return forces
 
 
 def _outputs(scene: Scene, duration: float, times: Vector) -> int:

@@ -78,9 +78,9 @@ def compare(
     check_kind("laws", laws, list | tuple, "a list of resistance laws")
     for law in laws:
         check_kind("laws: one of them", law, ResistanceLaw, "a resistance law, as McKyesAli(depth=0.35)")
-    given_speeds = (*_USUAL_SPEEDS, scene.tow_speed) if speeds is None else speeds
+    given_speeds: Any = (*_USUAL_SPEEDS, scene.tow_speed) if speeds is None else speeds
     course = tuple(sorted(_several("speed", "m/s", given_speeds, at_least=0.0)))
-    depths = _several("working depth", "m", scene.share.height if depth is None else depth, above=0.0)
+    depths = _several("working depth", "m", float(scene.share.height) if depth is None else depth, above=0.0)
     wide = 2.0 * float(scene.cone.height * scene.cone.slope) if width is None else width
     # Refuses once, and not in every row, what no tine can have.
     Tine(wide, depths[0], math.pi / 2 if rake_angle is None else rake_angle, surcharge, adhesion)

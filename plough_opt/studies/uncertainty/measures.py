@@ -18,7 +18,7 @@ import numpy as np
 
 from plough_opt.core.checks import LARGEST, LEAST, NOT_NUMBERS, plain_number, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, is_casadi, maximum, minimum, sqrt, where
+from plough_opt.core.expressions import Column, is_casadi, maximum, minimum, sqrt, where
 
 # Halvings that reduce a range of a million widths to 1e-9 widths, an error that one step of Newton's method squares.
 _HALVINGS = 50
@@ -36,20 +36,20 @@ _NO_SAMPLES = "there are no samples to take a measure of"
 # --- step and ramp ---------------------------------------------------------------------------------------------
 
 
-def density(u: Expression) -> Expression:
+def density(u: Column) -> Column:
     """Return the kernel k(u)."""
     inner = 1.0 - _clipped(u) ** 2
     return _PEAK * inner**3
 
 
-def step(u: Expression) -> Expression:
+def step(u: Column) -> Column:
     """Return the integral of the kernel up to u: 0 below -1, 1/2 at 0, 1 above 1."""
     u = _clipped(u)
     square = u * u
     return 0.5 + _PEAK * u * (1.0 + square * (-1.0 + square * (0.6 - square / 7.0)))
 
 
-def ramp(u: Expression) -> Expression:
+def ramp(u: Column) -> Column:
     """Return the integral of the step up to u: 0 below -1, u above 1."""
     inner = _clipped(u)
     square = inner * inner
@@ -57,20 +57,20 @@ def ramp(u: Expression) -> Expression:
     return MOST_ROUNDING + 0.5 * inner + rounded + maximum(u - 1.0, 0.0)
 
 
-def _clipped(u: Expression) -> Expression:
+def _clipped(u: Column) -> Column:
     return minimum(maximum(u, -1.0), 1.0)
 
 
 # --- measures --------------------------------------------------------------------------------------------------
 
 
-def expected(values: Expression) -> Expression:
+def expected(values: Column) -> Column:
     """Return the mean."""
     column = _column(values)
     return _sum(column) / _count(column)
 
 
-def standard_deviation(values: Expression) -> Expression:
+def standard_deviation(values: Column) -> Column:
     """Return the standard deviation about the mean, with 1/n.
 
     In a design it is larger by up to 1e-10 of the mean, so that it has a derivative if all samples are equal.
@@ -83,12 +83,12 @@ def standard_deviation(values: Expression) -> Expression:
     return sqrt(variance + (_LEAST_SPREAD * mean) ** 2 + _TINY)
 
 
-def mean_plus(values: Expression, kappa: float) -> Expression:
+def mean_plus(values: Column, kappa: float) -> Column:
     """Return mean + kappa * standard deviation, with a negative kappa if small values are bad."""
     return expected(values) + plain_number("kappa", kappa) * standard_deviation(values)
 
 
-def cvar(values: Expression, level: float, *, width: float = 0.0) -> Expression:
+def cvar(values: Column, level: float, *, width: float = 0.0) -> Column:
     """Return the mean of the worst part 1 - level of the samples, the largest: the conditional value at risk.
 
     It is the minimum over t of t + mean(max(v - t, 0))/(1 - level) (Rockafellar and Uryasev 2000). In a design the ramp
@@ -121,7 +121,7 @@ def cvar(values: Expression, level: float, *, width: float = 0.0) -> Expression:
     return width * (t + expected(ramp(above)) / part - 0.5 * rest**2 / (curvature + _TINY))
 
 
-def worst(values: Expression, *, width: float = 0.0) -> Expression:
+def worst(values: Column, *, width: float = 0.0) -> Column:
     """Return the largest value; the smallest is -worst(-values).
 
     In a design it is the CVaR of the worst single sample, smoothed over a width: larger than the largest value by at
@@ -138,8 +138,8 @@ def worst(values: Expression, *, width: float = 0.0) -> Expression:
 
 
 def probability(
-    values: Expression, *, at_least: float | None = None, at_most: float | None = None, width: float = 0.0
-) -> Expression:
+    values: Column, *, at_least: float | None = None, at_most: float | None = None, width: float = 0.0
+) -> Column:
     """Return the fraction of the samples within limits.
 
     In a design each sample counts by a smooth step of its distance from the limit, over +- a width. For many samples of
@@ -168,7 +168,7 @@ def probability(
     return expected(sum(parts[1:], parts[0])) - (len(parts) - 1.0)
 
 
-def quantile(values: Expression, level: float, *, width: float = 0.0) -> Expression:
+def quantile(values: Column, level: float, *, width: float = 0.0) -> Column:
     """Return the value that a fraction ``level`` of the samples does not exceed.
 
     In a design it is the limit at which `probability` with at_most and the same width equals the level. A requirement
@@ -199,7 +199,7 @@ def quantile(values: Expression, level: float, *, width: float = 0.0) -> Express
     return width * t
 
 
-def _threshold(scaled: Expression, part: float) -> Expression:
+def _threshold(scaled: Column, part: float) -> Column:
     """Return t where mean(step(scaled - t)) = part, by halving, so that it has no derivatives.
 
     The ends of the first bracket are whole numbers, whose derivatives are 0.
@@ -220,7 +220,7 @@ def _exact_cvar(values: np.ndarray, part: float) -> float:
     return float(shares @ falling / np.sum(shares))
 
 
-def _smooth(what: str, column: Expression, width: float) -> bool:
+def _smooth(what: str, column: Column, width: float) -> bool:
     """Return whether a measure is smoothed; raise InputError for an invalid width, or none for expressions."""
     if plain_number(f"the width of a {what}", width) < 0.0:
         raise InputError(
@@ -236,7 +236,7 @@ def _smooth(what: str, column: Expression, width: float) -> bool:
     return width > 0.0
 
 
-def _column(values: Expression) -> Expression:
+def _column(values: Column) -> Column:
     """Return values as a column, or raise InputError if there are none or they are not finite numbers."""
     if is_casadi(values):
         column = ca.vec(values)
@@ -256,17 +256,17 @@ def _column(values: Expression) -> Expression:
     return numbers
 
 
-def _count(column: Expression) -> int:
+def _count(column: Column) -> int:
     return int(column.numel()) if is_casadi(column) else int(column.size)
 
 
-def _sum(column: Expression) -> Expression:
+def _sum(column: Column) -> Column:
     return ca.sum1(column) if is_casadi(column) else float(np.sum(column))
 
 
-def _least(column: Expression) -> Expression:
+def _least(column: Column) -> Column:
     return ca.mmin(column) if is_casadi(column) else float(np.min(column))
 
 
-def _floor(value: Expression) -> Expression:
+def _floor(value: Column) -> Column:
     return ca.floor(value) if is_casadi(value) else math.floor(value)

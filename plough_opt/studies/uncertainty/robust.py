@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_callable, check_choice, check_kind, check_named, plain_number, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression
+from plough_opt.core.expressions import Column, Expression
 from plough_opt.core.tables import Grid, Page, Readable
 from plough_opt.design import Design, Optimum
 from plough_opt.studies.uncertainty import measures
@@ -149,7 +149,7 @@ class Robust(Readable):
     ) -> Expression:
         """Return the probability that a result is within limits: see `measures.probability`."""
         values, requested = self[name], _within(name, at_least, at_most, width)
-        probability = measures.probability(values, at_least=at_least, at_most=at_most, width=width)
+        probability: Expression = measures.probability(values, at_least=at_least, at_most=at_most, width=width)
         self.requested.append(requested)
         return probability
 
@@ -233,11 +233,11 @@ class Robust(Readable):
         return results.values
 
     def _request(
-        self, name: str, text: str, kind: Kind, measure: Callable[..., Expression], width: float = 0.0
+        self, name: str, text: str, kind: Kind, measure: Callable[..., Column], width: float = 0.0
     ) -> Expression:
         width = plain_number("width", width)
         rounded = partial(measure, width=width) if width else measure
-        value = rounded(self[name])
+        value: Expression = rounded(self[name])
         self.requested.append(RequestedMeasure(name, text, kind, measure, rounded, width))
         return value
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_callable, check_kind, check_named, plain_number
 from plough_opt.core.errors import InputError, nearest
-from plough_opt.core.expressions import Expression, is_casadi
+from plough_opt.core.expressions import Column, Expression, is_casadi
 from plough_opt.design import Optimum
 from plough_opt.design.population import Population
 from plough_opt.design.split import split
@@ -23,7 +23,7 @@ from plough_opt.motion.scene import Scene
 from plough_opt.soil.soil import Soil
 
 Vector = NDArray[np.float64]
-Response = Callable[[Soil], Mapping[str, Expression]]
+Response = Callable[[Soil], Mapping[str, Column]]
 
 # Factor on the steps of a search: averages are then right to some 1e-10, far below what a few thousand samples say.
 _FINER = 4.0
@@ -107,7 +107,7 @@ class Responses:
         own: list[Any] = [ca.MX.sym(name) for name in names]
         results = response(replace(soil, **dict(zip(names, own, strict=True))))
         self.names = tuple(results)
-        column = ca.vertcat(*(ca.MX(value) for value in results.values()))
+        column: ca.MX = ca.vertcat(*(ca.MX(value) for value in results.values()))
         known = {hash(symbol) for symbol in own}
         self._design = [symbol for symbol in ca.symvar(column) if hash(symbol) not in known]
         self._y = ca.MX.sym("design and soil", len(self._design) + len(own))
@@ -167,7 +167,7 @@ def _number(at: Optimum | Mapping[str, float], symbol: ca.MX) -> float:
     raise InputError(f"the design has no value for '{symbol.name()}': {nearest(symbol.name(), values)}")
 
 
-def _column(name: str, values: list[Expression]) -> Expression:
+def _column(name: str, values: list[Column]) -> Column:
     if any(is_casadi(value) for value in values):
         if any(ca.MX(value).numel() != 1 for value in values):
             raise InputError(f"the result '{name}' of each soil must be one number: average it, or take its mean")

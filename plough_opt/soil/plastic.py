@@ -304,7 +304,8 @@ def _pressure(r: Expression, radius: Expression, r_front: Expression, soil: Soil
         # r*^2 - y^2 = b1 (r*^2 - r^2): the logarithm of a ratio near one, without cancellation.
         spread = (r_front - r) * (r_front + r) / y_squared
         log_over_b1 = spread * log1p_ratio(soil.density_ratio * spread) / 2.0
-        log, jump = soil.density_ratio * log_over_b1, 1.0
+        log = soil.density_ratio * log_over_b1
+        jump: Expression = 1.0
         swelling = log_over_b1 * expm1_ratio(nu * log)
         spreading = swelling - log_over_b1 * wall / y_squared * expm1_ratio((nu - 2.0) * log)
     else:

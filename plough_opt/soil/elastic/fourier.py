@@ -225,7 +225,7 @@ def _places(x: Expression, distance: Expression, length: float, soil: Soil, spee
 def _spectrum(curve: Curve, places: _Places, *, graded: bool) -> _Spectrum:
     """Return the transform of a curve's slope on wave numbers that resolve the integrals at all places."""
     length, order, nearest = places.length, places.order, float(np.min(places.at[:, 1]))
-    last = _DECAY / (places.medium.eta * nearest)
+    last = _DECAY / (float(places.medium.eta) * nearest)
     longest = max(length, *(float(np.max(np.abs(places.at[:, 0] - end))) for end in (0.0, length)))
     waves, lengths = (order * last * longest / (2.0 * math.pi), order * length * last / (2.0 * math.pi))
     if waves * lengths > _MOST_NODES:

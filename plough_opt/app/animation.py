@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-from plough_opt.app.run_picture import LIMIT, OWN, SOIL, STRUT, changing, draw_deflection, subject
+from plough_opt.app.run_picture import LIMIT, OWN, SOIL, STRUT, changing, deflection_of, draw_panel, subject
 from plough_opt.core.checks import check_domain, path_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import as_number, sin
@@ -52,7 +52,7 @@ def _gif(run: Run, slower: float) -> bytes:
     canvas = FigureCanvasAgg(figure)
     upper, lower = figure.subplots(2, 1, height_ratios=(1.3, 1.0))
     figure.suptitle(f"{subject(run)}, {slower:g} times slower", fontsize="medium")
-    draw_deflection(lower, run)
+    draw_panel(lower, run, deflection_of(run))
     (dot,) = lower.plot([], [], "o", color=LIMIT, markersize=8)
     mean = float(run.mean_deflection)
     factor = run.origin.common("m", {"deflection": run.peak_deflection, "mean_deflection": mean}).factor

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,19 +14,12 @@ from plough_opt.core.errors import InputError, NotConverged, nearest
 from plough_opt.core.quantities import quantities
 from plough_opt.core.units import customary
 from plough_opt.problem_file import Problem
+from plough_opt.problem_file.ranges import with_unit
 
 if TYPE_CHECKING:
     from plough_opt.studies.calibration import Fit, Measurements
 
 _LOSSES: Final = ("squares", "huber", "soft_l1", "cauchy")
-_NUMBER: Final = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-# Before the two dots of a range a number has no dot at its end.
-_DECIMAL: Final = r"[+-]?(?:\d+(?:\.\d+)?|\.\d+)(?:[eE][+-]?\d+)?"
-_PAIR: Final = (
-    rf"\s*(?P<first>{{0}})\s*(?P<unit>[^.\d\s+±][^.±]*?)?\s*(?:{{1}})\s*(?P<second>{_NUMBER}\s*(?P<own>\S.*?)?)\s*"
-)
-_RANGE: Final = re.compile(_PAIR.format(_DECIMAL, r"\.\."))
-_KNOWN: Final = re.compile(_PAIR.format(_NUMBER, r"\+-|±"))
 
 
 def add_options(verb: argparse.ArgumentParser) -> None:
@@ -103,12 +95,12 @@ def _refuse_twice(paths: Sequence[str]) -> None:
 
 def _unknowns(written: list[str]) -> dict[str, tuple[str, str]] | None:
     """Return the bounds that the command line gives, or None."""
-    found = {}
+    found: dict[str, tuple[str, str]] = {}
     for text in written:
-        key, match = _matched("--unknown", text, _RANGE, 'soil.cohesion="1..80 kPa"')
+        key, *bounds = _split("--unknown", text, ("..",), 'soil.cohesion="1..80 kPa"')
         if key in found:
             raise InputError(f"--unknown {text}: '{key}' is given twice")
-        found[key] = _both(match)
+        found[key] = bounds[0], bounds[1]
     return found or None
 
 
@@ -124,33 +116,29 @@ def _known(text: str, stated: list[bool]) -> Measurements:
     """Return an unknown that was measured by itself as a set of one row."""
     from plough_opt.studies.calibration import Measurements
 
-    key, match = _matched("--known", text, _KNOWN, 'soil.friction_angle="28 +- 1 deg"')
+    key, *written = _split("--known", text, ("+-", "±"), 'soil.friction_angle="28 +- 1 deg"')
     if not all(stated):
         raise InputError(
             f"--known {text}: its error is weighed against that of the data, which state none: add a column 'sigma'"
         )
     unit = quantities()[key]
     try:
-        value, sigma = map(unit.parse, _both(match))
+        value, sigma = map(unit.parse, written)
     except InputError as error:
         raise InputError(f"--known {text}: '{key}' {error}") from None
     return Measurements(key, [value], sigma=sigma, name=f"--known {key}")
 
 
-def _matched(option: str, text: str, pattern: re.Pattern[str], example: str) -> tuple[str, re.Match[str]]:
-    key, separator, written = text.partition("=")
-    key = key.strip()
-    match = pattern.fullmatch(written.strip().strip("\"'"))
-    if not separator or match is None:
+def _split(option: str, text: str, marks: Sequence[str], example: str) -> tuple[str, str, str]:
+    """Return a key and the two quantities around a mark; a unit that the first lacks is that of the second."""
+    key, _, written = (part.strip() for part in text.partition("="))
+    mark = next((mark for mark in marks if mark in written), marks[0])
+    first, _, second = (part.strip() for part in written.strip("\"'").partition(mark))
+    if not (first and second):
         raise InputError(f"{option} {text}: expected KEY=..., like {example}")
     if key not in quantities():
         raise InputError(f"{option} {text}: '{key}' cannot be an unknown: {nearest(key, quantities())}")
-    return key, match
-
-
-def _both(match: re.Match[str]) -> tuple[str, str]:
-    """Return two quantities; a unit that the first lacks is that of the second."""
-    return f"{match['first']} {match['unit'] or match['own'] or ''}".strip(), match["second"].strip()
+    return key, with_unit(first, second), second
 
 
 def _quality(fit: Fit, folds: int | None) -> str:

@@ -119,21 +119,6 @@ def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
     return figure
 
 
-def draw_force(axes: Axes, run: Run, limits: Sequence[Limit] = ()) -> None:
-    """Draw mount force and soil resistance, with mean draft and RMS."""
-    draw_panel(axes, run, force_of(run, limits))
-
-
-def draw_deflection(axes: Axes, run: Run, limits: Sequence[Limit] = ()) -> None:
-    """Draw the spring's deflection, with its mean and RMS."""
-    draw_panel(axes, run, deflection_of(run, limits))
-
-
-def draw_speed(axes: Axes, run: Run, limits: Sequence[Limit] = ()) -> None:
-    """Draw the share's speed beside the strut's."""
-    draw_panel(axes, run, speed_of(run, limits))
-
-
 def draw_panel(axes: Axes, run: Run, panel: Panel) -> None:
     """Draw results over time with their mean and a band of the RMS, their limits, and a legend above all lines."""
     unit = panel.unit

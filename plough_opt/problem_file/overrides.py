@@ -31,45 +31,51 @@ def apply_override(source: Source, text: str) -> str:
         raise InputError(f"--set {short(text)}: at most {_LONGEST} characters can be read")
     if "\n" in text:
         raise InputError(f"--set {short(repr(text))}: a change stands in one line: give --set once for each")
-    path, separator, written = text.partition("=")
-    path = path.strip()
+    path, _, written = (part.strip() for part in text.partition("="))
     text = short(text, _SHOWN)  # as messages quote it
-    if not separator or not path or not written.strip():
+    if not (path and written):
         raise InputError(f'--set {text}: expected KEY=VALUE, like scene.tow_speed="2.5 m/s"')
-    keys = _split(path, text)
+    try:
+        keys, value = _split(path), _value(written)
+        if keys != [TABLE]:
+            return _change(source, keys, value, text)
+    except InputError as error:
+        raise InputError(f"--set {text}: {error}") from None
+    choose_share(source, value)
+    return ""
+
+
+def _change(source: Source, keys: list[str], value: Any, text: str) -> str:
+    """Put a value at a key; return a note if that fixed a variable."""
+    path, shares = ".".join(keys), source.data.get(TABLE)
     if not all(key.strip() for key in keys):
-        raise InputError(f"--set {text}: '{path}' is not a key: name a table and a key, like scene.tow_speed")
+        raise InputError(f"'{path}' is not a key: name a table and a key, like scene.tow_speed")
     if keys[0] not in ProblemTable.model_fields:
-        raise InputError(f"--set {text}: no table is named '{keys[0]}': {nearest(keys[0], ProblemTable.model_fields)}")
-    value = _value(written.strip(), text)
-    if keys == [TABLE]:
-        choose_share(source, value)
-        return ""
-    shares = source.data.get(TABLE)
+        raise InputError(f"no table is named '{keys[0]}': {nearest(keys[0], ProblemTable.model_fields)}")
     if keys[0] == TABLE and isinstance(shares, dict) and shares and keys[1] not in shares:
-        raise InputError(f"--set {text}: no share is named {short(repr(keys[1]))}: {nearest(keys[1], shares)}")
+        raise InputError(f"no share is named {short(repr(keys[1]))}: {nearest(keys[1], shares)}")
     place: Any = source.data
     for depth, key in enumerate(keys[:-1], start=1):
         if key not in place:
             source.begun[tuple(keys[:depth])] = text
         place = place.setdefault(key, {})
         if not isinstance(place, dict):
-            raise InputError(f"--set {text}: '{path}' is not a key: '{key}' holds a value already")
+            raise InputError(f"'{path}' is not a key: '{key}' holds a value already")
     place[keys[-1]] = value
     if wrong := unreadable({path: value}):
-        raise InputError(f"--set {text}: {wrong[1]}")
+        raise InputError(wrong[1])
     source.overridden[tuple(keys)] = text
     share = 2 if keys[0] == TABLE else 0
     own = source.data[TABLE][keys[1]] if share else source.data  # whose variables these are
     if isinstance(own, dict):
         join_dotted_variables(own)
-    variables = own.get("variables") if isinstance(own, dict) else None
-    if isinstance(variables, dict) and variables.pop(".".join(keys[share:]), None) is not None:
-        return f"'{path}' is a variable of the file: it is fixed at {written.strip()}"
+        variables = own.get("variables")
+        if isinstance(variables, dict) and variables.pop(".".join(keys[share:]), None) is not None:
+            return f"'{path}' is a variable of the file: it is fixed at {text.partition('=')[2].strip()}"
     return ""
 
 
-def _split(path: str, text: str) -> list[str]:
+def _split(path: str) -> list[str]:
     """Split a dotted path; a variable's own dotted name stays whole, with or without quotes."""
     before, found, rest = path.partition("variables.")
     around = before.split(".")[:-1]
@@ -80,14 +86,14 @@ def _split(path: str, text: str) -> list[str]:
     if rest in quantities():
         return [*around, "variables", rest]
     if name not in quantities():
-        raise InputError(f"--set {text}: '{name or rest}' cannot be a variable: {nearest(name or rest, quantities())}")
+        raise InputError(f"'{name or rest}' cannot be a variable: {nearest(name or rest, quantities())}")
     return [*around, "variables", name, side]
 
 
-def _value(written: str, text: str) -> Any:
+def _value(written: str) -> Any:
     """Return a value as TOML reads it; what is not TOML is text, so that quotes may be left out."""
     if nested_line(written) is not None:
-        raise InputError(f"--set {short(text)}: {TOO_DEEP}")
+        raise InputError(TOO_DEEP)
     try:
         read = tomllib.loads(f"value = {written}")
     except tomllib.TOMLDecodeError:

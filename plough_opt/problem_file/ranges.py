@@ -67,11 +67,14 @@ def _read_list(text: str, unit: Unit) -> tuple[Axis, Display]:
 
 def _split(part: str, last: str, unit: Unit) -> tuple[float, float]:
     """Return a number and the factor to SI of its unit, or of that of the last quantity where it has none."""
-    part = part.strip()
-    if _NUMBER.fullmatch(part) and _unit(last):
-        part = f"{part} {_unit(last)}"
+    part = with_unit(part.strip(), last)
     unit.parse(part)  # which refuses what is too large
     return unit.split(part)
+
+
+def with_unit(part: str, last: str) -> str:
+    """Return a written quantity with the unit of the last one where it has none."""
+    return f"{part} {_unit(last)}" if _NUMBER.fullmatch(part) and _unit(last) else part
 
 
 def _even(lower: float, upper: float, count: int) -> list[float]:

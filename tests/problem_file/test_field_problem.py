@@ -6,19 +6,11 @@ import runpy
 import pytest
 
 import plough_opt as po
-from plough_opt.app import main
 
 
 @pytest.fixture(scope="module")
 def field(problems):
     return po.read_problem(problems / "field.toml")
-
-
-def test_one_command_goes_from_readings_to_a_share(problems, capsys):
-    assert main(["optimise", str(problems / "field.toml"), "--search", "near"]) == 0
-    out = capsys.readouterr().out
-    assert "loosened_radius" in out
-    assert "26 times the law's, by the measured strength factor" in " ".join(out.split())
 
 
 @pytest.mark.parametrize("search", ["near", pytest.param("auto", marks=pytest.mark.slow)])

@@ -105,15 +105,6 @@ def test_its_sensitivities_are_those_of_the_closed_form(read, written):
     assert found.objective == pytest.approx(part / 0.2, rel=1e-6)
 
 
-def test_it_can_be_traded_and_limited(read, written):
-    more = "[trade_off]\nmean_draft = {}\nstationary_displacement_rms = {}\n"
-    text = written() + '\n[require.stationary_force_rms]\nat_most = "3 kN"\n' + more
-    front = read(text, "variables.scene.stiffness.lower=20 kN/m").trade_off(points=5)
-    for number in range(len(front.objectives)):
-        assert front.objectives[number][1] > 0.0
-    assert np.all(np.diff(front.objectives[:, 0]) * np.diff(front.objectives[:, 1]) < 0.0)
-
-
 @pytest.mark.parametrize("motion", ["false", pytest.param("true", marks=pytest.mark.slow)])
 def test_it_is_a_measure_of_an_uncertain_soil(read, written, motion):
     """Over samples of the soil its mean is that of the closed form in each of them."""

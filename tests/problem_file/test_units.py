@@ -1,8 +1,6 @@
 """Quantities with units: what is read, what is refused and why, and how a value is given back."""
 
 import math
-import subprocess
-import sys
 
 import hypothesis.strategies as st
 import pytest
@@ -82,7 +80,7 @@ REFUSED = [
     # A decimal comma is not read as another number.
     *(("m/s", written, written) for written in ("7,2 km/h", "1,5 km/h", "[7, 2] km/h")),
     *((unit, other, NO_QUANTITY) for unit in ("m", "") for other in OTHERS),
-    *(("m", written, NO_QUANTITY) for written in ("", " ", "m 2 m)", "2 +", "\x00", "nan m", "inf m", "-inf m")),
+    *(("m", written, NO_QUANTITY) for written in ("", " ", "m 2 m)", "2 +", "\x00", "nan m", "inf m", "9**9**9**9 m")),
     ("m", "2 m/s/", "is not a quantity: its unit cannot be read"),
     ("m", "2 m if x", "unknown unit"),
     ("", "nan", NO_QUANTITY),
@@ -96,12 +94,6 @@ def test_what_is_no_quantity_of_the_kind_is_refused(unit, written, pieces):
         Unit(unit).parse(written)
     for piece in pieces:
         assert piece in str(caught.value)
-
-
-def test_a_tower_of_powers_is_refused_and_not_worked_out():
-    code = "from plough_opt.core.units import Unit; Unit('m').parse('9**9**9**9 m')"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=10, check=False)
-    assert "is not a quantity" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 import pytest
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import minimize_scalar
 
 import plough_opt as po
 
@@ -164,14 +164,6 @@ def test_what_is_said_of_the_chosen_values(paper):
 
 
 # --- figure 3 ---
-
-
-@pytest.mark.parametrize("chisel", [5.0, 10.0, 15.0, 20.0])
-@pytest.mark.parametrize("wedge", [0.01, 12.0, 45.0, 80.0, 89.99])
-def test_half_angles_of_figure_3_solve_the_equal_surfaces(paper, wedge, chisel):
-    lhs = math.tan(math.radians(wedge)) / math.cos(math.radians(chisel)) ** 2
-    root = brentq(lambda b: math.pi * math.sin(b) - lhs * math.cos(b) ** 2, 0.0, math.pi / 2, xtol=1e-14)
-    assert float(paper.half_angle(wedge, chisel)) == pytest.approx(root, rel=1e-9)
 
 
 # --- the print beside the derived equation ---

@@ -144,9 +144,3 @@ def test_value_gradient_and_hessian(quantity, arguments):
             check(own[1][i], at[1][i], gradient[i], f"d/d {name}")
             for j, other in enumerate(NAMES[:size]):
                 check(own[2][i, j], at[2][i][j], hessian[i][j], f"d2/d {name} d {other}")
-
-
-@pytest.mark.parametrize(("r", "sentence"), [(-0.01, "at least 0 m"), (0.2, "ahead of the front nothing moves")])
-def test_radii_outside_the_field_are_refused(r, sentence):
-    with pytest.raises(po.DomainError, match=sentence):
-        plastic.stress(r, plastic.Cavity(0.05, 1.0, 0.0), po.named_soil("serozem"))

@@ -188,11 +188,6 @@ def test_scenes_without_a_stationary_response_are_refused(changes, words):
         dataclasses.replace(scene(), effects=po.Effects(**effects), **rest)
 
 
-def test_strength_that_does_not_vary_has_none():
-    with pytest.raises(po.InputError, match="needs strength that varies: give random_strength, or strength_wave"):
-        _ = scene(None).stationary_force_rms
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -13,8 +13,8 @@ WAVE = {"amplitude": 0.3, "wavelength": 0.6}
 STILL = {"motion": False}
 REFUSED = [
     *[(po.Effects, {"contact": law}, r"must be 'resisting', Smooth\(width\) or StickSlip\(breakaway\)")
-      for law in ("stick_slip", "Resisting", None, 0)],
-    *[(po.Effects, {"start": start}, "must be 'equilibrium', 'rest' or 'towed'") for start in ("steady", "Rest", None)],
+      for law in ("stick_slip", None)],
+    *[(po.Effects, {"start": start}, "must be 'equilibrium', 'rest' or 'towed'") for start in ("steady", None)],
     *[(po.Effects, STILL | {"start": start}, f"start = '{start}' needs motion") for start in ("rest", "towed")],
     *[(po.Effects, STILL | {"contact": law}, "a contact law needs motion") for law in (po.StickSlip(), po.Smooth(0.1))],
     *[(po.Effects, STILL | {"damping": value}, "damping needs motion") for value in (100.0, 0.0)],
@@ -34,11 +34,6 @@ def test_effects_outside_their_domain_are_refused_with_the_reason(kind, keywords
         kind(**keywords)
 
 
-@pytest.mark.parametrize(("ramp", "ramps"), [(None, False), (0.0, False), (0.3, True), (ca.SX.sym("t"), True)])
-def test_a_ramp_of_no_time_is_no_ramp(ramp, ramps):
-    assert po.Effects(tow_ramp=ramp).ramps is ramps
-
-
 @pytest.mark.parametrize(
     ("keywords", "text"),
     [
@@ -52,16 +47,6 @@ def test_a_ramp_of_no_time_is_no_ramp(ramp, ramps):
 def test_a_scene_outside_its_domain_is_refused(r1_scene, keywords, text):
     with pytest.raises(po.DomainError, match=text):
         dataclasses.replace(r1_scene(), **keywords)
-
-
-def test_scenes_are_values(r1_scene):
-    scene = r1_scene()
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        scene.stiffness = 1.0
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        scene.effects.damping = 1.0
-    assert scene == r1_scene()
-    assert scene != r1_scene(damping=1.0)
 
 
 # --- what a scene knows ---
@@ -91,29 +76,18 @@ def test_scales_of_a_scene(r1_scene):
 # --- warnings ---
 
 
-def static_resistance(scene, pressure):
-    return po.soil_reaction(scene.cone, dataclasses.replace(scene.soil, ambient_pressure=pressure)).static
-
-
-@pytest.mark.parametrize("soil", po.soil_names())
-def test_ambient_share_is_what_the_pressure_adds(r1_scene, soil):
-    scene = r1_scene(soil=po.named_soil(soil))
-    with_it, without = static_resistance(scene, 101325.0), static_resistance(scene, 0.0)
-    share = (with_it - without) / with_it
-    assert scene.ambient_share == pytest.approx(share, rel=1e-13)
-    (warning,) = scene.warnings()
+@pytest.mark.parametrize("name", po.soil_names())
+def test_ambient_share_is_what_the_pressure_adds(r1_scene, name):
+    # It does not depend on the share: A is proportional to nu p_a + tau0/(1 + mu), equation (26).
+    soil = po.named_soil(name)
+    mu = math.sin(soil.friction_angle)
+    ambient, own = 2 * mu * 101325.0, 2 * soil.cohesion * math.cos(soil.friction_angle)
+    share = ambient / (ambient + own)
+    for scene in (r1_scene(soil=soil), r1_scene(12.0, 0.4, soil=soil)):
+        assert scene.ambient_share == pytest.approx(share, rel=1e-13)
+    (warning,) = r1_scene(soil=soil).warnings()
     assert f"ambient pressure (101.3 kPa) carries {100 * share:.0f} % of the static draft" in warning
     assert "set soil.ambient_pressure" in warning
-
-
-def test_ambient_share_of_serozem(r1_scene):
-    # It does not depend on the share: A is proportional to nu p_a + tau0/(1 + mu), equation (26).
-    soil = po.named_soil("serozem")
-    mu = math.sin(math.radians(28.0))
-    ambient, own = 2 * mu / (1 + mu) * 101325.0, 2 * 20e3 * math.cos(math.radians(28.0)) / (1 + mu)
-    for scene in (r1_scene(soil=soil), r1_scene(12.0, 0.4, soil=soil)):
-        assert scene.ambient_share == pytest.approx(ambient / (ambient + own), rel=1e-13)
-    assert round(100 * r1_scene(soil=soil).ambient_share) == 73
 
 
 def test_without_ambient_pressure_there_is_no_share_and_no_warning(r1_scene, r1_soil):

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.app import plots
 from plough_opt.problem_file import read_problem
 from plough_opt.soil import elastic
 
@@ -141,7 +140,7 @@ def test_symbolic_scene_has_the_force_and_its_derivatives():
 
 
 @pytest.mark.slow
-def test_problem_file_takes_the_medium_and_its_design_keeps_below_the_shear_wave(file, tmp_path):
+def test_problem_file_takes_the_medium_and_its_design_keeps_below_the_shear_wave(file):
     problem = read_problem(file)
     assert problem.scene().medium == "elastic"
     best, run = problem.optimise()
@@ -151,8 +150,6 @@ def test_problem_file_takes_the_medium_and_its_design_keeps_below_the_shear_wave
     )
     assert run.mean_draft == pytest.approx(best.objective * 1e4, rel=1e-9)
     assert json.loads(run.to_json())["specific_draft"] is None
-    plots.save(plots.plot_optimum(best, run), tmp_path / "elastic.png")
-    assert (tmp_path / "elastic.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(

@@ -71,13 +71,6 @@ def test_other_terms(r1_scene, effects):
     assert_same(po.simulate(scene, 0.3, outputs=30, compiled=True), po.simulate(scene, 0.3, outputs=30))
 
 
-@pytest.mark.parametrize("steps", [1, 5, 8, 40])
-def test_few_steps_and_one_output(r1_scene, r1_wave, steps):
-    scene, accuracy = r1_scene(strength_wave=r1_wave, tow_ramp=0.01), po.Accuracy("dop853", steps=steps)
-    found = po.simulate(scene, 0.05, accuracy=accuracy, outputs=1, compiled=True)
-    assert_same(found, po.simulate(scene, 0.05, accuracy=accuracy, outputs=1))
-
-
 def test_a_failure_is_the_same(r1_scene):
     scene, accuracy = r1_scene(stiffness=5e5, start="rest"), po.Accuracy("dop853", steps=4)
     messages = []

@@ -128,13 +128,6 @@ def test_in_an_infinitely_stiff_mount_the_share_follows_the_strut(scene_of):
     assert math.log10(errors[0] / errors[1]) == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.parametrize("accuracy", [po.Accuracy("dop853", steps=96), po.Accuracy(error=1e-12)])
-def test_steps_and_error_can_be_chosen(solved, scene_of, accuracy):
-    run = po.simulate(scene_of("strongest, damped"), accuracy=accuracy, outputs=OUTPUTS)
-    assert run.mount_force == pytest.approx(solved("strongest, damped")[1].force, rel=1e-9)
-    assert run.accuracy.method == "dop853"
-
-
 # --- the multipliers ---
 
 

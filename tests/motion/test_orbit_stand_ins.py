@@ -153,15 +153,6 @@ def test_error_estimate_is_the_difference_from_the_orbit(simulated, name, choice
     assert run.error_estimate > 0.0
 
 
-@pytest.mark.parametrize("choice", ["linearised", po.HarmonicBalance(1), po.HarmonicBalance(3)])
-def test_it_is_that_whichever_accuracy_is_asked_for(simulated, choice):
-    automatic = simulated("damped", choice)
-    for accuracy in (po.Accuracy(error=1e-11), po.Accuracy("dop853"), po.Accuracy("dop853", steps=96)):
-        run = simulated("damped", choice, accuracy=accuracy)
-        assert run.error_estimate == pytest.approx(automatic.error_estimate, rel=1e-6)
-        assert np.array_equal(run.mount_force, automatic.mount_force)
-
-
 def test_a_stand_in_for_an_orbit_that_is_not_found_says_nothing_of_its_error(r1_scene, capfd):
     scene = r1_scene(stiffness=1e4, tow_speed=0.3, strength_wave=po.StrengthWave(1.0, 0.2), orbit=po.HarmonicBalance(1))
     run = po.simulate(scene)

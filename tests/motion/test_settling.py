@@ -1,7 +1,5 @@
 """To which motion a share comes that starts from equilibrium, beside the lasting orbit that was found."""
 
-import dataclasses
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -61,12 +59,6 @@ def test_another_motion_than_the_stable_orbit_is_named():
     assert "although the orbit is stable" in warning
 
 
-def test_a_stand_in_says_so_too():
-    effects = dataclasses.replace(TWO_MOTIONS.effects, orbit="linearised")
-    run = po.simulate(dataclasses.replace(TWO_MOTIONS, effects=effects))
-    assert [text for text in run.warnings if "comes to a period-6 motion of RMS 423.4 N" in text]
-
-
 @pytest.mark.parametrize("damping", [1.0, 20.0, 400.0])
 @pytest.mark.parametrize("stiffness", [5e4, 3e5])
 def test_a_share_that_comes_to_the_orbit(r1_scene, damping, stiffness):
@@ -103,12 +95,6 @@ def test_beside_an_unstable_orbit_the_share_is_followed_as_far_as_is_said():
     if found.orbit is None:
         assert f"has not settled after {found.wavelengths} wavelengths" in found.text
         assert found.averaged == 256
-
-
-def test_steady_sliding_is_come_to_at_once(r1_scene):
-    run = po.simulate(r1_scene(strength_wave=po.StrengthWave(0.0, 0.2), damping=100.0, orbit="periodic"))
-    assert run.settles.orbit is True
-    assert run.settles.distance < 1e-3
 
 
 def test_only_a_periodic_orbit_of_numbers_settles(r1_scene):

@@ -259,7 +259,3 @@ def test_a_run_prints_as_a_line(r1_scene):
     text = "<Run: 2 s in 400 intervals by dop853, mean draft 531.047 N, RMS 145.439 N, error estimate "
     assert repr(run).startswith(text)
     assert float(repr(run)[len(text) : -1]) == pytest.approx(run.error_estimate, rel=0.05)
-
-
-def test_a_symbolic_run_prints_as_a_line(r1_scene):
-    assert repr(po.simulate(r1_scene(stiffness=ca.MX.sym("k0")), 2.0)) == "<Run: expressions of a scene's symbols>"

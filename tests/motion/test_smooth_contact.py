@@ -103,12 +103,6 @@ def test_a_share_that_retreats_carries_a_warning(r1_soil):
     assert run.soil_resistance[back] == pytest.approx(force[back], rel=1e-9, abs=1e-6)
 
 
-def test_a_share_that_never_retreats_carries_none(r1_soil):
-    run = po.simulate(scene_of(r1_soil, po.Smooth(0.1), strength_wave=po.StrengthWave(0.05, 0.6)), 1.0)
-    assert min(run.speed) > 0.0
-    assert not retreats(run)
-
-
 @pytest.mark.parametrize("width", [1e-4, 1e-7])
 def test_a_very_small_width_ends_and_its_error_is_told(r1_soil, width):
     scene = scene_of(r1_soil, po.Smooth(width), start="rest", speed=0.2)

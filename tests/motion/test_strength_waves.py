@@ -97,17 +97,6 @@ def test_derivatives_by_each_number(name):
     assert slope == pytest.approx((runs[0] - 8 * runs[1] + 8 * runs[2] - runs[3]) / (12 * step), rel=1e-6)
 
 
-def test_a_batch_is_the_runs_one_by_one():
-    k = ca.MX.sym("k")
-    effects = scene().effects
-    made = po.Scene(po.named_soil("serozem"), SHARE, k, 20.0, 2.0, effects)
-    stiffness = np.array([2e4, 5e4, 2e5])
-    found = po.Batch(made, 1.0, [k])(stiffness[:, None])
-    for one, rms in zip(stiffness, found.force_rms, strict=True):
-        run = po.simulate(po.Scene(po.named_soil("serozem"), SHARE, float(one), 20.0, 2.0, effects), 1.0)
-        assert rms == pytest.approx(run.force_rms, rel=1e-6)
-
-
 @pytest.mark.parametrize(
     ("waves", "words"),
     [

@@ -3,7 +3,6 @@
 import math
 
 import casadi as ca
-import numpy as np
 import pytest
 
 import plough_opt as po
@@ -31,34 +30,15 @@ def scene(**changes):
     return po.Scene(po.named_soil("serozem"), share, **given | changes)
 
 
-def stepped_apart(tableau, steps, duration):
-    """Return the deflection at the end [m] and the mean draft [N] by the tableau's steps, written down anew."""
-    own = scene()
-    static, drag, mass = own.reaction.static, own.reaction.drag, own.inertia
-
-    def rate(time, state):
-        travel, speed, _ = state
-        mount = 5e4 * (2.0 * time - travel) + 400.0 * (2.0 - speed)
-        soil = static * (1 + 0.3 * math.sin(2 * math.pi * travel / 0.2)) + drag * speed**2
-        return np.array([speed, (mount - soil) / mass, mount])
-
-    state, size = np.array([-(static + drag * 4.0) / 5e4, 2.0, 0.0]), duration / steps
-    for k in range(steps):
-        rates = []
-        for node, row in zip(tableau.nodes, tableau.stages, strict=True):
-            stage = state + size * sum((a * r for a, r in zip(row, rates, strict=True)), np.zeros(3))
-            rates.append(rate((k + node) * size, stage))
-        state = state + size * sum(b * r for b, r in zip(tableau.weights, rates, strict=True))
-    return 2.0 * duration - state[0], state[2] / duration
-
-
 @pytest.mark.parametrize("name", OWN)
-def test_run_takes_the_tableaus_steps(name):
-    run = po.simulate(scene(), 0.5, accuracy=po.Accuracy(name, steps=80), outputs=8)
-    deflection, draft = stepped_apart(OWN[name], 80, 0.5)
-    # Rounding of the two ways of summing up.
-    assert run.deflection[-1] == pytest.approx(deflection, rel=1e-11)
-    assert run.mean_draft == pytest.approx(draft, rel=1e-11)
+def test_error_falls_by_the_order(name):
+    exact = po.simulate(scene(), 0.5, accuracy=po.Accuracy(error=1e-11)).mean_draft
+    errors = [
+        abs(po.simulate(scene(), 0.5, accuracy=po.Accuracy(name, steps=n), outputs=4).mean_draft - exact)
+        for n in (160, 320)
+    ]
+    # The orders of the next term are an eighth of a power at these steps.
+    assert math.log2(errors[0] / errors[1]) == pytest.approx(OWN[name].order, abs=0.25)
 
 
 def test_default_steps_suit_the_order_and_the_estimate_is_honest():

@@ -1,20 +1,16 @@
 """Effects: what a scene contains, and how each of them enters the equation of motion, in the order of `TERMS`."""
 
-from plough_opt.motion.effects.built_in import (
-    Damping,
-    Entry,
-    InertialDrag,
-    RateTerm,
-    StrengthWaves,
-    Strut,
-    TowRamp,
-    ramp_time,
-    wave_names,
-)
-from plough_opt.motion.effects.contacts import Smooth, SmoothContact, StickSlip, StickSlipContact
+from plough_opt.motion.effects.damping import Damping
 from plough_opt.motion.effects.effects import MOST_HARMONICS, Effects, HarmonicBalance
+from plough_opt.motion.effects.entry import Entry
+from plough_opt.motion.effects.inertial_drag import InertialDrag
 from plough_opt.motion.effects.own import OWN_EFFECTS, Own, OwnResistance, RestingResistance, slopes
+from plough_opt.motion.effects.rate_term import RateTerm
+from plough_opt.motion.effects.smooth import Smooth, SmoothContact
+from plough_opt.motion.effects.stick_slip import StickSlip, StickSlipContact
+from plough_opt.motion.effects.strength_waves import StrengthWaves, wave_names
 from plough_opt.motion.effects.term import Changed, Parameters, Place, Term
+from plough_opt.motion.effects.tow_ramp import Strut, TowRamp, ramp_time
 
 __all__ = [
     "MOST_HARMONICS", "OWN_EFFECTS", "TERMS", "Changed", "Damping", "Effects", "Entry", "HarmonicBalance", "Own",

@@ -10,8 +10,9 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import COUNT, Expression, as_number, is_count, is_symbolic
 from plough_opt.core.quantities import MOST_WAVES, settle
 from plough_opt.laws.printed import Formulation, Printed, errors_of
-from plough_opt.motion.effects.contacts import Smooth, StickSlip
 from plough_opt.motion.effects.own import OwnResistance, check_own
+from plough_opt.motion.effects.smooth import Smooth
+from plough_opt.motion.effects.stick_slip import StickSlip
 from plough_opt.soil.random_strength import RandomStrength, Spectrum
 from plough_opt.soil.waves import StrengthWave, turns_of
 

@@ -1,0 +1,26 @@
+"""A viscous damper in the mount."""
+
+import math
+from typing import Any
+
+from plough_opt.core.expressions import Expression, as_number
+from plough_opt.motion.effects.term import Parameters, Rates, Term
+
+
+class Damping(Term):
+    """Force c z' of the mount on the share, beside the spring's."""
+
+    label = field = "damping"
+    names = ("damping",)
+
+    @classmethod
+    def usual(cls, scene: Any, duration: float) -> float:
+        # A tenth of critical damping.
+        return 0.2 * math.sqrt(float(as_number(scene.stiffness)) * float(as_number(scene.inertia)))
+
+    def pull(self, p: Parameters, rate: Expression) -> Expression:
+        return p["damping"] * rate
+
+    @staticmethod
+    def rates(p: Parameters) -> Rates:
+        return Rates(damping=p.get("damping", 0.0))

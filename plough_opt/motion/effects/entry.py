@@ -1,0 +1,37 @@
+"""A share that enters the soil from its surface."""
+
+from typing import Any
+
+from plough_opt.core.expressions import Expression, maximum, minimum, where
+from plough_opt.motion.effects.term import Parameters, Place, Term, Towed
+
+
+class Entry(Term):
+    """Resistance of the part of the share that is in the soil."""
+
+    label = field = "entry"
+    names = ("height",)
+    state = "entered"
+    kinked = events = True
+
+    def values(self, scene: Towed) -> dict[str, Expression]:
+        return {"height": scene.cone.height}
+
+    @classmethod
+    def usual(cls, scene: Any, duration: float) -> bool:
+        return True
+
+    def resist(self, force: Expression, at: Place, p: Parameters) -> Expression:
+        return force if at.travel is None else self.buried(p, at.travel) ** 2 * force
+
+    def buried(self, p: Parameters, travel: Expression) -> Expression:
+        """Return the part H/h of the share's height that is in the soil [-], which its furthest travel decides.
+
+        In the differential equation the state ``entered`` decides: rounding of the time at which the share is wholly in
+        the soil would else leave the slope of the wrong side.
+        """
+        entering = maximum((travel + p.get("behind", 0.0)) / p["height"], 0.0)
+        return where(p["entered"] > 0.5, 1.0, entering) if "entered" in p else minimum(entering, 1.0)
+
+    def until(self, p: Parameters, time: Expression, travel: Expression) -> Expression:
+        return p["height"] - travel

@@ -86,26 +86,17 @@ class Variable:
             return self.upper
         return float(self.unscaled(y))
 
-    def tolerance_interval(self, y: float) -> tuple[float, float]:
+    def tolerance_interval(self, y: Expression) -> tuple[Expression, Expression]:
         """Return the ends of the tolerance around a scaled value, scaled, and clipped at the bounds."""
         if self.tolerance is None:
-            return max(0.0, y - _TOLERANCE), min(1.0, y + _TOLERANCE)
-        value = self.value(y)
-        half = float(self._half_width(value))
-        return float(self.scaled(max(self.lower, value - half))), float(self.scaled(min(self.upper, value + half)))
+            return maximum(y - _TOLERANCE, 0.0), minimum(y + _TOLERANCE, 1.0)
+        value = self.unscaled(y)
+        half = self._half_width(value)
+        return self.scaled(maximum(value - half, self.lower)), self.scaled(minimum(value + half, self.upper))
 
     def within_tolerance(self, value: Expression, part: float) -> Expression:
-        """Return a value within the tolerance of another, clipped at the bounds: its lower end at part 0, upper at 1.
-
-        Parts are of the scaled interval, as those of `tolerance_interval` are.
-        """
-        if self.tolerance is None:
-            y = self.scaled(value)
-            low, high = maximum(y - _TOLERANCE, 0.0), minimum(y + _TOLERANCE, 1.0)
-        else:
-            half = self._half_width(value)
-            low = self.scaled(maximum(value - half, self.lower))
-            high = self.scaled(minimum(value + half, self.upper))
+        """Return a value within the tolerance of another: at 0 of the scaled interval its lower end, at 1 its upper."""
+        low, high = self.tolerance_interval(self.scaled(value))
         return self.unscaled(low + (high - low) * part)
 
     def _half_width(self, value: Expression) -> Expression:

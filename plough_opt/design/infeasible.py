@@ -56,16 +56,15 @@ def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Ve
     starts = starts[:_POLISHED]
     program.build(landscape.p, starts=starts)
     points = [_polished(landscape, one, violation) for one, violation in zip(starts, known, strict=False)]
-    n = len(start)
-    solved = [point for point in points if point.solved] or points
-    best = min(solved, key=lambda point: point.f)
-    if is_feasible(best):
-        return np.clip(best.y[:n], 0.0, 1.0)
-    raise infeasible(program, best, landscape.tried, lambda k: _helps(landscape, best.y[:n], k))
+    solved = [own for own in points if own[0].solved] or points
+    best, short = min(solved, key=lambda own: own[0].f)
+    if best.f < _VIOLATED:
+        return best.y
+    raise _infeasible(program, best, short, landscape.tried, lambda k: _helps(landscape, best.y, k))
 
 
-def _polished(landscape: Landscape, y: Vector, violation: float) -> Point:
-    """Return the design of least violation beside another, whose violation is known, or else where it leads.
+def _polished(landscape: Landscape, y: Vector, violation: float) -> tuple[Point, Vector]:
+    """Return the design of least violation beside another, whose violation is known, and by how much each is violated.
 
     Where paths kink the optimiser may come to no better design: then it is the other with its violations.
     """
@@ -73,11 +72,11 @@ def _polished(landscape: Landscape, y: Vector, violation: float) -> Point:
     if not np.isfinite(violation):
         return program.solve_relaxed(y, p)
     for box, exact in _BESIDE:
-        point = program.solve_relaxed(y, p, box=box, exact=exact)
+        point, short = program.solve_relaxed(y, p, box=box, exact=exact)
         if point.solved and point.f <= (1.0 + _NOT_WORSE) * violation + _VIOLATED:
-            return point
+            return point, short
     short = landscape.violations(landscape.rows(y[None], finer=FINER)[1])[0]
-    return replace(point, solved=True, y=np.r_[y, short, 0.0 * short], f=float(short.sum()))
+    return replace(point, solved=True, y=y, f=float(short.sum())), short
 
 
 def _apart(sample: Seen) -> list[Vector]:
@@ -97,7 +96,7 @@ def _helps(landscape: Landscape, y: Vector, requirement: int) -> bool:
         return True  # beyond the end of a theory nothing has a value
     others = np.arange(len(landscape.program.declared.requirements)) != requirement
     before = landscape.violations(landscape.rows(y[None])[1])[0][others].sum()
-    end = least_violation(landscape, np.clip(y, 0.0, 1.0), ignored={requirement}).points
+    end = least_violation(landscape, y, ignored={requirement}).points
     after = landscape.violations(landscape.rows(end)[1])[0][others].sum()
     return bool(after < (1.0 - _HELPS) * before)
 
@@ -108,15 +107,14 @@ def from_least_violation(program: Program, p: Vector, start: Vector, fixed: Sequ
     Raises:
         InfeasibleDesign: none was found.
     """
-    loose = program.solve_relaxed(start, p, fixed=fixed)
-    if not is_feasible(loose):
-        raise infeasible(program, loose)
-    y = np.clip(loose.y[: len(start)], 0.0, 1.0)
-    if len(fixed) < len(y):
-        point = program.solve(y, p, SolveOptions(near=len(fixed) > 0), fixed=fixed)
+    loose, short = program.solve_relaxed(start, p, fixed=fixed)
+    if loose.f >= _VIOLATED:
+        raise _infeasible(program, loose, short)
+    if len(fixed) < len(start):
+        point = program.solve(loose.y, p, SolveOptions(near=len(fixed) > 0), fixed=fixed)
         if point.solved:
             return point
-    return as_it_is(program, p, y)
+    return as_it_is(program, p, loose.y)
 
 
 def failures(program: Program, conflicts: Mapping[str, float]) -> str:
@@ -128,45 +126,39 @@ def failures(program: Program, conflicts: Mapping[str, float]) -> str:
     )
 
 
-def is_feasible(point: Point) -> bool:
-    """Return whether the least violation is none."""
-    return point.f < _VIOLATED
-
-
-def infeasible(
-    program: Program, point: Point, designs: int = 0, helps: Callable[[int], bool] = lambda _: True
+def _infeasible(
+    program: Program, point: Point, short: Vector, designs: int = 0, helps: Callable[[int], bool] = lambda _: True
 ) -> InfeasibleDesign:
     """Return the error that names the requirements that fail, by how much, and what holds them back.
 
     Args:
         program: the design's program.
         point: the least violation that was found.
+        short: by how much each requirement is violated there, scaled.
         designs: number of designs that were tried; 0 leaves it unsaid.
         helps: number of a requirement that holds others back -> whether these are violated less without it.
     """
     declared = program.declared
-    count, n = len(declared.requirements), len(declared.variables)
-    slack = point.y[n : n + count] + point.y[n + count :]
     conflicts = {
         r.name: float(s * scale)
-        for r, s, scale in zip(declared.requirements, slack, program.scales, strict=True)
+        for r, s, scale in zip(declared.requirements, short, program.scales, strict=True)
         if s > _VIOLATED
     }
-    pull = np.zeros(count)
+    pull = np.zeros(len(declared.requirements))
     np.maximum.at(pull, program.owner, np.abs(point.lam_g))
     blockers = [
         f"requirement '{r.name}' {r.limits_text()}"
         for k, (r, force) in enumerate(zip(declared.requirements, pull, strict=True))
         if force > _HOLDS and r.name not in conflicts and helps(k)
     ]
-    for variable, multiplier in zip(declared.variables, point.lam_y[:n], strict=True):
+    for variable, multiplier in zip(declared.variables, point.lam_y, strict=True):
         if abs(multiplier) > _HOLDS:
             side, bound = ("upper", variable.upper) if multiplier > 0 else ("lower", variable.lower)
             blockers.append(f"{side} bound {in_words(bound, variable.unit)} of '{variable.name}'")
     fails = failures(program, conflicts)
     alone = "no variable of this design changes it" if len(conflicts) == 1 else "against them stand only each other"
     against = f"against it stand {' and '.join(blockers)}" if blockers else alone
-    place = declared.describe(program.values(np.clip(point.y[:n], 0.0, 1.0)))
+    place = declared.describe(program.values(point.y))
     tried = f" of {designs} tried" if designs else ""
     return InfeasibleDesign(
         f"no design was found that meets all requirements: at best{tried} {fails}; {against}."

@@ -150,7 +150,7 @@ def polished(program: Program, p: Vector, start: Vector) -> Point:
     if begins.solved or not program.declared.requirements:
         return begins
     # The search's rougher runs may have kept a limit by a hair which these do not.
-    return as_it_is(program, p, np.clip(program.solve_relaxed(start, p).y[: len(start)], 0.0, 1.0))
+    return as_it_is(program, p, program.solve_relaxed(start, p)[0].y)
 
 
 def solved_again(program: Program, p: Vector, point: Point) -> Point:

@@ -352,8 +352,8 @@ class Program:
 
     def solve_relaxed(
         self, start: Vector, p: Vector, box: float = 1.0, fixed: Sequence[int] = (), *, exact: bool | None = None
-    ) -> Point:
-        """Return the design near a start at which the requirements give way least; slacks follow y.
+    ) -> tuple[Point, Vector]:
+        """Return the design near a start at which the requirements give way least, and by how much each does, scaled.
 
         Arguments are those of `solve`; where variables are held, or within a box, the start lies near. Of ``exact`` see
         `plough_opt.design.ipopt.SolveOptions`.
@@ -361,13 +361,15 @@ class Program:
         g = np.asarray(self.nlp.values(start, p)[1]).ravel()
         slack = first_slack(g, (self.low, self.high), self.owner)
         # Where a theory ends nothing gives way: beyond it the model has no value.
-        count = len(self.declared.requirements)
+        count, n = len(self.declared.requirements), len(start)
         gives = np.tile(np.arange(count) < len(self.own_requirements), 2)
         slack[~gives] = 0.0
         lower, upper = _bounds(start, box, fixed)
         lower, upper = np.r_[lower, np.zeros(2 * count)], np.r_[upper, np.where(gives, np.inf, 0.0)]
         options = SolveOptions(near=len(fixed) > 0 or box < 1.0, exact=exact)
-        return self.built.relaxed.solve(np.r_[start, slack], p, lower, upper, options)
+        found = self.built.relaxed.solve(np.r_[start, slack], p, lower, upper, options)
+        y, slack = np.clip(found.y[:n], 0.0, 1.0), found.y[n:]
+        return replace(found, y=y, lam_y=found.lam_y[:n]), slack[:count] + slack[count:]
 
 
 def _bounds(start: Vector, box: float, fixed: int | Sequence[int]) -> tuple[Vector, Vector]:

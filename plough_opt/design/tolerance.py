@@ -61,8 +61,8 @@ def boxes(variables: Sequence[Variable], points: Vector) -> Vector:
     unit = unit_box(len(variables))
     found = np.empty((len(points), BOX_DESIGNS, len(variables)))
     for k, v in enumerate(variables):
-        low, high = np.array([v.tolerance_interval(float(y)) for y in points[:, k]]).reshape(-1, 2).T
-        found[:, :, k] = low[:, None] + (high - low)[:, None] * unit[:, k]
+        low, high = v.tolerance_interval(points[:, k, None])
+        found[:, :, k] = low + (high - low) * unit[:, k]
     return found.reshape(-1, len(variables))
 
 
@@ -75,8 +75,7 @@ def judgement(landscape: Landscape, judge: Judge) -> Callable[[Vector], Vector]:
     def over_tolerances(points: Vector) -> Vector:
         if not len(points):
             return np.empty(0)
-        f = landscape(boxes(landscape.program.declared.variables, points)).f
-        median: Vector = np.median(np.where(np.isnan(f), np.inf, f).reshape(len(points), -1), axis=1)
+        median: Vector = np.median(_objectives(landscape, points), axis=1)
         return median
 
     # What is asked of the whole box needs no further box around it.
@@ -95,9 +94,7 @@ def ranked(landscape: Landscape, judge: Judge, points: Vector) -> list[int]:
     own = landscape(points, finer=FINER).f
     if judge == "bare" or not landscape.vectorised:
         return [int(k) for k in np.argsort(own, kind="stable")]
-    f = landscape(boxes(landscape.program.declared.variables, points), finer=FINER).f
-    f = np.where(np.isnan(f), np.inf, f).reshape(len(points), -1)
-    low, median, high = np.quantile(f, (0.25, 0.5, 0.75), axis=1, method="higher")
+    low, median, high = np.quantile(_objectives(landscape, points, FINER), (0.25, 0.5, 0.75), axis=1, method="higher")
     error = _OF_QUARTILES * np.where(np.isfinite(high), high - low, np.inf)
     best = int(np.argmin(median))
     broad = median <= (1.0 + NEEDLE) * np.abs(own)
@@ -105,6 +102,12 @@ def ranked(landscape: Landscape, judge: Judge, points: Vector) -> list[int]:
         equal = broad & (median - median[best] <= 2.0 * np.hypot(error, error[best]))
     equal[best] = True
     return sorted(range(len(points)), key=lambda k: (not equal[k], own[k] if equal[k] else median[k]))
+
+
+def _objectives(landscape: Landscape, points: Vector, finer: float = 1.0) -> Vector:
+    """Return the objectives over the boxes around designs, a row for each box; infinite without a value."""
+    f = landscape(boxes(landscape.program.declared.variables, points), finer=finer).f
+    return np.where(np.isnan(f), np.inf, f).reshape(len(points), -1)
 
 
 def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Column, Expression, is_quantity, map_expressions, template_of
+from plough_opt.core.expressions import Column, is_quantity, map_expressions
 from plough_opt.core.quantities import EVERY
 from plough_opt.exchange.export.fmu_share import Share
 from plough_opt.exchange.named_scene import NamedScene
@@ -116,9 +116,7 @@ def model_of(named: NamedScene, *, by_speed: bool) -> Model:
     scene, structure = named.scene, Structure.of(named.scene)
     if not by_speed:
         _check_position_suffices(structure)
-    offered = (*_registered(named), *_unregistered(scene))
-    symbols = {variable.name: ca.SX.sym(variable.name) for variable in offered}
-    symbolic = _scene_with(named, symbols)
+    symbols, symbolic = _opened(named)
     numbers = parameters(symbolic) | {"added_mass": symbolic.reaction.added_mass}
     share = Share(scene, structure, by_speed, {name: ca.SX.sym(name) for name in numbers})
     expressions = _moving(share, scene) | {"calculated": _calculated(scene, symbolic)}
@@ -129,9 +127,11 @@ def model_of(named: NamedScene, *, by_speed: bool) -> Model:
     moment, first, after = [share.time, x, u, d], [*map(_column, share.start())], [*map(_column, share.after_events())]
     # Only numbers that the equations hold, and of the parameters those on which any of these depends.
     held = _symbols_in(*first, *now, *after)
-    q, from_p = (_column(source[name] for name in share.q if name in held) for source in (share.q, numbers))
+    used = [name for name, symbol in share.q.items() if hash(symbol) in held]
+    q, from_p = (_column(source[name] for name in used) for source in (share.q, numbers))
     needed = _symbols_in(from_p, calculated)
-    p = _column(symbol for name, symbol in symbols.items() if name in needed)
+    offered = {variable: symbol for variable, symbol in symbols.items() if hash(symbol) in needed}
+    p = _column(offered.values())
     graphs = {
         "derive": ([p], [from_p, calculated]),
         "begin": ([u, q], first),
@@ -147,8 +147,7 @@ def model_of(named: NamedScene, *, by_speed: bool) -> Model:
         name: ca.Function(name, arguments, [*map(ca.densify, found)], {"cse": True})
         for name, (arguments, found) in graphs.items()
     }
-    of_kind = {kind: tuple(found) for kind, found in expressions.items()}
-    of_kind["parameters"] = tuple(variable for variable in offered if variable.name in needed)
+    of_kind = {kind: tuple(found) for kind, found in expressions.items()} | {"parameters": tuple(offered)}
     return Model(of_kind, functions, _depends(of_kind, ca.jacobian_sparsity(_column(now), _column([x, u, share.time]))))
 
 
@@ -170,8 +169,9 @@ def _column(values: Any) -> ca.SX:
     return ca.vertcat(ca.SX(0, 1), *values)
 
 
-def _symbols_in(*expressions: ca.SX) -> set[str]:
-    return {symbol.name() for symbol in ca.symvar(ca.vertcat(*expressions))}
+def _symbols_in(*expressions: ca.SX) -> set[int]:
+    """Return the hashes of the symbols in columns."""
+    return {hash(symbol) for symbol in ca.symvar(ca.vertcat(*expressions))}
 
 
 def _derivatives(
@@ -211,35 +211,43 @@ def _registered(named: NamedScene) -> Iterator[Variable]:
                        shown=one.shown)  # fmt: skip
 
 
-def _unregistered(scene: Scene) -> Iterator[Variable]:
-    """Yield the numbers of a density profile and of own resistances, of these by fields where every number is one."""
+def _opened(named: NamedScene) -> tuple[dict[Variable, ca.SX], Scene]:
+    """Return the parameters of a scene with a symbol for each, and the scene of these symbols.
+
+    Parameters beside the registered quantities are the numbers of a density profile, and of own resistances: by the
+    names of their fields if every number is a field.
+    """
+    symbols = {variable: ca.SX.sym(variable.name) for variable in _registered(named)}
+    scene, _ = named.replaced({variable.name: symbol for variable, symbol in symbols.items()})
     if (profile := scene.soil.density_profile) is not None:
-        for k, value in enumerate(profile.parameters, start=1):
+        parameters, pairs = _with_symbols(profile.parameters)
+        scene = replace(scene, soil=replace(scene.soil, density_profile=replace(profile, parameters=parameters)))
+        for k, (value, symbol) in enumerate(pairs, start=1):
             what = f"number {k} of the density profile"
-            yield Variable(f"soil.density_profile.parameters[{k}]", "", what, float(value))
-    own: tuple[Any, ...] = scene.effects.own
-    for k, effect in enumerate(own, start=1):
-        numbers = template_of(effect)[1]
-        fields = [field.name for field in dataclasses.fields(effect) if is_quantity(getattr(effect, field.name))]
-        if len(fields) != len(numbers) or not all(map(str.isascii, fields)):
-            fields = [f"parameters[{j}]" for j, _ in enumerate(numbers, start=1)]
-        for field, value in zip(fields, numbers, strict=True):
+            symbols[Variable(f"soil.density_profile.parameters[{k}]", "", what, value)] = symbol
+    effects: tuple[Any, ...] = scene.effects.own
+    own = []
+    for k, effect in enumerate(effects, start=1):
+        fields = [one.name for one in dataclasses.fields(effect) if is_quantity(getattr(effect, one.name))]
+        opened, pairs = _with_symbols(effect)
+        own.append(opened)
+        if len(fields) != len(pairs) or not all(map(str.isascii, fields)):
+            fields = [f"parameters[{j}]" for j, _ in enumerate(pairs, start=1)]
+        for field, (value, symbol) in zip(fields, pairs, strict=True):
             what = f"{field} of the resistance {type(effect).__name__}"
-            yield Variable(f"effects.own[{k}].{field}", "", what, float(value))
+            symbols[Variable(f"effects.own[{k}].{field}", "", what, value)] = symbol
+    return symbols, replace(scene, effects=replace(scene.effects, own=tuple(own)))
 
 
-def _scene_with(named: NamedScene, values: Mapping[str, Expression]) -> Scene:
-    """Return the scene with a value for each registered quantity, and for each number beside these, by name."""
-    scene, _ = named.replaced({name: value for name, value in values.items() if name in EVERY})
-    names = (variable.name for variable in _unregistered(named.scene))
+def _with_symbols(part: Any) -> tuple[Any, list[tuple[float, ca.SX]]]:
+    """Return a part of a scene with a symbol for each number in it, and these pairs."""
+    pairs: list[tuple[float, ca.SX]] = []
 
-    def with_values(part: Any) -> Any:
-        return map_expressions(part, lambda _: values[next(names)], is_quantity)
+    def symbol(value: float) -> ca.SX:
+        pairs.append((float(value), ca.SX.sym("number")))
+        return pairs[-1][1]
 
-    if (profile := scene.soil.density_profile) is not None:
-        profile = replace(profile, parameters=with_values(profile.parameters))
-        scene = replace(scene, soil=replace(scene.soil, density_profile=profile))
-    return replace(scene, effects=replace(scene.effects, own=with_values(scene.effects.own)))
+    return map_expressions(part, symbol, is_quantity), pairs
 
 
 def _moving(share: Share, scene: Scene) -> dict[str, Mapping[Variable, Column]]:

@@ -13,31 +13,23 @@ def test_default_is_automatic():
     assert po.Accuracy() == po.Accuracy("auto", error=None, steps=None, tolerance=None)
 
 
-@pytest.mark.parametrize(
-    ("method", "setting"),
-    [
-        ("auto", {"error": 1e-6}),
-        *((method, {"steps": 100}) for method in FIXED_STEP),
-        *((method, {"tolerance": 1e-9}) for method in ADAPTIVE),
-    ],
-)
-def test_each_method_takes_its_own_setting(method, setting):
-    accuracy = po.Accuracy(method, **setting)
-    assert {name: getattr(accuracy, name) for name in setting} == setting
+# Settings with a value that each takes, and the methods that have it.
+SETTINGS = {
+    "error": (1e-6, ("auto",)),
+    "derivatives": (1e-4, ("auto",)),
+    "steps": (100, FIXED_STEP),
+    "tolerance": (1e-9, ADAPTIVE),
+}
 
 
-@pytest.mark.parametrize(
-    ("method", "setting"),
-    [
-        *((method, {"error": 1e-6}) for method in METHODS if method != "auto"),
-        *((method, {"steps": 100}) for method in METHODS if method not in FIXED_STEP),
-        *((method, {"tolerance": 1e-9}) for method in METHODS if method not in ADAPTIVE),
-    ],
-)
-def test_a_setting_of_another_method_is_refused(method, setting):
-    (name,) = setting
-    with pytest.raises(po.InputError, match=f"method '{method}' has no setting '{name}': it belongs to"):
-        po.Accuracy(method, **setting)
+@pytest.mark.parametrize("method", METHODS)
+def test_each_method_takes_its_own_setting_and_no_other(method):
+    for name, (value, methods) in SETTINGS.items():
+        if method in methods:
+            assert getattr(po.Accuracy(method, **{name: value}), name) == value
+        else:
+            with pytest.raises(po.InputError, match=f"method '{method}' has no setting '{name}': it belongs to"):
+                po.Accuracy(method, **{name: value})
 
 
 @pytest.mark.parametrize(
@@ -55,39 +47,19 @@ def test_all_methods_are_listed_where_none_is_near():
 
 
 @pytest.mark.parametrize(
-    ("method", "setting"),
+    ("method", "name", "values"),
     [
-        ("auto", {"error": 0.0}),
-        ("auto", {"error": 1e-13}),
-        ("auto", {"error": 0.5}),
-        ("auto", {"error": float("nan")}),
-        ("dop853", {"steps": 0}),
-        ("rk", {"steps": -3}),
-        ("collocation", {"steps": 10**8}),
-        ("cvodes", {"tolerance": 0.0}),
-        ("erk", {"tolerance": 1e-15}),
-        ("idas", {"tolerance": 1.0}),
+        ("auto", "error", [0.0, 1e-13, 0.5, float("nan"), "1e-6", ca.DM(1e-6)]),
+        ("auto", "derivatives", [0.0, 1e-11, 0.2, "fine", True]),
+        ("dop853", "steps", [0]),
+        ("rk", "steps", [-3, [3], 2.5, True]),
+        ("collocation", "steps", [10**8]),
+        ("cvodes", "tolerance", [0.0]),
+        ("erk", "tolerance", [1e-15, [1e-8], np.array([1e-8, 1e-9])]),
+        ("idas", "tolerance", [1.0]),
     ],
 )
-def test_a_setting_out_of_range_is_refused(method, setting):
-    (name,) = setting
-    with pytest.raises(po.InputError, match=f"accuracy {name} = .* must lie between"):
-        po.Accuracy(method, **setting)
-
-
-@pytest.mark.parametrize(
-    ("method", "setting"),
-    [
-        ("auto", {"error": "1e-6"}),
-        ("auto", {"error": ca.DM(1e-6)}),
-        ("erk", {"tolerance": [1e-8]}),
-        ("erk", {"tolerance": np.array([1e-8, 1e-9])}),
-        ("rk", {"steps": [3]}),
-        ("rk", {"steps": 2.5}),
-        ("rk", {"steps": True}),
-    ],
-)
-def test_a_setting_is_a_number_and_steps_are_whole(method, setting):
-    (name,) = setting
-    with pytest.raises(po.InputError, match=f"accuracy {name} = .* must lie between"):
-        po.Accuracy(method, **setting)
+def test_a_setting_is_a_number_within_its_range_and_steps_are_whole(method, name, values):
+    for value in values:
+        with pytest.raises(po.InputError, match=f"accuracy {name} = .* must lie between"):
+            po.Accuracy(method, **{name: value})

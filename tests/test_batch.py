@@ -50,12 +50,6 @@ def errors(result, runs, stiffness):
     return np.array(found)
 
 
-def same(a, b):
-    return all(
-        np.array_equal(getattr(a, name), getattr(b, name), equal_nan=True) for name in (*NAMES, "error_estimate")
-    )
-
-
 # --- the same numbers as single simulations -----------------------------------------------------------------
 
 
@@ -215,6 +209,7 @@ def test_designs_outside_the_domain(batch_of, r1_scene, r1_wave):
         4: (0.4, 0.2, 0.0),
         6: (0.4, math.nan, 5e4),
         7: (0.4, 0.2, math.inf),
+        8: (0.4, 1e200, 5e4),
     }
     values = np.tile(DESIGNS[0], (9, 1))
     for k, row in bad.items():
@@ -266,54 +261,39 @@ def test_other_scenes_are_refused(batch_of, effects, match):
 def test_wrong_inputs(batch_of, r1_scene, r1_wave):
     k0, other = ca.MX.sym("k0"), ca.MX.sym("other")
     scene = r1_scene(25.0, 0.25, k0, strength_wave=r1_wave)
-    with pytest.raises(po.InputError, match="depends on k0"):
-        po.Batch(scene, 1.0, [other])
-    with pytest.raises(po.InputError, match="CasADi symbols"):
-        po.Batch(scene, 1.0, [2.0 * k0])
-    with pytest.raises(po.InputError, match="CasADi symbols"):
-        po.Batch(scene, 1.0, [])
-    with pytest.raises(po.InputError, match="must lie between 1e-11 and 1e-2"):
-        po.Batch(scene, 1.0, [k0], error=0.0)
-    with pytest.raises(po.InputError, match="error = '1e-6' must lie between"):
-        po.Batch(scene, 1.0, [k0], error="1e-6")
-    with pytest.raises(po.InputError, match="list of the CasADi symbols"):
-        po.Batch(scene, 1.0, k0)
-    with pytest.raises(po.InputError, match="named twice"):
-        po.Batch(scene, 1.0, [k0, k0])
-    with pytest.raises(po.InputError, match="all SX, or all MX"):
-        po.Batch(scene, 1.0, [k0, ca.SX.sym("other")])
+    for inputs, match in (
+        ([other], "depends on k0"),
+        ([2.0 * k0], "CasADi symbols"),
+        ([], "CasADi symbols"),
+        (k0, "list of the CasADi symbols"),
+        ([k0, k0], "named twice"),
+        ([k0, ca.SX.sym("other")], "all SX, or all MX"),
+    ):
+        with pytest.raises(po.InputError, match=match):
+            po.Batch(scene, 1.0, inputs)
+    for error in (0.0, "1e-6"):
+        with pytest.raises(po.InputError, match=r"error = .* must lie between 1e-11 and 1e-2"):
+            po.Batch(scene, 1.0, [k0], error=error)
     for duration in ([1.0], None, -1.0, "-1 s"):
         with pytest.raises(po.DomainError, match=r"duration = .* must be"):
             po.Batch(scene, duration, [k0])
     batch = batch_of(strength_wave=r1_wave, error=1e-6)
-    with pytest.raises(po.InputError, match=r"shape \(3,\).*3 inputs"):
-        batch(DESIGNS[0])
-    with pytest.raises(po.InputError, match="values of a batch must be numbers"):
-        batch([["25 deg", 0.25, 5e4]])
+    for values, match in (
+        (DESIGNS[0], r"shape \(3,\).*3 inputs"),
+        ([["25 deg", 0.25, 5e4]], "values of a batch must be numbers"),
+    ):
+        with pytest.raises(po.InputError, match=match):
+            batch(values)
     for threads in (0, 1.5, "2"):
         with pytest.raises(po.InputError, match=r"threads = .* must be a whole number from 1 on"):
             batch(DESIGNS, threads=threads)
 
 
-def test_one_design_that_cannot_be_computed_leaves_the_others(r1_soil, r1_wave):
-    height = ca.MX.sym("height")
-    scene = po.Scene(r1_soil, po.Cone(0.2, height), 5e4, 25.0, 2.0, po.Effects(strength_wave=r1_wave))
-    batch = po.Batch(scene, 1.0, [height])
-    result = batch([[0.25], [1e200]])
-    assert list(result.failed) == [False, True]
-    assert "height = 1e+200 m" in result.reasons[1]
-    assert result.mean_draft[0] == batch([[0.25]]).mean_draft[0]
-
-
 # --- one call or many ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_streams_equal_one_call(batch_of, r1_wave, compiled, request):
-    if not compiled:
-        request.getfixturevalue("no_compiler")
+def test_streams_equal_one_call(batch_of, r1_wave):
     batch = batch_of(0.5, strength_wave=r1_wave, error=1e-4)
-    assert batch.compiled == compiled
     values = np.repeat(DESIGNS, 13, axis=0) * np.random.default_rng(0).uniform(0.5, 1.5, (39, 3))
     values[17, 1] = -1.0
     whole = batch(values)
@@ -323,9 +303,11 @@ def test_streams_equal_one_call(batch_of, r1_wave, compiled, request):
         joined = np.concatenate([getattr(part, name) for part in parts])
         assert np.array_equal(joined, getattr(whole, name), equal_nan=True)
     assert parts[1].reasons[16] == whole.reasons[17]
-    assert same(batch(values, threads=3), whole)
-    turned = batch(values[::-1])
-    assert np.array_equal(turned.force_rms[::-1], whole.force_rms, equal_nan=True)
+    # Arrays have no single truth: a result is equal to itself alone.
+    assert whole == whole
+    assert whole != dataclasses.replace(whole)
+    assert repr(whole).startswith("<BatchResult: 39 designs in ")
+    assert len(repr(whole)) < 120
 
 
 def test_threads_share_many_designs(batch_of, r1_wave):
@@ -333,18 +315,7 @@ def test_threads_share_many_designs(batch_of, r1_wave):
     values = np.tile(DESIGNS, (12000, 1))
     values[20000, 1] = -1.0
     one, two = batch(values), batch(values, threads=2)
-    assert same(one, two)
+    for name in (*NAMES, "error_estimate"):
+        assert np.array_equal(getattr(one, name), getattr(two, name), equal_nan=True)
     assert one.reasons == two.reasons
     assert list(one.reasons) == [20000]
-
-
-def test_result_is_data(batch_of, r1_wave):
-    result = batch_of(0.5, strength_wave=r1_wave, error=1e-4)(DESIGNS)
-    assert {field.name for field in dataclasses.fields(result)} >= {*NAMES, "reasons", "seconds", "warnings"}
-    assert result.seconds > 0.0
-    assert result.warnings == ()
-    assert repr(result).startswith("<BatchResult: 3 designs in ")
-    assert len(repr(result)) < 120
-    # Arrays have no single truth: a result is equal to itself alone.
-    assert result == result
-    assert result != dataclasses.replace(result)

@@ -92,17 +92,6 @@ def test_a_component_takes_as_many_steps_as_derivatives_need():
     assert "the wanted error 1.0e-06 of derivatives was not reached" in text
 
 
-@pytest.mark.parametrize("value", [0.0, 1e-11, 0.2, "fine", True])
-def test_the_wanted_error_has_limits(value):
-    with pytest.raises(po.InputError, match=r"accuracy derivatives = .* must lie between 1e-10 and 0\.1"):
-        po.Accuracy(derivatives=value)
-
-
-def test_a_method_with_a_setting_has_no_wanted_error():
-    with pytest.raises(po.InputError, match="method 'dop853' has no setting 'derivatives': it belongs to auto"):
-        po.Accuracy("dop853", derivatives=1e-6)
-
-
 def test_a_step_is_cut_where_the_smooth_contacts_step_ends():
     """Against halving of the step itself, which reads no polynomial: a cubic errs by the fourth power of a step."""
     width, size = 0.4, 0.0025

@@ -168,38 +168,38 @@ class MissedEvent(IntegrationError):
     """An integrator went past the moment at which a share stopped or broke loose."""
 
 
-def refuse_ringing(scene: Scene, duration: float) -> None:
-    """Refuse a start from which a stiff mount rings so often that following it would take minutes."""
-    if scene.effects.start == "equilibrium" or scene.effects.printed.repelling_spring:
-        return
-    turns = plan.ringing(plan.numbers_of(scene), duration)
-    if turns <= plan.MOST_RINGING:
-        return
-    steps = turns / plan.PHASE_PER_STEP
-    raise IntegrationError(
-        f"the motion of a {scene.describe()}: from this start it rings {turns / (2.0 * math.pi):.3g} times, which"
-        f" would take some {steps:.1g} steps: damp the mount, start at equilibrium, take a softer mount, a shorter"
-        " duration or the quasi-static scene, or name a method, as Accuracy('erk'), to follow it all the same"
-    )
-
-
-def refuse_countless_waves(scene: Scene, p: Mapping[str, float], duration: float, most: float) -> None:
-    """Refuse a wave, or a ramp, so short beside the run that following it would take minutes.
+def refuse_endless(scene: Scene, p: Mapping[str, float], duration: float) -> None:
+    """Refuse a scene that would take minutes to follow.
 
     Args:
         scene: numeric.
         p: its parameters.
         duration: of the run [s].
-        most: phase [rad] that is followed.
+
+    Raises:
+        IntegrationError: a lasting orbit too stiff, a start from which a stiff mount rings too often, or a wave, or a
+            ramp, too short beside the run.
     """
+    if scene.effects.orbit != "transient":
+        return refuse_stiff_orbit(scene)
+    relaxed = scene.effects.start != "equilibrium" and not scene.effects.printed.repelling_spring
+    turns = plan.ringing(p, duration) if relaxed else 0.0
+    if turns > plan.MOST_RINGING:
+        raise IntegrationError(
+            f"the motion of a {scene.describe()}: from this start it rings {turns / (2.0 * math.pi):.3g} times, which"
+            f" would take some {turns / plan.PHASE_PER_STEP:.1g} steps: damp the mount, start at equilibrium, take a"
+            " softer mount, a shorter duration or the quasi-static scene, or name a method, as Accuracy('erk'), to"
+            " follow it all the same"
+        )
     total = plan.forced_rate(p) * duration + waves_in_flight(scene, p, duration)
-    if total <= most:
-        return
-    by_name = ", or name a method, as Accuracy('erk'), to follow them all the same" if scene.effects.motion else ""
-    raise IntegrationError(
-        f"the motion of a {scene.describe()}: in {duration:g} s the strut and the soil change it"
-        f" {total / (4.0 * math.pi):.3g} times: take a shorter duration or a longer wave{by_name}"
-    )
+    motion = scene.effects.motion
+    if total > (plan.MOST_FORCED if motion else plan.MOST_PANELLED):
+        by_name = ", or name a method, as Accuracy('erk'), to follow them all the same" if motion else ""
+        raise IntegrationError(
+            f"the motion of a {scene.describe()}: in {duration:g} s the strut and the soil change it"
+            f" {total / (4.0 * math.pi):.3g} times: take a shorter duration or a longer wave{by_name}"
+        )
+    return None
 
 
 def refuse_stiff_orbit(scene: Scene) -> None:

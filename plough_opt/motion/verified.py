@@ -9,21 +9,12 @@ import numpy as np
 from plough_opt.core.compiler import NO_COMPILER
 from plough_opt.core.errors import IntegrationError
 from plough_opt.core.expressions import as_number
-from plough_opt.motion import plan
+from plough_opt.motion import judgement, plan
 from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.assembly import GAUSS_POINTS, MORE_POINTS, quasi_static
 from plough_opt.motion.estimate import TELLING, difference, unseen
 from plough_opt.motion.following import Array, Case, Followed, follow, thinned
-from plough_opt.motion.judgement import (
-    Escape,
-    MissedEvent,
-    refuse_countless_waves,
-    refuse_drifting_own,
-    refuse_ringing,
-    refuse_stiff_orbit,
-    remarks,
-    unsound_own,
-)
+from plough_opt.motion.judgement import Escape, MissedEvent
 from plough_opt.motion.run import Run
 from plough_opt.motion.settling import which_motion
 
@@ -57,9 +48,9 @@ def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...
         return _quasi_static(case, accuracy)
     wanted = accuracy.error or DEFAULT_ERROR
     if effects.orbit != "transient":
-        refuse_drifting_own(case.scene)
-        if accuracy.method == "auto":
-            refuse_stiff_orbit(case.scene)
+        judgement.refuse_drifting_own(case.scene)
+    if accuracy.method == "auto":
+        judgement.refuse_endless(case.scene, case.p, case.duration)
     if effects.orbit not in ("transient", "periodic"):
         return _stand_in(case, wanted)
     if accuracy.method != "auto":
@@ -67,12 +58,10 @@ def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...
         found, error = _twice(case, named, plan.check_of(named, case.p, case.duration, case.structure.kinked))
         error, notes = _stated(case, found, error, None)
     else:
-        refuse_ringing(case.scene, case.duration)
-        refuse_countless_waves(case.scene, case.p, case.duration, plan.MOST_FORCED)
         found, error = _automatic(case, wanted)
         error, notes = _stated(case, found, error, wanted)
     _LOG.debug("motion by %s: estimated error %.2g", found.run.accuracy, error)
-    return thinned(found.run, case.outputs), error, (*notes, *remarks(found.run))
+    return thinned(found.run, case.outputs), error, (*notes, *judgement.remarks(found.run))
 
 
 def interpreted(case: Case, run: Run) -> tuple[str, ...]:
@@ -90,13 +79,13 @@ def interpreted(case: Case, run: Run) -> tuple[str, ...]:
 
 def _quasi_static(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...]]:
     scene, duration = case.scene, case.duration
-    refuse_countless_waves(scene, case.p, duration, plan.MOST_PANELLED)
+    judgement.refuse_endless(scene, case.p, duration)
     timeline = plan.timeline_of(scene, duration, case.outputs, plan.steps_for(plan.forced_rate(case.p) * duration))
     with np.errstate(all="ignore"):  # what is not finite is refused below
         run = quasi_static(scene, duration, timeline, accuracy)
         check = quasi_static(scene, duration, timeline, accuracy, GAUSS_POINTS + MORE_POINTS)
     if not all(np.isfinite(as_number(part)).all() for part in (run.mount_force, run.mean_draft, run.force_rms)):
-        why = unsound_own(scene, run, 0.0) or "look at its numbers"
+        why = judgement.unsound_own(scene, run, 0.0) or "look at its numbers"
         raise IntegrationError(f"the resistance of a {scene.describe()} is not finite: {why}")
     return run, difference(run, check), ()
 
@@ -179,7 +168,7 @@ def _stand_in(case: Case, wanted: float) -> tuple[Run, float, tuple[str, ...]]:
     exact = replace(case.scene, effects=replace(case.scene.effects, orbit="periodic"))
     method = plan.automatic("dop853", wanted, case.p, case.duration)
     run = follow(case, method).run
-    notes = remarks(run)
+    notes = judgement.remarks(run)
     try:
         orbit = follow(Case.of(exact, case.duration, case.outputs), method).run
     except IntegrationError:

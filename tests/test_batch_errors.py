@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import plough_opt as po
 from plough_opt.core.expressions import as_number
-from plough_opt.motion.batch.advance import grown, transfer
+from plough_opt.motion.batch.advance import Before, grown, transfer
 from plough_opt.motion.batch.equations import Layout
 from plough_opt.motion.terms import Structure, parameters
 
@@ -49,7 +49,8 @@ def moved(scene, size, start=0.3):
     w = [ca.SX(c) for c in PATH] + [ca.SX(0)] * 6
     rate = [(k + 1) * c for k, c in enumerate(w[1:])]
     powers = [ca.SX(size**k) for k in range(12)]
-    found = np.array([float(as_number(x)) for x in transfer(layout, (w, rate), ca.SX(start), ca.SX(p), True, powers)])
+    at = Before(layout, ca.SX([start]), ca.SX(p), late=True)
+    found = np.array([float(as_number(x)) for x in transfer(at, (w, rate), powers)])
 
     stiffness, inertia, speed = scene.stiffness, scene.inertia, scene.tow_speed
     static, drag, damping = scene.reaction.static, scene.reaction.drag, scene.effects.damping or 0.0

@@ -52,7 +52,7 @@ def coefficients(function):
     x = ca.SX.sym("x")
     graph = Graph()
     given = graph.given(*(ca.SX(c) for c in PATH), *[ca.SX(0)] * (ORDER + 1 - len(PATH)))
-    (series,) = series_of(graph, ca.Function("f", [x], [function(x)]), [[given]], late=False)
+    (series,) = series_of(graph, ca.Function("f", [x], [function(x)]), [[given]])
     for k in range(ORDER + 1):
         graph.extend(k)
     return [float(as_number(series[k])) for k in range(ORDER + 1)]
@@ -74,9 +74,9 @@ def test_time_of_a_ramp():
     function = ca.Function("f", [time, x], [ca.fmin(2.0 * time / 3.0, 1.0) ** 2 * x])
     found = []
     for late in (False, True):
-        graph = Graph()
+        graph = Graph(late)
         arguments = [[graph.clock(ca.SX(1.5))], [graph.constant(ca.SX(4.0))]]
-        (series,) = series_of(graph, function, arguments, late)
+        (series,) = series_of(graph, function, arguments)
         for k in range(4):
             graph.extend(k)
         found.append([float(as_number(series[k])) for k in range(4)])

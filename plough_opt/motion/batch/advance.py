@@ -12,6 +12,8 @@ of order 4; Kurzhanski, Valyi: Ellipsoidal Calculus for Estimation and Control, 
 
 import itertools
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import casadi as ca
 
@@ -22,33 +24,50 @@ from plough_opt.motion.equation import equation_of_motion, signals
 # Coefficients of the slopes in a step, by w and by w': more of them change the estimate by some per cent.
 _SPRING_TERMS, _DAMPER_TERMS = 6, 4
 
+
+@dataclass(frozen=True)
+class Before:
+    """A design before a step.
+
+    Attributes:
+        layout: positions in the two columns.
+        x: its state; the first element is the time [s].
+        p: its parameters.
+        late: whether a ramp has ended.
+    """
+
+    layout: Layout
+    x: ca.SX
+    p: ca.SX
+    late: bool
+
+    def series(self, graph: Graph, function: ca.Function, moving: list[Series], names: Sequence[str]) -> list[Series]:
+        """Return the series of a Function of time, w and w', and parameters with these names."""
+        known = [graph.constant(self.layout.value(self.p, name)) for name in names]
+        return series_of(graph, function, [[graph.clock(self.x[0])], moving, known])
+
+
 Matrix = tuple[ca.SX, ca.SX, ca.SX, ca.SX]
 """Elements 11, 12, 21 and 22, for (w, w'/s) with the mount's own angular frequency s."""
 
 
-def transfer(
-    layout: Layout, moving: tuple[list[ca.SX], list[ca.SX]], start: ca.SX, p: ca.SX, late: bool, powers: list[ca.SX]
-) -> Matrix:
+def transfer(at: Before, moving: tuple[list[ca.SX], list[ca.SX]], powers: list[ca.SX]) -> Matrix:
     """Return the matrix that turns a small deviation at the start of a step into the one at its end.
 
     It is the exponential of a Magnus expansion of order 4, whose determinant is exact: an undamped oscillation neither
     grows nor decays by it.
 
     Args:
-        layout: positions in the columns.
+        at: the design before the step.
         moving: coefficients of w and of w'.
-        start: time at which the step begins [s].
-        p: parameters of a step.
-        late: whether a ramp has ended.
         powers: of the step's length [s], from 0 on.
     """
-    motion, graph = equation_of_motion(layout.structure), Graph()
-    own = [graph.constant(layout.value(p, name)) for name in motion.names]
+    structure, graph = at.layout.structure, Graph(at.late)
     known = [graph.given(*series[:_SPRING_TERMS]) for series in moving]
-    spring, damper = series_of(graph, slopes(layout.structure), [[graph.clock(start)], known, own], late)
+    spring, damper = at.series(graph, slopes(structure), known, equation_of_motion(structure).names)
     for k in range(_SPRING_TERMS):
         graph.extend(k)
-    size, scale = powers[1], layout.own_frequency(p)
+    size, scale = powers[1], at.layout.own_frequency(at.p)
     # Averages of the slopes over the step, and of the spring's times the distance from the middle of the step, with the
     # step as unit of time.
     length = size / scale
@@ -122,11 +141,12 @@ def grown(ellipse: list[ca.SX], moved: Matrix, made: ca.SX) -> list[ca.SX]:
     return [stretch * turned[0] + added, stretch * turned[1], stretch * turned[2] + added]
 
 
-def square_of_error(layout: Layout, ellipse: list[ca.SX], p: ca.SX) -> ca.SX:
+def square_of_error(at: Before, ellipse: list[ca.SX]) -> ca.SX:
     """Return the square of the largest error of the mount force over the stiffness in an ellipse [m^2]."""
+    layout = at.layout
     if not layout.structure.damper:
         return ellipse[0]
-    lever = layout.own_frequency(p) * layout.value(p, "damping") / layout.value(p, "stiffness")
+    lever = layout.own_frequency(at.p) * layout.value(at.p, "damping") / layout.value(at.p, "stiffness")
     return ellipse[0] + lever * (2.0 * ellipse[1] + lever * ellipse[2])
 
 
@@ -159,11 +179,11 @@ def advance(layout: Layout, order: int, part: int) -> ca.Function:
         part: of the motion, as `Layout.ends` has them: 0 until a ramp's end, the last one after it or without a ramp.
     """
     x, p = ca.SX.sym("x", layout.state), ca.SX.sym("p", layout.allowed + 1)
-    end, late = p[layout.ends[part]], part == len(layout.ends) - 1
-    w, rate, switches = _solution(layout, order, x, p, late)
-    observed = _signals(layout, w, rate, x, p, late)
+    at, end = Before(layout, x, p, part == len(layout.ends) - 1), p[layout.ends[part]]
+    w, rate, switches = _solution(at, order)
+    observed = _signals(at, w, rate)
     # The truncated terms, estimated from the last terms of w' as the deflection into which a mount turns them.
-    last_terms = _last_terms(layout, rate, order, p) / layout.own_frequency(p)
+    last_terms = _last_terms(at, rate, order) / layout.own_frequency(p)
     # The longest step whose truncated terms stay below the allowed error.
     longest = ca.exp((ca.log(p[layout.allowed]) - ca.log(last_terms + _TINY)) / order)
     longest = ca.fmin(longest, _LONGEST / layout.fastest_frequency(p))
@@ -178,8 +198,8 @@ def advance(layout: Layout, order: int, part: int) -> ca.Function:
     state = [sum(c * power for c, power in zip(series, powers, strict=False)) for series in (w, rate)]
     made = last_terms * powers[order] + _ROUNDING * ca.fabs(state[0])
     before = ca.vertsplit(x[-4:])
-    ellipse = grown(before[:3], transfer(layout, (w, rate), x[0], p, late, powers), made)
-    mean_square = 0.5 * (square_of_error(layout, before[:3], p) + square_of_error(layout, ellipse, p))
+    ellipse = grown(before[:3], transfer(at, (w, rate), powers), made)
+    mean_square = 0.5 * (square_of_error(at, before[:3]) + square_of_error(at, ellipse))
     error = before[3] + part_of_time * (mean_square - before[3])
     return ca.Function("advance", [x, p], [ca.cse(ca.vertcat(time, *state, *averages, *ellipse, error))])
 
@@ -198,14 +218,11 @@ def _size(now: ca.SX, end: ca.SX, longest: ca.SX, switches: list[list[ca.SX]]) -
     return size, ca.if_else(last, end, now + size)
 
 
-def _solution(
-    layout: Layout, order: int, x: ca.SX, p: ca.SX, late: bool
-) -> tuple[list[ca.SX], list[ca.SX], list[list[ca.SX]]]:
+def _solution(at: Before, order: int) -> tuple[list[ca.SX], list[ca.SX], list[list[ca.SX]]]:
     """Return the coefficients of w, of w' and of the switches, whose signs decide on the right-hand side's formula."""
-    motion, graph = equation_of_motion(layout.structure), Graph()
-    time, w, rate = graph.clock(x[0]), graph.given(x[1]), graph.given(x[2])
-    own = [graph.constant(layout.value(p, name)) for name in motion.names]
-    slopes = series_of(graph, motion.function, [[time], [w, rate], own], late)
+    motion, graph = equation_of_motion(at.layout.structure), Graph(at.late)
+    w, rate = graph.given(at.x[1]), graph.given(at.x[2])
+    slopes = at.series(graph, motion.function, [w, rate], motion.names)
     for k in range(order):
         graph.extend(k)
         w.coefficients.append(slopes[0][k] / (k + 1))
@@ -214,28 +231,27 @@ def _solution(
     return w.coefficients, rate.coefficients, [switch.coefficients for switch in graph.switches]
 
 
-def _signals(layout: Layout, w: list[ca.SX], rate: list[ca.SX], x: ca.SX, p: ca.SX, late: bool) -> list[list[ca.SX]]:
+def _signals(at: Before, w: list[ca.SX], rate: list[ca.SX]) -> list[list[ca.SX]]:
     """Return the coefficients of the signals; during a ramp of all orders that the product with its speed has."""
-    graph = Graph()
-    known = [graph.constant(p[k]) for k in range(len(layout.parameters))]
-    extended = len(w) + (_RAMP_DEGREE if layout.structure.ramp and not late else 0)
+    graph, structure = Graph(at.late), at.layout.structure
+    extended = len(w) + (_RAMP_DEGREE if structure.ramp and not at.late else 0)
     moving = [graph.given(*c, *[ca.SX(0)] * (extended - len(c))) for c in (w, rate)]
-    found = series_of(graph, signals(layout.structure).function, [[graph.clock(x[0])], moving, known], late)
+    found = at.series(graph, signals(structure).function, moving, at.layout.parameters)
     for k in range(extended):
         graph.extend(k)
     return [one.coefficients for one in found]
 
 
-def _last_terms(layout: Layout, series: list[ca.SX], highest: int, p: ca.SX) -> ca.SX:
+def _last_terms(at: Before, series: list[ca.SX], highest: int) -> ca.SX:
     """Return the size of a polynomial's last coefficient, together with the ones before it.
 
     Those count as an oscillation's at the frequencies of mount and wave: the last may just pass through zero.
     """
-    rate = layout.fastest_frequency(p) / _FALL
+    rate = at.layout.fastest_frequency(at.p) / _FALL
     total = ca.SX(0)
     for k in range(_LAST):
         total = total + ca.fabs(series[highest - k]) * rate**k
-    unknown = layout.structure.own or layout.structure.smooth
+    unknown = at.layout.structure.own or at.layout.structure.smooth
     return _WEIGHT * (_UNKNOWN if unknown else 1.0) * total
 
 

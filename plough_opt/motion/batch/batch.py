@@ -24,9 +24,8 @@ from plough_opt.core.expressions import (
 from plough_opt.core.quantities import BESIDE
 from plough_opt.motion.batch.advance import advance
 from plough_opt.motion.batch.c_source import Kernels
-from plough_opt.motion.batch.domain_check import DomainCheck
 from plough_opt.motion.batch.engine import Array, Engine
-from plough_opt.motion.batch.equations import RESULTS, Layout, Start, of_column, setup
+from plough_opt.motion.batch.equations import RESULTS, DomainCheck, Layout, Start, of_column, setup
 from plough_opt.motion.batch.result import BatchResult
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.scene import Scene

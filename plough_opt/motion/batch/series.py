@@ -61,8 +61,13 @@ class Series:
 class Graph:
     """Series that depend on each other, in an order in which each coefficient needs only those known by then."""
 
-    def __init__(self) -> None:
-        """Begin without any."""
+    def __init__(self, late: bool = False) -> None:
+        """Begin without any.
+
+        Args:
+            late: whether a ramp of the tow speed has ended: where the time is capped, the cap then counts.
+        """
+        self.late = late
         self._all: list[Series] = []
         self._circles: dict[int, tuple[Series, Series]] = {}
         self._squares: dict[int, Series] = {}
@@ -201,14 +206,13 @@ def _self_convolved(a: Series, k: int, low: int) -> ca.SX:
     return total
 
 
-def series_of(graph: Graph, function: ca.Function, inputs: Sequence[Sequence[Series]], late: bool) -> list[Series]:
+def series_of(graph: Graph, function: ca.Function, inputs: Sequence[Sequence[Series]]) -> list[Series]:
     """Return the series of an SX Function's results, each a column, one after the other.
 
     Args:
         graph: where the series are entered.
         function: of SX, of columns.
         inputs: the series of its arguments' elements.
-        late: whether a ramp of the tow speed has ended: where the time is capped, the cap then counts.
 
     Raises:
         InputError: an operation that has no rule.
@@ -225,17 +229,17 @@ def series_of(graph: Graph, function: ca.Function, inputs: Sequence[Sequence[Ser
         elif operation == ca.OP_OUTPUT:
             results[into[0]].append(work[of[0]])
         else:
-            work[into[0]] = _apply(graph, operation, [work[i] for i in of], late)
+            work[into[0]] = _apply(graph, operation, [work[i] for i in of])
     return [series for column in results for series in column]
 
 
-def _apply(graph: Graph, operation: int, of: list[Series], late: bool) -> Series:
+def _apply(graph: Graph, operation: int, of: list[Series]) -> Series:
     """Return the series of an operation's result."""
     if all(series.fixed for series in of):
         return graph.constant(_evaluated(operation, *(series[0] for series in of)))
     if operation == ca.OP_FMIN and any(x.timed for x in of) and any(x.fixed for x in of):
         time, cap = sorted(of, key=lambda x: x.fixed)
-        return cap if late else time
+        return cap if graph.late else time
     if operation in _RULES:
         return _RULES[operation](graph, *of)
     if operation in _DERIVATIVES:
@@ -257,7 +261,7 @@ def _function(graph: Graph, operation: int, x: Series) -> Series:
     """Return the series of y = f(x) from the one of f'(x), which may be written with y."""
     result = graph.integral(partial(_evaluated, operation), x)
     derivative = ca.Function("derivative", [_X, _Y], [_DERIVATIVES[operation]])
-    (result.derivative,) = series_of(graph, derivative, [[x], [result]], late=False)
+    (result.derivative,) = series_of(graph, derivative, [[x], [result]])
     return result
 
 

@@ -7,8 +7,9 @@ import pytest
 from scipy.stats.qmc import Sobol
 
 import plough_opt as po
+from plough_opt.design import population
 from plough_opt.design.landscape import Landscape, barriers, joined, straight_below
-from plough_opt.design.sampling import MOST_DIMENSIONS, sobol_points
+from plough_opt.design.sampling import MOST_DIMENSIONS, lowest_around, sobol_points
 
 
 @pytest.mark.parametrize("n", range(1, MOST_DIMENSIONS + 2))
@@ -44,6 +45,29 @@ def two_valleys():
     d.minimise(0.5 * ((x**2 - 1.0) ** 2 + y**2) + 0.1 * x + 1.0)
     d.solve(search="near")
     return Landscape(d._program, np.empty(0))
+
+
+def test_the_lowest_designs_of_a_grid_are_its_dips():
+    grid = np.linspace(0.0, 1.0, 200)
+    merit = grid + np.sin(20.0 * grid)
+    lowest, downhill = lowest_around(grid[:, None], merit)
+    wall = np.r_[np.inf, merit, np.inf]
+    dips = np.flatnonzero((merit < wall[:-2]) & (merit < wall[2:]))
+    assert lowest.tolist() == dips[np.argsort(merit[dips])].tolist()
+    # From every point a walk downhill over neighbours ends in one of them.
+    assert set(downhill.tolist()) == set(dips.tolist())
+    assert np.all(np.diff(downhill) >= 0)
+
+
+def test_few_results_in_memory_at_once_change_no_bit(build_r1, program_of, monkeypatch):
+    program, points = program_of(build_r1().design), np.random.default_rng(3).random((30, 3))
+    for together in (1, 5):
+        f, g = program.population(points, np.empty(0), together=together)
+        with monkeypatch.context() as patch:
+            patch.setattr(population, "_MOST_RESULTS", 7 * (g.shape[1] + 2))
+            in_parts = program.population(points, np.empty(0), together=together)
+        np.testing.assert_array_equal(f, in_parts[0])
+        np.testing.assert_array_equal(g, in_parts[1])
 
 
 def at(x, y):

@@ -56,6 +56,9 @@ def test_all_basins_of_a_multimodal_objective_are_found(waves):
     assert best.name == "optimum 1"
     assert best.search.variables == ("x", "y")
     assert best.search.basins >= len(_basins())
+    # Designs drawn at random come to all of them, the low ones at the left most often.
+    assert best.search.basins >= best.search.reached >= len(_basins())
+    assert best.search.followed > 100
 
 
 @pytest.mark.parametrize("search", ["near", "local"])
@@ -291,12 +294,12 @@ def test_a_search_keeps_the_amplitude_of_a_towed_share(damping):
 def test_the_median_over_tolerances_is_that_of_exact_runs():
     d = po.Design()
     stiffness = d.variable("stiffness", guess=1e6, lower=8e5, upper=1.2e6, unit="N/m", log=True)
-    d.minimise(po.simulate(_scene(stiffness, 0.0), DURATION).force_rms)
+    d.minimise(po.simulate(_scene(stiffness, 0.0), 0.5).force_rms)
     best = d.solve()
     variables = d._program.declared.variables
     y = np.array([[v.scaled(best.variables[v.name]) for v in variables]])
     values = [float(variables[0].unscaled(one)) for one in boxes(variables, y)[:, 0]]
-    exact = [po.simulate(_scene(value, 0.0), DURATION).force_rms for value in values]
+    exact = [po.simulate(_scene(value, 0.0), 0.5).force_rms for value in values]
     # Twice a search's steps leave some 1e-5.
     assert best.spread.median == pytest.approx(np.median(exact), rel=3e-5)
     assert best.spread.worst == pytest.approx(np.max(exact), rel=3e-5)

@@ -10,6 +10,7 @@ from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hi
 import numpy as np
 
 from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Expression
 
 # What may be unknown: a motion that cannot be predicted, what data do not determine, the time of what failed -> the
 # texts that stand for infinity there, as JSON has none.
@@ -19,6 +20,8 @@ _MAY_BE_INFINITE: Final = {
 }
 _EVERY_END: Final = ("Infinity", "-Infinity")
 _CLASS, _FUNCTION = "class", "function"
+# Annotations that leave open what a value is: kept expressions are numbers, arrays or None.
+_UNSAID: Final = (Any, Expression)
 
 
 class Misfit(ValueError):
@@ -89,7 +92,7 @@ def from_plain(hint: Any, data: Any, place: str = "", infinite: Sequence[str] = 
 def _read(hint: Any, data: Any, place: str, infinite: Sequence[str]) -> Any:
     """Return plain data as one annotation that is not a union has it."""
     origin, inner = get_origin(hint) or hint, get_args(hint)
-    if hint is Any:
+    if hint in _UNSAID:
         return _read_any(data, place)
     if hint is object:
         return data
@@ -136,7 +139,7 @@ def _object(hint: type, data: Any, place: str) -> Any:
         if key in data:
             ends = _MAY_BE_INFINITE.get(key) or _MAY_BE_INFINITE.get(f"{kind.__name__}.{key}", ())
             own = hints.get(key, object)
-            if data[key] is not None or default is not None or own is not Any:
+            if data[key] is not None or default is not None or own not in _UNSAID:
                 given[key] = from_plain(own, data[key], _inside(place, key), ends)
         else:
             _expect(default is not MISSING, _inside(place, key), "Field required")

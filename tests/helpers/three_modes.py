@@ -69,7 +69,7 @@ class _Share:
 
     def __init__(self, scene):
         e, reaction = scene.effects, scene.reaction
-        self.k, self.c = float(scene.stiffness), float(e.damping or 0.0)
+        self.k, self.c = float(scene.restoring_stiffness), float(e.damping or 0.0)
         self.m, self.added = float(scene.mass), float(reaction.added_mass)
         self.static, self.drag = float(reaction.static), float(reaction.drag)
         self.rate, self.ramp = float(e.rate_term or 0.0), float(e.tow_ramp or 0.0)
@@ -219,6 +219,37 @@ def follow(scene, duration, outputs=20, tolerance=TIGHT):
     )
 
 
+def agreed(scene, duration, outputs=10, allowed=2e-8, resistance=1.0):
+    """Return a run and the `Motion` that it agrees with: force, resistance, averages and power, and modes if any.
+
+    A run promises 1e-8 of both force and averages; the motion is exact to some 1e-11 of them.
+
+    Args:
+        scene: numeric, with motion.
+        duration: of the run [s].
+        outputs: at which they are compared.
+        allowed: difference in parts of the largest mount force, and of the mean draft or RMS.
+        resistance: by how much more the soil's resistance may differ; modes and resistance jump at an event, and are
+            compared off it.
+    """
+    run, expected = po.simulate(scene, duration, outputs=outputs), follow(scene, duration, outputs=outputs)
+    far = ~expected.near_a_change(1e-7 * duration)
+    # The travel is rounded to 1e-16 of itself, which the spring turns into force.
+    rounding = 1e-15 * abs(scene.stiffness) * np.max(np.abs(expected.travel))
+    force = allowed * np.max(np.abs(expected.mount_force)) + rounding
+    size = allowed * max(abs(expected.mean_draft), expected.force_rms) + rounding
+    assert np.max(np.abs(run.mount_force - expected.mount_force)) <= force
+    assert np.max(np.abs(run.soil_resistance - expected.soil_resistance)[far], initial=0.0) <= resistance * force
+    assert abs(run.mean_draft - expected.mean_draft) <= size
+    assert abs(run.force_rms - expected.force_rms) <= size
+    assert abs(run.mean_deflection - expected.mean_deflection) <= size / scene.stiffness
+    assert abs(run.displacement_rms - expected.displacement_rms) <= size / scene.stiffness
+    assert abs(run.tow_power - expected.tow_power) <= size * scene.tow_speed
+    if isinstance(scene.effects.contact, po.StickSlip):
+        assert list(np.round(run.mode[far])) == list(expected.mode[far])
+    return run, expected
+
+
 def _path(share, scene, when, about, tolerance):
     """Return states at the output times, modes, openings, changes of mode and the loss at recapture."""
     duration, times = when
@@ -226,8 +257,8 @@ def _path(share, scene, when, about, tolerance):
     travel, speed = share.start(kind)
     furthest, entered, loss, share.behind = travel, False, 0.0, -math.inf
     mode = share.first_mode(kind, travel, speed)
-    force = share.static + share.v0 * math.sqrt(share.k * share.m) + 1e-9
-    sizes = np.array([force / share.k, force / math.sqrt(share.k * share.m), *_sums(share, force, duration)])
+    force = share.static + share.v0 * math.sqrt(abs(share.k) * share.m) + 1e-9
+    sizes = np.array([force / abs(share.k), force / math.sqrt(abs(share.k) * share.m), *_sums(share, force, duration)])
     # The travel's own size does not matter: it is its difference from the strut's path that pulls.
     relative = np.full(9, max(tolerance, 2.3e-14))
     relative[0] = 2.3e-14
@@ -291,7 +322,7 @@ def _path(share, scene, when, about, tolerance):
 
 def _sums(share, force, duration):
     """Return the sizes of the integrals, for absolute tolerances."""
-    z = force / share.k
+    z = force / abs(share.k)
     path = max(share.v0 * duration, z)
     return [force * duration, z * duration, force**2 * duration, z**2 * duration, *[force * path] * 3]
 

@@ -159,12 +159,8 @@ def check_run(r1_soil, effects):
             po.Effects(**effects)
         return
     scene = scene_of(r1_soil, effects)
-    run, expected = po.simulate(scene, 0.5, outputs=10), three_modes.follow(scene, 0.5, outputs=10)
-    size = max(abs(expected.mean_draft), expected.force_rms)
-    assert largest(run.mount_force - expected.mount_force) < 2e-8 * largest(expected.mount_force)
-    assert run.mean_draft == pytest.approx(expected.mean_draft, rel=0, abs=2e-8 * size)
-    assert run.force_rms == pytest.approx(expected.force_rms, rel=0, abs=2e-8 * size)
-    assert run.tow_power == pytest.approx(expected.tow_power, rel=0, abs=2e-8 * size * scene.tow_speed)
+    # A share that is pushed back through a wave feels a resistance that changes within millimetres.
+    run, expected = three_modes.agreed(scene, 0.5, resistance=10.0)
     # The books themselves balance to what SciPy leaves of 1e-12.
     assert abs(imbalance(scene, expected, expected, 0.5)) < 5e-12
     assert abs(imbalance(scene, run, expected, 0.5)) < BALANCE
@@ -196,7 +192,7 @@ def test_energy_is_in_balance_where_soil_is_left_behind_and_taken_up_again(r1_so
     share = po.Wedge(po.deg(45.0), po.deg(15.0), 0.4)
     wavy = po.Effects(strength_wave=po.StrengthWave(1.0, 0.1), **effects)
     scene = po.Scene(weak, share, 2.7e4, 20.0, 0.5, wavy)
-    run, books = po.simulate(scene, 1.5, outputs=10), three_modes.follow(scene, 1.5, outputs=10)
+    run, books = three_modes.agreed(scene, 1.5, resistance=10.0)
     assert abs(imbalance(scene, books, books, 1.5)) < 5e-12
     assert abs(imbalance(scene, run, books, 1.5)) < BALANCE
     kinetic, _ = changes(scene, run)

@@ -85,17 +85,9 @@ OTHERS = {
 @pytest.mark.parametrize("start", ["rest", "towed"])
 def test_an_independent_solver_agrees(r1_soil, start, contact, others):
     scene = scene_of(r1_soil, share=BLUNT, start=start, contact=contact, stiffness=2e4, speed=1.5, **others)
-    run, expected = po.simulate(scene, 0.8, outputs=16), three_modes.follow(scene, 0.8, outputs=16)
-    assert max(expected.travel) > scene.cone.height
-    force, size = largest(expected.mount_force), max(abs(expected.mean_draft), expected.force_rms)
-    assert largest(run.mount_force - expected.mount_force) < 2e-8 * force
-    assert run.mean_draft == pytest.approx(expected.mean_draft, rel=0, abs=2e-8 * size)
-    assert run.force_rms == pytest.approx(expected.force_rms, rel=0, abs=2e-8 * size)
-    far = ~expected.near_a_change(1e-6)
     # Pushed back through a wave of 0.2 m at up to 7 m/s, the soil's force changes by its own size within millimetres.
-    steepness = 1.0 + largest(np.minimum(expected.speed, 0.0))
-    soil = largest(expected.soil_resistance)
-    assert largest((run.soil_resistance - expected.soil_resistance)[far]) < 2e-8 * steepness * soil
+    _, expected = three_modes.agreed(scene, 0.8, outputs=16, resistance=10.0)
+    assert max(expected.travel) > scene.cone.height
 
 
 # --- what entry leaves behind ---
@@ -106,11 +98,9 @@ def test_an_independent_solver_agrees(r1_soil, start, contact, others):
 def test_a_share_that_turns_back_stays_as_deep_as_it_was(r1_soil, start, stiffness):
     steep = {"share": po.Wedge(po.deg(60.0), po.deg(15.0), 0.5), "strength_wave": po.StrengthWave(0.9, 0.11)}
     scene = scene_of(r1_soil, stiffness=stiffness, speed=1.5, start=start, inertial_drag=False, **steep)
-    run, expected = po.simulate(scene, 0.6, outputs=24), three_modes.follow(scene, 0.6, outputs=24)
+    run, _ = three_modes.agreed(scene, 0.6, outputs=24)
     furthest = np.maximum.accumulate(po.simulate(scene, 0.6, outputs=2400).travel)[::100]
     assert np.any((run.travel < furthest - 0.01) & (furthest < scene.cone.height))
-    assert largest(run.mount_force - expected.mount_force) < 2e-8 * largest(expected.mount_force)
-    assert largest(run.soil_resistance - expected.soil_resistance) < 2e-8 * largest(expected.soil_resistance)
     # H is that of the furthest travel, read off a fine run to 1e-3 m.
     depth = np.minimum(furthest, scene.cone.height) / scene.cone.height
     wave = 1.0 + 0.9 * np.sin(2.0 * math.pi * run.travel / 0.11)

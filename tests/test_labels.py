@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from plough_opt.core.labels import Limit, Meanings, attach, label_of
+from plough_opt.core.labels import Limit, Meanings, attach, label_of, labels_in
 
 LOW = Limit("something", at_most=2.0, unit="m")
 HIGH = Limit("something else", at_most=3.0)
@@ -52,46 +52,13 @@ def test_what_is_carried_has_no_influence_not_even_where_it_has_no_value():
     assert [float(part) for part in whole(y, gradient, hessian, symbol=x)(2.0)] == [8.0, 12.0, 12.0]
 
 
-def test_a_label_is_found_with_its_meaning_and_what_it_carries():
+def test_labels_are_found_each_with_its_meaning():
     x = ca.MX.sym("x", 3)
-    y = attach(ca.sin(x[0]), ca.vertcat(x[1], 2.0 * x[2]), LOW, LOW)
-    function = whole(ca.exp(y) + 1.0, symbol=x)
-    calls = [k for k in range(function.n_instructions()) if function.instruction_id(k) == ca.OP_CALL]
-    (node,) = (function.instruction_MX(k) for k in calls)
-    assert label_of(node.which_function()).meaning is LOW
-    carried = ca.Function("carried", ca.symvar(node.dep(1)), [node.dep(1)])
-    assert np.asarray(carried(POINT)).ravel().tolist() == [-1.3, 4.2]
-
-
-def test_equal_keys_share_a_function_and_others_do_not():
-    x = ca.MX.sym("x", 3)
-    first, again = (attach(x[k], x[2], LOW, LOW) for k in (0, 1))
-    other, wider = attach(x[0], x[2], HIGH, HIGH), attach(x[0], x, LOW, LOW)
-    functions = []
-    for expression in (first, again, other, wider):
-        node = whole(expression, symbol=x)
-        functions += [
-            hash(node.instruction_MX(k).which_function())
-            for k in range(node.n_instructions())
-            if node.instruction_id(k) == ca.OP_CALL
-        ]
-    assert len(functions) == 4
-    assert functions[0] == functions[1]
-    assert len(set(functions)) == 3
-
-
-def test_numbers_and_scalar_symbols_carry_nothing():
-    x, m = ca.SX.sym("x"), ca.MX.sym("m")
-    for value, carried in [
-        (1.5, m),
-        (np.array([1.0, 2.0]), m),
-        (ca.DM([1.0, 2.0]), m),
-        (x, x),
-        (m, ca.MX(2.0)),
-        (m, 2.0),
-        (m, ca.DM(2.0)),
-    ]:
-        assert attach(value, carried, LOW, LOW) is value
+    parts = [(x[0], x[2], LOW), (x[1], x[2], LOW), (x[0], x[2], HIGH), (x[0], x, LOW)]
+    graph = whole(*(attach(value, carried, meaning, meaning) for value, carried, meaning in parts), symbol=x)
+    found = [(label_of(node.which_function()).meaning, node.dep(1).numel()) for node in labels_in(graph)]
+    assert sorted(found, key=str) == sorted([(LOW, 1), (LOW, 1), (HIGH, 1), (LOW, 3)], key=str)
+    assert len({hash(node.which_function()) for node in labels_in(graph)}) == 3  # equal meanings share one
 
 
 def called(meanings, key):

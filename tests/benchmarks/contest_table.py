@@ -13,8 +13,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+
+from plough_opt.core.tables import Grid
 
 HERE = Path(__file__).resolve().parent
 # A clock's own cost and grain are nothing beside this [s].
@@ -93,45 +93,34 @@ class Contest:
         content = {"when": _now(), "machine": machine(), "rows": rows, "growth": growths, "missing": self.missing}
         path.write_text(json.dumps(content, indent=1) + "\n")
 
-    def show(self, console=None):
+    def show(self):
         """Print the table."""
-        console = console or Console(width=170)
-        console.print(f"\n{_now()}, {machine()}", highlight=False)
+        lines = [f"{_now()}, {machine()}"]
         if self.rows:
-            console.print(self._rows())
+            lines.append(str(self._rows()))
         if self.growths:
-            console.print(self._growths())
-        for name, why in self.missing.items():
-            console.print(f"left out: {name}: {why}", highlight=False)
+            lines.append(str(self._growths()))
+        print("", *lines, *(f"left out: {name}: {why}" for name, why in self.missing.items()), sep="\n")
 
     def _rows(self):
-        table = Table(title="processor time of one core beside our own: above 1 is slower than plough_opt")
-        for name, justify in (
-            ("tool", "left"), ("error", "right"), ("CPU", "right"), ("/ ours", "right"), ("wall", "right"),
-            ("first CPU", "right"), ("/ ours", "right"), ("", "left"),
-        ):  # fmt: skip
-            table.add_column(name, justify=justify, overflow="fold")
+        title = "processor time of one core beside our own: above 1 is slower than plough_opt"
+        table = Grid.of(title, "tool", "error", "CPU", "/ ours", "wall", "first CPU", "/ ours", "note", left=("note",))
         for task in dict.fromkeys(row.task for row in self.rows):
-            table.add_section()
-            table.add_row(f"[bold]{task}")
+            table.row(task, *[""] * 7)
             for row in (r for r in self.rows if r.task == task):
                 error = "" if row.error is None else f"{row.error:.1e}"
                 first = "" if row.first is None else seconds(row.first.cpu)
-                ratios = [_short(self.ratio(row, which)) for which in ("spent", "first")]
-                name = f"[green]{row.tool}" if row.ours else row.tool
-                spent = (seconds(row.spent.cpu), ratios[0], seconds(row.spent.wall))
-                table.add_row(f"  {name}", error, *spent, first, ratios[1], row.note)
+                again, anew = (_short(self.ratio(row, which)) for which in ("spent", "first"))
+                spent = seconds(row.spent.cpu), again, seconds(row.spent.wall)
+                table.row(f"  {row.tool}", error, *spent, first, anew, row.note)
         return table
 
     def _growths(self):
-        table = Table(title="cost against size: the power with which it grows")
-        for name in ("what", "sizes", "costs", "power", ""):
-            table.add_column(name, overflow="fold")
+        table = Grid.of("cost against size: the power with which it grows", "what", "sizes", "costs", "power", "")
         for g in self.growths:
             costs = (seconds(c) if g.unit == "s" else f"{c:.0f} {g.unit}" for c in g.costs)
             sizes = ", ".join(f"{size:g}" for size in g.sizes)
-            verdict = "more than linear" if g.exponent > _LINEAR else ""
-            table.add_row(g.what, sizes, ", ".join(costs), f"{g.exponent:.2f}", verdict)
+            table.row(g.what, sizes, ", ".join(costs), f"{g.exponent:.2f}", "more than linear" * (g.exponent > _LINEAR))
         return table
 
 

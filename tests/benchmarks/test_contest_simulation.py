@@ -87,15 +87,11 @@ def test_hand_written_r1_is_ours(r1_scene, r1_wave):
 
 
 @pytest.mark.parametrize("where", ["start", "domain"])
-def test_very_many_designs(r1_soil, r1_scene, r1_wave, where, contest, peer, monkeypatch, tmp_path):
+def test_very_many_designs(r1_soil, r1_scene, r1_wave, where, contest, peer):
     task = f"mean and RMS force of very many designs {'near the start' if where == 'start' else 'all over the domain'}"
     designs = {"start": _near_start, "domain": _domain}[where]
     values, few = designs(16384), designs(16384)[:4096]
     batch = _batch(r1_soil, r1_wave)
-    with monkeypatch.context() as patch:
-        for name, value in (("PATH", str(tmp_path)), ("CC", "no_such_compiler")):
-            patch.setenv(name, value)
-        plain = _batch(r1_soil, r1_wave)
     reference = _batch(r1_soil, r1_wave, error=1e-10)(values)
     truth = np.array([reference.mean_draft, reference.force_rms])
     for k in range(0, len(values), len(values) // 12):
@@ -106,29 +102,12 @@ def test_very_many_designs(r1_soil, r1_scene, r1_wave, where, contest, peer, mon
     error = _error([found.mean_draft, found.force_rms], truth)
     assert error < WANTED
     contestants = {"plough_opt Batch, compiled": (lambda: batch(values), len(values), error)}
-    wanted, loose, error = _loosest(r1_soil, r1_wave, values, truth)
-    contestants[f"plough_opt Batch, compiled, asked for {wanted:.0e}"] = (lambda: loose(values), len(values), error)
-    found = plain(few)
-    error = _error([found.mean_draft, found.force_rms], truth[:, :4096])
-    assert error < WANTED
-    contestants["plough_opt Batch, no compiler (NumPy)"] = (lambda: plain(few), len(few), error)
     contestants |= _fixed_step_peers(few, truth[:, : len(few)], GROUPS if where == "domain" else 1, peer)
     spent = race({name: function for name, (function, _, _) in contestants.items()}, 5)
     for name, (_, count, error) in contestants.items():
         each = spent[name].per(count)
         note = f"{1.0 / each.cpu:.3g} designs per second"
         contest.add(task, name, each, error=error, note=note, ours=name.endswith(", compiled"))
-
-
-def _loosest(soil, wave, values, truth):
-    """Return the loosest error to ask of a batch that still reaches the wanted one, its batch, and the error found."""
-    for wanted in 10.0 ** -np.arange(2.0, 7.0, 0.5):
-        batch = _batch(soil, wave, error=wanted)
-        found = batch(values)
-        error = _error([found.mean_draft, found.force_rms], truth)
-        if error < WANTED:
-            return wanted, batch, error
-    raise AssertionError(f"a batch does not reach {WANTED:g}")
 
 
 def _fixed_step_peers(values, truth, groups, peer):

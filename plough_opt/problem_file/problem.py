@@ -167,9 +167,7 @@ class Problem:
             )
         values = self.values(changes)
         share = Wedge(
-            angle=values["share.wedge_angle"],
-            chisel_angle=values["share.chisel_angle"],
-            height=values["share.height"],
+            angle=values["share.wedge_angle"], chisel_angle=values["share.chisel_angle"], height=values["share.height"]
         )
         BESIDE["scene.frame_mass"].check(values["scene.frame_mass"])
         steel = share.equivalent_cone().solid_mass(values["scene.steel_density"])

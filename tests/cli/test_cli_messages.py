@@ -34,8 +34,7 @@ def test_verbose_says_each_step_and_twice_each_run_and_leaves_logging_as_it_was(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
-    [(["simulate", "a.toml", "-q", "-v"], "not allowed"), (["completion", "cmd"], "bash")],
+    ("arguments", "words"), [(["simulate", "a.toml", "-q", "-v"], "not allowed"), (["completion", "cmd"], "bash")]
 )
 def test_options_that_cannot_be_are_refused_with_those_that_can(capsys, arguments, words):
     with pytest.raises(SystemExit, match="2"):

@@ -132,8 +132,7 @@ def test_a_displayed_quantity_reads_back_as_the_same_value(number, units):
 
 @settings(deadline=None)  # the first quantity of all builds the registry of units
 @given(
-    text=st.text("0123456789.eE+-/()[]{}%,;# mNPaskgdr°·", max_size=16),
-    unit=st.sampled_from(["m", "rad", "N*s/m", ""]),
+    text=st.text("0123456789.eE+-/()[]{}%,;# mNPaskgdr°·", max_size=16), unit=st.sampled_from(["m", "rad", "N*s/m", ""])
 )
 def test_any_text_is_a_finite_quantity_or_refused_with_a_sentence(text, unit):
     try:

@@ -174,11 +174,11 @@ def optimise(options: argparse.Namespace) -> None:
             judge=options.judge,
             seed=options.seed,
         )
-        asked = report.sensitivities_of(best, notify) if options.sensitivity else ()
-    best = dataclasses.replace(best, sensitivities=asked)
+        found = report.sensitivities_of(best, notify) if options.sensitivity else ()
+    best = dataclasses.replace(best, sensitivities=found)
     page = best.page()
     page = dataclasses.replace(page, parts=(*page.parts, *report.own_results(problem, run)))
-    page = report.with_sensitivities(page, problem, asked)
+    page = report.with_sensitivities(page, problem, found)
     give(options, page, lambda: best.to_json(page), best.plot)
 
 

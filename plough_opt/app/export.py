@@ -120,7 +120,7 @@ def _names(option: str, written: str | None) -> tuple[str, ...]:
 
 
 def _best_of(problem: Problem, at: str | None) -> Callable[[], Scene] | None:
-    """Return what searches the scene of a file's best design, or None where no search is asked for."""
+    """Return a function that searches the scene of a file's best design, or None where none is wanted."""
     if at == "guess" or (at is None and not (problem.variables and problem.table.minimise)):
         return None
     return lambda: _best(problem)

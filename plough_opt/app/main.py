@@ -1,7 +1,7 @@
 """The command `plough-opt`: arguments, exit status, and nothing of the physics.
 
 Exit status: 0 solved; 1 the problem has no solution, or none was found; 2 the input is wrong; 130 interrupted: a sweep
-goes on when it is asked again.
+continues when it is started again.
 """
 
 import argparse

@@ -50,15 +50,15 @@ def sweep(options: argparse.Namespace) -> None:
     over = _over(options)
     problem = read(options)
     what: What = "optimise" if options.optimise else "simulate"
-    asked = ProblemSweep.of(problem, over, what, options.method, options.samples, options.seed)
-    store = options.store or _store_of(options.file, asked)
-    notes = list(asked.notes)
+    plan = ProblemSweep.of(problem, over, what, options.method, options.samples, options.seed)
+    store = options.store or _store_of(options.file, plan)
+    notes = list(plan.notes)
     if options.samples is not None and options.samples & (options.samples - 1):
         notes.append(f"{options.samples} samples are not a power of two: a Sobol sample is even at 64, 128, 256, ...")
     for note in notes:
         LOG.info("note: %s", note)
     with _executor(options.scheduler) as (executor, workers):
-        found = asked.run(
+        found = plan.run(
             samples=options.samples,
             seed=options.seed,
             store=store,
@@ -101,9 +101,9 @@ def _over(options: argparse.Namespace) -> dict[str, object]:
     return over
 
 
-def _store_of(file: str, asked: ProblemSweep) -> Path:
+def _store_of(file: str, plan: ProblemSweep) -> Path:
     """Return a store of its own for every question, so that the same command finds it again."""
-    text = json.dumps([dict(asked.question), {name: repr(axis) for name, axis in asked.axes.items()}, asked.count])
+    text = json.dumps([dict(plan.question), {name: repr(axis) for name, axis in plan.axes.items()}, plan.count])
     return Path(f"{Path(file).stem}-{hashlib.sha256(text.encode()).hexdigest()[:8]}.sweep.db")
 
 

@@ -17,49 +17,46 @@ OBJECTIVE = "objective"
 """Name of the sum of the [minimise] table."""
 
 
-def input_ports(
-    name: str, asked: Sequence[str], bounds: Mapping[str, Input], values: Mapping[str, float]
-) -> list[Port]:
+def input_ports(name: str, keys: Sequence[str], bounds: Mapping[str, Input], values: Mapping[str, float]) -> list[Port]:
     """Return the inputs of a file.
 
     Args:
         name: the file's name.
-        asked: keys of quantities; none: the variables.
+        keys: of quantities; none: the variables.
         bounds: key of each variable -> its bounds.
         values: key of every quantity that has a value -> it, of variables the guess.
 
     Raises:
         InputError: nothing to vary, or a key that is unknown or has no value.
     """
-    check_kind("inputs", asked, list | tuple, "a list of keys")
-    keys = asked or tuple(bounds)
+    check_kind("inputs", keys, list | tuple, "a list of keys")
+    keys = keys or tuple(bounds)
     if not keys:
         raise InputError(f"{name}: nothing to vary: name inputs, or give the file a [variables] table")
     for key in keys:
-        if not (isinstance(key, str) and key in values):
-            if isinstance(key, str) and key in EVERY:
-                raise InputError(f"{name} gives '{key}' no value, so it cannot be an input")
-            check_named("no quantity is named {}", key, values)
+        if isinstance(key, str) and key in EVERY and key not in values:
+            raise InputError(f"{name} gives '{key}' no value, so it cannot be an input")
+        check_named("no quantity is named {}", key, values)
     return [port_of(bounds.get(key, Input(key)), EVERY[key], values[key]) for key in keys]
 
 
 def wanted_outputs(
-    name: str, table: ProblemTable, asked: Sequence[str], objective: Callable[[Run], Expression]
+    name: str, table: ProblemTable, names: Sequence[str], objective: Callable[[Run], Expression]
 ) -> list[Output]:
     """Return the outputs of a file, its requirements as their limits.
 
     Args:
         name: the file's name.
         table: what it says.
-        asked: names of results, or "objective"; none: all that the file minimises, trades and requires.
+        names: of results, or "objective"; none: all that the file minimises, trades and requires.
         objective: run -> sum of what the file minimises.
 
     Raises:
         InputError: nothing to give.
     """
-    everything = dict.fromkeys([*table.minimise, *table.goals, *table.require])
-    check_kind("outputs", asked, list | tuple, "a list of names")
-    names = asked or [*([OBJECTIVE] if table.minimise else []), *everything]
+    check_kind("outputs", names, list | tuple, "a list of names")
+    every = dict.fromkeys([*table.minimise, *table.goals, *table.require])
+    names = names or [*([OBJECTIVE] if table.minimise else []), *every]
     if not names:
         raise InputError(f"{name} minimises and requires nothing: name outputs")
     return [_output(one, table, objective) for one in names]

@@ -52,8 +52,8 @@ def optimise_robust(problem: Problem, progress: Progress) -> RobustOptimum:
     fresh, nominal_fresh = (verify(robust, at, samples=table.fresh, seed=seed) for at in (best, nominal.variables))
     indices = sobol_indices(robust, best, samples=_INDEX_SAMPLES, seed=table.seed, correlated=True)
     run = problem.simulate(best.variables)
-    asked = _in_words(problem, {check.result for check in fresh.checks})
-    return RobustOptimum(best, run, nominal, robust, fresh, nominal_fresh, indices, failures, asked, problem.origin)
+    limits = _in_words(problem, {check.result for check in fresh.checks})
+    return RobustOptimum(best, run, nominal, robust, fresh, nominal_fresh, indices, failures, limits, problem.origin)
 
 
 def _in_words(problem: Problem, varying: set[str]) -> dict[str, tuple[str, str]]:

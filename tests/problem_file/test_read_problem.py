@@ -129,35 +129,15 @@ def test_what_a_file_leaves_out_has_its_default(read):
     assert problem.variables == {}
 
 
-def test_effects_and_accuracy_reach_the_simulation(read):
-    extra = """
-[effects]
-inertial_drag = false
-added_mass = false
-ambient_pressure = false
-start = "rest"
-tow_ramp = "0.5 s"
-rate_term = "0.01 s^2/m^2"
-[accuracy]
-method = "dop853"
-steps = 800
-"""
-    problem = read(MINIMAL + extra)
+def test_effects_accuracy_and_outputs_reach_the_simulation(read):
+    effects = "inertial_drag=false, added_mass=false, ambient_pressure=false, start='rest', tow_ramp='0.5 s'"
+    more = f"effects = {{ {effects}, rate_term='0.01 s^2/m^2' }}\naccuracy = {{ method='dop853', steps=800 }}\n"
+    problem = read(MINIMAL.replace('duration = "1 s"', 'duration = "1 s", outputs = 8') + more)
     assert problem.scene().effects == po.Effects(
         inertial_drag=False, added_mass=False, ambient_pressure=False, start="rest", tow_ramp=0.5, rate_term=0.01
     )  # fmt: skip
     run = problem.simulate()
     assert (run.accuracy.method, run.accuracy.steps) == ("dop853", 800)
-
-
-def test_a_file_chooses_the_formulation(read):
-    problem = read(MINIMAL + 'effects.formulation = "printed"\n')
-    assert problem.scene().effects == po.Effects(formulation="printed")
-    assert any("as printed" in text for text in problem.scene().warnings())
-
-
-def test_the_outputs_of_a_file_are_the_intervals_between_output_times(read):
-    run = read(MINIMAL.replace('duration = "1 s"', 'duration = "1 s", outputs = 8')).simulate()
     np.testing.assert_allclose(run.time, np.linspace(0.0, 1.0, 9), atol=1e-15)
 
 
@@ -168,6 +148,12 @@ def test_a_quasi_static_file_has_the_steady_resistance_at_every_time(read):
     np.testing.assert_allclose(problem.simulate().mount_force, steady, rtol=1e-12)
 
 
+def test_a_file_chooses_the_formulation(read):
+    problem = read(MINIMAL + 'effects.formulation = "printed"\n')
+    assert problem.scene().effects == po.Effects(formulation="printed")
+    assert any("as printed" in text for text in problem.scene().warnings())
+
+
 def test_a_guess_left_out_is_the_middle_of_its_bounds_geometric_on_a_log_scale(read, changed):
     scene = read(changed((', guess = "25 deg"', ""), (', guess = "50 kN/m"', ""))).scene()
     assert scene.share.angle == pytest.approx(32.5 * DEG)
@@ -175,33 +161,27 @@ def test_a_guess_left_out_is_the_middle_of_its_bounds_geometric_on_a_log_scale(r
 
 
 VARIABLES = [
-    ("soil.cohesion", "10 kPa", "30 kPa", lambda scene: scene.soil.cohesion / 20e3),
-    ("scene.tow_speed", "1 m/s", "3 m/s", lambda scene: scene.tow_speed / 2.0),
-    ("effects.damping", "300 N*s/m", "500 N*s/m", lambda scene: scene.effects.damping / 400.0),
-    ("share.chisel_angle", "10 deg", "20 deg", lambda scene: scene.share.chisel_angle / (15 * DEG)),
-    ("scene.steel_density", "7.8 t/m^3", "7.9 t/m^3", lambda s: (s.mass - 20) / steel_mass(25 * DEG, 15 * DEG, 0.25)),
-]
+    ("soil.cohesion", "", ("10 kPa", "30 kPa"), lambda scene: scene.soil.cohesion / 20e3),
+    ("scene.tow_speed", 'tow_speed = "7.2 km/h"\n', ("1 m/s", "3 m/s"), lambda scene: scene.tow_speed / 2.0),
+    ("effects.damping", 'damping = "400 N*s/m"\n', ("3 N*s/m", "5 N*s/m"), lambda scene: scene.effects.damping / 4.0),
+    ("share.chisel_angle", 'chisel_angle = "15 deg"\n', ("10 deg", "20 deg"),
+     lambda scene: scene.share.chisel_angle / (15 * DEG)),
+    ("scene.steel_density", 'steel_density = "7850 kg/m^3"', ("7.8 t/m^3", "7.9 t/m^3"),
+     lambda scene: (scene.mass - 20) / steel_mass(25 * DEG, 15 * DEG, 0.25)),
+    ("effects.strength_wave.wavelength", ', wavelength = "0.2 m"', ("0.1 m", "0.3 m"),
+     lambda scene: scene.effects.strength_wave.wavelength / 0.2),
+    ("effects.strength_wave.amplitude", "amplitude = 0.3, ", ("0.1", "0.5"),
+     lambda scene: scene.effects.strength_wave.amplitude / 0.3),
+    ("scene.duration", 'duration = "2 s"\n', ("1 s", "3 s"), lambda _: 1.0),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(("key", "lower", "upper", "value"), VARIABLES, ids=[key for key, *_ in VARIABLES])
-def test_any_quantity_may_be_a_variable(read, cotton, key, lower, upper, value):
-    name = key.split(".")[1]
-    text = "\n".join(line for line in cotton.splitlines() if not line.startswith(f"{name} ="))
-    problem = read(text.replace("[variables]", f'[variables]\n"{key}" = {{ lower = "{lower}", upper = "{upper}" }}'))
+@pytest.mark.parametrize(("key", "fixed", "ends", "value"), VARIABLES, ids=[key for key, *_ in VARIABLES])
+def test_any_quantity_may_be_a_variable(read, changed, key, fixed, ends, value):
+    variable = "[variables]", f"[variables]\n'{key}' = {{ lower = '{ends[0]}', upper = '{ends[1]}' }}"
+    problem = read(changed(variable, *([(fixed, "")] if fixed else [])))
+    assert key in problem.variables
     assert value(problem.scene()) == pytest.approx(1.0, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("fixed", "variable"),
-    [
-        (', wavelength = "0.2 m"', "\"effects.strength_wave.wavelength\" = { lower = '0.1 m', upper = '0.3 m' }"),
-        ("amplitude = 0.3, ", '"effects.strength_wave.amplitude" = { lower = 0.1, upper = 0.5 }'),
-        ('duration = "2 s"\n', "\"scene.duration\" = { lower = '1 s', upper = '3 s' }"),
-    ],
-)
-def test_a_quantity_that_must_be_given_may_be_given_as_a_variable(read, changed, fixed, variable):
-    problem = read(changed((fixed, ""), ("[variables]", f"[variables]\n{variable}")))
-    assert variable.split('"')[1] in problem.variables
 
 
 def test_changes_to_a_scene_are_in_si(subsoiler):

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from plough_opt.core.quantities import EVERY, QUANTITIES
+from plough_opt.core.tables import Grid
 from plough_opt.core.units import Display
 from plough_opt.design import Limit, Optimum, Sensitivity
 from plough_opt.laws.forces import cone_index
@@ -57,15 +58,6 @@ class Report:
         return {name: nice(value) for name, value in self.run.response().rows}
 
 
-@dataclass(frozen=True)
-class Table:
-    """A table: headings, and rows whose first cell names them."""
-
-    caption: str
-    head: tuple[str, ...]
-    rows: Sequence[tuple[str, ...]]
-
-
 def nice(text: str) -> str:
     """Return quantities as print has them: powers raised, degrees as a sign, no line between number and unit."""
     text = re.sub(r"\^([23])", lambda power: "²³"["23".index(power[1])], text)
@@ -89,18 +81,18 @@ def cards(report: Report) -> list[tuple[str, str]]:
 
 
 def question(report: Report) -> list[str]:
-    """Return what was asked, a paragraph each."""
+    """Return the question, a paragraph each."""
     problem, table = report.problem, report.problem.table
     if report.best is None:
         return ["What does this share need, and how does it move? Nothing in the file is a variable."]
     terms = [f"{called(name)} in units of {nice(str(term.per))}" for name, term in table.minimise.items()]
-    asked = [f"Choose {_listed([called(key) for key in problem.variables])} so that {' plus '.join(terms)} is least."]
+    text = [f"Choose {_listed([called(key) for key in problem.variables])} so that {' plus '.join(terms)} is least."]
     limits = [f"{called(name)} {limits_of(problem, name)}" for name in table.require]
     if limits:
-        asked.append(f"Required: {_listed(limits)}.")
+        text.append(f"Required: {_listed(limits)}.")
     if report.best.over:
-        asked.append(f"Judged over the tolerances: {report.best.over}.")
-    return asked
+        text.append(f"Judged over the tolerances: {report.best.over}.")
+    return text
 
 
 def limits_of(problem: Problem, name: str) -> str:
@@ -152,12 +144,12 @@ def _requirement(report: Report, limit: Limit) -> dict[str, str | float | bool]:
     }
 
 
-def response(report: Report) -> Table:
+def response(report: Report) -> Grid:
     """Return the averages and peaks of the run."""
-    return Table("Averages over the run, and peaks", (), [*report.results.items()])
+    return Grid.pairs("Averages over the run, and peaks", *report.results.items())
 
 
-def share(report: Report) -> Table:
+def share(report: Report) -> Grid:
     """Return the measures of the share and of its cone."""
     body, cone = report.run.scene.share, report.run.scene.cone
     length, angle = (
@@ -178,23 +170,23 @@ def share(report: Report) -> Table:
         ("base radius of the cone", length.text(float(cone.height * cone.slope), 4)),
         ("moving mass, frame and share", f"{float(report.run.scene.mass):.4g} kg"),
     ]
-    return Table("Measures", (), [(name, nice(value)) for name, value in rows])
+    return Grid.pairs("Measures", *((name, nice(value)) for name, value in rows))
 
 
-def optima(report: Report) -> Table | None:
+def optima(report: Report) -> Grid | None:
     """Return the local optima, where there are several."""
     best = report.best
     if best is None or len(best.local_optima) < 2:
         return None
     keys = report.problem.variables
-    rows = [
-        (one.name, f"{one.objective:.6g}", *(nice(v.display.text(one.variables[key], 5)) for key, v in keys.items()))
-        for one in best.local_optima
-    ]
-    return Table("Local optima found, best first", ("", "objective", *map(called, keys)), rows)
+    grid = Grid.of("Local optima found, best first", "", "objective", *map(called, keys))
+    for one in best.local_optima:
+        values = (nice(v.display.text(one.variables[key], 5)) for key, v in keys.items())
+        grid.row(one.name, f"{one.objective:.6g}", *values)
+    return grid
 
 
-def scene(report: Report) -> Table:
+def scene(report: Report) -> Grid:
     """Return what is fixed in the scene, effects included."""
     fixed = [key for key in report.problem.fixed if not key.startswith("soil.")]
     rows = [
@@ -205,10 +197,10 @@ def scene(report: Report) -> Table:
     rows += [("contact", effects.contact.replace("_", " and ")), ("start", effects.start)]
     if effects.orbit != "transient":
         rows.append(("orbit", effects.orbit.replace("_", " ")))
-    return Table("Fixed in the scene", (), rows)
+    return Grid.pairs("Fixed in the scene", *rows)
 
 
-def soil(report: Report) -> Table:
+def soil(report: Report) -> Grid:
     """Return the properties of the soil."""
     own = report.run.scene.soil
     rows = []
@@ -220,7 +212,7 @@ def soil(report: Report) -> Table:
         rows.append(("cone index of a penetrometer", nice(f"{float(cone_index(own)) / 1e3:.4g} kPa")))
         share = 100.0 * float(report.run.scene.ambient_share)
         rows.append(("ambient pressure's part of the static draft", f"{share:.0f} %"))
-    return Table(own.name, (), rows)
+    return Grid.pairs(own.name, *rows)
 
 
 def sensitivities(report: Report) -> list[dict[str, str | float]]:
@@ -247,7 +239,7 @@ def _moves(one: Sensitivity) -> list[str]:
     ]
 
 
-def accuracy(report: Report) -> Table:
+def accuracy(report: Report) -> Grid:
     """Return how far the numbers can be trusted, and what that cost."""
     run, best = report.run, report.best
     rows = [
@@ -261,7 +253,7 @@ def accuracy(report: Report) -> Table:
             ("the optimiser's own objective differs by", f"{best.gap:.0e}, relative"),
             ("time of the search and the solve", f"{best.seconds:.2g} s"),
         ]
-    return Table("Trust and cost", (), rows)
+    return Grid.pairs("Trust and cost", *rows)
 
 
 def notes(report: Report) -> list[str]:

@@ -1,9 +1,11 @@
 """The layout: imports go one way, files stay short, links lead somewhere."""
 
 import ast
+import importlib.metadata
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -90,3 +92,26 @@ def test_folders_of_tests_run_alone_and_in_any_company():
         assert "conftest" not in found, source
         for name in found & places.keys():
             assert places[name] in source.parents, (source, name)
+
+
+LICENCES = {
+    name: row.split("|")[2]
+    for row in (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").partition("## Licences")[2].splitlines()
+    if row.startswith("| ")
+    for name in row.split("|")[1].strip().split(", ")
+}
+FAMILIES = ("MIT", "BSD", "Apache", "MPL", "LGPL", "PSF")
+# Their metadata name no licence that a program could read.
+SILENT = {"fmpy": "BSD", "matplotlib": "PSF"}
+
+
+def test_the_licence_of_every_library_is_listed():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = {k: v for k, v in project["optional-dependencies"].items() if k not in ("test", "bench")}
+    needed = {re.match(r"[\w-]+", line)[0] for line in sum(extras.values(), project["dependencies"])}
+    assert needed <= set(LICENCES)
+    for name in needed - {"build123d"}:  # which tests do without
+        about = importlib.metadata.metadata(name)
+        fields = ("License-Expression", "License", "Classifier")
+        said = SILENT.get(name) or " ".join(text for field in fields for text in about.get_all(field, []))
+        assert any(family in said and family in LICENCES[name] for family in FAMILIES), (name, said[:200])

@@ -148,8 +148,8 @@ class TestTracks:
             def use():
                 # Slow when it is tried, and now and then in turns.
                 number = next(uses)
-                slow = steps == 80 and (number < 3 or number % 5 == 0)
-                now[0] += 1e-3 * steps / 40.0 * (3.0 if slow else 1.0)
+                slow = steps == 80 and (number < 16 or number % 5 == 0)
+                now[0] += 1e-3 * steps / 40.0 * (5.0 if slow else 1.0)
 
             return use, lambda: (use(), {"error": 0.5 * (40.0 / steps) ** 8})[1]
 

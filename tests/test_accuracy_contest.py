@@ -70,7 +70,7 @@ CLOCKED = {"fast": 1.0, "slow": 2.5, "slower": 30.0}
 
 
 def clocked(method, counts, order, *, factor=1.0, fixed=False):
-    """Return a track of a method of an order, whose uses are told by name, and what was tried of it."""
+    """Return a track of a method of an order, whose uses report their name, and what was tried of it."""
     tried = []
 
     def prepare(steps):

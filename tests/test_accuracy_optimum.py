@@ -187,11 +187,11 @@ def test_a_thin_contest_leaves_out_every_other_setting(r1_soil, r1_wave, monkeyp
 
 def test_progress_names_each_contestant(bowl, monkeypatch):
     monkeypatch.setattr(compiler, "find_compiler", lambda: None)
-    told = []
-    contest = design_contest(bowl, budget=0.0, progress=lambda stage, fraction: told.append((stage, fraction)))
-    assert len(told) == len({entry.method for entry in contest.entries})
-    assert told[0][0].startswith("derivatives: exact")
-    assert np.all(np.diff([fraction for _, fraction in told]) > 0.0)
+    steps = []
+    contest = design_contest(bowl, budget=0.0, progress=lambda stage, fraction: steps.append((stage, fraction)))
+    assert len(steps) == len({entry.method for entry in contest.entries})
+    assert steps[0][0].startswith("derivatives: exact")
+    assert np.all(np.diff([fraction for _, fraction in steps]) > 0.0)
 
 
 def test_a_design_without_an_objective_or_without_a_solution_is_refused():

@@ -169,12 +169,12 @@ SLOWER = {
 
 
 def test_the_errors_of_averages_and_of_forces_are_apart():
-    # After a thousand radians the phase is rounded and with it every force; averages hardly depend on it.
+    # After four hundred radians the phase is rounded and with it every force; averages hardly depend on it.
     plain = scene(stiffness=5e8, start="rest", inertial_drag=False)
-    found = reference_run(plain, 0.25, outputs=50)
+    found = reference_run(plain, 0.1, outputs=50)
     k, F, V = (mp.mpf(float(x)) for x in (5e8, plain.reaction.static, 2.0))
     w = mp.sqrt(k / (mp.mpf(25.0) + mp.mpf(float(plain.reaction.added_mass))))
-    T = mp.mpf(0.25)
+    T = mp.mpf(0.1)
     pulls = [F * (1 - mp.cos(w * t)) + V * k / w * mp.sin(w * t) for t in mp.linspace(0, T, 51)]
     mean = F * (1 - mp.sin(w * T) / (w * T)) + V * k / w * (1 - mp.cos(w * T)) / (w * T)
     size = float(found.run.force_rms)
@@ -372,13 +372,14 @@ def test_gradients_of_a_linear_oscillation_in_closed_form():
 
 def test_a_gradient_through_events_is_that_of_the_run():
     share = scene(2e4, 0.2, soil=LIGHT, mass=20.0, start="rest", damping=30.0, contact=po.StickSlip(1.2))
-    found = reference_gradient(share, 0.6)
+    found = reference_gradient(share, 0.4)
     x = ca.MX.sym("x", 3)
     varied = dataclasses.replace(share, **dict(zip(QUANTITIES, ca.vertsplit(x), strict=True)))
-    run = po.simulate(varied, 0.6, accuracy=po.Accuracy("erk", tolerance=1e-12))
+    run = po.simulate(varied, 0.4, accuracy=po.Accuracy("erk", tolerance=1e-12))
     slopes = ca.Function("slopes", [x], [ca.jacobian(ca.vertcat(run.mean_draft, run.force_rms), x)])
     at = [float(getattr(share, name)) for name in QUANTITIES]
     size = float(np.max(np.abs(found.values)))
     # What the event's location at 1e-12 leaves.
+    assert {name for _, name in reference_run(share, 0.4).events} == {"move", "stop"}
     assert np.allclose(np.asarray(slopes(at)) * at, found.values.astype(float), rtol=0, atol=1e-8 * size)
     assert found.error < 1e-10

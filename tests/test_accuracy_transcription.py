@@ -164,7 +164,7 @@ def test_every_result_of_a_run_is_that_of_the_tight_integration(rich, form):
     np.testing.assert_allclose(np.asarray(found["g"]).ravel()[: len(truth)], truth, rtol=0.0, atol=1e-8)
 
 
-def test_a_run_whose_averages_alone_count_takes_the_mesh_that_is_asked_for(r1, rich):
+def test_a_run_whose_averages_alone_count_takes_the_mesh_that_is_wanted(r1, rich):
     def unknowns(question, form):
         own = transcribe(question, form)
         assert len(own.start) == own.x.numel() == len(own.lower) == len(own.upper)

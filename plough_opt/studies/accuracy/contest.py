@@ -246,7 +246,7 @@ class _Tried:
             else:
                 bad = middle
                 if self.entries[middle].failure is not None and not shown:
-                    del self.entries[middle]  # too coarse to have a result, and asked for by nobody
+                    del self.entries[middle]  # too coarse to have a result, and not among those shown
 
     def check(self, front: Sequence[Entry]) -> None:
         """Measure `simulate` by the settings that are efficient, which checks them."""
@@ -326,7 +326,7 @@ def efficient(entries: Sequence[Entry], error: str, floor: float = 0.0) -> list[
     Args:
         entries: of one contest; failures are left out.
         error: the key of `Entry.errors` that counts.
-        floor: error [-] of the reference itself, below which errors cannot be told apart.
+        floor: error [-] of the reference itself, below which errors do not differ.
     """
     ranked = sorted(
         (entry for entry in entries if entry.failure is None and error in entry.errors),

@@ -79,7 +79,7 @@ class Task:
         outputs: number of intervals between output times.
         allowance: time [s] that one use of a contestant may take.
         thin: leave out every other setting but the finest; what is advised is the same.
-        wanted: relative error [-] that "auto" is asked for beside its usual ones.
+        wanted: relative error [-] that "auto" aims at too, beside its usual ones.
     """
 
     scene: Scene
@@ -240,7 +240,7 @@ def refused(method: str, *, orbits: bool, events: bool) -> str:
 
 
 def automatic_settings(task: Task) -> list[Accuracy]:
-    """Return the errors asked of "auto", the default and the wanted one among them."""
+    """Return the errors that "auto" aims at, the default and the wanted one among them."""
     errors = {*task.some(ERRORS), DEFAULT_ERROR, max(task.wanted, _TIGHTEST)}
     return [Accuracy(error=error) for error in sorted(errors, reverse=True)]
 
@@ -262,7 +262,7 @@ def settings_of(task: Task, method: str, *, gradient: bool = False) -> tuple[tup
 
 
 def error_text(error: float) -> str:
-    """Return an error that is asked for as text, with no more digits than it has."""
+    """Return a wanted error as text, with the digits that it has."""
     return min((f"{error:.{digits}e}" for digits in range(3)), key=lambda text: (float(text) != error, len(text)))
 
 

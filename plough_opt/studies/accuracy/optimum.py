@@ -100,7 +100,7 @@ class TightOptimum:
     Attributes:
         variables: name -> value, SI units.
         objective: tightly re-integrated.
-        floor: relative error of the objective below which contestants cannot be told apart [-].
+        floor: relative error of the objective below which contestants do not differ [-].
         y: scaled variables.
         off: by how much the last of Newton's steps, which is rounding, would move them [-].
     """

@@ -50,7 +50,7 @@ class Panel:
         entries: all that have it.
         front: the efficient ones, from the fastest on.
         floor: relative error of the reference itself [-].
-        wanted: relative error that is asked for [-].
+        wanted: relative error that is wanted [-].
         default: method and setting that the toolkit takes by default.
     """
 

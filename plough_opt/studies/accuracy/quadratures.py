@@ -158,7 +158,7 @@ def profile_reaction(cone: Cone, soil: Soil, panels: int, count: int) -> SoilRea
         count: points of Gauss's rule in each panel.
 
     Raises:
-        InputError: a profile that takes no wide floats.
+        InputError: the profile cannot compute in wide floats.
     """
     height, slope, friction, density = (
         WIDE(float(as_number(value))) for value in (cone.height, cone.slope, soil.tool_friction, soil.density)
@@ -170,7 +170,7 @@ def profile_reaction(cone: Cone, soil: Soil, panels: int, count: int) -> SoilRea
         try:
             found = np.asarray(profile.at(r), WIDE)
         except (TypeError, NotImplementedError, AttributeError) as error:
-            raise InputError(f"the density profile takes no wide floats: {error}") from None
+            raise InputError(f"the density profile cannot compute in wide floats: {error}") from None
         return density / (found.reshape(r.shape) if found.size == r.size else found + 0 * r)
 
     parts, weights = _panels(WIDE(1), panels, count)

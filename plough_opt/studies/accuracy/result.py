@@ -173,19 +173,19 @@ class AccuracyStudy(Keepable):
                 advice += ", the only method that reaches it"
             if best.checked is not None:
                 advice += f"; {duration_text(best.checked)} by simulate, which checks it"
-        return f"{question.title}: {advice}{self._unasked(question, best)}."
+        return f"{question.title}: {advice}{self._defaults_beside(question, best)}."
 
-    def _unasked(self, question: Question, best: Entry | None) -> str:
+    def _defaults_beside(self, question: Question, best: Entry | None) -> str:
         """Return clauses on what `simulate` takes when it is given the wanted error, and when it is given nothing."""
         found = {(entry.method, entry.setting): entry for entry in self.of(question)}
         setting = f"error {error_text(self.wanted)}"
-        asked = found.get((AUTO, setting)) or found.get((COMPILED, setting))
+        aimed = found.get((AUTO, setting)) or found.get((COMPILED, setting))
         default = found.get(question.default)
         clauses = ""
-        if asked is not None and asked is not default:
+        if aimed is not None and aimed is not default:
             name = f"Accuracy(error={error_text(self.wanted)})"
-            name += ", compiled=True" if asked.method == COMPILED else ""
-            clauses += f"; that is {name}" if asked is best else f"; {name} takes {_beside(asked, best, question)}"
+            name += ", compiled=True" if aimed.method == COMPILED else ""
+            clauses += f"; that is {name}" if aimed is best else f"; {name} takes {_beside(aimed, best, question)}"
         if default is not None and default is best:
             return f"{clauses}; that is the default"
         if default is not None:

@@ -79,7 +79,7 @@ def in_wide_floats(arguments: Sequence[ca.SX], results: Sequence[Any]) -> WideGr
     for k in range(graph.n_instructions()):
         kind = graph.instruction_id(k)
         if kind not in _OPERATIONS and kind not in (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT):
-            raise InputError("an own effect holds a function that takes no wide floats")
+            raise InputError("an own effect holds a function that cannot compute in wide floats")
         constant = WIDE(graph.instruction_constant(k)) if kind == ca.OP_CONST else None
         steps.append((kind, graph.instruction_input(k), graph.instruction_output(k), constant))
     rows = [graph.nnz_out(k) for k in range(graph.n_out())]

@@ -75,8 +75,8 @@ class _Share:
         self.rate, self.ramp = float(e.rate_term or 0.0), float(e.tow_ramp or 0.0)
         self.v0, self.height = float(scene.tow_speed), float(scene.cone.height)
         self.entry = e.entry
-        wave = e.strength_wave
-        self.wave = (float(wave.amplitude), 2.0 * math.pi / float(wave.wavelength)) if wave else (0.0, 0.0)
+        waves = e.strength_wave if isinstance(e.strength_wave, tuple) else (e.strength_wave,) if e.strength_wave else ()
+        self.waves = [(float(w.amplitude), 2.0 * math.pi / float(w.wavelength), float(w.phase)) for w in waves]
         self.width = float(e.contact.width) if isinstance(e.contact, po.Smooth) else None
         self.breakaway = float(e.contact.breakaway) if isinstance(e.contact, po.StickSlip) else None
         self.first_speed = 0.0 if self.ramp else self.v0
@@ -102,17 +102,18 @@ class _Share:
         u = min(max(speed / self.width, 0.0), 1.0)
         return 70.0 * u**9 - 315.0 * u**8 + 540.0 * u**7 - 420.0 * u**6 + 126.0 * u**5
 
+    def strength(self, travel):
+        """Return the static resistance at a travel."""
+        return self.static * (1.0 + sum(a * math.sin(number * travel + phase) for a, number, phase in self.waves))
+
     def soil(self, travel, speed):
         """Return the resistance without the added mass."""
-        epsilon, number = self.wave
-        strength = self.static * (1.0 + self.rate * speed**2) * (1.0 + epsilon * math.sin(number * travel))
+        strength = self.strength(travel) * (1.0 + self.rate * speed**2)
         return self.step(speed) * self.buried(travel) ** 2 * (strength + self.drag * speed**2)
 
     def hold(self, travel):
         """Return the mount force at which a sticking share moves."""
-        epsilon, number = self.wave
-        static = self.static * (1.0 + epsilon * math.sin(number * travel))
-        return self.breakaway * self.buried(travel) ** 2 * static
+        return self.breakaway * self.buried(travel) ** 2 * self.strength(travel)
 
     def carried(self, travel):
         return self.added * self.buried(travel) ** 3
@@ -265,7 +266,9 @@ def _path(share, scene, when, about, tolerance):
     settings = {"method": "DOP853", "rtol": relative, "atol": tolerance * sizes}
     if share.breakaway is not None:
         # A stop of short duration lies between two crossings that a long step would take at once.
-        settings["max_step"] = 0.1 / max(math.sqrt(share.k / share.m), share.wave[1] * share.v0)
+        settings["max_step"] = 0.1 / max(
+            math.sqrt(share.k / share.m), *(number * share.v0 for _, number, _ in share.waves)
+        )
     # After a turn the next is not looked for at once, or rounding would find the same again.
     turned, rest = -math.inf, 1e-3 * settings.get("max_step", 0.0)
     stops = sorted({*times, *([share.ramp] if 0.0 < share.ramp < duration else [])})

@@ -1,12 +1,11 @@
 """Scenes under any law of resistance: the same motion as by an independent integrator, in designs and batches too."""
 
 import dataclasses
-import math
 
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from helpers import three_modes
 from scipy.optimize import minimize_scalar
 
 import plough_opt as po
@@ -48,27 +47,9 @@ def scene(law, **changes):
     return po.Scene(**given | changes, medium=law)
 
 
-def integrated_apart(draft, duration=0.6):
-    """Return the mean draft [N] by SciPy, the equation of motion written down anew."""
-    static, at_one = draft(0.0), draft(1.0)
-    tow, mass, stiffness, damping = 2.0, 40.0, 5e5, 400.0
-
-    def rate(time, state):
-        travel, speed, _ = state
-        mount = stiffness * (tow * time - travel) + damping * (tow - speed)
-        soil = static * (1 + 0.3 * math.sin(2 * math.pi * travel / 0.2)) + (at_one - static) * speed**2
-        return [speed, (mount - soil) / mass, mount]
-
-    first = -(static + (at_one - static) * tow**2) / stiffness
-    found = solve_ivp(rate, (0.0, duration), [first, tow, 0.0], method="DOP853", rtol=1e-12, atol=1e-12)
-    return found.y[2, -1] / duration
-
-
 @pytest.mark.parametrize("law", DRAFTS, ids=lambda law: law.label)
 def test_motion_is_that_of_an_independent_integrator(law):
-    expected = integrated_apart(DRAFTS[law])
-    # Both to some 1e-9.
-    assert po.simulate(scene(law), 0.6).mean_draft == pytest.approx(expected, rel=3e-9)
+    three_modes.agreed(scene(law), 0.6)
 
 
 @pytest.mark.parametrize("law", DRAFTS, ids=lambda law: law.label)

@@ -1,14 +1,13 @@
-"""Several strength waves: their sum in every kind of run, beside solvers and series that share no code."""
+"""Several strength waves: their sum in every kind of run, beside a solver and series that share no code."""
 
 import math
 
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from helpers import three_modes
 
 import plough_opt as po
-from plough_opt.studies.accuracy.following import Motion, follow
 
 WAVES = (po.StrengthWave(0.2, 0.2), po.StrengthWave(0.1, 0.3, 0.7), po.StrengthWave(0.05, 0.12, -2.0))
 SHARE = po.Wedge(po.deg(30), po.deg(15), 0.25)
@@ -20,24 +19,9 @@ def scene(waves=WAVES, **effects):
     return po.Scene(po.named_soil("serozem"), SHARE, 5e4, 20.0, 2.0, own)
 
 
-def strength(travel, waves=WAVES):
-    """Return soil strength over its mean."""
-    return 1.0 + sum(w.amplitude * np.sin(2 * math.pi * travel / w.wavelength + w.phase) for w in waves)
-
-
-def test_a_motion_is_that_of_scipy():
-    made = scene()
-    run = po.simulate(made, 2.0)
-    f, m, z0 = made.reaction, float(made.inertia), float(made.steady_resistance) / 5e4
-
-    def rates(t, y):
-        speed = 2.0 - y[1]
-        soil = f.static * strength(2.0 * t - y[0]) + f.drag * speed**2
-        return [y[1], (soil - 5e4 * y[0] - 400.0 * y[1]) / m]
-
-    found = solve_ivp(rates, (0.0, 2.0), [z0, 0.0], method="DOP853", rtol=1e-12, atol=1e-14, t_eval=run.time)
-    # Both to some 1e-11 of the deflection.
-    assert run.deflection == pytest.approx(found.y[0], rel=0, abs=1e-10 * np.max(np.abs(found.y[0])))
+@pytest.mark.parametrize("effects", [{}, {"contact": po.StickSlip(1.1)}, {"entry": True, "start": "rest"}], ids=str)
+def test_an_independent_solver_agrees(effects):
+    three_modes.agreed(scene(**effects), 1.0, outputs=50)
 
 
 def test_a_phase_is_a_shift_of_the_path():
@@ -69,15 +53,6 @@ def test_small_waves_add_up_in_the_linear_response():
     orbit = po.simulate(scene(small, orbit="periodic"))
     # What is left is of second order in the amplitude.
     assert orbit.force_rms == pytest.approx(together.force_rms, rel=1e-4)
-
-
-def test_the_wide_reference_and_events_agree():
-    for effects in ({"contact": po.StickSlip(1.1)}, {"entry": True, "start": "rest"}):
-        made = scene(**effects)
-        reference = follow(Motion(made), np.longdouble(1.0), 200, 12).run()
-        run = po.simulate(made, 1.0, outputs=200)
-        size = float(np.max(np.abs(reference.deflection)))
-        assert run.deflection == pytest.approx(reference.deflection.astype(float), rel=0, abs=1e-7 * size)
 
 
 @pytest.mark.parametrize("name", ["amplitude", "wavelength", "phase"])

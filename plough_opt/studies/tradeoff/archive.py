@@ -41,6 +41,7 @@ class Archive:
         vary: numbers of the variables that are searched; none where only the basin of the guess is asked for.
         tried: number of designs.
         vectorised: whether designs are looked at side by side.
+        needles_beyond: number of needles that were seen beyond the front, those that others beat apart.
     """
 
     def __init__(self, front: FrontProgram, search: Search, progress: Progress) -> None:
@@ -63,6 +64,7 @@ class Archive:
         # Of each design by how much it is better than all optima that it was held against, and these.
         self._beyond = np.empty(0)
         self._against: dict[Hashable, Vector] = {}
+        self.needles_beyond = 0
         self.vary = searched(search, program.declared.variables)
         self._start = program.start()
         effort = effort_of(search, len(self.vary), program.population.runs, self.vectorised)
@@ -119,16 +121,8 @@ class Archive:
             self._fresh = []
         return self._designs, self.front.normalised(self._objectives)
 
-    def best_at(self, p: Vector) -> Vector | None:
-        """Return the design that is best by what parameters ask, of those that meet it; None without one."""
-        y, at = self.feasible
-        weights, normals, limits = self.front.asked(p)
-        scaled = self.front.scaled(at)
-        met = np.flatnonzero(np.all(scaled @ normals.T <= limits, axis=1))
-        return np.asarray(y[met[np.argmin(scaled[met] @ weights[1:])]]) if len(met) else None
-
     def beyond(self, optima: Mapping[Hashable, Vector]) -> Vector:
-        """Return by how much each feasible design is better than all optima; infinite without one.
+        """Return by how much each feasible design is better than all optima; infinite without one, less for needles.
 
         Args:
             optima: what stands for each -> its normalised objectives: of those that it was held against before none is
@@ -143,6 +137,11 @@ class Archive:
         every = np.array(list(self._against.values())).reshape(-1, self.front.count)
         self._beyond = np.r_[self._beyond, beyond_points(every, at[known:])]
         return self._beyond
+
+    def leave_out(self, needles: NDArray[np.intp]) -> None:
+        """Let feasible designs, by their numbers, be better than no optimum from now on."""
+        self._beyond[needles] = -np.inf
+        self.needles_beyond += len(needles)
 
     # --- starts ------------------------------------------------------------------------------------------
 

@@ -210,9 +210,9 @@ def notes_on(tracer: Tracer, goals: Sequence[Goal], points: Sequence[FrontPoint]
                 f"{names[k]} hardly conflicts with the rest: along the whole front it changes by"
                 f" {100 * ranges[k]:.2g} % of its value"
             )
-    if tracer.needles_beyond:
+    if tracer.archive.needles_beyond:
         notes.append(
-            f"{tracer.needles_beyond} designs beyond the front were seen that are needles: within their tolerances no"
+            f"{tracer.archive.needles_beyond} designs beyond the front were seen that are needles: within their tolerances no"
             " workshop can hit them"
         )
     if any(point.needle for point in points):

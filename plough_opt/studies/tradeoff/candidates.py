@@ -64,6 +64,12 @@ class Candidate:
     confirmed: bool = True
 
 
+def ahead(behind: Candidate | None, one: Candidate) -> Vector:
+    """Return the design as far ahead of a candidate as another lies behind it, between the bounds."""
+    before = one if behind is None else behind
+    return np.clip(2.0 * one.point.y - before.point.y, 0.0, 1.0)
+
+
 @dataclass(frozen=True)
 class Order:
     """How candidates make up a front.

@@ -2,14 +2,13 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
-from math import comb
 
 import numpy as np
 
 from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.studies.tradeoff.archive import Archive
-from plough_opt.studies.tradeoff.candidates import OTHERS, SOUGHT, Candidate, Order
+from plough_opt.studies.tradeoff.candidates import OTHERS, SOUGHT, Candidate, Order, ahead
 from plough_opt.studies.tradeoff.domination import in_order
 from plough_opt.studies.tradeoff.positions import gaps, needed, spread
 from plough_opt.studies.tradeoff.tracer import Tracer
@@ -22,17 +21,13 @@ _BESIDE = 1e-6
 _INWARD = 0.01
 # A branch that ends at a position farther in a scaled variable than this from where it led has become another one.
 _SMOOTH = 0.1
-# Designs beside the last two from which the next one is foretold.
-_REMEMBERED = 2
-_SHRINKS = 0.5
+# Positions without an optimum, one after the other, after which a branch is left.
 _GIVE_UP = 2
 # Neighbours of which a scaled variable differs by more lie on two branches.
 _OTHER_BRANCH = 0.1
 _ROUNDS = 6
 # Differences of the normalised objectives at which basins are searched.
 _SEARCHED = (-0.5, 0.0, 0.5)
-# Decimals of the normalised objectives by which gaps are told apart.
-_PLACES = 4
 
 
 class CurveTracer(Tracer):
@@ -75,19 +70,18 @@ class CurveTracer(Tracer):
 
         The limit on the other objective loosens on the way, so that each optimum is a feasible start for the next.
         """
-        passed: list[Vector] = []
+        behind: Candidate | None = None
         failed, first = 0, one
         one.swept.add(objective)
         for position in self._grid[self._grid > self._difference(one, objective) - _ENDED]:
-            start = extrapolated([*passed, one.point.y])
+            start = ahead(behind, one)
             found = self.solve(one, start, self._beside(objective, float(position)))
             if found is None:
-                failed, passed = failed + 1, []
+                failed, behind = failed + 1, None
                 if failed == _GIVE_UP:
                     return
                 continue
-            failed, passed = 0, [*passed[-_REMEMBERED:], one.point.y]
-            one = found
+            failed, behind, one = 0, one, found
             if objective in one.swept and one is not first:
                 return
             one.swept.add(objective)
@@ -169,16 +163,14 @@ class CurveTracer(Tracer):
 
     def _fill_gaps(self) -> None:
         """Follow the branches beside every gap into it, to the last design that the other does not dominate."""
-        tried: set[bytes] = set()
+        tried: set[tuple[Candidate, Candidate]] = set()
         for number in range(_ROUNDS):
             front = self.ordered()
-            places = self.places(front)
-            keys = {k: np.round(places[k : k + 2], _PLACES).tobytes() for k in gaps(places, self.step)}
-            fresh = [k for k, key in keys.items() if key not in tried]
-            tried |= set(keys.values())
+            pairs = [(front[k], front[k + 1]) for k in gaps(self.places(front), self.step)]
+            fresh = [pair for pair in pairs if pair not in tried]
+            tried.update(fresh)
             self.progress("looking into gaps", number / _ROUNDS)
-            for k in fresh:
-                left, right = front[k], front[k + 1]
+            for left, right in fresh:
                 for one, objective in ((left, 1), (right, 0)):
                     if objective not in one.swept:
                         self.follow(one, objective)
@@ -207,19 +199,3 @@ class CurveTracer(Tracer):
             near = np.sum(np.abs(self.front.objectives(point.y, exact=one.exact) - one.at)) < self.step
             if point.solved and near and self.front.holds(point):
                 one.inward = (point, p)
-
-
-def extrapolated(points: Sequence[Vector]) -> Vector:
-    """Return where equally spaced designs lead, between the bounds.
-
-    That is the next value of the polynomial through so many of them that each further one corrects it by less.
-    """
-    found, correction = points[-1], np.inf
-    for count in range(2, len(points) + 1):
-        weights = np.array([(-1.0) ** (k + 1) * comb(count, k) for k in range(count, 0, -1)])
-        better = weights @ np.array(points[-count:])
-        size = float(np.max(np.abs(better - found)))
-        if size > _SHRINKS * correction:
-            break
-        found, correction = better, size
-    return np.clip(found, 0.0, 1.0)

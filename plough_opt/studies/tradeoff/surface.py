@@ -10,7 +10,7 @@ from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.polishing import minimum_from
 from plough_opt.studies.tradeoff.archive import Archive
-from plough_opt.studies.tradeoff.candidates import MATTERS, Candidate, Order
+from plough_opt.studies.tradeoff.candidates import MATTERS, Candidate, Order, ahead
 from plough_opt.studies.tradeoff.domination import beyond_points, undominated
 from plough_opt.studies.tradeoff.positions import Lattice, Node, covering, neighbours, parts_of, uncrowded
 from plough_opt.studies.tradeoff.tracer import Tracer
@@ -97,10 +97,9 @@ class SurfaceTracer(Tracer):
         """Follow branches from the middle of the triangle: at an end of a front slopes may vanish that lead inside."""
         middle = self._lattice.node_at(np.full(3, 1.0 / 3.0))
         p = self._question(middle)
-        seen = self.archive.best_at(p)
         self.progress("solving in the middle", 0.0)
         starts = [self.front.program.start(), np.mean([one.point.y for one in ends], axis=0)]
-        for start in starts if seen is None else [seen, *starts]:
+        for start in starts:
             found = self.solve(ends[0], start, p, report=False)
             if found is not None and self._is_at(found, middle):
                 self._flood(found, middle)
@@ -190,8 +189,7 @@ class SurfaceTracer(Tracer):
                 if fresh not in seen and (fresh in self._inside or beyond):
                     seen.add(fresh)
                     i, j, k = (2 * a - b for a, b in zip(node, fresh, strict=True))
-                    behind = visited.get((i, j, k), found)
-                    waiting.append((found, np.clip(2.0 * found.point.y - behind.point.y, 0.0, 1.0), fresh))
+                    waiting.append((found, ahead(visited.get((i, j, k)), found), fresh))
 
     def at_the_edge(self, p: Vector, point: Point) -> Candidate:
         """Return the candidate of an optimum at a position; where the position does not hold it, that of the edge.

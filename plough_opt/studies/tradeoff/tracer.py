@@ -46,7 +46,6 @@ class Tracer(Candidates):
     def __init__(self, archive: Archive, progress: Progress) -> None:
         """Take what looks at the designs of a front's program."""
         super().__init__(archive, progress)
-        self._pricks: set[int] = set()
         self.tried: set[bytes] = set()
         self._looks = 0
 
@@ -74,7 +73,7 @@ class Tracer(Candidates):
         rng = np.random.default_rng([SEED, self._looks])
         for spread in _SPREADS:
             y, at, beyond = self._held_against()
-            open_ones = np.setdiff1d(np.flatnonzero(beyond > 0.0), list(self._pricks))
+            open_ones = np.flatnonzero(beyond > 0.0)
             best = y[open_ones[undominated(at[open_ones], ROUGHLY)]]
             self._look_around(np.vstack([best, *(one.point.y for one in self.ordered())]), spread, _BESIDE, rng)
 
@@ -176,7 +175,7 @@ class Tracer(Candidates):
             return []
         y, at, beyond = self._held_against()
         own = self.places(self.ordered())
-        left = np.setdiff1d(np.flatnonzero(beyond > SOUGHT), list(self._pricks))
+        left = np.flatnonzero(beyond > SOUGHT)
         gain = self._gains(own, at, beyond, left, sparse)
         best = np.empty(0, dtype=int)
         for _ in range(_JUDGEMENTS):
@@ -188,7 +187,7 @@ class Tracer(Candidates):
             needles = self.archive.needles(y[best], at[best])
             if not np.any(needles):
                 break
-            self._pricks |= {int(k) for k in best[needles]}
+            self.archive.leave_out(best[needles])
             left, best = np.setdiff1d(left, best[needles]), best[~needles]
         chosen: list[int] = []
         for k in best:
@@ -208,11 +207,6 @@ class Tracer(Candidates):
         if sparse:
             gain[left] = np.maximum(gain[left], self.uncovered(own, at[left]))
         return gain
-
-    @property
-    def needles_beyond(self) -> int:
-        """How many needles were seen beyond the front, those that others beat apart."""
-        return len(self._pricks)
 
     def add_unconfirmed(self) -> None:
         """Add the missed designs beside which no optimum was found, as they were seen.

@@ -13,6 +13,7 @@ from plough_opt.core.errors import InputError, NotConverged, nearest
 from plough_opt.core.expressions import Expression, is_count
 from plough_opt.design import Design, Progress
 from plough_opt.design.effort import Search
+from plough_opt.design.exploring import silent
 from plough_opt.design.ipopt import Point
 from plough_opt.studies.tradeoff.archive import Archive
 from plough_opt.studies.tradeoff.assembly import assembled
@@ -101,7 +102,7 @@ def trade_off(
     if progress is not None:
         check_callable("progress", progress, "of what is done and the fraction done")
     goals = _goals((first, second, *others))
-    notify = progress or _silent
+    notify = progress or silent
     notify("building the model", 0.0)
     front = _built(design, goals, compiled)
     front.prepare(_checked(front, parameters))
@@ -214,7 +215,3 @@ def _goals(given: Sequence[Goal | Expression]) -> list[Goal]:
         if goal.name in [other.name for other in goals[:k]]:
             raise InputError(f"two objectives are named '{goal.name}': give each its own name")
     return goals
-
-
-def _silent(_stage: str, _fraction: float) -> None:
-    """Report nothing."""

@@ -11,8 +11,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import shown
-from plough_opt.core.errors import InputError, short
+from plough_opt.core.checks import plain_number, shown
+from plough_opt.core.errors import InputError, nearest, short
 from plough_opt.core.expressions import Expression, absolute, exp, log, maximum, minimum
 from plough_opt.core.units import Display, customary, in_words
 
@@ -208,6 +208,21 @@ class Declarations:
     def symbols(self) -> list[ca.MX]:
         """Return the variables' and the parameters' symbols as two columns' worth of inputs."""
         return [*(v.symbol for v in self.variables), *(p.symbol for p in self.parameters)]
+
+    def parameter_values(self, changed: Mapping[str, float]) -> NDArray[np.float64]:
+        """Return the parameters' values.
+
+        Args:
+            changed: those that differ from the declared ones, by name.
+
+        Raises:
+            InputError: a name that is not a parameter, or a value that is not a finite number.
+        """
+        names = [p.name for p in self.parameters]
+        for name in changed:
+            if name not in names:
+                raise InputError(f"'{name}' is not a parameter of this design: {nearest(name, names)}")
+        return np.array([plain_number(f"parameter '{p.name}'", changed.get(p.name, p.value)) for p in self.parameters])
 
     def plain(self, values: Mapping[str, float]) -> dict[str, dict[str, str | float | None]]:
         """Return everything as plain data, to be kept with a result.

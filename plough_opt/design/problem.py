@@ -15,10 +15,11 @@ from plough_opt.core.checks import (
     check_kind,
     check_switch,
     check_text,
+    mapping_of,
     plain_number,
     shown,
 )
-from plough_opt.core.errors import InputError, nearest, unprintable
+from plough_opt.core.errors import InputError, unprintable
 from plough_opt.core.expressions import Column, Expression, is_casadi
 from plough_opt.core.kept import Origin
 from plough_opt.core.quantities import ask_about
@@ -231,8 +232,8 @@ class Design:
             check_callable("progress", progress, "of what is done and the fraction done")
         if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
             raise InputError(f"seed = {shown(seed)} must be a whole number, not below 0")
-        values = self._parameter_values({} if parameters is None else parameters)
         declared = self.declared
+        values = declared.parameter_values(mapping_of("parameters", parameters, "name -> value"))
         if self._program is None or self._program.compiled != compiled:
             self._program, self._boxed = Program(declared, compiled=compiled), None
         request = Request(values, search, judge, seed, progress or silent, started)
@@ -262,15 +263,6 @@ class Design:
         taken = [*(v.name for v in self._variables), *(p.name for p in self._parameters)]
         if name in [*taken, *(r.name for r in self._requirements)]:
             raise InputError(f"'{name}' is declared already: give each variable, parameter and limit a name of its own")
-
-    def _parameter_values(self, changed: Mapping[str, float]) -> np.ndarray:
-        names = [p.name for p in self._parameters]
-        if not isinstance(changed, Mapping):
-            raise InputError(f"parameters = {shown(changed)} must be a dictionary: name -> value")
-        for name in changed:
-            if name not in names:
-                raise InputError(f"'{name}' is not a parameter of this design: {nearest(name, names)}")
-        return np.array([plain_number(f"parameter '{p.name}'", changed.get(p.name, p.value)) for p in self._parameters])
 
 
 _SIDES = (": at_least", ": at_most")

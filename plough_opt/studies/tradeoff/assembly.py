@@ -103,11 +103,9 @@ def _failures(
 
 def _origin(front: FrontProgram, goals: Sequence[Goal], title: str) -> Origin:
     """Return what made a front: the design's declarations, and the objectives in the place of its own."""
-    declared = front.program.declared
-    displays = {v.name: v.display for v in declared.variables if v.display is not None}
-    position = declared.requirements[-1].name  # made for the front
-    plain = declared.plain(front.own_values())
-    found = {name: own for name, own in plain.items() if name not in ("objective", position)}
+    displays = {v.name: v.display for v in front.declared.variables if v.display is not None}
+    found = front.declared.plain(front.own_values())
+    del found["objective"]
     for goal in goals:
         aim = "maximise" if goal.maximise else "minimise"
         found[goal.name] = {"kind": "objective", "aim": aim, "unit": goal.unit}
@@ -120,14 +118,10 @@ def hole(before: FrontPoint, after: FrontPoint, failures: Sequence[Failure], sig
     low, high = ends.min(axis=0), ends.max(axis=0)
     # Failures are found by the optimiser's integration, ends by the tight one.
     low, high = low - _EDGE * (high - low), high + _EDGE * (high - low)
-    within = [
-        failure
-        for failure in failures
-        if np.all(low <= failure.objectives * signs)
-        and np.all(failure.objectives * signs <= high)
-        and not failure.reason.startswith("Infeasible_Problem_Detected")
-    ]
-    return Hole(before.objectives, after.objectives, settled=not within)
+    failed = [failure for failure in failures if not failure.reason.startswith("Infeasible_Problem_Detected")]
+    places = np.array([failure.objectives for failure in failed]).reshape(-1, len(signs)) * signs
+    within = np.all((low <= places) & (places <= high), axis=1)
+    return Hole(before.objectives, after.objectives, settled=not np.any(within))
 
 
 # --- certificates ---------------------------------------------------------------------------------------------
@@ -144,8 +138,7 @@ def certify(front: FrontProgram, one: Candidate, *, beaten: bool = False) -> Fro
     program, point, level = front.program, one.point, front.level(one.exact)
     scaled, found = front.tight(point.y)
     margins, violation, active = {}, 0.0, []
-    own_requirements = program.declared.requirements[:-1]  # the last one is the position on the front
-    for k, (r, value) in enumerate(zip(own_requirements, found[:-1], strict=True)):
+    for k, (r, value) in enumerate(zip(front.declared.requirements, found, strict=False)):
         margin = r.margin(value.ravel())
         pull = float(np.max(np.abs(point.lam_g[np.array(program.owner) == k])))
         margins[r.name] = margin
@@ -212,8 +205,8 @@ def notes_on(tracer: Tracer, goals: Sequence[Goal], points: Sequence[FrontPoint]
             )
     if tracer.archive.needles_beyond:
         notes.append(
-            f"{tracer.archive.needles_beyond} designs beyond the front were seen that are needles: within their tolerances no"
-            " workshop can hit them"
+            f"{tracer.archive.needles_beyond} designs beyond the front were seen that are needles: within their"
+            " tolerances no workshop can hit them"
         )
     if any(point.needle for point in points):
         count = sum(point.needle for point in points)
@@ -223,7 +216,7 @@ def notes_on(tracer: Tracer, goals: Sequence[Goal], points: Sequence[FrontPoint]
             f"{unconfirmed} of {len(points)} designs are unconfirmed: simulated, and better than every optimum that"
             " was found and can be made, but not optima themselves"
         )
-    wanted, gap = front.wanted_error, max((point.gap for point in points if point.confirmed), default=0.0)
+    wanted, gap = front.program.wanted_error, max((point.gap for point in points if point.confirmed), default=0.0)
     if wanted is not None and gap > wanted:
         notes.append(f"the wanted relative error {wanted:.1e} was not reached everywhere: the largest is {gap:.1e}")
     return tuple(notes)

@@ -23,9 +23,9 @@ _INWARD = 0.01
 _SMOOTH = 0.1
 # Positions without an optimum, one after the other, after which a branch is left.
 _GIVE_UP = 2
-# Neighbours of which a scaled variable differs by more lie on two branches.
-_OTHER_BRANCH = 0.1
 _ROUNDS = 6
+# Decimals of the normalised objectives by which gaps are distinguished.
+_PLACES = 4
 # Differences of the normalised objectives at which basins are searched.
 _SEARCHED = (-0.5, 0.0, 0.5)
 
@@ -120,25 +120,6 @@ class CurveTracer(Tracer):
     def _difference(one: Candidate, objective: int) -> float:
         return float(one.at[1 - objective] - one.at[objective])
 
-    def cross_over(self) -> bool:
-        """Begin from designs with one variable of a neighbour on another branch; return whether that led to any better.
-
-        Where branches differ in one variable and ripples in another, the best ripple of a branch may show on another
-        branch alone.
-        """
-        found_any = False
-        for pair in pairwise(self.ordered()):
-            for one, other in (pair, pair[::-1]):
-                for j in np.flatnonzero(np.abs(other.point.y - one.point.y) > _OTHER_BRANCH):
-                    start = one.point.y.copy()
-                    start[j] = other.point.y[j]
-                    if start.tobytes() not in self.tried:
-                        self.tried.add(start.tobytes())
-                        known = len(self.found)
-                        found = self.solve(other, start, self.position(one.at), report=False)
-                        found_any |= self.follow_new(found, known)
-        return found_any
-
     # --- gaps --------------------------------------------------------------------------------------------
 
     def ordered(self) -> list[Candidate]:
@@ -163,12 +144,13 @@ class CurveTracer(Tracer):
 
     def _fill_gaps(self) -> None:
         """Follow the branches beside every gap into it, to the last design that the other does not dominate."""
-        tried: set[tuple[Candidate, Candidate]] = set()
+        tried: set[bytes] = set()
         for number in range(_ROUNDS):
             front = self.ordered()
-            pairs = [(front[k], front[k + 1]) for k in gaps(self.places(front), self.step)]
-            fresh = [pair for pair in pairs if pair not in tried]
-            tried.update(fresh)
+            places = self.places(front)
+            ends = {np.round(places[k : k + 2], _PLACES).tobytes(): k for k in gaps(places, self.step)}
+            fresh = [(front[k], front[k + 1]) for key, k in ends.items() if key not in tried]
+            tried.update(ends)
             self.progress("looking into gaps", number / _ROUNDS)
             for left, right in fresh:
                 for one, objective in ((left, 1), (right, 0)):

@@ -39,7 +39,7 @@ class FrontProgram:
     Attributes:
         program: the program.
         count: number of objectives.
-        own_parameters: the design's.
+        declared: by the design.
         scales: sizes of the objectives, in their units.
         signs: -1 for an objective that is maximised.
         units: what a scaled objective is multiplied by to be one in its unit.
@@ -64,8 +64,8 @@ class FrontProgram:
                 )
         self.count = len(goals)
         self.signs = np.array([goal.sign for goal in goals])
-        self.own_parameters = tuple(declared.parameters)
-        self._values = [parameter.value for parameter in self.own_parameters]
+        self.declared = declared
+        self._values = [parameter.value for parameter in declared.parameters]
         self.scales = _sizes([goal.sign * ca.MX(goal.expression) for goal in goals], declared.symbols(),
                              [*(v.guess for v in declared.variables), *self._values])  # fmt: skip
         self.units = self.signs * self.scales
@@ -79,7 +79,7 @@ class FrontProgram:
         self.program = Program(
             replace(
                 declared,
-                parameters=(*self.own_parameters, *(Parameter(symbol.name(), symbol, 0.0, "") for symbol in own)),
+                parameters=(*declared.parameters, *(Parameter(symbol.name(), symbol, 0.0, "") for symbol in own)),
                 objective=weights[0] + ca.dot(weights[1:], scaled),
                 requirements=(
                     *declared.requirements,
@@ -97,17 +97,17 @@ class FrontProgram:
         self._refinement = 1.0
         self._starts: list[Vector] = []
 
-    def prepare(self, changed: Mapping[str, float]) -> None:
+    def prepare(self, values: Vector) -> None:
         """Check the program for values of the design's parameters.
 
         Args:
-            changed: values that differ from the declared ones, by name.
+            values: of the parameters, as they were declared.
 
         Raises:
             InputError: a model without a value at the guess and in a sample.
             DomainError: bounds that lead out of the model's domain.
         """
-        self._values = [changed.get(parameter.name, parameter.value) for parameter in self.own_parameters]
+        self._values = values.tolist()
         self._tight.clear()
         self._levels.clear()
         self.normalise(np.zeros(self.count), np.ones(self.count))
@@ -119,7 +119,7 @@ class FrontProgram:
 
     def own_values(self) -> dict[str, float]:
         """Return the values of the design's own parameters by name."""
-        return {p.name: float(value) for p, value in zip(self.own_parameters, self._values, strict=True)}
+        return {p.name: float(value) for p, value in zip(self.declared.parameters, self._values, strict=True)}
 
     def parameters(self, weights: Sequence[float], normals: Vector, positions: Vector) -> Vector:
         """Return the program's parameters for w, n (a row for each position) and c, in scaled units."""
@@ -140,7 +140,7 @@ class FrontProgram:
         program.build(self.nowhere(), self._refinement, self._starts)
         self.building += time.perf_counter() - began
         if not self._levels or self._levels[True].nlp is not program.built.nlp:
-            batched = self.wanted_error and program.population.vectorised
+            batched = program.wanted_error and program.population.vectorised
             self._levels[True] = Level(program)
             self._levels[False] = BatchLevel(program) if batched else self._levels[True]
         self.normalise(self.low, self.span)
@@ -161,11 +161,6 @@ class FrontProgram:
         nothing = self.weighted(np.zeros(self.count))
         nothing[len(self._values)] = 1.0
         return nothing
-
-    @property
-    def wanted_error(self) -> float | None:
-        """Largest gap that is wanted; None where no run chooses its own steps."""
-        return self.program.wanted_error
 
     def normalise(self, low: Vector, span: Vector) -> None:
         """Set the scaled objectives that are 0, and the range that is 1."""
@@ -274,10 +269,6 @@ class FrontProgram:
         """Return the largest relative difference of the optimiser's objectives from the tightly integrated ones."""
         found, tight = self.scaled(self.objectives(y, exact=exact)), self.tight(y)[0]
         return float(np.max(np.abs(found - tight) / np.maximum(np.abs(tight), 1e-3)))
-
-    def accurate(self, y: Vector) -> bool:
-        """Return whether there are enough integration steps at a design."""
-        return self.wanted_error is None or self.gap(y) <= self.wanted_error
 
     def holds(self, point: Point) -> bool:
         """Return whether it is the position that decides where on the front an optimum lies."""

@@ -35,7 +35,6 @@ class Tracer(Candidates):
         spacing: distance of missed designs that are followed at once, in normalised objectives.
         at_once: missed designs that are followed before it is asked again what is missing.
         rounds: how often that is asked before it is looked beside the front again.
-        tried: starts that need not be tried again, as bytes.
     """
 
     matters: float
@@ -46,7 +45,7 @@ class Tracer(Candidates):
     def __init__(self, archive: Archive, progress: Progress) -> None:
         """Take what looks at the designs of a front's program."""
         super().__init__(archive, progress)
-        self.tried: set[bytes] = set()
+        self._tried: set[bytes] = set()
         self._looks = 0
 
     @abstractmethod
@@ -120,13 +119,9 @@ class Tracer(Candidates):
         for _ in range(_LOOKS):
             if look and self._looks_beside:
                 self.look_beside()
-            look = self.cross_over() | self._follow_missed()
+            look = self._follow_missed()
             if not look:
                 return
-
-    def cross_over(self) -> bool:
-        """Begin from what branches have in common; return whether that led to what no candidate was as good as."""
-        return False
 
     def follow_new(self, found: Candidate | None, known: int) -> bool:
         """Follow the branch of a candidate that was not known; return whether none other is as good as it.
@@ -146,10 +141,10 @@ class Tracer(Candidates):
         """Follow the designs that the front misses now; return whether any led to what no candidate was as good as."""
         found_any = False
         for number in range(self.rounds):
-            missed = self.missed(self.tried)
+            missed = self.missed(self._tried)
             for k, y in enumerate(missed[: self.at_once]):
                 self.progress("following designs that the front misses", (number + k / self.at_once) / self.rounds)
-                self.tried.add(y.tobytes())
+                self._tried.add(y.tobytes())
                 known = len(self.found)
                 found_any |= self.follow_new(self.candidate_beside(y), known)
             if not missed:

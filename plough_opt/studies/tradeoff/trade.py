@@ -8,8 +8,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from plough_opt.core.checks import check_callable, check_kind, check_switch, check_text, mapping_of, plain_number, shown
-from plough_opt.core.errors import InputError, NotConverged, nearest
+from plough_opt.core.checks import check_callable, check_kind, check_switch, check_text, mapping_of, shown
+from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.core.expressions import Expression, is_count
 from plough_opt.design import Design, Progress
 from plough_opt.design.effort import Search
@@ -105,7 +105,7 @@ def trade_off(
     notify = progress or silent
     notify("building the model", 0.0)
     front = _built(design, goals, compiled)
-    front.prepare(_checked(front, parameters))
+    front.prepare(front.declared.parameter_values(parameters))
     building = time.perf_counter() - started
     kind = CurveTracer if len(goals) == 2 else SurfaceTracer
     tracer = kind(Archive(front, search, notify), int(points), notify)
@@ -178,26 +178,12 @@ def _refine(tracer: Tracer, front: FrontProgram, notify: Progress) -> None:
     for refinement in range(_REFINEMENTS):
         chosen = tracer.order(tracer.sound()).kept
         tracer.to_the_last_digits(chosen)
-        if all(front.accurate(one.point.y) for one in chosen if one.exact):
+        wanted = front.program.wanted_error
+        if wanted is None or all(front.gap(one.point.y) <= wanted for one in chosen if one.exact):
             return
         notify("refining", (refinement + 1) / _REFINEMENTS)
         front.refine()
         tracer.to_the_last_digits(tracer.found, again=True)
-
-
-def _checked(front: FrontProgram, changed: Mapping[str, float]) -> dict[str, float]:
-    """Return changed parameters as floats.
-
-    Raises:
-        InputError: a name that is not a parameter, or a value that is not a finite number.
-    """
-    names = [parameter.name for parameter in front.own_parameters]
-    found = {}
-    for name, value in changed.items():
-        if name not in names:
-            raise InputError(f"'{name}' is not a parameter of this design: {nearest(name, names)}")
-        found[name] = plain_number(f"parameter '{name}'", value)
-    return found
 
 
 def _goals(given: Sequence[Goal | Expression]) -> list[Goal]:

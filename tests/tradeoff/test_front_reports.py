@@ -28,22 +28,6 @@ def test_json_and_back(broken, tmp_path):
     assert text["versions"]["plough_opt"]
 
 
-def test_files_that_are_no_front(tmp_path):
-    path = tmp_path / "other.json"
-    path.write_text('{"schema": 2, "kind": "run"}', encoding="utf-8")
-    with pytest.raises(po.InputError, match="is not a trade-off of this version"):
-        po.TradeOff.load(path)
-    with pytest.raises(po.InputError, match="cannot be read"):
-        po.TradeOff.load(tmp_path / "none.json")
-
-
-def test_places_that_cannot_be_written(convex, tmp_path):
-    (tmp_path / "file").write_text("", encoding="utf-8")
-    for write in (convex.save, convex.to_csv):
-        with pytest.raises(po.InputError, match="cannot be written"):
-            write(tmp_path / "file" / "front")
-
-
 def test_table_and_back(broken, tmp_path):
     path = broken.to_csv(tmp_path / "deep" / "front.csv")
     with path.open(encoding="utf-8", newline="") as file:
@@ -79,11 +63,6 @@ def test_picture_on_given_axes(convex):
     assert convex.plot(axes) is axes
     assert len(axes.figure.axes) == 1
     assert axes.lines[0].get_xydata() == pytest.approx(convex.objectives)
-
-
-def test_picture_of_an_unknown_kind(convex, tmp_path):
-    with pytest.raises(po.InputError, match="no known picture format"):
-        convex.plot(tmp_path / "front.bmp")
 
 
 # --- tables -------------------------------------------------------------------------------------------------

@@ -3,7 +3,6 @@
 import itertools
 import math
 
-import casadi as ca
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -199,19 +198,6 @@ def test_a_tail_that_gains_little_is_followed_to_its_end():
     step = 1.0 / 8.0
     # No design is farther from a point than two thirds of a step.
     assert np.max(np.diff(np.sort(np.r_[0.0, front.objectives[:, 0], 1.0]))) < 4.0 / 3.0 * step
-
-
-@pytest.mark.slow  # half a minute
-@pytest.mark.xfail(reason="a sheet that lies behind the front everywhere is not followed", strict=True)
-def test_what_is_dominated_stays_visible():
-    d = po.Design()
-    x, y, lift = (d.variable(name, guess=0.5, lower=0.0, upper=1.0) for name in ("x", "y", "lift"))
-    # A second sheet, 0.2 above the first, in a valley of its own: where its slope 0.2 + pi/2 sin(2 pi lift) vanishes.
-    bottom = 1.0 - np.arcsin(0.4 / np.pi) / (2.0 * np.pi)
-    valley = 0.2 * lift + 0.5 * ca.sin(ca.pi * lift) ** 2
-    front = po.trade_off(d, x + valley, y + valley, 2.0 - x - y + valley, points=15, search=["lift"])
-    assert front.designs[:, 2] == pytest.approx(0.0, abs=1e-6)
-    assert any(point.variables["lift"] == pytest.approx(bottom, abs=1e-6) for point in front.dominated)
 
 
 def test_an_objective_that_conflicts_with_none_leaves_a_curve():

@@ -110,15 +110,6 @@ def test_a_wrong_table_is_refused_with_its_line(cli, loosening, tmp_path, name):
     assert expected in done.err.replace("\n", " ")
 
 
-def test_two_mistakes_are_both_named(cli, loosening, tmp_path):
-    file = tmp_path / "wrong.toml"
-    text = (
-        loosening.read_text(encoding="utf-8").replace("points = 40", "points = 1").replace("mean_draft ", "mean_drift ")
-    )
-    file.write_text(text, encoding="utf-8")
-    assert len(cli("check", file).err.splitlines()) == 2
-
-
 @pytest.mark.parametrize(
     ("options", "expected"),
     [

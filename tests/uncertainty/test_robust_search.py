@@ -65,7 +65,7 @@ def test_widths_are_those_of_the_design_that_is_found():
         return d, robust, frozenset({"loss"})
 
     def _robust(x):
-        return po.Robust(FIELD, lambda soil: {"loss": (x**2 / 2 + 4.0 / x) * soil.cohesion / MEAN}, samples=64, seed=2)
+        return po.Robust(FIELD, lambda soil: {"loss": (x**2 / 2 + 4.0 / x) * soil.cohesion / MEAN}, samples=16, seed=2)
 
     d = po.Design()
     known = _robust(d.variable("x", guess=1.0, lower=0.1, upper=50.0))

@@ -5,7 +5,7 @@ import pytest
 from scipy import interpolate
 
 import plough_opt as po
-from plough_opt.studies.calibration.prediction import reading
+from plough_opt.studies.calibration.setup import reading
 
 WAVE = po.StrengthWave(0.3, 0.2)
 

@@ -14,8 +14,7 @@ from plough_opt.studies.calibration.estimate import Estimate
 from plough_opt.studies.calibration.identifiability import UNIFORM
 from plough_opt.studies.calibration.measurements import RECORD, Measurements, measurable, result_unit
 from plough_opt.studies.calibration.model import Unknown, amount
-from plough_opt.studies.calibration.prediction import Rows, predictor
-from plough_opt.studies.calibration.setup import Setup
+from plough_opt.studies.calibration.setup import Rows, Setup, predictor
 
 Vector = NDArray[np.float64]
 

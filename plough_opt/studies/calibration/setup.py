@@ -1,23 +1,219 @@
-"""A calibration before it is solved: model and measurements, checked, with the least-squares problem."""
+"""A calibration before it is solved: measurements, the model's predictions of every row, and the problem of both.
 
-from collections.abc import Mapping, Sequence
+The predictions are a Function of the scaled unknowns, with derivatives.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from functools import cached_property
+from typing import Any, Final, TypeAlias
 
+import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from plough_opt.core.errors import DomainError, InputError
+from plough_opt.core.expressions import Column, Expression, as_number, stacked
+from plough_opt.laws.forces import cone_index
+from plough_opt.motion import simulate
+from plough_opt.motion.plan import numbers_of, phase
 from plough_opt.motion.scene import Scene
+from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.studies.calibration.least_squares import Data, LeastSquares, loss_of
-from plough_opt.studies.calibration.measurements import Measurements, measurable
+from plough_opt.studies.calibration.measurements import RECORD, Measurements, measurable
 from plough_opt.studies.calibration.model import Described, Model, SceneOf, model_of
-from plough_opt.studies.calibration.prediction import Rows, predictor
 
+Vector = NDArray[np.float64]
+Numbers: TypeAlias = Sequence[Expression] | Vector
+SceneOfRows: TypeAlias = tuple[Scene, Expression | None, NDArray[np.intp]]
+"""A scene, its duration [s] or None, and the numbers of the rows that were measured in it."""
+
+# Results of a scene that do not depend on its motion.
+_OF_SCENE: Final[dict[str, Callable[[Scene], Expression]]] = {
+    "loosened_radius": lambda scene: scene.loosened_radius,
+    "added_mass": lambda scene: scene.carried_soil,
+    "cone_index": lambda scene: cone_index(scene.soil),
+}
+# Phase [rad] between output times, and nodes of the polynomial that interpolates the force: an error of 1e-8.
+_PHASE, _NODES, _OUTPUTS = 0.25, 8, 400
+_MOST_OUTPUTS: Final = 20_000
+# The scalar operations of more rows would fill the memory.
+_MOST_EXPANDED: Final = 1000
 NOMINAL: Final = 0.01
 """Standard deviation, as a part of the mean measured value, from which weights follow if no sigma is stated."""
 
 # The search begins at least so far from the bounds.
 _INSIDE: Final = 0.02
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The rows of one set of measurements as distinct conditions, each computed once.
+
+    Attributes:
+        measured: the set.
+        model: to calibrate.
+    """
+
+    measured: Measurements
+    model: Model
+
+    @cached_property
+    def _distinct(self) -> tuple[Vector, NDArray[np.intp]]:
+        """Distinct conditions (m, c), and which of them each row has."""
+        columns = [np.zeros(self.measured.rows), *self.measured.conditions.values()]  # one at least
+        distinct, which = np.unique(np.column_stack(columns), axis=0, return_inverse=True)
+        return distinct[:, 1:], which.ravel()
+
+    @property
+    def direct(self) -> bool:
+        """Whether an unknown was measured itself."""
+        return self.measured.result not in measurable()
+
+    def scenes(self, y: Numbers) -> list[SceneOfRows]:
+        """Return the distinct scenes at scaled unknowns, with their durations and their rows.
+
+        Raises:
+            InputError: a row whose conditions are outside the model's domain.
+        """
+        found = []
+        for number, conditions in enumerate([] if self.direct else self._distinct[0].tolist()):
+            rows = np.flatnonzero(self._distinct[1] == number)
+            values = self.model.values(y) | dict(zip(self.measured.conditions, conditions, strict=True))
+            try:
+                scene = self.model.scene(values)
+                scene.check_reaction()
+            except DomainError as error:
+                raise InputError(f"{self.measured.row(int(rows[0]))}: {error}") from None
+            time = self.measured.time
+            found.append((scene, self.model.duration_of(values) if time is None else float(np.max(time[rows])), rows))
+        return found
+
+    def predicted(self, y: ca.MX) -> tuple[ca.MX, ca.MX, bool]:
+        """Return the predictions (n) at scaled unknowns, their Jacobian (n, p), and whether they need no runs.
+
+        Raises:
+            InputError: a row whose conditions are outside the model's domain, or a missing duration.
+        """
+        if self.direct:
+            values: dict[str, Column] = {**self.model.values(ca.vertsplit(y))}
+            value = ca.MX.ones(self.measured.rows) * values[self.measured.result]
+            return value, ca.jacobian(value, y), True
+        for scene, duration, _ in self.scenes(self.model.guess):
+            needs_run = not is_closed(scene, self.measured.result) and scene.effects.orbit == "transient"
+            if needs_run and (duration is None or not duration > 0.0):
+                raise InputError(f"{self.measured.name}: {self.measured.result} of this scene is a run's: give the"
+                                 " duration of the run, in seconds")  # fmt: skip
+        if self.measured.result == RECORD:
+            value = self._record(y)
+            return value, ca.jacobian(value, y), False
+        distinct, which = self._distinct
+        function = self._of_conditions()
+        value, slope = function.map(len(distinct))(ca.repmat(y, 1, len(distinct)), ca.DM(distinct.T))
+        return value.T[which.tolist(), :], slope.T[which.tolist(), :], function.is_a("SXFunction")
+
+    def _of_conditions(self) -> ca.Function:
+        """Return scaled unknowns and conditions -> (the result, its derivatives by the unknowns as a column)."""
+        model, result, conditions = self.model, self.measured.result, self.measured.at(0)
+        example = model.scene(model.values(model.guess) | conditions)
+        closed = is_closed(example, result)
+        # A law with quadratures of matrices, or loops, would be unrolled by scalar operations.
+        kind: Any = ca.SX if closed and example.law.scalar else ca.MX
+        y, c = kind.sym("y", len(model.unknowns)), kind.sym("c", len(conditions))
+        values = model.values(ca.vertsplit(y)) | {key: c[k] for k, key in enumerate(conditions)}
+        scene = model.scene(values)
+        if result in _OF_SCENE:
+            value = _OF_SCENE[result](scene)
+        elif closed:
+            value = scene.steady_resistance
+        else:
+            value = MEASURES[result].of(simulate(scene, model.duration_of(values), accuracy=model.accuracy))
+        value = kind(value)
+        # Forward through an integration: the reverse mode takes far longer to build.
+        slope = [ca.jtimes(value, y, column) for column in ca.horzsplit(ca.DM.eye(len(model.unknowns)))]
+        return ca.Function("row", [y, c], [value, ca.densify(ca.vertcat(*slope))])
+
+    def _record(self, y: ca.MX) -> ca.MX:
+        """Return the mount force at the times of a run for each distinct condition."""
+        parts, order = [], []
+        at_guess = self.scenes(self.model.guess)
+        for (scene, duration, rows), (example, _, _) in zip(self.scenes(ca.vertsplit(y)), at_guess, strict=True):
+            parts.append(_force_at(scene, duration, self.measured, rows, self.model, example))
+            order.extend(rows.tolist())
+        return ca.MX(stacked(*parts))[np.argsort(order).tolist(), 0]
+
+
+def predictor(sets: Sequence[Rows], model: Model) -> ca.Function:
+    """Return scaled unknowns (p) -> (predictions of all sets (n), their Jacobian (n, p)); of scalars if without runs.
+
+    Raises:
+        InputError: a row whose conditions are outside the model's domain, or a missing duration.
+    """
+    y = ca.MX.sym("y", len(model.unknowns))
+    values, slopes, closed = zip(*(rows.predicted(y) for rows in sets), strict=True)
+    whole = ca.Function("predicted", [y], [ca.densify(ca.vertcat(*values)), ca.densify(ca.vertcat(*slopes))])
+    return whole.expand() if all(closed) and whole.numel_out(0) <= _MOST_EXPANDED else whole
+
+
+def is_closed(scene: Scene, result: str) -> bool:
+    """Return whether a result needs no run: the mean draft of a steady motion is the resistance."""
+    if result in _OF_SCENE:
+        return True
+    effects = scene.effects
+    steady = not effects.waves and not effects.ramps and not effects.entry and not effects.own
+    from_steady = not effects.motion or effects.start == "equilibrium"
+    return result == "mean_draft" and steady and from_steady and not effects.printed.repelling_spring
+
+
+def checked(rows: Rows, scene: Scene, duration: Expression | None, which: NDArray[np.intp]) -> Vector:
+    """Return the results of some rows from a numeric run, which checks its own error."""
+    if rows.measured.result == RECORD:
+        force = _force_at(scene, duration, rows.measured, which, rows.model, scene)
+        return np.asarray(force, dtype=float).ravel()
+    run = simulate(scene, duration, accuracy=rows.model.accuracy)
+    return np.full(len(which), float(as_number(MEASURES[rows.measured.result].of(run))))
+
+
+def _force_at(
+    scene: Scene, duration: Any, measured: Measurements, rows: NDArray[np.intp], model: Model, example: Scene
+) -> Expression:
+    """Return the mount force of a run at the times of some rows; an example in numbers sets its number of outputs."""
+    assert measured.time is not None
+    times = measured.time[rows]
+    outputs = _outputs(example, duration, times)
+    run = simulate(scene, duration, accuracy=model.accuracy, outputs=outputs)
+    forces: Expression = ca.DM(reading(times / duration, outputs)) @ run.mount_force
+    return forces
+
+
+def _outputs(scene: Scene, duration: float, times: Vector) -> int:
+    """Return a number of output intervals with an output at every time, or enough of them to interpolate."""
+    fine = max(_OUTPUTS, math.ceil(phase(numbers_of(scene), duration) / _PHASE)) if scene.effects.motion else _OUTPUTS
+    fine = min(fine, _MOST_OUTPUTS)
+    for count in range(fine, 2 * fine):
+        places = times / duration * count
+        if np.all(np.abs(places - np.round(places)) < 1e-9 * count):
+            return count
+    return fine
+
+
+def reading(fractions: Vector, outputs: int) -> Vector:
+    """Return the matrix that interpolates a signal on equal output intervals at fractions of its duration.
+
+    It uses polynomials of degree 7 through the nearest outputs, and at an output the value there.
+    """
+    weights = np.zeros((len(fractions), outputs + 1))
+    for row, fraction in enumerate(fractions):
+        place = fraction * outputs
+        if abs(place - round(place)) < 1e-9 * outputs:
+            place = float(round(place))
+        first = min(max(math.floor(place) - _NODES // 2 + 1, 0), outputs + 1 - _NODES)
+        nodes = np.arange(first, first + _NODES)
+        for k in nodes:
+            others = nodes[nodes != k]
+            weights[row, k] = np.prod((place - others) / (k - others))
+    return weights
 
 
 @dataclass(frozen=True)

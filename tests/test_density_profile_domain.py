@@ -1,4 +1,4 @@
-"""What is no density profile, and where a density profile has no compaction front."""
+"""Density profiles that are refused, and where one has no compaction front."""
 
 import math
 

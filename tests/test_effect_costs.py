@@ -1,4 +1,4 @@
-"""What each effect costs: the differences of the differential equation itself, and refusals with their reason."""
+"""The cost of each effect: the differences of the differential equation itself, and refusals with their reason."""
 
 import math
 from dataclasses import replace

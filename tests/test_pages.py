@@ -32,7 +32,7 @@ TEXTS = {path.stem: path.read_text(encoding="utf-8") for path in sorted((ROOT / 
 
 @dataclass(frozen=True)
 class Page:
-    """What the code of a page prints and writes.
+    """Output and files of the code of a page.
 
     Attributes:
         prints: pieces of the output.

@@ -1,4 +1,4 @@
-"""What is no number, or no number that a formula holds for, is refused by name and never computed with."""
+"""Arguments that are not numbers, or outside a formula's domain, are refused by name and never computed with."""
 
 import dataclasses
 import math

@@ -1,4 +1,4 @@
-"""What a solved design can be asked: values of expressions, and how it changes with a parameter or a limit."""
+"""Questions to a solved design: values of expressions, and how it changes with a parameter or a limit."""
 
 import math
 from collections.abc import Mapping
@@ -140,7 +140,7 @@ class Solved:
 
     @cached_property
     def _active(self) -> ActiveSet:
-        """What all sensitivities share."""
+        """The data that all sensitivities share."""
         return ActiveSet(self.program, self.p, self.point, self._fixed)
 
     def sensitivity(self, name: str, *, check: bool = False) -> Sensitivity:

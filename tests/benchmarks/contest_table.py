@@ -52,7 +52,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Growth:
-    """What something costs at several sizes."""
+    """Cost at several sizes."""
 
     what: str
     sizes: tuple[float, ...]
@@ -67,7 +67,7 @@ class Growth:
 
 @dataclass
 class Contest:
-    """What a run has measured."""
+    """Times that a run has measured."""
 
     rows: list[Row] = field(default_factory=list)
     growths: list[Growth] = field(default_factory=list)

@@ -15,7 +15,7 @@ PROBLEMS = Path(__file__).parents[2] / "problems"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a command left: exit status and the two streams."""
+    """Outcome of a command: exit status and the two streams."""
 
     status: int
     out: str

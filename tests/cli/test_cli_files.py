@@ -1,4 +1,4 @@
-"""What commands may not write to, and what is left when they are interrupted."""
+"""Files that commands may not write to, and files that are left when they are interrupted."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""What a design refuses to be told, and the sentence with which it does."""
+"""Declarations that a design refuses, and the sentence with which it does."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""What an optimum carries: limits with multipliers, parameters, and plain numbers."""
+"""The contents of an optimum: limits with multipliers, parameters, and plain numbers."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""What the soil does to the share: pressure on the face, force with friction and with contact that is lost."""
+"""Action of the soil on the share: pressure on the face, force with friction and with contact that is lost."""
 
 import itertools
 import math

@@ -35,7 +35,7 @@ def folder(around_r1, tmp_path_factory):
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="no make")
 def test_its_own_makefile_finds_pythons_numbers(folder):
-    """What a user does; values and Jacobian are held against Python's, written as hexadecimal floats."""
+    """The steps of a user; values and Jacobian are held against Python's, written as hexadecimal floats."""
     done = _run("make", folder=folder)
     assert done.returncode == 0, done.stdout + done.stderr
     # CasADi's interpreter and its C do the same operations in the same order with the same C library.

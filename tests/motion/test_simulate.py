@@ -1,4 +1,4 @@
-"""What `simulate` finds, against answers from elsewhere."""
+"""Results of `simulate` against answers from elsewhere."""
 
 import math
 

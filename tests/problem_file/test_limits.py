@@ -1,4 +1,4 @@
-"""What a problem file may be at most, and that what is beyond is told at once, with its place."""
+"""Limits of a problem file: what lies beyond is refused at once, with its place."""
 
 import pytest
 

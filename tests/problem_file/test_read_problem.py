@@ -1,4 +1,4 @@
-"""What a right problem file becomes: a scene, its variables, and the same results as Python by hand."""
+"""A right problem file becomes: a scene, its variables, and the same results as Python by hand."""
 
 import math
 import tomllib

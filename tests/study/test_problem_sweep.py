@@ -136,7 +136,7 @@ class TestMany:
 
 
 class TestAxes:
-    """What texts say that a quantity runs over."""
+    """Ranges that texts give a quantity."""
 
     @pytest.mark.parametrize(
         ("text", "unit", "expected"),

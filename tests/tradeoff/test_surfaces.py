@@ -22,7 +22,7 @@ def place(objectives):
 # Over all variables a search takes a minute longer; one of a plane shows it by default.
 @pytest.fixture(scope="module", params=["near", pytest.param("auto", marks=pytest.mark.slow)])
 def search(request):
-    """What is searched for a surface."""
+    """Options of the search for a surface."""
     return request.param
 
 

@@ -28,7 +28,7 @@ from plough_opt.studies.sweep.work import Evaluation
 # The pool gives up after this many deaths in a row over this time [s], if no process is older and no task returned.
 _DEATHS, _PATIENCE = 3, 40.0
 STORED: Final = "finished points are stored, and the same sweep continues from there"
-"""What is left of a sweep that ends early."""
+"""The results of a sweep that ends early."""
 
 # Pause before a process that died is replaced [s].
 _PAUSE: Final = 0.2

@@ -1,4 +1,4 @@
-"""What a front's searches look at: starts for it, and every design with all its objectives, to hold it against."""
+"""The designs that a front's searches look at: starts for it, and every design with all its objectives, to hold it against."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a share on its mount is, for many designs side by side, each with its own number of steps.
+"""A share on its mount, for many designs side by side, each with its own number of steps.
 
 Everything is written anew from the equations: half angle (7), plastic gas (23), resistance (25)-(26), motion (27).
 What is integrated, by `fast`, is w = z - z_s, the deflection beyond the steady one at tow speed.
@@ -19,7 +19,7 @@ _MOST = 20_000
 
 @dataclass(frozen=True)
 class Share:
-    """What the soil does to shares, an array element for each of them."""
+    """Forces of the soil on shares, an array element for each of them."""
 
     half_angle: np.ndarray
     loosened_radius: np.ndarray
@@ -120,7 +120,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Response:
-    """What a run shows, an array over designs; paths have a row for each of 401 output times, or are None."""
+    """Results of a run, an array over designs; paths have a row for each of 401 output times, or are None."""
 
     mean_draft: np.ndarray
     force_rms: np.ndarray

@@ -116,7 +116,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Found:
-    """What designs are worth, an array over them.
+    """Results of designs, an array over them.
 
     Attributes:
         objective: infinite where a share runs away.

@@ -41,7 +41,7 @@ def efforts(count, thrifty=False):
 
 @dataclass(frozen=True)
 class Question:
-    """What is minimised.
+    """The problem that is minimised.
 
     Attributes:
         giving: numbers of requirements of which the shortfall is minimised, while the others are kept; None: the

@@ -175,13 +175,15 @@ def with_enough_steps(
         # A motion may be too sensitive for any number of steps.
         if missed <= 1.0 or missed > _FALLS * last or number == _REFINEMENTS:
             break
-        last, before = missed, program.built
+        before = program.built
         progress(f"refining: error {max(off, unsure):.1e}", number / _REFINEMENTS)
         factor *= _times(missed)
         try:
             program.build(p, factor, [point.y for point in points])
         except DomainError:  # too many steps
             break
+        # So few more may be no more, as numbers of steps are rounded.
+        last = math.inf if program.built is before else missed
         if program.built is not before:
             points = [solved_again(program, p, point) for point in points]
     return points, tuple(_shortcomings(program, off, unsure))

@@ -13,7 +13,6 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,10 +122,8 @@ class ActiveSet:
         self.n = len(point.y)
         self.sides = sides_of(program, point, fixed)
         self._rows = np.array([side.row for side in self.sides])
-        self._signs = np.array([side.sign for side in self.sides])
-        self._bounds = np.array([side.bound for side in self.sides])
         self._equal = np.array([side.equality for side in self.sides], dtype=bool)
-        self._logs = np.array([side.log for side in self.sides])
+        self._signs, self._bounds, self._logs = np.array([(one.sign, one.bound, one.log) for one in self.sides]).T
         self._settle(point)
         self.deciding = self._equal | (self.mu > _NONE)
         touching = (np.abs(self.slack) <= _NONE) & np.any(np.abs(self.gradients[:, : self.n]) > 1e-12, axis=1)
@@ -244,18 +241,18 @@ class ActiveSet:
                 b[k] = own.per_unit
         return Change(q, b)
 
-    @cached_property
+    @property
     def parameters_that_matter(self) -> list[bool]:
         """For each parameter, whether the objective or a requirement changes with it here, or its slopes do."""
         columns = np.vstack([self.gradient, self.gradients, self.hessian])[:, self.n :]
         return [bool(matters) for matters in np.any(columns != 0.0, axis=0)]
 
-    @cached_property
+    @property
     def deciding_names(self) -> tuple[str, ...]:
         """Names of the limits that decide, each once."""
         return self._names(self.deciding)
 
-    @cached_property
+    @property
     def touching(self) -> tuple[str, ...]:
         """Names of the limits that are met and pull at nothing, each once."""
         return self._names(self.weak)

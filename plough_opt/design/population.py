@@ -197,15 +197,11 @@ class Population:
         given = [points, np.repeat(p[None], n, axis=0)]
         results = []
         for group, theta in zip(self._groups, self._inputs(*given), strict=True):
+            # Runs of equal steps are the same run of designs one after the other.
             count = len(group.members)
-            theta = theta.reshape(n, count, -1)
-            if together > 1 and count > 1:
-                # Runs of equal steps are the same run of designs one after the other.
-                found = group.follow(theta.transpose(1, 0, 2).reshape(n * count, -1), finer, together)
-                found = found.reshape(count, n, -1).transpose(1, 0, 2)
-            else:
-                found = group.follow(theta.reshape(n * count, -1), finer, together)
-            results.append(found.reshape(n, -1))
+            rows = theta.reshape(n, count, -1).transpose(1, 0, 2).reshape(n * count, -1)
+            found = group.follow(rows, finer, together).reshape(count, n, -1)
+            results.append(found.transpose(1, 0, 2).reshape(n, -1))
         f, g = self._algebra(*given, *results)
         return f.ravel(), g
 

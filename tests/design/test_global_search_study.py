@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from independent import catalogues, study
-from independent.build import as_design, as_trade_off
+from independent.build import as_design, as_trade_off, verdict_on
 from independent.fronts import objectives_of
 from independent.problem import Limit, Problem, Variable, box_sample, evaluate, measure
 from independent.truth import sample
@@ -30,12 +30,6 @@ DEFAULT = {
 }  # fmt: skip
 # Problems in one test: the runner's processes share the tests.
 BLOCK = 3
-# Number of a problem -> why its answer may be wrong; at most one in a hundred, and one of fewer.
-EXPLAINED = {
-    "search": {},
-    "edge": {},
-    "infeasible": {},
-}
 KNOWN = {kind: study.problems(kind) for kind in DEFAULT}
 
 
@@ -50,42 +44,10 @@ def _blocks(kind):
     return blocks
 
 
-def _answer(problem, **how):
-    """Return the optimum, or the error in its place."""
-    try:
-        return as_design(problem)[0].solve(**how)
-    except po.PloughError as error:
-        return error
-
-
-@pytest.mark.parametrize("kind", sorted(DEFAULT))
-def test_few_answers_need_an_explanation(kind):
-    assert len(EXPLAINED[kind]) <= max(1, len(KNOWN[kind]) // 100)
-
-
-def _without_explanation(kind, misses):
-    return {number: miss for number, miss in misses.items() if number not in EXPLAINED[kind]}
-
-
 def _misses(kind, numbers):
-    misses = {}
-    for number in numbers:
-        problem, truth = KNOWN[kind][number]
-        verdict = _verdict(problem, truth)
-        if isinstance(verdict, study.Verdict) and verdict.tied:
-            # Preferred for a median that 64 designs cannot tell from the truth's.
-            verdict = _verdict(problem, truth, judge="bare")
-        if not (isinstance(verdict, study.Verdict) and verdict.right):
-            misses[number] = verdict
-    return _without_explanation(kind, misses)
-
-
-def _verdict(problem, truth, **how):
-    """Return the verdict on the answer, or in words why there is none."""
-    best = _answer(problem, **how)
-    if isinstance(best, po.PloughError):
-        return f"{type(best).__name__}: {best}"
-    return study.judge(problem, truth, best.variables)
+    """Return the verdicts, or in words why there is none, on answers that are wrong."""
+    verdicts = {number: verdict_on(*KNOWN[kind][number]) for number in numbers}
+    return {number: own for number, own in verdicts.items() if not getattr(own, "right", False)}
 
 
 @pytest.mark.parametrize("numbers", _blocks("search"))
@@ -100,15 +62,7 @@ def test_designs_beside_the_edge_of_the_feasible_are_found(numbers):
 
 @pytest.mark.parametrize("numbers", _blocks("infeasible"))
 def test_refusals_state_the_least_shortfall(numbers):
-    misses = {}
-    for number in numbers:
-        problem, truth = KNOWN["infeasible"][number]
-        answer = _answer(problem)
-        if not isinstance(answer, po.InfeasibleDesign):
-            misses[number] = repr(answer)[:200]
-        elif not (verdict := study.judge_shortfall(problem, truth, answer.conflicts))[1]:
-            misses[number] = verdict
-    assert _without_explanation("infeasible", misses) == {}
+    assert _misses("infeasible", numbers) == {}
 
 
 @pytest.mark.parametrize("kind", ["search", "edge"])

@@ -220,18 +220,6 @@ def test_r1_solved_again_with_other_parameters(r1_parameters, name, value, step)
     assert max(map(abs, found.elasticities.values())) < 1e-12
 
 
-def test_r1_solved_again_with_other_limits(r1_parameters):
-    found = r1_parameters.best.sensitivity("loosened radius at_least")
-
-    def at(radius):
-        return r1_parameters.build(radius).solve(search="local")
-
-    slope = _order_4(lambda radius: at(radius).objective, 0.12, 1e-4)
-    assert found.objective == pytest.approx(slope, rel=5e-9)
-    # Geometry alone: the front's radius is proportional to the height.
-    assert found.elasticities == pytest.approx({"wedge angle": 0.0, "height": 1.0, "stiffness": 0.0}, abs=1e-9)
-
-
 def test_the_range_in_r1_ends_where_the_limits_that_decide_change(r1_parameters):
     def predicted(radius):
         return r1_parameters.build(radius).solve(search="local").sensitivity("loosened radius")

@@ -2,7 +2,7 @@
 
 import plough_opt as po
 from independent.problem import PATHS, UNITS, sign_of
-from independent.study import name_of
+from independent.study import POINTS, judge, judge_front, judge_shortfall, name_of
 
 _LIMIT_UNITS = {"loosened radius": "m", "half angle": "rad", "mean_deflection": "m", "deflection": "m",
                 "mount force": "N", "tow_power": "W", "force_rms": "N", "mean_draft": "N"}  # fmt: skip
@@ -19,6 +19,32 @@ def as_trade_off(problem, names):
     d, run, geometry = _built(problem)
     of = {name: geometry[name] if name in geometry else getattr(run, name) for name in names}
     return d, [po.Goal(name, of[name], maximise=sign_of(name) < 0.0) for name in names]
+
+
+def verdict_on(problem, truth, **how):
+    """Return the verdict on what a solve, or for several objectives a trade-off, answers, or why there is none.
+
+    Args:
+        problem: the problem.
+        truth: what is known of it.
+        how: to solve.
+    """
+    try:
+        if "names" in truth:
+            design, goals = as_trade_off(problem, truth["names"])
+            return judge_front(problem, truth, po.trade_off(design, *goals, points=POINTS[len(goals)], **how))
+        best = as_design(problem)[0].solve(**how)
+    except po.InfeasibleDesign as error:
+        return judge_shortfall(problem, truth, error.conflicts) if "shortfall" in truth else f"refused: {error}"
+    except Exception as error:  # whatever goes wrong is an answer, too
+        return f"{type(error).__name__}: {error}"
+    if "shortfall" in truth:
+        return f"solved, though {truth['shortfall']:.2g} is lacking"
+    verdict = judge(problem, truth, best.variables)
+    if verdict.tied and how.get("judge") != "bare":
+        # Preferred for a median that 64 designs cannot tell from the truth's.
+        return verdict_on(problem, truth, **how, judge="bare")
+    return verdict
 
 
 def _built(problem):

@@ -89,21 +89,19 @@ _OF_A_SHORTFALL = 1e-5
 
 
 def judge_shortfall(problem, truth, conflicts):
-    """Return whether the shortfalls that a refusal states, in the limits' own units, are the least.
+    """Return the verdict on the shortfalls that a refusal states, in the limits' own units: whether they are the least.
+
+    A smaller sum than the truth's is no better answer: the truth is a design, and what is stated is none that can be
+    evaluated.
 
     Args:
         problem: the problem.
         truth: the least sum of shortfalls, each in parts of its limit.
         conflicts: name of a requirement -> its shortfall.
-
-    Returns:
-        The relative excess of the stated sum over the least one, and whether that is none. A smaller sum than the
-        truth's is no better answer: the truth is a design, and what is stated is none that can be evaluated.
     """
     limits = {name_of(r): abs(r.limit) for r in problem.limits}
-    total = sum(short / limits[name] for name, short in conflicts.items())
-    excess = _excess(total, truth["shortfall"])
-    return excess, abs(excess) <= _OF_A_SHORTFALL
+    excess = _excess(sum(short / limits[name] for name, short in conflicts.items()), truth["shortfall"])
+    return Verdict(abs(excess) <= _OF_A_SHORTFALL, excess, np.nan, np.nan)
 
 
 def name_of(limit):

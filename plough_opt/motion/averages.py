@@ -1,4 +1,4 @@
-"""The results of a run beside its arrays: averages, error estimate, warnings, and the motion to which a share settles."""
+"""Results of a run beside its arrays: averages, error estimate, warnings, and the motion to which a share settles."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The designs that a front's searches look at: starts for it, and every design with all its objectives, to hold it against."""
+"""Designs of a front's searches: starts for it, and every design with all its objectives, to hold it against."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Second-order Taylor coefficients of a fixed-step run with respect to its parameters.
+"""Second-order Taylor coefficients of a fixed-step run by its parameters, and how far derivatives of runs are off.
 
 A run enters a design through at most a handful of parameters (inertia, stiffness, static resistance,
 drag). Carrying the first and second derivatives with respect to those along with the state, step by
@@ -7,7 +7,7 @@ inside the optimiser's graph gives the same numbers for several times the time a
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -25,6 +25,14 @@ from plough_opt.motion.plan import finer
 from plough_opt.motion.runge_kutta import Average, OneStep
 from plough_opt.motion.terms import Structure, start_deflection
 from plough_opt.motion.timeline import Timeline, at_outputs
+
+Vector = NDArray[np.float64]
+# Runs of one structure that are compared, of however many there are, and steps of theirs, which take a second.
+_MOST_RUNS, _FEWEST_RUNS, _MOST_STEPS = 8, 2, 10_000
+# Of order 8 so many more steps leave a twenty-fifth of the error, and across kinks a fifth.
+_FINER = 1.5
+# An RMS below this part of the mean counts as that part: what swings less is rounding.
+_LEAST_SWING = 1e-3
 
 
 def weighted_curvature(integration: Integration, varying: tuple[int, ...]) -> ca.Function:
@@ -257,16 +265,6 @@ def _width(count: int, order: int) -> int:
     return 1 + count + (len(runge_kutta.pairs(count)) if order == 2 else 0)
 
 
-Vector = NDArray[np.float64]
-
-# Runs of one structure that are compared, of however many there are, and steps of theirs, which take a second.
-_MOST_RUNS, _FEWEST_RUNS, _MOST_STEPS = 8, 2, 10_000
-# Of order 8 so many more steps leave a twenty-fifth of the error, and across kinks a fifth.
-_FINER = 1.5
-# An RMS below this part of the mean counts as that part: what swings less is rounding.
-_LEAST_SWING = 1e-3
-
-
 def derivative_error(solver: Integration, first: int, varying: tuple[int, ...], given: Vector) -> float:
     """Return the largest error of first and second derivatives of runs, those of an orbit excepted, which is 0.
 
@@ -287,32 +285,23 @@ def derivative_error(solver: Integration, first: int, varying: tuple[int, ...], 
     if solver.structure.orbit != "transient" or not varying:
         return 0.0
     order = 2 if solver.accuracy.order_8 else 1
-    ours, finer_ones = (_by_each(one, varying, order) for one in (solver, finer_than(solver)))
+    both = [jets_of(one, varying, order) for one in (solver, finer_than(solver))]
     most = max(_FEWEST_RUNS, min(_MOST_RUNS, _MOST_STEPS // solver.timeline.steps))
     chosen = np.unique(np.linspace(0, given.shape[1] - 1, most).round().astype(int))
     worst = 0.0
     for p in given.T[chosen]:
+        # By relative changes of each parameter, and of each pair.
+        scales = [p[position] for position in varying]
+        pairs = [a * b for k, a in enumerate(scales) for b in scales[k:]] if order == 2 else []
         try:
-            found = difference_of_jets(solver, p, ours(p), finer_ones(p), first)
+            ours, better = (np.asarray(jet(p)) * np.array([1.0, *scales, *pairs]) for jet in both)
+            found = difference_of_jets(solver, p, ours, better, first)
         except RuntimeError:  # no end of the finer integration
             return math.inf
         if not math.isfinite(found):
             return math.inf
         worst = max(worst, found)
     return worst
-
-
-def _by_each(solver: Integration, varying: tuple[int, ...], order: int) -> Callable[[Vector], Vector]:
-    """Return parameters -> results with derivatives by relative changes of each parameter, and of each pair."""
-    jet = jets_of(solver, varying, order)
-
-    def found(p: Vector) -> Vector:
-        scales = [p[position] for position in varying]
-        both = [a * b for k, a in enumerate(scales) for b in scales[k:]] if order == 2 else []
-        columns: Vector = np.asarray(jet(p)) * np.array([1.0, *scales, *both])
-        return columns
-
-    return found
 
 
 def finer_than(solver: Integration) -> Integration:

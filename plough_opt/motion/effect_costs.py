@@ -5,6 +5,7 @@ Operations are counted, not clocked: they are the same at every repetition and o
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -54,13 +55,7 @@ def effect_costs(scene: Scene, duration: float | None) -> list[EffectCost]:
         scene: the scene.
         duration: simulated time [s]; None for a lasting orbit, whose like from a start is ten wavelengths.
     """
-    found: dict[Effects, int] = {}
-
-    def counted(effects: Effects) -> int:
-        if effects not in found:
-            found[effects] = _operations(replace(scene, effects=effects), duration)
-        return found[effects]
-
+    counted = cache(lambda effects: _operations(replace(scene, effects=effects), duration))
     return [_cost(name, scene, pair, counted) for name, pair in _pairs(scene, duration).items()]
 
 

@@ -1,4 +1,9 @@
-"""How far a run may be off: by another run of its scene, and by stops that both may have passed over."""
+"""How far a run may be off: by another run of its scene, and by stops that both may have passed over.
+
+An integrator sees an event where a sign changes from one step to the next; a share whose speed falls below zero for
+less than a step shows none, in a run and in its check alike. Between outputs the speed is read as a polynomial from
+speeds and accelerations.
+"""
 
 import math
 from typing import Final
@@ -17,6 +22,11 @@ TELLING: Final = 1e-6
 # Part of a run's own scales of force, deflection and speed below which a quantity is their rounding, times a hundred
 # million: a quantity so small counts relative to that part, and its rounding by less than 1e-8.
 _LEAST = 1e-7
+
+# Errors of polynomials through speeds and accelerations, of two outputs and of four around, halfway between them, in
+# parts of the largest speed for an oscillation of 1 rad an interval: 1/4^2/4!, and (3/4)^4/8! rounded up.
+_TWO: Final = 3e-3
+_FOUR: Final = 1e-5
 
 
 def difference(run: Run, other: Run) -> float:
@@ -77,12 +87,6 @@ def _scales(run: Run, largest: list[float]) -> tuple[float, float, float]:
     if not scene.effects.motion:
         return force, force / stiffness, largest[3]
     return force, force / stiffness, max(largest[3], force / math.sqrt(stiffness * float(scene.inertia)))
-
-
-# Errors of polynomials through speeds and accelerations, of two outputs and of four around, halfway between them, in
-# parts of the largest speed for an oscillation of 1 rad an interval: 1/4^2/4!, and (3/4)^4/8! rounded up.
-_TWO: Final = 3e-3
-_FOUR: Final = 1e-5
 
 
 def unseen(run: Run, rate: float, error: float) -> float:

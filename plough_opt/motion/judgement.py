@@ -22,6 +22,16 @@ from plough_opt.motion.terms import Structure, hold, own_force, parameters, star
 _MOST_GROWTH: Final = 700.0
 # Steps beyond the last state that was reached, of a length in which the motion failed, at which own effects are asked.
 _BEYOND: Final = np.linspace(0.0, 2.0, 9)
+# Speeds backwards below this fraction of the fastest speed are rounding, not retreat.
+_RETREAT = 1e-9
+# Part of the fastest speed below which a share all but stops.
+_GRAZES = 5e-3
+# Speeds backwards of a slipping share above this fraction are not the rounding of the time at which it stopped.
+_MISSED = 1e-5
+# Places in a wavelength at which own resistances are compared with those one wavelength on, and the relative difference
+# that is rounding of a travel.
+_OWN_PLACES = 16
+_SAME_OWN = 1e-9
 
 
 class Escape(IntegrationError):
@@ -148,20 +158,6 @@ def _runaway(scene: Scene) -> str:
         f"the print's repelling spring drives the share away like exp({_growth(scene):.3g} t), and drag still faster,"
         " beyond what the method can follow: take a shorter duration, or formulation = 'derived'"
     )
-
-
-# Speeds backwards below this fraction of the fastest speed are rounding, not retreat.
-_RETREAT = 1e-9
-# Part of the fastest speed below which a share all but stops.
-_GRAZES = 5e-3
-# Speeds backwards of a slipping share above this fraction are not the rounding of the time at which it stopped.
-_MISSED = 1e-5
-
-
-# Places in a wavelength at which own resistances are compared with those one wavelength on, and the relative difference
-# that is rounding of a travel.
-_OWN_PLACES = 16
-_SAME_OWN = 1e-9
 
 
 class MissedEvent(IntegrationError):

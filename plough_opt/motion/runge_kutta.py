@@ -2,6 +2,12 @@
 
 A step is a small symbolic graph, the run a loop over it (``mapaccum``), so the
 size of the graph does not grow with the number of steps and every derivative is that of the numbers.
+
+Steps end where the parameters put a kink: at the end of a tow ramp, and where the smooth contact's step ends. Across a
+kink steps of order 8 lose their order, and derivatives by what moves the kink lose most: each differentiation one
+order more. The end of a ramp is a time, and moves with it. The ends of the smooth contact's step are found in the
+motion; that part of a step is not a function of the parameters to a derivative, for where the motion has four
+derivatives a step may as well end a little beside.
 """
 
 from __future__ import annotations
@@ -24,6 +30,9 @@ from plough_opt.motion.timeline import Timeline, at_outputs
 
 Average = Callable[[Sequence[ca.MX]], list[ca.MX]]
 """Taylor coefficients of what is averaged, a column for each step -> those of its average over the steps."""
+
+# A kink is missed by 1e-3 of a step, and what it leaves of a second derivative by the fourth power of that.
+_BISECTIONS = 10
 
 
 def pairs(count: int) -> list[tuple[int, int]]:
@@ -64,10 +73,6 @@ def pooled(moments: Sequence[ca.MX], average: Average, signals: int, count: int 
     squares = product(drift, drift, count)
     variances = average([spread + square for spread, square in zip(spreads, squares, strict=True)])
     return ca.horzcat(*means), ca.horzcat(*variances)
-
-
-# A kink is missed by 1e-3 of a step, and what it leaves of a second derivative by the fourth power of that.
-_BISECTIONS = 10
 
 
 def ends(timeline: Timeline, duration: Column, ramp: Column) -> tuple[Column, Column]:

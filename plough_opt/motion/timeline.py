@@ -1,4 +1,9 @@
-"""The times of a run: where it is sampled, where steps end, and how outputs between those ends are read."""
+"""The times of a run: where it is sampled, where steps end, and how outputs between those ends are read.
+
+Steps of order 8 are long beside the spacing of a run's outputs. The deflection w and its rate w' at eight ends of steps
+around an output time determine a Hermite polynomial of degree 15, whose error falls by a higher power of the step than
+the method's. What is read is linear in the states, so that derivatives with respect to anything are read likewise.
+"""
 
 import math
 from dataclasses import dataclass
@@ -19,6 +24,10 @@ _LEAST: Final = 0.6
 # Part of the duration below which a kink is at rounding distance from the end of a step: it would make steps of no
 # length.
 _SHORT: Final = 1e-9
+
+Array = NDArray[np.float64]
+# Rounding of times that are equal, as fractions of the duration.
+_SAME: Final = 4.0 * float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True)
@@ -95,12 +104,6 @@ class Timeline:
     def output_columns(self) -> list[int]:
         """Index of each output time among the nodes of an aligned timeline."""
         return [int(i) for i in np.searchsorted(self.nodes, self.output_fractions - 1e-12)]
-
-
-Array = NDArray[np.float64]
-
-# Rounding of times that are equal, as fractions of the duration.
-_SAME: Final = 4.0 * float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True)

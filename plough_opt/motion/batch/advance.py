@@ -24,6 +24,27 @@ from plough_opt.motion.equation import equation_of_motion, signals
 # Coefficients of the slopes in a step, by w and by w': more of them change the estimate by some per cent.
 _SPRING_TERMS, _DAMPER_TERMS = 6, 4
 
+Matrix = tuple[ca.SX, ca.SX, ca.SX, ca.SX]
+"""Elements 11, 12, 21 and 22, for (w, w'/s) with the mount's own angular frequency s."""
+# Samples of a switch in a step; halvings, and steps of Newton's method, in the interval in which it changes its sign;
+# and how far beyond that, as a part of the step, the next step begins.
+_SAMPLES = 8
+_HALVINGS = 4
+_NEWTON = 3
+_BEYOND = 1e-7
+# Degree of the strut's speed in time during a ramp.
+_RAMP_DEGREE = 5
+# Keeps logarithms and quotients finite if nothing moves, no time has passed, or there is no error yet.
+_TINY = 1e-290
+_ROUNDING = 2.0**-52
+# The truncated terms of a series are estimated from its last coefficients: how many of these, by how much each is taken
+# to be smaller than an oscillation's before it, and their weight. In 200,000 runs under a wave no error was half of
+# its estimate. All of them may be small by accident, so a step is limited by its phase [rad] too.
+_LAST, _FALL, _WEIGHT = 4, 8.0, 0.35
+_LONGEST = 4.0
+# Factor on the weight if the soil has rates of its own, which the frequencies of mount and wave do not include.
+_UNKNOWN = 3.0
+
 
 @dataclass(frozen=True)
 class Before:
@@ -45,10 +66,6 @@ class Before:
         """Return the series of a Function of time, w and w', and parameters with these names."""
         known = [graph.constant(self.layout.value(self.p, name)) for name in names]
         return series_of(graph, function, [[graph.clock(self.x[0])], moving, known])
-
-
-Matrix = tuple[ca.SX, ca.SX, ca.SX, ca.SX]
-"""Elements 11, 12, 21 and 22, for (w, w'/s) with the mount's own angular frequency s."""
 
 
 def transfer(at: Before, moving: tuple[list[ca.SX], list[ca.SX]], powers: list[ca.SX]) -> Matrix:
@@ -148,26 +165,6 @@ def square_of_error(at: Before, ellipse: list[ca.SX]) -> ca.SX:
         return ellipse[0]
     lever = layout.own_frequency(at.p) * layout.value(at.p, "damping") / layout.value(at.p, "stiffness")
     return ellipse[0] + lever * (2.0 * ellipse[1] + lever * ellipse[2])
-
-
-# Samples of a switch in a step; halvings, and steps of Newton's method, in the interval in which it changes its sign;
-# and how far beyond that, as a part of the step, the next step begins.
-_SAMPLES = 8
-_HALVINGS = 4
-_NEWTON = 3
-_BEYOND = 1e-7
-# Degree of the strut's speed in time during a ramp.
-_RAMP_DEGREE = 5
-# Keeps logarithms and quotients finite if nothing moves, no time has passed, or there is no error yet.
-_TINY = 1e-290
-_ROUNDING = 2.0**-52
-# The truncated terms of a series are estimated from its last coefficients: how many of these, by how much each is taken
-# to be smaller than an oscillation's before it, and their weight. In 200,000 runs under a wave no error was half of
-# its estimate. All of them may be small by accident, so a step is limited by its phase [rad] too.
-_LAST, _FALL, _WEIGHT = 4, 8.0, 0.35
-_LONGEST = 4.0
-# Factor on the weight if the soil has rates of its own, which the frequencies of mount and wave do not include.
-_UNKNOWN = 3.0
 
 
 def advance(layout: Layout, order: int, part: int) -> ca.Function:

@@ -34,6 +34,16 @@ from plough_opt.motion.scene import Scene
 from plough_opt.motion.scene_quantities import quantities_of
 from plough_opt.motion.terms import Structure, parameters, pull, start_deflection, start_force, start_rate
 
+RESULTS = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
+"""Names of the results of each design, before its error."""
+# Moments at which the growth of a deviation is estimated in advance; multiples of the golden section fall evenly.
+_MOMENTS = 8
+_GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
+# Steps in a run by its phase, the part of the wanted error that a step may make, and how much less that is where the
+# slope of the soil's resistance adds to the spring's: see `_phase_and_part`.
+_FEWEST, _PHASE_PER_STEP, _PART, _BENT = 4.0, 2.5, 0.8, 4.0
+_TINY = 1e-300
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -96,18 +106,6 @@ class Layout:
         known = dict(zip(self.parameters, ca.vertsplit(p), strict=False))
         passing: ca.SX = reduce(ca.fmax, StrengthWaves.imposed(known), ca.SX(0)) / 2.0
         return self.own_frequency(p) + passing
-
-
-RESULTS = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
-"""Names of the results of each design, before its error."""
-
-# Moments at which the growth of a deviation is estimated in advance; multiples of the golden section fall evenly.
-_MOMENTS = 8
-_GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
-# Steps in a run by its phase, the part of the wanted error that a step may make, and how much less that is where the
-# slope of the soil's resistance adds to the spring's: see `_phase_and_part`.
-_FEWEST, _PHASE_PER_STEP, _PART, _BENT = 4.0, 2.5, 0.8, 4.0
-_TINY = 1e-300
 
 
 @dataclass(frozen=True)

@@ -266,9 +266,8 @@ def _path(share, scene, when, about, tolerance):
     settings = {"method": "DOP853", "rtol": relative, "atol": tolerance * sizes}
     if share.breakaway is not None:
         # A stop of short duration lies between two crossings that a long step would take at once.
-        settings["max_step"] = 0.1 / max(
-            math.sqrt(share.k / share.m), *(number * share.v0 for _, number, _ in share.waves)
-        )
+        turns = [math.sqrt(share.k / share.m), *(number * share.v0 for _, number, _ in share.waves)]
+        settings["max_step"] = 0.1 / max(turns)
     # After a turn the next is not looked for at once, or rounding would find the same again.
     turned, rest = -math.inf, 1e-3 * settings.get("max_step", 0.0)
     stops = sorted({*times, *([share.ramp] if 0.0 < share.ramp < duration else [])})

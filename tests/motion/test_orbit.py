@@ -68,15 +68,6 @@ def solved(scene_of):
     return solve
 
 
-def sines(run):
-    return np.sin(2 * np.pi * run.travel / run.scene.effects.strength_wave.wavelength)
-
-
-def average(values):
-    """Average of a periodic function over its period: the trapezoidal rule, which is spectral here."""
-    return np.mean(values[:-1])
-
-
 # --- the orbit ---
 
 
@@ -108,14 +99,6 @@ def test_a_damped_transient_ends_on_it(solved, scene_of, name):
     assert long.mount_force[-OUTPUTS - 1 :] == pytest.approx(run.mount_force, rel=1e-7)
 
 
-def test_the_lasting_rms_is_not_that_from_the_start(scene_of):
-    run = po.simulate(scene_of("undamped with drag"))
-    from_start = po.simulate(scene_of("undamped with drag", orbit="transient"), 2.0)
-    # Without a damper the start's own oscillation takes many wavelengths to die.
-    assert abs(from_start.force_rms / run.force_rms - 1.0) > 0.03
-    assert from_start.mean_draft == pytest.approx(run.mean_draft, rel=0.03)
-
-
 def test_in_an_infinitely_stiff_mount_the_share_follows_the_strut(scene_of):
     wave = {"motion": False, "orbit": "transient"}
     errors = []
@@ -139,27 +122,6 @@ def test_multipliers_are_those_of_the_monodromy(solved, name):
     phase = run.scene.natural_frequency * run.duration
     expected = [1.0, -np.trace(true.monodromy), np.linalg.det(true.monodromy)]
     assert found == pytest.approx(expected, rel=0, abs=1e-9 * max(1.0, np.max(np.abs(expected)), phase))
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_their_product_is_what_all_damping_leaves(solved, name):
-    run, _ = solved(name)
-    effects, reaction = run.scene.effects, run.scene.reaction
-    static = reaction.static * (1 + effects.strength_wave.amplitude * sines(run)) * (effects.rate_term or 0.0)
-    friction = (effects.damping or 0.0) + 2 * (reaction.drag + static) * run.speed
-    product = math.exp(-average(friction) / run.scene.inertia * run.duration)
-    found = run.floquet[0] * run.floquet[1]
-    assert found.imag == pytest.approx(0.0, abs=1e-12)
-    # Small multipliers are differences of larger numbers; steps of order 8 decay at a rate that is 1e-9 off.
-    assert found.real == pytest.approx(product, rel=2e-8)
-
-
-@pytest.mark.parametrize("name", ["conservative", "conservative and soft"])
-def test_without_any_friction_they_lie_on_the_unit_circle(solved, name):
-    run, _ = solved(name)
-    # Steps of order 8 at half a radian each lose 1e-11 or so of an oscillation's size.
-    assert [abs(value) for value in run.floquet] == pytest.approx([1.0, 1.0], abs=1e-10)
-    assert not [text for text in run.warnings if "unstable" in text]
 
 
 def test_an_unstable_orbit_carries_a_warning(solved):

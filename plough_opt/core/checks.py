@@ -15,6 +15,15 @@ from plough_opt.core.expressions import Expression, as_number, holds_several, is
 NOT_NUMBERS: Final = (TypeError, ValueError, OverflowError, RuntimeError)
 """Errors of Python, NumPy and CasADi for a value that is not a number; CasADi's is for symbols and columns."""
 
+LARGEST: Final = 1e60
+"""Largest size of a number, in SI units: fourth powers and products of several stay within floating point."""
+
+LEAST: Final = 1.0 / LARGEST
+"""Least size of a number: its powers are denominators, and must not underflow."""
+
+# Numbers of fewer bytes have three digits, or overflow when squared.
+_LEAST_BYTES = 4
+
 
 def shown(value: object, most: int = 60) -> str:
     """Return any value as text for messages: one line without control characters, cut if it is long."""
@@ -105,16 +114,6 @@ def path_of(what: str, value: object) -> Path:
     if isinstance(value, str | PathLike) and "\0" not in str(value):
         return Path(value)
     raise InputError(f"{what} {shown(value)} must be a path: a text, or a pathlib.Path")
-
-
-LARGEST: Final = 1e60
-"""Largest size of a number, in SI units: fourth powers and products of several stay within floating point."""
-
-LEAST: Final = 1.0 / LARGEST
-"""Least size of a number: its powers are denominators, and must not underflow."""
-
-# Numbers of fewer bytes have three digits, or overflow when squared.
-_LEAST_BYTES = 4
 
 
 def check_domain(

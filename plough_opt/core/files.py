@@ -1,4 +1,4 @@
-"""Files, written whole or not at all: first beside their places, and moved there once all of them are complete."""
+"""Files, and pictures as files: written whole or not at all, first beside their places, then moved there together."""
 
 from __future__ import annotations
 
@@ -27,6 +27,11 @@ Content: TypeAlias = str | bytes | Callable[[IO[bytes]], object]
 # Signals that end a process at once, and would leave unfinished files.
 _ENDING: Final = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 _LONGEST_STEM: Final = 100
+
+PICTURE_FORMATS = ("png", "svg", "pdf")
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8A8A8A")
+"""The colours of Okabe and Ito (2008), which colour-blind people can distinguish, and a grey."""
 
 
 def write_file(path: str | Path, kind: str, content: Content) -> Path:
@@ -219,12 +224,6 @@ def _refused(kind: str, target: Path, error: OSError) -> InputError:
         f"the {kind} '{target}' cannot be written: {why[:1].lower()}{why[1:]}; nothing was changed: name another place,"
         " or make room there"
     )
-
-
-PICTURE_FORMATS = ("png", "svg", "pdf")
-
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8A8A8A")
-"""The colours of Okabe and Ito (2008), which colour-blind people can distinguish, and a grey."""
 
 
 def from_above(module: str, name: str) -> Any:

@@ -21,6 +21,14 @@ from plough_opt.core.plain import Misfit, fields_of, from_plain, to_plain
 from plough_opt.core.tables import Page, Readable
 from plough_opt.core.units import Display, customary
 
+SCHEMA: Final = 2
+"""Number of the layout of kept results; it rises when a key changes its meaning."""
+
+# Characters of a kept result, some hundred times the longest that the commands write.
+_MOST_BYTES: Final = 100_000_000
+_HEAD: Final = ("schema", "kind", "title", "versions", "shown")
+_Result = TypeVar("_Result", bound="Keepable")
+
 
 def versions() -> dict[str, str]:
     """Return the versions that a result depends on."""
@@ -149,15 +157,6 @@ class Origin:
         """
         written = (self.displays[name] for name in values if name in self.displays)
         return next(written, None) or customary(unit, *values.values())
-
-
-SCHEMA: Final = 2
-"""Number of the layout of kept results; it rises when a key changes its meaning."""
-
-# Characters of a kept result, some hundred times the longest that the commands write.
-_MOST_BYTES: Final = 100_000_000
-_HEAD: Final = ("schema", "kind", "title", "versions", "shown")
-_Result = TypeVar("_Result", bound="Keepable")
 
 
 class Keepable(Readable):

@@ -16,6 +16,16 @@ from plough_opt.core.errors import InputError
 # A context variable, so that other threads keep their own values.
 _one_of_several: ContextVar[bool] = ContextVar("one_of_several", default=False)
 
+# The beginning of CasADi's lines, and what those say that commands leave out.
+_BEGINS: Final = "CasADi - "
+_NOTICE: Final = "Event support is experimental"
+
+EVERY: Final = 10.0
+"""Seconds between the lines: a user who sees nothing for longer may think that the process is dead."""
+
+GROUP: Final = "plough_opt"
+"""Group of entry points, as ``[project.entry-points.plough_opt]`` in a package's pyproject.toml names it."""
+
 
 def available() -> int:
     """Return the number of processors, at least 1, that the calling code may use.
@@ -37,10 +47,6 @@ def one_of_several() -> Iterator[None]:
         yield
     finally:
         _one_of_several.reset(token)
-
-
-_BEGINS: Final = "CasADi - "
-_NOTICE: Final = "Event support is experimental"
 
 
 class Sieve:
@@ -84,10 +90,6 @@ def without_notices() -> Iterator[None]:
         sys.stderr = before
 
 
-EVERY: Final = 10.0
-"""Seconds between the lines: a user who sees nothing for longer may think that the process is dead."""
-
-
 @contextmanager
 def heartbeat(write: Callable[[str], object], every: float | None = None) -> Iterator[Callable[[str], None]]:
     """Write every few seconds the present activity and the time since the start; yield a function that sets it.
@@ -115,10 +117,6 @@ def heartbeat(write: Callable[[str], object], every: float | None = None) -> Ite
     finally:
         done.set()
         thread.join()
-
-
-GROUP: Final = "plough_opt"
-"""Group of entry points, as ``[project.entry-points.plough_opt]`` in a package's pyproject.toml names it."""
 
 
 def load_additions() -> None:

@@ -1,7 +1,7 @@
 """One local solve of a design's program by IPOPT, with a choice of derivatives."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import casadi as ca
@@ -34,15 +34,8 @@ class Start:
     limit: float
 
 
-@dataclass(frozen=True)
-class Found:
-    """Where IPOPT stopped: scaled variables, and the scaled objective as reported."""
-
-    y: Vector
-    f: float
-
-
-Solve = Callable[[], Found]
+Solve = Callable[[], Point]
+"""Returns where IPOPT stopped: the scaled variables alone, and the scaled objective as reported."""
 
 
 def solve_nlp(nlp: Nlp, question: Question, start: Start, derivatives: Derivatives, tolerance: float) -> Solve:
@@ -118,11 +111,11 @@ def _ipopt(
     solver = ca.nlpsol("contestant", "ipopt", problem, options)
     bounds = {"x0": form.start, "lbx": form.lower, "ubx": form.upper, "lbg": form.low, "ubg": form.high}
 
-    def solve() -> Found:
+    def solve() -> Point:
         result = solver(**bounds)
         point = Point.of(result, solver.stats())
         if point.solved:
-            return Found(np.clip(point.y[: len(start.y)], 0.0, 1.0), point.f)
+            return replace(point, y=np.clip(point.y[: len(start.y)], 0.0, 1.0))
         if "WallTime" in point.status:
             reason = f"no optimum after {start.limit:g} s and {point.iterations} iterations"
         else:

@@ -28,7 +28,6 @@ from plough_opt.motion.plan import steps_for
 from plough_opt.studies.accuracy.contest import Entry, Progress, Track, measured
 from plough_opt.studies.accuracy.local_solve import (
     Derivatives,
-    Found,
     Solve,
     Start,
     compiled,
@@ -189,7 +188,7 @@ class _Judge:
         self.optima = [self._optimum(point)]
         self._basins: dict[bytes, int] = {}
 
-    def errors(self, found: Found) -> Mapping[str, float]:
+    def errors(self, found: Point) -> Mapping[str, float]:
         """Return the errors of what a contestant found."""
         best, program = self.optima[self._basin(found.y)], self._tight
         values, _ = program.exact_values(found.y, self._p)
@@ -203,7 +202,7 @@ class _Judge:
             REQUIREMENTS: max(broken, default=0.0),
         }
 
-    def elsewhere(self, found: Found) -> str:
+    def elsewhere(self, found: Point) -> str:
         """Return a clause that says where a contestant ended, if not in the reference."""
         first, own = self.optima[0], self.optima[self._basin(found.y)]
         return "" if own is first else f"ended in another optimum, {own.objective:.7g} instead of {first.objective:.7g}"

@@ -72,8 +72,7 @@ def density_profile(task: Task) -> Found:
 
 def quasi_static_course(task: Task) -> Found:
     """Return points in each panel of a quasi-static course's averages; the reference has other points and panels."""
-    scene = task.scene
-    usual = max(task.outputs, steps_for(forced_rate(numbers_of(scene)) * task.duration))
+    scene, usual = task.scene, usual_panels(task)
 
     def average(setting: tuple[int, int]) -> Callable[[], Run]:
         points, panels = setting
@@ -89,6 +88,11 @@ def quasi_static_course(task: Task) -> Found:
     track = Track("quadrature", "quasi-static", average, lambda run: errors_of(run, exact), settings, label=label)
     floor = max(float(np.finfo(float).eps), *errors_of(check, exact).values())
     return task.ranked([track], "averages"), floor
+
+
+def usual_panels(task: Task) -> int:
+    """Return the number of panels that `simulate` takes."""
+    return max(task.outputs, steps_for(forced_rate(numbers_of(task.scene)) * task.duration))
 
 
 def elastic_contact(task: Task) -> Found:

@@ -28,12 +28,12 @@ from plough_opt.design.effort import Search
 from plough_opt.laws.cones import ElasticMedium
 from plough_opt.laws.forces import PlasticGas
 from plough_opt.motion.accuracy import DEFAULT_ERROR
-from plough_opt.motion.plan import MOST_OUTPUTS, forced_rate, numbers_of, steps_for
+from plough_opt.motion.plan import MOST_OUTPUTS
 from plough_opt.motion.scene import Scene
 from plough_opt.studies.accuracy.contest import Entry, Progress
 from plough_opt.studies.accuracy.methods import Task, gradients, integrators, lasting_orbit, models
 from plough_opt.studies.accuracy.optimum import GRADIENT, VARIABLES, design_contest
-from plough_opt.studies.accuracy.quadratures import density_profile, elastic_contact, quasi_static_course
+from plough_opt.studies.accuracy.quadratures import density_profile, elastic_contact, quasi_static_course, usual_panels
 from plough_opt.studies.accuracy.reference import Reference, reference_gradient, reference_run
 from plough_opt.studies.accuracy.result import (
     CONTACT,
@@ -304,8 +304,7 @@ def _defaults(task: Task) -> dict[str, tuple[str, str]]:
     if profile is not None:
         defaults[PROFILE] = "density profile", f"order {profile.order}"
     if not task.scene.effects.motion and not isinstance(task.scene.law, ElasticMedium):
-        panels = max(task.outputs, steps_for(forced_rate(numbers_of(task.scene)) * task.duration))
-        defaults[COURSE] = "quasi-static", f"10 points in each of {panels} panels"
+        defaults[COURSE] = "quasi-static", f"10 points in each of {usual_panels(task)} panels"
     return defaults
 
 

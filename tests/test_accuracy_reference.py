@@ -115,39 +115,6 @@ def test_a_linear_oscillation_from_rest():
     assert found.error < 200 * EPS
 
 
-@pytest.mark.parametrize("breakaway", [1.2, 3.0])
-def test_events_of_stick_slip_and_gap_in_closed_form(breakaway):
-    # With constant resistance and no damper slip and gap are harmonic: all events are known.
-    sticky = scene(1e4, 0.3, soil=LIGHT, start="rest", inertial_drag=False, contact=po.StickSlip(breakaway))
-    found = reference_run(sticky, 1.5, outputs=30)
-    k, F, V, m = (mp.mpf(float(x)) for x in (1e4, sticky.reaction.static, 0.3, 25.0))
-    r, added = mp.mpf(breakaway), mp.mpf(float(sticky.reaction.added_mass))
-    w = mp.sqrt(k / (m + added))
-    loose = r * F / (k * V)
-    a = (r - 1) * F / k
-    stopped = loose + (2 * mp.pi - 2 * mp.atan(a * w / V)) / w
-    wanted = [(loose, "move"), (stopped, "stop")]
-    if breakaway < 2.0:
-        again = stopped + 2 * a / V
-        wanted += [(again, "move"), (again + stopped - loose, "stop")]
-    else:
-        # Behind the gap m z'' = - k z from z = F/k - a < 0 with z' = V, until s - z is what it was.
-        u, before = mp.sqrt(k / m), F / k - a
-        looks = [j * mp.mpf("0.05") / u for j in range(1, 400)]
-
-        def ahead(t):
-            return V * t + before - before * mp.cos(u * t) - V / u * mp.sin(u * t)
-
-        crossing = next(j for j, t in enumerate(looks) if ahead(t) > 0)
-        gap = mp.findroot(ahead, (looks[crossing - 1], looks[crossing]), solver="anderson")
-        wanted.append((stopped + gap, "recapture"))
-    for (moment, name), (exactly, kind) in zip(found.events, wanted, strict=False):
-        assert name == kind
-        # A share stops where its speed is 1e-12 of the tow speed backwards, lest rounding stop one that hardly moves.
-        assert off(moment, exactly) < 1e-13 * float(exactly)
-    assert len(found.events) >= len(wanted)
-
-
 # --- 28 digits ---
 
 PRECISE = {

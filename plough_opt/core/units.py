@@ -252,9 +252,9 @@ def customary(unit: str, *values: float) -> Display:
     return Display("" if unit in ("1", "-") else unit, 1.0)
 
 
-def in_words(value: float, unit: str) -> str:
+def in_words(value: float, unit: str, digits: int = 6) -> str:
     """Return a single value with its unit as an engineer reads it."""
-    return customary(unit, value).text(value, 6)
+    return customary(unit, value).text(value, digits)
 
 
 def display_of(value: object, unit: Unit) -> Display:

@@ -55,16 +55,6 @@ def fork_and_die(file):
     end()
 
 
-class DeadOnArrival:
-    """Kill the process that reads it."""
-
-    def __call__(self, values):
-        return values
-
-    def __reduce__(self):
-        return end, ()
-
-
 class Unreadable:
     """Refuse to be read elsewhere."""
 

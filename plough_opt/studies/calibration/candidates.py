@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_kind
 from plough_opt.core.errors import DomainError, InputError
+from plough_opt.core.units import in_words
 from plough_opt.studies.calibration.estimate import Estimate
 from plough_opt.studies.calibration.identifiability import UNIFORM
 from plough_opt.studies.calibration.measurements import RECORD, Measurements, measurable, result_unit
-from plough_opt.studies.calibration.model import Unknown, amount
+from plough_opt.studies.calibration.model import Unknown
 from plough_opt.studies.calibration.setup import Rows, Setup, predictor
 
 Vector = NDArray[np.float64]
@@ -170,7 +171,7 @@ def _proposals(setup: Setup) -> list[Candidate]:
         candidates.append(Candidate("loosened_radius", why="loosened_radius"))
     for unknown in setup.model.unknowns:
         error = _direct_error(unknown)
-        why = f"{unknown.name} by itself, to ±{amount(error, unknown.unit)}"
+        why = f"{unknown.name} by itself, to ±{in_words(error, unknown.unit, 3)}"
         candidates.append(Candidate(unknown.name, sigma=error, why=why))
     return candidates
 
@@ -185,4 +186,4 @@ def _middle(key: str, setup: Setup) -> float | None:
 
 
 def _condition(key: str, value: float) -> str:
-    return f"{key} = {amount(value, result_unit(key).symbol)}"
+    return f"{key} = {in_words(value, result_unit(key).symbol, 3)}"

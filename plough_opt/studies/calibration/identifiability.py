@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from plough_opt.studies.calibration.model import Unknown, amount
+from plough_opt.core.units import in_words
+from plough_opt.studies.calibration.model import Unknown
 
 Vector = NDArray[np.float64]
 
@@ -131,10 +132,10 @@ def _words(members: Sequence[Unknown], changes: Mapping[str, float], structural:
             return f"{names[0]} has no effect on the measured results: the data do not determine it"
         return f"{names[0]} is hardly determined: the data narrow it no further than its bounds"
     first = changes[names[0]]
-    moves = ", ".join(f"{_amount(u, changes[u.name])} {'less' if changes[u.name] * first < 0.0 else 'more'} {u.name}"
+    moves = ", ".join(f"{_size(u, changes)} {'less' if changes[u.name] * first < 0.0 else 'more'} {u.name}"
                       for u in members[1:])  # fmt: skip
     apart = "cannot be told apart" if structural else "can hardly be told apart, with this scatter"
-    sentence = f"{_list(names)} {apart}: {_amount(members[0], first)} more {names[0]} can be offset by {moves}"
+    sentence = f"{_list(names)} {apart}: {_size(members[0], changes)} more {names[0]} can be offset by {moves}"
     if len(names) == 2:
         ratio = -first / changes[names[1]]
         units = [f" [{u.unit}]" if u.unit else "" for u in members]
@@ -144,8 +145,8 @@ def _words(members: Sequence[Unknown], changes: Mapping[str, float], structural:
     return sentence
 
 
-def _amount(unknown: Unknown, change: float) -> str:
-    return amount(abs(change), unknown.unit)
+def _size(unknown: Unknown, changes: Mapping[str, float]) -> str:
+    return in_words(abs(changes[unknown.name]), unknown.unit, 3)
 
 
 def _list(names: Sequence[str]) -> str:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +23,6 @@ from plough_opt.motion.scene_quantities import quantities_of, with_quantities
 Vector = NDArray[np.float64]
 SceneOf: TypeAlias = Callable[[Mapping[str, Expression]], Scene]
 _DURATION = "scene.duration"
-CUSTOMARY: Final = {
-    "rad": ("deg", math.pi / 180.0),
-    "Pa": ("kPa", 1e3),
-    "N": ("kN", 1e3),
-    "N/m": ("kN/m", 1e3),
-    "W": ("kW", 1e3),
-}
-"""SI unit -> the unit in which amounts are shown, and its factor."""
 # From this ratio of the bounds on an unknown is scaled logarithmically.
 _WIDE = 10.0
 
@@ -187,12 +179,6 @@ def _current(scene: Scene) -> dict[str, float]:
     if any(map(is_symbolic, values.values())):
         raise InputError("the scene holds symbols: calibrate a numeric scene, and name its unknowns")
     return {name: float(as_number(value)) for name, value in values.items()}
-
-
-def amount(value: float, unit: str) -> str:
-    """Return an SI value in a customary unit as text of three digits."""
-    symbol, factor = CUSTOMARY.get(unit, (unit, 1.0))
-    return f"{value / factor:.3g} {symbol}".rstrip()
 
 
 def _unknowns(given: Mapping[str, Any], current: Mapping[str, float]) -> tuple[Unknown, ...]:

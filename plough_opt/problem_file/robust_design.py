@@ -17,8 +17,7 @@ from plough_opt.problem_file.uncertain import ChosenMeasure, UncertainTable, dis
 from plough_opt.soil.soil import Soil
 from plough_opt.studies.uncertainty import Robust, SoilDistribution, sobol_indices, verify
 from plough_opt.studies.uncertainty.result import RobustOptimum
-from plough_opt.studies.uncertainty.robust import Tail
-from plough_opt.studies.uncertainty.search import Spreads, best_robust
+from plough_opt.studies.uncertainty.robust import Spreads, Tail, best_robust
 
 # Of a result's standard deviation over the samples: the width over which its measures are rounded off.
 _WIDTH = 0.5

@@ -121,19 +121,19 @@ def test_on_a_narrow_terminal_no_digit_is_lost(surface):
     assert columns[1] == "".join(f"{surface.points[k].objectives[0] / 1e3:.5g}" for k in order)
 
 
-def test_failures_are_told_in_words_and_each_reason_once(surface):
+def test_failures_are_given_in_words_and_each_reason_once(surface):
     at = [point.objectives for point in surface.points[:3]]
     reasons = ("Infeasible_Problem_Detected: no design near the start meets the requirements",) * 2
     failures = tuple(map(Failure, at, (*reasons, "Odd_Status: the optimiser stopped without an optimum")))
-    told = [line for line in printed(replace(surface, failures=failures), 1000) if "No certified design" in line]
-    assert len(told) == 2
-    assert told[0].endswith(": no design near the start meets the requirements.")
-    assert told[0].count(" kN and ") + told[0].count(" m;") >= 2
-    assert "_Problem_Detected" not in "".join(told)
-    assert "Odd_Status" not in "".join(told)
+    lines = [line for line in printed(replace(surface, failures=failures), 1000) if "No certified design" in line]
+    assert len(lines) == 2
+    assert lines[0].endswith(": no design near the start meets the requirements.")
+    assert lines[0].count(" kN and ") + lines[0].count(" m;") >= 2
+    assert "_Problem_Detected" not in "".join(lines)
+    assert "Odd_Status" not in "".join(lines)
 
 
-def test_the_knee_is_told_in_the_units_of_the_table(surface, monkeypatch):
+def test_the_knee_is_given_in_the_units_of_the_table(surface, monkeypatch):
     point = surface.points[len(surface.points) // 2]
     monkeypatch.setattr(po.TradeOff, "knee", property(lambda _: point))
     (line,) = [line for line in printed(surface, 1000) if line.startswith("Knee")]

@@ -75,6 +75,6 @@ def test_points_are_certified_by_tight_integration(soft_or_stiff):
         assert point.residual < 1e-9
         assert {"loosened radius", "half angle"} <= set(point.active)
     best = soft_or_stiff.batch(soft_or_stiff.front.designs)
-    # Another method altogether, to the error that it was asked for.
+    # Another method altogether, to the error that it promises.
     assert best.force_rms == pytest.approx(soft_or_stiff.front.objectives[:, 1], rel=1e-6)
     assert best.mean_deflection == pytest.approx(soft_or_stiff.front.objectives[:, 0], rel=1e-6)

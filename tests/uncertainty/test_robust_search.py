@@ -7,7 +7,7 @@ from scipy import stats
 
 import plough_opt as po
 from plough_opt.studies.uncertainty import measures
-from plough_opt.studies.uncertainty.search import best_robust
+from plough_opt.studies.uncertainty.robust import best_robust
 
 MEAN, STD = 20e3, 4e3
 FIELD = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.norm(MEAN, STD), within={"cohesion": (1.0, 1e6)})
@@ -77,9 +77,9 @@ def test_widths_are_those_of_the_design_that_is_found():
     assert failures == ()
     assert len(made) > 1
     own = robust.values(best)["loss"]
-    (asked,) = robust.requested
-    assert asked.width == pytest.approx(0.5 * np.std(own), rel=0.02)
-    assert best.objective == pytest.approx(measures.cvar(own, 0.9, width=asked.width), rel=1e-9)
+    (requested,) = robust.requested
+    assert requested.width == pytest.approx(0.5 * np.std(own), rel=0.02)
+    assert best.objective == pytest.approx(measures.cvar(own, 0.9, width=requested.width), rel=1e-9)
     # Whatever its width, the CVaR goes with x^2/2 + 4/x, which is least at x = 4^(1/3): that with the nominal width of
     # 40^2/2 does not.
     assert best.variables["x"] == pytest.approx(4.0 ** (1.0 / 3.0), rel=1e-3)

@@ -101,7 +101,7 @@ def test_the_optimum_is_the_one_that_the_samples_demand(found):
     """The radius goes with the height alone, so the robust height follows from the samples' quantile."""
     height = found.best.variables["share.height"]
     radii = found.robust.values({"share.height": 1.0})["loosened_radius"]
-    (width,) = (asked.width for asked in found.robust.requested if asked.result == "loosened_radius")
+    (width,) = (requested.width for requested in found.robust.requested if requested.result == "loosened_radius")
     # The width belongs to this design, some per cent wider than at the nominal one; it is settled to 2 %.
     assert width == pytest.approx(0.5 * np.std(radii) * height, rel=0.02)
     assert width > 1.02 * 0.5 * np.std(radii) * found.nominal.variables["share.height"]

@@ -38,14 +38,14 @@ class Archive:
 
     Attributes:
         front: the program.
-        vary: numbers of the variables that are searched; none where only the basin of the guess is asked for.
+        vary: numbers of the variables that are searched; none where only the basin of the guess is wanted.
         tried: number of designs.
         vectorised: whether designs are looked at side by side.
         needles_beyond: number of needles that were seen beyond the front, those that others beat apart.
     """
 
     def __init__(self, front: FrontProgram, search: Search, progress: Progress) -> None:
-        """Take a program whose scales are set, what `plough_opt.trade_off` was asked to search, and where to report.
+        """Take a program whose scales are set, the `search` of `plough_opt.trade_off`, and where to report.
 
         Raises:
             InputError: a name that is not a variable, or an invalid effort.
@@ -68,7 +68,7 @@ class Archive:
         self.vary = searched(search, program.declared.variables)
         self._start = program.start()
         effort = effort_of(search, len(self.vary), program.population.runs, self.vectorised)
-        # Objectives share it; how likely further basins are is not asked of a front.
+        # Objectives share it; a front does not say how likely further basins are.
         self._effort = replace(
             effort,
             followed=0,
@@ -79,7 +79,7 @@ class Archive:
     # --- looking -----------------------------------------------------------------------------------------
 
     def landscape(self, p: Vector) -> FrontLandscape:
-        """Return what parameters of the front's program ask for, as a landscape whose designs are kept here."""
+        """Return the question of the front's program at parameters as a landscape whose designs are kept here."""
         return FrontLandscape(self, p)
 
     def look(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
@@ -240,15 +240,15 @@ class FrontLandscape(Landscape):
     """A question of the front's program over the scaled variables, its designs kept with all their objectives."""
 
     def __init__(self, archive: Archive, p: Vector) -> None:
-        """Take the archive that keeps the designs, and the parameters that ask."""
+        """Take the archive that keeps the designs, and the parameters of the question."""
         super().__init__(archive.front.program, p)
-        self._archive, self._asked = archive, archive.front.asked(p)
+        self._archive, self._question = archive, archive.front.question(p)
 
     def rows(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
         """Return the scaled objective and requirements, a row for each design."""
         self.tried += len(points)
         objectives, g = self._archive.look(points, finer=finer, together=together)
-        weights, normals, limits = self._asked
+        weights, normals, limits = self._question
         g = g.copy()
         g[:, self._archive.front.rows] = objectives @ normals.T - limits
         return weights[0] + objectives @ weights[1:], g / self._scale

@@ -133,7 +133,7 @@ def certify(front: FrontProgram, one: Candidate, *, beaten: bool = False) -> Fro
     Args:
         front: the program.
         one: the candidate.
-        beaten: whether it is not on the front, so that its curvature and branch are not asked for.
+        beaten: whether it is not on the front, so that its curvature and branch are left out.
     """
     program, point, level = front.program, one.point, front.level(one.exact)
     scaled, found = front.tight(point.y)

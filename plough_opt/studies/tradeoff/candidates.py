@@ -17,7 +17,7 @@ from plough_opt.studies.tradeoff.front import Failure
 # Weight of the other objectives in an anchor: what is indifferent to one objective is decided by the others.
 OTHERS = 1e-4
 MATTERS = 1e-3
-"""Of the range of an objective: a design that is better by less is no better."""
+"""Of the range of an objective: a design that is better by less is as good."""
 
 SOUGHT = 5e-4
 """The same for what is followed: half of it, for the front is judged in ranges, and by runs, that differ a little."""
@@ -26,7 +26,7 @@ ROUGHLY = 1e-2
 """Of ranges: designs are thinned to so much for which the program is written, or beside which others are looked at."""
 
 NOT_WORSE = 1e-5
-"""Of the scaled objective: an optimum above its start by less is no worse, for searches integrate roughly."""
+"""Of the scaled objective: an optimum above its start by less is as good, for searches integrate roughly."""
 
 # Two optima nearer than this, in normalised objectives and in scaled variables, are one.
 _SAME_OBJECTIVES = 1e-6
@@ -49,7 +49,7 @@ class Candidate:
         swept: objectives in whose direction its branch has been followed from here.
         extra: whether it was sought for a design that the front missed, and lies between positions.
         inward: at an end, an optimum and its parameters a little along the front, where the multipliers are unique.
-        needle: whether no workshop can hit it; None until that is asked.
+        needle: whether no workshop can hit it; None until that is judged.
         confirmed: whether it is an optimum; else a design that the search saw, beside which none was found.
     """
 

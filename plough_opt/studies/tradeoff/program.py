@@ -198,7 +198,7 @@ class FrontProgram:
             np.array(list(limits.values())) + normals @ zero,
         )
 
-    def asked(self, p: Vector) -> tuple[Vector, Vector, Vector]:
+    def question(self, p: Vector) -> tuple[Vector, Vector, Vector]:
         """Return w, n and c of parameters."""
         count, own = self.count, p[len(self._values) :]
         return own[: 1 + count], own[1 + count : 1 - count].reshape(count - 1, count), own[1 - count :]
@@ -276,7 +276,7 @@ class FrontProgram:
 
     def slopes(self, point: Point, p: Vector) -> Vector:
         """Return how strongly an optimum weighs each scaled objective: their gradients so weighted balance."""
-        weights, normals, _ = self.asked(p)
+        weights, normals, _ = self.question(p)
         return np.asarray(weights[1:] + point.lam_g[self.rows] @ normals)
 
 

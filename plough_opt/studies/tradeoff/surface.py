@@ -77,7 +77,7 @@ class SurfaceTracer(Tracer):
     def _start_everywhere(self) -> None:
         """Solve at each node from the design of the archive nearest to it, of those that hardly any other beats.
 
-        That is asked of the designs with the least sums beside each node, which are few.
+        Compared are the designs with the least sums beside each node, which are few.
         """
         y, at = self.archive.feasible
         nodes = self._lattice.nearest(at)
@@ -197,7 +197,7 @@ class SurfaceTracer(Tracer):
         The objective that is minimised there may leave the others open.
         """
         if not self.front.holds(point):
-            objective = int(np.argmax(self.front.asked(p)[0][1:]))
+            objective = int(np.argmax(self.front.question(p)[0][1:]))
             at = self.front.objectives(point.y)
             better = self.front.limited(objective, {k: float(at[k]) for k in range(3) if k != objective}, _OTHERS)
             found = self.front.solve(point, point.y, better)

@@ -33,8 +33,8 @@ class Tracer(Candidates):
     Attributes:
         matters: of the range of an objective: a design that the front misses by less is not sought.
         spacing: distance of missed designs that are followed at once, in normalised objectives.
-        at_once: missed designs that are followed before it is asked again what is missing.
-        rounds: how often that is asked before it is looked beside the front again.
+        at_once: missed designs that are followed before the front is compared with the archive again.
+        rounds: how often that is done before further designs beside the front are looked at.
     """
 
     matters: float

@@ -39,7 +39,8 @@ class Boxed:
     def __init__(self, bare: Program, over: Over) -> None:
         """Take the program of the design itself, and what is minimised."""
         self._bare, self._over = bare, over
-        self._built: dict[bytes, tuple[Program, tuple[float, float] | None]] = {}
+        # The program that was made last, with the parameters and the bounds of the worst objective that it is for.
+        self._built: tuple[tuple[bytes, tuple[float, float]] | None, Program] | None = None
 
     def solve(self, request: Request) -> Optimum:
         """Return the best optimum."""
@@ -55,8 +56,8 @@ class Boxed:
             bounds = bounds[0] - _BELOW * (bounds[1] - bounds[0]), bounds[1]
 
     def _program(self, p: Vector, bounds: tuple[float, float] | None) -> Program:
-        key = b"" if bounds is None else p.tobytes()
-        if key not in self._built or self._built[key][1] != bounds:
+        key = None if bounds is None else (p.tobytes(), bounds)
+        if self._built is None or self._built[0] != key:
             # The requirements that theories bring follow from the expressions, in every design of the box anew.
             own = replace(self._bare.declared, requirements=self._bare.own_requirements)
             designs = designs_of(own)
@@ -65,8 +66,8 @@ class Boxed:
                 " requirements are kept"
             )
             declared = over_box(own, self._over, designs, bounds)
-            self._built = {key: (Program(declared, compiled=self._bare.compiled, bare=self._bare, over=over), bounds)}
-        return self._built[key][0]
+            self._built = key, Program(declared, compiled=self._bare.compiled, bare=self._bare, over=over)
+        return self._built[1]
 
 
 def over_box(declared: Declarations, over: Over, designs: int, bounds: tuple[float, float] | None) -> Declarations:

@@ -87,15 +87,11 @@ class TightEvaluation:
         Raises:
             DomainError: the scene lies outside the model's domain.
         """
-        parameters, quantities = self._numbers(run, numbers)
+        parameters, quantities = self.given(run, numbers)
         return parameters, with_numbers(self.runs[run].embedding.template, quantities.tolist())
 
-    def parameters(self, run: int, numbers: Sequence[float]) -> Vector:
-        """Return a run's parameters, the duration last, at numbers."""
-        return self._numbers(run, numbers)[0]
-
-    def _numbers(self, run: int, numbers: Sequence[float]) -> tuple[Vector, Vector]:
-        """Return a run's parameters and its scene's quantities at numbers."""
+    def given(self, run: int, numbers: Sequence[float]) -> tuple[Vector, Vector]:
+        """Return a run's parameters, the duration last, and its scene's quantities at numbers."""
         parameters, quantities = (result.full().ravel() for result in self._inputs[run](*map(float, numbers)))
         return parameters, quantities
 
@@ -150,7 +146,7 @@ class TightEvaluation:
         """
         results = []
         for k, run in enumerate(self.runs):
-            parameters, _ = self._numbers(k, numbers)
+            parameters, _ = self.given(k, numbers)
             results.append(self._tight(run.integration, tuple(parameters.tolist()), check))
             if not np.all(np.isfinite(results[-1])):
                 _, scene = self.inputs(k, numbers)
@@ -275,7 +271,7 @@ def steps_at(exact: TightEvaluation, designs: Sequence[Sequence[float]], refinem
             continue
         fastest = 0.0
         for numbers in designs:
-            given = exact.parameters(k, numbers)
+            given, _ = exact.given(k, numbers)
             rate = summed_rate(dict(zip(run.integration.names, given, strict=False)))
             fastest = max(fastest, rate * float(given[-1]))
         count = math.ceil(refinement * steps_for(fastest, _PHASE_PER_STEP))

@@ -62,6 +62,10 @@ def tolerances_cost_something(names):
     return worst.spread.kept == 1.0 and worst.objective >= best.objective and found.cost_percent > 0.0
 
 
+def units_are_kept(names):
+    return names["best"].to_dataframe().attrs["units"] == {"height": "m", "stiffness": "N/m"}
+
+
 PAGES = {
     "calibration": Page(
         ("soil.cohesion", "What to measure next"), {"out/residuals.png": 10_000, "out/fit.json": 1_000}
@@ -70,6 +74,9 @@ PAGES = {
     "embedding": Page(
         # OpenMDAO at the global optimum of R1, and CasADi's Jacobian.
         ("share.height [m] 0.2 to 0.3, value 0.25", "True [0.82500571] [39.1146985", "jac_share")
+    ),
+    "results": Page(
+        ("at least 120 mm", "'lower': 0.1", "2 results side by side"), {"both.png": 5_000}, holds=units_are_kept
     ),
     "soils": Page(("5.737", "0.992465")),
     "sweeps": Page(least="def response", scripts=True),
@@ -101,9 +108,12 @@ def test_its_code_runs(name, whole, tmp_path, monkeypatch, capsys):
             continue
         if language == "sh":
             for line in text.splitlines():
-                program, *arguments = shlex.split(line)
+                command, _, target = line.partition(" > ")
+                program, *arguments = shlex.split(command)
                 assert program == "plough-opt"
                 assert main([*arguments, *([] if whole else page.briefly(line))]) == 0, line
+                if target:
+                    (tmp_path / target).write_text(capsys.readouterr().out, encoding="utf-8")
         elif page.scripts:
             (tmp_path / "script.py").write_text(text, encoding="utf-8")
             done = subprocess.run([sys.executable, "script.py"], capture_output=True, text=True, check=True)

@@ -87,6 +87,8 @@ def test_the_pictures_hold_the_runs_own_numbers(written, solved):
     force, deflection, speed = data["charts"]
     # Six digits are written.
     assert force["series"][0]["values"] == pytest.approx(run.mount_force / 1e3, rel=1e-5)
+    ends = [run.mean_draft - run.force_rms, run.mean_draft + run.force_rms]
+    assert force["band"] == pytest.approx([end / 1e3 for end in ends], rel=1e-5)
     assert {"label": "limit of deflection", "value": 0.12, "dash": ""}.items() <= deflection["lines"][1].items()
     assert speed["series"][0]["values"] == pytest.approx(run.speed * 3.6, rel=1e-5)
     assert [chart["id"] for chart in data["search"]] == ["search0"]

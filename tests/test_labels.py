@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from plough_opt.core.labels import Limit, Meanings, attach, label_of, labels_in
+from plough_opt.core.labels import Limit, Meanings, attach, labels_in, meaning_of
 
 LOW = Limit("something", at_most=2.0, unit="m")
 HIGH = Limit("something else", at_most=3.0)
@@ -56,7 +56,7 @@ def test_labels_are_found_each_with_its_meaning():
     x = ca.MX.sym("x", 3)
     parts = [(x[0], x[2], LOW), (x[1], x[2], LOW), (x[0], x[2], HIGH), (x[0], x, LOW)]
     graph = whole(*(attach(value, carried, meaning, meaning) for value, carried, meaning in parts), symbol=x)
-    found = [(label_of(node.which_function()).meaning, node.dep(1).numel()) for node in labels_in(graph)]
+    found = [(meaning_of(node.which_function()), node.dep(1).numel()) for node in labels_in(graph)]
     assert sorted(found, key=str) == sorted([(LOW, 1), (LOW, 1), (HIGH, 1), (LOW, 3)], key=str)
     assert len({hash(node.which_function()) for node in labels_in(graph)}) == 3  # equal meanings share one
 

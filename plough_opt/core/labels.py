@@ -1,4 +1,7 @@
-"""Labels in a CasADi graph, by which a design finds the meaning of values in it."""
+"""Labels in a CasADi graph, by which a design finds the meaning of values in it.
+
+A label is a call that returns its value unchanged, and carries other expressions along, which have a meaning.
+"""
 
 import threading
 from collections import OrderedDict
@@ -29,17 +32,6 @@ _Result = TypeVar("_Result")
 _MOST_LATELY: Final = 64
 # Number of Functions from which it is worth looking for those that no graph calls.
 _FEWEST_LOOKED_AT: Final = 128
-
-
-@dataclass(frozen=True)
-class Label:
-    """A call that returns its value unchanged, and carries other expressions along.
-
-    Attributes:
-        meaning: of the carried expressions: any object.
-    """
-
-    meaning: object
 
 
 @dataclass(frozen=True)
@@ -116,7 +108,7 @@ class Meanings(Generic[Meaning]):
         return len(self._known)
 
 
-_LABELS: Meanings[Label] = Meanings()
+_LABELS: Meanings[object] = Meanings()
 
 
 def attach(value: Expression, carried: Expression, meaning: object, key: Hashable) -> Expression:
@@ -132,16 +124,16 @@ def attach(value: Expression, carried: Expression, meaning: object, key: Hashabl
         return value
     layout = (key, value.shape, carried.numel())
 
-    def make() -> tuple[ca.Function, Label]:
+    def make() -> tuple[ca.Function, object]:
         x, c = ca.MX.sym("x", *value.shape), ca.MX.sym("c", carried.numel())
         names = ["value", "carried"], ["value_again"]
-        return ca.Function("label", [x, c], [x], *names, {"never_inline": True}), Label(meaning)
+        return ca.Function("label", [x, c], [x], *names, {"never_inline": True}), meaning
 
     return _LABELS.shared(layout, make)(ca.densify(value), carried)
 
 
-def label_of(function: ca.Function) -> Label | None:
-    """Return the label that a Function in a graph is, or None for any other Function."""
+def meaning_of(function: ca.Function) -> object | None:
+    """Return the meaning of a label, which is a Function in a graph, or None for any other Function."""
     return _LABELS.of(function)
 
 
@@ -165,7 +157,7 @@ def labels_in(function: ca.Function) -> list[ca.MX]:
     """Return the calls of labels in a Function's graph of MX, inner ones first."""
     places = [k for k in range(function.n_instructions()) if function.instruction_id(k) == ca.OP_CALL]
     calls = {hash(node): node for node in map(function.instruction_MX, places)}
-    return [node for node in calls.values() if label_of(node.which_function()) is not None]
+    return [node for node in calls.values() if meaning_of(node.which_function()) is not None]
 
 
 # Whether the present computation is a part of one that is checked as a whole.

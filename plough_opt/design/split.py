@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.labels import Call, Label, label_of, without_labels
+from plough_opt.core.labels import Call, meaning_of, without_labels
 from plough_opt.motion.embedding import Embedding, embedding_of
 from plough_opt.motion.integrators import Integration
 
@@ -49,7 +49,7 @@ class Split:
     runs: tuple[EmbeddedRun, ...]
     expressions: tuple[ca.MX, ...]
     results: tuple[ca.MX, ...]
-    labels: tuple[tuple[Label, ca.MX], ...]
+    labels: tuple[tuple[object, ca.MX], ...]
 
 
 def split(expressions: list[ca.MX], symbols: list[ca.MX]) -> Split:
@@ -88,31 +88,31 @@ def split(expressions: list[ca.MX], symbols: list[ca.MX]) -> Split:
     return Split(tuple(independent), tuple(expressions), results, tuple(labels))
 
 
-def _carried(calls: list[tuple[Label, ca.MX]], symbols: list[ca.MX], runs: bool) -> list[tuple[Label, ca.MX]]:
+def _carried(calls: list[tuple[object, ca.MX]], symbols: list[ca.MX], runs: bool) -> list[tuple[object, ca.MX]]:
     """Return labels with what they carry, but for laws of runs' results, which have no value before the runs have one.
 
     Raises:
         InputError: something else than a law is given results of a run.
     """
     found = []
-    for label, node in calls:
+    for meaning, node in calls:
         if not runs or not _calls(ca.Function("carried", symbols, [node.dep(1)], {"never_inline": True}))[0]:
-            found.append((label, node.dep(1)))
-        elif not isinstance(label.meaning, Call):
+            found.append((meaning, node.dep(1)))
+        elif not isinstance(meaning, Call):
             raise InputError(_GIVEN_RESULTS)
     return found
 
 
-def _calls(whole: ca.Function) -> tuple[list[EmbeddedRun], list[tuple[Label, ca.MX]]]:
+def _calls(whole: ca.Function) -> tuple[list[EmbeddedRun], list[tuple[object, ca.MX]]]:
     """Return the runs that a Function's graph calls, and its calls of labels, each once."""
     runs: dict[int, EmbeddedRun] = {}
-    labels: dict[int, tuple[Label, ca.MX]] = {}
+    labels: dict[int, tuple[object, ca.MX]] = {}
     for k in range(whole.n_instructions()):
         if whole.instruction_id(k) != ca.OP_CALL:
             continue
         node = whole.instruction_MX(k)
-        if (label := label_of(node.which_function())) is not None:
-            labels[hash(node)] = (label, node)
+        if (meaning := meaning_of(node.which_function())) is not None:
+            labels[hash(node)] = (meaning, node)
         elif (run := embedding_of(node.which_function())) is not None:
             outputs = tuple(node.get_output(i) for i in range(run.integration.function.n_out()))
             runs[hash(node)] = EmbeddedRun(run, node.dep(0), node.dep(1), outputs)

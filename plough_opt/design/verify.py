@@ -70,14 +70,14 @@ class TightEvaluation:
         # Scenes that are not integrated, and laws, each with what gives its quantities.
         self._scenes: list[tuple[Scene, ca.Function]] = []
         self._calls: list[tuple[Call, ca.Function]] = []
-        for label, carried in parts.labels:
+        for meaning, carried in parts.labels:
             quantities = ca.Function("quantities", list(symbols), [ca.densify(ca.vec(carried))])
-            if isinstance(label.meaning, Limit):
-                limits.setdefault(label.meaning, []).append(carried)
-            elif isinstance(label.meaning, Scene):
-                self._scenes.append((label.meaning, quantities))
-            elif isinstance(label.meaning, Call):
-                self._calls.append((label.meaning, quantities))
+            if isinstance(meaning, Limit):
+                limits.setdefault(meaning, []).append(carried)
+            elif isinstance(meaning, Scene):
+                self._scenes.append((meaning, quantities))
+            elif isinstance(meaning, Call):
+                self._calls.append((meaning, quantities))
         self.limits = {limit: ca.vertcat(*limits[limit]) for limit in sorted(limits, key=lambda limit: limit.name)}
         self._algebra = ca.Function("algebra", [*symbols, *parts.results], list(parts.expressions))
 

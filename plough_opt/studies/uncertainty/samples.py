@@ -137,9 +137,7 @@ class Responses:
         """Every scene in the results: its domain check, and its quantities and duration from the symbols."""
         scenes = [(run.embedding.template, run.quantities, run.inputs[-1]) for run in self._parts.runs]
         scenes += [
-            (label.meaning, carried, ca.MX(1.0))
-            for label, carried in self._parts.labels
-            if isinstance(label.meaning, Scene)
+            (meaning, carried, ca.MX(1.0)) for meaning, carried in self._parts.labels if isinstance(meaning, Scene)
         ]
         return [
             (

@@ -78,10 +78,6 @@ class Archive:
 
     # --- looking -----------------------------------------------------------------------------------------
 
-    def landscape(self, p: Vector) -> FrontLandscape:
-        """Return the question of the front's program at parameters as a landscape whose designs are kept here."""
-        return FrontLandscape(self, p)
-
     def look(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
         """Return scaled objectives and all rows of requirements, in their units, of designs, a row for each.
 
@@ -155,7 +151,7 @@ class Archive:
             InfeasibleDesign: no design was found that meets the requirements.
             NotConverged: no design has a value.
         """
-        landscape = self.landscape(p)
+        landscape = FrontLandscape(self, p)
         judged = judgement(landscape, "tolerance")
         explored = Explorer(landscape, self._start, self.vary, judged, self._effort, self._progress).explored()
         if not np.any(np.isfinite(explored.sample.merit)):
@@ -174,7 +170,7 @@ class Archive:
 
     def evolved_at(self, p: Vector) -> list[Vector]:
         """Return the designs to which evolutions from samples lead at a position, one for each round of the effort."""
-        landscape, own, found = self.landscape(p), list(self.vary), []
+        landscape, own, found = FrontLandscape(self, p), list(self.vary), []
         if not self.vectorised or len(own) < 2:
             return []
 

@@ -135,7 +135,7 @@ def certify(front: FrontProgram, one: Candidate, *, beaten: bool = False) -> Fro
         one: the candidate.
         beaten: whether it is not on the front, so that its curvature and branch are left out.
     """
-    program, point, level = front.program, one.point, front.level(one.exact)
+    program, point, level = front.program, one.point, front.levels[one.exact]
     scaled, found = front.tight(point.y)
     margins, violation, active = {}, 0.0, []
     for k, (r, value) in enumerate(zip(front.declared.requirements, found, strict=False)):

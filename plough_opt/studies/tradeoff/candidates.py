@@ -10,7 +10,7 @@ from plough_opt.design.basin import near_optimum
 from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import REMEDIES, Point, Vector
 from plough_opt.design.polishing import as_it_is, minimum_from, polished
-from plough_opt.studies.tradeoff.archive import Archive
+from plough_opt.studies.tradeoff.archive import Archive, FrontLandscape
 from plough_opt.studies.tradeoff.domination import undominated
 from plough_opt.studies.tradeoff.front import Failure
 
@@ -135,7 +135,7 @@ class Candidates(ABC):
         if not self.archive.vary:
             self.progress("solving from the guess", 0.0)
             program = self.front.program
-            starts = [[near_optimum(self.archive.landscape(p), program.start()).y] for p in self.alone()]
+            starts = [[near_optimum(FrontLandscape(self.archive, p), program.start()).y] for p in self.alone()]
         else:
             starts = [list(self.archive.bottoms(p).points) for p in self.alone()]
         # Ranges between the starts tell needles from others.

@@ -67,17 +67,23 @@ class Level:
         """Return objective and requirements; they are kept."""
         key = y.tobytes() + p.tobytes()
         if key not in self._values:
-            f, g = self.nlp.values(y, p)
-            self._values[key] = np.array(f.nonzeros()), np.array(g.nonzeros())
+            self._values[key] = self._new_values(y, p)
         return self._values[key]
+
+    def _new_values(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
+        f, g = self.nlp.values(y, p)
+        return np.array(f.nonzeros()), np.array(g.nonzeros())
 
     def slopes(self, y: Vector, p: Vector) -> tuple[Vector, Vector, Vector, Vector]:
         """Return objective, requirements, gradient and Jacobian; they are kept."""
         key = y.tobytes() + p.tobytes()
         if key not in self._slopes:
-            f, g, gradient, jacobian = (np.asarray(result) for result in self.nlp.slopes(y, p))
-            self._slopes[key] = f.ravel(), g.ravel(), gradient.ravel(), jacobian
+            self._slopes[key] = self._new_slopes(y, p)
         return self._slopes[key]
+
+    def _new_slopes(self, y: Vector, p: Vector) -> tuple[Vector, Vector, Vector, Vector]:
+        f, g, gradient, jacobian = (np.asarray(result) for result in self.nlp.slopes(y, p))
+        return f.ravel(), g.ravel(), gradient.ravel(), jacobian
 
     def residual(self, point: Point, p: Vector) -> float:
         """Return by how much an optimum misses the first-order conditions: slopes, limits, and one of two at each."""
@@ -183,21 +189,13 @@ class BatchLevel(Level):
         """Set the largest size of an objective in units of its range."""
         self.stationary = _STATIONARY * max(1.0, sizes)
 
-    def values(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
-        """Return objective and requirements; they are kept."""
-        key = y.tobytes() + p.tobytes()
-        if key not in self._values:
-            f, g = self._rows(y[None], p)
-            self._values[key] = f, g[0]
-        return self._values[key]
+    def _new_values(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
+        f, g = self._rows(y[None], p)
+        return f, g[0]
 
-    def slopes(self, y: Vector, p: Vector) -> tuple[Vector, Vector, Vector, Vector]:
-        """Return objective, requirements, gradient and Jacobian; they are kept."""
-        key = y.tobytes() + p.tobytes()
-        if key not in self._slopes:
-            around, steps = _around(y)
-            self._slopes[key] = _differences(*self._rows(around, p), steps)
-        return self._slopes[key]
+    def _new_slopes(self, y: Vector, p: Vector) -> tuple[Vector, Vector, Vector, Vector]:
+        around, steps = _around(y)
+        return _differences(*self._rows(around, p), steps)
 
     def _rows(self, points: Vector, p: Vector) -> tuple[Vector, Vector]:
         """Return scaled objective and requirements of designs, a row each, all by equal numbers of steps."""

@@ -44,6 +44,9 @@ class FrontProgram:
         signs: -1 for an objective that is maximised.
         units: what a scaled objective is multiplied by to be one in its unit.
         rows: numbers of the constraints that set the position.
+        levels: what solves the built program, by whether with exact slopes. Without them it does by the steps of a
+            batch, with slopes by differences; where no run takes automatic steps, or runs are integrated one by one,
+            both are exact.
         low: normalised objectives' zero, in scaled units.
         span: their range.
         building: time that was spent on writing it since it was last prepared [s].
@@ -91,7 +94,7 @@ class FrontProgram:
         first = self.program.owner.index(len(declared.requirements))
         self.rows = np.arange(first, first + count - 1)
         self._tight: dict[bytes, tuple[Vector, list[Vector]]] = {}
-        self._levels: dict[bool, Level] = {}
+        self.levels: dict[bool, Level] = {}
         self.building = 0.0
         self.rounded_off = 0.0
         self._refinement = 1.0
@@ -109,7 +112,7 @@ class FrontProgram:
         """
         self._values = values.tolist()
         self._tight.clear()
-        self._levels.clear()
+        self.levels.clear()
         self.normalise(np.zeros(self.count), np.ones(self.count))
         # With these parameters objective and positions are the scaled objectives.
         count = self.count
@@ -139,19 +142,11 @@ class FrontProgram:
         program, began = self.program, time.perf_counter()
         program.build(self.nowhere(), self._refinement, self._starts)
         self.building += time.perf_counter() - began
-        if not self._levels or self._levels[True].nlp is not program.built.nlp:
+        if not self.levels or self.levels[True].nlp is not program.built.nlp:
             batched = program.wanted_error and program.population.vectorised
-            self._levels[True] = Level(program)
-            self._levels[False] = BatchLevel(program) if batched else self._levels[True]
+            self.levels[True] = Level(program)
+            self.levels[False] = BatchLevel(program) if batched else self.levels[True]
         self.normalise(self.low, self.span)
-
-    def level(self, exact: bool) -> Level:
-        """Return what solves the built program: with exact slopes, or quickly.
-
-        Quickly is by the steps of a batch, with slopes by differences; without runs of automatic steps, or where these
-        are integrated one by one, the slopes are exact, too.
-        """
-        return self._levels[exact]
 
     def nowhere(self) -> Vector:
         """Return parameters with which the objective is 1 and no position is set.
@@ -165,7 +160,7 @@ class FrontProgram:
     def normalise(self, low: Vector, span: Vector) -> None:
         """Set the scaled objectives that are 0, and the range that is 1."""
         self.low, self.span = low, span
-        quick = self._levels.get(False)
+        quick = self.levels.get(False)
         if isinstance(quick, BatchLevel):
             quick.normalised(float(np.max((np.abs(low) + span) / span)))
 
@@ -214,13 +209,13 @@ class FrontProgram:
             p: parameters.
             exact: whether with exact slopes.
         """
-        level = self.level(exact)
+        level = self.levels[exact]
         point = level.correct(at, start, p)
         return point if point.solved else level.from_afar(at, start, p)
 
     def objectives(self, y: Vector, *, exact: bool = False) -> Vector:
         """Return the normalised objectives as the optimiser has them."""
-        f, g = self.level(exact).values(y, self._all)
+        f, g = self.levels[exact].values(y, self._all)
         return self.normalised(np.concatenate([f, g[self.rows]]))
 
     def look(self, points: Vector, finer: float, together: int) -> tuple[Vector, Vector]:

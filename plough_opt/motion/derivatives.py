@@ -307,7 +307,7 @@ def derivative_error(solver: Integration, first: int, varying: tuple[int, ...], 
 def finer_than(solver: Integration) -> Integration:
     """Return what checks an integration: more steps, or a tighter tolerance."""
     if solver.accuracy.order_8:
-        # Outputs at which steps end may call for more than were asked for.
+        # Outputs at which steps end may call for more than were wanted.
         timeline = replace(solver.timeline, steps=math.ceil(_FINER * (len(solver.timeline.nodes) - 1)))
         return integration(solver.structure, solver.accuracy, timeline)
     if solver.accuracy.tolerance is not None:
@@ -319,15 +319,15 @@ def finer_than(solver: Integration) -> Integration:
     return integration(solver.structure, replace(solver.accuracy, steps=steps), timeline)
 
 
-def difference_of_jets(solver: Integration, p: Vector, used: Vector, better: Vector, asked: int) -> float:
-    """Return the largest relative difference of two jets with a row for each result, from the first asked for on.
+def difference_of_jets(solver: Integration, p: Vector, used: Vector, better: Vector, wanted: int) -> float:
+    """Return the largest relative difference of two jets with a row for each result, from the first wanted one on.
 
     Args:
         solver: what the jets are of.
         p: the parameters, the duration last.
         used: results, with their derivatives by relative changes of the parameters as columns.
         better: the same, closer to the truth.
-        asked: number of the first result that matters.
+        wanted: number of the first result that matters.
     """
     observed = signals(solver.structure)
     # A parameter that nothing in the equation needs moves nothing, and counts as zero here.
@@ -348,6 +348,6 @@ def difference_of_jets(solver: Integration, p: Vector, used: Vector, better: Vec
         sizes[square + k] = max((_LEAST_SWING * sizes[mean + k]) ** 2, size[square + k])
     # Modes and what only counts have no derivatives.
     compared = np.r_[np.arange(averages) % states < 2, np.ones(observed.count + observed.squared, dtype=bool)]
-    compared &= (sizes > 0.0) & (np.arange(len(sizes)) >= asked)
+    compared &= (sizes > 0.0) & (np.arange(len(sizes)) >= wanted)
     wrong = np.max(np.abs(used - better), axis=1)[compared] / sizes[compared]
     return float(np.max(wrong, initial=0.0))

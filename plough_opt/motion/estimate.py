@@ -17,7 +17,7 @@ from plough_opt.motion.run import Run
 from plough_opt.motion.timeline import hermite
 
 TELLING: Final = 1e-6
-"""Estimated relative error [-] beyond which a run says so in words, unless a larger one was asked for."""
+"""Estimated relative error [-] beyond which a run says so in words, unless a larger one was wanted."""
 
 # Part of a run's own scales of force, deflection and speed below which a quantity is their rounding, times a hundred
 # million: a quantity so small counts relative to that part, and its rounding by less than 1e-8.

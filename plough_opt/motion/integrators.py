@@ -19,7 +19,7 @@ from plough_opt.motion.timeline import Timeline
 # Lower than any force that matters; keeps the scales of a scene without forces above zero.
 _LEAST_FORCE = 1e-9
 _MOST_EVENTS = 1_000_000
-# CasADi quotes the name where it is asked for a forward derivative of a forward derivative, which it does not have.
+# CasADi quotes the name where one wants a forward derivative of a forward derivative, which it does not have.
 _EVENTFUL = "motion_with_events_whose_second_derivatives_are_those_of_a_gradient_as_by_casadi_hessian"
 # A failure is reported once, as an IntegrationError, and not by CasADi at every attempt.
 _QUIET = {"show_eval_warnings": False}
@@ -105,9 +105,9 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
     options = _options(accuracy, timeline)
     if transition is not None:
         options |= {"transition": transition, "max_events": _MOST_EVENTS, "event_tol": 1e-12, "max_event_iter": 100}
-    # Fixed steps end where the result is asked for: at the kink too, so that they keep their order.
+    # Fixed steps end where the result is read: at the kink too, so that they keep their order.
     times = (timeline.stops if METHODS[accuracy.method].order is not None else timeline.output_fractions)[1:]
-    asked = [int(i) for i in np.searchsorted(times, timeline.output_fractions[1:])]
+    read = [int(i) for i in np.searchsorted(times, timeline.output_fractions[1:])]
     name = "motion" if transition is None else _EVENTFUL
     solver = ca.integrator(name, accuracy.method, equation, 0.0, times.tolist(), options)
     p, known = observed.symbols(ca.MX)
@@ -116,7 +116,7 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
     first = start_state(structure, known)
     given = stacked(first / unit, ca.MX.zeros(observed.squared)), stacked(p, sizes)
     result = solver(x0=given[0], p=given[1])
-    states = result["xf"][:count, asked] * ca.repmat(unit, 1, timeline.outputs)
+    states = result["xf"][:count, read] * ca.repmat(unit, 1, timeline.outputs)
     _, of_means, of_spreads = ca.vertsplit(sizes, [0, 2, 2 + observed.count, sizes.numel()])
     spreads, others = ca.vertsplit(result["qf"][:, -1], [0, observed.squared, observed.count])
     means = stacked(result["xf"][count:, -1], others) * of_means

@@ -20,7 +20,7 @@ from plough_opt.motion.terms import Structure, hold, own_force, parameters, star
 
 # Exponents of growth above this overflow, squared as they are in an RMS sooner than by themselves.
 _MOST_GROWTH: Final = 700.0
-# Steps beyond the last state that was reached, of a length in which the motion failed, at which own effects are asked.
+# Steps beyond the last state that was reached, of a length in which the motion failed, at which own effects are tried.
 _BEYOND: Final = np.linspace(0.0, 2.0, 9)
 # Speeds backwards below this fraction of the fastest speed are rounding, not retreat.
 _RETREAT = 1e-9
@@ -277,18 +277,14 @@ def refuse_missed_event(run: Run) -> None:
     held = hold(structure, p, run.travel)
     size = float(np.max(np.abs(run.mount_force)))
     late = (run.mode == STICK) & (run.mount_force > held + _MISSED * size)
-    if np.any(late):
-        raise MissedEvent(
-            f"the motion of a {run.scene.describe()}: '{run.accuracy.method}' missed that the share broke loose before"
-            f" t = {run.time[np.argmax(late)]:.4g} s: take a tighter tolerance"
-        )
     slowest = float(np.min(np.where(run.mode == SLIP, run.speed, 0.0)))
-    if slowest < -_MISSED * float(np.max(np.abs(run.speed))):
-        first = float(run.time[np.argmax((run.mode == SLIP) & (run.speed == slowest))])
-        raise MissedEvent(
-            f"the motion of a {run.scene.describe()}: '{run.accuracy.method}' missed that the share stopped before"
-            f" t = {first:.4g} s: take a tighter tolerance"
-        )
+    backwards = slowest < -_MISSED * float(np.max(np.abs(run.speed)))
+    for event, seen in (("broke loose", late), ("stopped", backwards & (run.mode == SLIP) & (run.speed == slowest))):
+        if np.any(seen):
+            raise MissedEvent(
+                f"the motion of a {run.scene.describe()}: '{run.accuracy.method}' missed that the share {event} before"
+                f" t = {run.time[np.argmax(seen)]:.4g} s: take a tighter tolerance"
+            )
 
 
 def remarks(run: Run) -> tuple[str, ...]:

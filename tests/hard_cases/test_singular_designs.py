@@ -65,14 +65,9 @@ def test_derivatives_where_the_amplitude_vanishes(motion, duration):
         assert math.isfinite(bend)
 
 
-DRIVES = [
-    pytest.param(gain, guess, marks=[] if (gain, guess) in ((0.0, 0.3), (0.9, 0.0), (1.1, 1.0)) else [pytest.mark.slow])
-    for gain in (0.0, 0.5, 0.9, 1.1, 2.0)
-    for guess in (0.0, 0.3, 1.0)
-]
-
-
-@pytest.mark.parametrize(("gain", "guess"), DRIVES)
+@pytest.mark.parametrize(
+    ("gain", "guess"), [(0.0, 0.3), (0.9, 0.0), (1.1, 1.0), pytest.param(2.0, 0.0, marks=pytest.mark.slow)]
+)
 @motions
 def test_an_amplitude_is_driven_to_zero_or_away_from_it(motion, duration, gain, guess):
     slope = rms(1e-7, motion, duration) / 1e-7 / 1e3
@@ -120,33 +115,26 @@ def test_a_start_that_stays_steady_leaves_the_rest_of_the_objective_alone():
         assert scene_of(share=share).steady_resistance == pytest.approx(600.0, rel=1e-7)
 
 
-@pytest.mark.parametrize("most", [1e-3, 1.0])
-def test_an_oscillation_of_next_to_nothing_may_be_required(most):
+@pytest.mark.parametrize("most", [0.0, pytest.param(1e-9, marks=pytest.mark.slow), 1e-3, 1.0])
+def test_next_to_no_oscillation_may_be_required(most):
     d = po.Design()
     amplitude = d.variable("amplitude", guess=0.3, lower=0.0, upper=1.0)
     run = po.simulate(scene_of(amplitude, motion=False), 2.0)
     d.minimise(1.0 - amplitude)
     d.require("calm", run.force_rms, at_most=most, unit="N")
+    if most < 1e-6:
+        # Feasible designs have an amplitude below 3e-12, where the root has hardly a slope, and no inside to speak of.
+        try:
+            assert d.solve().variables["amplitude"] < 1e-10
+        except po.NotConverged as refusal:
+            sentence = str(refusal)
+            assert "at amplitude = " in sentence
+        return
     best = d.solve()
     allowed = most * math.sqrt(2.0) / scene_of().reaction.static
     assert best.variables["amplitude"] == pytest.approx(allowed, rel=1e-5)
     # Its pull is a millionth of the objective: the optimiser leaves next to no margin.
     assert 0.0 <= best.margins["calm"] < 1e-5 * most
-
-
-@pytest.mark.parametrize("most", [0.0, pytest.param(1e-9, marks=pytest.mark.slow)])
-def test_no_oscillation_at_all_is_required_or_refused(most):
-    d = po.Design()
-    amplitude = d.variable("amplitude", guess=0.3, lower=0.0, upper=1.0)
-    run = po.simulate(scene_of(amplitude, motion=False), 2.0)
-    d.minimise(1.0 - amplitude)
-    d.require("calm", run.force_rms, at_most=most, unit="N")
-    # Feasible designs have an amplitude below 3e-12, where the root has hardly a slope, and no inside to speak of.
-    try:
-        best = d.solve()
-    except po.NotConverged as refusal:
-        best, sentence = None, str(refusal)
-    assert best.variables["amplitude"] < 1e-10 if best else "at amplitude = " in sentence
 
 
 # --- flat objectives ----------------------------------------------------------------------------------------

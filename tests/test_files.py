@@ -130,7 +130,9 @@ QUICK = ("--set", "scene.duration=0.05 s", "--set", "scene.outputs=10")
     ("line", "name"),
     [
         (("init",), "a.toml"),
-        (("simulate", PROBLEMS / "cotton_subsoiler.toml", *QUICK, "--plot"), "a.png"),
+        pytest.param(
+            ("simulate", PROBLEMS / "cotton_subsoiler.toml", *QUICK, "--plot"), "a.png", marks=pytest.mark.slow
+        ),
         (("simulate", PROBLEMS / "cotton_subsoiler.toml", *QUICK, "--plot"), "link.svg"),
     ],
     ids=["init", "plot", "plot through a link"],
@@ -163,8 +165,14 @@ write_file(sys.argv[2], "table", slow)
 """
 
 
-@pytest.mark.parametrize("kind", ["file", "folder"])
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+@pytest.mark.parametrize(
+    ("kind", "number"),
+    [
+        *(("file", signal.SIGTERM), ("folder", signal.SIGHUP), ("file", signal.SIGINT)),
+        *(pytest.param(kind, number, marks=pytest.mark.slow)
+          for kind, number in (("folder", signal.SIGTERM), ("file", signal.SIGHUP), ("folder", signal.SIGINT))),
+    ],
+)  # fmt: skip
 def test_a_signal_that_ends_the_process_leaves_nothing_behind(tmp_path, kind, number):
     line = ["sh", "-c", 'trap - INT; exec "$0" "$@"', sys.executable, "-c", SLOW, kind, str(tmp_path / "a")]
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's & may have it ignored

@@ -68,7 +68,7 @@ out, err = sys.stdout, sys.stderr
 done = threading.Event()
 
 def build():
-    for outputs in range(10, 20):
+    for outputs in range(10, 14):
         po.simulate(scene, 0.05, outputs=outputs)
         assert sys.stdout is out and sys.stderr is err
     done.set()

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from plough_opt.app.options import add_shared
+from plough_opt.app.report import runs_of
 from plough_opt.app.terminal import check_outputs, console, give, printable, wrote
 from plough_opt.core.errors import InputError
 from plough_opt.core.kept import Origin
@@ -111,7 +112,7 @@ def _design(saved: Any) -> LocalOptimum | None:
 def _runs(saved: Any) -> Mapping[str, Run]:
     """Return the runs of a result by share; one by itself under ""."""
     run = saved if isinstance(saved, Run | Machine) else getattr(saved, "run", None)
-    return {} if run is None else run.runs if isinstance(run, Machine) else {"": run}
+    return {} if run is None else runs_of(run)
 
 
 def _numbers(saved: Any) -> dict[str, tuple[float, Display | None]]:

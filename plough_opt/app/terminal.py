@@ -123,12 +123,10 @@ def check_outputs(options: argparse.Namespace) -> None:
         from plough_opt.app import plots
 
         plots.check_format(options.plot)
-    several = isinstance(options.file, list)
-    taken = (
-        {_place(path): "a file that is read" for path in options.file}
-        if several
-        else {_place(options.file): "the problem file"}
-    )
+    if isinstance(options.file, list):
+        taken = {_place(path): "a file that is read" for path in options.file}
+    else:
+        taken = {_place(options.file): "the problem file"}
     taken |= {_place(data): "a file of data" for data in getattr(options, "data", ())}
     for name in _OUTPUTS:
         if (written := getattr(options, name, None)) is None:
@@ -253,7 +251,7 @@ def progress() -> Iterator[designs.Progress]:
     stream = Console(stderr=True, highlight=False)
     with ExitStack() as stack:
         show: Callable[[str, float], object]
-        if not LOG.isEnabledFor(logging.INFO) or LOG.isEnabledFor(logging.DEBUG):
+        if quiet() or LOG.isEnabledFor(logging.DEBUG):
             show = _StepByStep()
         elif stream.is_terminal:
             columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn())

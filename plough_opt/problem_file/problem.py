@@ -108,11 +108,13 @@ class Problem:
         """Values that are so unusual in the unit that the file gives them in that another was probably meant."""
         if self.shares:
             return tuple(dict.fromkeys(text for part in self.shares.values() for text in part.cautions))
-        bounds = {f"{key} {side}": (key, getattr(v, side)) for key, v in self.variables.items() for side in _SIDES}
-        every = {**{key: (key, value) for key, value in self.fixed.items()}, **bounds}
-        found = ((f"{name} = {self.origin.display(key, EVERY[key].unit, x).text(x)}", EVERY[key].slip(x))
-                 for name, (key, x) in every.items())  # fmt: skip
-        return tuple(f"{value}: {slip}" for value, slip in found if slip)
+        every = [(key, key, value) for key, value in self.fixed.items()]
+        every += [(f"{key} {side}", key, getattr(v, side)) for key, v in self.variables.items() for side in _SIDES]
+        found = []
+        for name, key, value in every:
+            if slip := EVERY[key].slip(value):
+                found.append(f"{name} = {self.origin.display(key, EVERY[key].unit, value).text(value)}: {slip}")
+        return tuple(found)
 
     @property
     def parts(self) -> Mapping[str, Problem]:

@@ -30,13 +30,13 @@ def test_quiet_leaves_results_alone_and_the_error_stream_empty(cli, cotton, tmp_
 
 
 def test_verbose_says_each_step_and_twice_each_run_and_leaves_logging_as_it_was(cli, cotton):
-    library = logging.getLogger("plough_opt")
-    before = library.level, list(library.handlers)
+    library, own = logging.getLogger("plough_opt"), logging.getLogger("plough_opt.app.terminal")
+    before = library.level, list(library.handlers), own.level
     once, twice = (cli("simulate", cotton, how, *BRIEF).err for how in ("-v", "-vv"))
     assert "simulating" in once
     assert "estimated error" not in once
     assert "estimated error" in twice
-    assert (library.level, library.handlers) == before
+    assert (library.level, library.handlers, own.level) == before
 
 
 @pytest.mark.parametrize(

@@ -97,6 +97,9 @@ def test_the_table_has_every_quantity_that_matters_in_order_of_size(cli, file, s
     places = [done.out.index(f"│ {name} ") for name in names]
     assert places == sorted(places)
     assert cells(done.out, "scene.tow_speed")[0] == "7.2 km/h"
+    for item in saved[1].sensitivities:
+        shown = f"{item.elasticity:+.3g}" if abs(item.elasticity) > 1e-9 else "0"
+        assert cells(done.out, item.name)[1] == shown
     (radius,) = [item for item in saved[1].sensitivities if item.name == "loosened_radius at_least"]
     # The front's radius is proportional to the height, the draft to its square; the angle keeps it.
     assert cells(done.out, radius.name)[1:4] == [f"{radius.elasticity:+.3g}", "0", "+1"]

@@ -58,6 +58,15 @@ def test_changes_of_other_properties_keep_it(read, adjust, changed):
         soil = problem.scene({f"soil.{changed}": factor * usual}).soil
         assert getattr(soil, changed) == factor * usual
         assert po.cone_index(soil) == pytest.approx(1.5e6, rel=1e-12)
+    # A change of the property that the reading decides takes the place of the reading.
+    decided = adjust.replace(" ", "_")
+    assert getattr(problem.scene({f"soil.{decided}": 2.0}).soil, decided) == 2.0
+
+
+def test_of_a_least_value_the_smallest_samples_are_the_worst(read):
+    text = TEXT.replace('at_least = "0.15 m"', 'at_least = "0.15 m", measure = "worst", width = "1 mm"')
+    found = optimise_robust(read(text.replace("cone_index =", "# ") + UNCERTAIN), lambda *_: None)
+    assert {check.result: check.text for check in found.fresh.checks}["loosened_radius"] == "smallest of the samples"
 
 
 def test_draft_owes_nothing_to_a_cohesion_beneath_it(read):

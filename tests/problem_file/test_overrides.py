@@ -13,6 +13,7 @@ CHANGES = [
     ("effects.strength_wave.amplitude=0.1", lambda p: p.scene().effects.strength_wave.amplitude, 0.1),
     ("effects.strength_wave.amplitude=10 %", lambda p: p.scene().effects.strength_wave.amplitude, 0.1),
     ("effects.strength_wave={amplitude = 0, wavelength = '1 m'}", lambda p: p.fixed[WAVELENGTH], 1.0),
+    ("effects.strength_wave.phase=90 deg", lambda p: p.scene().effects.strength_wave.phase, 90 * DEG),
     ("effects.added_mass=false", lambda p: p.scene().effects.added_mass, False),
     ("effects.start=rest", lambda p: p.scene().effects.start, "rest"),
     ("effects.tow_ramp=0.5 s", lambda p: p.scene().effects.tow_ramp, 0.5),

@@ -67,6 +67,13 @@ def test_names_imported_later_are_listed_without_importing_them():
     assert done.stdout.strip() == "[] True False"
 
 
+def test_files_that_the_architecture_names_exist():
+    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    named = re.findall(r"`(\w+/[\w/]+\.py)`", text)
+    assert len(named) > 20
+    assert [path for path in named if not any((ROOT / room / path).exists() for room in (".", "plough_opt"))] == []
+
+
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 
 

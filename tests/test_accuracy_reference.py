@@ -10,6 +10,7 @@ from helpers import precise_motion, three_modes
 
 import plough_opt as po
 from plough_opt.core.expressions import maximum
+from plough_opt.studies.accuracy.following import Motion
 from plough_opt.studies.accuracy.reference import QUANTITIES, errors_of, reference_gradient, reference_run
 from plough_opt.studies.accuracy.wide import EPS, PI, Basis, first_end, gauss, step
 from plough_opt.studies.accuracy.wide import WIDE as W
@@ -315,6 +316,13 @@ def test_a_share_that_runs_away_has_none():
     printed = scene(stiffness=50.0, start="rest", formulation="printed")
     with pytest.raises(po.IntegrationError, match="the reference stops"):
         reference_run(printed, 0.5)
+
+
+def test_events_that_follow_each_other_without_end_are_an_error(monkeypatch):
+    share, duration = PRECISE["stick and slip"]
+    monkeypatch.setattr(Motion, "next_event", lambda _self, _state, done, _end: (done.start, 0))
+    with pytest.raises(po.IntegrationError, match=r"hangs at t = 0 s: events .* without end"):
+        reference_run(share, duration)
 
 
 # --- gradients ---

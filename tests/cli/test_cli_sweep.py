@@ -67,8 +67,8 @@ def test_ctrl_c_leaves_a_store_that_goes_on(cli, tmp_path):
     assert 0 < kept < 10_000
     assert process.returncode == 130
     # Before it, where the machine is slow, how far it was after every ten seconds.
-    told = f"stopped: {kept} of 10000 points are in '{store}': the same sweep continues from there"
-    assert error.splitlines()[-1] == told
+    expected = f"stopped: {kept} of 10000 points are in '{store}': the same sweep continues from there"
+    assert error.splitlines()[-1] == expected
     # Another question is refused with what differs; the same one goes on (that it repeats nothing is tested elsewhere).
     other = cli(*command, "--set", "scene.frame_mass=25 kg", "--csv", table)
     assert other.status == 2
@@ -76,7 +76,7 @@ def test_ctrl_c_leaves_a_store_that_goes_on(cli, tmp_path):
     assert not table.exists()
 
 
-def test_failures_are_told(cli, reference, tmp_path, monkeypatch):
+def test_failures_are_reported(cli, reference, tmp_path, monkeypatch):
     monkeypatch.setattr("plough_opt.studies.sweep.result._QUOTED", 1)
     over = ("--over", "share.height=0.12..0.13 m", "--samples", "3", "--set", "effects.motion=false", "--optimise")
     store, table = tmp_path / "sweep.db", tmp_path / "table.csv"

@@ -128,7 +128,7 @@ def test_workers_that_all_die_end_the_sweep_with_a_reason(monkeypatch):
         po.sweep(swept.kills_always, {"a": np.arange(64.0)}, workers=1)
 
 
-def test_what_cannot_be_read_by_a_worker_is_told_by_its_reason():
+def test_an_evaluation_that_a_worker_cannot_read_is_refused_with_the_reason():
     with pytest.raises(po.InputError, match="the worker processes could not begin: RuntimeError: not here"):
         po.sweep(swept.Unreadable(), {"a": [1.0, 2.0]}, workers=1)
 

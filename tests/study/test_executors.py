@@ -97,7 +97,7 @@ def test_a_cluster_that_has_no_workers_says_so(monkeypatch):
         executor = client.get_executor(pure=False)
         with pytest.raises(po.InputError, match=r"the cluster has had no workers for \d s: start some; finished"):
             po.sweep(swept.waves, OVER, executor=executor, workers=1)
-    # A minute has passed at most where nothing is changed: when they were asked for, and when they answered, included.
+    # Without that change a minute passes at most, with the last check and its answer.
     monkeypatch.undo()
     assert clusters._PATIENCE + 2.0 * clusters._CHECK_EVERY < 60.0
 

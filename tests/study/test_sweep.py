@@ -110,19 +110,19 @@ def test_a_store_is_read_back_and_is_plain_sqlite(inline, tmp_path):
     connection.close()
 
 
-def test_failures_are_tried_again_where_that_is_asked(inline, tmp_path):
+def test_failures_are_tried_again_on_request(inline, tmp_path):
     store = tmp_path / "sweep.db"
     with po.sweep(swept.failing, {"a": [0.0, 1.0, 2.0]}, executor=inline, store=store) as first:
         before = first.table
-    told = []
-    arguments = {"executor": inline, "store": store, "progress": lambda *numbers: told.append(numbers)}
+    shown = []
+    arguments = {"executor": inline, "store": store, "progress": lambda *numbers: shown.append(numbers)}
     with po.sweep(swept.failing, {"a": [0.0, 1.0, 2.0]}, **arguments) as again:
-        assert (again.already, told) == (3, [])
+        assert (again.already, shown) == (3, [])
     with po.sweep(swept.failing, {"a": [0.0, 1.0, 2.0]}, retry=True, **arguments) as again:
         assert again.already == 1
         assert again.table.tobytes() == before.tobytes()
-    assert told[0] == (1, 3, 0)
-    assert told[-1] == (3, 3, 2)
+    assert shown[0] == (1, 3, 0)
+    assert shown[-1] == (3, 3, 2)
 
 
 def test_a_store_of_another_question_is_refused_and_the_difference_named(inline, tmp_path):
@@ -199,7 +199,7 @@ def test_arguments_of_another_kind_are_refused(inline, changed, words):
         ({"draft": "much"}, "draft = 'much' is not a number: could not convert string to float: 'much'"),
     ],
 )
-def test_what_is_no_named_number_is_told_by_its_name(inline, given, reason):
+def test_a_result_that_is_not_a_number_is_named(inline, given, reason):
     result = po.sweep(lambda _: given, {"a": [1.0, 2.0]}, executor=inline)
     assert [failure.reason for failure in result.failures] == [reason] * 2
 
@@ -215,7 +215,7 @@ def test_what_cannot_be_sent_to_processes_is_refused_before_any_starts():
         po.sweep(lambda values: values, OVER)
 
 
-def test_a_broken_executor_of_somebody_else_is_told_and_what_is_stored_stays(tmp_path):
+def test_a_broken_executor_of_somebody_else_is_reported_and_what_is_stored_stays(tmp_path):
     store = tmp_path / "sweep.db"
     expected = r"the executor is broken: .*continues from there with a new one"
     with ProcessPoolExecutor(1) as pool, pytest.raises(po.InputError, match=expected):
@@ -259,7 +259,7 @@ sweep(own, {"a": [1.0, 2.0]}, workers=1)
 """
 
 
-def test_a_script_without_a_guard_is_told_so(script):
+def test_a_script_without_a_guard_is_refused(script):
     process = script(UNGUARDED)
     error = process.communicate(timeout=60)[1]
     assert process.returncode == 1

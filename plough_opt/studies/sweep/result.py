@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 # Failures that a table and a JSON text quote.
 _QUOTED: Final = 3
-_TOLD: Final = 1000
+_LISTED: Final = 1000
 # Rows of an array that are written at once.
 _AT_ONCE: Final = 16384
 
@@ -234,7 +234,7 @@ class Sweep(Readable):
             if (least := self.extreme(name)) and (largest := self.extreme(name, largest=True))
         }
         lost = {
-            state: [vars(point) for point in itertools.islice(points, _TOLD)]
+            state: [vars(point) for point in itertools.islice(points, _LISTED)]
             for state, points in (("failed", self.failures), ("undetermined", self.undetermined))
         }
         found = {

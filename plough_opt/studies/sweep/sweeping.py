@@ -75,14 +75,14 @@ def sweep(
     check_switch("retry", retry)
     points = points_of({name: axis_of(name, given) for name, given in over.items()}, samples, seed)
     check_columns(points.names)
-    asked = {**points.question(), **(question or _identity(evaluation)), **_versions()}
+    whole = {**points.question(), **(question or _identity(evaluation)), **_versions()}
     store = None if store is None else path_of("the store", store)
-    if not retry and store is not None and (finished := _finished(store, asked)) is not None:
+    if not retry and store is not None and (finished := _finished(store, whole)) is not None:
         return finished
     kept = Store(store)
     try:
         about = About.model_construct(
-            names=points.names, results=(), units=dict(units or {}), question=asked, count=points.count, next=0
+            names=points.names, results=(), units=dict(units or {}), question=whole, count=points.count, next=0
         )
         kept.prepare(about, retry)
         already = kept.counts().stored

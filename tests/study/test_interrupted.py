@@ -122,6 +122,16 @@ class TestClaims:
         assert two.claim(4) is None
         assert not one.waiting()
 
+    def test_an_interrupt_between_two_statements_leaves_the_store_usable(self, open_store):
+        one, two = open_store(), open_store()
+        one.claim(10)
+        self.keep(one, 0, 4)
+        one.run("BEGIN IMMEDIATE")
+        one.run("DELETE FROM points")
+        one.renew(0.0)
+        assert one.counts() == (4, 4, 0)
+        assert two.claim(4).tolist() == [4, 5, 6, 7, 8, 9]
+
     def test_a_run_that_is_silent_for_long_is_dead_and_one_that_renews_is_not(self, open_store):
         one, two = open_store(), open_store()
         one.claim(10)

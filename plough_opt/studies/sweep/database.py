@@ -121,6 +121,8 @@ class Database:
     @contextlib.contextmanager
     def transaction(self) -> Iterator[None]:
         """Commit everything done inside, or nothing if it fails; other processes wait."""
+        if self._connection.in_transaction:  # Ctrl-C came just before the last one was under way, or committed
+            self.run("ROLLBACK")
         self.run("BEGIN IMMEDIATE")
         try:
             yield

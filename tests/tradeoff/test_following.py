@@ -53,11 +53,12 @@ def test_a_front_is_followed_from_point_to_point_in_few_steps(plane, monkeypatch
 
     monkeypatch.setattr(level_module.Level, "correct", correct)
     d, x, y = plane
-    front = po.trade_off(d, (x**2 + y**2) ** 2, ((x - 1.0) ** 2 + y**2) ** 2, points=41)
+    goals = (x**2 + y**2) ** 2, ((x - 1.0) ** 2 + y**2) ** 2
+    front = po.trade_off(d, *goals, points=41, search="near")
     assert len(front.points) == 41
-    assert np.median(steps) <= 3
-    # Where it leads nowhere IPOPT takes over.
-    assert np.mean(np.isinf(steps)) < 0.1
+    # From where the last two designs lead, and not from the last one itself, from which it is 2.2; IPOPT takes over
+    # nowhere.
+    assert np.mean(steps) < 2.0
 
 
 # --- parameters and builds ----------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from helpers import three_modes
 from helpers.three_modes import GAP, SLIP, STICK
 
 import plough_opt as po
+from plough_opt.motion.judgement import refuse_missed_event
 
 SHARP = po.Wedge(po.deg(25.0), po.deg(15.0), 0.25)
 MIDDLE = po.Wedge(po.deg(45.0), po.deg(15.0), 0.40)
@@ -296,3 +297,15 @@ def test_a_design_finds_what_brute_force_finds(r1_soil, contact):
     # No tried stiffness beats the design, and its neighbours on either side are worse.
     assert found <= min(map(cost, np.geomspace(5e3, 5e4, 30).tolist())) + 1e-7
     assert all(cost(min(max(best(k0) * factor, 5e3), 5e4)) >= found - 1e-9 for factor in (0.995, 1.005))
+
+
+def test_a_tolerance_too_loose_to_see_a_stop_is_refused():
+    effects = po.Effects(contact=law(1.3), start="rest", strength_wave=wave(0.7, 0.4))
+    scene = po.Scene(po.named_soil("serozem"), SHARP, 1e6, 30.0, 2.0, effects)
+    with pytest.raises(po.IntegrationError, match=r"'erk' missed that the share stopped before t = .*: take a tighter"):
+        po.simulate(scene, 1.0, accuracy=po.Accuracy("erk", tolerance=6e-3))
+    run = po.simulate(scene, 1.0)
+    held = dataclasses.replace(run, mode=np.full_like(run.mode, STICK))
+    with pytest.raises(po.IntegrationError, match=r"'erk' missed that the share broke loose before t = .*: take a"):
+        refuse_missed_event(held)
+    refuse_missed_event(run)

@@ -144,6 +144,7 @@ def test_a_sweep_is_shown_from_its_store(folder, printed, monkeypatch):
     assert strict(printed("show", "s.db", "--json"))["points"] == 2
 
 
+@pytest.mark.slow
 def test_a_front_and_its_units_are_read_back(printed, tmp_path):
     output = tmp_path / "front.json"
     path = without_damper("draft_against_loosening", tmp_path)

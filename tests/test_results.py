@@ -8,6 +8,7 @@ import platform
 import re
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
 
@@ -248,7 +249,7 @@ def squared(point):
 
 def test_a_sweep_prints_draws_and_gives_its_points(tmp_path):
     over = {"a": [1.0, 2.0, 3.0], "b": [0.0, 10.0]}
-    with po.sweep(squared, over, workers=1, units={"force": "N"}) as swept:
+    with ThreadPoolExecutor(1) as inline, po.sweep(squared, over, executor=inline, units={"force": "N"}) as swept:
         text, frame = str(swept), swept.to_dataframe()
         assert 'src="data:image/png;base64,' in swept._repr_html_()
         assert swept.plot(tmp_path / "picture.svg").axes

@@ -60,7 +60,7 @@ ENDS = {
     "1e-6 kg": ({"mass": 1e-6, "duration": 0.03}, {"mass": 1e-6}),
     "ratio 1e-12": ({"density_ratio": 1e-12}, {"density_ratio": 1e-12}),
     "ratio 1 - 1e-9": (
-        # A power of two, of which changes can be told; softer mounts let the soil drive the share away.
+        # A power of two, of which changes are exact; softer mounts let the soil drive the share away.
         {"density_ratio": 1.0 - 2.0**-30, "stiffness": 5e7, "duration": 0.03},
         {"density_ratio": 2.0**-30},
     ),

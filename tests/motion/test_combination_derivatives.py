@@ -38,7 +38,7 @@ STEP = 3e-4
 # Differences of order 6 over three steps on either side.
 PLACES = STEP * np.array((-3, -2, -1, 1, 2, 3))
 WEIGHTS = np.array((-1, 9, -45, 45, -9, 1)) / (60 * STEP)
-# Events are told apart on so many intervals, and must lie that many apart and off the outputs.
+# Events are distinguished on so many intervals, and must lie that many apart and off the outputs.
 COURSE, NEAR = 400, 8
 # Part of the largest speed that a share must keep where it is slowest and does not stop.
 GRAZES = 0.03

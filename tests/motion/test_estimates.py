@@ -195,8 +195,8 @@ def test_a_motion_too_sensitive_to_be_predicted_says_so(contact, duration):
     effects = po.Effects(start="rest", strength_wave=po.StrengthWave(0.95, 0.1), inertial_drag=False, contact=contact)
     scene = po.Scene(SOIL, SHARE, 2e4, 20.0, 1.0, effects)
     run = po.simulate(scene, duration, outputs=50)
-    (told,) = [text for text in run.warnings if "too sensitive to be predicted" in text]
-    assert f"better than {run.error_estimate:.1e}" in told
+    (warning,) = [text for text in run.warnings if "too sensitive to be predicted" in text]
+    assert f"better than {run.error_estimate:.1e}" in warning
     assert run.error_estimate > 1e-6
     beside = dataclasses.replace(scene, stiffness=scene.stiffness * (1.0 + 1e-12))
     assert difference(run, po.simulate(beside, duration, outputs=50)) > 1e-8
@@ -211,7 +211,7 @@ def test_a_motion_of_which_nothing_is_known_says_so():
 
 
 @pytest.mark.parametrize("accuracy", [po.Accuracy("erk", tolerance=1e-4), po.Accuracy("dop853", steps=24)])
-def test_a_named_method_tells_an_error_that_matters(accuracy):
+def test_a_named_method_warns_of_an_error_that_matters(accuracy):
     scene = po.Scene(SOIL, SHARE, 5e4, 45.0, 1.5, po.Effects(strength_wave=po.StrengthWave(0.3, 0.3)))
     coarse, fine = (po.simulate(scene, 1.0, accuracy=a) for a in (accuracy, po.Accuracy()))
     assert coarse.error_estimate > 1e-6

@@ -1,5 +1,6 @@
 """Sweeps of functions: numbers, failures, tables, and what is stored."""
 
+import contextlib
 import csv
 import math
 import re
@@ -163,7 +164,10 @@ def test_a_store_that_is_empty_spoilt_or_closed_is_refused(inline, tmp_path):
     with pytest.raises(po.InputError, match="is empty, and not the store of a sweep"):
         po.Sweep.load(tmp_path / "empty.db")
     assert (tmp_path / "empty.db").stat().st_size == 0
-    result = po.sweep(swept.waves, OVER, executor=inline, store=tmp_path / "sweep.db")
+    with contextlib.closing(sqlite3.connect(tmp_path / "sweep.db")) as another_run:
+        another_run.execute("PRAGMA journal_mode = WAL")  # its tables follow
+        assert (tmp_path / "sweep.db").stat().st_size > 0
+        result = po.sweep(swept.waves, OVER, executor=inline, store=tmp_path / "sweep.db")
     with pytest.raises(po.InputError, match=r"is the store of a sweep: po\.Sweep\.load reads it"):
         po.load(tmp_path / "sweep.db")
     result.close()

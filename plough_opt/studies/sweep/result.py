@@ -106,6 +106,8 @@ class Sweep(Readable):
             raise InputError(f"there is no store {shown(str(path), 200)}")
         store = Store(path, write=False)
         try:
+            if store.empty:
+                raise InputError(f"'{path}' is empty, and not the store of a sweep")
             store.verify()
             return cls(store, store.counts().stored)
         except BaseException:

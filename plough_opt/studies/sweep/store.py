@@ -52,6 +52,7 @@ class Store(Database):
     """A store, open.
 
     Attributes:
+        empty: whether it had no tables when it was opened, and so has no `about` before `prepare`.
         about: quantities, results and question of the sweep.
     """
 
@@ -70,10 +71,9 @@ class Store(Database):
         super().__init__(path, write)
         self._owner = f"{platform.node()}:{os.getpid()}:{uuid.uuid4().hex}"
         try:
-            if self.tables():
+            self.empty = not self.tables()
+            if not self.empty:
                 self.about = database.read(self)
-            elif not write:
-                raise InputError(f"'{self.path}' is empty, and not the store of a sweep")
             if write and path is not None:
                 self.write_ahead()
         except InputError:

@@ -137,7 +137,8 @@ def _finished(path: Path, question: Mapping[str, str]) -> Sweep | None:
     if not path.is_file() or not path.stat().st_size:
         return None
     kept = Store(path, write=False)
-    if kept.about.question == dict(question) and kept.counts().stored == kept.about.count:
+    # Another run may have made the file, and not yet its tables.
+    if not kept.empty and kept.about.question == dict(question) and kept.counts().stored == kept.about.count:
         kept.verify()
         return Sweep(kept, kept.about.count)
     kept.close()

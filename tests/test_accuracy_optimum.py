@@ -103,6 +103,7 @@ def bowl():
     y = d.variable("y", guess=1.5, lower=0.5, upper=2.0)
     d.minimise(1.0 + (x - 1.25) ** 2 + y)
     d.require("least y", y, at_least=1.0)
+    d.require("least x", x, at_least=0.2)  # which leaves room, and so is no error
     return d
 
 

@@ -90,6 +90,9 @@ def test_a_design_instead_of_a_scene(cli, tmp_path):
     study = AccuracyStudy.load(output)
     assert study.duration is None
     assert study.title == "Quasi-static"
+    # One basin: every search finds its best.
+    assert [row.right for row in study.thoroughness] == [row.asked for row in study.thoroughness]
+    assert study.thoroughness[0].search == "near"
     exact = next(e for e in study.entries if e.method == "exact Hessian, carried along")
     assert max(exact.errors.values()) < 1e-9
 

@@ -176,6 +176,25 @@ class TestTracks:
         # Thrice when it is tried, for a median, and in turns until both have taken twice what one may.
         assert len(done) == 2 * (3 + 4)
 
+    def test_a_clock_that_ticks_coarsely_still_tells_short_uses_apart(self, monkeypatch):
+        """So it does on Windows, and under a limit of processor time, where a use between two ticks takes none."""
+        monkeypatch.undo()
+        now, done = [0.0], []
+
+        def prepare(steps):
+            def use():
+                done.append(steps)
+                assert len(done) < 10_000, "the contest does not end"
+                now[0] += 1e-4 * steps / 40.0
+
+            return use, lambda: {"error": 1.0 / steps}
+
+        monkeypatch.setattr(contest.time, "process_time", lambda: now[0] // 0.016 * 0.016)
+        track, _ = clocked("fast", (1, 2), 8, fixed=True)
+        entries = measured([dataclasses.replace(track, prepare=prepare)], "error", 1.0, 10.0)
+        # A turn is one tick: some 160 uses of the one and 80 of the other.
+        assert [entry.seconds for entry in entries] == pytest.approx([1e-4, 2e-4], rel=0.05)
+
     def test_rungs_lie_a_tenth_apart_and_hold_the_multiples(self):
         rungs, shown = rungs_of(1000, FACTORS)
         assert [rungs[place] for place in shown] == [125, 250, 500, 1000, 2000, 4000]

@@ -278,11 +278,12 @@ def _measure_in_turns(tried: list[_Tried], allowance: float) -> None:
         if turn >= _FEWEST_TURNS and spent > _ALL_TURNS * allowance:
             break
         for (number, place), seconds in taken.items():
-            use, known = tried[number].uses[place], tried[number].entries[place].seconds
-            often, started = max(1, math.ceil(_LEAST_TURN / max(known, 1e-9))), time.process_time()
-            for _ in range(often):
+            # By the clock, not by the time that was measured: where that is coarse a short use seems to take none.
+            use, often, started = tried[number].uses[place], 0, time.process_time()
+            while not often or time.process_time() - started < _LEAST_TURN:
                 with contextlib.suppress(PloughError, RuntimeError):
                     use()
+                often += 1
             seconds.append((time.process_time() - started) / often)
             spent += often * seconds[-1]
     for (number, place), seconds in taken.items():

@@ -11,8 +11,10 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers import three_modes
+from scipy.interpolate import CubicHermiteSpline
 
 import plough_opt as po
+from plough_opt.motion import estimate
 
 SHARE = po.Wedge(po.deg(30.0), po.deg(15.0), 0.25)
 MASS, STIFFNESS, SPEED = 20.0, 5e4, 2.0
@@ -163,6 +165,16 @@ def test_the_motion_itself_is_right_over_many_touches():
     assert (3.0 - released) * omega / (2.0 * math.pi) > 20
     # Where the speed touches zero rounding decides between slip and an instant of stick, which leaves 1e-6 at most.
     np.testing.assert_allclose(run.speed, speed, atol=1e-6 * own.tow_speed)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_speed_is_least_where_its_cubic_between_two_outputs_is(seed):
+    """Of 20 cubics that fall first and rise at last, by SciPy's own and the roots of its derivative."""
+    rng = np.random.default_rng(seed)
+    speed, slope = rng.uniform(-1.0, 1.0, 2), rng.uniform(0.1, 2.0, 2) * (-1.0, 1.0)
+    cubic = CubicHermiteSpline([0.0, 1.0], speed, slope)
+    turns = [x for x in cubic.derivative().roots(extrapolate=False) if cubic(x, 2) > 0.0]
+    assert estimate._turning(speed, slope) == pytest.approx(turns[0], rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,6 @@ from functools import partial
 import casadi as ca
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import as_number
 
 _ZERO, _ONE = ca.SX(0), ca.SX(1)
 
@@ -268,20 +267,11 @@ def _function(graph: Graph, operation: int, x: Series) -> Series:
 def _power(graph: Graph, x: Series, exponent: Series) -> Series:
     if not exponent.fixed:
         return _function(graph, ca.OP_EXP, graph.product(exponent, _function(graph, ca.OP_LOG, x)))
-    # x^n is a product for a small whole number: it then holds for x <= 0 too.
+    # Of a whole number CasADi has made products before, which hold for x <= 0 too.
     number = exponent[0]
-    if number.is_constant() and float(as_number(number)) in range(3, 9):
-        return _whole_power(graph, x, int(as_number(number)))
     result = graph.integral(lambda value: value**number, x)
     result.derivative = graph.product(exponent, graph.quotient(result, x))
     return result
-
-
-def _whole_power(graph: Graph, x: Series, exponent: int) -> Series:
-    if exponent == 1:
-        return x
-    half = graph.square(_whole_power(graph, x, exponent // 2))
-    return graph.product(half, x) if exponent % 2 else half
 
 
 def _hyperbolic_cosine(graph: Graph, x: Series) -> Series:

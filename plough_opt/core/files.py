@@ -239,7 +239,7 @@ def from_above(module: str, name: str) -> Any:
 
 
 def drawn(name: str, *arguments: Any, target: str | Path | None = None) -> Figure:
-    """Return a picture by a function of `plough_opt.plots`, written to a file where one is named.
+    """Return a picture by a function of `plough_opt.app.plots`, written to a file where one is named.
 
     Args:
         name: of the function.

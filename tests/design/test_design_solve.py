@@ -176,6 +176,18 @@ def test_bounded_least_squares_as_scipy_solves_them(rows, target):
     assert all(0.0 <= value <= 1.0 for value in best.variables.values())
 
 
+@pytest.mark.parametrize("slope", [1.4622579343563752e-06, 1e-6, 3e-7])
+def test_a_slope_within_the_tolerance_leaves_hardly_anything_to_gain(slope):
+    a = np.array([(1.0, 1.0, 0.0)] * 3 + [(0.0, -slope, 0.0), (1.0, 1.0, 0.0)])
+    b = np.array([0.0, 0.0, 0.0, 1.0, 1.5])
+    d = po.Design()
+    x = ca.vertcat(*(d.variable(f"x{k}", guess=0.5, lower=0.0, upper=1.0) for k in range(3)))
+    d.minimise(1.0 + ca.sumsqr(ca.mtimes(ca.DM(a), x) - ca.DM(b)))
+    truth = 1.0 + 2.0 * lsq_linear(a, b, (0.0, 1.0), tol=1e-14).cost
+    # Two variables trade places along a valley that falls by twice the slope, over some 0.2: at most 2e-7 of 3.7.
+    assert truth - 1e-9 <= d.solve().objective <= truth * (1.0 + 2e-7)
+
+
 def test_the_order_of_declaration_does_not_matter():
     found = []
     for names in (("x", "y", "z"), ("z", "x", "y")):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NoReturn
 
 import numpy as np
@@ -16,7 +17,7 @@ from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.equation import signals
 from plough_opt.motion.integrators import Integration, Sized, integration
 from plough_opt.motion.judgement import failed_by, refuse_missed_event, refuse_runaway, refuse_weak_rest
-from plough_opt.motion.plan import OUTPUTS, STIFF_PHASE, most_steps, numbers_of, phase, timeline_of
+from plough_opt.motion.plan import OUTPUTS, STIFF_PHASE, fastest_rate, most_steps, numbers_of, timeline_of
 from plough_opt.motion.run import Run
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure
@@ -71,10 +72,15 @@ class Case:
         """How many times as many outputs are followed: between few, events would go unnoticed."""
         return self.closer * -(-OUTPUTS // self.outputs) if self.structure.events else 1
 
+    @cached_property
+    def rate(self) -> float:
+        """Angular frequency of the fastest oscillation, or rate of decay if that is faster [rad/s]."""
+        return fastest_rate(self.p)
+
     @property
     def phase(self) -> float:
         """Phase of the fastest oscillation over the run [rad]."""
-        return phase(self.p, self.duration)
+        return self.rate * self.duration
 
 
 @dataclass(frozen=True)

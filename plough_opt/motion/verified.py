@@ -117,7 +117,7 @@ def _automatic(case: Case, wanted: float) -> tuple[Followed, float]:
                 return found, error
             if best is None or error < best[1]:
                 best = found, error
-            if unseen(found.run, plan.fastest_rate(case.p), 0.0) > wanted:
+            if unseen(found.run, case.rate, 0.0) > wanted:
                 case = replace(case, closer=_CLOSER * case.closer)
                 continue
             if tightened and _hopeless(case, found, error, wanted):
@@ -194,7 +194,7 @@ def _twice(case: Case, first: Accuracy, second: Accuracy) -> tuple[Followed, flo
     apart = _apart(case, found, check)
     coarser = _is_coarser(second, first)
     error = apart * (1.0 if coarser and not case.structure.kinked else _MARGIN)
-    return found, max(error, unseen(found.run, plan.fastest_rate(case.p), error))
+    return found, max(error, unseen(found.run, case.rate, error))
 
 
 def _apart(case: Case, found: Followed, other: Followed) -> float:

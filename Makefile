@@ -1,4 +1,4 @@
-# `make run` and `make test` do all the set-up themselves; they need Python 3.11 or newer and make.
+# `make run` and `make test` set up everything they need; they require make and Python 3.11 or newer.
 PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
@@ -6,7 +6,7 @@ READY  := $(VENV)/.plough_opt-installed
 PEERS  := $(VENV)/.peers-installed
 LOWEST := .venv-lowest
 
-# One file or folder for every dependency, and what is quick to compute.
+# At least one test file for every dependency, and quick ones otherwise.
 FAST   := $(addprefix tests/,problem_file cli export study calibration/test_linear.py design/test_declarations.py \
           motion/test_simulate.py uncertainty/test_distribution.py test_layout.py test_geometry.py test_soil.py \
           test_forces.py test_scene.py test_component.py test_plots.py test_results.py test_source_equations.py)
@@ -28,18 +28,18 @@ slow: $(READY)
 bench: $(PEERS)
 	$(BIN)/pytest -m bench tests/benchmarks --benchmark-columns=min,median,iqr,rounds --benchmark-sort=name
 
-# The oldest versions that pyproject.toml allows, in an environment of its own.
+# Test with the oldest versions that pyproject.toml allows, in a separate environment.
 lowest:
 	$(PYTHON) -m venv --clear $(LOWEST)
 	$(LOWEST)/bin/python -m pip install --quiet uv
 	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --compile-bytecode --resolution lowest-direct --editable ".[test]"
 	$(LOWEST)/bin/pytest -n auto --dist worksteal $(FAST)
 
-# Lines of code by room, without docstrings, comments and blank lines.
+# Count lines of code by room, without docstrings, comments and blank lines.
 lines:
 	$(PYTHON) .ci/lines.py plough_opt tests
 
-# How many small changes of the code the tests notice; some forty minutes on four idle cores.
+# Mutation score: how many small changes of the code the tests detect. Takes about forty minutes on four idle cores.
 mutants: $(READY)
 	$(BIN)/python .ci/mutants.py --count 200
 
@@ -49,7 +49,7 @@ $(READY): pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable ".[test]"
 	touch $@
 
-# Where a peer cannot be installed the benchmarks leave it out, and say so.
+# The benchmarks skip peers that cannot be installed, and say which.
 $(PEERS): $(READY)
 	-$(BIN)/python -m pip install --quiet --editable ".[bench]"
 	touch $@

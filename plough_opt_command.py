@@ -1,4 +1,4 @@
-"""The command `plough-opt`: outside the package, so that a Ctrl-C while that is imported is no traceback."""
+"""The command `plough-opt`, outside the package so that Ctrl-C during its import prints no traceback."""
 
 import sys
 
@@ -6,7 +6,7 @@ import sys
 def main() -> int:
     """Import the command line and run it; return the exit status."""
     try:
-        from plough_opt.app import main as run  # what may take seconds
+        from plough_opt.app import main as run  # may take seconds
 
         return run()
     except KeyboardInterrupt:

@@ -10,7 +10,7 @@ import tokenize
 from collections import Counter
 from pathlib import Path
 
-# Tokens that are no code.
+# Tokens that do not count as code.
 _SILENT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 _DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 
@@ -28,7 +28,7 @@ def lines_of_code(source: str) -> int:
 
 
 def main(folders: list[str]) -> None:
-    """Print each folder's rooms and its sum."""
+    """Print the count of each room, and the total of each folder."""
     for folder in folders:
         rooms: Counter[str] = Counter()
         for path in sorted(Path(folder).rglob("*.py")):

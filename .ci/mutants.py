@@ -1,11 +1,11 @@
-"""Change the code in small ways, one at a time, and count how many of the changes the tests notice.
+"""Mutation testing: make small changes to the code, one at a time, and count how many the tests detect.
 
 python .ci/mutants.py [--count 200] [--seed 0] [--workers 2] [--room soil ...] [--budget 90] [--map FILE]
 
-First every file of tests runs once, alone, while `entered.py` notes which functions it enters. Each mutant is one
-operator, comparison, constant or condition changed in a copy of the package. On it run the files that enter the changed
-function, those first that are quick and mostly about its module, for as much processor time as the budget allows, until
-a test fails. Survivors are printed with their place: each is an equivalent change, to be explained, or a missing test.
+First every test file runs once, alone, while `entered.py` records which functions it enters. Each mutant is a copy of
+the package with one operator, comparison, constant or condition changed. The test files that enter the changed function
+run on it until a test fails or the budget of processor time is used up; quick files mostly about the module run
+first. Survivors are printed with their location: each is an equivalent change, to be explained, or a missing test.
 """
 
 import argparse
@@ -28,11 +28,11 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("soil", "laws", "motion", "design", "studies")
-# Folders of tests that are about other rooms, or about speed.
+# Folders with tests of other rooms, or of speed.
 ASIDE = {"bad_input", "benchmarks", "cli", "problem_file"}
-# Seconds after which a session is taken to hang, however little processor time it has had on a busy machine.
+# A session that runs longer than this [s] counts as hung, even if a busy machine gave it little processor time.
 PATIENCE = 1800
-# Sessions are forked from a process that has read what takes long to read, but nothing of the package.
+# Sessions are forked from a process that has imported the slow libraries, but nothing of the package.
 SERVER = multiprocessing.get_context("forkserver")
 SERVER.set_forkserver_preload(
     [
@@ -59,11 +59,11 @@ class Mutant:
     """A module with one change.
 
     Attributes:
-        module: its path in the package.
-        line: of the change.
-        function: first line of the innermost function around it; 0 if the module itself runs it.
+        module: path of the module in the package.
+        line: line of the change.
+        function: first line of the innermost function that contains it; 0 outside functions.
         what: the expression before and after.
-        text: the whole module with the change.
+        text: source of the changed module.
     """
 
     module: str
@@ -75,14 +75,14 @@ class Mutant:
 
 @dataclass(frozen=True)
 class Tested:
-    """A file of tests: its processor time alone [s], and the functions that it enters, by module."""
+    """A test file: its processor time when run alone [s], and the functions it enters, by module."""
 
     file: str
     seconds: float
     entered: dict[str, list[int]]
 
-    def dearness(self, module: str) -> float:
-        """Return the seconds over the part of what is entered that is the module's: how late to try the file."""
+    def cost(self, module: str) -> float:
+        """Return the seconds divided by the share of the entered functions that are the module's; low costs first."""
         return self.seconds * sum(map(len, self.entered.values())) / len(self.entered[module])
 
 
@@ -90,7 +90,7 @@ class Tested:
 
 
 def places(tree: ast.Module) -> list[ast.AST]:
-    """Return the nodes that can be changed, outside annotations and keywords that only guard against slips."""
+    """Return the nodes to change, without annotations and the keywords `strict` and `frozen`, which only guard."""
     hidden = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.AnnAssign | ast.arg) and node.annotation:
@@ -129,7 +129,7 @@ def changed(node: ast.AST) -> None:
 
 
 def mutants(rooms: list[str], count: int, seed: int) -> list[Mutant]:
-    """Return a seeded sample of mutants, each room in the measure of its places."""
+    """Return a seeded random sample of mutants from all nodes of the rooms."""
     every = []
     for room in rooms:
         for path in sorted((ROOT / "plough_opt" / room).rglob("*.py")):
@@ -155,7 +155,7 @@ def _mutant(path: Path, source: str, k: int) -> Mutant:
 
 
 def copied(source: Path, to: Path) -> Path:
-    """Copy what tests read, with the machine code of Python that is beside it."""
+    """Copy everything the tests read, with compiled bytecode."""
     for name in ("plough_opt", "tests", "problems", "docs", "notebooks", ".ci"):
         shutil.copytree(source / name, to / name)
     for name in ("pyproject.toml", "README.md", "CONTRIBUTING.md", "ARCHITECTURE.md", "plough_opt_command.py"):
@@ -163,9 +163,9 @@ def copied(source: Path, to: Path) -> Path:
     return to
 
 
-def run(copy: Path, files: list[str], seconds: float, told: str = "") -> bool:
-    """Return True if files of tests pass in a copy, in as much processor time as is given."""
-    process = SERVER.Process(target=_session, args=(copy, files, seconds, told))
+def run(copy: Path, files: list[str], seconds: float, record: str = "") -> bool:
+    """Return True if test files pass in a copy within the given processor time [s]."""
+    process = SERVER.Process(target=_session, args=(copy, files, seconds, record))
     process.start()
     process.join(PATIENCE)
     if process.is_alive():
@@ -174,45 +174,45 @@ def run(copy: Path, files: list[str], seconds: float, told: str = "") -> bool:
     return process.exitcode == 0
 
 
-def _session(copy: Path, files: list[str], seconds: float, told: str) -> None:
-    """Run pytest in a process that has the libraries already, and end it with pytest's status."""
+def _session(copy: Path, files: list[str], seconds: float, record: str) -> None:
+    """Run pytest in this forked process and exit with its status."""
     os.setpgid(0, 0)
     resource.setrlimit(resource.RLIMIT_CPU, (int(seconds) + 1,) * 2)
     os.chdir(copy)
     sys.path[:0] = [str(copy), str(copy / ".ci")]
-    # Machine code of a mutant must not be found in the cache later.
-    os.environ |= {"PYTHONPATH": str(copy), "XDG_CACHE_HOME": str(copy / "cache"), "ENTERED": told}
+    # Compiled code of a mutant must not enter the user's cache.
+    os.environ |= {"PYTHONPATH": str(copy), "XDG_CACHE_HOME": str(copy / "cache"), "ENTERED": record}
     with Path(os.environ.get("OUTP", os.devnull)).open("w") as nowhere:
         os.dup2(nowhere.fileno(), 1)
         os.dup2(nowhere.fileno(), 2)
-    os._exit(pytest.main(["-q", "-x", "-p", "no:cacheprovider", *files], plugins=[entered] if told else []))
+    os._exit(pytest.main(["-q", "-x", "-p", "no:cacheprovider", *files], plugins=[entered] if record else []))
 
 
 def tested(copy: Path, file: str) -> Tested | None:
-    """Return what a file of tests enters, or None if a test fails in the copy of the package as it is."""
-    told = copy / (file.replace("/", "-") + ".json")
-    if not run(copy, [file], PATIENCE, str(told)):
+    """Return the functions a test file enters, or None if a test fails on the unchanged package."""
+    record = copy / (file.replace("/", "-") + ".json")
+    if not run(copy, [file], PATIENCE, str(record)):
         return None
-    return Tested(file, **json.loads(told.read_text(encoding="utf-8")))
+    return Tested(file, **json.loads(record.read_text(encoding="utf-8")))
 
 
 def survey(copy: Path, pool: ThreadPoolExecutor) -> list[Tested]:
-    """Run every file of tests once; a file that fails without any mutant can notice none, and is left out."""
+    """Run every test file once; a file that fails on the unchanged package detects nothing and is left out."""
     paths = sorted(path for path in (copy / "tests").rglob("test_*.py") if not ASIDE & set(path.parts))
     files = [path.relative_to(copy).as_posix() for path in paths]
     found = list(pool.map(lambda file: tested(copy, file), files))
     if broken := [file for file, one in zip(files, found, strict=True) if one is None]:
-        print(f"left out, for they fail on the package as it is: {', '.join(broken)}", flush=True)
+        print(f"left out because they fail on the unchanged package: {', '.join(broken)}", flush=True)
     return [one for one in found if one is not None]
 
 
 def chosen(mutant: Mutant, files: list[Tested], budget: float) -> list[Tested]:
-    """Return the files of tests that enter a mutant's function, most telling first, as many as the budget allows."""
+    """Return the test files that enter a mutant's function, cheapest first, as many as the budget allows."""
     inside = [one for one in files if mutant.function in one.entered.get(mutant.module, [])]
-    # What modules and classes hold is there for all functions; some functions run only in processes of their own.
+    # Code of modules and classes serves all functions; some functions run only in child processes.
     inside = inside or [one for one in files if mutant.module in one.entered]
     found, spent = [], 0.0
-    for one in sorted(inside, key=lambda one: one.dearness(mutant.module)):
+    for one in sorted(inside, key=lambda one: one.cost(mutant.module)):
         if not found or spent + one.seconds <= budget:
             found.append(one)
             spent += one.seconds
@@ -220,7 +220,7 @@ def chosen(mutant: Mutant, files: list[Tested], budget: float) -> list[Tested]:
 
 
 def survives(source: Path, mutant: Mutant, files: list[Tested]) -> bool:
-    """Return True if all files of tests pass on a mutant; one that takes three times as long as usual hangs."""
+    """Return True if all test files pass on a mutant; three times the usual processor time counts as failure."""
     with tempfile.TemporaryDirectory() as folder:
         copy = copied(source, Path(folder))
         module = copy / "plough_opt" / mutant.module
@@ -233,11 +233,17 @@ def main() -> None:
     """Try the mutants and print the survivors and the score."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=200, help="number of mutants (default: 200)")
-    parser.add_argument("--seed", type=int, default=0, help="of the sample (default: 0)")
-    parser.add_argument("--workers", type=int, default=os.cpu_count(), help="mutants at a time (default: all cores)")
-    parser.add_argument("--room", action="append", choices=ROOMS, help="repeatable (default: every room here)")
-    parser.add_argument("--budget", type=float, default=90.0, help="seconds of tests for a mutant (default: 90)")
-    parser.add_argument("--map", type=Path, help="file that keeps what the tests enter, for another sample")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the sample (default: 0)")
+    parser.add_argument(
+        "--workers", type=int, default=os.cpu_count(), help="mutants tested at a time (default: all cores)"
+    )
+    parser.add_argument(
+        "--room", action="append", choices=ROOMS, help="room to change, repeatable (default: all of these)"
+    )
+    parser.add_argument(
+        "--budget", type=float, default=90.0, help="processor time of tests for a mutant [s] (default: 90)"
+    )
+    parser.add_argument("--map", type=Path, help="file that keeps the first step's record for further samples")
     options = parser.parse_args()
     sample = mutants(options.room or [*ROOMS], options.count, options.seed)
     survivors = 0
@@ -253,9 +259,9 @@ def main() -> None:
         results = pool.map(lambda mutant, tests: survives(copy, mutant, tests), sample, trials)
         for number, (mutant, tests, alive) in enumerate(zip(sample, trials, results, strict=True), start=1):
             survivors += alive
-            word = f"SURVIVED {len(tests)} files" if alive else "noticed"
+            word = f"SURVIVED {len(tests)} files" if alive else "detected"
             print(f"{number:4d} {word} {mutant.module}:{mutant.line}  {mutant.what}", flush=True)
-    print(f"{len(sample) - survivors} of {len(sample)} mutants noticed (seed {options.seed})")
+    print(f"{len(sample) - survivors} of {len(sample)} mutants detected (seed {options.seed})")
 
 
 if __name__ == "__main__":

@@ -8,11 +8,11 @@ from plough_opt.design.effort import effort_of
 from plough_opt.design.exploring import Explorer
 from plough_opt.design.infeasible import feasible_from, from_least_violation
 from plough_opt.design.ipopt import Point, Vector
-from plough_opt.design.landscape import Landscape, Seen
-from plough_opt.design.polishing import as_it_is, polished
+from plough_opt.design.landscape import Evaluations, Landscape
+from plough_opt.design.polishing import point_as_found, polished
 from plough_opt.design.program import Program
-from plough_opt.design.sampling import SEED, sample_of
-from plough_opt.design.tolerance import judgement
+from plough_opt.design.sampling import SEED, evaluated_sample
+from plough_opt.design.tolerance import ranking_criterion
 
 # Part of the range by which a descent that stays in its basin moves at once, or a third of it and so on where a barrier
 # lies within that; the least of these, and how often.
@@ -39,7 +39,7 @@ def near_optimum(landscape: Landscape, start: Vector) -> Point:
     program, p = landscape.program, landscape.p
     if not landscape.vectorised:
         program.build(p, starts=[start])
-        begins, point = as_it_is(program, p, start), program.solve(start, p)
+        begins, point = point_as_found(program, p, start), program.solve(start, p)
         if point.solved and not (begins.solved and point.f > begins.f):
             return point
         return polished(program, p, start) if begins.solved else from_least_violation(program, p, start)
@@ -73,7 +73,7 @@ def _descended_in_steps(landscape: Landscape, y: Vector) -> Vector:
     return y
 
 
-def _nearest_feasible(landscape: Landscape, start: Seen) -> Seen:
+def _nearest_feasible(landscape: Landscape, start: Evaluations) -> Evaluations:
     """Return the feasible design nearest to one, as far as local searches and looks between the two find it."""
     (guess,), rng = start.points, np.random.default_rng(SEED)
     found = nearest_feasible(landscape, guess)
@@ -84,7 +84,7 @@ def _nearest_feasible(landscape: Landscape, start: Seen) -> Seen:
         seen = landscape(np.clip(guess + lengths[:, None] * directions, 0.0, 1.0))
         away = np.linalg.norm(seen.points - found.points, axis=1) > 0.5 * distance
         less = seen.violation < _LESS * start.violation
-        some = seen.of(seen.feasible | (away & less))
+        some = seen.select(seen.feasible | (away & less))
         if not len(some.f):
             break
         nearest = np.lexsort(
@@ -97,17 +97,17 @@ def _nearest_feasible(landscape: Landscape, start: Seen) -> Seen:
     return found
 
 
-def _far_feasible(landscape: Landscape, start: Vector) -> Seen:
+def _far_feasible(landscape: Landscape, start: Vector) -> Evaluations:
     """Return a feasible design near a start beside which there is none."""
-    seen = sample_of(landscape)
+    seen = evaluated_sample(landscape)
     if np.any(seen.feasible):
         others = seen.points[seen.feasible]
         return nearest_feasible(landscape, start, others[np.argmin(np.sum((others - start) ** 2, axis=1))])
     every = tuple(range(len(start)))
     effort = effort_of("auto", len(start), landscape.program.population.runs, landscape.vectorised)
-    explored = Explorer(landscape, start, every, judgement(landscape, "bare"), effort).explored()
-    if len(explored.bottoms.f) and explored.bottoms.feasible[0]:
-        return explored.bottoms.of([0])
+    explored = Explorer(landscape, start, every, ranking_criterion(landscape, "bare"), effort).explore()
+    if len(explored.minima.f) and explored.minima.feasible[0]:
+        return explored.minima.select([0])
     return landscape(feasible_from(landscape, explored, start)[None])
 
 

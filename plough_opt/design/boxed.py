@@ -13,7 +13,7 @@ from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import FEASIBLE, Landscape
 from plough_opt.design.optimum import Optimum
 from plough_opt.design.program import Program
-from plough_opt.design.sampling import sample_of
+from plough_opt.design.sampling import evaluated_sample
 from plough_opt.design.solving import Request, solve_program
 from plough_opt.design.split import split
 from plough_opt.design.tolerance import BOX_DESIGNS, boxes, unit_box
@@ -33,7 +33,7 @@ _BELOW = 2.0
 _AT_THE_BOUND = 1e-6
 
 
-class Boxed:
+class ToleranceBoxSolver:
     """A design's question asked of the tolerance box; its program is kept for further solves."""
 
     def __init__(self, bare: Program, over: Over) -> None:
@@ -47,7 +47,7 @@ class Boxed:
         bounds, p = None, request.p
         if self._over == "worst":
             request.progress("looking at tolerances", 0.0)
-            bounds = bounds_of_worst(self._bare, p)
+            bounds = bounds_on_worst(self._bare, p)
         while True:
             best = solve_program(self._program(p, bounds), request)
             if bounds is None or best.objective > bounds[0] + _AT_THE_BOUND * (bounds[1] - bounds[0]):
@@ -60,7 +60,7 @@ class Boxed:
         if self._built is None or self._built[0] != key:
             # The requirements that theories bring follow from the expressions, in every design of the box anew.
             own = replace(self._bare.declared, requirements=self._bare.own_requirements)
-            designs = designs_of(own)
+            designs = designs_per_box(own)
             over = (
                 f"the objective is the {self._over} of {designs} designs within the tolerances, in all of which the"
                 " requirements are kept"
@@ -104,7 +104,7 @@ def over_box(declared: Declarations, over: Over, designs: int, bounds: tuple[flo
     )
 
 
-def designs_of(declared: Declarations) -> int:
+def designs_per_box(declared: Declarations) -> int:
     """Return how many designs of a box are taken: fewer where each has several runs, or takes long."""
     parts = split([declared.objective, *(r.expression for r in declared.requirements)], declared.symbols())
     runs = max(1, len(parts.runs))
@@ -113,7 +113,7 @@ def designs_of(declared: Declarations) -> int:
     return max(_FEWEST, min(BOX_DESIGNS, 1 << int(math.log2(max(1, _MOST_RUNS // runs)))))
 
 
-def bounds_of_worst(program: Program, p: Vector) -> tuple[float, float]:
+def bounds_on_worst(program: Program, p: Vector) -> tuple[float, float]:
     """Return bounds between which the least worst objective of a design lies, from a sample.
 
     Args:
@@ -122,7 +122,7 @@ def bounds_of_worst(program: Program, p: Vector) -> tuple[float, float]:
     """
     program.prepare(p)
     landscape = Landscape(program, p)
-    seen = sample_of(landscape, _LOOKS if landscape.vectorised else _FEWEST)
+    seen = evaluated_sample(landscape, _LOOKS if landscape.vectorised else _FEWEST)
     sound = np.flatnonzero(np.isfinite(seen.f))
     near = landscape(boxes(program.declared.variables, seen.points[sound]))
     worst, violation = (part.reshape(len(sound), -1).max(axis=1) for part in (near.f, near.violation))

@@ -6,152 +6,157 @@ from typing import Any
 import numpy as np
 
 from plough_opt.design.ipopt import Vector
-from plough_opt.design.landscape import FEASIBLE, FINER, PENALTY, Landscape, Seen, joined
+from plough_opt.design.landscape import FEASIBLE, FINER, PENALTY, Evaluations, Landscape, concatenated
 from plough_opt.design.optimality import least, lowest_dips
 
 Box = tuple[Vector, Vector]
 """Lower and upper bounds of scaled variables."""
 
-# Weight of a violation within the tolerance of what meets the requirements, of which an objective may make no use.
-_WITHIN = 1e4
-# Scaled step of differences, between the rounding of a run (some 1e-13) and its curvature.
+# Weight of a violation within the feasibility tolerance, so high that the objective cannot exploit the tolerance.
+_WEIGHT_IF_FEASIBLE = 1e4
+# Scaled step of the difference quotients: well above a run's rounding (about 1e-13), small against its curvature.
 _STEP = 1e-6
-# Iterations, and those of a descent without a bend, of which others stall when they have taken more.
-_ITERATIONS, _LONG = 25, 20
-# Of a column of a requirement, as a deflection at every output, only the worst values enter a descent.
+# Most SLSQP iterations. More than _MANY_ITERATIONS indicate a bent valley, in which the descent may have stalled.
+_MOST_ITERATIONS = 25
+_MANY_ITERATIONS = 20
+# Of a requirement with many rows, such as a deflection at every output, only the worst rows enter a descent.
 _MOST_ROWS = 6
-# Part of the merit by which a design is lower than another, and not just differently rounded.
+# A design counts as lower than another if its merit is lower by more than this fraction; less may be rounding.
 _LOWER = 1e-6
-# Projections on what is linear of the limits, by which the nearest design that meets them is looked for, and the step
-# after which they have settled: what they then miss is of its square.
-_PROJECTIONS, _SETTLED = 8, 1e-4
-# Times that a descent is begun anew, with further rows that it has broken, while it gains a part of its merit.
-_ROUNDS, _GAIN = 6, 1e-7
+# Projections onto the linearised limits towards the nearest feasible design. They have converged when a step is
+# shorter than _CONVERGED_STEP: the violation that is left is of the order of its square.
+_MOST_PROJECTIONS = 8
+_CONVERGED_STEP = 1e-4
+# A descent is restarted with the rows it has violated, up to this often and while each restart gains this fraction.
+_MOST_RESTARTS = 6
+_RESTART_GAIN = 1e-7
 
 
-def descend(landscape: Landscape, start: Vector, box: Box | None = None) -> Seen:
-    """Return where a descent leads from a scaled start within bounds, by default 0 and 1; never worse than the start.
+def descend(landscape: Landscape, start: Vector, box: Box | None = None) -> Evaluations:
+    """Return the end of a descent from a scaled start within bounds, by default 0 and 1; never worse than the start.
 
-    Runs that are integrated one by one take too long for it: then it is the start.
+    If runs are integrated one by one, a descent takes too long and the start is returned.
     """
     if not landscape.vectorised:
         return landscape(start[None])
-    box = _whole(landscape) if box is None else box
+    box = _whole_range(landscape) if box is None else box
     start = np.clip(start, *box)
-    if landscape.settled:
+    if landscape.eliminated:
         start = np.clip(landscape(start[None]).points[0], *box)
-    return _Descent(landscape, box).from_(start)
+    return _Descent(landscape, box).end_from(start)
 
 
 def lower_from(landscape: Landscape, design: Vector, start: Vector) -> Vector | None:
-    """Return where a descent from a start beside a design leads, if that is lower than the design, or None."""
+    """Return the end of a descent from a start beside a design if it is lower than the design, else None."""
     end, own = descend(landscape, start), landscape(design[None], finer=FINER)
     return end.points[0] if end.merit[0] < own.merit[0] - _LOWER * abs(own.merit[0]) else None
 
 
-def nearest_feasible(landscape: Landscape, design: Vector, start: Vector | None = None) -> Seen:
-    """Return the feasible design nearest to another, as far as a local search from it or a start finds it."""
-    return _Nearest(landscape, design).from_(design if start is None else start)
+def nearest_feasible(landscape: Landscape, design: Vector, start: Vector | None = None) -> Evaluations:
+    """Return the feasible design nearest to a given one, as a local search finds it from a start or from the design."""
+    return _Nearest(landscape, design).end_from(design if start is None else start)
 
 
 def least_violation(
     landscape: Landscape, start: Vector, box: Box | None = None, *, ignored: Collection[int] = ()
-) -> Seen:
-    """Return where the sum of all violations is least beside a start, requirements numbered ``ignored`` apart."""
-    return _LeastViolation(landscape, ignored, _whole(landscape) if box is None else box).from_(start)
+) -> Evaluations:
+    """Return the local minimum near a start of the summed violations, without those of the ignored requirements."""
+    return _LeastViolation(landscape, ignored, _whole_range(landscape) if box is None else box).end_from(start)
 
 
 class Shortfall:
-    """The violations of a landscape without its objective, and the designs that were seen to meet all requirements.
-
-    A search of it looks for designs that meet all requirements.
+    """A landscape's violations without its objective; it collects the feasible designs that a search comes across.
 
     Attributes:
-        vectorised: whether all runs are followed side by side.
-        met: number of designs that met all requirements, some of them several times.
+        vectorised: whether all runs of many designs are integrated together.
+        feasible_seen: number of feasible designs evaluated so far, repetitions included.
     """
 
     def __init__(self, landscape: Landscape) -> None:
         """Take the landscape."""
         self._landscape = landscape
-        self._kept: list[Seen] = []
-        self.vectorised, self.met = landscape.vectorised, 0
+        self._feasible: list[Evaluations] = []
+        self.vectorised, self.feasible_seen = landscape.vectorised, 0
 
     @property
-    def tried(self) -> int:
-        """Number of designs that were looked at in the landscape."""
-        return self._landscape.tried
+    def designs_tried(self) -> int:
+        """Number of designs evaluated in the landscape."""
+        return self._landscape.designs_tried
 
-    def __call__(self, points: Vector) -> Seen:
-        """Look at designs, a row each: their objective is none."""
-        return self._noted(self._landscape(points))
+    def __call__(self, points: Vector) -> Evaluations:
+        """Evaluate the violations of designs, a row each."""
+        return self._recorded(self._landscape(points))
 
-    def descend(self, start: Vector) -> Seen:
-        """Return where the sum of all violations is least beside a start."""
-        return self._noted(least_violation(self._landscape, start))
+    def descend(self, start: Vector) -> Evaluations:
+        """Return the local minimum of the summed violations near a start."""
+        return self._recorded(least_violation(self._landscape, start))
 
-    def _noted(self, seen: Seen) -> Seen:
-        if np.any(seen.feasible):
-            self._kept.append(seen.of(seen.feasible))
-            self.met += len(self._kept[-1].f)
-        return seen.without_objective()
+    def _recorded(self, designs: Evaluations) -> Evaluations:
+        if np.any(designs.feasible):
+            self._feasible.append(designs.select(designs.feasible))
+            self.feasible_seen += len(self._feasible[-1].f)
+        return designs.without_objective()
 
-    def designs(self) -> Seen | None:
-        """Return the different designs that met all requirements, with their objectives, or None if none did."""
-        if not self._kept:
+    def feasible_designs(self) -> Evaluations | None:
+        """Return the feasible designs without repetitions, with their objectives; None if there are none."""
+        if not self._feasible:
             return None
-        every = joined(self._kept)
-        _, first = np.unique(every.points, axis=0, return_index=True)
-        return every.of(np.sort(first))
+        found = concatenated(self._feasible)
+        _, first = np.unique(found.points, axis=0, return_index=True)
+        return found.select(np.sort(first))
 
 
-def _whole(landscape: Landscape) -> Box:
+def _whole_range(landscape: Landscape) -> Box:
     return np.zeros(landscape.dimensions), np.ones(landscape.dimensions)
 
 
-class _NoValue(Exception):
-    """A design without a value, on which a descent ends."""
+class _CannotEvaluate(Exception):
+    """A design on the way cannot be evaluated, which ends a descent."""
 
 
 class _Descent:
-    """Runs of SLSQP on the worst rows of each requirement, repeated when others turn out to be broken."""
+    """Runs of SLSQP on the worst rows of each requirement, restarted when other rows turn out to be violated.
 
-    # Whether it is always begun anew; else where it may have stalled in a bent valley, from which it then takes steps.
-    _twice = False
+    SLSQP's unknowns are the variables and, in a subclass, an amount for each requirement by which its limits give way.
+    """
+
+    # Whether the descent is always restarted; otherwise only if the last run may have stalled.
+    _always_restart = False
 
     def __init__(self, landscape: Landscape, box: Box) -> None:
         self._landscape, self._program, self._n = landscape, landscape.program, landscape.dimensions
         self._box, self._stalled = box, False
-        self._known: tuple[bytes, tuple[float, Vector, Vector, Vector]] | None = None
-        # What each row gives way for each further unknown, of which a descent has none.
+        # The last variables, as bytes, with their derivatives.
+        self._cached: tuple[bytes, tuple[float, Vector, Vector, Vector]] | None = None
+        # How much each row's margin grows with each further unknown; here there are none.
         self._give = np.zeros((len(self._program.owner), 0))
-        # Whether it breaks a requirement, its merit, and the design.
+        # The best design so far: whether it is infeasible, its merit, and its variables.
         self._best: tuple[tuple[bool, float], Vector] = ((True, np.inf), box[0])
 
-    def from_(self, start: Vector) -> Seen:
-        """Return the best design that a descent from a start comes to."""
-        x, rows = self._begin(start), np.empty(0, dtype=int)
+    def end_from(self, start: Vector) -> Evaluations:
+        """Return the best design on the way of a descent from a start."""
+        x, rows = self._first_unknowns(start), np.empty(0, dtype=int)
         try:
-            for _ in range(_ROUNDS):
+            for _ in range(_MOST_RESTARTS):
                 before, more = self._best[0], self._worst_rows(x[: self._n], rows)
-                if len(more) == len(rows) > 0 and not (self._stalled or self._twice):
+                if len(more) == len(rows) > 0 and not (self._stalled or self._always_restart):
                     break
                 x = self._minimised(x, more)
-                gained = self._best[0] < (before[0], before[1] - _GAIN * abs(before[1]))
+                gained = self._best[0] < (before[0], before[1] - _RESTART_GAIN * abs(before[1]))
                 if len(more) == len(rows) and not gained:
                     break
                 rows = more
-        except _NoValue:
+        except _CannotEvaluate:
             pass
         best = start if np.isinf(self._best[0][1]) else self._best[1]
         return self._landscape(best[None], finer=FINER)
 
-    def _begin(self, start: Vector) -> Vector:
-        """Return the unknowns at a start."""
+    def _first_unknowns(self, start: Vector) -> Vector:
+        """Return SLSQP's unknowns at a start."""
         return start
 
     def _minimised(self, x: Vector, rows: np.ndarray) -> Vector:
-        """Return the unknowns to which SLSQP leads, subject to some rows of the requirements."""
+        """Return SLSQP's solution, subject to some rows of the requirements."""
         from scipy.optimize import minimize  # slow to import
 
         found = minimize(
@@ -161,22 +166,22 @@ class _Descent:
             bounds=[(low, high if np.isfinite(high) else None) for low, high in zip(*self._box, strict=True)],
             constraints=self._constraints(rows),
             method="SLSQP",
-            options={"maxiter": _ITERATIONS, "ftol": 1e-11},
+            options={"maxiter": _MOST_ITERATIONS, "ftol": 1e-11},
         )
-        self._stalled = not found.success or found.nit > _LONG
+        self._stalled = not found.success or found.nit > _MANY_ITERATIONS
         clipped: Vector = np.clip(found.x, *self._box)
         return clipped
 
     def _objective(self, x: Vector) -> float:
-        """Return what SLSQP minimises."""
+        """Return the value that SLSQP minimises."""
         return self._derivatives(x)[0]
 
     def _gradient(self, x: Vector) -> Vector:
-        """Return its gradient."""
+        """Return the gradient of `_objective`."""
         return self._derivatives(x)[1]
 
     def _constraints(self, rows: np.ndarray) -> list[dict[str, Any]]:
-        """Return the margins of rows, at lower limits and then at upper ones; what they give way follows y."""
+        """Return SLSQP's constraints: the margins of rows to their lower limits, then those to their upper ones."""
         low, high = self._program.low, self._program.high
         below, above = rows[np.isfinite(low[rows])], rows[np.isfinite(high[rows])]
         which, limits = np.r_[below, above], np.r_[low[below], high[above]]
@@ -192,36 +197,36 @@ class _Descent:
         return [{"type": "ineq", "fun": margins, "jac": slopes}] if len(which) else []
 
     def _merit(self, _y: Vector, f: float, violations: Vector) -> tuple[bool, float]:
-        """Return what the best design of a descent has least of: first of all, it meets the requirements."""
+        """Return the key by which designs are compared: any feasible design comes before any infeasible one."""
         total = float(violations.sum())
-        met = total <= FEASIBLE
-        return not met, f + (_WITHIN if met else PENALTY) * total
+        feasible = total <= FEASIBLE
+        return not feasible, f + (_WEIGHT_IF_FEASIBLE if feasible else PENALTY) * total
 
     def _derivatives(self, x: Vector) -> tuple[float, Vector, Vector, Vector]:
-        """Return objective, gradient, requirements and their Jacobian, by differences of runs of equal steps."""
-        # SLSQP asks for each of them one by one.
-        asked = x[: self._n].tobytes()
-        if self._known is None or self._known[0] != asked:
+        """Return objective, gradient, requirements and their Jacobian, by differences of runs with equal steps."""
+        # SLSQP asks for the four of them one after the other.
+        key = x[: self._n].tobytes()
+        if self._cached is None or self._cached[0] != key:
             lower, upper = (side[: self._n] for side in self._box)
             y = np.clip(x[: self._n], lower, upper)
             step = np.where(y + _STEP > upper, -_STEP, _STEP)
             with np.errstate(all="ignore"):
                 f, g = self._landscape.rows(np.vstack([y, y + np.diag(step)]), finer=FINER, together=self._n + 1)
             if not (np.all(np.isfinite(f)) and np.all(np.isfinite(g))):
-                raise _NoValue
+                raise _CannotEvaluate
             merit = self._merit(y, float(f[0]), self._landscape.violations(g[:1])[0])
             if merit < self._best[0]:
                 self._best = merit, y
-            self._known = asked, (float(f[0]), (f[1:] - f[0]) / step, g[0], ((g[1:] - g[0]) / step[:, None]).T)
-        return self._known[1]
+            self._cached = key, (float(f[0]), (f[1:] - f[0]) / step, g[0], ((g[1:] - g[0]) / step[:, None]).T)
+        return self._cached[1]
 
     def _worst_rows(self, y: Vector, known: np.ndarray) -> np.ndarray:
-        """Return the rows nearest to their limits, some of each requirement, beside those known already."""
+        """Return the rows nearest to their limits, some of each requirement, together with the known ones."""
         g, first = self._derivatives(y)[2], self._landscape.first_rows
         margin = np.minimum(g - self._program.low, self._program.high - g)
         chosen = set(known.tolist())
         for begin, end in zip(first, [*first, len(g)][1:], strict=True):
-            # Of a curve over time the dips, each of which is a row of its own.
+            # The rows of a long requirement are a curve over time: each dip of its margin can become active.
             few = end - begin <= _MOST_ROWS
             which = range(end - begin) if few else lowest_dips(margin[begin:end], _MOST_ROWS)
             chosen |= {begin + int(k) for k in which}
@@ -229,10 +234,10 @@ class _Descent:
 
 
 class _Nearest(_Descent):
-    """The same for the distance from a design in the place of the objective."""
+    """A descent that minimises the squared distance from a design instead of the objective."""
 
     def __init__(self, landscape: Landscape, design: Vector) -> None:
-        super().__init__(landscape, _whole(landscape))
+        super().__init__(landscape, _whole_range(landscape))
         self._design = design
 
     def _objective(self, x: Vector) -> float:
@@ -245,9 +250,9 @@ class _Nearest(_Descent):
         return super()._merit(y, self._objective(y), violations)
 
     def _minimised(self, x: Vector, rows: np.ndarray) -> Vector:
-        """Return where projections on the linearised limits lead, or else SLSQP."""
+        """Return the limit of projections onto the linearised limits or, if they do not converge, SLSQP's solution."""
         y, (low, high), unit = x, self._box, np.eye(self._n)
-        for _ in range(_PROJECTIONS):
+        for _ in range(_MOST_PROJECTIONS):
             _, _, g, jacobian = self._derivatives(y)
             limits = (
                 np.concatenate([self._program.low[rows] - g[rows], low - y]),
@@ -257,16 +262,16 @@ class _Nearest(_Descent):
             if found is None:
                 break
             before, y = y, np.clip(y + found[0], low, high)
-            if np.max(np.abs(y - before)) < _SETTLED:
+            if np.max(np.abs(y - before)) < _CONVERGED_STEP:
                 self._derivatives(y)
                 return y
         return super()._minimised(x, rows)
 
 
 class _LeastViolation(_Descent):
-    """The same for the sum of what the requirements give way, each a further unknown."""
+    """A descent that minimises the sum of the amounts by which the requirements' limits must give way."""
 
-    _twice = True
+    _always_restart = True
 
     def __init__(self, landscape: Landscape, ignored: Collection[int], box: Box) -> None:
         count = len(landscape.program.declared.requirements)
@@ -274,10 +279,10 @@ class _LeastViolation(_Descent):
         self._weights = np.array([float(k not in ignored) for k in range(count)])
         self._give = np.eye(count)[landscape.program.owner]
 
-    def _begin(self, start: Vector) -> Vector:
+    def _first_unknowns(self, start: Vector) -> Vector:
         try:
             g = self._derivatives(start)[2]
-        except _NoValue:
+        except _CannotEvaluate:
             return np.concatenate([start, np.zeros(len(self._weights))])
         return np.concatenate([start, self._landscape.violations(g[None])[0]])
 

@@ -1,4 +1,4 @@
-"""A search over all variables: a sample, evolution on islands, descents, and the basins that they show."""
+"""The search over all variables: sampling, evolution on islands, descents, and the basins they reveal."""
 
 import itertools
 import time
@@ -10,29 +10,44 @@ import numpy as np
 from plough_opt.design.descents import Shortfall, descend, least_violation
 from plough_opt.design.effort import Effort
 from plough_opt.design.ipopt import Vector
-from plough_opt.design.landscape import SAME, Landscape, Seen, barriers, joined, straight_below
-from plough_opt.design.sampling import MANY, SEED, evolved, lines_through, lowest_around, sample
+from plough_opt.design.landscape import SAME, Evaluations, Landscape, barriers, concatenated, end_straight_downhill
+from plough_opt.design.sampling import MANY_VARIABLES, SEED, evolved, lines_through, local_minima, sample
 
 Progress = Callable[[str, float], None]
-"""Called with what is being done and the fraction done of it."""
+"""Called with the name of the current stage and the completed fraction of that stage."""
 
-# Positions along each variable through the best design, dips for each variable that are followed, and how far from that
-# design a dip is another.
-_ALONG, _DIPS, _BESIDE = 128, 4, 0.01
-# Times that is looked closer, around how many designs, how far from them, at how many, and the gain that is one.
-_CLOSER, _CLOSELY, _NEAR, _AROUND, _BETTER = 4, 2, 0.06, 256, 1e-6
-# A variable nearer than this to a bound lies at it; and designs, islands and descents of a search among the others.
-_AT_A_BOUND, _ON_A_FACE, _FACE_ISLANDS, _FACE_DESCENTS = 1e-6, 1024, 2, 4
-# Designs that break a requirement, where few meet all, from which feasible ones are looked for.
-_FEW = 4
-# How far is looked around a design where few meet the requirements, in regions of any size.
-_NARROWER = (0.06, 0.015, 0.004)
-# An island on which all designs are this alike has converged.
-_CONVERGED = 1e-7
-# Points of the uniform part of a sample that are followed at most, once their basins are known.
+# Scan along each variable through the best design: the number of positions, the number of dips from which descents
+# start for each variable, and the distance from the best design beyond which a dip counts as another one.
+_LINE_POSITIONS = 128
+_DIPS_PER_VARIABLE = 4
+_ANOTHER_DIP = 0.01
+
+# Zooming in on the best designs: rounds, designs zoomed in on, sample size and half width of a box around each of them,
+# descents from each box, and the relative gain that makes another round worth while.
+_ZOOM_ROUNDS = 4
+_ZOOM_CENTRES = 2
+_ZOOM_SAMPLE = 256
+_ZOOM_RADIUS = 0.06
+_ZOOM_DESCENTS = 4
+_ZOOM_GAIN = 1e-6
+# Where feasible designs are rare, their region may have any size, so boxes of several sizes are sampled.
+_ZOOM_RADII_IF_RARE = (0.06, 0.015, 0.004)
+
+# Search with the variables at bounds held: a variable closer than this to a bound is at the bound; the sample, the
+# islands and the descents are smaller than in the full search.
+_AT_A_BOUND = 1e-6
+_FACE_DESIGNS = 1024
+_FACE_ISLANDS = 2
+_FACE_DESCENTS = 4
+
+# Where feasible designs are rare, this many infeasible ones are descended from, too.
+_INFEASIBLE_STARTS = 4
+# An island has converged when the merits of its designs scatter by less than this fraction.
+_ISLAND_CONVERGED = 1e-7
+# At most this many points of the uniform part of a sample are followed to basins that are known already.
 _MOST_FOLLOWED = 256
-# Basins that are expected unseen, of which evolution could find one, where it is done without.
-_EXPECTED = 0.1
+# With fewer expected unseen basins than this, the evolution, which might find one, is skipped.
+_FEW_UNSEEN = 0.1
 
 
 def silent(_stage: str, _fraction: float) -> None:
@@ -45,326 +60,340 @@ class Explored:
 
     Attributes:
         sample: the designs of the samples.
-        bottoms: of each basin found, the lowest design, by a judgement of their own the best first.
-        followed: uniform points of the sample that were followed to their basins.
-        reached: basins that they came to.
-        least: where no design of the sample meets the requirements nor any that was found from it, those that were
-            found with the least violation, the least first.
+        minima: the lowest design of each basin, best first by the search's criterion.
+        followed: number of uniform sample points that were followed to their basins.
+        reached: number of different basins in which these ended.
+        least_violating: if no feasible design was found: those found with the least violation, least first.
     """
 
-    sample: Seen
-    bottoms: Seen
+    sample: Evaluations
+    minima: Evaluations
     followed: int
     reached: int
-    least: Seen | None = None
+    least_violating: Evaluations | None = None
 
 
 @dataclass
 class Explorer:
-    """Rounds of looking for basins.
+    """Rounds of a search for basins.
 
     Attributes:
-        landscape: what is searched.
-        start: the guess, scaled; variables that are not searched stay there until the descents.
-        vary: numbers of the variables that are searched.
-        judge: scaled designs, a row each -> by what they are compared, in units of the merit.
-        effort: how thoroughly to look.
-        progress: called with what is being done.
+        landscape: the landscape that is searched.
+        start: the scaled guess. Variables that are not searched stay there until the descents.
+        variables: numbers of the variables that are searched.
+        criterion: scaled designs, a row each -> the values by which basins are ranked, in units of the merit.
+        effort: how thoroughly to search.
+        progress: called with the current stage.
         seed: of the samples.
-        enough: whether to end at once.
+        stop: returns True to end the search at once.
     """
 
     landscape: Landscape | Shortfall
     start: Vector
-    vary: Sequence[int]
-    judge: Callable[[Vector], Vector]
+    variables: Sequence[int]
+    criterion: Callable[[Vector], Vector]
     effort: Effort
     progress: Progress = silent
     seed: int = 0
-    enough: Callable[[], bool] = lambda: False
-    # Whether so few designs meet the requirements that any of them is better than any other design.
-    _narrow: bool = False
-    # Then only designs that break the requirements by no more are descended from.
-    _least_of_sample: float = np.inf
-    _least: Seen | None = None
+    stop: Callable[[], bool] = lambda: False
+    # Whether feasible designs are so rare that any of them ranks before all others.
+    _feasible_rare: bool = False
+    # Descents start only from designs with at most this violation.
+    _most_violation: float = np.inf
+    _least_violating: Evaluations | None = None
     _dense: bool = False
-    _samples: list[Seen] = field(default_factory=list)
-    # Ends of descents, by what they are compared, and of pairs of them whether a barrier lies between.
-    _found: list[Seen] = field(default_factory=list)
-    _judged: list[float] = field(default_factory=list)
-    _parted: dict[tuple[int, int], bool] = field(default_factory=dict)
-    # Of every followed point, the number of the descent that it led to.
+    _samples: list[Evaluations] = field(default_factory=list)
+    # Ends of descents, the criterion at each, and for pairs of them whether a barrier separates them.
+    _ends: list[Evaluations] = field(default_factory=list)
+    _ranks: list[float] = field(default_factory=list)
+    _separated: dict[tuple[int, int], bool] = field(default_factory=dict)
+    # For each followed point the number of the end it led to.
     _followed: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.vary = list(self.vary)
+        self.variables = list(self.variables)
 
-    def explored(self) -> Explored:
-        """Return what rounds of the effort see."""
+    def explore(self) -> Explored:
+        """Return the result of as many rounds as the effort demands."""
         began, rounds = time.perf_counter(), 0
-        while rounds == 0 or self.effort.more(rounds, self.landscape.tried, began):
+        while rounds == 0 or self.effort.more(rounds, self.landscape.designs_tried, began):
             self._round(rounds)
             rounds += 1
         self.progress("telling basins apart", 0.0)
-        bottoms, basin = self._basins()
-        return Explored(joined(self._samples), bottoms, *self._reached(basin), self._least)
+        minima, basin = self._basins()
+        return Explored(concatenated(self._samples), minima, *self._follow_counts(basin), self._least_violating)
 
     def _round(self, number: int) -> None:
         rng = np.random.default_rng([SEED, self.seed, number])
         self.progress(f"trying {self.effort.designs} designs", 0.0)
-        points, uniform = sample(len(self.vary), self.effort.designs, self.start[self.vary], rng)
-        seen = self.landscape(self._whole(points))
-        self._samples.append(seen)
-        if not np.any(np.isfinite(seen.merit)):
+        points, uniform = sample(len(self.variables), self.effort.designs, self.start[self.variables], rng)
+        sampled = self.landscape(self._full_designs(points))
+        self._samples.append(sampled)
+        if not np.any(np.isfinite(sampled.merit)):
             return
-        few = np.count_nonzero(seen.feasible) < self.effort.population
-        if few and isinstance(self.landscape, Landscape) and self.landscape.vectorised:
-            met = self._met(self.landscape, points, seen, rng)
-            if met is None:
+        rare = np.count_nonzero(sampled.feasible) < self.effort.population
+        if rare and isinstance(self.landscape, Landscape) and self.landscape.vectorised:
+            feasible = self._rare_feasible_designs(self.landscape, points, sampled, rng)
+            if feasible is None:
                 return
-            points, seen = np.vstack([points, met.points[:, self.vary]]), joined([seen, met])
-        self._descend(points, seen, rng, uniform, [] if number else [self.start])
+            points = np.vstack([points, feasible.points[:, self.variables]])
+            sampled = concatenated([sampled, feasible])
+        self._search(points, sampled, rng, uniform, [] if number else [self.start])
 
-    def _met(self, landscape: Landscape, points: Vector, seen: Seen, rng: np.random.Generator) -> Seen | None:
-        """Return designs that meet the requirements, which hardly any design of a sample does; None without one."""
+    def _rare_feasible_designs(
+        self, landscape: Landscape, points: Vector, sampled: Evaluations, rng: np.random.Generator
+    ) -> Evaluations | None:
+        """Return feasible designs from a search for the least violation, or None if it finds none."""
         shortfall = Shortfall(landscape)
         search = replace(
-            self._another(self.start, self.vary, replace(self.effort, followed=0)),
+            self._sub_search(self.start, self.variables, replace(self.effort, followed=0)),
             landscape=shortfall,
-            judge=lambda y: shortfall(y).merit,
-            enough=lambda: shortfall.met >= self.effort.population,
+            criterion=lambda y: shortfall(y).merit,
+            stop=lambda: shortfall.feasible_seen >= self.effort.population,
         )
-        search._descend(points, seen.without_objective(), rng, further=[self.start])
-        self._narrow, self._least_of_sample = True, float(seen.violation.min())
-        met = shortfall.designs()
-        if met is None and not np.any(seen.feasible):
+        search._search(points, sampled.without_objective(), rng, further=[self.start])
+        self._feasible_rare, self._most_violation = True, float(sampled.violation.min())
+        feasible = shortfall.feasible_designs()
+        if feasible is None and not np.any(sampled.feasible):
             least = search._basins()[0]
-            self._least = least if self._least is None else joined([self._least, least])
-        return met
+            known = self._least_violating
+            self._least_violating = least if known is None else concatenated([known, least])
+        return feasible
 
-    def _another(self, start: Vector, vary: Sequence[int], effort: Effort) -> "Explorer":
-        """Return a search of other variables, or of another effort, that has seen nothing yet."""
-        return Explorer(self.landscape, start, vary, self.judge, effort, self.progress, self.seed, self.enough)
+    def _sub_search(self, start: Vector, variables: Sequence[int], effort: Effort) -> "Explorer":
+        """Return a fresh search of the same landscape, with another start, variables or effort."""
+        return Explorer(self.landscape, start, variables, self.criterion, effort, self.progress, self.seed, self.stop)
 
-    def _descend(
+    def _search(
         self,
         points: Vector,
-        seen: Seen,
+        sampled: Evaluations,
         rng: np.random.Generator,
         uniform: Sequence[int] | np.ndarray = (),
         further: Sequence[Vector] = (),
     ) -> None:
-        """Descend from the lowest of designs, and from what evolution makes of them, and look around the ends.
+        """Descend from the lowest sampled designs and from what evolution makes of them, then search around the ends.
 
         Args:
-            points: the variables that are searched, a row for each design.
-            seen: the designs.
-            rng: of the evolution.
-            uniform: numbers of the designs that are followed to their basins, in an order of chance.
-            further: designs that are descended from, too.
+            points: the searched variables of the sampled designs, a row each.
+            sampled: the sampled designs.
+            rng: random numbers for the evolution and the boxes around the best designs.
+            uniform: numbers of the designs that are followed to their basins, in random order.
+            further: further designs to descend from.
         """
         effort = self.effort
-        self._dense = effort.dense and not self._narrow
-        lowest, downhill = lowest_around(points, self._merit(seen))
-        if self._narrow:
-            lowest = np.r_[lowest[seen.feasible[lowest]], lowest[~seen.feasible[lowest]][:_FEW]]
+        self._dense = effort.dense and not self._feasible_rare
+        lowest, downhill = local_minima(points, self._merit(sampled))
+        if self._feasible_rare:
+            lowest = np.r_[lowest[sampled.feasible[lowest]], lowest[~sampled.feasible[lowest]][:_INFEASIBLE_STARTS]]
         lowest = lowest[: effort.descents]
-        starts = [*seen.points[lowest], *further]
+        starts = [*sampled.points[lowest], *further]
         ends: list[int] = []
         for done, start in enumerate(starts):
-            if self.enough():
+            if self.stop():
                 return
             self.progress(f"descending from {len(starts)} low designs", done / len(starts))
-            ends.append(self._end_of(start))
+            ends.append(self._end_from(start))
         known = dict(zip(lowest.tolist(), ends, strict=False))
-        chance = [] if self._narrow else [int(downhill[k]) for k in uniform]
+        random_starts = [] if self._feasible_rare else [int(downhill[k]) for k in uniform]
         if self._dense:
-            # What was followed may settle which basins there are.
-            self._follow(seen, chance, known)
-        if not (self._dense and self._settled()):
-            for island in range(effort.islands if len(self.vary) > 1 else 0):
-                if self.enough():
+            # The basins that these reach may make the evolution unnecessary.
+            self._follow(sampled, random_starts, known)
+        if not (self._dense and self._few_basins_unseen()):
+            for island in range(effort.islands if len(self.variables) > 1 else 0):
+                if self.stop():
                     return
-                self._end_of(self._evolved(points, seen, island, rng))
-        self._scan()
-        self._look_closer(rng)
-        if self._narrow or isinstance(self.landscape, Shortfall):
+                self._end_from(self._evolved(points, sampled, island, rng))
+        self._descend_from_dips()
+        self._zoom_in(rng)
+        if self._feasible_rare or isinstance(self.landscape, Shortfall):
             self._search_face(rng)
         if not self._dense:
-            self._follow(seen, chance, known)
+            self._follow(sampled, random_starts, known)
 
-    def _settled(self) -> bool:
-        """Return whether designs drawn at random have shown so few basins that hardly any more are expected.
+    def _few_basins_unseen(self) -> bool:
+        """Return whether designs drawn at random reached so few basins that hardly any other is expected.
 
-        By the rule of Boender and Rinnooy Kan: see `plough_opt.design.Search`.
+        The expected number is by the rule of Boender and Rinnooy Kan: see `plough_opt.design.Search`.
         """
         if not self._followed:
             return False
-        followed, reached = self._reached(self._basins()[1])
-        return followed > reached + 2 and reached * (reached + 1) / (followed - reached - 2) <= _EXPECTED
+        followed, reached = self._follow_counts(self._basins()[1])
+        return followed > reached + 2 and reached * (reached + 1) / (followed - reached - 2) <= _FEW_UNSEEN
 
-    def _reached(self, basin: list[int | None]) -> tuple[int, int]:
-        """Return how many designs drawn at random were followed, and to how many basins, of those of all descents."""
+    def _follow_counts(self, basin: list[int | None]) -> tuple[int, int]:
+        """Return the number of designs followed and of the basins they reached, given the basin of each end."""
         reached = [basin[k] for k in self._followed if basin[k] is not None]
         return len(reached), len(set(reached))
 
-    def _merit(self, seen: Seen) -> Vector:
-        """Return by what designs are compared."""
-        return seen.strict_merit if self._narrow else seen.merit
+    def _merit(self, designs: Evaluations) -> Vector:
+        """Return the merit by which designs are compared in this search."""
+        return designs.strict_merit if self._feasible_rare else designs.merit
 
-    def _promises(self, seen: Seen) -> np.ndarray:
-        """Return whether it is worth while to descend from each design."""
-        promising: np.ndarray = (seen.violation <= self._least_of_sample) & np.isfinite(seen.f)
-        # What a dense sample has of designs beyond the requirements has been descended from.
-        return promising & seen.feasible if self._dense else promising
+    def _worth_descending(self, designs: Evaluations) -> np.ndarray:
+        """Return whether a descent from each design is worth its time."""
+        promising: np.ndarray = (designs.violation <= self._most_violation) & np.isfinite(designs.f)
+        # A dense sample has led to the ends that infeasible designs lead to.
+        return promising & designs.feasible if self._dense else promising
 
     def _search_face(self, rng: np.random.Generator) -> None:
-        """Search again among the variables that the best design does not have at a bound, the others held."""
-        bottoms, _ = self._basins()
-        if not len(bottoms.f) or self.enough():
+        """Search again with those variables held that the best design has at a bound."""
+        minima, _ = self._basins()
+        if not len(minima.f) or self.stop():
             return
-        best = bottoms.points[0]
-        free = [k for k in self.vary if _AT_A_BOUND < best[k] < 1.0 - _AT_A_BOUND]
-        if not 2 <= len(free) < len(self.vary):
+        best = minima.points[0]
+        free = [k for k in self.variables if _AT_A_BOUND < best[k] < 1.0 - _AT_A_BOUND]
+        if not 2 <= len(free) < len(self.variables):
             return
-        self.progress("searching among the variables that are at no bound", 0.0)
-        designs, islands = min(self.effort.designs, _ON_A_FACE), min(self.effort.islands, _FACE_ISLANDS)
+        self.progress("searching among the variables that are not at a bound", 0.0)
+        designs, islands = min(self.effort.designs, _FACE_DESIGNS), min(self.effort.islands, _FACE_ISLANDS)
         effort = replace(self.effort, designs=designs, islands=islands, descents=_FACE_DESCENTS, followed=0)
-        face = self._another(best, free, effort)
-        face._narrow, face._least_of_sample = self._narrow, self._least_of_sample
+        face = self._sub_search(best, free, effort)
+        face._feasible_rare, face._most_violation = self._feasible_rare, self._most_violation
         points, _ = sample(len(free), designs, best[free], rng)
-        face._descend(points, self.landscape(face._whole(points)), rng)
-        self._found += face._found
+        face._search(points, self.landscape(face._full_designs(points)), rng)
+        self._ends += face._ends
 
-    def _scan(self) -> None:
-        """Descend from the dips along each variable through the best design, for which a sample may be too thin."""
-        if not self.landscape.vectorised or self.enough():
+    def _descend_from_dips(self) -> None:
+        """Descend from dips along each variable through the best design: a sample may be too sparse to show them."""
+        if not self.landscape.vectorised or self.stop():
             return
-        bottoms, _ = self._basins()
-        if not len(bottoms.f):
+        minima, _ = self._basins()
+        if not len(minima.f):
             return
-        lines = lines_through(bottoms.points[0], _ALONG, self.vary)
-        seen = self.landscape(lines)
-        promising, merit = self._promises(seen), self._merit(seen)
-        wall = np.pad(merit.reshape(-1, _ALONG), ((0, 0), (1, 1)), constant_values=np.inf)
+        lines = lines_through(minima.points[0], _LINE_POSITIONS, self.variables)
+        evaluated = self.landscape(lines)
+        promising, merit = self._worth_descending(evaluated), self._merit(evaluated)
+        wall = np.pad(merit.reshape(-1, _LINE_POSITIONS), ((0, 0), (1, 1)), constant_values=np.inf)
         dips = np.flatnonzero(((wall[:, 1:-1] < wall[:, :-2]) & (wall[:, 1:-1] <= wall[:, 2:])).ravel())
-        for k in dips[np.argsort(merit[dips], kind="stable")][: _DIPS * len(self.vary)]:
-            if promising[k] and np.max(np.abs(lines[k] - bottoms.points[0])) > _BESIDE:
+        for k in dips[np.argsort(merit[dips], kind="stable")][: _DIPS_PER_VARIABLE * len(self.variables)]:
+            if promising[k] and np.max(np.abs(lines[k] - minima.points[0])) > _ANOTHER_DIP:
                 self.progress("descending from dips along each variable", 0.0)
-                self._end_of(lines[k])
+                self._end_from(lines[k])
 
-    def _look_closer(self, rng: np.random.Generator) -> None:
-        """Look around the best designs, and again around a better one: basins with ripples have their own basins."""
-        if not self.landscape.vectorised or len(self.vary) < 2:
+    def _zoom_in(self, rng: np.random.Generator) -> None:
+        """Sample boxes around the best designs, and again around a better one: a rippled basin has basins inside it."""
+        if not self.landscape.vectorised or len(self.variables) < 2:
             return
-        for _ in range(_CLOSER):
-            if self.enough():
+        for _ in range(_ZOOM_ROUNDS):
+            if self.stop():
                 return
-            best, before = self._basins()[0].points[:_CLOSELY], len(self._found)
-            looks = list(itertools.product(best, _NARROWER if self._narrow else (_NEAR,)))
-            for number, (at, near) in enumerate(looks):
-                self.progress("looking closer at the best designs", number / len(looks))
-                self._look_around(at, near, rng)
-            merits = [float(self._merit(one)[0]) for one in self._found]
+            centres, before = self._basins()[0].points[:_ZOOM_CENTRES], len(self._ends)
+            boxes = list(itertools.product(centres, _ZOOM_RADII_IF_RARE if self._feasible_rare else (_ZOOM_RADIUS,)))
+            for number, (centre, radius) in enumerate(boxes):
+                self.progress("looking closer at the best designs", number / len(boxes))
+                self._descend_inside(centre, radius, rng)
+            merits = [float(self._merit(end)[0]) for end in self._ends]
             lowest = min(merits[:before], default=np.inf)
-            if not min(merits[before:], default=np.inf) < lowest - _BETTER * abs(lowest):
+            if not min(merits[before:], default=np.inf) < lowest - _ZOOM_GAIN * abs(lowest):
                 return
 
-    def _look_around(self, at: Vector, near: float, rng: np.random.Generator) -> None:
-        """Descend from the lowest designs of a box around a design."""
-        points, _ = sample(len(self.vary), _AROUND, np.full(len(self.vary), 0.5), rng)
-        around = np.repeat(at[None], len(points), axis=0)
-        around[:, self.vary] = np.clip(at[self.vary] + near * (2.0 * points - 1.0), 0.0, 1.0)
-        seen = self.landscape(around)
-        promising = self._promises(seen)
-        for k in lowest_around(points, self._merit(seen))[0][:_DIPS]:
+    def _descend_inside(self, centre: Vector, radius: float, rng: np.random.Generator) -> None:
+        """Descend from the lowest sampled designs of a box around a design."""
+        points, _ = sample(len(self.variables), _ZOOM_SAMPLE, np.full(len(self.variables), 0.5), rng)
+        designs = np.repeat(centre[None], len(points), axis=0)
+        designs[:, self.variables] = np.clip(centre[self.variables] + radius * (2.0 * points - 1.0), 0.0, 1.0)
+        evaluated = self.landscape(designs)
+        promising = self._worth_descending(evaluated)
+        for k in local_minima(points, self._merit(evaluated))[0][:_ZOOM_DESCENTS]:
             if promising[k]:
-                self._end_of(around[k])
+                self._end_from(designs[k])
 
-    def _follow(self, seen: Seen, ends: list[int], known: dict[int, int]) -> None:
-        """Follow uniform points, in their order, to where descents from the lowest designs around them lead."""
+    def _follow(self, sampled: Evaluations, starts: list[int], known: dict[int, int]) -> None:
+        """Record the end to which each random start leads.
+
+        Args:
+            sampled: the sampled designs.
+            starts: for each uniform point, in random order, the number of the local minimum below it in the sample.
+            known: ends of descents by the number of their start; new ones are added.
+        """
         left = self.effort.followed
-        for number, end in enumerate(ends[:_MOST_FOLLOWED]):
-            if end not in known:
-                if left == 0 or not np.isfinite(seen.merit[end]):
+        for number, start in enumerate(starts[:_MOST_FOLLOWED]):
+            if start not in known:
+                if left == 0 or not np.isfinite(sampled.merit[start]):
                     return
                 left -= 1
-                self.progress("following designs drawn at random", number / min(len(ends), _MOST_FOLLOWED))
-                known[end] = self._end_of(seen.points[end])
-            self._followed.append(known[end])
+                self.progress("following designs drawn at random", number / min(len(starts), _MOST_FOLLOWED))
+                known[start] = self._end_from(sampled.points[start])
+            self._followed.append(known[start])
 
-    def _end_of(self, start: Vector) -> int:
-        """Return the number of the end to which a start leads, in a dense sample of a known one if it falls there."""
+    def _end_from(self, start: Vector) -> int:
+        """Return the number of the end of a descent; with a dense sample a known end if the way to it only falls."""
         landscape = self.landscape
-        if self._found and self._dense and isinstance(landscape, Landscape) and landscape.vectorised:
-            below = straight_below(landscape, start, joined(self._found))
-            if below is not None:
-                return below
-        self._found.append(self._descended(start))
-        return len(self._found) - 1
+        if self._ends and self._dense and isinstance(landscape, Landscape) and landscape.vectorised:
+            known = end_straight_downhill(landscape, start, concatenated(self._ends))
+            if known is not None:
+                return known
+        self._ends.append(self._descended(start))
+        return len(self._ends) - 1
 
-    def _descended(self, start: Vector) -> Seen:
-        """Return where a descent leads; runs that are integrated one by one are left to the optimiser."""
+    def _descended(self, start: Vector) -> Evaluations:
+        """Return the end of a descent. If runs are integrated one by one it is the start: the optimiser descends."""
         landscape = self.landscape
         if isinstance(landscape, Shortfall):
             return landscape.descend(start)
-        if landscape.vectorised and self._narrow and not landscape(start[None]).feasible[0]:
-            # Downhill lead many ways past the few designs that meet the requirements.
-            met = least_violation(landscape, start)
-            if not met.feasible[0]:
-                return met
-            start = met.points[0]
+        if landscape.vectorised and self._feasible_rare and not landscape(start[None]).feasible[0]:
+            # A descent of the merit would pass by the few feasible designs.
+            feasible = least_violation(landscape, start)
+            if not feasible.feasible[0]:
+                return feasible
+            start = feasible.points[0]
         return descend(landscape, start)
 
-    def _whole(self, points: Vector) -> Vector:
-        """Return designs whose searched variables are given, the others at the start."""
-        whole = np.repeat(self.start[None], len(points), axis=0)
-        whole[:, self.vary] = points
-        return whole
+    def _full_designs(self, points: Vector) -> Vector:
+        """Return designs with the searched variables at these points and the others at the start."""
+        designs = np.repeat(self.start[None], len(points), axis=0)
+        designs[:, self.variables] = points
+        return designs
 
-    def _evolved(self, points: Vector, seen: Seen, island: int, rng: np.random.Generator) -> Vector:
-        """Return the best design of an evolution that begins from a part of the sample."""
+    def _evolved(self, points: Vector, sampled: Evaluations, island: int, rng: np.random.Generator) -> Vector:
+        """Return the best design of an evolution that starts from a part of the sample."""
         effort = self.effort
         self.progress(f"evolution, island {island + 1} of {effort.islands}", island / effort.islands)
-        order = np.argsort(self._merit(seen), kind="stable")
+        order = np.argsort(self._merit(sampled), kind="stable")
         best = evolved(
-            lambda x: self._merit(self.landscape(self._whole(x))),
+            lambda x: self._merit(self.landscape(self._full_designs(x))),
+            # Each island takes its own part of the best designs.
             points[order[island :: effort.islands][: effort.population]],
             effort.generations,
             rng,
-            # Islands begin from disjoint parts of the best; every second one mutates random designs, not the best one.
-            from_best=island % 2 == 0 and points.shape[1] < MANY,
-            alike=_CONVERGED,
+            # Every second island mutates random designs instead of the best one.
+            from_best=island % 2 == 0 and points.shape[1] < MANY_VARIABLES,
+            alike=_ISLAND_CONVERGED,
         )
-        whole: Vector = self._whole(best[None])[0]
-        return whole
+        design: Vector = self._full_designs(best[None])[0]
+        return design
 
-    def _basins(self) -> tuple[Seen, list[int | None]]:
-        """Return the lowest design of each basin, the best first, and the basin of each descent's end."""
-        found = joined(self._found) if self._found else self._samples[0].of(slice(0, 0))
-        basin: list[int | None] = [None] * len(found.f)
-        sound = np.flatnonzero(found.feasible if np.any(found.feasible) else np.isfinite(found.merit))
-        if len(found.f) > len(self._judged):
-            self._judged += self.judge(found.points[len(self._judged) :]).tolist()
-        judged = np.array(self._judged)[sound]
-        bottoms: list[int] = []
-        for k in sound[np.argsort(judged, kind="stable")]:
-            same = self._without_barrier(found, int(k), bottoms)
-            basin[k] = len(bottoms) if same is None else same
+    def _basins(self) -> tuple[Evaluations, list[int | None]]:
+        """Return the lowest design of each basin, best first, and the basin of each end; None for an end left out.
+
+        If any end is feasible, infeasible ones are left out.
+        """
+        ends = concatenated(self._ends) if self._ends else self._samples[0].select(slice(0, 0))
+        basin: list[int | None] = [None] * len(ends.f)
+        valid = np.flatnonzero(ends.feasible if np.any(ends.feasible) else np.isfinite(ends.merit))
+        if len(ends.f) > len(self._ranks):
+            self._ranks += self.criterion(ends.points[len(self._ranks) :]).tolist()
+        ranks = np.array(self._ranks)[valid]
+        minima: list[int] = []
+        for k in valid[np.argsort(ranks, kind="stable")]:
+            same = self._basin_of(ends, int(k), minima)
+            basin[k] = len(minima) if same is None else same
             if same is None:
-                bottoms.append(int(k))
-        return found.of(bottoms), basin
+                minima.append(int(k))
+        return ends.select(minima), basin
 
-    def _without_barrier(self, found: Seen, k: int, bottoms: list[int]) -> int | None:
-        """Return the first basin from whose bottom no barrier parts a design, or None."""
-        if not bottoms:
+    def _basin_of(self, ends: Evaluations, k: int, minima: list[int]) -> int | None:
+        """Return the number of the first minimum that no barrier separates from end k, or None."""
+        if not minima:
             return None
-        near = np.flatnonzero(np.max(np.abs(found.points[bottoms] - found.points[k]), axis=1) < SAME)
+        near = np.flatnonzero(np.max(np.abs(ends.points[minima] - ends.points[k]), axis=1) < SAME)
         if len(near):
             return int(near[0])
         if not self.landscape.vectorised:
             return None
-        if new := [j for j in bottoms if (k, j) not in self._parted]:
-            for j, parted in zip(new, barriers(self.landscape, found.of([k]), found.of(new)).tolist(), strict=True):
-                self._parted[k, j] = self._parted[j, k] = parted
-        return next((number for number, j in enumerate(bottoms) if not self._parted[k, j]), None)
+        if new := [j for j in minima if (k, j) not in self._separated]:
+            separated = barriers(self.landscape, ends.select([k]), ends.select(new)).tolist()
+            for j, barrier in zip(new, separated, strict=True):
+                self._separated[k, j] = self._separated[j, k] = barrier
+        return next((number for number, j in enumerate(minima) if not self._separated[k, j]), None)

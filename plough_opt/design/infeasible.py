@@ -10,8 +10,8 @@ from plough_opt.core.units import in_words
 from plough_opt.design.descents import least_violation
 from plough_opt.design.exploring import Explored
 from plough_opt.design.ipopt import Point, SolveOptions, Vector
-from plough_opt.design.landscape import FINER, MET, Landscape, Seen, joined
-from plough_opt.design.polishing import as_it_is
+from plough_opt.design.landscape import FEASIBLE_ANSWER, FINER, Evaluations, Landscape, concatenated
+from plough_opt.design.polishing import point_as_found
 from plough_opt.design.program import Program
 
 # Scaled by each limit: violations below are rounding, multipliers below do not hold anything back.
@@ -44,14 +44,14 @@ def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Ve
     starts = [start, *_apart(explored.sample)]
     known: Sequence[float] = [np.inf] * len(starts)
     if landscape.vectorised:
-        ends = explored.least
+        ends = explored.least_violating
         if ends is None:
-            ends = joined([least_violation(landscape, one) for one in starts])
-        ends = ends.of(np.argsort(ends.violation, kind="stable"))
-        if ends.violation[0] <= MET:
+            ends = concatenated([least_violation(landscape, one) for one in starts])
+        ends = ends.select(np.argsort(ends.violation, kind="stable"))
+        if ends.violation[0] <= FEASIBLE_ANSWER:
             found: Vector = ends.points[0]
             return found
-        ends = ends.of(ends.violation <= (1.0 + _NEAR_LEAST) * ends.violation[0])
+        ends = ends.select(ends.violation <= (1.0 + _NEAR_LEAST) * ends.violation[0])
         starts, known = list(ends.points), ends.violation.tolist()
     starts = starts[:_POLISHED]
     program.build(landscape.p, starts=starts)
@@ -60,7 +60,7 @@ def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Ve
     best, short = min(solved, key=lambda own: own[0].f)
     if best.f < _VIOLATED:
         return best.y
-    raise _infeasible(program, best, short, landscape.tried, lambda k: _helps(landscape, best.y, k))
+    raise _infeasible(program, best, short, landscape.designs_tried, lambda k: _helps(landscape, best.y, k))
 
 
 def _polished(landscape: Landscape, y: Vector, violation: float) -> tuple[Point, Vector]:
@@ -79,7 +79,7 @@ def _polished(landscape: Landscape, y: Vector, violation: float) -> tuple[Point,
     return replace(point, solved=True, y=y, f=float(short.sum())), short
 
 
-def _apart(sample: Seen) -> list[Vector]:
+def _apart(sample: Evaluations) -> list[Vector]:
     """Return the designs of a sample with the least violations, none near another."""
     chosen: list[Vector] = []
     for k in np.argsort(sample.violation, kind="stable"):
@@ -114,7 +114,7 @@ def from_least_violation(program: Program, p: Vector, start: Vector, fixed: Sequ
         point = program.solve(loose.y, p, SolveOptions(near=len(fixed) > 0), fixed=fixed)
         if point.solved:
             return point
-    return as_it_is(program, p, loose.y)
+    return point_as_found(program, p, loose.y)
 
 
 def failures(program: Program, conflicts: Mapping[str, float]) -> str:

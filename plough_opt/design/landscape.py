@@ -1,4 +1,4 @@
-"""Scaled objective and violations over all variables: what a search samples, and the ways between its designs."""
+"""The scaled objective and requirement violations over all variables, as a search evaluates them."""
 
 from __future__ import annotations
 
@@ -13,40 +13,48 @@ from plough_opt.design.ipopt import Vector
 from plough_opt.design.program import Program
 
 FEASIBLE = 1e-6
-"""Scaled violation below which a search's design counts as meeting its requirements."""
+"""A search counts a design as feasible if its scaled violations sum to at most this."""
 
-MET = 5e-10
-"""The same of a design that is given as an answer."""
+FEASIBLE_ANSWER = 5e-10
+"""The same threshold for a design that is returned as an answer."""
 
 FINER = 2.0
-"""Factor on a sample's steps in descents and comparisons, where a few steps more or less shift nothing that matters."""
+"""Factor on a sample's number of steps, used for descents and comparisons, which need more accuracy."""
 
 PENALTY = 100.0
-"""Weight of a violated requirement, which must outweigh any gain in the scaled objective of order 1."""
+"""Weight of a violation in the merit: it must outweigh any gain in the scaled objective, which is of order 1."""
 
 SAME = 1e-3
-"""Two scaled designs nearer than this are one."""
+"""Two scaled designs count as the same if no variable differs by more than this."""
 
-# Above every scaled objective, and little enough for violations to count behind it.
-_BEYOND = 1e8
-# Positions on a way at which a barrier is looked for, and the part of the merit below which a rise is a ripple.
-_BETWEEN, _RIPPLE = 24, 1e-3
-# Positions on a way down to an end, denser towards both of its ends, where narrow basins would show; by what part of
-# the merit it may rise, as rounding and the end's own digits do; and how many ends, the nearest first, are tried.
-_DOWN, _RISE, _NEAREST = 40, 1e-6, 4
-# Each of how many positions is tried first.
-_COARSE = 5
+# Base merit of an infeasible design: above every scaled objective, yet small enough not to swallow the digits of the
+# violation that is added to it.
+_INFEASIBLE_MERIT = 1e8
+
+# Positions between two designs at which a barrier is looked for.
+_BARRIER_POSITIONS = 24
+# A rise below this fraction of the merit is a ripple, not a barrier.
+_RIPPLE = 1e-3
+
+# Positions along a descent path. They are denser towards both ends, where narrow basins would show.
+_PATH_POSITIONS = 40
+# The merit may rise by this fraction along a descent path, because of rounding and the accuracy of the end itself.
+_PATH_RISE = 1e-6
+# Only paths to this many of the nearest ends are examined.
+_NEAREST_ENDS = 4
+# Every fifth position is evaluated first.
+_COARSE_STRIDE = 5
 
 
 @dataclass(frozen=True)
-class Seen:
-    """Designs that were looked at, a row each.
+class Evaluations:
+    """Designs with their objectives and violations, a row for each design.
 
     Attributes:
         points: scaled variables.
-        f: scaled objective; NaN where a design has no value.
-        violation: sum over the requirements of what each is violated by at its worst, in its scale; infinite without
-            a value.
+        f: scaled objective; NaN where the design cannot be evaluated.
+        violation: sum over the requirements of each one's largest scaled violation; infinite where the design cannot be
+            evaluated.
     """
 
     points: Vector
@@ -60,53 +68,70 @@ class Seen:
 
     @property
     def merit(self) -> Vector:
-        """Objective and violations in one number, infinite without a value."""
+        """Objective plus penalty for violations; infinite where the design cannot be evaluated."""
         return np.where(np.isfinite(self.f), self.f + PENALTY * self.violation, np.inf)
 
     @property
     def strict_merit(self) -> Vector:
-        """The same with which no design that breaks a requirement is better than one that meets all."""
-        beyond = _BEYOND + np.minimum(self.violation, _BEYOND)
-        return np.where(np.isfinite(self.f), np.where(self.feasible, self.f, beyond), np.inf)
+        """A merit that ranks every feasible design before every infeasible one."""
+        infeasible = _INFEASIBLE_MERIT + np.minimum(self.violation, _INFEASIBLE_MERIT)
+        return np.where(np.isfinite(self.f), np.where(self.feasible, self.f, infeasible), np.inf)
 
-    def of(self, which: Any) -> Seen:
-        """Return some of the designs."""
-        return Seen(self.points[which], self.f[which], self.violation[which])
+    def select(self, which: Any) -> Evaluations:
+        """Return the designs at an index, a slice or a mask."""
+        return Evaluations(self.points[which], self.f[which], self.violation[which])
 
-    def without_objective(self) -> Seen:
-        """Return the designs with their violation alone for a merit."""
-        return Seen(self.points, np.where(np.isfinite(self.violation), 0.0, np.nan), self.violation)
+    def without_objective(self) -> Evaluations:
+        """Return the designs with an objective of 0, so that the violation alone makes the merit."""
+        return Evaluations(self.points, np.where(np.isfinite(self.violation), 0.0, np.nan), self.violation)
 
 
-def joined(parts: Sequence[Seen]) -> Seen:
-    """Return the designs of all parts."""
-    return Seen(*(np.concatenate([getattr(one, name) for one in parts]) for name in ("points", "f", "violation")))
+def concatenated(parts: Sequence[Evaluations]) -> Evaluations:
+    """Return the designs of all parts in one object."""
+    columns = ([getattr(part, name) for part in parts] for name in ("points", "f", "violation"))
+    return Evaluations(*map(np.concatenate, columns))
 
 
 class Landscape:
-    """Scaled objective and requirements over the scaled variables, at given parameters."""
+    """Scaled objective and requirements over the scaled variables, at given parameters.
+
+    Attributes:
+        program: the design's program.
+        p: parameters.
+        dimensions: number of variables.
+        first_rows: number of each requirement's first row.
+        objective_scale: of the objective. It stays the same if the program is rescaled later.
+        vectorised: whether all runs of many designs are integrated together.
+        eliminated: variables that are solved for, given the others, instead of being searched.
+        designs_tried: number of designs evaluated so far.
+    """
 
     def __init__(self, program: Program, p: Vector) -> None:
-        """Take a program whose scales are set."""
+        """Create the landscape of a program whose scales are set."""
         self.program, self.p = program, p
         self.dimensions = len(program.declared.variables)
         owner = np.array(program.owner, dtype=int)
         self.first_rows: list[int] = np.flatnonzero(np.diff(owner, prepend=-1)).tolist()
         self._scale = np.array(program.scales)[owner] if len(owner) else np.empty(0)
-        # Kept where the program is scaled anew by what is found here.
         self.objective_scale = program.objective_scale
         self.vectorised = program.population.vectorised
-        self.settled = program.linear_variables(p)
-        self.tried = 0
+        self.eliminated = program.linear_variables(p)
+        self.designs_tried = 0
 
     def rows(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
-        """Return the scaled objective and requirements, a row for each design."""
-        self.tried += len(points)
+        """Return the scaled objective and requirements, a row for each design.
+
+        Args:
+            points: scaled variables, a row for each design.
+            finer: factor on the number of integration steps.
+            together: this many consecutive designs are integrated with equal numbers of steps.
+        """
+        self.designs_tried += len(points)
         f, g = self.program.population(points, self.p, finer=finer, together=together)
         return f / self.objective_scale, g / self._scale
 
-    def of_the_design(self) -> Landscape:
-        """Return that of the design alone, where this is of a whole tolerance box, or this one."""
+    def of_single_design(self) -> Landscape:
+        """Return the landscape of the bare design if this one is of a whole tolerance box, else this one."""
         bare = self.program.bare
         if bare is None:
             return self
@@ -114,79 +139,82 @@ class Landscape:
         return Landscape(bare, self.p)
 
     def violations(self, g: Vector) -> Vector:
-        """Return by what each requirement is violated at its worst, a row for each design; infinite without a value."""
+        """Return each requirement's largest violation, a row for each design; infinite where g is not finite."""
         if not self.first_rows:
             return np.zeros((len(g), 0))
         excess = np.maximum(self.program.low - g, g - self.program.high)
         worst = np.maximum.reduceat(excess, self.first_rows, axis=1)
         return np.where(np.isfinite(worst), np.maximum(worst, 0.0), np.inf)
 
-    def __call__(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> Seen:
-        """Look at designs, a row each; variables that can be are solved for, given the others."""
+    def __call__(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> Evaluations:
+        """Evaluate designs, a row each, with the eliminated variables solved for; see `rows` for the arguments."""
         if not len(points):
-            return Seen(points, np.empty(0), np.empty(0))
+            return Evaluations(points, np.empty(0), np.empty(0))
         with np.errstate(all="ignore"):
-            points, f, g = self.settled_rows(points, finer=finer, together=together)
+            points, f, g = self.rows_after_elimination(points, finer=finer, together=together)
             violation = self.violations(g).sum(axis=1)
         f = np.where(np.isfinite(f), f, np.nan)
-        return Seen(points, f, np.where(np.isnan(f), np.inf, violation))
+        return Evaluations(points, f, np.where(np.isnan(f), np.inf, violation))
 
-    def settled_rows(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector, Vector]:
-        """Return designs with the variables that can be solved for so solved, their objective and requirements."""
+    def rows_after_elimination(
+        self, points: Vector, *, finer: float = 1.0, together: int = 1
+    ) -> tuple[Vector, Vector, Vector]:
+        """Return designs with the eliminated variables solved for, and their scaled objective and requirements."""
         f, g = self.rows(points, finer=finer, together=together)
-        size, low, high = self.objective_scale, self.program.low * self._scale, self.program.high * self._scale
-        for variable in self.settled:
-            points, f, g = variable.settled(points, f * size, g * self._scale, low, high)
-            f, g = f / size, g / self._scale
+        f_scale, low, high = self.objective_scale, self.program.low * self._scale, self.program.high * self._scale
+        for variable in self.eliminated:
+            points, f, g = variable.solved(points, f * f_scale, g * self._scale, low, high)
+            f, g = f / f_scale, g / self._scale
         return points, f, g
 
 
-# --- the straight ways between designs, which show whether they lie in one basin ----------------------------
+# --- straight lines between designs: they show whether two designs lie in one basin --------------------------
 
 
-def barriers(look: Callable[[Vector], Seen], one: Seen, others: Seen) -> NDArray[np.bool_]:
-    """Return for each of some designs whether a barrier, more than a ripple, parts it from another.
+def barriers(evaluate: Callable[[Vector], Evaluations], one: Evaluations, others: Evaluations) -> NDArray[np.bool_]:
+    """Return for each of several designs whether a barrier, more than a ripple, separates it from one design.
 
     Args:
-        look: designs, a row each -> what is seen of them.
-        one: a design.
-        others: designs.
+        evaluate: designs, a row each -> their evaluations.
+        one: the one design.
+        others: the other designs.
     """
-    parts = np.linspace(0.0, 1.0, _BETWEEN + 2)[1:-1]
-    way = one.points + parts[:, None, None] * (others.points - one.points)
-    merit = look(way.reshape(-1, way.shape[2])).merit.reshape(_BETWEEN, -1)
+    fractions = np.linspace(0.0, 1.0, _BARRIER_POSITIONS + 2)[1:-1]
+    lines = one.points + fractions[:, None, None] * (others.points - one.points)
+    merit = evaluate(lines.reshape(-1, lines.shape[2])).merit.reshape(_BARRIER_POSITIONS, -1)
     higher = np.maximum(others.merit, one.merit)
     found: NDArray[np.bool_] = merit.max(axis=0) > higher + _RIPPLE * np.abs(higher)
     return found
 
 
-def straight_below(landscape: Landscape, start: Vector, ends: Seen) -> int | None:
-    """Return the number of an end to which the merit does nothing but fall on the way from a start, or None.
+def end_straight_downhill(landscape: Landscape, start: Vector, ends: Evaluations) -> int | None:
+    """Return the number of an end such that the merit only falls on the straight line to it; None without one.
 
-    Such a start lies in the end's basin: a descent from it would lead there.
+    The start then lies in that end's basin, so that a descent from it is unnecessary.
     """
     near: list[int] = []
     distance = np.max(np.abs(ends.points - start), axis=1)
-    # Of ends that are one, the lowest.
+    # Rounding the distance puts ends of the same basin side by side: of these the lowest is taken.
     for k in np.lexsort((ends.merit, distance.round(3))):
         if np.isfinite(ends.merit[k]) and all(np.max(np.abs(ends.points[k] - ends.points[j])) >= SAME for j in near):
             near.append(int(k))
-        if len(near) == _NEAREST:
+        if len(near) == _NEAREST_ENDS:
             break
-    parts = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _DOWN))
-    # Most ways rise at once or not at all: a few positions suffice for most that do, the others for the rest.
-    for some in (parts[::_COARSE], np.delete(parts, np.s_[::_COARSE])):
+    fractions = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _PATH_POSITIONS))
+    # Most paths rise early or not at all: a few positions rule out most of those that rise.
+    for some in (fractions[::_COARSE_STRIDE], np.delete(fractions, np.s_[::_COARSE_STRIDE])):
         if near:
-            near = [k for k, falls in zip(near, _fall(landscape, start, ends.points[near], some), strict=True) if falls]
+            falling = _only_fall(landscape, start, ends.points[near], some)
+            near = [k for k, falls in zip(near, falling, strict=True) if falls]
     return near[0] if near else None
 
 
-def _fall(landscape: Landscape, start: Vector, ends: Vector, parts: Vector) -> list[bool]:
-    """Return for each of some ends whether the merit does nothing but fall at parts of the way from a start."""
-    ways = start + parts[:, None] * (ends - start)[:, None]
-    # Equal numbers of steps along a way, so that it rises by nothing that changes of these bring.
-    merit = landscape(ways.reshape(-1, len(start)), together=len(parts)).merit.reshape(-1, len(parts))
+def _only_fall(landscape: Landscape, start: Vector, ends: Vector, fractions: Vector) -> list[bool]:
+    """Return for each end whether the merit only falls over these fractions of the line from the start."""
+    lines = start + fractions[:, None] * (ends - start)[:, None]
+    # Equal numbers of steps along a line: a change of the number would look like a rise.
+    merit = landscape(lines.reshape(-1, len(start)), together=len(fractions)).merit.reshape(-1, len(fractions))
     with np.errstate(invalid="ignore"):
         rise = np.max(merit[:, 1:] - np.minimum.accumulate(merit, axis=1)[:, :-1], axis=1)
-        falls: list[bool] = (np.isfinite(merit).all(axis=1) & (rise <= _RISE * np.abs(merit[:, -1]))).tolist()
+        falls: list[bool] = (np.isfinite(merit).all(axis=1) & (rise <= _PATH_RISE * np.abs(merit[:, -1]))).tolist()
     return falls

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from plough_opt.design.ipopt import Point, SolveOptions, Vector
-from plough_opt.design.landscape import FEASIBLE, MET
+from plough_opt.design.landscape import FEASIBLE, FEASIBLE_ANSWER
 from plough_opt.design.optimality import (
     PULLS,
     free_directions,
@@ -41,7 +41,7 @@ _KEPT: Final = 1e-11
 _TOUCHING, _ALIKE = 1e-8, 1e-7
 
 
-def with_last_digits(program: Program, p: Vector, start: Vector) -> Point | None:
+def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -> Point | None:
     """Return the optimum beside a design by quadratic programs, or None where none is reached in a few short steps.
 
     Curvatures, which need only be roughly right, come from differences of runs side by side, so that two or three
@@ -133,13 +133,13 @@ AS_FOUND = "taken as found"
 def polished(program: Program, p: Vector, start: Vector) -> Point:
     """Return the local optimum of a search's bottom: the start as it is, where no better one lies beside it."""
     most = _most(program, p, start)
-    near = with_last_digits(program, p, start)
+    near = polished_by_quadratic_programs(program, p, start)
     if near is not None and np.max(np.abs(near.y - start)) < _BESIDE and near.f <= most:
         return near
-    begins = as_it_is(program, p, start)
+    begins = point_as_found(program, p, start)
     for box, exact in ((1.0, False), (_BESIDE, True), (_RIPPLE, True)):
         point = program.solve(start, p, SolveOptions(near=True, exact=exact, enough=True), box)
-        if point.status in _STALLED and _violation(program, p, point.y)[1] <= MET:
+        if point.status in _STALLED and _violation(program, p, point.y)[1] <= FEASIBLE_ANSWER:
             point = replace(point, solved=True, status=AS_FOUND)
         beside = box == 1.0 or np.max(np.abs(point.y - start)) < box
         if point.solved and beside and point.f <= most:
@@ -150,7 +150,7 @@ def polished(program: Program, p: Vector, start: Vector) -> Point:
     if begins.solved or not program.declared.requirements:
         return begins
     # The search's rougher runs may have kept a limit by a hair which these do not.
-    return as_it_is(program, p, program.solve_relaxed(start, p)[0].y)
+    return point_as_found(program, p, program.solve_relaxed(start, p)[0].y)
 
 
 def solved_again(program: Program, p: Vector, point: Point) -> Point:
@@ -163,7 +163,7 @@ def solved_again(program: Program, p: Vector, point: Point) -> Point:
     return replace(point, f=_violation(program, p, point.y)[0])
 
 
-def to_the_last_digit(program: Program, p: Vector, point: Point) -> Point:
+def converged_tightly(program: Program, p: Vector, point: Point) -> Point:
     """Return an optimum with the last digits of its derivatives, where these can be had; else as it is."""
     if point.status in ("Solve_Succeeded", AS_FOUND):
         return point
@@ -172,11 +172,11 @@ def to_the_last_digit(program: Program, p: Vector, point: Point) -> Point:
     return again if again.solved and inside and again.f <= _most(program, p, point.y) else point
 
 
-def as_it_is(program: Program, p: Vector, y: Vector) -> Point:
+def point_as_found(program: Program, p: Vector, y: Vector) -> Point:
     """Return a scaled design as a point without multipliers, solved if it meets all requirements."""
     f, violation = _violation(program, p, y)
     count = len(program.owner)
-    return Point(bool(violation <= MET), AS_FOUND, y, f, np.zeros(count), np.zeros(len(y)), 0)
+    return Point(bool(violation <= FEASIBLE_ANSWER), AS_FOUND, y, f, np.zeros(count), np.zeros(len(y)), 0)
 
 
 def _most(program: Program, p: Vector, start: Vector) -> float:

@@ -1,4 +1,4 @@
-"""Objective and requirements at very many designs, side by side and roughly: what a search looks at."""
+"""Fast, rough evaluation of objective and requirements at very many designs, for searches."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -16,16 +16,18 @@ from plough_opt.design.split import EmbeddedRun, Split, split
 from plough_opt.motion.batch.many_runs import ManyRuns
 from plough_opt.motion.integrators import Integration, integration
 
-# Slopes below this, scaled, are none.
+# Slopes smaller than this count as 0, so that a division by them cannot overflow.
 _NO_SLOPE = 1e-300
 
 
 @dataclass(frozen=True)
-class Linear:
-    """A variable that enters no run and all else in proportion, as a peak's bound: it is solved from the algebra.
+class LinearVariable:
+    """A variable in which objective and requirements are linear and on which no run depends, like a bound on a peak.
+
+    Its best value follows from the others in closed form, so that it need not be searched.
 
     Attributes:
-        number: of the variable.
+        number: of the variable among the design's variables.
         variable: the variable.
         objective: slope of the objective.
         rows: slopes of the requirements' rows.
@@ -36,8 +38,8 @@ class Linear:
     objective: float
     rows: Vector
 
-    def settled(self, points: Vector, f: Vector, g: Vector, low: Vector, high: Vector) -> tuple[Vector, Vector, Vector]:
-        """Return designs with this variable where it is best, the others held, with their objective and rows.
+    def solved(self, points: Vector, f: Vector, g: Vector, low: Vector, high: Vector) -> tuple[Vector, Vector, Vector]:
+        """Return designs with this variable at its best value for the others, and their objective and rows.
 
         Args:
             points: scaled variables, a row for each design.
@@ -46,16 +48,17 @@ class Linear:
             low: lower limits of the rows.
             high: upper limits.
         """
-        v, moving = self.variable, np.flatnonzero(np.abs(self.rows) > _NO_SLOPE)
+        v, dependent = self.variable, np.flatnonzero(np.abs(self.rows) > _NO_SLOPE)
         y = points[:, self.number]
         value = np.asarray(v.unscaled(y))
-        slopes, own = self.rows[moving], g[:, moving]
+        slopes, own = self.rows[dependent], g[:, dependent]
         with np.errstate(invalid="ignore"):
-            ends = (low[moving] - own) / slopes, (high[moving] - own) / slopes
+            ends = (low[dependent] - own) / slopes, (high[dependent] - own) / slopes
+        # The rows keep their limits for changes of the variable from `least` to `most`.
         least = np.where(slopes > 0.0, *ends).max(axis=1, initial=-np.inf)
         most = np.where(slopes > 0.0, *ends[::-1]).min(axis=1, initial=np.inf)
-        nearest = np.minimum(np.maximum(0.0, least), most)
-        wanted = least if self.objective > 0.0 else most if self.objective < 0.0 else nearest
+        smallest = np.minimum(np.maximum(0.0, least), most)
+        wanted = least if self.objective > 0.0 else most if self.objective < 0.0 else smallest
         best = np.clip(np.where(np.isnan(wanted), value, value + wanted), v.lower, v.upper)
         moved = points.copy()
         moved[:, self.number] = np.clip(np.asarray(v.scaled(best)), 0.0, 1.0)
@@ -65,21 +68,21 @@ class Linear:
 
 def linear_variables(
     expressions: Sequence[ca.MX], variables: Sequence[Variable], parameters: Sequence[ca.MX], p: Vector
-) -> list[Linear]:
-    """Return the variables that enter no run, and objective and requirements in proportion; no two the same row.
+) -> list[LinearVariable]:
+    """Return variables that can be solved for in closed form: see `LinearVariable`. No two of them share a row.
 
     Args:
-        expressions: objective and requirements of the variables and parameters.
-        variables: of the design, one of which at least is left out.
-        parameters: their symbols.
-        p: parameters.
+        expressions: objective and requirements in terms of the variables and parameters.
+        variables: of the design. At least one of them remains to be searched.
+        parameters: symbols of the parameters.
+        p: values of the parameters.
     """
     symbols = [v.symbol for v in variables]
     parts = split(list(expressions), [*symbols, *parameters])
     given = ca.vertcat(*(ca.vec(item) for run in parts.runs for item in (run.inputs, run.quantities)))
     f, g = parts.expressions[0], ca.vertcat(*(ca.vec(one) for one in parts.expressions[1:]))
     changing = ca.vertcat(*symbols, *parts.results)
-    found: list[Linear] = []
+    found: list[LinearVariable] = []
     taken = np.zeros(g.numel(), dtype=bool)
     for number, v in enumerate(variables):
         if len(found) == len(variables) - 1 or (given.numel() and ca.depends_on(given, v.symbol)):
@@ -93,52 +96,55 @@ def linear_variables(
         if np.any(taken & (own != 0.0)) or not np.all(np.isfinite(own)):
             continue
         taken |= own != 0.0
-        found.append(Linear(number, v, objective, own))
+        found.append(LinearVariable(number, v, objective, own))
     return found
 
 
-# Numbers of results that are in memory at once.
+# Numbers kept in memory at once: designs are evaluated in chunks of this many results.
 _MOST_RESULTS = 4_000_000
-# Rows of the largest map of algebra over designs: many beside what a call costs, few to make; and up to how many, as
-# descents take, there is a map for each number of them.
-_MOST_MAPPED, _FEW = 256, 12
-# Of runs that are integrated one by one, for a look at them: of some 1e-5.
-_TOLERANCE = 1e-7
-_HARMONICS = 8
+# Largest number of designs in a map of the algebra: enough to hide the cost of a call, few enough to construct quickly.
+_MOST_MAPPED = 256
+# Descents evaluate up to this many designs at once; each such number gets a map of its own.
+_EXACT_MAPS = 12
+# Runs that are integrated one by one: the integrator's tolerance and the harmonics of an orbit, which leave relative
+# errors of about 1e-5.
+_ROUGH_TOLERANCE = 1e-7
+_ROUGH_HARMONICS = 8
 
 
 @dataclass(frozen=True)
 class _Group:
-    """Runs of one structure that are followed together.
+    """Runs of the same structure, which are integrated together.
 
     Attributes:
         members: their numbers among the design's runs.
-        follow: (parameters, a row for each run; finer; together) -> results, a row for each.
-        size: number of results of each.
+        integrate: (parameters, a row for each run; finer; together) -> results, a row for each run.
+        size: number of results of a run.
     """
 
     members: tuple[int, ...]
-    follow: Callable[[Vector, float, int], Vector]
+    integrate: Callable[[Vector, float, int], Vector]
     size: int
 
 
 class Population:
-    """Objective and requirements of many designs, by steps of each design's own.
+    """Objective and requirements of many designs, whose runs each take as many steps as they need.
 
     Attributes:
-        vectorised: whether all runs are followed side by side, some ten microseconds each; runs with events and lasting
-            orbits are integrated one by one, at a thousand times that.
+        vectorised: whether all runs are integrated together, at about ten microseconds each. Runs with events and
+            periodic orbits are integrated one by one, which takes a thousand times as long.
         runs: number of runs in a design.
     """
 
     def __init__(self, parts: Split, y: ca.MX, p: ca.MX, *, rough: bool = True) -> None:
-        """Take objective (first) and requirements (second, a column) of scaled variables y and of parameters p.
+        """Create the evaluation of an objective and its requirements.
 
         Args:
-            parts: the expressions, split around their runs.
-            y: scaled variables.
-            p: parameters.
-            rough: whether runs that go one by one are integrated roughly, and runs of a method that was named by steps.
+            parts: the objective and a column of requirements, split around their runs.
+            y: symbol of the scaled variables.
+            p: symbol of the parameters.
+            rough: whether runs may be integrated by another method than the one the user named, and those that are
+                integrated one by one less accurately.
         """
         full = algebra_of(parts, y, p)
         self.runs = len(parts.runs)
@@ -166,26 +172,26 @@ class Population:
             else:
                 threads = available()
 
-                def follow(theta: Vector, finer: float, together: int) -> Vector:
+                def integrate(theta: Vector, finer: float, together: int) -> Vector:
                     return many(theta, finer=finer, together=together, threads=threads)
 
-                return _Group(tuple(members), follow, many.size)
+                return _Group(tuple(members), integrate, many.size)
         self.vectorised = False
         run = parts.runs[members[0]]
-        solver = _roughly(run) if self._rough else run.integration
-        return _Group(tuple(members), lambda theta, _finer, _together: _each(solver, theta), solver.results)
+        solver = _rough_integration(run) if self._rough else run.integration
+        return _Group(tuple(members), lambda theta, _finer, _together: _one_by_one(solver, theta), solver.results)
 
     def __call__(self, points: Vector, p: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
-        """Return the objective, and the requirements, a row for each design; NaN where a design has no value.
+        """Return the objective and the requirements, a row for each design; NaN where it cannot be evaluated.
 
         Args:
             points: scaled variables, a row for each design.
             p: parameters.
-            finer: factor on the steps of the runs.
-            together: designs, of rows one after the other, whose runs take equal numbers of steps.
+            finer: factor on the number of integration steps.
+            together: this many consecutive designs are integrated with equal numbers of steps.
         """
-        each = max(1, sum(group.size * len(group.members) for group in self._groups) + self._rows)
-        chunk = max(1, _MOST_RESULTS // each // together) * together
+        results_per_design = max(1, sum(group.size * len(group.members) for group in self._groups) + self._rows)
+        chunk = max(1, _MOST_RESULTS // results_per_design // together) * together
         f, g = np.empty(len(points)), np.empty((len(points), self._rows))
         for first in range(0, len(points), chunk):
             part = slice(first, first + chunk)
@@ -197,38 +203,39 @@ class Population:
         given = [points, np.repeat(p[None], n, axis=0)]
         results = []
         for group, theta in zip(self._groups, self._inputs(*given), strict=True):
-            # Runs of equal steps are the same run of designs one after the other.
+            # The same run of consecutive designs takes equal steps: sort the rows by run, then by design.
             count = len(group.members)
             rows = theta.reshape(n, count, -1).transpose(1, 0, 2).reshape(n * count, -1)
-            found = group.follow(rows, finer, together).reshape(count, n, -1)
+            found = group.integrate(rows, finer, together).reshape(count, n, -1)
             results.append(found.transpose(1, 0, 2).reshape(n, -1))
         f, g = self._algebra(*given, *results)
         return f.ravel(), g
 
 
 class _OfRows:
-    """A Function of dense columns, of many of them at once: a row of each argument and each result for each."""
+    """A Function of dense columns, evaluated at many designs at once; arguments and results have a row for each."""
 
     def __init__(self, function: ca.Function) -> None:
         """Take the Function."""
         self.function = function
         self._sizes_in = [function.numel_in(k) for k in range(function.n_in())]
         self._sizes = [function.numel_out(k) for k in range(function.n_out())]
-        # By number of rows: its map with what evaluates it. Maps take long to make, the longer the more rows they have.
+        # For each number of rows the buffer of a map and the call that evaluates it. Maps take long to construct.
         self._buffers: dict[int, tuple[Any, Callable[[], None]]] = {}
 
     def __call__(self, *arguments: Vector) -> list[Vector]:
         """Return the results."""
         count = len(arguments[0])
-        kept = [np.ascontiguousarray(argument, dtype=float).reshape(-1) for argument in arguments]
+        # These variables keep the arrays alive: the buffers store pointers only.
+        inputs = [np.ascontiguousarray(argument, dtype=float).reshape(-1) for argument in arguments]
         results = [np.empty((count, size)) for size in self._sizes]
         flat = [result.reshape(-1) for result in results]
         first = 0
         while first < count:
             left = count - first
-            rows = left if left <= _FEW else min(_MOST_MAPPED, 1 << (left.bit_length() - 1))
+            rows = left if left <= _EXACT_MAPS else min(_MOST_MAPPED, 1 << (left.bit_length() - 1))
             buffer, evaluate = self._buffer(rows)
-            for k, (array, size) in enumerate(zip(kept, self._sizes_in, strict=True)):
+            for k, (array, size) in enumerate(zip(inputs, self._sizes_in, strict=True)):
                 buffer.set_arg(k, array[first * size : (first + rows) * size].data)
             for k, (array, size) in enumerate(zip(flat, self._sizes, strict=True)):
                 buffer.set_res(k, array[first * size : (first + rows) * size].data)
@@ -239,13 +246,13 @@ class _OfRows:
     def _buffer(self, rows: int) -> tuple[Any, Callable[[], None]]:
         if rows not in self._buffers:
             mapped = self.function.map(rows) if rows > 1 else self.function
-            made: Any = mapped.buffer()  # its stubs know no arrays
+            made: Any = mapped.buffer()  # CasADi's stubs lack the result's type
             self._buffers[rows] = made
         return self._buffers[rows]
 
 
 def _of_groups(full: ca.Function, parts: Split, groups: list[_Group]) -> ca.Function:
-    """Return (y, p, results of each group's members, one below the other) -> (objective, requirements)."""
+    """Return the Function (y, p, stacked results of each group's members) -> (objective, requirements)."""
     kind: Any = ca.SX if full.is_a("SXFunction") else ca.MX
     y, p = kind.sym("y", full.numel_in(0)), kind.sym("p", full.numel_in(1))
     given, results = [], {}
@@ -259,23 +266,23 @@ def _of_groups(full: ca.Function, parts: Split, groups: list[_Group]) -> ca.Func
     return ca.Function("algebra", [y, p, *given], [ca.densify(one) for one in full(y, p, *ordered)])
 
 
-def _roughly(run: EmbeddedRun) -> Integration:
-    """Return what integrates a run one by one and roughly: events by a loose tolerance, orbits by few harmonics."""
+def _rough_integration(run: EmbeddedRun) -> Integration:
+    """Return a less accurate integration of a run: with a loose tolerance, or for an orbit with few harmonics."""
     own = run.integration
     if own.structure.orbit == "periodic":
-        structure = replace(own.structure, orbit="harmonic_balance", harmonics=_HARMONICS)
+        structure = replace(own.structure, orbit="harmonic_balance", harmonics=_ROUGH_HARMONICS)
         return integration(structure, own.accuracy, own.timeline)
     if own.accuracy.adaptive:
-        return integration(own.structure, replace(own.accuracy, tolerance=_TOLERANCE), own.timeline)
+        return integration(own.structure, replace(own.accuracy, tolerance=_ROUGH_TOLERANCE), own.timeline)
     return own
 
 
-def _each(solver: Integration, theta: Vector) -> Vector:
-    """Return the results of runs, a row each, integrated one by one; NaN where that fails."""
+def _one_by_one(solver: Integration, theta: Vector) -> Vector:
+    """Return the results of runs that are integrated one by one, a row each; NaN where an integration fails."""
     found = np.full((len(theta), solver.results), np.nan)
     for k, row in enumerate(theta):
         try:
             found[k] = np.concatenate([np.asarray(part).ravel(order="F") for part in solver.function.call([row])])
-        except RuntimeError:  # no orbit, or no end of an integration
+        except RuntimeError:  # no orbit exists, or the integration does not finish
             continue
     return found

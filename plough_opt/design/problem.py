@@ -24,7 +24,7 @@ from plough_opt.core.expressions import Column, Expression, is_casadi
 from plough_opt.core.kept import Origin
 from plough_opt.core.quantities import ask_about
 from plough_opt.core.units import Display, has_unit, in_si, unit_of
-from plough_opt.design.boxed import Boxed, Over
+from plough_opt.design.boxed import Over, ToleranceBoxSolver
 from plough_opt.design.declarations import EVERYWHERE, Declarations, Parameter, Requirement, Variable
 from plough_opt.design.effort import Search
 from plough_opt.design.exploring import Progress, silent
@@ -68,7 +68,7 @@ class Design:
         self._objective: ca.MX | None = None
         self._over: Over | None = None
         self._program: Program | None = None
-        self._boxed: Boxed | None = None
+        self._boxed: ToleranceBoxSolver | None = None
 
     def variable(
         self,
@@ -240,7 +240,7 @@ class Design:
         if self._over is None:
             found = solve_program(self._program, request)
         else:
-            self._boxed = self._boxed or Boxed(self._program, self._over)
+            self._boxed = self._boxed or ToleranceBoxSolver(self._program, self._over)
             found = self._boxed.solve(request)
         own = {p.name: float(value) for p, value in zip(self._parameters, values, strict=True)}
         return replace(found, origin=Origin.now(declarations=declared.plain(own), seed=seed))

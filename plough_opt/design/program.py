@@ -17,9 +17,9 @@ from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.forms import ActiveRows, as_machine_code, chosen_rows, first_slack, relaxed
 from plough_opt.design.ipopt import FROM_AFAR, Point, SolveOptions, Solver, Vector
 from plough_opt.design.nlp import Nlp, build_nlp
-from plough_opt.design.population import Linear, Population, linear_variables
+from plough_opt.design.population import LinearVariable, Population, linear_variables
 from plough_opt.design.split import split
-from plough_opt.design.verify import TightEvaluation, check_bounds, corners, fewer, steps_at, values_at_guess
+from plough_opt.design.verify import TightEvaluation, check_bounds, corners, rough_steps, steps_at, values_at_guess
 from plough_opt.motion.accuracy import DEFAULT_ERROR
 
 _SMALLEST_SCALE = 1e-12
@@ -140,7 +140,7 @@ class Program:
         self._programs: dict[Hashable, BuiltProgram] = {}
         # Values that objective and requirements have at the guess, with the parameters of the last solve.
         self._at_guess: dict[bytes, list[Vector]] = {}
-        self._linear: dict[Hashable, list[Linear]] = {}
+        self._linear: dict[Hashable, list[LinearVariable]] = {}
         # A report asks several times for the values at its point.
         self._exact_at: dict[Hashable, tuple[list[Vector], list[Vector]]] = {}
 
@@ -247,9 +247,9 @@ class Program:
         """Return the program with numbers of steps."""
         write = partial(build_nlp, split(self.scaled(self._y, self._p), [self._y, self._p]), self._y, self._p)
         limits = self.low, self.high
-        return BuiltProgram(steps, fewer(self.exact, steps), write, self.owner, limits, self.compiled)
+        return BuiltProgram(steps, rough_steps(self.exact, steps), write, self.owner, limits, self.compiled)
 
-    def linear_variables(self, p: Vector) -> list[Linear]:
+    def linear_variables(self, p: Vector) -> list[LinearVariable]:
         """Return the variables that are solved from the algebra: see `plough_opt.design.population`."""
         declared = self.declared
         symbols = [own.symbol for own in declared.parameters]

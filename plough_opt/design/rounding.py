@@ -16,12 +16,12 @@ from plough_opt.design.infeasible import failures, from_least_violation
 from plough_opt.design.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.landscape import Landscape
 from plough_opt.design.optimum import Choice, Rounded, values_in_words
-from plough_opt.design.polishing import AS_FOUND, as_it_is
+from plough_opt.design.polishing import AS_FOUND, point_as_found
 from plough_opt.design.program import Program
 from plough_opt.design.reporting import reports
 from plough_opt.design.screening import promising
 from plough_opt.design.sensitivity import Solved
-from plough_opt.design.tolerance import Judge, judgement, spread
+from plough_opt.design.tolerance import Judge, ranking_criterion, spread
 
 Catalogue = float | Sequence[float]
 """Values that a variable may take, or the step of which it may take multiples."""
@@ -177,7 +177,7 @@ def rounded(solved: Solved, judge: Judge, unrounded: float, catalogues: Mapping[
     looked_at = count if every else len(starts)
     if not reached:
         raise _nothing(program, failed, looked_at)
-    judged = judgement(landscape, judge)(np.array([point.y for _, point, _ in reached]))
+    judged = ranking_criterion(landscape, judge)(np.array([point.y for _, point, _ in reached]))
     order = sorted(range(len(reached)), key=lambda k: (round(float(judged[k]), 9), reached[k][1].f))
     choice, point, values = reached[order[0]]
     # What holds a rounded variable is the catalogue, and no bound.
@@ -228,7 +228,7 @@ def _starts(
 
 def _solved(program: Program, p: Vector, start: Vector, fixed: list[int]) -> tuple[Point | None, dict[str, float]]:
     """Return the optimum with some variables held, or None and the requirements that fail, by how much."""
-    begins = as_it_is(program, p, start)
+    begins = point_as_found(program, p, start)
     if len(fixed) == len(start) and begins.solved:
         return replace(begins, status="nothing left to choose"), {}
     if len(fixed) < len(start):

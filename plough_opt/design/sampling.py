@@ -1,4 +1,4 @@
-"""A space-filling sample of a design's variables, the basins that show in it, and evolution from it."""
+"""Space-filling samples of a design's variables, their local minima, and evolution from them."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -7,30 +7,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.design.ipopt import Vector
-from plough_opt.design.landscape import Landscape, Seen
+from plough_opt.design.landscape import Evaluations, Landscape
 
-# Degree, inner coefficients and first direction numbers of the primitive polynomials of dimensions 2 and more: Joe and
-# Kuo (2008), "Constructing Sobol sequences with better two-dimensional projections", file new-joe-kuo-6.
+# For dimensions 2 and above: degree, inner coefficients and first direction numbers of the primitive polynomials. From
+# Joe and Kuo (2008), "Constructing Sobol sequences with better two-dimensional projections", file new-joe-kuo-6.
 _POLYNOMIALS = (
     (1, 0, (1,)), (2, 1, (1, 3)), (3, 1, (1, 3, 1)), (3, 2, (1, 1, 1)), (4, 1, (1, 1, 3, 3)), (4, 4, (1, 3, 5, 13)),
     (5, 2, (1, 1, 5, 5, 17)), (5, 4, (1, 1, 5, 5, 5)), (5, 7, (1, 1, 7, 11, 19)), (5, 11, (1, 1, 5, 1, 1)),
     (5, 13, (1, 1, 1, 3, 11)),
 )  # fmt: skip
+# Bits of a coordinate, as in SciPy.
 _BITS = 30
 
 MOST_DIMENSIONS = 1 + len(_POLYNOMIALS)
-"""Dimensions whose direction numbers are here; of more, SciPy has them."""
+"""Dimensions whose direction numbers are listed here; for more of them SciPy is used."""
 
 
 def sobol_points(n: int, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return the first points of a Sobol sequence, scrambled at random by a matrix and a shift, a row each.
+    """Return the first points of a Sobol sequence, scrambled by a random matrix and shift, a row each.
 
-    They are those of `scipy.stats.qmc.Sobol`, without its import of all of scipy.stats.
+    They equal those of `scipy.stats.qmc.Sobol`, without importing scipy.stats, which takes 0.6 s.
 
     Args:
-        n: dimensions.
-        count: number of points; evenly spread where it is a power of two.
-        rng: what scrambles them.
+        n: number of dimensions.
+        count: number of points. They are evenly spread if it is a power of two.
+        rng: random numbers for the scrambling.
     """
     if n > MOST_DIMENSIONS:
         from scipy.stats.qmc import Sobol  # slow to import
@@ -40,24 +41,24 @@ def sobol_points(n: int, count: int, rng: np.random.Generator) -> NDArray[np.flo
     (rng,) = rng.spawn(1)
     shift = _as_numbers(rng.integers(2, size=(n, _BITS), dtype=np.uint32)[:, ::-1])
     mixing = np.tril(rng.integers(2, size=(n, _BITS, _BITS), dtype=np.uint32), -1) | np.eye(_BITS, dtype=np.uint32)
-    # Bits of the directions, the highest first: (dimension, bit, direction).
+    # Bits of the direction numbers, highest first: (dimension, bit, direction).
     bits = (_directions(n)[:, None, :] >> np.arange(_BITS - 1, -1, -1, dtype=np.uint32)[None, :, None]) & 1
     directions = _as_numbers((mixing @ bits % 2).transpose(0, 2, 1))
     found = shift[None]
-    # In Gray's order a point and the next differ by one direction: that is each half mirrored, and shifted by one.
+    # In Gray-code order each doubling appends the mirrored points so far, shifted by the next direction.
     for k in range(max(count - 1, 0).bit_length()):
         found = np.concatenate([found, found[::-1] ^ directions[:, k]])
     return found[:count] / 2.0**_BITS
 
 
 def _as_numbers(bits: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Return numbers of bits along the last axis, the highest first."""
+    """Return the numbers whose bits, highest first, lie along the last axis."""
     found: NDArray[np.uint32] = (bits << np.arange(_BITS - 1, -1, -1, dtype=np.uint32)).sum(axis=-1, dtype=np.uint32)
     return found
 
 
 def _directions(n: int) -> NDArray[np.uint32]:
-    """Return the direction numbers, a row for each dimension."""
+    """Return the direction numbers of a Sobol sequence, a row for each dimension."""
     found = np.ones((n, _BITS), dtype=np.uint64)
     for row, (degree, inner, first) in zip(found[1:], _POLYNOMIALS, strict=False):
         row[:degree] = first
@@ -70,32 +71,40 @@ def _directions(n: int) -> NDArray[np.uint32]:
 
 
 SEED = 2008
-"""Of every sample and evolution: the same question has the same answer."""
+"""Seed of every sample and evolution, so that the same problem has the same answer."""
 
-MANY = 6
-"""From so many variables on an evolution that mutates its best design misses basins."""
+MANY_VARIABLES = 6
+"""With at least this many variables, an evolution that mutates its best design misses basins."""
 
-# Half of the sample is stretched by so much on either side and clipped, so that bounds and corners are sampled.
+# Half of the sample is stretched by this fraction of the range on either side and clipped, so that it includes bounds
+# and corners.
 _STRETCH = 0.15
-# Neighbours of a point in the sample, for each variable, which decide whether it is a local minimum.
-_NEIGHBOURS = 4
-# Keeps the arithmetic of an evolution finite where designs have no value.
+# A point of a sample is a local minimum if it is lower than this many neighbours for each variable.
+_NEIGHBOURS_PER_VARIABLE = 4
+# Stands for infinity in an evolution, whose arithmetic must stay finite where designs cannot be evaluated.
 _WORST = 1e30
-# Designs of a sample that looks for one that meets the requirements.
-_LOOK = 1024
+# Default size of an evaluated sample.
+_SAMPLE_SIZE = 1024
 
 
-def sample_of(landscape: Landscape, count: int = _LOOK) -> Seen:
-    """Return a look at all designs of a landscape, by a number of them that is a power of two."""
+def evaluated_sample(landscape: Landscape, count: int = _SAMPLE_SIZE) -> Evaluations:
+    """Return a sample of a landscape over all its variables; its size must be a power of two."""
     middle = np.full(landscape.dimensions, 0.5)
     points, _ = sample(landscape.dimensions, count, middle, np.random.default_rng(SEED))
     return landscape(points)
 
 
 def sample(n: int, count: int, start: Vector, rng: np.random.Generator) -> tuple[Vector, np.ndarray]:
-    """Return points between 0 and 1, the start and the middle among them, and which of them are uniform."""
+    """Return points between 0 and 1, with the start and the middle, and the shuffled numbers of the uniform ones.
+
+    Args:
+        n: number of variables.
+        count: number of points besides the start and the middle, a power of two.
+        start: the start.
+        rng: random numbers.
+    """
     if n == 1:
-        # In one variable nothing is more even than a grid.
+        # With one variable a grid is the most even sample.
         grid = np.linspace(0.0, 1.0, count)[:, None]
         return np.vstack([grid, start[None]]), rng.permutation(count)
     points = sobol_points(n, count, rng)
@@ -105,7 +114,7 @@ def sample(n: int, count: int, start: Vector, rng: np.random.Generator) -> tuple
 
 
 def lines_through(y: Vector, count: int, variables: Sequence[int] | None = None) -> Vector:
-    """Return so many designs along each of some variables through a design, by default all; a row each."""
+    """Return this many designs along each of the given variables, by default all, through a design; a row each."""
     vary = range(len(y)) if variables is None else variables
     lines = np.repeat(y[None], count * len(vary), axis=0)
     for k, variable in enumerate(vary):
@@ -113,21 +122,24 @@ def lines_through(y: Vector, count: int, variables: Sequence[int] | None = None)
     return lines
 
 
-def lowest_around(points: Vector, merit: Vector) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points that are lower than their neighbours, the lowest first, and where downhill steps end.
+def local_minima(points: Vector, merit: Vector) -> tuple[np.ndarray, np.ndarray]:
+    """Return the numbers of the points that are lower than their neighbours, lowest first, and where each point leads.
 
     Args:
-        points: a row each.
-        merit: of each.
+        points: a row for each point.
+        merit: of each point.
+
+    Returns:
+        The local minima, and for each point the local minimum to which steps to the lowest neighbour lead from it.
     """
     from scipy.spatial import KDTree  # slow to import
 
     n = points.shape[1]
-    count = min(_NEIGHBOURS * n if n > 1 else 2, len(points) - 1)
+    count = min(_NEIGHBOURS_PER_VARIABLE * n if n > 1 else 2, len(points) - 1)
     _, around = KDTree(points).query(points, k=count + 1)
     around = np.hstack([np.arange(len(points))[:, None], around])
     ends = around[np.arange(len(points)), np.argmin(merit[around], axis=1)]
-    # A step from each point at a time doubles the way until all have arrived.
+    # Following the pointers twice doubles the number of steps, until every point has arrived.
     while not np.array_equal(following := ends[ends], ends):
         ends = following
     lowest = np.unique(ends)
@@ -143,15 +155,15 @@ def evolved(
     from_best: bool,
     alike: float,
 ) -> Vector:
-    """Return the best point between 0 and 1 to which SciPy's differential evolution leads.
+    """Return the best point between 0 and 1 that SciPy's differential evolution finds.
 
     Args:
-        merit: points, a row each -> what is to be least; infinite without a value.
-        points: from which it begins, a row each.
-        generations: after how many to end.
-        rng: what is random in it.
-        from_best: whether the best design is mutated, which is faster, or any of them, which misses less.
-        alike: relative scatter of the merits below which all points count as one.
+        merit: points, a row each -> the values to minimise; infinite where a point cannot be evaluated.
+        points: the first population, a row each.
+        generations: most generations.
+        rng: random numbers.
+        from_best: whether to mutate the best point, which is faster, or random ones, which misses fewer basins.
+        alike: the evolution ends when the merits' relative scatter is below this.
     """
     from scipy.optimize import differential_evolution  # slow to import
 

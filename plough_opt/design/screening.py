@@ -6,8 +6,8 @@ import numpy as np
 
 from plough_opt.design.descents import descend, least_violation
 from plough_opt.design.ipopt import Vector
-from plough_opt.design.landscape import Landscape, Seen, joined
-from plough_opt.design.sampling import MANY, SEED, evolved, lowest_around, sobol_points
+from plough_opt.design.landscape import Evaluations, Landscape, concatenated
+from plough_opt.design.sampling import MANY_VARIABLES, SEED, evolved, local_minima, sobol_points
 
 # Designs at which all combinations together are looked at, beside those with the other variables held; and for each
 # combination at least and at most.
@@ -87,7 +87,7 @@ class _View:
         found[:, self.free] = free
         return found
 
-    def sampled(self, kept: list[int]) -> tuple[np.ndarray, list[Seen]]:
+    def sampled(self, kept: list[int]) -> tuple[np.ndarray, list[Evaluations]]:
         """Return the lowest combinations, and the designs of each that were looked at, that of the optimum first."""
         count, n = len(self._combinations), len(self.free)
         numbers = np.arange(count)
@@ -98,37 +98,37 @@ class _View:
         seen = self._landscape(self.designs(np.repeat(numbers, each), points))
         best = _best_of_each(held, seen, each)
         numbers = _lowest(best, _CLOSER, kept)
-        best = best.of(numbers)
+        best = best.select(numbers)
         for k, radius in enumerate(_RADII):
             best = self._closer(numbers, best, radius)
             left = _lowest(best, max(_DESCENDED, _CLOSER >> (k + 1)), np.flatnonzero(np.isin(numbers, kept)).tolist())
-            numbers, best = numbers[left], best.of(left)
+            numbers, best = numbers[left], best.select(left)
         own = [
-            joined([held.of([k]), best.of([j]), seen.of(slice(k * each, (k + 1) * each))])
+            concatenated([held.select([k]), best.select([j]), seen.select(slice(k * each, (k + 1) * each))])
             for j, k in enumerate(numbers)
         ]
         return numbers, own
 
-    def _closer(self, numbers: np.ndarray, best: Seen, radius: float) -> Seen:
+    def _closer(self, numbers: np.ndarray, best: Evaluations, radius: float) -> Evaluations:
         """Return the lowest designs of combinations in boxes around the lowest so far."""
         count, n = len(numbers), len(self.free)
         offsets = self._rng.uniform(-radius, radius, (count * _AROUND, n))
         points = np.clip(np.repeat(best.points[:, self.free], _AROUND, axis=0) + offsets, 0.0, 1.0)
         return _best_of_each(best, self._landscape(self.designs(np.repeat(numbers, _AROUND), points)), _AROUND)
 
-    def descended(self, number: int, seen: Seen, count: int) -> Promising:
+    def descended(self, number: int, seen: Evaluations, count: int) -> Promising:
         """Return where descents from a combination's lowest designs lead, its own values held."""
         starts = [0, 1]
         if len(seen.f) > 4 * _AROUND:
-            lowest, _ = lowest_around(seen.points[:, self.free], seen.merit)
+            lowest, _ = local_minima(seen.points[:, self.free], seen.merit)
             starts += [int(k) for k in lowest if k > 1]
         # Without a value there is no slope to follow.
         starts = [k for k in starts if np.isfinite(seen.merit[k])][:count]
-        ends = [self._end(seen.points[k]) for k in starts] or [seen.of([0])]
+        ends = [self._end(seen.points[k]) for k in starts] or [seen.select([0])]
         best = min(ends, key=lambda one: float(one.merit[0]))
         return Promising(number, best.points[0], float(best.merit[0]))
 
-    def evolved(self, known: Promising, seen: Seen) -> Promising:
+    def evolved(self, known: Promising, seen: Evaluations) -> Promising:
         """Return where an evolution leads from a combination's lowest designs, if that is lower."""
         n = len(self.free)
         lowest = np.argsort(seen.merit, kind="stable")[: _MEMBERS * n]
@@ -139,12 +139,12 @@ class _View:
         def merit(x: Vector) -> Vector:
             return self._landscape(self.designs(np.full(len(x), known.number), x)).merit
 
-        best = evolved(merit, start, _GENERATIONS, self._rng, from_best=n < MANY, alike=_CONVERGED)
+        best = evolved(merit, start, _GENERATIONS, self._rng, from_best=n < MANY_VARIABLES, alike=_CONVERGED)
         end = self._end(self.designs(np.array([known.number]), best[None])[0])
         merit_there = float(end.merit[0])
         return Promising(known.number, end.points[0], merit_there) if merit_there < known.merit else known
 
-    def _end(self, start: Vector) -> Seen:
+    def _end(self, start: Vector) -> Evaluations:
         box = np.zeros(len(start)), np.ones(len(start))
         for side in box:
             side[self._fixed] = start[self._fixed]
@@ -157,16 +157,16 @@ class _View:
         return min((end, nearer), key=lambda one: float(one.merit[0]))
 
 
-def _best_of_each(first: Seen, others: Seen, each: int) -> Seen:
+def _best_of_each(first: Evaluations, others: Evaluations, each: int) -> Evaluations:
     """Return the lowest design of each combination: of one and of ``each`` others."""
     count = len(first.f)
     merit = np.column_stack([first.merit, others.merit.reshape(count, each)])
     which = np.argmin(merit, axis=1)
-    every = joined([first, others])
-    return every.of(np.where(which == 0, np.arange(count), count + np.arange(count) * each + which - 1))
+    every = concatenated([first, others])
+    return every.select(np.where(which == 0, np.arange(count), count + np.arange(count) * each + which - 1))
 
 
-def _lowest(seen: Seen, count: int, kept: list[int]) -> np.ndarray:
+def _lowest(seen: Evaluations, count: int, kept: list[int]) -> np.ndarray:
     """Return which combinations are lowest: half by their merit, half where a violation weighs lightly."""
     if len(seen.f) <= count:
         return np.arange(len(seen.f))

@@ -14,23 +14,23 @@ from plough_opt.design.effort import Search, effort_of, searched
 from plough_opt.design.exploring import Explored, Explorer, Progress
 from plough_opt.design.infeasible import feasible_from
 from plough_opt.design.ipopt import Point, Vector
-from plough_opt.design.landscape import Landscape, Seen
+from plough_opt.design.landscape import Evaluations, Landscape
 from plough_opt.design.local_optimum import Search as SearchRecord
 from plough_opt.design.optimum import Optimum
 from plough_opt.design.polishing import (
     AS_FOUND,
-    as_it_is,
+    converged_tightly,
     flat_directions,
     minimum_from,
+    point_as_found,
     polished,
-    to_the_last_digit,
 )
 from plough_opt.design.program import Program
 from plough_opt.design.reporting import remarks, reports
 from plough_opt.design.rounding import rounded
 from plough_opt.design.sampling import lines_through
 from plough_opt.design.sensitivity import Solved
-from plough_opt.design.tolerance import Judge, judgement, ranked
+from plough_opt.design.tolerance import Judge, ranked, ranking_criterion
 
 # Basins that are optimised, the best first.
 _MOST_POLISHED = 8
@@ -84,13 +84,13 @@ class _Solve:
     def __init__(self, program: Program, request: Request) -> None:
         self._program, self._request, self._p, self._progress = program, request, request.p, request.progress
         self._landscape = Landscape(program, request.p)
-        self._judged = judgement(self._landscape, request.judge)
+        self._judged = ranking_criterion(self._landscape, request.judge)
 
     def solved(self, vary: tuple[int, ...]) -> Optimum:
         """Return the best optimum, after a search over variables by number, or without any in the guess's basin."""
         program, p, landscape = self._program, self._p, self._landscape
         # What the algebra gives for a design is not searched.
-        given = {variable.number for variable in landscape.settled}
+        given = {variable.number for variable in landscape.eliminated}
         vary = tuple(k for k in vary if k not in given) or vary
         explored: Explored | None = None
         if vary:
@@ -101,7 +101,7 @@ class _Solve:
         order = ranked(landscape, self._request.judge, np.array([point.y for point in points]))
         points, missed = with_enough_steps(program, p, [points[k] for k in order], self._progress)
         self._progress("checking", 0.0)
-        best = to_the_last_digit(program, p, points[0])
+        best = converged_tightly(program, p, points[0])
         best = minimum_from(program, p, best, partial(lower_from, landscape) if landscape.vectorised else None)
         optima, warnings = reports(landscape, [best, *points[1:]])
         confirmed = best.status != AS_FOUND
@@ -125,15 +125,15 @@ class _Solve:
         program, landscape, request = self._program, self._landscape, self._request
         start, required = program.start(), bool(program.declared.requirements)
         effort = effort_of(request.search, len(vary), program.population.runs, landscape.vectorised)
-        explored = Explorer(landscape, start, vary, self._judged, effort, self._progress, request.seed).explored()
-        if not len(explored.bottoms.f) and explored.least is None:
+        explored = Explorer(landscape, start, vary, self._judged, effort, self._progress, request.seed).explore()
+        if not len(explored.minima.f) and explored.least_violating is None:
             raise NotConverged(
-                f"none of {landscape.tried} designs between the bounds has a value: tighten the bounds, or shorten the"
-                " duration",
+                f"none of {landscape.designs_tried} designs between the bounds has a value: tighten the bounds, or"
+                " shorten the duration",
                 "no value",
             )
         size = len(vary), effort.rounds
-        bottoms, points = explored.bottoms, []
+        bottoms, points = explored.minima, []
         if np.any(bottoms.feasible) or not required:
             points = self._optima(bottoms, *size)
         if not points and required:
@@ -141,7 +141,7 @@ class _Solve:
             y = feasible_from(landscape, explored, start)
             bottoms = descend(landscape, y)
             points = self._optima(bottoms, *size)
-            if not points and (met := as_it_is(program, self._p, y)).solved:
+            if not points and (met := point_as_found(program, self._p, y)).solved:
                 points = [met]
         if not points:
             place = program.declared.describe(program.values(bottoms.points[0]))
@@ -152,7 +152,7 @@ class _Solve:
             )
         return explored, points
 
-    def _optima(self, bottoms: Seen, variables: int, rounds: int) -> list[Point]:
+    def _optima(self, bottoms: Evaluations, variables: int, rounds: int) -> list[Point]:
         """Return the local optima of the bottoms that can be best, of a search over so many variables and rounds."""
         program, landscape, p = self._program, self._landscape, self._p
         program.scale_by(float(bottoms.f[np.argmin(bottoms.merit)]) * landscape.objective_scale)
@@ -191,13 +191,13 @@ class _Solve:
         program, landscape, request = self._program, self._landscape, self._request
         variables = program.declared.variables
         own, none = [k for k, v in enumerate(variables) if not v.auxiliary], np.empty(0)
-        sample = explored.sample if explored else Seen(np.empty((0, len(variables))), none, none)
+        sample = explored.sample if explored else Evaluations(np.empty((0, len(variables))), none, none)
         return SearchRecord(
             asked=str(request.search),
             variables=tuple(variables[k].name for k in vary),
-            designs=landscape.tried if explored else 0,
+            designs=landscape.designs_tried if explored else 0,
             one_by_one=not landscape.vectorised,
-            basins=len(explored.bottoms.f) if explored else 1,
+            basins=len(explored.minima.f) if explored else 1,
             polished=polished,
             followed=explored.followed if explored else 0,
             reached=explored.reached if explored else 0,

@@ -66,7 +66,7 @@ def boxes(variables: Sequence[Variable], points: Vector) -> Vector:
     return found.reshape(-1, len(variables))
 
 
-def judgement(landscape: Landscape, judge: Judge) -> Callable[[Vector], Vector]:
+def ranking_criterion(landscape: Landscape, judge: Judge) -> Callable[[Vector], Vector]:
     """Return what gives the scaled value by which designs, a row each, are compared."""
 
     def bare(points: Vector) -> Vector:
@@ -120,10 +120,10 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
     """
     if not landscape.vectorised:
         return None
-    landscape = landscape.of_the_design()
+    landscape = landscape.of_single_design()
     program = landscape.program
     y = y[: len(program.declared.variables)]
-    _, f, g = landscape.settled_rows(boxes(program.declared.variables, y[None]), finer=FINER)
+    _, f, g = landscape.rows_after_elimination(boxes(program.declared.variables, y[None]), finer=FINER)
     sound = np.isfinite(f)
     values = f[sound] * landscape.objective_scale if np.any(sound) else np.array([objective])
     median = float(np.median(values))

@@ -285,7 +285,7 @@ def steps_at(exact: TightEvaluation, designs: Sequence[Sequence[float]], refinem
     return steps
 
 
-def fewer(exact: TightEvaluation, steps: Sequence[int | None]) -> list[int | None]:
+def rough_steps(exact: TightEvaluation, steps: Sequence[int | None]) -> list[int | None]:
     """Return numbers of steps, or harmonics, with which runs are roughly right."""
     return [
         own if own is None or _holds_orbit(exact, k) else max(_FEWEST_STEPS, 2 * own // 5)

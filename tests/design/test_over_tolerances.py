@@ -67,7 +67,7 @@ def test_parameters_move_the_worst():
 
 
 def test_a_worst_below_what_a_sample_showed_is_found_all_the_same(monkeypatch):
-    monkeypatch.setattr(boxed, "bounds_of_worst", lambda *_: (4.0, 5.0))
+    monkeypatch.setattr(boxed, "bounds_on_worst", lambda *_: (4.0, 5.0))
     assert _parabola("worst").solve().objective == pytest.approx(_worst_by_hand(), rel=1e-9)
 
 
@@ -188,7 +188,7 @@ def test_a_bound_on_a_peak_is_solved_in_place(log, sign):
     program = Program(d.declared)
     program.prepare(np.empty(0))
     landscape = Landscape(program, np.empty(0))
-    assert [variable.number for variable in landscape.settled] == [1]
+    assert [variable.number for variable in landscape.eliminated] == [1]
     points = np.random.default_rng(3).random((50, 2))
     seen = landscape(points)
     assert np.array_equal(seen.points[:, 0], points[:, 0])

@@ -8,8 +8,8 @@ from scipy.stats.qmc import Sobol
 
 import plough_opt as po
 from plough_opt.design import population
-from plough_opt.design.landscape import Landscape, barriers, joined, straight_below
-from plough_opt.design.sampling import MOST_DIMENSIONS, lowest_around, sobol_points
+from plough_opt.design.landscape import Landscape, barriers, concatenated, end_straight_downhill
+from plough_opt.design.sampling import MOST_DIMENSIONS, local_minima, sobol_points
 
 
 @pytest.mark.parametrize("n", range(1, MOST_DIMENSIONS + 2))
@@ -50,7 +50,7 @@ def two_valleys():
 def test_the_lowest_designs_of_a_grid_are_its_dips():
     grid = np.linspace(0.0, 1.0, 200)
     merit = grid + np.sin(20.0 * grid)
-    lowest, downhill = lowest_around(grid[:, None], merit)
+    lowest, downhill = local_minima(grid[:, None], merit)
     wall = np.r_[np.inf, merit, np.inf]
     dips = np.flatnonzero((merit < wall[:-2]) & (merit < wall[2:]))
     assert lowest.tolist() == dips[np.argsort(merit[dips])].tolist()
@@ -76,15 +76,15 @@ def at(x, y):
 
 def test_a_barrier_parts_valleys_and_nothing_else(two_valleys):
     left, right, beside = (two_valleys(at(*place)[None]) for place in ((-1.0, 0.0), (1.0, 0.0), (1.2, 0.3)))
-    assert barriers(two_valleys, right, joined([left, beside])).tolist() == [True, False]
+    assert barriers(two_valleys, right, concatenated([left, beside])).tolist() == [True, False]
 
 
 def test_a_design_belongs_to_the_end_to_which_it_falls_straight(two_valleys):
     # Where the slope 2 x (x^2 - 1) + 0.1 is none.
     left, _, right = np.sort(np.roots([2.0, 0.0, -2.0, 0.1]).real)
     ends = two_valleys(np.array([at(left, 0.0), at(right, 0.0)]))
-    assert straight_below(two_valleys, at(1.5, 1.0), ends) == 1
-    assert straight_below(two_valleys, at(-0.5, -1.9), ends) == 0
+    assert end_straight_downhill(two_valleys, at(1.5, 1.0), ends) == 1
+    assert end_straight_downhill(two_valleys, at(-0.5, -1.9), ends) == 0
     # Beyond the ridge at x = 0.05 the other valley is nearer, and behind it.
-    assert straight_below(two_valleys, at(-0.01, 0.0), ends) == 0
-    assert straight_below(two_valleys, at(1.5, 1.0), ends.of([0])) is None
+    assert end_straight_downhill(two_valleys, at(-0.01, 0.0), ends) == 0
+    assert end_straight_downhill(two_valleys, at(1.5, 1.0), ends.select([0])) is None

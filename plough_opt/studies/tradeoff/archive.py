@@ -14,9 +14,9 @@ from plough_opt.design.effort import Search, effort_of, searched
 from plough_opt.design.exploring import Explorer, Progress
 from plough_opt.design.infeasible import feasible_from
 from plough_opt.design.ipopt import Vector
-from plough_opt.design.landscape import FEASIBLE, Landscape, Seen
+from plough_opt.design.landscape import FEASIBLE, Evaluations, Landscape
 from plough_opt.design.sampling import SEED, evolved, sample
-from plough_opt.design.tolerance import NEEDLE, boxes, judgement
+from plough_opt.design.tolerance import NEEDLE, boxes, ranking_criterion
 from plough_opt.studies.tradeoff.domination import beyond_points
 from plough_opt.studies.tradeoff.program import FrontProgram
 
@@ -141,7 +141,7 @@ class Archive:
 
     # --- starts ------------------------------------------------------------------------------------------
 
-    def bottoms(self, p: Vector) -> Seen:
+    def bottoms(self, p: Vector) -> Evaluations:
         """Return the lowest designs of the basins of an objective alone that can be best, the best first.
 
         Args:
@@ -152,21 +152,21 @@ class Archive:
             NotConverged: no design has a value.
         """
         landscape = FrontLandscape(self, p)
-        judged = judgement(landscape, "tolerance")
-        explored = Explorer(landscape, self._start, self.vary, judged, self._effort, self._progress).explored()
+        judged = ranking_criterion(landscape, "tolerance")
+        explored = Explorer(landscape, self._start, self.vary, judged, self._effort, self._progress).explore()
         if not np.any(np.isfinite(explored.sample.merit)):
             raise NotConverged(
-                f"none of {landscape.tried} designs between the bounds has a value: tighten the bounds, or shorten the"
-                " duration",
+                f"none of {landscape.designs_tried} designs between the bounds has a value: tighten the bounds, or"
+                " shorten the duration",
                 "no value",
             )
-        if not np.any(explored.bottoms.feasible):
+        if not np.any(explored.minima.feasible):
             self._progress("looking for a design that meets the requirements", 0.0)
             y = feasible_from(landscape, explored, self._start)
             return descend(landscape, y)
-        values = judged(explored.bottoms.points)
+        values = judged(explored.minima.points)
         limit = values.min() + _CAN_WIN * abs(values.min())
-        return explored.bottoms.of([k for k in np.argsort(values, kind="stable") if values[k] <= limit][:_MOST])
+        return explored.minima.select([k for k in np.argsort(values, kind="stable") if values[k] <= limit][:_MOST])
 
     def evolved_at(self, p: Vector) -> list[Vector]:
         """Return the designs to which evolutions from samples lead at a position, one for each round of the effort."""
@@ -242,7 +242,7 @@ class FrontLandscape(Landscape):
 
     def rows(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
         """Return the scaled objective and requirements, a row for each design."""
-        self.tried += len(points)
+        self.designs_tried += len(points)
         objectives, g = self._archive.look(points, finer=finer, together=together)
         weights, normals, limits = self._question
         g = g.copy()

@@ -9,7 +9,7 @@ import numpy as np
 from plough_opt.design.basin import near_optimum
 from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import REMEDIES, Point, Vector
-from plough_opt.design.polishing import as_it_is, minimum_from, polished
+from plough_opt.design.polishing import minimum_from, point_as_found, polished
 from plough_opt.studies.tradeoff.archive import Archive, FrontLandscape
 from plough_opt.studies.tradeoff.domination import undominated
 from plough_opt.studies.tradeoff.front import Failure
@@ -162,7 +162,7 @@ class Candidates(ABC):
 
     def _polished(self, p: Vector, y: Vector) -> Point:
         """Return the local optimum beside a design that a search found; never a worse one."""
-        begins = as_it_is(self.front.program, p, y)
+        begins = point_as_found(self.front.program, p, y)
         point = self.front.solve(begins, y, p)
         return point if self._no_worse(point, begins) else polished(self.front.program, p, y)
 
@@ -194,7 +194,7 @@ class Candidates(ABC):
 
     def best_from(self, p: Vector, y: Vector) -> Candidate | None:
         """Return the local optimum that parameters ask for beside a design, None where there is none as good."""
-        begins = as_it_is(self.front.program, p, y)
+        begins = point_as_found(self.front.program, p, y)
         near = min(self.found, key=lambda other: float(np.max(np.abs(other.point.y - y))), default=None)
         point = self.front.solve(begins if near is None else near.point, y, p)
         return self.at_the_edge(p, point) if self._no_worse(point, begins) else None

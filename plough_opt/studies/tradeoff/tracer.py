@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Point, Vector
-from plough_opt.design.polishing import as_it_is
+from plough_opt.design.polishing import point_as_found
 from plough_opt.design.sampling import SEED
 from plough_opt.studies.tradeoff.archive import Archive
 from plough_opt.studies.tradeoff.candidates import MATTERS, OTHERS, ROUGHLY, SOUGHT, Candidate, Candidates
@@ -223,4 +223,4 @@ class Tracer(Candidates):
                 # A search integrates more roughly, and may have been wrong about it.
                 if beyond_points(self.places(self.ordered()), at[None])[0] > SOUGHT:
                     p = self.position(at)
-                    self.found.append(Candidate(as_it_is(self.front.program, p, y), p, at, confirmed=False))
+                    self.found.append(Candidate(point_as_found(self.front.program, p, y), p, at, confirmed=False))

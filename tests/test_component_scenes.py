@@ -9,7 +9,7 @@ import pytest
 
 import plough_opt as po
 from plough_opt.core.quantities import QUANTITIES
-from plough_opt.exchange.component.ports import Port, corners, inside
+from plough_opt.exchange.component.ports import Port, corner_points, interior_points
 from plough_opt.motion.vocabulary import MEASURES
 
 WAVE = po.StrengthWave(0.3, 0.6)
@@ -178,7 +178,7 @@ def test_what_cannot_be_is_refused_with_the_reason(r1_scene):
     assert "samples = 0" in _refused(scene, samples=0)
     assert "'cvodes' cannot be part of a component" in _refused(scene, accuracy=po.Accuracy("cvodes"))
     orbit = r1_scene(orbit="periodic", strength_wave=WAVE)
-    assert "has a duration of its own" in _refused(orbit, 1.0)
+    assert "leave the duration out" in _refused(orbit, 1.0)
     free = po.Scene(scene.soil, scene.share, ca.MX.sym("k"), 25.0, 2.0)
     assert "not inputs (k)" in _refused(free, inputs=["share.height"])
     alone = po.Input("k", 1.0, 2.0, symbol=ca.MX.sym("k"))
@@ -257,10 +257,10 @@ def test_a_retreating_share_is_told_of(r1_scene):
 
 def test_many_inputs_are_sampled_at_each_bound_alone():
     few = [Port(f"x{k}", "", 1.0, 3.0, 2.0) for k in range(2)]
-    assert {tuple(x) for x in corners(few)} == {(2.0, 2.0), *itertools.product((1.0, 3.0), repeat=2)}
+    assert {tuple(x) for x in corner_points(few)} == {(2.0, 2.0), *itertools.product((1.0, 3.0), repeat=2)}
     many = [Port(f"x{k}", "", 1.0, 3.0, 2.0) for k in range(9)]
-    assert len(corners(many)) == 19
-    points = np.array(inside(many))
+    assert len(corner_points(many)) == 19
+    points = np.array(interior_points(many))
     assert points.shape == (32, 9)
     assert np.all((points > 1.0) & (points < 3.0))
     # Evenly spread: every half of every input holds at least a quarter of the points.

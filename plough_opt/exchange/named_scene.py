@@ -1,4 +1,4 @@
-"""A scene whose quantities are read and replaced by the names that problem files give them."""
+"""A scene whose quantities are read and replaced by their names in problem files."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -15,24 +15,24 @@ from plough_opt.motion.scene import Scene
 from plough_opt.motion.scene_quantities import quantities_of, with_quantities
 
 DURATION, FRAME, STEEL = BESIDE
-# Part of the share's mass by which all that moves may seem lighter where the frame has no mass: rounding.
+# Part of the share's mass by which rounding may make the moving mass smaller if the frame has none.
 _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
 class NamedScene:
-    """A scene and its duration by the names of their quantities, as "share.height" and "scene.duration".
+    """A scene and its duration, with access to quantities by name, such as "share.height" and "scene.duration".
 
     Args:
-        scene: numeric or symbols.
+        scene: the scene, numeric or symbolic.
         duration: simulated time [s], or None.
-        steel_density: of the share [kg/m^3]. The scene's mass then is that of "scene.frame_mass" and of a share of
-            "scene.steel_density". None: it is a quantity of its own, "scene.mass".
-        symbols: CasADi symbols in scene and duration, by names under which they are replaced too.
+        steel_density: density of the share's material [kg/m^3]. The scene's mass is then the sum of "scene.frame_mass"
+            and of a share of "scene.steel_density". None: the mass is one quantity, "scene.mass".
+        symbols: name -> CasADi symbol in scene and duration, which can be replaced by this name.
 
     Raises:
-        InputError: a share that is heavier than all that moves, or one of symbols whose mass shall be known; symbols
-            that the scene does not hold, or others that it holds.
+        InputError: a share that is heavier than the whole moving mass; a steel density with a symbolic mass or share;
+            a symbol that is not in the scene, or one in the scene that is not given.
         DomainError: a density outside its domain.
     """
 
@@ -47,8 +47,8 @@ class NamedScene:
             return
         if holds_casadi((self.scene.mass, self.scene.share)):
             raise InputError(
-                "steel_density belongs to a numeric scene: this scene's mass or share is an expression, which can"
-                " include the share's own mass"
+                "steel_density needs a numeric scene: this scene's mass or share is an expression; let the mass"
+                " expression include the share's own mass instead"
             )
         BESIDE[STEEL].check(self.steel_density)
         share = self.scene.cone.solid_mass(self.steel_density)
@@ -59,14 +59,12 @@ class NamedScene:
             )
 
     def _check_symbols(self) -> None:
-        """Raise InputError unless the symbols are those of scene and duration."""
+        """Raise InputError unless the given symbols are exactly those in scene and duration."""
         if self.symbols and not self._expressions:
-            raise InputError(
-                f"the scene does not hold the symbol of input '{next(iter(self.symbols))}': it is made of numbers"
-            )
-        known = {hash(symbol) for symbol in self.symbols.values()}
-        held = [symbol for one in self._expressions if is_symbolic(one) for symbol in ca.symvar(one)]
-        if others := {symbol.name() for symbol in held if hash(symbol) not in known}:
+            raise InputError(f"the scene does not hold the symbol of input '{next(iter(self.symbols))}': it is numeric")
+        given = {hash(symbol) for symbol in self.symbols.values()}
+        present = [symbol for one in self._expressions if is_symbolic(one) for symbol in ca.symvar(one)]
+        if others := {symbol.name() for symbol in present if hash(symbol) not in given}:
             raise InputError(
                 f"the scene holds symbols that are not inputs ({', '.join(sorted(others))}): make each an Input with"
                 " its symbol"
@@ -86,13 +84,13 @@ class NamedScene:
 
     @cached_property
     def _of_symbols(self) -> ca.Function:
-        """The expressions in scene and duration as a Function of the symbols."""
+        """Function of the symbols that returns the expressions in scene and duration."""
         function = ca.Function("quantities", [*self.symbols.values()], self._expressions)
         return function if function.is_a("SXFunction") else function.expand()
 
     @cached_property
     def values(self) -> dict[str, Expression]:
-        """Every quantity that the scene has, by name."""
+        """Name -> value of every quantity of the scene."""
         values = {name: value for name, value in quantities_of(self.scene).items() if value is not None}
         if self.steel_density is not None:
             frame = values.pop("scene.mass") - self.scene.cone.solid_mass(self.steel_density)
@@ -109,18 +107,16 @@ class NamedScene:
             return self.values[name]
         check_named("no quantity is named {}", name, EVERY)
         if name in (FRAME, STEEL):
-            raise InputError(
-                f"'{name}' needs a steel_density, which divides the mass into frame and share: give that too"
-            )
+            raise InputError(f"'{name}' needs a steel_density, which divides the mass into frame and share: give one")
         if name == "scene.mass":
-            raise InputError(f"'scene.mass' follows from steel_density and '{FRAME}': use that one")
+            raise InputError(f"'scene.mass' follows from steel_density and '{FRAME}': use '{FRAME}'")
         raise InputError(f"the scene has no '{name}': give it one, or leave the name out")
 
     def replaced(self, changes: Mapping[str, Expression]) -> tuple[Scene, Expression | None]:
         """Return scene and duration with other values, numbers or expressions.
 
         Args:
-            changes: values by name, of every symbol, and of quantities that the scene has.
+            changes: name -> value of every symbol, and of any quantities to change.
         """
         scene, duration = self.scene, self.duration
         if self._expressions:

@@ -1,4 +1,4 @@
-"""Kept results of every kind, read back as what they were."""
+"""`load`: saved results of every kind, read back as objects of their class."""
 
 from importlib import import_module
 from pathlib import Path
@@ -8,7 +8,7 @@ from plough_opt.core.checks import path_of, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.kept import Keepable, read_result
 
-# First bytes of an SQLite file.
+# First bytes of an SQLite file, which the store of a sweep is.
 _STORE: Final = b"SQLite format 3"
 _CLASSES: Final = {
     "plough_opt.motion.run": ("Run",),
@@ -23,17 +23,17 @@ _CLASSES: Final = {
 
 
 def load(path: str | Path) -> Any:
-    """Read a result that ``save``, or a command with ``--json``, wrote, of whatever kind.
+    """Return a result of any kind that ``save``, or a command with ``--json``, wrote.
 
-    It prints, draws itself and gives data frames as it did when it was saved. It does not compute further where that
-    needs what is not data, such as the design behind an optimum: solve again for this.
+    It prints, plots and gives data frames as it did when it was saved. What needs more than data, such as the design
+    behind an optimum, is not saved: solve again for it.
 
     Returns:
         A `Run`, `Machine`, `Optimum`, `LocalOptimum`, `TradeOff`, `AccuracyStudy`, `Fit`, `BatchResult`, or a robust
         optimum.
 
     Raises:
-        InputError: no such file, or not a result of this layout.
+        InputError: there is no such file, or it is not a saved result of this version.
 
     Example:
         >>> import tempfile, plough_opt as po
@@ -46,7 +46,7 @@ def load(path: str | Path) -> Any:
     """
     path = path_of("the result", path)
     if is_store(path):
-        raise InputError(f"{shown(str(path), 200)} is the store of a sweep: po.Sweep.load reads it")
+        raise InputError(f"{shown(str(path), 200)} is the store of a sweep: read it with po.Sweep.load")
     classes: list[type[Keepable]] = [
         getattr(import_module(module), name) for module, names in _CLASSES.items() for name in names
     ]
@@ -58,5 +58,5 @@ def is_store(path: Path) -> bool:
     try:
         with path.open("rb") as file:
             return file.read(len(_STORE)) == _STORE
-    except OSError:  # which `load` reports
+    except OSError:  # `load` reports it
         return False

@@ -118,7 +118,7 @@ def test_what_cannot_be_is_refused_and_nothing_is_written(around_r1, r1_scene, r
         outputs=["force_rms"],
         name="orbit",
     )
-    with pytest.raises(po.InputError, match="no C for the root of an equation"):
+    with pytest.raises(po.InputError, match="periodic orbit as C"):
         write_c(orbit, tmp_path / "orbit")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "taken"]
     assert not list((tmp_path / "taken").iterdir())

@@ -1,4 +1,4 @@
-"""The box between a component's bounds: checks the scenes in it, and finds the number of steps that they all need."""
+"""The box between a component's bounds: which scenes are valid there, and how many steps they need."""
 
 import math
 from collections.abc import Callable
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import DomainError, IntegrationError
-from plough_opt.exchange.component.ports import corners, inside, place
+from plough_opt.exchange.component.ports import corner_points, interior_points, point_text
 from plough_opt.exchange.component.scenes import Resolution, Results, Scenes
 from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.derivatives import derivative_error
@@ -19,14 +19,18 @@ from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 
 Values = dict[str, NDArray[np.float64]]
 
-# Phase [rad] of the fastest oscillation in a step, and in a panel of a quasi-static average; more steps if these fail.
-_PHASE_PER_STEP, _PHASE_PER_PANEL = 0.8, 4.0
+# The first guess of the number of steps: phase [rad] of the fastest oscillation in one step.
+_PHASE_PER_STEP = 0.8
+# The same for a quasi-static average: phase [rad] of the fastest oscillation in one panel.
+_PHASE_PER_PANEL = 4.0
 _MOST_STEPS = 50_000
-_ROUNDS = 6
-# Least force to which errors are related, as a part of V0 sqrt(k0 M).
+# Limit on the number of times that the number of steps is raised.
+_MOST_ROUNDS = 6
+# Errors are relative to a force of at least this part of V0 sqrt(k0 M), so that a share without draft has an error too.
 _LEAST_FORCE = 1e-9
+# A share retreats if its speed falls below minus this part of its largest speed; less is rounding.
 _RETREAT = 1e-6
-# Results that are checked at points of the box. Underscores at the end set them apart from the identifiers of inputs.
+# Results that are checked at points of the box. The underscore at the end keeps their names apart from the inputs'.
 _CHECKED: Results = {
     "draft_": lambda run: run.mean_draft,
     "rms_": lambda run: run.force_rms,
@@ -39,7 +43,7 @@ _CHECKED: Results = {
 
 @dataclass(frozen=True)
 class Resolved:
-    """A resolution, the error that it leaves, and warnings."""
+    """A resolution, its relative error, and warnings about the scenes."""
 
     resolution: Resolution
     error: float
@@ -48,10 +52,10 @@ class Resolved:
 
 @dataclass(frozen=True)
 class Box:
-    """Scenes between the bounds of their inputs.
+    """The scenes between the bounds of their inputs.
 
     Attributes:
-        scenes: of the inputs.
+        scenes: makes a scene from values of the inputs.
         accuracy: the error to reach, or the number of steps.
         outputs: number of intervals between output times.
     """
@@ -68,47 +72,52 @@ class Box:
     def _points(self) -> list[NDArray[np.float64]]:
         """Values of the inputs at which errors are estimated."""
         effects, inputs = self.scenes.scene.effects, self.scenes.inputs
-        # A draft that does not vary in time has no error of steps or panels.
+        # A draft that is constant in time is exact with any number of panels: its corners suffice.
         varies = effects.motion or bool(effects.waves) or effects.tow_ramp is not None or effects.own
-        return [*corners(inputs), *(inside(inputs) if varies else ())]
+        return [*corner_points(inputs), *(interior_points(inputs) if varies else ())]
 
     def resolved(self) -> Resolved:
-        """Return the number of steps that reaches the error between the bounds, or the given one, and its error.
+        """Return the resolution that reaches the wanted error everywhere between the bounds, and its actual error.
+
+        A number of steps in the accuracy is used as it is.
 
         Raises:
             DomainError: bounds outside the model's domain.
         """
-        wanted, needed = self.accuracy.error or DEFAULT_ERROR, self._needed_steps()
-        steps, error = self._refined(self.accuracy.steps or needed, self._error, wanted)
+        wanted, first_guess = self.accuracy.error or DEFAULT_ERROR, self._first_guess()
+        steps, error = self._refined(self.accuracy.steps or first_guess, self._error, wanted)
         notes = []
         if error > wanted:
             notes.append(f"the wanted relative error {wanted:.1e} was not reached: the estimate is {error:.1e}")
         if self._moves:
             wanted = self.accuracy.wanted_derivatives
-            steps, of_derivatives = self._refined(steps, self._derivative_error, wanted)
-            if of_derivatives > wanted:
+            steps, derivative_error = self._refined(steps, self._derivative_error, wanted)
+            if derivative_error > wanted:
                 notes.append(
-                    f"the wanted error {wanted:.1e} of derivatives was not reached: it is {of_derivatives:.1e}"
+                    f"the wanted error {wanted:.1e} of derivatives was not reached: it is {derivative_error:.1e}"
                 )
         resolution = Resolution(steps, self.outputs)
         return Resolved(resolution, error, (*self._warnings(resolution), *notes))
 
     def _refined(self, steps: int, error_of: Callable[[Resolution], float], wanted: float) -> tuple[int, float]:
-        """Return a number of steps whose error is as wanted, unless it is given or too large, and the error."""
+        """Raise the number of steps until the error is as wanted; return both.
+
+        A number of steps in the accuracy stays, and none is raised beyond the limit.
+        """
         error = error_of(Resolution(steps, self.outputs))
-        for _ in range(_ROUNDS):
+        for _ in range(_MOST_ROUNDS):
             if error <= wanted or self.accuracy.steps is not None or 2 * steps > _MOST_STEPS:
                 break
-            # A method of order 8 needs so many more, and in one round at most twice as many are tried.
+            # The error of a method of order 8 falls with the eighth power of the steps; a tenth more for safety.
             steps = math.ceil(steps * min(2.0, 1.1 * (error / wanted) ** 0.125))
             error = error_of(Resolution(steps, self.outputs))
         return steps, error
 
     def _error(self, resolution: Resolution) -> float:
-        """Return the largest relative difference from a finer run, of draft, RMS, and mount force at the outputs."""
+        """Return the largest relative difference from a finer run, in draft, RMS, and mount force over time."""
         worst = 0.0
-        both = (self._evaluated(one) for one in (resolution, resolution.finer(self._moves)))
-        for coarse, fine in zip(*both, strict=True):
+        coarse_run, fine_run = self._evaluated(resolution), self._evaluated(resolution.finer(self._moves))
+        for coarse, fine in zip(coarse_run, fine_run, strict=True):
             least = _LEAST_FORCE * float(fine["scale_"][0])
             size = max(abs(float(fine["draft_"][0])), float(fine["rms_"][0]), least)
             peak = max(float(np.max(np.abs(fine["force_"]))), least)
@@ -119,22 +128,22 @@ class Box:
 
     def _derivative_error(self, resolution: Resolution) -> float:
         """Return the largest error of the motion's derivatives."""
-        solver, given = self.scenes.motion(resolution)
-        varying = {row for k in range(given.n_in()) for row in given.jac_sparsity(0, k).row()}
-        p = np.hstack([given.call(list(x))[0].full() for x in self._points])
-        # Without output times between the ends only the averages matter.
+        solver, parameters_of = self.scenes.motion(resolution)
+        varying = {row for k in range(parameters_of.n_in()) for row in parameters_of.jac_sparsity(0, k).row()}
+        p = np.hstack([parameters_of.call(list(x))[0].full() for x in self._points])
+        # Without output times between the ends only the averages are used: skip the states.
         first = solver.function.numel_out(0) if self.outputs == 1 else 0
         return derivative_error(solver, first, tuple(sorted(varying)), p)
 
-    def _needed_steps(self) -> int:
-        """Return the number of steps, or panels, that the fastest scene at a corner of the bounds needs.
+    def _first_guess(self) -> int:
+        """Return the number of steps, or panels, for the fastest oscillation at any corner of the bounds.
 
         Raises:
-            DomainError: a scene outside the model's domain, or one that needs more steps than the default limit.
+            DomainError: a scene outside the model's domain, or one that needs more steps than the limit.
         """
         most = 0
-        for x in corners(self.scenes.inputs):
-            where = place(self.scenes.inputs, x)
+        for x in corner_points(self.scenes.inputs):
+            where = point_text(self.scenes.inputs, x)
             try:
                 scene, duration = self.scenes.at_numbers(x)
                 scene.check_reaction()
@@ -154,24 +163,28 @@ class Box:
         return most
 
     def _evaluated(self, resolution: Resolution) -> list[Values]:
-        """Return the results that are checked, at the points."""
+        """Return the checked results at every point.
+
+        Raises:
+            DomainError: a result is not finite.
+        """
         function = self.scenes.function(_CHECKED, resolution)
         found = []
         for x in self._points:
             values = {name: value.full().ravel() for name, value in zip(_CHECKED, function.call(list(x)), strict=True)}
             if not all(np.all(np.isfinite(value)) for value in values.values()):
-                what, where = "motion" if self._moves else "draft", place(self.scenes.inputs, x)
+                what, where = "motion" if self._moves else "draft", point_text(self.scenes.inputs, x)
                 raise DomainError(f"the {what} has no finite value at {where}: give the inputs narrower bounds")
             found.append(values)
         return found
 
     def _warnings(self, resolution: Resolution) -> tuple[str, ...]:
-        """Return warnings: of the scene at the inputs' values, and of those between the bounds."""
+        """Return warnings about the scene at the inputs' values, and about those between the bounds."""
         scene, results = self.scenes.scene, self._evaluated(resolution)
         notes = list(scene.warnings())
         bluntest = max(float(values["half_angle_"][0]) for values in results)
-        said = any("plane sections" in note for note in notes)
-        if scene.law.slender and bluntest > PLANE_SECTIONS_LIMIT and not said:
+        warned = any("plane sections" in note for note in notes)
+        if scene.law.slender and bluntest > PLANE_SECTIONS_LIMIT and not warned:
             notes.append(
                 f"within the bounds the half angle reaches {math.degrees(bluntest):.1f} deg: above"
                 f" {math.degrees(PLANE_SECTIONS_LIMIT):.0f} deg the hypothesis of plane sections does not hold"
@@ -179,7 +192,7 @@ class Box:
         lowest = [float(np.min(values["speed_"])) for values in results]
         slowest = int(np.argmin(lowest))
         if lowest[slowest] < -_RETREAT * float(np.max(np.abs(results[slowest]["speed_"]))):
-            where = place(self.scenes.inputs, self._points[slowest])
+            where = point_text(self.scenes.inputs, self._points[slowest])
             notes.append(
                 f"within the bounds the share retreats, as at {where} at up to {-lowest[slowest]:.3g} m/s, and this"
                 " contact law ignores the gap that it leaves"

@@ -1,4 +1,4 @@
-"""Component: one CasADi Function with names, units and bounds of its inputs and outputs."""
+"""`Component`: a CasADi Function whose inputs and outputs have names, units and bounds."""
 
 from __future__ import annotations
 
@@ -14,31 +14,32 @@ from numpy.typing import NDArray
 from plough_opt.core.checks import shown
 from plough_opt.core.errors import DomainError, InputError, nearest
 from plough_opt.core.expressions import Expression, as_number, is_casadi, is_symbolic
-from plough_opt.exchange.component.ports import Port, place
+from plough_opt.exchange.component.ports import Port, point_text
 from plough_opt.motion.accuracy import Accuracy
 
-# Part of the width between bounds by which a number may lie outside, because of rounding.
+# Part of its width by which a number may lie outside its bounds: conversions of units round.
 _SLACK = 1e-9
 
 
 class Component(ca.Function):
-    """A scene as a CasADi Function with named inputs and outputs, which accepts numbers only between its bounds.
+    """A scene as a CasADi Function with named inputs and outputs; it accepts numbers only between its bounds.
 
-    Called with numbers it returns floats and arrays, with SX or MX symbols expressions with exact derivatives::
+    Called with numbers it returns floats and arrays; called with SX or MX symbols it returns expressions with exact
+    derivatives::
 
         draft, rms = component(0.4, 0.25, 5e4)          # in the order of the inputs
         component(scene_stiffness=4e4)["mean_draft"]    # by name, the others at their values
 
-    The rest is that of any Function: ``map``, ``jacobian``, ``save``, and ``call``, which does not check bounds. Inputs
-    and outputs are scalars and columns, named by `Port.argument`. It can be pickled.
+    It has all methods of a Function, such as ``map``, ``jacobian``, ``save``, and ``call``, which does not check
+    bounds. Inputs and outputs are scalars and columns, named by `Port.argument`. It can be pickled.
 
     Attributes:
         inputs: names, units, bounds and values.
-        outputs: names, units, limits, and values where the inputs have theirs.
+        outputs: names, units, limits, and values at the inputs' values.
         accuracy: method and steps.
-        error_estimate: largest relative error [-] found at corners of the bounds and points inside: of mean draft and
-            RMS force relative to the larger of them, of the mount force relative to its peak.
-        warnings: about its results.
+        error_estimate: largest relative error [-] found at corners of the bounds and points inside. Errors of mean
+            draft and RMS force are relative to the larger of the two, those of the mount force to its peak.
+        warnings: warnings about its results.
 
     Example:
         >>> import plough_opt as po
@@ -69,14 +70,14 @@ class Component(ca.Function):
         self.error_estimate, self.warnings = error_estimate, warnings
 
     def __call__(self, *values: Any, **named: Any) -> Any:
-        """Return the outputs of inputs in order, as a tuple or alone; or of inputs by name, as a dictionary.
+        """Return the outputs: as a tuple, or alone if there is one; as a dictionary if the inputs are given by name.
 
         Args:
             values: every input, in order: floats, or SX or MX expressions.
-            named: inputs by name, with dots or underscores; those left out have their values.
+            named: inputs by name, with dots or underscores; omitted ones have their values.
 
         Raises:
-            InputError: too many or too few inputs, an unknown name, an array (``map`` takes many values).
+            InputError: too many or too few inputs, an unknown name, or an array (``map`` takes many values).
             DomainError: a number outside the bounds, for which the steps were not chosen; ``call`` accepts it.
         """
         if named and values:
@@ -84,20 +85,20 @@ class Component(ca.Function):
         if not named and len(values) != len(self.inputs):
             names = ", ".join(port.name for port in self.inputs)
             raise InputError(f"'{self.name()}' takes {len(self.inputs)} inputs ({names}), not {len(values)}")
-        given: list[Any] = self._complete(named) if named else list(values)
-        numbers = not any(map(is_symbolic, given))
-        if numbers:
-            given = [self._number(port, value) for port, value in zip(self.inputs, given, strict=True)]
-        results: list[Any] = self.call(given)
-        if numbers:
-            results = [_plain(value) for value in results]
-            self._check_finite(results, given)
+        x: list[Any] = self._complete(named) if named else list(values)
+        numeric = not any(map(is_symbolic, x))
+        if numeric:
+            x = [self._number(port, value) for port, value in zip(self.inputs, x, strict=True)]
+        results: list[Any] = self.call(x)
+        if numeric:
+            results = [_float_or_array(value) for value in results]
+            self._check_finite(results, x)
         if named:
             return dict(zip((port.name for port in self.outputs), results, strict=True))
         return results[0] if len(results) == 1 else tuple(results)
 
     def _complete(self, named: Mapping[str, Expression]) -> list[Expression]:
-        """Return every input, those that are not named at their values."""
+        """Return every input in order; those that are not named have their values."""
         known = {name: port for port in self.inputs for name in (port.argument, port.name)}
         values: dict[Port, Expression] = {port: port.value for port in self.inputs}
         for name, value in named.items():
@@ -107,11 +108,17 @@ class Component(ca.Function):
                 )
             port = known[name]
             if name == port.name != port.argument in named:
-                raise InputError(f"'{port.name}' is given twice, as '{port.argument}' too: leave one of the two out")
+                raise InputError(f"'{port.name}' is given twice, also as '{port.argument}': leave one of the two out")
             values[port] = value
         return [*values.values()]
 
     def _number(self, port: Port, value: Expression) -> float:
+        """Return an input as a float.
+
+        Raises:
+            InputError: a value that is not a single number.
+            DomainError: a number outside the input's bounds.
+        """
         number = as_number(value) if is_casadi(value) else np.asarray(value)
         if number.dtype.kind not in "iuf":
             raise InputError(f"'{port.name}' = {shown(value)} must be a number or a CasADi expression")
@@ -122,19 +129,20 @@ class Component(ca.Function):
             unit = f" {port.unit}" if port.unit else ""
             raise DomainError(
                 f"{port.name} = {plain:g}{unit} must lie between {port.lower:g} and {port.upper:g}{unit}, the bounds"
-                " for which this component was made: make it with wider ones"
+                " for which this component was made: make one with wider bounds"
             )
         return plain
 
-    def _check_finite(self, results: Sequence[Any], given: Sequence[float]) -> None:
+    def _check_finite(self, results: Sequence[Any], x: Sequence[float]) -> None:
+        """Raise DomainError if a result is not finite."""
         for port, value in zip(self.outputs, results, strict=True):
             if not np.all(np.isfinite(value)):
-                where = place(self.inputs, given)
+                where = point_text(self.inputs, x)
                 raise DomainError(f"'{port.name}' has no finite value at {where}: narrow the component's bounds")
 
     @cached_property
     def slopes(self) -> ca.Function:
-        """Function of the same inputs that returns the derivatives of all outputs, stacked, as a dense matrix."""
+        """Function of the same inputs that returns the derivatives of all outputs, stacked, as one dense matrix."""
         x = [ca.MX.sym(port.argument) for port in self.inputs]
         column = ca.MX.sym("inputs", len(x))
         stacked = ca.vertcat(*self.call(ca.vertsplit(column)))
@@ -144,16 +152,16 @@ class Component(ca.Function):
         return ca.Function(f"{self.name()}_slopes", x, [jacobian(ca.vertcat(*x))], names, ["slopes"], options)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the state to pickle; the slopes are built again when they are needed."""
+        """Return the state to pickle, without the slopes, which are built anew when needed."""
         own = {key: value for key, value in self.__dict__.items() if key not in ("this", "slopes")}
         return {**super().__getstate__(), "own": own}
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
-        """Take a pickled state."""
+        """Restore a pickled state."""
         Component.__init__(self, ca.Function.deserialize(state["serialization"]), **state["own"])
 
     def __copy__(self) -> Component:
-        """Return itself: it is immutable, and CasADi's own copy knows nothing of ports."""
+        """Return itself: it is immutable, and CasADi's copy would lose the ports."""
         return self
 
     def __deepcopy__(self, memo: Any = None) -> Component:
@@ -175,7 +183,7 @@ class Component(ca.Function):
 
 
 def _limits(port: Port) -> str:
-    """Return the bounds of a port in words."""
+    """Return the bounds of a port as text."""
     match math.isfinite(port.lower), math.isfinite(port.upper):
         case True, True:
             return f" {port.lower:g} to {port.upper:g}"
@@ -186,6 +194,6 @@ def _limits(port: Port) -> str:
     return ""
 
 
-def _plain(value: Any) -> float | NDArray[np.float64]:
+def _float_or_array(value: Any) -> float | NDArray[np.float64]:
     array = np.asarray(value, dtype=float).ravel()
     return float(array[0]) if array.size == 1 else array

@@ -1,4 +1,4 @@
-"""Inputs and outputs of a component: as requested (`Input`, `Output`) and as built (`Port`)."""
+"""Inputs and outputs of a component, as requested (`Input`, `Output`) and as built (`Port`)."""
 
 from __future__ import annotations
 
@@ -20,15 +20,17 @@ from plough_opt.laws.law import ResistanceLaw
 from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import MEASURES
 
-# From this ratio of its bounds on an input is sampled by its logarithm.
-_WIDE = 10.0
-# Up to this number of inputs every corner of the box is sampled; beyond it each input at its bounds alone.
-_ALL_CORNERS = 6
-_INSIDE = 32
-BEYOND = 1e-6
-"""Part of the width between its bounds by which an export's input may lie outside, for optimisers that relax bounds."""
+# An input whose bounds have at least this ratio is sampled evenly in its logarithm.
+_LOG_RATIO = 10.0
+# With up to this many inputs all 2^n corners of the box are sampled, otherwise the 2n centres of its faces.
+_MOST_FOR_ALL_CORNERS = 6
+# Number of sampled points inside the box.
+_INTERIOR_POINTS = 32
+RELAXATION = 1e-6
+"""Part of its width by which an input of an export may lie outside its bounds: optimisers relax bounds so far."""
 
-_PEAKS = {"peak_force": "mount_force", "peak_deflection": "deflection"}
+# A peak has no derivative where its time jumps; the signal itself serves instead.
+_SIGNALS_OF_PEAKS = {"peak_force": "mount_force", "peak_deflection": "deflection"}
 
 
 @dataclass(frozen=True)
@@ -38,11 +40,12 @@ class Input:
     Bounds and value are numbers in SI units, texts such as "50 kN/m", or pint quantities.
 
     Args:
-        name: a quantity's name in problem files, as "share.height"; with ``symbol`` any name.
+        name: a quantity's name in problem files, such as "share.height"; with ``symbol`` any name.
         lower: least value that the component accepts; default: half the scene's value.
-        upper: largest value; default: twice the scene's value. Both stay within the model's domain.
-        value: value used if the input is left out; default: the scene's.
-        unit: SI unit; known for a quantity of the scene.
+        upper: largest value that it accepts; default: twice the scene's value. Default bounds stay within the model's
+            domain.
+        value: value used if a caller omits the input; default: the scene's.
+        unit: SI unit; not needed for a quantity of the scene.
         symbol: a CasADi symbol in the scene; it needs bounds.
 
     Raises:
@@ -67,10 +70,16 @@ class Input:
 
 
 def _read_in_si(owner: Input | Output, unit: str | None, sides: Sequence[str]) -> None:
-    """Read fields that may be texts or pint quantities in a unit, or in the owner's own, which becomes SI."""
+    """Convert fields of an input or output to SI; each may be a number, a text or a pint quantity.
+
+    Args:
+        owner: the input or output.
+        unit: SI unit of the fields; None: the owner's unit, or that of the given values.
+        sides: names of the fields.
+    """
     values = [getattr(owner, side) for side in sides]
     if unit is None:
-        # What is infinite is a limit that is left out.
+        # An infinite limit is one that was not given.
         given = [None if isinstance(value, float) and math.isinf(value) else value for value in values]
         unit, _ = unit_of(f"'{owner.name}'", owner.unit or "", *given)
         if owner.unit is not None or any(map(has_unit, values)):
@@ -84,11 +93,11 @@ class Output:
     """A requested output: a result by its name in problem files, or a function of the run.
 
     Args:
-        name: a result's name, as "mean_draft"; with ``of`` any name.
-        lower: limit of the result, if it has one, for an optimiser; the component does not enforce it.
-        upper: the same.
-        of: run -> value, by arithmetic and the functions of `plough_opt.core.expressions`; the run is one of symbols.
-        unit: SI unit; known for a named result.
+        name: a result's name, such as "mean_draft"; with ``of`` any name.
+        lower: lower limit of the result for an optimiser, if any; the component does not enforce it.
+        upper: upper limit.
+        of: symbolic run -> value, computed by arithmetic and the functions of `plough_opt.core.expressions`.
+        unit: SI unit; not needed for a named result.
 
     Raises:
         InputError: limits that contradict each other.
@@ -123,11 +132,12 @@ class Port:
     """An input or output of a component.
 
     Attributes:
-        name: its name, as "share.height".
+        name: its name, such as "share.height".
         unit: SI unit, "" for a pure number.
-        lower: lower bound of an input; limit of an output, or minus infinity.
+        lower: lower bound of an input; lower limit of an output, or minus infinity.
         upper: upper bound or limit.
-        value: of an input, the value used if it is left out; of an output, its value then, the largest of a column.
+        value: for an input, the value used if a caller omits it; for an output, its value at these inputs, the largest
+            one of a column.
         size: number of values: 1, or the number of output times.
     """
 
@@ -140,15 +150,15 @@ class Port:
 
     @property
     def argument(self) -> str:
-        """The name as an identifier, as "share_height"."""
+        """The name as an identifier, such as "share_height"."""
         return identifier(self.name)
 
 
-def port_of(one: Input, quantity: Quantity, value: float) -> Port:
+def port_of(request: Input, quantity: Quantity, value: float) -> Port:
     """Return an input's port.
 
     Args:
-        one: the requested input, whose own value takes precedence over the scene's.
+        request: the requested input, whose own value takes precedence over the scene's.
         quantity: unit and domain.
         value: the scene's value.
 
@@ -156,62 +166,61 @@ def port_of(one: Input, quantity: Quantity, value: float) -> Port:
         InputError: bounds that contradict each other or the value, or another unit.
         DomainError: a number that is not finite.
     """
-    value = value if one.value is None else one.value
-    lower = quantity.low + (value - quantity.low) / 2.0 if one.lower is None else one.lower
-    # Halfway to the end of its domain, and at most twice the value of a quantity that cannot be negative.
+    name = request.name
+    value = value if request.value is None else request.value
+    # Default bounds lie halfway to the ends of the domain, the upper one at no more than twice a non-negative value.
+    lower = quantity.low + (value - quantity.low) / 2.0 if request.lower is None else request.lower
     twice = 2.0 * value if quantity.low >= 0.0 else math.inf
-    upper = min(twice, (value + quantity.high) / 2.0) if one.upper is None else one.upper
-    if one.unit is not None and one.unit != quantity.unit:
-        raise InputError(f"'{one.name}' is in {quantity.unit or 'no unit'}, not in {one.unit}")
+    upper = min(twice, (value + quantity.high) / 2.0) if request.upper is None else request.upper
+    if request.unit is not None and request.unit != quantity.unit:
+        raise InputError(f"'{name}' is in {quantity.unit or 'no unit'}, not in {request.unit}")
     for side, bound in (("lower", lower), ("upper", upper), ("value", value)):
-        check_domain(f"{side} of '{one.name}'", bound, quantity.unit)
+        check_domain(f"{side} of '{name}'", bound, quantity.unit)
     if not lower < upper:
-        raise InputError(f"'{one.name}': lower {lower:g} is not below upper {upper:g} {quantity.unit}: give bounds")
+        raise InputError(f"'{name}': lower {lower:g} is not below upper {upper:g} {quantity.unit}: give bounds")
     if not lower <= value <= upper:
-        raise InputError(f"'{one.name}' = {value:g} lies outside its bounds {lower:g} to {upper:g}")
-    return Port(one.name, quantity.unit, float(lower), float(upper), float(value))
+        raise InputError(f"'{name}' = {value:g} lies outside its bounds {lower:g} to {upper:g}")
+    return Port(name, quantity.unit, float(lower), float(upper), float(value))
 
 
 def identifier(name: str) -> str:
-    """Return a name as an identifier of Python, C and CasADi."""
+    """Return a name as an identifier that is valid in Python, C and CasADi."""
     return re.sub(r"\W+|_{2,}", "_", name, flags=re.ASCII).strip("_")
 
 
-def place(inputs: Sequence[Port], x: Iterable[float]) -> str:
-    """Return values of inputs in words."""
+def point_text(inputs: Sequence[Port], x: Iterable[float]) -> str:
+    """Return values of the inputs as text: "share.height = 0.25 m, ..."."""
     return ", ".join(f"{port.name} = {value:.6g} {port.unit}".rstrip() for port, value in zip(inputs, x, strict=True))
 
 
 def check_names(kind: str, names: Sequence[str]) -> None:
-    """Raise InputError if there are no names, one is not an identifier, or two of them are the same identifier."""
+    """Raise InputError if there are no names, one gives no identifier, or two give the same identifier."""
     if not names:
         raise InputError(f"a component needs {kind}s: name at least one")
-    seen: dict[str, str] = {}
+    name_of: dict[str, str] = {}
     for name in names:
-        own = identifier(name) if isinstance(name, str) else ""
-        if not own.isidentifier() or unprintable(name, allowed=""):
+        argument = identifier(name) if isinstance(name, str) else ""
+        if not argument.isidentifier() or unprintable(name, allowed=""):
             raise InputError(
                 f"{kind} {shown(name)} must be a name that begins with a letter and has printable characters only"
             )
-        if own in seen:
-            raise InputError(
-                f"{kind} '{name}' is given twice" if seen[own] == name else f"'{seen[own]}' and '{name}' clash"
-            )
-        seen[own] = name
+        if argument in name_of:
+            other = name_of[argument]
+            raise InputError(f"{kind} '{name}' is given twice" if other == name else f"'{other}' and '{name}' clash")
+        name_of[argument] = name
 
 
 def measure_of(output: Output, law: ResistanceLaw) -> tuple[str, Callable[[Run], Expression]]:
-    """Return unit and function of an output.
+    """Return an output's unit, and the function that computes it from a run.
 
     Raises:
         InputError: an unknown result, or one that this scene does not have.
     """
     if output.of is not None:
         return output.unit or "", output.of
-    if output.name in _PEAKS:
-        raise InputError(
-            f"'{output.name}' has no derivative: use '{_PEAKS[output.name]}', which has a value at every output time"
-        )
+    if output.name in _SIGNALS_OF_PEAKS:
+        signal = _SIGNALS_OF_PEAKS[output.name]
+        raise InputError(f"'{output.name}' has no derivative: use '{signal}', which has a value at every output time")
     if output.name not in MEASURES:
         raise InputError(f"no result is named '{output.name}': {nearest(output.name, MEASURES)}")
     measure = MEASURES[output.name]
@@ -219,10 +228,13 @@ def measure_of(output: Output, law: ResistanceLaw) -> tuple[str, Callable[[Run],
     return measure.unit.symbol, measure.of
 
 
-def corners(inputs: Sequence[Port]) -> list[NDArray[np.float64]]:
-    """Return the values, and the corners of the box of the bounds; of many inputs only one at its bounds at a time."""
+def corner_points(inputs: Sequence[Port]) -> list[NDArray[np.float64]]:
+    """Return the inputs' values, and the corners of the box between their bounds.
+
+    With many inputs the corners would be too many: each point then has a single input at a bound.
+    """
     values = np.array([port.value for port in inputs])
-    if len(inputs) <= _ALL_CORNERS:
+    if len(inputs) <= _MOST_FOR_ALL_CORNERS:
         return [values, *map(np.array, itertools.product(*((port.lower, port.upper) for port in inputs)))]
     points = [values]
     for k, port in enumerate(inputs):
@@ -231,17 +243,19 @@ def corners(inputs: Sequence[Port]) -> list[NDArray[np.float64]]:
     return points
 
 
-def inside(inputs: Sequence[Port]) -> list[NDArray[np.float64]]:
-    """Return some points spread evenly inside the box of the bounds."""
-    # Roberts's additive recurrence: powers of the root of x^(n + 1) = x + 1.
+def interior_points(inputs: Sequence[Port]) -> list[NDArray[np.float64]]:
+    """Return points spread evenly inside the box between the inputs' bounds."""
+    # Roberts's low-discrepancy sequence, whose increments are powers of the root of x^(n + 1) = x + 1.
     root = 2.0
     for _ in range(60):
         root = (1.0 + root) ** (1.0 / (len(inputs) + 1))
-    fractions = (0.5 + np.outer(np.arange(1, _INSIDE + 1), root ** -np.arange(1.0, len(inputs) + 1))) % 1.0
+    increments = root ** -np.arange(1.0, len(inputs) + 1)
+    fractions = (0.5 + np.outer(np.arange(1, _INTERIOR_POINTS + 1), increments)) % 1.0
     return [np.array([_between(port, f) for port, f in zip(inputs, row, strict=True)]) for row in fractions]
 
 
 def _between(port: Port, fraction: float) -> float:
-    if port.lower > 0.0 and port.upper > _WIDE * port.lower:
+    """Return the value at a fraction of the way from the lower to the upper bound."""
+    if port.lower > 0.0 and port.upper > _LOG_RATIO * port.lower:
         return float(port.lower * (port.upper / port.lower) ** fraction)
     return float(port.lower + (port.upper - port.lower) * fraction)

@@ -1,4 +1,7 @@
-"""The scenes of a component's inputs, and Functions of these: small scalar graphs around one loop over steps."""
+"""Scenes made from a component's inputs, and CasADi Functions of their results.
+
+Each Function consists of small scalar graphs around one loop over the integration steps.
+"""
 
 from __future__ import annotations
 
@@ -22,14 +25,17 @@ from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure, parameters
 from plough_opt.motion.timeline import Timeline
 
-Make = Callable[[Mapping[str, Expression]], tuple[Scene, Expression | None]]
-"""Values of the inputs by name, numbers or symbols -> scene and duration [s]."""
+MakeScene = Callable[[Mapping[str, Expression]], tuple[Scene, Expression | None]]
+"""Values of the inputs by name, numbers or symbols -> scene and duration [s] or None."""
 
 Results = Mapping[str, Callable[[Run], Expression]]
 """Name of each result -> its value in a symbolic run, a scalar or a column."""
 
 GAUSS_POINTS = 10
-"""Nodes in each panel of a quasi-static average."""
+"""Quadrature nodes in each panel of a quasi-static average."""
+
+_MORE_POINTS = 6
+"""Further nodes for a finer quadrature, whose result checks the coarser one."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +43,9 @@ class Resolution:
     """How finely a run is resolved.
 
     Attributes:
-        steps: of order 8, or panels of a quasi-static average.
-        outputs: equal intervals between output times.
-        points: nodes in a panel.
+        steps: number of steps of order 8, or of panels of a quasi-static average.
+        outputs: number of equal intervals between output times.
+        points: number of quadrature nodes in a panel.
     """
 
     steps: int
@@ -48,15 +54,15 @@ class Resolution:
 
     def finer(self, motion: bool) -> Resolution:
         """Return a finer resolution, whose results check those of this one."""
-        return replace(self, steps=2 * self.steps) if motion else replace(self, points=self.points + 6)
+        return replace(self, steps=2 * self.steps) if motion else replace(self, points=self.points + _MORE_POINTS)
 
 
 @dataclass(frozen=True)
 class Scenes:
-    """The scenes of some inputs.
+    """The scenes that a component's inputs describe.
 
     Attributes:
-        name: of Functions.
+        name: name of every Function made here.
         inputs: names, units, bounds and values.
         make: values of the inputs -> scene and duration.
 
@@ -66,7 +72,7 @@ class Scenes:
 
     name: str
     inputs: tuple[Port, ...]
-    make: Make
+    make: MakeScene
 
     def __post_init__(self) -> None:
         effects = self.scene.effects
@@ -83,69 +89,73 @@ class Scenes:
         return self.at([port.value for port in self.inputs])[0]
 
     def at(self, x: Sequence[Expression]) -> tuple[Scene, Expression]:
-        """Return scene and duration of inputs in order.
+        """Return scene and duration at values of the inputs, given in order.
 
         Raises:
-            InputError: no duration, or one for an orbit.
+            InputError: the duration is missing, or it is given for a periodic orbit.
         """
         scene, duration = self.make({port.name: value for port, value in zip(self.inputs, x, strict=True)})
         if scene.effects.orbit == "transient":
             if duration is None:
-                raise InputError("the duration is missing: how long shall the scene be simulated, in seconds?")
+                raise InputError("the duration is missing: give the time to simulate, in seconds")
             BESIDE["scene.duration"].check(duration)
             return scene, duration
         if duration is not None:
-            raise InputError("a lasting orbit has a duration of its own, one wavelength of the soil: leave it out")
+            raise InputError("a periodic orbit lasts one wavelength of the soil strength: leave the duration out")
         return scene, scene.wave_period
 
     def at_numbers(self, x: Iterable[float]) -> tuple[Scene, float]:
-        """Return numeric scene and duration of numbers in order."""
+        """Return the numeric scene and duration at numeric values of the inputs, given in order."""
         scene, duration = self.at([float(value) for value in x])
         return scene, float(as_number(duration))
 
     @cached_property
     def _symbolic(self) -> tuple[Any, list[Any], Scene, Expression]:
-        """Return a kind of symbols, symbols of the inputs, and scene and duration of these."""
-        # A law with large sums or loops is one node of MX.
+        """Return the CasADi type, a symbol of it for each input, and the scene and duration of these symbols."""
+        # In MX a law with large sums or loops stays one node; SX would unroll it.
         kind: Any = ca.SX if self.scene.law.scalar else ca.MX
         x = [kind.sym(port.argument) for port in self.inputs]
         return kind, x, *self.at(x)
 
     def function(self, results: Results, resolution: Resolution) -> ca.Function:
-        """Return results of a run, each a dense column, as a Function of the inputs, whose defaults are their values.
+        """Return results of a run, each a dense column, as a Function of the inputs.
+
+        Inputs that a caller omits have their values.
 
         Args:
-            results: by name.
+            results: the results by name.
             resolution: steps and outputs.
         """
         kind, x, scene, duration = self._symbolic
-        arguments, values = [port.argument for port in self.inputs], [port.value for port in self.inputs]
-        names, options = list(results), {"default_in": values}
+        arguments, names = [port.argument for port in self.inputs], list(results)
+        options = {"default_in": [port.value for port in self.inputs]}
 
         def columns(run: Run) -> list[Any]:
             return [ca.densify(ca.vec(kind(result(run)))) for result in results.values()]
 
         if not scene.effects.motion:
-            timeline = self._timeline(resolution)
-            found = columns(quasi_static(scene, duration, timeline, Accuracy(), resolution.points))
-            return ca.Function(self.name, x, found, arguments, names, options)
-        solver, given = self.motion(resolution)
-        moved = solver.function
-        states, means, variances = of_run = [kind.sym(f"o{k}", *moved.size_out(k)) for k in range(moved.n_out())]
+            run = quasi_static(scene, duration, self._timeline(resolution), Accuracy(), resolution.points)
+            return ca.Function(self.name, x, columns(run), arguments, names, options)
+        # Three Functions are chained: inputs -> parameters -> motion (the loop over the steps) -> results.
+        solver, parameters_of = self.motion(resolution)
+        integrate = solver.function
+        motion = [kind.sym(f"o{k}", *integrate.size_out(k)) for k in range(integrate.n_out())]
+        states, means, variances = motion
         fractions = solver.timeline.output_fractions
         run = assemble(scene, duration, fractions, states.T, means, variances, solver.accuracy)
-        around = ca.Function("results", [*x, *of_run], columns(run))
+        results_of = ca.Function("results", [*x, *motion], columns(run))
         symbols = [ca.MX.sym(argument) for argument in arguments]
-        found = around.call([*symbols, *moved.call(given.call(symbols))])
-        return ca.Function(self.name, symbols, found, arguments, names, options)
+        values = results_of.call([*symbols, *integrate.call(parameters_of.call(symbols))])
+        return ca.Function(self.name, symbols, values, arguments, names, options)
 
     def gives_columns(self, results: Results) -> bool:
-        """Return whether any result is a column, which a run with two output times shows."""
+        """Return whether any result is a column over the output times."""
+        # The shortest run has two output times, at start and end: a result with a value at each has two rows.
         function = self.function(results, Resolution(1, 1))
         return any(function.numel_out(k) > 1 for k in range(function.n_out()))
 
     def motion(self, resolution: Resolution) -> tuple[Integration, ca.Function]:
-        """Return the integration of a run, and its parameters, the duration last, as a Function of the inputs."""
+        """Return the integration of a run, and a Function from the inputs to its parameters, the duration last."""
         _, x, scene, duration = self._symbolic
         timeline = self._timeline(resolution)
         solver = integration(Structure.of(scene), Accuracy("dop853", steps=timeline.steps), timeline)
@@ -155,6 +165,6 @@ class Scenes:
     def _timeline(self, resolution: Resolution) -> Timeline:
         """Return the times of a run of symbols."""
         _, _, scene, duration = self._symbolic
-        # With outputs at its two ends alone none lies between steps.
+        # Outputs at start and end alone need no interpolation between steps.
         method: str | None = "dop853" if scene.effects.motion and resolution.outputs > 1 else None
         return timeline_of(scene, duration, resolution.outputs, resolution.steps, method, symbolic=True)

@@ -1,4 +1,4 @@
-"""Scenes for other tools: C, a serialised CasADi Function, OpenMDAO, an FMU; and shares as parts.
+"""Exports: scenes as C, CasADi Function, OpenMDAO component or FMU, and shares as parts.
 
 Users import the functions from `plough_opt.export`.
 """

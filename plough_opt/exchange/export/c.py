@@ -1,4 +1,4 @@
-"""A component as C: source, header, and a test that holds it against the values that Python finds."""
+"""A component as C: source, header, and a test that compares it with Python's values."""
 
 import json
 from collections.abc import Collection, Iterable, Mapping
@@ -10,32 +10,33 @@ import casadi as ca
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import check_new_folder, write_folder
 from plough_opt.exchange.component import Component, Port
-from plough_opt.exchange.component.ports import BEYOND, corners, inside
+from plough_opt.exchange.component.ports import RELAXATION, corner_points, interior_points
 
-ULP = 4
+MOST_ULP = 4
 """Units in the last place by which a compiled result may differ from Python's."""
 
-# Points at which the test holds values and derivatives against Python's, beside the corners of the bounds.
-_POINTS = 6
+# The written test compares at this many points inside the bounds, and at up to `_MOST_CORNERS` corners.
+_INTERIOR_POINTS = 6
+_MOST_CORNERS = 9
 
 
 def write_c(component: Component, path: str | Path) -> Path:
     """Write a component as C99 without dependencies, into a new folder.
 
-    The folder holds, of a component named ``share``: ``share.h`` and ``share.c`` with the values and the Jacobian;
-    ``share_test.c``, which fails where a compiled result differs from Python's by more than 4 units in the last place;
-    and a Makefile that runs it. Compile with ``-ffp-contract=off``: a compiler that fuses products and sums rounds
-    otherwise than Python.
+    For a component named ``share`` the folder holds ``share.h`` and ``share.c`` with the values and the Jacobian;
+    ``share_test.c``, which fails if a compiled result differs from Python's by more than 4 units in the last place;
+    and a Makefile that runs this test. Compile with ``-ffp-contract=off``: a compiler that fuses products and sums
+    rounds differently from Python.
 
     Args:
-        component: what to write; its name is that of the C functions.
-        path: of the folder, which must not exist.
+        component: the component; its name becomes the prefix of the C functions.
+        path: path of the folder, which must not exist.
 
     Returns:
         The path.
 
     Raises:
-        InputError: the folder exists or cannot be written, or a component that has no C.
+        InputError: the folder exists or cannot be written, or CasADi cannot write the component as C.
     """
     target = check_new_folder(path, "C source")
     name, functions = component.name(), _functions(component)
@@ -49,7 +50,7 @@ def write_c(component: Component, path: str | Path) -> Path:
 
 
 def _header(component: Component) -> str:
-    """Return the header: what goes in, what comes out, and two functions."""
+    """Return the header: inputs, outputs and two functions."""
     name, upper = component.name(), component.name().upper()
     comment = "\n".join(f" * {line}".rstrip() for line in str(component).replace("*/", "* /").splitlines())
     values = sum(port.size for port in component.outputs)
@@ -94,26 +95,26 @@ int {name}_jacobian(const double *inputs, double *jacobian);
 
 
 def _functions(component: Component) -> dict[str, ca.Function]:
-    """Return the Functions of all inputs, a column, to all outputs, and to the Jacobian.
+    """Return Functions from one column of all inputs to all outputs, and to their Jacobian.
 
-    The Jacobian is transposed, for CasADi's matrices run column by column.
+    The Jacobian is transposed because CasADi stores matrices by columns, and the header promises rows.
     """
     name, x = component.name(), ca.MX.sym("x", len(component.inputs))
-    each = ca.vertsplit(x)
+    inputs = ca.vertsplit(x)
     return {
-        "evaluate": ca.Function(f"{name}_values", [x], [ca.vertcat(*component.call(each))]),
-        "jacobian": ca.Function(f"{name}_slopes", [x], [component.slopes(*each).T]),
+        "evaluate": ca.Function(f"{name}_values", [x], [ca.vertcat(*component.call(inputs))]),
+        "jacobian": ca.Function(f"{name}_slopes", [x], [component.slopes(*inputs).T]),
     }
 
 
 def _source(component: Component, functions: Mapping[str, ca.Function]) -> str:
-    """Return what CasADi writes of the Functions, and around it the header's two and its tables."""
+    """Return CasADi's code of the Functions, with the tables and the two functions that the header declares."""
     name = component.name()
     outputs = [(port, k) for port in component.outputs for k in range(port.size)]
     parts = [
         f'#include <float.h>\n#include <math.h>\n#include <stdlib.h>\n\n#include "{name}.h"\n',
         _UNUSED,
-        _graph(name, functions.values()),
+        _casadi_code(name, functions.values()),
         _strings(f"{name}_input_names", (port.name for port in component.inputs)),
         _strings(f"{name}_input_units", (port.unit for port in component.inputs)),
         _doubles(f"{name}_input_lower", [port.lower for port in component.inputs]),
@@ -121,22 +122,22 @@ def _source(component: Component, functions: Mapping[str, ca.Function]) -> str:
         _doubles(f"{name}_input_values", [port.value for port in component.inputs]),
         _strings(f"{name}_output_names", (_element(port, k) for port, k in outputs)),
         _strings(f"{name}_output_units", (port.unit for port, _ in outputs)),
-        _OUTSIDE.format(name=name, count=len(component.inputs), beyond=float(BEYOND).hex()),
-        *(_call(name, verb, function) for verb, function in functions.items()),
+        _OUTSIDE.format(name=name, count=len(component.inputs), beyond=float(RELAXATION).hex()),
+        *(_public_function(name, verb, function) for verb, function in functions.items()),
     ]
     return "\n".join(parts)
 
 
-def _graph(name: str, functions: Collection[ca.Function]) -> str:
-    """Return CasADi's C of Functions.
+def _casadi_code(name: str, functions: Collection[ca.Function]) -> str:
+    """Return the C code that CasADi generates for Functions.
 
     Raises:
-        InputError: a part for which CasADi has no C.
+        InputError: the Functions contain a root finder, for which CasADi generates no C.
     """
     if any(inner.class_name() == "Newton" for function in functions for inner in function.find_functions()):
         raise InputError(
-            "CasADi has no C for the root of an equation, which a lasting orbit is: export it to casadi instead, take"
-            " orbit = 'linearised', or simulate from a start"
+            "CasADi cannot write the solver of a periodic orbit as C: export to casadi instead, use"
+            " orbit = 'linearised', or simulate from a start (orbit = 'transient')"
         )
     generator = ca.CodeGenerator(f"{name}_graph.c")
     for function in functions:
@@ -144,8 +145,8 @@ def _graph(name: str, functions: Collection[ca.Function]) -> str:
     return str(generator.dump())
 
 
-def _call(name: str, verb: str, function: ca.Function) -> str:
-    """Return a function of the header that calls one of CasADi's with memory to work in."""
+def _public_function(name: str, verb: str, function: ca.Function) -> str:
+    """Return the C of a function in the header: it checks the inputs, and calls CasADi's with working memory."""
     sizes = [int(size) for size in (function.sz_arg(), function.sz_res(), function.sz_iw() + 1, function.sz_w() + 1)]
     return f"""int {name}_{verb}(const double *inputs, double *results) {{
   const casadi_real *arg[{sizes[0]}];
@@ -169,14 +170,16 @@ def _call(name: str, verb: str, function: ca.Function) -> str:
 
 
 def _test(component: Component, functions: Mapping[str, ca.Function]) -> str:
-    """Return a program that compares values and derivatives with those that Python finds now."""
-    points = [*inside(component.inputs)[:_POINTS], *corners(component.inputs)[: _POINTS + 3]]
+    """Return a C program that compares values and derivatives with those that Python computes now."""
+    corners = corner_points(component.inputs)[:_MOST_CORNERS]
+    points = [*interior_points(component.inputs)[:_INTERIOR_POINTS], *corners]
     rows = {verb: _rows(function(x).full().ravel(order="F") for x in points) for verb, function in functions.items()}
     name = component.name()
-    return _TEST.format(name=name, upper=name.upper(), count=len(points), points=_rows(points), most=ULP, **rows)
+    return _TEST.format(name=name, upper=name.upper(), count=len(points), points=_rows(points), most=MOST_ULP, **rows)
 
 
 def _element(port: Port, k: int) -> str:
+    """Return the name of element k of an output, with an index if it is a column."""
     return f"{port.name}[{k}]" if port.size > 1 else port.name
 
 
@@ -197,7 +200,7 @@ def _rows(values: Iterable[Iterable[float]]) -> str:
     return ",\n".join(f"  {{{_row(row)}}}" for row in values)
 
 
-# What CasADi writes has parameters of one form, used or not.
+# All functions that CasADi generates have the same parameters, whether they use them or not.
 _UNUSED = """\
 #ifdef __GNUC__
 #pragma GCC diagnostic ignored "-Wunused-parameter"

@@ -1,4 +1,4 @@
-"""FMU of a scene: a share on its mount for model exchange by the Functional Mock-up Interface, version 3.0."""
+"""`write_fmu`: a share on its mount as a Functional Mock-up Unit for model exchange, FMI 3.0."""
 
 import io
 import platform
@@ -24,9 +24,10 @@ from plough_opt.motion.scene import Scene
 _NAME: Final = re.compile(r"[A-Za-z_]\w{0,62}", re.ASCII)
 _SYSTEMS: Final = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "windows": ("windows", ".dll")}
 _PROCESSORS: Final = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
-# Characters from which a source takes minutes to optimise: a density profile's, whose result is computed once in a run.
-_LONG: Final = 500_000
-# The earliest date of a zip file, for every entry: the same scene gives the same file.
+# A longer source (in characters) is compiled without optimisation, which would take minutes. Only a density profile
+# makes one so long, and it is evaluated once in a run.
+_MOST_OPTIMISED: Final = 500_000
+# Every entry of the archive has the earliest date that zip files allow, so that the same scene gives the same file.
 _DATE: Final = (1980, 1, 1, 0, 0, 0)
 
 
@@ -42,30 +43,31 @@ def write_fmu(
 ) -> Path:
     """Write the moving share of a scene as an FMU, FMI 3.0 for model exchange.
 
-    The input is the strut's speed or position, the outputs are travel, speed, deflection, mount force and soil
-    resistance, and every number of soil, share, mount and effects is a parameter; see docs/fmu.md. The tool that
-    imports the FMU integrates it; events of stick and slip and of entry have event indicators. The start follows from
-    the parameters and from the input at that time. Parameters may change at events ("tunable").
+    The input is the strut's speed or position. The outputs are travel, speed, deflection, mount force and soil
+    resistance. Every number of soil, share, mount and effects is a parameter, which may change at events ("tunable");
+    see docs/fmu.md. The importing tool integrates the FMU; event indicators mark stick, slip and entry. The FMU
+    computes its start from the parameters and from the input at that time.
 
     Args:
-        scene: numeric, with motion from a start. Its tow speed is the input's default.
-        path: of the FMU, ending in .fmu; an existing file is replaced, and nothing is written if anything fails.
-        strut: whether the input is the strut's ``"speed"`` [m/s] or ``"position"`` [m].
-        steel_density: of the share's material [kg/m^3]; the share's own mass is then a part of the scene's, computed
-            from the parameters of its shape. None: the mass is a parameter of its own.
+        scene: a numeric scene with motion from a start. Its tow speed is the input's default.
+        path: path of the FMU, ending in .fmu; an existing file is replaced, and nothing is written if anything fails.
+        strut: the input: the strut's ``"speed"`` [m/s] or ``"position"`` [m].
+        steel_density: density of the share's material [kg/m^3]. The share's own mass is then a part of the scene's and
+            follows the parameters of its shape. None: the whole mass is one parameter.
         duration: proposed duration of a simulation [s].
-        name: of the model, a C identifier.
-        binary: whether to compile for this machine; else the FMU contains only C source, which a tool may compile.
+        name: name of the model, a C identifier.
+        binary: whether to compile for this machine; otherwise the FMU contains C source only, which a tool may compile.
 
     Returns:
         The path.
 
     Raises:
         DomainError: a duration or density outside its domain.
-        InputError: a scene that is not an initial value problem, symbols or arrays in it, a strut's position where its
-            speed is needed, a name that is not a C identifier, no compiler, or a path that cannot be written.
+        InputError: a scene that is not an initial value problem, or that holds symbols or arrays; the strut's position
+            as input where its speed is needed; a name that is not a C identifier; a missing compiler; or a path that
+            cannot be written.
     """
-    target, scene, by_speed = check_file(path, ".fmu", "FMU"), _numbers(scene), strut == "speed"
+    target, scene, by_speed = check_file(path, ".fmu", "FMU"), _numeric(scene), strut == "speed"
     _check(scene, strut, duration, name)
     model = model_of(NamedScene(scene, steel_density=steel_density), by_speed=by_speed)
     source, token = c_source(model, pushes=scene.effects.contact == "resisting", by_speed=by_speed)
@@ -84,26 +86,32 @@ def write_fmu(
 
 def _check(scene: Scene, strut: str, duration: float | None, name: str) -> None:
     """Raise InputError or DomainError if a scene or an option cannot be exported."""
-    check_choice("strut", strut, ("speed", "position"), ", which the FMU's input is to be")
+    check_choice("strut", strut, ("speed", "position"), ", the FMU's input")
     if not _NAME.fullmatch(name):
         raise InputError(f"name = {name!r} must be a C identifier: letters, digits and _, at most 63, no digit first")
     if not scene.effects.motion:
         raise InputError("a scene without motion has nothing to integrate: an FMU needs effects with motion = True")
     if scene.effects.orbit != "transient":
         raise InputError(
-            "a lasting orbit has no start to integrate from: an FMU needs effects with orbit = 'transient'"
+            "a periodic orbit has no start to integrate from: an FMU needs effects with orbit = 'transient'"
         )
     if duration is not None:
         BESIDE["scene.duration"].check(duration)
     scene.check_reaction()
 
 
-def _numbers(scene: Scene) -> Scene:
-    """Return the scene with plain numbers in it."""
+def _numeric(scene: Scene) -> Scene:
+    """Return the scene with every number as a float.
+
+    Raises:
+        InputError: the scene holds symbols or arrays.
+    """
 
     def number(value: Any) -> float:
         if not is_symbolic(value) and as_number(value).size != 1:
-            raise InputError(f"the scene holds an array of {as_number(value).size} values: an FMU is of one scene")
+            raise InputError(
+                f"the scene holds an array of {as_number(value).size} values: an FMU holds one scene, so give one value"
+            )
         return float(as_number(value))
 
     plain: Scene = map_expressions(scene, number, lambda value: is_casadi(value) or isinstance(value, np.ndarray))
@@ -111,32 +119,38 @@ def _numbers(scene: Scene) -> Scene:
 
 
 def _platform() -> tuple[str, str]:
-    """Return the folder and the suffix of binaries for this machine, as FMI 3.0 names them."""
+    """Return folder and suffix of binaries for this machine, as FMI 3.0 names them."""
     system, processor = platform.system().lower(), platform.machine().lower()
     if system not in _SYSTEMS or processor not in _PROCESSORS:
         raise InputError(
-            f"FMI has no name for binaries of {system} on {processor}: use binary=False (--sources), and let the"
-            " tool compile the sources"
+            f"FMI 3.0 does not define binaries for {system} on {processor}: use binary=False (--sources), and let the"
+            " importing tool compile the sources"
         )
     word, suffix = _SYSTEMS[system]
     return f"{_PROCESSORS[processor]}-{word}", suffix
 
 
 def _compiled(source: str) -> bytes:
+    """Return the shared library of a C source.
+
+    Raises:
+        InputError: there is no compiler, or it fails.
+    """
     command = find_compiler()
     if command is None:
         raise InputError(
-            "no C compiler was found (cc, gcc, clang, or $CC): install one, or use binary=False (--sources) for an FMU"
-            " of sources, which the importing tool compiles"
+            "no C compiler was found (cc, gcc, clang, or $CC): install one, or use binary=False (--sources) and let the"
+            " importing tool compile the sources"
         )
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "share"
-        flags = ("-std=c11", "-O0" if len(source) > _LONG else "-O1", "-fvisibility=hidden", "-ffp-contract=off")
+        optimisation = "-O0" if len(source) > _MOST_OPTIMISED else "-O1"
+        flags = ("-std=c11", optimisation, "-fvisibility=hidden", "-ffp-contract=off")
         problem = compile_library(source, (*command, *flags), made, ("-lm",))
         if problem is not None:
             raise InputError(
-                f"{command[0]} could not compile the FMU ({problem}): set $CC to another compiler, or use binary ="
-                " False for an FMU of sources"
+                f"{command[0]} could not compile the FMU ({problem}): set $CC to another compiler, or use binary=False"
+                " (--sources) and let the importing tool compile the sources"
             )
         return made.read_bytes()
 

@@ -1,4 +1,4 @@
-"""The files of an FMU: modelDescription.xml, its documentation, and the C source with how to compile it."""
+"""The files of an FMU: model description, documentation, C source and build description."""
 
 import hashlib
 import html
@@ -18,11 +18,11 @@ _CATEGORIES: Final = {
     "logStatusWarning": "warnings about a run",
     "logStatusError": "why a call was refused",
 }
-# Relative tolerance that the FMU proposes: the default error of forces.
+# Relative tolerance proposed for integration: the default error of forces.
 _TOLERANCE: Final = 1e-8
-# Base units as FMI and as pint call them.
-_BASE: Final = {"kg": "kilogram", "m": "meter", "s": "second", "rad": "radian"}
-# Numbers of variables by kind, as the runtime calls them.
+# Base units: FMI's symbol -> pint's name.
+_BASE_UNITS: Final = {"kg": "kilogram", "m": "meter", "s": "second", "rad": "radian"}
+# Macro of the C runtime -> kind of variables whose number it is.
 _COUNTS: Final = {
     "NX": "states", "NY": "outputs", "NZ": "indicators", "NC": "calculated", "NU": "inputs", "NP": "parameters",
     "ND": "discrete",
@@ -34,9 +34,9 @@ def model_description(model: Model, name: str, token: str, description: str, dur
 
     Args:
         model: the exported share.
-        name: of model and binary.
-        token: of the C source.
-        description: of the FMU, in a sentence.
+        name: name of model and binary.
+        token: instantiation token in the C source.
+        description: what the FMU is, in a sentence.
         duration: proposed duration of a simulation [s], or None.
     """
     root = ElementTree.Element(
@@ -69,20 +69,20 @@ def model_description(model: Model, name: str, token: str, description: str, dur
     ElementTree.SubElement(root, "DefaultExperiment", experiment)
     _variables(ElementTree.SubElement(root, "ModelVariables"), model)
     _structure(ElementTree.SubElement(root, "ModelStructure"), model)
-    return _written(root)
+    return _xml(root)
 
 
 def build_description(name: str, source: str) -> bytes:
-    """Return sources/buildDescription.xml, with which a tool can compile the FMU for its platform."""
+    """Return sources/buildDescription.xml, which tells a tool how to compile the FMU for its platform."""
     root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=name)
     file_set = ElementTree.SubElement(configuration, "SourceFileSet", language="C11")
     ElementTree.SubElement(file_set, "SourceFile", name=source)
-    return _written(root)
+    return _xml(root)
 
 
 def documentation(model: Model, name: str, description: str, notes: Iterable[str]) -> bytes:
-    """Return documentation/index.html: the variables, and warnings about the results."""
+    """Return documentation/index.html: a table of the variables, and warnings about the results."""
     rows = "\n".join(
         f"<tr><td>{html.escape(v.name)}</td><td>{html.escape(_spelled(v.unit))}</td>"
         f"<td>{html.escape(v.description)}</td></tr>"
@@ -98,19 +98,20 @@ def documentation(model: Model, name: str, description: str, notes: Iterable[str
     return text.encode()
 
 
-def _written(root: ElementTree.Element) -> bytes:
+def _xml(root: ElementTree.Element) -> bytes:
+    """Return an element as an indented XML document."""
     ElementTree.indent(root)
     text: bytes = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
     return text + b"\n"
 
 
 def _spelled(unit: str) -> str:
-    """Return a unit as FMI spells it: N.s/m, m/s2."""
+    """Return a unit in FMI's spelling, such as N.s/m or m/s2."""
     return unit.replace("^", "").replace("*", ".")
 
 
 def _units(parent: ElementTree.Element, model: Model) -> None:
-    """Define the units of the variables by SI's base units, and those in which tools may show them instead."""
+    """Define the variables' units by SI base units, each with the display units that its variables propose."""
     shown: dict[str, set[str]] = {"s": set()}
     for kind in KINDS:
         for variable in model.of_kind[kind]:
@@ -120,7 +121,7 @@ def _units(parent: ElementTree.Element, model: Model) -> None:
             continue
         element = ElementTree.SubElement(parent, "Unit", name=_spelled(unit))
         powers = dict(registry().Quantity(1.0, unit).to_base_units().unit_items())
-        base = {symbol: f"{powers[name]:g}" for symbol, name in _BASE.items() if name in powers}
+        base = {symbol: f"{powers[name]:g}" for symbol, name in _BASE_UNITS.items() if name in powers}
         ElementTree.SubElement(element, "BaseUnit", base)
         for other in sorted(others - {""}):
             factor = registry().Quantity(1.0, unit).to(other).magnitude
@@ -128,6 +129,7 @@ def _units(parent: ElementTree.Element, model: Model) -> None:
 
 
 def _variables(parent: ElementTree.Element, model: Model) -> None:
+    """Describe time and every variable."""
     time = {"name": "time", "valueReference": "0", "causality": "independent", "variability": "continuous"}
     ElementTree.SubElement(parent, "Float64", time | {"unit": "s", "description": "time"})
     for kind, (causality, variability, initial) in KINDS.items():
@@ -152,6 +154,7 @@ def _variables(parent: ElementTree.Element, model: Model) -> None:
 
 
 def _structure(parent: ElementTree.Element, model: Model) -> None:
+    """List outputs, rates, initial unknowns and event indicators with their dependencies."""
     of_kind, reference = model.of_kind, model.references
     unknown = (*model.visible, *of_kind["rates"], *of_kind["calculated"])
     for name, variables in (
@@ -168,28 +171,28 @@ def _structure(parent: ElementTree.Element, model: Model) -> None:
 
 
 def c_source(model: Model, *, pushes: bool, by_speed: bool) -> tuple[str, str]:
-    """Return the C source of an FMU, and the token that belongs to it.
+    """Return the C source of an FMU, and its instantiation token.
 
     Args:
         model: the exported share.
-        pushes: whether the soil would push a share that retreats; the FMU warns if it happens.
+        pushes: whether the contact law lets soil push a retreating share; the FMU then logs a warning if it retreats.
         by_speed: whether the strut's speed is the input.
     """
     folder = files("plough_opt.exchange.export")
-    functions = (folder.joinpath(name).read_text(encoding="utf-8") for name in ("fmu_runtime.c", "fmu_optional.c"))
-    # CasADi's functions are for this source alone.
+    runtime = (folder.joinpath(name).read_text(encoding="utf-8") for name in ("fmu_runtime.c", "fmu_optional.c"))
+    # CasADi's functions are static: only the runtime in the same source calls them.
     generator = ca.CodeGenerator("share.c", {"with_header": False, "main": False, "casadi_int": "long long"})
     for function in model.functions.values():
         generator.add(function)
     equations = f"#define CASADI_SYMBOL_EXPORT static\n{generator.dump()}"
-    parts = (_numbers(model, pushes, by_speed), equations, *functions)
-    # Names and units stand in the description: two FMUs that compute the same may share a token.
+    parts = (_constants(model, pushes, by_speed), equations, *runtime)
+    # The token covers what is computed; names and units are in the description only.
     token = hashlib.sha256("".join(parts).encode()).hexdigest()[:32]
     return "\n".join((f'#define TOKEN "{token}"', *parts)), token
 
 
-def _numbers(model: Model, pushes: bool, by_speed: bool) -> str:
-    """Return the numbers of variables, and their domains, starts and orders of magnitude."""
+def _constants(model: Model, pushes: bool, by_speed: bool) -> str:
+    """Return the C of sizes and options, and of the variables' domains, start values and orders of magnitude."""
     of_kind, functions = model.of_kind, model.functions
     counts = {count: len(of_kind[kind]) for count, kind in _COUNTS.items()} | {
         "NQ": functions["derive"].numel_out(0),
@@ -216,6 +219,6 @@ def _numbers(model: Model, pushes: bool, by_speed: bool) -> str:
 
 
 def _row(values: Iterable[float]) -> str:
-    """Return numbers as C writes them."""
+    """Return numbers as elements of a C initialiser."""
     infinite = {math.inf: "INFINITY", -math.inf: "-INFINITY"}
     return ", ".join(infinite.get(value, repr(float(value))) for value in values)

@@ -1,4 +1,4 @@
-"""An exported share as a model: its variables with units and domains, and the Functions that compute them."""
+"""An exported share as an FMU's model: its variables with units and domains, and the Functions that compute them."""
 
 import dataclasses
 import math
@@ -31,7 +31,7 @@ KINDS: Final = {
     "parameters": ("parameter", "tunable", "exact"),
     "discrete": ("output", "discrete", "calculated"),
 }
-"""Kinds of variables, in the order in which the C source numbers them -> causality, variability and initial value."""
+"""Kind of variables -> causality, variability and initial, as FMI defines them; in the order of the C source."""
 
 
 @dataclass(frozen=True)
@@ -39,15 +39,15 @@ class Variable:
     """A variable of an exported share.
 
     Attributes:
-        name: as in a problem file.
-        unit: SI unit, "1" of a pure number, or "" if it is unknown.
-        description: in words.
-        start: its value, if it has one before the start.
-        low: its least value.
-        high: its largest value.
+        name: its name, as in a problem file.
+        unit: SI unit, "1" for a pure number, or "" if it is unknown.
+        description: its meaning.
+        start: value of a parameter or input.
+        low: least value.
+        high: largest value.
         above: whether the least value itself is excluded.
         below: whether the largest value itself is excluded.
-        nominal: its order of magnitude; 0 for that of its value.
+        nominal: order of magnitude; 0: that of the start value.
         shown: unit in which a tool should show it, or "".
         derivative: name of the state whose rate it is, or "".
     """
@@ -75,15 +75,16 @@ class Model:
     """An exported share.
 
     Attributes:
-        of_kind: variables by kind. "calculated" depend on the "parameters" alone, and of these there are those that any
-            equation depends on; "discrete" change at events only.
-        functions: by name, every argument and result a column. ``derive`` (p) -> (q, calculated), q being the numbers
-            in the equation of motion; ``begin`` (u, q) -> (x, d); ``evaluate`` (t, x, u, d, q) -> (rates, outputs,
-            indicators); ``happen`` (t, x, u, d, q) -> (x, d) after the events until now. For the first three there are
-            ``forward_...``, from the same arguments and a seed for each of x, u, p and q among them to the change of
-            all continuous results in one column, and ``reverse_...``, from the same arguments and a seed for that
-            column to the sensitivities to each. A soil with a density profile has neither.
-        depends: name of a rate, output or indicator -> names of states, inputs and time that it depends on.
+        of_kind: variables by kind. "parameters" holds those that an equation depends on, "calculated" what depends on
+            the parameters alone, "discrete" what changes only at events.
+        functions: Functions by name; arguments and results are columns: states x, inputs u, discrete variables d,
+            parameters p, and the numbers q in the equation of motion. ``derive`` (p) -> (q, calculated);
+            ``begin`` (u, q) -> (x, d); ``evaluate`` (t, x, u, d, q) -> (rates, outputs, indicators); ``happen``
+            (t, x, u, d, q) -> (x, d) after all events up to now. The first three have directional derivatives.
+            ``forward_...`` takes the same arguments and a seed for each of x, u, p and q among them, and returns the
+            change of all continuous results in one column; ``reverse_...`` takes the same arguments and a seed for
+            that column, and returns the sensitivities to each. A soil with a density profile has neither.
+        depends: name of a rate, output or indicator -> names of the states, inputs and time that it depends on.
     """
 
     of_kind: Mapping[str, tuple[Variable, ...]]
@@ -92,53 +93,53 @@ class Model:
 
     @property
     def visible(self) -> tuple[Variable, ...]:
-        """Variables whose causality is "output": states, forces, and the mode."""
+        """Variables whose causality is "output": states, forces and discrete variables."""
         return tuple(one for kind, (causality, *_) in KINDS.items() if causality == "output"
                      for one in self.of_kind[kind])  # fmt: skip
 
     @cached_property
     def references(self) -> dict[str, str]:
-        """The value reference of each variable, in the order of the C source; the time is number 0."""
+        """Name -> value reference of each variable, in the order of the C source; time is number 0."""
         variables = chain.from_iterable(self.of_kind[kind] for kind in KINDS)
         return {name: str(k) for k, name in enumerate(["time", *(variable.name for variable in variables)])}
 
 
 def model_of(named: NamedScene, *, by_speed: bool) -> Model:
-    """Build the model of a numeric scene with motion from a start.
+    """Return the model of a numeric scene with motion from a start.
 
     Args:
         named: the scene.
-        by_speed: whether the input is the strut's speed; else it is its position.
+        by_speed: whether the input is the strut's speed; otherwise it is the strut's position.
 
     Raises:
-        InputError: a strut whose position is the input and whose speed would be needed.
+        InputError: the input is the strut's position, and the equations need its speed.
     """
     scene, structure = named.scene, Structure.of(named.scene)
     if not by_speed:
         _check_position_suffices(structure)
-    symbols, symbolic = _opened(named)
-    numbers = parameters(symbolic) | {"added_mass": symbolic.reaction.added_mass}
-    share = Share(scene, structure, by_speed, {name: ca.SX.sym(name) for name in numbers})
-    expressions = _moving(share, scene) | {"calculated": _calculated(scene, symbolic)}
+    symbols, symbolic = _with_parameters(named)
+    from_scene = parameters(symbolic) | {"added_mass": symbolic.reaction.added_mass}
+    share = Share(scene, structure, by_speed, {name: ca.SX.sym(name) for name in from_scene})
+    expressions = _varying(share, scene) | {"calculated": _calculated(scene, symbolic)}
     x, u, d, *now, calculated = (
         _column(expressions[kind].values())
         for kind in ("states", "inputs", "discrete", "rates", "outputs", "indicators", "calculated")
     )
     moment, first, after = [share.time, x, u, d], [*map(_column, share.start())], [*map(_column, share.after_events())]
-    # Only numbers that the equations hold, and of the parameters those on which any of these depends.
-    held = _symbols_in(*first, *now, *after)
-    used = [name for name, symbol in share.q.items() if hash(symbol) in held]
-    q, from_p = (_column(source[name] for name in used) for source in (share.q, numbers))
+    # Keep only the numbers that occur in the equations, and only the parameters that these numbers depend on.
+    in_equations = _symbols_in(*first, *now, *after)
+    used = [name for name, symbol in share.q.items() if hash(symbol) in in_equations]
+    q, from_p = (_column(source[name] for name in used) for source in (share.q, from_scene))
     needed = _symbols_in(from_p, calculated)
-    offered = {variable: symbol for variable, symbol in symbols.items() if hash(symbol) in needed}
-    p = _column(offered.values())
+    used_parameters = {variable: symbol for variable, symbol in symbols.items() if hash(symbol) in needed}
+    p = _column(used_parameters.values())
     graphs = {
         "derive": ([p], [from_p, calculated]),
         "begin": ([u, q], first),
         "evaluate": ([*moment, q], now),
         "happen": ([*moment, q], after),
     }
-    # The quadratures of a density profile have hundreds of thousands of operations, and their derivatives more.
+    # The quadratures of a density profile take hundreds of thousands of operations, their derivatives many more.
     if scene.soil.density_profile is None:
         graphs |= _derivatives("derive", *graphs["derive"], [p])
         graphs |= _derivatives("begin", [u, q], first[:1], [u, q])
@@ -147,7 +148,7 @@ def model_of(named: NamedScene, *, by_speed: bool) -> Model:
         name: ca.Function(name, arguments, [*map(ca.densify, found)], {"cse": True})
         for name, (arguments, found) in graphs.items()
     }
-    of_kind = {kind: tuple(found) for kind, found in expressions.items()} | {"parameters": tuple(offered)}
+    of_kind = {kind: tuple(found) for kind, found in expressions.items()} | {"parameters": tuple(used_parameters)}
     return Model(of_kind, functions, _depends(of_kind, ca.jacobian_sparsity(_column(now), _column([x, u, share.time]))))
 
 
@@ -160,36 +161,44 @@ def _check_position_suffices(structure: Structure) -> None:
         )
     if structure.ramp:
         raise InputError(
-            "tow_ramp is a motion of the strut, and so is its position as the input: use strut = 'speed', or leave"
+            "tow_ramp and a position as the input both prescribe the strut's motion: use strut = 'speed', or leave"
             " tow_ramp out"
         )
 
 
 def _column(values: Any) -> ca.SX:
+    """Return expressions as one column, which may be empty."""
     return ca.vertcat(ca.SX(0, 1), *values)
 
 
 def _symbols_in(*expressions: ca.SX) -> set[int]:
-    """Return the hashes of the symbols in columns."""
+    """Return the hashes of all symbols in some columns."""
     return {hash(symbol) for symbol in ca.symvar(ca.vertcat(*expressions))}
 
 
 def _derivatives(
     name: str, arguments: list[ca.SX], results: list[ca.SX], by: list[ca.SX]
 ) -> dict[str, tuple[list[ca.SX], list[ca.SX]]]:
-    """Return arguments and results of the products of a Jacobian with seeds, forwards and backwards."""
+    """Return arguments and results of the products of a Jacobian with seeds, forward and reverse.
+
+    Args:
+        name: name of the differentiated Function.
+        arguments: its arguments.
+        results: those of its results that are differentiated.
+        by: those of its arguments by which they are differentiated.
+    """
     unknown, known = _column(results), _column(by)
     seeds, seed = [ca.SX.sym("seed", part.numel()) for part in by], ca.SX.sym("seed", unknown.numel())
     ends = np.cumsum([0, *(part.numel() for part in by)]).tolist()
-    backwards = ca.vertsplit(ca.jtimes(unknown, known, seed, True), ends)
+    reverse = ca.vertsplit(ca.jtimes(unknown, known, seed, True), ends)
     return {
         f"forward_{name}": ([*arguments, *seeds], [ca.jtimes(unknown, known, _column(seeds))]),
-        f"reverse_{name}": ([*arguments, seed], backwards),
+        f"reverse_{name}": ([*arguments, seed], reverse),
     }
 
 
 def _depends(of_kind: Mapping[str, tuple[Variable, ...]], pattern: ca.Sparsity) -> dict[str, tuple[str, ...]]:
-    """Return names of the states, inputs and time on which each rate, output and indicator depends."""
+    """Return for each rate, output and indicator the names of states, inputs and time that it depends on."""
     rows = [variable.name for kind in ("rates", "outputs", "indicators") for variable in of_kind[kind]]
     known = [*(variable.name for kind in ("states", "inputs") for variable in of_kind[kind]), "time"]
     depends: dict[str, tuple[str, ...]] = dict.fromkeys(rows, ())
@@ -198,26 +207,26 @@ def _depends(of_kind: Mapping[str, tuple[Variable, ...]], pattern: ca.Sparsity) 
     return depends
 
 
-def _registered(named: NamedScene) -> Iterator[Variable]:
-    """Yield the quantities of a scene with their values."""
+def _quantities(named: NamedScene) -> Iterator[Variable]:
+    """Yield the named quantities of a scene as parameters."""
     for name, value in named.values.items():
         one = EVERY[name]
         above = one.above
         if name == "effects.tow_ramp":
-            if not named.scene.effects.ramps:  # a ramp that takes no time
+            if not named.scene.effects.ramps:  # the duration of the ramp is 0
                 continue
             above = True
         yield Variable(name, one.unit or "1", one.meaning, float(value), one.low, one.high, above, one.below,
                        shown=one.shown)  # fmt: skip
 
 
-def _opened(named: NamedScene) -> tuple[dict[Variable, ca.SX], Scene]:
-    """Return the parameters of a scene with a symbol for each, and the scene of these symbols.
+def _with_parameters(named: NamedScene) -> tuple[dict[Variable, ca.SX], Scene]:
+    """Return a symbol for each parameter of a scene, and the scene with these symbols.
 
-    Parameters beside the registered quantities are the numbers of a density profile, and of own resistances: by the
-    names of their fields if every number is a field.
+    Beside the named quantities, the numbers of a density profile and of a user's own effects are parameters. The
+    latter have the names of their fields if every number is a field, otherwise numbers.
     """
-    symbols = {variable: ca.SX.sym(variable.name) for variable in _registered(named)}
+    symbols = {variable: ca.SX.sym(variable.name) for variable in _quantities(named)}
     scene, _ = named.replaced({variable.name: symbol for variable, symbol in symbols.items()})
     if (profile := scene.soil.density_profile) is not None:
         parameters, pairs = _with_symbols(profile.parameters)
@@ -229,8 +238,8 @@ def _opened(named: NamedScene) -> tuple[dict[Variable, ca.SX], Scene]:
     own = []
     for k, effect in enumerate(effects, start=1):
         fields = [one.name for one in dataclasses.fields(effect) if is_quantity(getattr(effect, one.name))]
-        opened, pairs = _with_symbols(effect)
-        own.append(opened)
+        symbolic_effect, pairs = _with_symbols(effect)
+        own.append(symbolic_effect)
         if len(fields) != len(pairs) or not all(map(str.isascii, fields)):
             fields = [f"parameters[{j}]" for j, _ in enumerate(pairs, start=1)]
         for field, (value, symbol) in zip(fields, pairs, strict=True):
@@ -240,7 +249,7 @@ def _opened(named: NamedScene) -> tuple[dict[Variable, ca.SX], Scene]:
 
 
 def _with_symbols(part: Any) -> tuple[Any, list[tuple[float, ca.SX]]]:
-    """Return a part of a scene with a symbol for each number in it, and these pairs."""
+    """Return a part of a scene with a symbol in place of each number, and the pairs of number and symbol."""
     pairs: list[tuple[float, ca.SX]] = []
 
     def symbol(value: float) -> ca.SX:
@@ -250,12 +259,12 @@ def _with_symbols(part: Any) -> tuple[Any, list[tuple[float, ca.SX]]]:
     return map_expressions(part, symbol, is_quantity), pairs
 
 
-def _moving(share: Share, scene: Scene) -> dict[str, Mapping[Variable, Column]]:
-    """Return the variables that change in a run with their expressions, by kind.
+def _varying(share: Share, scene: Scene) -> dict[str, Mapping[Variable, Column]]:
+    """Return, by kind, the variables that change during a run with their expressions.
 
     Args:
-        share: at one moment.
-        scene: numeric, from which the orders of magnitude are.
+        share: the share at one moment.
+        scene: the numeric scene, which gives the orders of magnitude.
     """
     nominal, by_speed, events = _magnitudes(scene), share.by_speed, share.structure.events
 
@@ -294,7 +303,7 @@ def _moving(share: Share, scene: Scene) -> dict[str, Mapping[Variable, Column]]:
 
 
 def _magnitudes(scene: Scene) -> dict[str, float]:
-    """Return orders of magnitude by unit, all above 0."""
+    """Return unit -> order of magnitude, above 0, of variables with this unit."""
     speed, frequency = float(scene.tow_speed), float(scene.natural_frequency)
     force = abs(float(scene.steady_resistance)) or speed * math.sqrt(scene.stiffness * scene.inertia) or 1.0
     length = force / float(scene.stiffness)
@@ -302,7 +311,7 @@ def _magnitudes(scene: Scene) -> dict[str, float]:
 
 
 def _calculated(scene: Scene, symbolic: Scene) -> dict[Variable, ca.SX]:
-    """Return the variables that depend on the parameters alone, with expressions of a scene of the symbols of these."""
+    """Return the variables that depend on the parameters alone, with their expressions from the symbolic scene."""
     gas, carries = not scene.law.lacks("loosened_radius"), not scene.law.lacks("added_mass")
     half_angle = Variable("share.half_angle", "rad", "half angle beta of the equivalent cone", shown="deg")
     radius = Variable("share.loosened_radius", "m", "radius r* of the compaction front at the share's base")

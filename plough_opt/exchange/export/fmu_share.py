@@ -1,9 +1,9 @@
-"""The exported share at one moment: its states, inputs and modes as symbols, and expressions of them.
+"""The exported share at one moment: states, input and modes as symbols, and the expressions that an FMU evaluates.
 
-The states are travel L, speed L' and, if the strut's speed is the input, the spring's deflection z, whose rate is
-s' - L'; so z is not the difference of two large travels. The strut's path is then L + z. If that path s is the input,
-the deflection is s - L. The mode, the furthest travel, and whether an entering share is wholly in the soil change only
-at events.
+The states are travel L, speed L' and, if the input is the strut's speed s', the spring's deflection z with the rate
+s' - L'. As a state z is not the small difference of two large travels; the strut's path is then L + z. If the input is
+the path s itself, the deflection is s - L. Three variables change only at events: the mode, the furthest travel, and
+whether an entering share is wholly in the soil.
 """
 
 import casadi as ca
@@ -25,30 +25,30 @@ from plough_opt.motion.terms import (
     strut,
 )
 
-# Parts of the scene's speed and of the share's height below which a difference is rounding, and by which a tool may
-# stop before or after an event.
+# Both are parts of the scene's speed and of the share's height. Differences below the first are rounding.
 _ROUNDING = 1e-12
-_BESIDE = 1e-9
+# A tool may stop so far before or after an event.
+_EVENT_TOLERANCE = 1e-9
 
 
 class Share:
     """The share at one moment: symbols, and expressions of them in SI units.
 
     Attributes:
-        structure: what the equation of motion contains.
-        by_speed: whether the input is the strut's speed; else it is its position.
-        q: symbol of each number in the equation of motion, by name.
+        structure: which terms the equation of motion contains.
+        by_speed: whether the input is the strut's speed; otherwise it is the strut's position.
+        q: name -> symbol of each parameter of the equation of motion.
         time, input, travel, speed, mode, furthest, entered: symbols.
-        deflection: of the spring, a symbol if it is a state.
-        opening: how far the share is behind its furthest travel.
-        strut_speed: if the input gives it.
+        deflection: deflection of the spring; a symbol if it is a state.
+        opening: distance of the share behind its furthest travel.
+        strut_speed: speed of the strut; meaningful only if the input is a speed.
         pull: mount force P.
-        acceleration: of the share L''.
-        resistance: of the soil to the share, the added mass's part included.
+        acceleration: acceleration L'' of the share.
+        resistance: force of the soil on the share, including that on the added mass.
     """
 
     def __init__(self, scene: Scene, structure: Structure, by_speed: bool, q: dict[str, ca.SX]) -> None:
-        """Make symbols and expressions."""
+        """Create the symbols and the expressions."""
         self.structure, self.by_speed, self.q = structure, by_speed, q
         self.sticks = structure.sticks
         self.time, self.input, self.travel, self.speed, self.mode, self.furthest, self.entered = map(
@@ -65,23 +65,24 @@ class Share:
         self._slipping: Column = (self.pull - steady) / inertia_at(structure, p, self.travel)
         self.acceleration, self.resistance = self._slipping, steady + self._carried * self._slipping
         if self.sticks:
-            # Mount force at which a sticking share moves.
+            # The mount force at which a sticking share breaks away.
             self._hold = hold(structure, p, self.travel)
             self.acceleration = self._by_mode(self._slipping, 0.0, self.pull / q["mass"])
             self.resistance = self._by_mode(self.resistance, self.pull, 0.0)
-        self._swift, self._high = scene.tow_speed or 1.0, scene.cone.height
+        self._speed_scale, self._height = scene.tow_speed or 1.0, scene.cone.height
 
     def _by_mode(self, slip: Column, stick: Column, gap: Column) -> Column:
+        """Return the expression that belongs to the present mode."""
         rest = where(self.mode < (STICK + GAP) / 2.0, stick, gap)
         return where(self.mode < (SLIP + STICK) / 2.0, slip, rest)
 
     @property
     def indicators(self) -> list[Expression]:
-        """Expressions that are negative once an event has happened."""
+        """Expressions that become negative when an event happens."""
         if not self.structure.events:
             return []
-        stopping = self.speed + _ROUNDING * self._swift
-        closing = self.opening + _ROUNDING * self._high
+        stopping = self.speed + _ROUNDING * self._speed_scale
+        closing = self.opening + _ROUNDING * self._height
         if self.sticks:
             indicators = [
                 self._by_mode(stopping, self._hold - self.pull, closing),
@@ -95,22 +96,23 @@ class Share:
         return indicators
 
     def after_events(self) -> tuple[list[Expression], list[Expression]]:
-        """Return the states and the discrete variables after the events until now."""
+        """Return the states and the discrete variables after all events up to now."""
         rest = [self.deflection] if self.by_speed else []
         if not self.structure.events:
             return [self.travel, self.speed, *rest], []
-        slowed: Column = self.speed
+        speed: Column = self.speed
         slipping: Column = self._slipping
-        behind: Column = self.opening
-        stopped = ca.logic_and(slowed <= _BESIDE * self._swift, slipping <= 0.0)
-        closed = ca.logic_and(behind <= _BESIDE * self._high, slowed > 0.0)
+        opening: Column = self.opening
+        stopped = ca.logic_and(speed <= _EVENT_TOLERANCE * self._speed_scale, slipping <= 0.0)
+        closed = ca.logic_and(opening <= _EVENT_TOLERANCE * self._height, speed > 0.0)
         if self.sticks:
-            held = self.pull < self._hold - _BESIDE * absolute(self._hold)
-            freed = where(self.pull < 0.0, GAP, where(held, STICK, SLIP))
-            mode = self._by_mode(where(stopped, freed, SLIP), freed, where(closed, SLIP, GAP))
+            held = self.pull < self._hold - _EVENT_TOLERANCE * absolute(self._hold)
+            at_rest = where(self.pull < 0.0, GAP, where(held, STICK, SLIP))
+            mode = self._by_mode(where(stopped, at_rest, SLIP), at_rest, where(closed, SLIP, GAP))
+            # A share that closes its gap takes up the carried soil, which is at rest: momentum is conserved.
             mass = self.q["mass"]
-            taken_up = self.speed * mass / (mass + self._carried)
-            slowed = self._by_mode(where(stopped, 0.0, self.speed), 0.0, where(closed, taken_up, self.speed))
+            caught = self.speed * mass / (mass + self._carried)
+            speed = self._by_mode(where(stopped, 0.0, self.speed), 0.0, where(closed, caught, self.speed))
         else:
             turned = where(stopped, GAP, SLIP)
             mode = where(self.mode > STICK, where(closed, SLIP, GAP), turned)
@@ -118,9 +120,9 @@ class Share:
         leaving = ca.logic_and(mode > STICK, self.mode < GAP)
         discrete = [mode, where(leaving, self.travel, self.furthest)]
         if self.structure.entry:
-            inside = self.travel >= self.q["height"] * (1.0 - _BESIDE)
+            inside = self.travel >= self.q["height"] * (1.0 - _EVENT_TOLERANCE)
             discrete.append(where(inside, 1.0, self.entered))
-        return [self.travel, slowed, *rest], discrete
+        return [self.travel, speed, *rest], discrete
 
     def start(self) -> tuple[list[Expression], list[Expression]]:
         """Return the states and the discrete variables at the start."""

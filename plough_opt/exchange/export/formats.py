@@ -1,4 +1,4 @@
-"""The export formats by name: what a format is, which options it takes, and what writes it."""
+"""The export formats by name, each with its options and the function that writes it."""
 
 import math
 import shlex
@@ -23,15 +23,15 @@ class Request:
     """The arguments of an export.
 
     Attributes:
-        path: of the file or folder.
-        name: of the function or model.
-        component: builds the component of the inputs and outputs that were asked for.
-        scene: the scene at the values that the file gives, of variables at their guesses.
-        best: searches the best design, or None where the scene's values are wanted.
-        steel_density: of the share [kg/m^3].
-        duration: of a run [s], or None of a lasting orbit.
+        path: path of the file or folder.
+        name: name of the function or model.
+        component: builds the component of the requested inputs and outputs.
+        scene: the scene at the file's values, with variables at their guesses.
+        best: searches for the best design and returns its scene; None to export the scene as it is.
+        steel_density: density of the share's material [kg/m^3].
+        duration: duration of a run [s]; None for a periodic orbit.
         varies: whether the file has variables.
-        options: what was given of the format's own options, by name; quantities in SI units.
+        options: given options of the format by name; quantities in SI units.
     """
 
     path: str
@@ -50,9 +50,9 @@ class Written:
     """Files that an export has written.
 
     Attributes:
-        paths: of the files or of the folder.
-        said: what is in it, or "".
-        next: a command, or a sentence, on what one does with it.
+        paths: paths of the files, or of the folder.
+        said: a description of the content, or "".
+        next: a command or a sentence on how to use it.
     """
 
     paths: tuple[Path, ...]
@@ -65,11 +65,11 @@ class Format:
     """An export format.
 
     Args:
-        what: what is written: "a new folder with C source", or the kind of a file.
+        what: what is written, such as "a new folder with C source", or the kind of file.
         write: writes it.
-        endings: of the file's name, such as (".fmu",); () of a new folder.
-        options: names of the options that it takes beside the path: see `plough-opt export --help`.
-        check: refuses options that exclude each other, before anything is computed.
+        endings: possible endings of the file's name, such as (".fmu",); () for a new folder.
+        options: names of its options beside the path: see `plough-opt export --help`.
+        check: raises InputError for options that exclude each other, before anything is computed.
     """
 
     what: str
@@ -79,10 +79,10 @@ class Format:
     check: Callable[[Mapping[str, Any]], None] | None = None
 
     def check_place(self, path: str) -> None:
-        """Refuse a path that cannot be written, before anything is computed.
+        """Raise InputError for a path that cannot be written, before anything is computed.
 
         Raises:
-            InputError: a folder that is there already, or another ending.
+            InputError: the folder exists already, or the file's name has another ending.
         """
         if self.endings:
             own = Path(path).suffix.lower()
@@ -91,7 +91,7 @@ class Format:
             check_new_folder(path, self.what.removeprefix("a new folder with "))
 
     def __str__(self) -> str:
-        """Return what it is, and how the name of its file ends."""
+        """Return what is written, and the endings of the file's name."""
         return f"{self.what}{', ' if self.endings else ''}{' or '.join(self.endings)}"
 
 
@@ -105,12 +105,12 @@ def _casadi(request: Request) -> Written:
     component, description = request.component(), request.options.get("description")
     path = write_casadi(component, request.path, description)
     load = shlex.quote(f"import casadi; print(casadi.Function.load({path.as_posix()!r}))")
-    warning = "  # such a file can run code when it is loaded: take none from strangers"
+    warning = "  # loading such a file can run code: load only files that you trust"
     return Written((path, *([Path(description)] if description else [])), str(component), f"python -c {load}{warning}")
 
 
 def _openmdao(request: Request) -> Written:
-    from plough_opt.exchange.export.openmdao import write_openmdao  # which not every installation has
+    from plough_opt.exchange.export.openmdao import write_openmdao  # OpenMDAO is optional
 
     component = request.component()
     path = write_openmdao(component, request.path)
@@ -144,7 +144,7 @@ def _part(request: Request) -> Written:
 
 
 def _check_part(given: Mapping[str, Any]) -> None:
-    """Refuse to bend a cone."""
+    """Raise InputError if options of a wedge are given for a cone."""
     if given.get("body") == "cone" and (given.get("opening") or given.get("thickness")):
         raise InputError("--opening and --thickness belong to a wedge: leave them out for a cone, which is solid")
 
@@ -167,16 +167,16 @@ def _described(body: Wedge | Cone, opening: float | None, thickness: float | Non
     )
 
 
-_OF_PARTS = ("opening", "thickness", "body", "at")
+_PART_OPTIONS = ("opening", "thickness", "body", "at")
 
 FORMATS: Final[dict[str, Format]] = {
     "c": Format("a new folder with C source, header and a test", _c),
     "casadi": Format("serialised CasADi Function", _casadi, (".casadi",), ("inputs", "outputs", "name", "description")),
     "openmdao": Format("a new folder with a Python module", _openmdao),
     "fmu": Format("FMU for model exchange, FMI 3.0", _fmu, (".fmu",), ("name", "strut", "sources")),
-    "stl": Format("triangles of the share in mm", _part, (".stl",), _OF_PARTS, _check_part),
-    "gltf": Format("triangles of the share in m", _part, (".gltf", ".glb"), _OF_PARTS, _check_part),
-    "dxf": Format("the share's faces laid flat in mm, a cutting pattern", _part, (".dxf",), _OF_PARTS, _check_part),
-    "step": Format("the share's faces in mm for CAD", _part, (".step", ".stp"), _OF_PARTS, _check_part),
+    "stl": Format("triangles of the share in mm", _part, (".stl",), _PART_OPTIONS, _check_part),
+    "gltf": Format("triangles of the share in m", _part, (".gltf", ".glb"), _PART_OPTIONS, _check_part),
+    "dxf": Format("the share's faces laid flat in mm, a cutting pattern", _part, (".dxf",), _PART_OPTIONS, _check_part),
+    "step": Format("the share's faces in mm for CAD", _part, (".step", ".stp"), _PART_OPTIONS, _check_part),
 }
-"""Name, as `plough-opt export --to` takes it, -> format."""
+"""Name, as in `plough-opt export --to NAME` -> format."""

@@ -1,4 +1,4 @@
-"""A component for OpenMDAO: in this process, or as a module of its own that needs casadi and openmdao only."""
+"""A component for OpenMDAO: in this process, or as a Python module that needs only casadi and openmdao."""
 
 import inspect
 import keyword
@@ -24,12 +24,13 @@ except ModuleNotFoundError as missing:
     raise InputError("OpenMDAO is not installed: pip install 'plough_opt[openmdao]'") from None
 
 
-# Names that the module needs itself.
-_INNER = {"Any", "FunctionComponent"}
-_TAKEN = {"casadi", "numpy", "openmdao", *sys.stdlib_module_names}
+# Names that the written module uses, which its class must not have.
+_RESERVED_CLASSES = {"Any", "FunctionComponent"}
+# Names of other modules, which the written module must not hide.
+_RESERVED_MODULES = {"casadi", "numpy", "openmdao", *sys.stdlib_module_names}
 
 
-# This class and `units_of` are copied into the module that is written: they use nothing of plough_opt.
+# The source of this class and of `units_of` is copied into the written module: they must not use plough_opt.
 class FunctionComponent(om.ExplicitComponent):  # type: ignore[misc]
     """A CasADi Function of scalars as an explicit component, with CasADi's exact derivatives as its partials.
 
@@ -121,13 +122,13 @@ def units_of(unit: str) -> str | None:
 
 
 class PloughComponent(FunctionComponent):
-    """A component as an ``openmdao.api.ExplicitComponent``: names with underscores, as "share_height"; SI units.
+    """A component as an ``openmdao.api.ExplicitComponent``, in SI units; names are like "share_height".
 
     Its partials are CasADi's exact Jacobian. `add_design` declares design variables, constraints and objective.
 
     Args:
-        component: what `plough_opt.exchange.component` or `Problem.component` returns.
-        options: OpenMDAO's own.
+        component: a component made by `plough_opt.component` or `Problem.component`.
+        options: options of OpenMDAO's class.
     """
 
     def __init__(self, component: Component, **options: Any) -> None:
@@ -138,35 +139,35 @@ class PloughComponent(FunctionComponent):
 def write_openmdao(component: Component, path: str | Path) -> Path:
     """Write a component as a Python module and a serialised Function, into a new folder.
 
-    Of a component named ``share`` the folder holds ``share.py``, with a class ``Share`` that is an
-    ``openmdao.api.ExplicitComponent`` and takes no arguments, and ``share.casadi``, which it loads. They need
-    casadi and openmdao, and not plough_opt.
+    For a component named ``share`` the folder holds ``share.py`` and ``share.casadi``. The module defines a class
+    ``Share``, an ``openmdao.api.ExplicitComponent`` without arguments, which loads ``share.casadi``. Both need casadi
+    and openmdao, but not plough_opt.
 
     Args:
-        component: what to write; its name is the module's.
-        path: of the folder, which must not exist.
+        component: the component; its name becomes the module's.
+        path: path of the folder, which must not exist.
 
     Returns:
         The path.
 
     Raises:
-        InputError: the folder exists or cannot be written, or a name that no module can have.
+        InputError: the folder exists or cannot be written, or the component's name cannot be a module's.
     """
     target = check_new_folder(path, "OpenMDAO component")
     name = component.name()
-    if keyword.iskeyword(name) or name in _TAKEN or _class_name(name) in _INNER:
-        raise InputError(f"a module cannot be named '{name}': name the component otherwise")
+    if keyword.iskeyword(name) or name in _RESERVED_MODULES or _class_name(name) in _RESERVED_CLASSES:
+        raise InputError(f"a module cannot be named '{name}': give the component another name")
     files: dict[str, Content] = {f"{name}.py": _module(component), f"{name}.casadi": serialised(component)}
     return write_folder(target, "OpenMDAO component", files)
 
 
 def _module(component: Component) -> str:
-    """Return the module's text: the class of any Function, and the data of this one."""
+    """Return the module's text: the classes above, and the data of this component."""
     name, ports = component.name(), described(component)
     classes = "\n\n".join(inspect.getsource(one) for one in (FunctionComponent, units_of)).rstrip()
     return f'''"""Written by plough_opt {version("plough_opt")}.
 
-{_quoted(str(component))}
+{_in_docstring(str(component))}
 """
 
 from pathlib import Path as _Path
@@ -197,5 +198,6 @@ def _class_name(name: str) -> str:
     return "".join(part[:1].upper() + part[1:] for part in name.split("_"))
 
 
-def _quoted(text: str) -> str:
+def _in_docstring(text: str) -> str:
+    """Return text with what would end a docstring escaped."""
     return text.replace("\\", "\\\\").replace('"""', "'''")

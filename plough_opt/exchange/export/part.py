@@ -1,4 +1,4 @@
-"""The share as a part: STL, glTF, DXF and STEP, each written by the library that knows the format."""
+"""The share as a part for a workshop: STL, glTF, DXF and STEP, each written by a library for the format."""
 
 import io
 import math
@@ -14,16 +14,17 @@ from plough_opt.core.files import write_file
 from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.solid import Solid
 
+# Millimetres in a metre.
 _MM: Final = 1e3
-# Layers of a pattern, with the line that each is drawn in and its colour: 7 is black or white, 5 blue, 8 grey.
+# Layer of a cutting pattern -> its line type and colour: 7 is black or white, 5 blue, 8 grey.
 _LAYERS: Final = {"CUT": ("CONTINUOUS", 7), "BEND": ("DASHED", 5), "NOTES": ("CONTINUOUS", 8)}
-# Height of the notes beside the length of the part.
-_LETTERS: Final = 0.03
+# Height of the letters in notes, relative to the length of the part.
+_LETTER_HEIGHT: Final = 0.03
 
 
 @dataclass(frozen=True)
 class _Part:
-    """A numeric share, the body that it is, and how a wedge is bent."""
+    """A numeric share with its body; opening [rad] and plate thickness [m] of a wedge."""
 
     share: Wedge | Cone
     body: Solid
@@ -34,26 +35,26 @@ class _Part:
 def write_part(
     share: Wedge | Cone, path: str | Path, *, opening: float | None = None, thickness: float | None = None
 ) -> Path:
-    """Write a numeric share as a part for a workshop; the file's ending chooses the format.
+    """Write a numeric share as a part for a workshop; the file's ending determines the format.
 
     * ``.stl``: triangles in millimetres, for printing and milling (trimesh).
-    * ``.gltf``, ``.glb``: triangles in metres with y up, as the format wants them, for viewing (trimesh).
-    * ``.dxf``: the outer faces laid flat in millimetres, a cutting pattern with the bending line of a wedge, or the
-      sector that rolls up to a cone; without bend allowance (ezdxf).
+    * ``.gltf``, ``.glb``: triangles in metres with y up, as glTF requires, for viewing (trimesh).
+    * ``.dxf``: a cutting pattern, the outer faces laid flat in millimetres without bend allowance: both faces of a
+      wedge with the bending line, or the sector that rolls up into a cone (ezdxf).
     * ``.step``, ``.stp``: exact faces in millimetres, for CAD (build123d).
 
     Args:
-        share: a wedge, or the cone in its place.
-        path: the file; what is there is replaced.
+        share: a wedge or a cone.
+        path: path of the file; an existing file is replaced.
         opening: angle between a wedge's faces [rad], see `Wedge.mesh`.
-        thickness: of its plate [m].
+        thickness: thickness of its plate [m].
 
     Returns:
         The path.
 
     Raises:
-        InputError: another ending, a share of symbols, a library that is not installed, an option that a cone does not
-            have, or a place that cannot be written.
+        InputError: another ending, a symbolic share, a library that is not installed, an option that a cone does not
+            have, or a path that cannot be written.
         DomainError: as `Wedge.mesh`.
     """
     check_kind("the share", share, Wedge | Cone, "a Wedge or a Cone")
@@ -71,6 +72,7 @@ def write_part(
 
 
 def _library(name: str, extra: str) -> Any:
+    """Return an optional library, or raise InputError with the extra that installs it."""
     try:
         return import_module(name)
     except ModuleNotFoundError as missing:
@@ -110,7 +112,7 @@ def _dxf(part: _Part) -> str:
         length, depth, notes = _wedge_pattern(page, part.share, part.opening, part.thickness)
     else:
         length, depth, notes = _cone_pattern(page, part.share)
-    letters = _LETTERS * length
+    letters = _LETTER_HEIGHT * length
     for k, note in enumerate(notes):
         text = page.add_text(note, height=letters, dxfattribs={"layer": "NOTES"})
         text.set_placement((0.0, -depth - (2.0 + 1.6 * k) * letters))
@@ -120,7 +122,7 @@ def _dxf(part: _Part) -> str:
 
 
 def _wedge_pattern(page: Any, share: Wedge, opening: float, thickness: float | None) -> tuple[float, float, list[str]]:
-    """Draw the two faces, beside each other along the ridge; return length and half width [mm], and notes."""
+    """Draw both faces of a wedge, joined along the ridge; return length and half width [mm], and notes."""
     ridge = _MM * float(share.height) / math.cos(share.chisel_angle)
     width = ridge * math.tan(share.angle)
     page.add_lwpolyline([(0.0, 0.0), (ridge, -width), (ridge, width)], close=True, dxfattribs={"layer": "CUT"})
@@ -134,10 +136,10 @@ def _wedge_pattern(page: Any, share: Wedge, opening: float, thickness: float | N
 
 
 def _cone_pattern(page: Any, cone: Cone) -> tuple[float, float, list[str]]:
-    """Draw the sector that rolls up to a cone; return length and half width [mm], and notes."""
+    """Draw the sector that rolls up into a cone; return length and half width [mm], and notes."""
     slant, half = _MM * float(cone.height) / math.cos(cone.half_angle), math.pi * math.sin(cone.half_angle)
     x, y = slant * math.cos(half), slant * math.sin(half)
-    # The bulge of an edge is the tangent of a quarter of its arc.
+    # DXF describes an arc by its bulge: the tangent of a quarter of the arc's angle.
     corners = [(0.0, 0.0, 0.0), (x, -y, math.tan(half / 2.0)), (x, y, 0.0)]
     page.add_lwpolyline(corners, format="xyb", close=True, dxfattribs={"layer": "CUT"})
     notes = [f"Lateral surface of the cone, half angle {math.degrees(cone.half_angle):.3f} deg; all lengths in mm"]
@@ -167,4 +169,4 @@ WRITERS: Final[dict[str, Callable[[_Part], str | bytes]]] = {
     ".step": _step,
     ".stp": _step,
 }
-"""Ending of a file -> what it holds of a part."""
+"""Ending of a file's name -> function that returns the file's content for a part."""

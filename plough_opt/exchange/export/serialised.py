@@ -1,4 +1,4 @@
-"""A component as a file that CasADi alone can load."""
+"""A component as a serialised CasADi Function, which CasADi loads without plough_opt."""
 
 import json
 import tempfile
@@ -11,28 +11,28 @@ import numpy as np
 
 from plough_opt.core.files import Content, check_file, write_files
 from plough_opt.exchange.component import Component, Port
-from plough_opt.exchange.component.ports import BEYOND
+from plough_opt.exchange.component.ports import RELAXATION
 
 
 def write_casadi(component: Component, path: str | Path, description: str | Path | None = None) -> Path:
     """Write a component as a serialised CasADi Function and, if wanted, its names, units and bounds as JSON.
 
-    A process with CasADi and without plough_opt loads it by ``casadi.Function.load(path)`` in Python, and by
-    ``casadi::Function::load`` or ``casadi.Function.load`` in C++, MATLAB and Octave.
+    CasADi loads it without plough_opt: by ``casadi.Function.load(path)`` in Python, MATLAB and Octave, and by
+    ``casadi::Function::load`` in C++.
 
-    Where an input lies outside its bounds, by more than the 1e-6 of their distance by which optimisers relax them, the
-    results are NaN: steps and checks were not chosen for it.
+    If an input lies outside its bounds, the results are NaN, because steps and checks were not chosen for it. Bounds
+    are widened by 1e-6 of their distance, by which optimisers relax them.
 
     Args:
-        component: what to write.
-        path: of the Function, ending in .casadi; what is there is replaced.
-        description: of a JSON file with names, units, bounds and accuracy, ending in .json; None: none is written.
+        component: the component.
+        path: path of the Function, ending in .casadi; an existing file is replaced.
+        description: path of a JSON file with names, units, bounds and accuracy, ending in .json; None: no such file.
 
     Returns:
         The path.
 
     Raises:
-        InputError: another ending, or a place that cannot be written.
+        InputError: a path with another ending, or one that cannot be written.
     """
     target = check_file(path, ".casadi", "serialised Function")
     files: dict[Path, Content] = {target: serialised(component)}
@@ -44,18 +44,18 @@ def write_casadi(component: Component, path: str | Path, description: str | Path
 
 def serialised(component: Component) -> bytes:
     """Return the component's Function as CasADi writes it to a file; outside its bounds the results are NaN."""
-    guarded = _guarded(component)
+    function = _nan_outside_bounds(component)
     with tempfile.TemporaryDirectory() as folder:
-        written = Path(folder) / "function.casadi"
-        guarded.save(str(written))
-        return written.read_bytes()
+        file = Path(folder) / "function.casadi"
+        function.save(str(file))
+        return file.read_bytes()
 
 
-def _guarded(component: Component) -> ca.Function:
-    """Return the Function with NaN for its results where an input lies outside its bounds."""
+def _nan_outside_bounds(component: Component) -> ca.Function:
+    """Return the Function with NaN for all results if an input lies outside its bounds."""
     names = [port.argument for port in component.inputs]
     x = [ca.MX.sym(name) for name in names]
-    slack = [BEYOND * (port.upper - port.lower) for port in component.inputs]
+    slack = [RELAXATION * (port.upper - port.lower) for port in component.inputs]
     inside: ca.MX = ca.MX(1)
     for value, port, more in zip(x, component.inputs, slack, strict=True):
         inside = ca.logic_and(inside, ca.logic_and(value >= port.lower - more, value <= port.upper + more))
@@ -68,8 +68,8 @@ def described(component: Component) -> dict[str, Any]:
     """Return names, units, bounds and accuracy as plain data."""
     return {
         "name": component.name(),
-        "inputs": [_plain(port) for port in component.inputs],
-        "outputs": [_plain(port) for port in component.outputs],
+        "inputs": [_port_data(port) for port in component.inputs],
+        "outputs": [_port_data(port) for port in component.outputs],
         "method": component.accuracy.method,
         "steps": component.accuracy.steps,
         "error_estimate": component.error_estimate,
@@ -78,8 +78,8 @@ def described(component: Component) -> dict[str, Any]:
     }
 
 
-def _plain(port: Port) -> dict[str, Any]:
-    """Return a port; a limit that it does not have is null."""
+def _port_data(port: Port) -> dict[str, Any]:
+    """Return a port as plain data; an infinite limit is None."""
     return {
         "name": port.name,
         "argument": port.argument,

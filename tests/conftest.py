@@ -27,9 +27,9 @@ def ctrl_c():
 @pytest.fixture(scope="session", autouse=True)
 def no_lines_that_depend_on_time():
     """Let commands in this process be as silent on a busy machine as on an idle one."""
-    before, heartbeat.EVERY = heartbeat.EVERY, 3600.0
+    before, heartbeat.INTERVAL = heartbeat.INTERVAL, 3600.0
     yield
-    heartbeat.EVERY = before
+    heartbeat.INTERVAL = before
 
 
 # Of how many cases of a parametrised test one runs by default, by file or by test; all run with the slow tests.

@@ -96,7 +96,7 @@ def test_a_function_in_the_place_of_one_that_is_gone_has_no_meaning():
     for k in range(200):
         places.add(hash(meanings.shared(k, lambda: (ca.Function("own", [x], [ca.sin(x)]), "own"))))
     # The last ones are kept for graphs alike.
-    places -= {hash(function) for function, _ in meanings._lately.values()}
+    places -= {hash(function) for function, _ in meanings._recent.values()}
     others = [ca.Function("other", [x], [ca.cos(x)]) for _ in range(2000)]
     assert any(hash(other) in places for other in others)  # else this shows nothing
     assert all(meanings.of(other) is None for other in others)

@@ -14,7 +14,7 @@ import pytest
 
 import plough_opt as po
 from plough_opt.app import main
-from plough_opt.core import csv_rows, kept, quantities, units
+from plough_opt.core import csv_rows, quantities, saving, units
 from plough_opt.core.quantities import EVERY
 from plough_opt.design import effort
 from plough_opt.motion import plan
@@ -212,7 +212,7 @@ LIMITS = {
     "CSV files of measurements and penetrometer readings": (
         csv_rows._MOST_BYTES, csv_rows._LONGEST_LINE, csv_rows._MOST_LISTED,
     ),
-    "Saved results (`po.load`)": (kept._MOST_BYTES,),
+    "Saved results (`po.load`)": (saving._MOST_BYTES,),
     "Questions": (
         points.MOST_VALUES, points.MOST_SAMPLES, distribution._MOST_SAMPLES, uncertain._COUNTS["fresh"][1], trade._MOST,
         effort._MOST_TRIED, MOST_HARMONICS, profile._MOST_PIECES, plan.MOST_OUTPUTS,

@@ -139,7 +139,7 @@ def test_a_design_takes_texts_quantities_and_numbers():
 
 def test_plain_numbers_with_a_unit_that_is_not_si_are_refused_with_the_remedy():
     d = po.Design()
-    with pytest.raises(po.InputError, match=r'"200 mm", or 0.2 with unit="m"'):
+    with pytest.raises(po.InputError, match=r'"200 mm" as a string, or 0.2 with unit="m"'):
         d.variable("height", guess=200, lower=100, upper=300, unit="mm")
     with pytest.raises(po.InputError, match=r'"5 kN", or 5000 with unit="N"'):
         d.require("draft", d.variable("x", guess=1.0, lower=0.0, upper=2.0), at_most=5, unit="kN")
@@ -186,7 +186,7 @@ def test_durations_bounds_and_limits_take_texts_and_pint():
         (lambda: po.Output("mean_draft", upper="8 m"), "wrong unit"),
         (
             lambda: po.Input("gap", 1.0, 2.0, unit="mm", symbol=ca.MX.sym("gap")),
-            "is a plain number, and 'mm' is not an",
+            "is a plain number, but 'mm' is not an SI",
         ),
     ],
 )

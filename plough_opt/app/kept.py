@@ -12,8 +12,8 @@ from plough_opt.app.options import add_shared
 from plough_opt.app.report import runs_of
 from plough_opt.app.terminal import check_outputs, console, give, printable, wrote
 from plough_opt.core.errors import InputError
-from plough_opt.core.kept import Origin
 from plough_opt.core.quantities import EVERY
+from plough_opt.core.saving import Origin
 from plough_opt.core.tables import Grid, Page
 from plough_opt.core.units import Display
 from plough_opt.design import LocalOptimum

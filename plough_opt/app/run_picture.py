@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_kind
 from plough_opt.core.files import COLOURS
-from plough_opt.core.kept import Origin
+from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display
 from plough_opt.design import Limit, LocalOptimum
 from plough_opt.motion import Run

@@ -1,1 +1,1 @@
-"""Ground: expressions, quantities and their units, domains, errors, files, the compiler."""
+"""Foundations: expressions, quantities and units, domains, errors, files, the compiler."""

@@ -1,4 +1,4 @@
-"""Checks of arguments before anything is computed from them: their types, and the domain of numbers."""
+"""Checks of arguments before anything is computed from them: type, and for numbers the domain."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,34 +13,34 @@ from plough_opt.core.errors import DomainError, InputError, nearest, short, unpr
 from plough_opt.core.expressions import Expression, as_number, holds_several, is_casadi, is_symbolic
 
 NOT_NUMBERS: Final = (TypeError, ValueError, OverflowError, RuntimeError)
-"""Errors of Python, NumPy and CasADi for a value that is not a number; CasADi's is for symbols and columns."""
+"""Errors raised by ``float`` and NumPy for a value that is not a number; CasADi raises RuntimeError."""
 
 LARGEST: Final = 1e60
-"""Largest size of a number, in SI units: fourth powers and products of several stay within floating point."""
+"""Largest magnitude of a number in SI units: fourth powers and products of several numbers do not overflow."""
 
 LEAST: Final = 1.0 / LARGEST
-"""Least size of a number: its powers are denominators, and must not underflow."""
+"""Smallest magnitude of a number whose powers are denominators, which must not underflow."""
 
-# Numbers of fewer bytes have three digits, or overflow when squared.
+# NumPy types with fewer bytes have only three digits, or overflow when squared.
 _LEAST_BYTES = 4
 
 
 def shown(value: object, most: int = 60) -> str:
-    """Return any value as text for messages: one line without control characters, cut if it is long."""
+    """Return any value as text for messages: one line without control characters, truncated if long."""
     try:
         text = repr(value)
-    except ValueError:  # Python refuses to write whole numbers of several thousand digits
+    except ValueError:  # Python refuses to print integers of several thousand digits
         text = f"{type(value).__name__} of very many digits"
     return short(" ".join(text.split()), most)
 
 
 def check_kind(what: str, value: object, kind: type | UnionType, wanted: str) -> None:
-    """Raise InputError for a value of another type.
+    """Raise InputError if a value has the wrong type.
 
     Args:
         what: name of the value, for the user.
         value: any.
-        kind: the type it must have, or a union of types.
+        kind: the required type, or a union of types.
         wanted: that type in words, with its article: "a Soil, for instance named_soil('serozem')".
     """
     if not isinstance(value, kind):
@@ -48,7 +48,7 @@ def check_kind(what: str, value: object, kind: type | UnionType, wanted: str) ->
 
 
 def check_callable(what: str, value: object, of: str) -> None:
-    """Raise InputError for a value that is not callable.
+    """Raise InputError if a value is not callable.
 
     Args:
         what: name of the value, for the user.
@@ -60,18 +60,18 @@ def check_callable(what: str, value: object, of: str) -> None:
 
 
 def check_switch(what: str, value: object) -> None:
-    """Raise InputError for a value that is neither True nor False, of Python or NumPy."""
+    """Raise InputError if a value is not a bool of Python or NumPy."""
     check_kind(what, value, bool | np.bool_, "True or False")
 
 
 def check_choice(what: str, value: object, choices: Sequence[str | None], more: str = "") -> None:
-    """Raise InputError for a value that is not among a few words.
+    """Raise InputError if a value is not one of a few options.
 
     Args:
         what: name of the value, for the user.
         value: any.
         choices: the valid words; None may be one of them.
-        more: added to the message.
+        more: text appended to the message.
     """
     if not (isinstance(value, str | None) and value in choices):
         *others, last = map(repr, choices)
@@ -79,7 +79,7 @@ def check_choice(what: str, value: object, choices: Sequence[str | None], more: 
 
 
 def check_named(refusal: str, name: object, valid: Iterable[str]) -> None:
-    """Raise InputError for a name that is not valid, with the nearest valid one.
+    """Raise InputError if a name is not valid; the message suggests the nearest valid one.
 
     Args:
         refusal: the message, with {} for the name: "no loss is named {}".
@@ -94,10 +94,10 @@ def check_named(refusal: str, name: object, valid: Iterable[str]) -> None:
 
 
 def mapping_of(what: str, value: Mapping[Any, Any] | None, wanted: str) -> Mapping[Any, Any]:
-    """Return a mapping, empty for None.
+    """Return a mapping as it is, and an empty one for None.
 
     Raises:
-        InputError: another type.
+        InputError: the value has another type.
     """
     if value is None:
         return {}
@@ -109,11 +109,11 @@ def path_of(what: str, value: object) -> Path:
     """Return a path.
 
     Raises:
-        InputError: neither text nor a path, or one with a null character.
+        InputError: the value is neither a string nor a path, or contains a null character.
     """
     if isinstance(value, str | PathLike) and "\0" not in str(value):
         return Path(value)
-    raise InputError(f"{what} {shown(value)} must be a path: a text, or a pathlib.Path")
+    raise InputError(f"{what} {shown(value)} must be a path: a string or a pathlib.Path")
 
 
 def check_domain(
@@ -127,23 +127,22 @@ def check_domain(
     at_most: float = np.inf,
     why: str = "",
 ) -> None:
-    """Raise DomainError for a number outside its domain; a symbol passes, as its value is checked later.
+    """Raise DomainError if a number lies outside its domain; a symbol passes, because its value is checked later.
 
-    Beyond `LARGEST` in size every number is refused.
+    Numbers larger than `LARGEST` in magnitude are outside every domain.
 
     Args:
-        name: of the value, for the user.
+        name: name of the value, for the user.
         value: number, array or CasADi expression.
         unit: unit of the value and of the limits.
-        above: value must be strictly larger.
-        below: value must be strictly smaller.
-        at_least: value must not be smaller.
-        at_most: value must not be larger.
-        why: reason of the limit, or what to do, added to the message.
+        above: exclusive lower limit.
+        below: exclusive upper limit.
+        at_least: inclusive lower limit.
+        at_most: inclusive upper limit.
+        why: reason for the limit or what to do, appended to the message.
 
     Raises:
-        DomainError: not a number, or one that is not finite or lies outside; the message gives name, value
-            and limit.
+        DomainError: the value is not a finite number or lies outside; the message gives name, value and limit.
     """
     at_least, at_most = max(at_least, -LARGEST), min(at_most, LARGEST)
     if isinstance(value, float) and above < value < below and at_least <= value <= at_most:
@@ -168,13 +167,13 @@ def check_domain(
             digits = 6 if limit is None or f"{bad:.6g}" != f"{limit:.6g}" else 17
             bound = "" if limit is None else f" {limit:.{digits}g}{suffix}"
             if limit in (LEAST, LARGEST, -LARGEST):
-                why = "what is larger or smaller cannot be computed with: check its unit"
+                why = "beyond that, products of quantities overflow or underflow: check its unit"
             reason = f": {why}" if why else ""
             raise DomainError(f"{name} = {bad:.{digits}g}{suffix} must be {relation}{bound}{reason}")
 
 
 def _check_kind(name: str, value: Expression, unit: str) -> None:
-    """Raise DomainError for text, a list, a switch, or numbers of one or two bytes, whose squares overflow."""
+    """Raise DomainError for a string, list or bool, and for one- or two-byte numbers, whose squares overflow."""
     if is_casadi(value):
         return
     if isinstance(value, list | tuple):
@@ -183,7 +182,7 @@ def _check_kind(name: str, value: Expression, unit: str) -> None:
     if kind.kind not in "iuf":
         raise DomainError(f"{name} = {shown(value)} must be a number, in {unit or 'no unit'}")
     if kind.itemsize < _LEAST_BYTES:
-        raise DomainError(f"{name} is of type {kind}, in which squares and cubes overflow: give it as float")
+        raise DomainError(f"{name} has type {kind}, in which squares and cubes overflow: convert it to float")
 
 
 def plain_number(what: str, value: Any) -> float:
@@ -191,16 +190,16 @@ def plain_number(what: str, value: Any) -> float:
 
     Args:
         what: name of the value, for the user.
-        value: a number, or an array or CasADi matrix with one element; not text, a switch or an expression.
+        value: a number, or a 0-d array or CasADi matrix with one element; not a string, bool or symbol.
 
     Raises:
-        InputError: not a number, or one that is not finite or beyond `LARGEST` in size.
+        InputError: the value is not a finite number, or is larger than `LARGEST` in magnitude.
     """
     try:
         if isinstance(value, str | bytes | bool | np.bool_) or (isinstance(value, np.ndarray) and value.ndim > 0):
             raise TypeError
         number = float(value)
-    except (TypeError, ValueError, RuntimeError):  # the last is CasADi's of a column or a symbol
+    except (TypeError, ValueError, RuntimeError):  # CasADi raises the last for a column or a symbol
         text = f"{what}: {shown(value)} is not a number (in SI units; po.deg converts degrees)"
         raise InputError(text) from None
     except OverflowError:
@@ -208,25 +207,25 @@ def plain_number(what: str, value: Any) -> float:
     if not math.isfinite(number):
         raise InputError(f"{what}: {shown(value)} must be a finite number")
     if abs(number) > LARGEST:
-        raise InputError(f"{what}: {shown(value)} must lie within {LARGEST:g} in size: check its unit")
+        raise InputError(f"{what}: {shown(value)} must be at most {LARGEST:g} in magnitude: check its unit")
     return number
 
 
 def check_text(what: str, value: Any) -> None:
-    """Raise InputError for anything but text of printable characters."""
+    """Raise InputError if a value is not a string of printable characters."""
     if not isinstance(value, str) or unprintable(value, allowed=""):
-        raise InputError(f"{what} = {shown(value)} must be a text that can be printed")
+        raise InputError(f"{what} = {shown(value)} must be a string of printable characters")
 
 
 def check_single(what: str, values: Any) -> None:
-    """Raise InputError if any value is an array or a column, where formulas hold for one number at a time.
+    """Raise InputError if any value is an array or a column; for functions that accept scalars only.
 
     Args:
-        what: the function that takes them, for the user.
+        what: name of that function, for the user.
         values: numbers and expressions, alone or nested in dataclasses, lists, tuples and dictionaries.
     """
     if holds_several(values):
         raise InputError(
-            f"{what} takes one number for each quantity and no arrays: call it once for each, or build it with CasADi"
-            " symbols and map the casadi.Function"
+            f"{what} accepts one number per quantity, not arrays: call it once per element, or build a"
+            " casadi.Function from it with symbols and map that"
         )

@@ -1,4 +1,4 @@
-"""Rows of CSV files whose headings name columns and their units, with limits on size and every mistake's place."""
+"""Reading CSV files whose headings give names and units; errors give line and column."""
 
 import csv
 import math
@@ -17,25 +17,26 @@ from plough_opt.core.units import Unit
 HEADING: Final = re.compile(r"\s*(?P<name>[\w.]+)\s*(?:\[(?P<unit>[^\]]*)\])?\s*")
 """A column's name and its unit in brackets."""
 
-# Units in which fields are measured, for the message that asks for one.
+# Units customary in the field, for messages that ask for a unit.
 _CUSTOMARY: Final = {"N": "kN", "rad": "deg", "m/s": "km/h", "Pa": "kPa", "N/m": "kN/m", "W": "kW"}
-# Infinite numbers and NaN match too, for a message of their own.
+# Infinite numbers and NaN match too, because they get a different error message.
 _NUMBER: Final = re.compile(r"[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?|nan|inf(?:inity)?)", re.IGNORECASE)
+# Most mistakes listed in one message.
 _MOST_LISTED: Final = 8
-# Limit on the size of a file: some 300,000 rows, each of which may be a run of the model.
+# Largest file: some 300,000 rows, each of which may require a simulation.
 _MOST_BYTES: Final = 10_000_000
 _LONGEST_LINE: Final = 10_000
 
 
 def read_rows(path: Path, what: str) -> list[tuple[int, list[str]]]:
-    """Return the rows with their line numbers, without comments and empty lines.
+    """Return the rows of a file with their line numbers, without comments and empty lines.
 
     Args:
         path: the file.
-        what: its content in messages, such as "measurements".
+        what: name of its content in messages, such as "measurements".
 
     Raises:
-        InputError: a missing file, one that is too long, or one that is not text.
+        InputError: the file is missing, too large or not UTF-8 text.
     """
     try:
         with path.open("rb") as file:
@@ -43,7 +44,7 @@ def read_rows(path: Path, what: str) -> list[tuple[int, list[str]]]:
         text = content.decode("utf-8-sig")
     except FileNotFoundError:
         there = sorted(p.name for p in path.parent.glob("*.csv")) if path.parent.is_dir() else []
-        hint = nearest(path.name, there) if there else "that folder holds no .csv file: give the path of one"
+        hint = nearest(path.name, there) if there else "its folder does not contain any .csv file; check the path"
         raise InputError(f"there is no file {shown(str(path), 200)}: {hint}") from None
     except IsADirectoryError:
         raise InputError(f"{shown(str(path), 200)} is a folder: name a file of {what} in it") from None
@@ -57,41 +58,46 @@ def read_rows(path: Path, what: str) -> list[tuple[int, list[str]]]:
     for number, line in lines:
         if len(line) > _LONGEST_LINE:
             raise InputError(
-                f"{path}, line {number}: it has {len(line)} characters, and at most {_LONGEST_LINE} can be read: write"
-                " a row in each line"
+                f"{path}, line {number}: it has {len(line)} characters, but at most {_LONGEST_LINE} can be read: write"
+                " one row per line"
             )
     delimiter = next((mark for mark in "\t;" if lines and mark in lines[0][1]), ",")
     return [(k, next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))) for k, line in lines]
 
 
 def readings_of(path: Path, example: str) -> tuple[str, list[str], list[tuple[int, list[str]]]]:
-    """Return the place of a file's headings, the headings, and the rows below with their line numbers.
+    """Return the location of a file's headings, the headings, and the rows below them with their line numbers.
 
     Args:
         path: the file.
-        example: headings that it may have.
+        example: valid headings, for messages.
 
     Raises:
-        InputError: as `read_rows`, or a file without readings.
+        InputError: as `read_rows`, or there are no rows below the headings.
     """
     rows = read_rows(path, "readings")
     if len(rows) < 2:
-        raise InputError(f"{path}: there are no readings: write a first line that names the columns, as {example}")
+        raise InputError(f"{path}: there are no readings: name the columns in the first line, such as {example}")
     return f"{path}, line {rows[0][0]}", rows[0][1], rows[1:]
 
 
 def check_rising(path: Path, lines: Sequence[int], values: NDArray[np.float64], what: str) -> None:
-    """Raise InputError if values do not rise from line to line, for the first that does not."""
+    """Raise InputError if values do not increase strictly from line to line; the message names the first that fails."""
     for k in np.flatnonzero(np.diff(values) <= 0.0)[:1] + 1:
         beside = f"{values[k]:g} follows {values[k - 1]:g}"
-        raise InputError(f"{path}, line {lines[k]}: {what} must rise, and {beside}: put the rows in order")
+        raise InputError(f"{path}, line {lines[k]}: {what} must increase, but {beside}: sort the rows")
 
 
 def factor_of(name: str, written: str | None, unit: Unit) -> float:
-    """Return the factor to SI of a column's unit in its heading.
+    """Return the factor from the unit in a column's heading to SI.
+
+    Args:
+        name: of the column.
+        written: unit in the heading, or None.
+        unit: expected SI unit.
 
     Raises:
-        InputError: a unit that is missing, unknown or of another kind.
+        InputError: the unit is missing, unknown or of the wrong dimension.
     """
     written = "" if written is None or written.strip() in ("-", "1") else written.strip()
     customary = _CUSTOMARY.get(unit.symbol, unit.symbol)
@@ -100,39 +106,39 @@ def factor_of(name: str, written: str | None, unit: Unit) -> float:
     try:
         return unit.split(f"1 {written}".strip())[1]
     except InputError:
-        wrong = f"is not a unit of {unit.symbol}" if unit.symbol else "is a unit, and a pure number is expected"
+        wrong = f"is not a unit of {unit.symbol}" if unit.symbol else "is a unit, but a pure number is expected"
         example = f"{name} [{customary}]" if unit.symbol else name
         raise InputError(f"'{written}' {wrong}: write it like '{example}'") from None
 
 
 def number_of(cell: str, factor: float) -> float:
-    """Return a cell's number in SI.
+    """Return the number in a cell, converted to SI.
 
     Raises:
-        InputError: not a finite number.
+        InputError: the cell does not hold a finite number.
     """
     text = cell.strip()
     if not text:
-        raise InputError("the cell is empty: a number is expected; leave the whole row out if it was not measured")
+        raise InputError("the cell is empty: a number is expected; omit the whole row if it was not measured")
     if _NUMBER.fullmatch(text) is None:
         hint = "a decimal point" if re.fullmatch(r"[+-]?\d+,\d+", text) else "it as 12.5 or 1.25e1, without its unit"
         raise InputError(f"'{short(text)}' is not a number: write {hint}")
     value = float(text) * factor
     if not math.isfinite(value):
-        raise InputError(f"'{short(text)}' is not a finite number; leave the whole row out if it was not measured")
+        raise InputError(f"'{short(text)}' is not a finite number; omit the whole row if it was not measured")
     return value
 
 
 def columns_of(place: str, headings: Sequence[str], units: Mapping[str, Unit]) -> list[tuple[str, float]]:
-    """Return name and factor to SI of every column.
+    """Return name and conversion factor to SI of every column.
 
     Args:
         place: file and line of the headings, for messages.
         headings: as written, each a name with its unit in brackets.
-        units: known names, and their SI units.
+        units: known names and their SI units.
 
     Raises:
-        InputError: an unknown name or a wrong unit; every one is listed.
+        InputError: a name is unknown or a unit wrong; the message lists every one.
     """
     found: list[tuple[str, float]] = []
     errors = []
@@ -140,7 +146,7 @@ def columns_of(place: str, headings: Sequence[str], units: Mapping[str, Unit]) -
         match = HEADING.fullmatch(text)
         try:
             if match is None or match["name"] not in units:
-                raise InputError(f"no such column is known: {nearest(match['name'] if match else text, units)}")
+                raise InputError(f"this column is unknown: {nearest(match['name'] if match else text, units)}")
             found.append((match["name"], factor_of(match["name"], match["unit"], units[match["name"]])))
         except InputError as error:
             errors.append(f"{place}, column '{short(text.strip())}': {error}")
@@ -154,24 +160,24 @@ def table_of(
     columns: Sequence[tuple[str, float]],
     check: Callable[[int, float, str], None],
 ) -> NDArray[np.float64]:
-    """Return the rows' numbers in SI, a row each.
+    """Return the numbers of all rows in SI, shape (rows, columns).
 
     Args:
         path: the file, for messages.
         rows: line number and cells of each row below the headings.
         columns: name of each column in messages, and its factor to SI.
-        check: (column, value, cell as written); raises InputError for an invalid value.
+        check: function of (column, value, cell as written) that raises InputError for an invalid value.
 
     Raises:
-        InputError: a cell that is not a number or is invalid, or a row of another length; every one is listed.
+        InputError: a cell is invalid or a row has the wrong length; the message lists every one.
     """
     table, errors = [], []
     for number, cells in rows:
         place, values = f"{path}, line {number}", []
         if len(cells) != len(columns):
             errors.append(
-                f"{place}: the number of cells is {len(cells)}, and the header names {len(columns)} columns: give each"
-                " one"
+                f"{place}: the row has {len(cells)} cells, but the header names {len(columns)} columns: give one"
+                " cell per column"
             )
             continue
         for k, (cell, (name, factor)) in enumerate(zip(cells, columns, strict=True)):
@@ -186,7 +192,7 @@ def table_of(
 
 
 def raise_listed(errors: Sequence[str]) -> None:
-    """Raise InputError with the first of several mistakes, if there are any."""
+    """Raise InputError if there are any mistakes; the message lists the first few."""
     if errors:
         more = [f"... and {len(errors) - _MOST_LISTED} more"] if len(errors) > _MOST_LISTED else []
         raise InputError("\n".join([*errors[:_MOST_LISTED], *more]))

@@ -1,11 +1,11 @@
-"""The toolkit's errors, whose messages say what to do; all of them are `PloughError`."""
+"""The toolkit's errors; their messages say what to do, and all are subclasses of `PloughError`."""
 
 import difflib
 import unicodedata
 from collections.abc import Iterable
 from typing import Final
 
-# Comparing names takes time by the square of their lengths; a name three times as long as any valid one is not near.
+# Most characters of a name that are compared with valid ones, because the time grows with the square of the length.
 _LONGEST_NAME: Final = 100
 
 
@@ -20,7 +20,7 @@ class PloughError(Exception):
 
 
 class DomainError(PloughError, ValueError):
-    """A value is outside the domain in which the model's equations hold.
+    """A value lies outside the domain in which the model's equations hold.
 
     Example:
         >>> import plough_opt as po
@@ -33,11 +33,11 @@ class DomainError(PloughError, ValueError):
 
 
 class ImplausibleValue(UserWarning):
-    """A plain number is possible, but so unusual in SI units that another unit was probably meant.
+    """A plain number is valid but so unusual in SI units that another unit was probably meant.
 
     Example:
         >>> import plough_opt as po
-        >>> po.StrengthWave(0.3, "200 m").wavelength  # as a text this is meant; as 200.0 it would carry the warning
+        >>> po.StrengthWave(0.3, "200 m").wavelength  # the number 200.0, without a unit, would cause the warning
         200.0
         >>> issubclass(po.ImplausibleValue, UserWarning)
         True
@@ -45,7 +45,7 @@ class ImplausibleValue(UserWarning):
 
 
 class InputError(PloughError, ValueError):
-    """An option, a name or a file is not what was expected.
+    """An option, a name or a file is invalid.
 
     Example:
         >>> import plough_opt as po
@@ -58,7 +58,7 @@ class InputError(PloughError, ValueError):
 
 
 class IntegrationError(PloughError, RuntimeError):
-    """The equation of motion could not be integrated; the message names scene, time and likely cause.
+    """The equation of motion could not be integrated; the message gives scene, time and likely cause.
 
     Example:
         >>> import plough_opt as po
@@ -68,11 +68,11 @@ class IntegrationError(PloughError, RuntimeError):
 
 
 class InfeasibleDesign(PloughError, RuntimeError):
-    """No design meets all requirements; ``conflicts`` maps each requirement that fails to the shortfall.
+    """No design meets all requirements; ``conflicts`` maps each unmet requirement to its shortfall.
 
     Attributes:
-        conflicts: name of the requirement -> least violation, in the requirement's own unit.
-        blockers: names of the requirements and bounds that stand against them.
+        conflicts: name of the requirement -> smallest possible violation, in the requirement's own unit.
+        blockers: names of the requirements and bounds that conflict with them.
 
     Example:
         >>> import plough_opt as po
@@ -89,7 +89,7 @@ class InfeasibleDesign(PloughError, RuntimeError):
     """
 
     def __init__(self, message: str, conflicts: dict[str, float], blockers: list[str]) -> None:
-        # Exceptions are pickled by these arguments, for instance on their way back from a process of a pool.
+        # Exceptions are pickled by these arguments, for instance when a worker process returns one.
         super().__init__(message, conflicts, blockers)
         self.conflicts = conflicts
         self.blockers = blockers
@@ -99,7 +99,7 @@ class InfeasibleDesign(PloughError, RuntimeError):
 
 
 class NotConverged(PloughError, RuntimeError):
-    """The optimiser stopped without an optimum; ``status`` is IPOPT's return status.
+    """The optimiser stopped before it reached an optimum; ``status`` is IPOPT's return status.
 
     Example:
         >>> import plough_opt as po
@@ -116,18 +116,18 @@ class NotConverged(PloughError, RuntimeError):
 
 
 def short(text: str, most: int = 60) -> str:
-    """Return a text for quoting in messages, cut if it is long."""
+    """Return a text for quotation in messages, truncated if long."""
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 def unprintable(text: str, *, allowed: str = "\t\n") -> str | None:
-    """Return the first character of a text that files and terminals cannot show, as "U+001B", or None.
+    """Return the first character of a text that files and terminals cannot show, such as "U+001B", or None.
 
-    Those are control characters, some of which are commands to a terminal, halves of surrogate pairs, which have no
-    encoding, and code points that are not characters.
+    Control characters (some are terminal commands), lone surrogates (which cannot be encoded) and code points that are
+    not characters cannot be shown.
 
     Args:
-        text: of a user.
+        text: user's text.
         allowed: control characters that it may contain.
     """
     for character in text:

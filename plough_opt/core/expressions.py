@@ -1,7 +1,7 @@
-"""Operations that work on floats, NumPy arrays and CasADi expressions, without cancellation.
+"""Functions of floats, NumPy arrays and CasADi expressions, written to avoid cancellation.
 
-CasADi symbols must never be passed to ``math.*`` or ``np.*`` (``math.sin`` of a symbol is a silent NaN), so
-every formula of the toolkit is written with the functions of this file.
+CasADi symbols must never be passed to ``math.*`` or ``np.*``, because ``math.sin`` of a symbol silently returns NaN.
+Every formula of the toolkit therefore uses the functions of this file.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ from plough_opt.core.errors import InputError
 
 @runtime_checkable
 class Expression(Protocol):
-    """A float, a NumPy array, or a CasADi ``SX``, ``MX`` or ``DM``: the argument of every physical function."""
+    """A float, a NumPy array, or a CasADi ``SX``, ``MX`` or ``DM``; every physical function accepts any of them."""
 
     def __add__(self, other: Any, /) -> "Expression": ...
     def __radd__(self, other: Any, /) -> "Expression": ...
@@ -41,11 +41,11 @@ class Expression(Protocol):
 
 
 Column: TypeAlias = Any
-"""Values below one another: a NumPy array or a CasADi matrix. The two share no signatures, so no type names both."""
+"""Column of values, a NumPy array or a CasADi matrix; it is ``Any`` because the two share too few signatures."""
 
 
 class Elementary(Protocol):
-    """A function of one variable, element by element: of a number it is a number, of an array an array."""
+    """An elementwise function of one variable: a number gives a number, an array an array."""
 
     @overload
     def __call__(self, x: float, /) -> float: ...
@@ -61,20 +61,21 @@ _CASADI = (ca.SX, ca.MX, ca.DM)
 _MATRICES = (np.ndarray, *_CASADI)
 # Types that cannot contain an expression.
 _PLAIN = frozenset((float, int, str, bool, type(None)))
-# Terms kept in the two power series: enough for a relative 1e-17 in the value and 1e-14 in the second
-# derivative at the far end of the interval on which each series is used.
+# Terms of the power series. At the far end of its interval each series has a relative error of at most 1e-17 in the
+# value and 1e-14 in the second derivative.
 _EXPM1_TERMS = 24
 _ATANH_TERMS = 32
+# Largest |x| for which the series of artanh is used.
 _SERIES_BELOW = 0.5
-# The RMS of a symbolic variance is rounded off below this fraction of the steady force, where the square
-# root has no derivative; the RMS is changed by no more than that.
+# Near zero variance the square root has no derivative, so a symbolic RMS is smoothed there. This fraction of the
+# steady force bounds the change.
 _LEAST_RMS = 1e-12
-# Number of characters of an expression in a message.
+# Most characters of an expression in a message.
 _LONGEST_SHOWN = 80
 
 
 COUNT = {"quantity": False}
-"""Metadata of a dataclass's field that counts something, and is not a quantity that a design could vary."""
+"""Metadata of a dataclass field that holds a count, which a design cannot vary."""
 
 
 def is_symbolic(value: Any) -> bool:
@@ -107,22 +108,25 @@ def as_number(value: Any) -> NDArray[np.float64]:
 
 
 def holds_casadi(value: Any) -> bool:
-    """Return whether any CasADi expression is nested in dataclasses, lists, tuples or dictionaries."""
+    """Return whether ``value`` is a CasADi expression, or a container with one nested in it.
+
+    Containers are dataclasses, lists, tuples and dictionaries.
+    """
     return any(map(is_casadi, _nested(value)))
 
 
 def holds_several(value: Any) -> bool:
-    """Return whether ``value`` is, or such a container holds, an array or CasADi matrix without exactly one element."""
+    """Return whether ``value`` is, or a container holds, an array or CasADi matrix without exactly one element."""
     return any(isinstance(item, _MATRICES) and math.prod(item.shape) != 1 for item in _nested(value))
 
 
 def classes_in(value: Any) -> tuple[type, ...]:
-    """Return the classes of the dataclasses nested in a value: of two that print alike they may differ."""
+    """Return the classes of all dataclasses nested in a value; two different classes can have the same repr."""
     return tuple(type(item) for item in _nested(value) if dataclasses.is_dataclass(type(item)))
 
 
 def _nested(value: Any) -> Iterator[Any]:
-    """Yield a value and all that is nested in it, but plain numbers and texts."""
+    """Yield a value and everything nested in it, except plain numbers and strings."""
     waiting = [value]
     while waiting:
         item = waiting.pop()
@@ -140,26 +144,26 @@ def _nested(value: Any) -> Iterator[Any]:
 
 @lru_cache(maxsize=256)
 def _own_fields(kind: type) -> tuple[str, ...]:
-    """Return the names of a dataclass's fields that are arguments of its constructor; none for another type."""
+    """Return the names of a dataclass's fields that its constructor accepts; an empty tuple for other types."""
     fields = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
     return tuple(field.name for field in fields if field.init)
 
 
 def is_quantity(value: Any) -> bool:
-    """Return whether a value is a number or a CasADi expression, but not a switch."""
+    """Return whether a value is a number or a CasADi expression; a bool is neither."""
     return is_casadi(value) or (isinstance(value, int | float | np.number) and not isinstance(value, bool))
 
 
 def is_count(value: Any) -> bool:
-    """Return whether a value is a whole number from 1 on."""
+    """Return whether a value is a positive integer."""
     return isinstance(value, numbers.Integral) and not isinstance(value, bool) and int(value) >= 1
 
 
 def map_expressions(value: Any, function: Callable[[Any], Any], leaf: Callable[[Any], bool] = is_casadi) -> Any:
     """Return a copy of ``value`` with ``function`` applied to every CasADi expression nested in it.
 
-    Expressions are found in dataclasses (by their fields), dictionaries, lists and tuples; anything else stays as it
-    is. With ``leaf=is_quantity`` plain numbers are replaced too, except in fields that are `COUNT`s.
+    The search descends into dataclasses, dictionaries, lists and tuples; anything else is kept. With
+    ``leaf=is_quantity`` plain numbers are replaced too, except in fields marked as `COUNT`.
     """
     if leaf(value):
         return function(value)
@@ -178,9 +182,9 @@ def map_expressions(value: Any, function: Callable[[Any], Any], leaf: Callable[[
 
 
 def template_of(value: Any) -> tuple[Any, list[Any]]:
-    """Return a copy of ``value`` with a placeholder for every quantity nested in it, and those quantities in order.
+    """Return a copy of ``value`` with a placeholder for every nested quantity, and the quantities in order.
 
-    All placeholders have the same repr, so that values which differ only in numbers have templates of the same repr.
+    All placeholders have the same repr, so values that differ only in numbers have templates with equal reprs.
     """
     quantities: list[Any] = []
 
@@ -192,31 +196,31 @@ def template_of(value: Any) -> tuple[Any, list[Any]]:
 
 
 def with_numbers(template: Any, quantities: Sequence[float]) -> Any:
-    """Return a template with numbers for its quantities, in the order in which `template_of` returned them."""
+    """Return a template filled with numbers, in the order in which `template_of` returned its quantities."""
     numbers = iter(quantities)
     return map_expressions(template, lambda _: float(next(numbers)), is_quantity)
 
 
 def column(values: Column, symbolic: bool) -> Column:
-    """Return an array as it is, or as a CasADi column that may meet symbols."""
+    """Return an array as it is, or as a CasADi column that can be combined with symbols."""
     return ca.DM(values) if symbolic else values
 
 
 def stacked(*parts: Column) -> Column:
-    """Return expressions below one another, as one CasADi column."""
+    """Return expressions stacked into one CasADi column."""
     return ca.vertcat(*parts)
 
 
 def total(values: Column) -> Expression:
-    """Return the sum over an array or a CasADi column."""
+    """Return the sum of an array or a CasADi column."""
     return _sum(values) if is_casadi(values) else float(np.sum(values))
 
 
 def one_node(function: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[Any, ...]]:
-    """Decorate a function of scalars so that a graph of MX holds it as one node instead of its every operation.
+    """Decorate a function of scalars so that an MX graph holds it as one node instead of all its operations.
 
-    With numbers, arrays and SX it is called as it is. With MX each argument is a scalar or a column, and a scalar
-    applies to all elements of the columns.
+    Numbers, arrays and SX are passed to the function itself. MX arguments may be scalars or columns of one length; a
+    scalar applies to every element.
     """
 
     @lru_cache(maxsize=1)
@@ -236,7 +240,7 @@ def one_node(function: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[An
     return apply
 
 
-# The same functions for any operand: CasADi's and NumPy's own signatures name their own types only.
+# The same functions typed for any operand: CasADi and NumPy declare signatures for their own types only.
 _if_else: Callable[..., Expression] = ca.if_else
 _sum: Callable[..., Expression] = ca.sum1
 _choose: Callable[..., NDArray[np.float64]] = np.where
@@ -290,7 +294,7 @@ def where(condition: Expression, yes: Expression, no: Expression) -> Expression:
 
 
 def rms(variance: Expression, scale: Expression) -> Expression:
-    """Return the root of a variance; that of an expression has finite derivatives even if nothing oscillates."""
+    """Return the square root of a variance; for an expression its derivatives are finite even at variance 0."""
     if isinstance(variance, float):
         return math.sqrt(max(variance, 0.0))
     if not is_casadi(variance):
@@ -302,8 +306,8 @@ def rms(variance: Expression, scale: Expression) -> Expression:
 def expm1_ratio(x: Expression) -> Expression:
     """Return E(x) = (exp(x) - 1)/x with E(0) = 1.
 
-    It is a power series for |x| < 1, because automatic differentiation of ``expm1(x)/x`` loses up to
-    half the digits near zero. The relative accuracy is 1e-15 in the value, 1e-13 in gradient and Hessian.
+    A power series is used for |x| < 1, because automatic differentiation of ``expm1(x)/x`` loses up to half the digits
+    near zero. The relative accuracy is 1e-15 for the value and 1e-13 for gradient and Hessian.
     """
     near_zero = absolute(x) < 1.0
     small = where(near_zero, x, 0.0)
@@ -317,7 +321,7 @@ def expm1_ratio(x: Expression) -> Expression:
 def log1p_ratio(x: Expression) -> Expression:
     """Return log(1 + x)/x with the value 1 at x = 0, for x > -1.
 
-    For |x| < 0.5 it is the series of 2 artanh(x/(2 + x))/x, for the same reason and with the same accuracy as in
+    The series of 2 artanh(x/(2 + x))/x is used for |x| < 0.5, for the same reason and with the same accuracy as in
     `expm1_ratio`.
     """
     near_zero = absolute(x) < _SERIES_BELOW
@@ -328,21 +332,21 @@ def log1p_ratio(x: Expression) -> Expression:
 
 
 def arctanh_ratio(x: Expression) -> Expression:
-    """Return artanh(x)/x with the value 1 at x = 0, for |x| < 1; accurate as `expm1_ratio`."""
+    """Return artanh(x)/x with the value 1 at x = 0, for |x| < 1; as accurate as `expm1_ratio`."""
     near_zero, small, large = _split(x)
     return where(near_zero, _arctanh_series(small**2), arctanh(large) / large)
 
 
 def arctan_ratio(x: Expression) -> Expression:
-    """Return arctan(x)/x with the value 1 at x = 0; accurate as `expm1_ratio`."""
+    """Return arctan(x)/x with the value 1 at x = 0; as accurate as `expm1_ratio`."""
     near_zero, small, large = _split(x)
     return where(near_zero, _arctanh_series(-(small**2)), arctan(large) / large)
 
 
 def arcsinh_ratio(x: Expression) -> Expression:
-    """Return arsinh(x)/x with the value 1 at x = 0; accurate as `expm1_ratio`.
+    """Return arsinh(x)/x with the value 1 at x = 0; as accurate as `expm1_ratio`.
 
-    Near zero it is artanh(t)/x with t = x/sqrt(1 + x^2).
+    Near zero it equals artanh(t)/x with t = x/sqrt(1 + x^2).
     """
     near_zero, small, large = _split(x)
     scale = 1.0 / (1.0 + small**2)
@@ -350,13 +354,13 @@ def arcsinh_ratio(x: Expression) -> Expression:
 
 
 def _split(x: Expression) -> tuple[Expression, Expression, Expression]:
-    """Return whether the series applies to x; x if it does and else 0; x if it does not and else a safe value."""
+    """Return whether the series applies to x, x for the series (else 0), and x for the function (else a safe value)."""
     near_zero = absolute(x) < _SERIES_BELOW
     return near_zero, where(near_zero, x, 0.0), where(near_zero, _SERIES_BELOW, x)
 
 
 def _arctanh_series(square: Expression) -> Expression:
-    """Return artanh(t)/t from t^2, at most a quarter in size; from -t^2 it is arctan(t)/t."""
+    """Return artanh(t)/t given t^2 <= 1/4, or arctan(t)/t given -t^2."""
     series: Expression = 1.0 / (2 * _ATANH_TERMS + 1)
     for n in range(_ATANH_TERMS - 1, -1, -1):
         series = 1.0 / (2 * n + 1) + square * series
@@ -365,7 +369,7 @@ def _arctanh_series(square: Expression) -> Expression:
 
 @lru_cache(maxsize=64)
 def gauss_legendre(order: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return nodes and weights on the interval from 0 to 1; exact for polynomials up to degree 2 order - 1.
+    """Return quadrature nodes and weights on [0, 1]; exact for polynomials up to degree 2 order - 1.
 
     Args:
         order: number of nodes, at least 1.

@@ -1,4 +1,4 @@
-"""Files, and pictures as files: written whole or not at all, first beside their places, then moved there together."""
+"""Atomic writing of files and pictures: each file is written under a temporary name, then renamed."""
 
 from __future__ import annotations
 
@@ -24,36 +24,36 @@ if TYPE_CHECKING:
 Content: TypeAlias = str | bytes | Callable[[IO[bytes]], object]
 """Content of a file: text (written as UTF-8), bytes, or a function that writes into a binary file."""
 
-# Signals that end a process at once, and would leave unfinished files.
-_ENDING: Final = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+# Signals that terminate a process at once and would leave unfinished files behind.
+_TERMINATING: Final = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 _LONGEST_STEM: Final = 100
 
 PICTURE_FORMATS = ("png", "svg", "pdf")
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8A8A8A")
-"""The colours of Okabe and Ito (2008), which colour-blind people can distinguish, and a grey."""
+"""The colours of Okabe and Ito (2008), which colour-blind readers can distinguish, and a grey."""
 
 
 def write_file(path: str | Path, kind: str, content: Content) -> Path:
-    """Write a file whole or not at all, making its folder; return the given path.
+    """Write a file completely or not at all, creating its folder; return the given path.
 
-    A link stays, and the file that it leads to is replaced. Permissions are kept. A pipe or a device is written to
-    directly.
+    The target of a symbolic link is replaced, not the link. Permissions are preserved. Pipes and devices are written
+    to directly.
 
     Args:
         path: the file; an existing one is replaced.
-        kind: its name in messages, such as "table".
-        content: to write.
+        kind: name of the file in messages, such as "table".
+        content: content to write.
 
     Raises:
-        InputError: a place that cannot be written, or a full disk; an existing file is unchanged.
+        InputError: the file cannot be written or the disk is full; an existing file is unchanged.
     """
     write_files({Path(path): content}, kind)
     return Path(path)
 
 
 def write_files(files: Mapping[Path, Content], kind: str) -> None:
-    """Write several files as `write_file` does; none is moved to its place before all of them are written.
+    """Write several files as `write_file` does; none is renamed to its final name before all are complete.
 
     Raises:
         InputError: as `write_file`.
@@ -61,27 +61,27 @@ def write_files(files: Mapping[Path, Content], kind: str) -> None:
     target = next(iter(files))
     unfinished: list[Path] = []
     try:
-        with _tidied(unfinished):
+        with _removed_afterwards(unfinished):
             moves: list[tuple[Path, Path]] = []
             for target, content in files.items():
                 if _is_stream(target):
                     with target.open("wb") as stream:
                         _fill(stream, content)
                     continue
-                place = _place(target)
+                place = _resolved(target)
                 _make_folder(place.parent)
-                moves.append((_written_beside(place, content, unfinished), place))
-            for beside, place in moves:
-                beside.replace(place)
+                moves.append((_write_temporary(place, content, unfinished), place))
+            for temporary, place in moves:
+                temporary.replace(place)
     except OSError as error:
-        raise _refused(kind, target, error) from None
+        raise _write_error(kind, target, error) from None
 
 
 def write_new(path: str | Path, kind: str, content: Content) -> Path:
-    """Write a file that must not exist yet as `write_file` does; return its path.
+    """Write a new file as `write_file` does; return its path.
 
     Raises:
-        InputError: it exists, or cannot be written.
+        InputError: the file exists already or cannot be written.
     """
     if os.path.lexists(path):
         raise InputError(f"'{path}' exists already and is left as it is: name another file")
@@ -89,18 +89,19 @@ def write_new(path: str | Path, kind: str, content: Content) -> Path:
 
 
 def write_folder(target: Path, kind: str, files: Mapping[str, Content]) -> Path:
-    """Write files into a new folder, whole or not at all, making the folders around it; return its path.
+    """Write files into a new folder, completely or not at all, creating its parents; return its path.
 
     Raises:
-        InputError: it exists, or cannot be written.
+        InputError: the folder exists already or cannot be written.
     """
     unfinished: list[Path] = []
     try:
         _make_folder(target.parent)
-        with _tidied(unfinished):
+        with _removed_afterwards(unfinished):
             scratch = Path(tempfile.mkdtemp(prefix=f".{target.name[:_LONGEST_STEM]}.", dir=target.parent))
             unfinished.append(scratch)
-            inner = scratch / "made"  # with the permissions of any new folder: mkdtemp gives them to the user alone
+            # A subfolder has the usual permissions; only the user can read what mkdtemp creates.
+            inner = scratch / "made"
             inner.mkdir()
             for name, content in files.items():
                 with (inner / name).open("xb") as file:
@@ -108,7 +109,7 @@ def write_folder(target: Path, kind: str, files: Mapping[str, Content]) -> Path:
             check_new_folder(target, kind)
             inner.rename(target)
     except OSError as error:
-        raise _refused(kind, target, error) from None
+        raise _write_error(kind, target, error) from None
     return target
 
 
@@ -116,7 +117,7 @@ def check_new_folder(path: str | Path, kind: str) -> Path:
     """Return the path of a folder to be written.
 
     Raises:
-        InputError: it exists already.
+        InputError: the folder exists already.
     """
     target = Path(path)
     if os.path.lexists(target):
@@ -128,18 +129,18 @@ def check_file(path: str | Path, ending: str, kind: str) -> Path:
     """Return the path of a file to be written.
 
     Raises:
-        InputError: another ending, or a folder.
+        InputError: the path has another ending, or is a folder.
     """
     target = Path(path)
     if target.suffix.lower() != ending:
-        raise InputError(f"'{target}' cannot be the name of the {kind}: end it in {ending}")
+        raise InputError(f"'{target}' is not a valid file name for the {kind}: it must end in {ending}")
     if target.is_dir():
         raise InputError(f"'{target}' is a folder: name a file in it")
     return target
 
 
 def _is_stream(target: Path) -> bool:
-    """Return whether a path leads to a pipe, a terminal or a device."""
+    """Return whether a path is a pipe, a terminal or a device."""
     try:
         mode = target.stat().st_mode
     except OSError:
@@ -147,11 +148,11 @@ def _is_stream(target: Path) -> bool:
     return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
 
 
-def _place(target: Path) -> Path:
-    """Return the place of a file, with links followed.
+def _resolved(target: Path) -> Path:
+    """Return the path of a file to be written, with symbolic links resolved.
 
     Raises:
-        OSError: a folder, a file without permission to write, or links in a circle.
+        OSError: the path is a folder, a read-only file, or a loop of links.
     """
     place = Path(os.path.realpath(target))
     if place.is_symlink():
@@ -170,17 +171,17 @@ def _make_folder(folder: Path) -> None:
         raise NotADirectoryError(0, f"'{folder}' is not a folder") from None
 
 
-def _written_beside(place: Path, content: Content, unfinished: list[Path]) -> Path:
-    """Write a file with a unique name beside its place, with the permissions of the existing file; return its path."""
-    beside = place.with_name(f".{place.name[:_LONGEST_STEM]}.{secrets.token_hex(4)}")
-    unfinished.append(beside)
-    with beside.open("xb") as file:
+def _write_temporary(place: Path, content: Content, unfinished: list[Path]) -> Path:
+    """Write a file under a unique name in the same folder, with the existing file's permissions; return its path."""
+    temporary = place.with_name(f".{place.name[:_LONGEST_STEM]}.{secrets.token_hex(4)}")
+    unfinished.append(temporary)
+    with temporary.open("xb") as file:
         if place.exists() and hasattr(os, "fchmod"):
             os.fchmod(file.fileno(), stat.S_IMODE(place.stat().st_mode))
         _fill(file, content)
         file.flush()
         os.fsync(file.fileno())  # some file systems report a full disk only now
-    return beside
+    return temporary
 
 
 def _fill(file: IO[bytes], content: Content) -> None:
@@ -191,8 +192,8 @@ def _fill(file: IO[bytes], content: Content) -> None:
 
 
 @contextmanager
-def _tidied(unfinished: Sequence[Path]) -> Iterator[None]:
-    """Remove unfinished files however the writing ends: complete, by an error, or by a signal that ends the process."""
+def _removed_afterwards(unfinished: Sequence[Path]) -> Iterator[None]:
+    """Remove unfinished files on exit, even after an error or a signal that terminates the process."""
 
     def remove() -> None:
         for path in unfinished:
@@ -206,8 +207,8 @@ def _tidied(unfinished: Sequence[Path]) -> Iterator[None]:
         signal.signal(number, signal.SIG_DFL)
         os.kill(os.getpid(), number)
 
-    here = threading.current_thread() is threading.main_thread()  # the only one in which Python can catch signals
-    caught = [number for number in _ENDING if here and signal.getsignal(number) is signal.SIG_DFL]
+    in_main = threading.current_thread() is threading.main_thread()  # Python handles signals only there
+    caught = [number for number in _TERMINATING if in_main and signal.getsignal(number) is signal.SIG_DFL]
     for number in caught:
         signal.signal(number, end)
     try:
@@ -218,36 +219,36 @@ def _tidied(unfinished: Sequence[Path]) -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
-def _refused(kind: str, target: Path, error: OSError) -> InputError:
+def _write_error(kind: str, target: Path, error: OSError) -> InputError:
     why = error.strerror or str(error)
     return InputError(
-        f"the {kind} '{target}' cannot be written: {why[:1].lower()}{why[1:]}; nothing was changed: name another place,"
-        " or make room there"
+        f"the {kind} '{target}' cannot be written: {why[:1].lower()}{why[1:]}; nothing was changed: choose another"
+        " path, or free some space"
     )
 
 
 def from_above(module: str, name: str) -> Any:
-    """Return a function of the pictures' room, which knows every result and stands above them all.
+    """Return a function of a module in `plough_opt.app`, imported only when it is needed.
 
-    It is imported when a picture is drawn.
+    That package draws every kind of result and so imports all others; a regular import would be circular.
 
     Args:
-        module: such as "plots".
-        name: of the function.
+        module: name of the module, such as "plots".
+        name: name of the function.
     """
     return getattr(import_module(f"plough_opt.app.{module}"), name)
 
 
 def drawn(name: str, *arguments: Any, target: str | Path | None = None) -> Figure:
-    """Return a picture by a function of `plough_opt.app.plots`, written to a file where one is named.
+    """Return a picture drawn by a function of `plough_opt.app.plots`, and write it to a file if one is given.
 
     Args:
-        name: of the function.
-        arguments: what it draws.
+        name: name of the function.
+        arguments: its arguments.
         target: file to write, or None.
 
     Raises:
-        InputError: a file name without a known ending, or a place that cannot be written.
+        InputError: the file name has no known ending, or the file cannot be written.
     """
     figure: Figure = from_above("plots", name)(*arguments)
     if target is not None:
@@ -256,10 +257,10 @@ def drawn(name: str, *arguments: Any, target: str | Path | None = None) -> Figur
 
 
 def save_figure(figure: Figure, path: str | Path) -> Path:
-    """Write a figure to a file whole or not at all, making its folder; the ending determines the format.
+    """Write a figure to a file as `write_file` does; the ending determines the format.
 
     Raises:
-        InputError: an ending that is not a known format, or a place that cannot be written.
+        InputError: the ending is not a known format, or the file cannot be written.
     """
     check_format(path)
     ending = Path(path).suffix[1:].lower()
@@ -267,7 +268,7 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
 
 
 def check_format(path: str | Path) -> None:
-    """Raise InputError for a file whose ending is not a picture format, or for a folder."""
+    """Raise InputError if a path does not end in a picture format, or is a folder."""
     if Path(path).suffix[1:].lower() not in PICTURE_FORMATS:
         endings = ", ".join(f".{ending}" for ending in PICTURE_FORMATS)
         raise InputError(f"the plot '{path}' has no known picture format: end its name in one of {endings}")

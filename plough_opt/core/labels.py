@@ -1,6 +1,7 @@
-"""Labels in a CasADi graph, by which a design finds the meaning of values in it.
+"""Labels in CasADi graphs, which tell a design what the values in a graph mean.
 
-A label is a call that returns its value unchanged, and carries other expressions along, which have a meaning.
+A label is a call node that returns its first argument unchanged. Its second argument carries further expressions, and
+the meaning says what they are for.
 """
 
 import threading
@@ -28,20 +29,20 @@ Meaning = TypeVar("Meaning")
 _Given = ParamSpec("_Given")
 _Result = TypeVar("_Result")
 
-# Number of Functions that are kept for reuse, though no graph may call them any more: those of several designs.
-_MOST_LATELY: Final = 64
-# Number of Functions from which it is worth looking for those that no graph calls.
-_FEWEST_LOOKED_AT: Final = 128
+# Functions kept alive for reuse even if no graph calls them any more; enough for several designs.
+_CACHE_SIZE: Final = 64
+# Number of registered Functions that triggers the first purge of dead ones.
+_FIRST_PURGE: Final = 128
 
 
 @dataclass(frozen=True)
 class Limit:
-    """A meaning: the labelled value is valid only if the carried expression does not exceed a number.
+    """A meaning: the labelled value is valid only if the carried expression does not exceed a limit.
 
     Attributes:
-        name: of the limited expression, in reports.
-        at_most: its largest value.
-        unit: unit of both.
+        name: name of the limited expression, in reports.
+        at_most: its limit.
+        unit: unit of expression and limit.
     """
 
     name: str
@@ -51,7 +52,7 @@ class Limit:
 
 @dataclass(frozen=True)
 class Call:
-    """A meaning: the labelled value is a law's, and the carried expressions are the quantities in its arguments.
+    """A meaning: the labelled value was returned by a law, and the carried expressions are its arguments' quantities.
 
     Attributes:
         law: the function.
@@ -62,49 +63,50 @@ class Call:
     template: tuple[tuple[Any, ...], dict[str, Any]]
 
     def check(self, numbers: Sequence[float]) -> None:
-        """Raise DomainError if numbers of the quantities are outside the law's domain."""
+        """Raise DomainError if these values of the quantities lie outside the law's domain."""
         arguments, named = with_numbers(self.template, numbers)
         self.law(*arguments, **named)
 
 
 class Meanings(Generic[Meaning]):
-    """The meanings of Functions in graphs; each is forgotten with the last graph that calls its Function.
+    """A thread-safe registry of the meanings of Functions in graphs.
 
-    The latest Functions are kept, to be used again in similar graphs. Threads may share an object of this class.
+    A meaning is dropped once no graph calls its Function any more, except that the most recently used Functions are
+    kept for reuse in similar graphs.
     """
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
         self._known: dict[int, tuple[ca.WeakRef, Meaning]] = {}
-        self._lately: OrderedDict[Hashable, tuple[ca.Function, Meaning]] = OrderedDict()
-        self._look_at = _FEWEST_LOOKED_AT
+        self._recent: OrderedDict[Hashable, tuple[ca.Function, Meaning]] = OrderedDict()
+        self._next_purge = _FIRST_PURGE
 
     def shared(self, key: Hashable, make: Callable[[], tuple[ca.Function, Meaning]]) -> ca.Function:
-        """Return the Function with a key, which is made together with its meaning if it is not kept."""
+        """Return the cached Function of a key, or make it together with its meaning."""
         with self._lock:
-            if key not in self._lately:
-                function, meaning = self._lately[key] = make()
+            if key not in self._recent:
+                function, meaning = self._recent[key] = make()
                 self._known[hash(function)] = ca.WeakRef(function), meaning
-                self._forget()
-            self._lately.move_to_end(key)
-            return self._lately[key][0]
+                self._purge()
+            self._recent.move_to_end(key)
+            return self._recent[key][0]
 
     def of(self, function: ca.Function) -> Meaning | None:
-        """Return the meaning of a Function in a graph, or None for any other Function."""
+        """Return the meaning of a registered Function, or None for any other Function."""
         reference, meaning = self._known.get(hash(function), (None, None))
-        # The hash is an address in memory, which another Function may use now.
+        # The hash is an address in memory, which another Function may have taken over.
         return meaning if reference is not None and reference.alive() else None
 
-    def _forget(self) -> None:
-        """Forget Functions that no graph calls; all of them are checked whenever their number has doubled."""
-        while len(self._lately) > _MOST_LATELY:
-            self._lately.popitem(last=False)
-        if len(self._known) >= self._look_at:
+    def _purge(self) -> None:
+        """Drop the oldest cached Functions, and whenever the registry has doubled, all that no graph calls."""
+        while len(self._recent) > _CACHE_SIZE:
+            self._recent.popitem(last=False)
+        if len(self._known) >= self._next_purge:
             self._known = {at: known for at, known in self._known.items() if known[0].alive()}
-            self._look_at = max(_FEWEST_LOOKED_AT, 2 * len(self._known))
+            self._next_purge = max(_FIRST_PURGE, 2 * len(self._known))
 
     def __len__(self) -> int:
-        """Return the number of known meanings."""
+        """Return the number of registered meanings."""
         return len(self._known)
 
 
@@ -112,13 +114,13 @@ _LABELS: Meanings[object] = Meanings()
 
 
 def attach(value: Expression, carried: Expression, meaning: object, key: Hashable) -> Expression:
-    """Return a value as it is, or with a label in the graph if value and carried expressions hold MX symbols.
+    """Return a value with a label if it and the carried expressions depend on MX symbols, else unchanged.
 
     Args:
-        value: to be labelled.
+        value: value to label.
         carried: a column of expressions.
-        meaning: of the carried expressions.
-        key: equal for equal meanings, which then share one Function.
+        meaning: meaning of the carried expressions.
+        key: identifies the meaning; labels with equal keys share one Function.
     """
     if not (isinstance(value, ca.MX) and isinstance(carried, ca.MX) and is_symbolic(carried)):
         return value
@@ -133,16 +135,16 @@ def attach(value: Expression, carried: Expression, meaning: object, key: Hashabl
 
 
 def meaning_of(function: ca.Function) -> object | None:
-    """Return the meaning of a label, which is a Function in a graph, or None for any other Function."""
+    """Return the meaning of a label's Function, or None for any other Function."""
     return _LABELS.of(function)
 
 
 def without_labels(expressions: list[ca.MX], labels: list[ca.MX]) -> list[ca.MX]:
-    """Return expressions with labels replaced by their values, which makes them faster.
+    """Return expressions with every label replaced by its value, which makes them faster to evaluate.
 
     Args:
-        expressions: of a graph.
-        labels: the calls of labels in it, inner ones first, as `labels_in` returns them.
+        expressions: expressions of one graph.
+        labels: calls of labels in it, inner ones first, as `labels_in` returns them.
     """
     old: list[ca.MX] = []
     new: list[ca.MX] = []
@@ -154,19 +156,19 @@ def without_labels(expressions: list[ca.MX], labels: list[ca.MX]) -> list[ca.MX]
 
 
 def labels_in(function: ca.Function) -> list[ca.MX]:
-    """Return the calls of labels in a Function's graph of MX, inner ones first."""
+    """Return the calls of labels in a Function's MX graph, inner ones first."""
     places = [k for k in range(function.n_instructions()) if function.instruction_id(k) == ca.OP_CALL]
     calls = {hash(node): node for node in map(function.instruction_MX, places)}
     return [node for node in calls.values() if meaning_of(node.which_function()) is not None]
 
 
-# Whether the present computation is a part of one that is checked as a whole.
+# Whether the current computation is part of a law that is labelled as a whole.
 _INSIDE: ContextVar[bool] = ContextVar("inside", default=False)
 
 
 @contextmanager
 def unlabelled() -> Iterator[None]:
-    """Let laws return values without labels as long as the context lasts, because a law that uses them is labelled."""
+    """Return laws' values without labels inside this context, because the calling law is labelled itself."""
     before = _INSIDE.set(True)
     try:
         yield
@@ -177,14 +179,14 @@ def unlabelled() -> Iterator[None]:
 def checked_in_designs(
     law: Callable[_Given, _Result], check: Callable[_Given, object] | None = None
 ) -> Callable[_Given, _Result]:
-    """Decorate a law, so that a design can check that its bounds are within the law's domain.
+    """Decorate a law so that a design can check whether its bounds lie inside the law's domain.
 
-    The law itself checks numbers. If its arguments hold symbols, its values are labelled with the call, which a design
-    repeats with the numbers of its bounds.
+    The law itself checks numbers. If its arguments hold symbols, the result is labelled with the call, and a design
+    repeats the call with the numbers at its bounds.
 
     Args:
         law: the function.
-        check: function that is called with the bounds instead of the law.
+        check: function called with the bounds in place of the law.
     """
 
     @wraps(law)
@@ -197,11 +199,11 @@ def checked_in_designs(
             return result
         template, quantities = template_of((arguments, named))
         carried = ca.vertcat(*quantities)
-        # An array has one placeholder for all its elements; constants of CasADi need no label.
+        # An array has one placeholder for all its elements; CasADi constants need no label.
         several = not isinstance(carried, ca.MX) or carried.numel() != len(quantities)
         if several or not any(map(is_symbolic, quantities)):
             return result
-        # Functions in arguments, such as a density profile's, may have the same repr.
+        # Different functions among the arguments, such as density profiles, can have the same repr.
         functions: list[int] = []
 
         def note(function: object) -> object:

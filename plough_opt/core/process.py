@@ -1,4 +1,4 @@
-"""This process: its processors, its error stream, lines on its progress, and additions from outside the package."""
+"""Services of the running process: processor count, filtered error stream, progress lines, registered additions."""
 
 import contextlib
 import os
@@ -16,21 +16,22 @@ from plough_opt.core.errors import InputError
 # A context variable, so that other threads keep their own values.
 _one_of_several: ContextVar[bool] = ContextVar("one_of_several", default=False)
 
-# The beginning of CasADi's lines, and what those say that commands leave out.
-_BEGINS: Final = "CasADi - "
+# Prefix of every line that CasADi prints.
+_PREFIX: Final = "CasADi - "
+# Text of the lines that commands suppress.
 _NOTICE: Final = "Event support is experimental"
 
-EVERY: Final = 10.0
-"""Seconds between the lines: a user who sees nothing for longer may think that the process is dead."""
+INTERVAL: Final = 10.0
+"""Seconds between progress lines; after a longer silence a user may think that the process hangs."""
 
 GROUP: Final = "plough_opt"
-"""Group of entry points, as ``[project.entry-points.plough_opt]`` in a package's pyproject.toml names it."""
+"""Group of entry points: ``[project.entry-points.plough_opt]`` in a package's pyproject.toml."""
 
 
 def available() -> int:
     """Return the number of processors, at least 1, that the calling code may use.
 
-    It follows the process's affinity, which `taskset`, containers and batch systems set, not the machine.
+    It is the process's affinity, which `taskset`, containers and batch systems restrict.
     """
     if _one_of_several.get():
         return 1
@@ -41,7 +42,7 @@ def available() -> int:
 
 @contextmanager
 def one_of_several() -> Iterator[None]:
-    """Leave the other processors to the other workers of a sweep as long as the context lasts."""
+    """Make `available` return 1 inside this context, because other workers use the other processors."""
     token = _one_of_several.set(True)
     try:
         yield
@@ -50,26 +51,26 @@ def one_of_several() -> Iterator[None]:
 
 
 class Sieve:
-    """A stream that passes on everything except CasADi's lines about experimental events.
+    """A stream that forwards everything except CasADi's notices that event support is experimental.
 
-    CasADi prints for every integrator with events, and for its derivatives, that they are experimental. A program that
-    uses the toolkit gets these lines on its own stream; a user of the commands does not need them.
+    CasADi prints one for every integrator with events and for each of its derivatives. Users of the commands do not
+    need them.
 
-    CasADi writes a line in pieces. These are put together, separately for each thread, from the piece with which
-    CasADi's lines begin; other text is passed on at once.
+    CasADi writes a line in pieces. A line with its prefix is therefore buffered, separately for each thread, until it
+    is complete; any other text is forwarded at once.
     """
 
     def __init__(self, stream: Any) -> None:
-        """Take the stream to pass on to."""
+        """Set the stream to forward to."""
         self._stream = stream
-        self._begun = threading.local()
+        self._buffer = threading.local()
 
     def write(self, text: str) -> int:
-        """Pass text on, or keep it until the line is complete."""
-        line = getattr(self._begun, "line", "") + text
-        held = line.startswith(_BEGINS) and not line.endswith("\n")
-        self._begun.line = line if held else ""
-        if not held and not (line.startswith(_BEGINS) and _NOTICE in line):
+        """Forward text, or buffer it until the line is complete."""
+        line = getattr(self._buffer, "line", "") + text
+        incomplete = line.startswith(_PREFIX) and not line.endswith("\n")
+        self._buffer.line = line if incomplete else ""
+        if not incomplete and not (line.startswith(_PREFIX) and _NOTICE in line):
             self._stream.write(line)
         return len(text)
 
@@ -80,9 +81,9 @@ class Sieve:
 
 @contextmanager
 def without_notices() -> Iterator[None]:
-    """Remove CasADi's notices from the error stream as long as the context lasts."""
+    """Suppress CasADi's notices on the error stream inside this context."""
     before = sys.stderr
-    if before is not None:  # the process may have been started without one
+    if before is not None:  # a process can be started without an error stream
         sys.stderr = Sieve(before)
     try:
         yield
@@ -92,18 +93,18 @@ def without_notices() -> Iterator[None]:
 
 @contextmanager
 def heartbeat(write: Callable[[str], object], every: float | None = None) -> Iterator[Callable[[str], None]]:
-    """Write every few seconds the present activity and the time since the start; yield a function that sets it.
+    """Write the current activity and the elapsed time every few seconds; yield a function that sets the activity.
 
     Args:
-        write: called with a line, by another thread.
-        every: seconds between the lines; default `EVERY`. A shorter computation writes nothing.
+        write: called with each line, from another thread.
+        every: seconds between lines, default `INTERVAL`; a shorter computation writes nothing.
     """
     activity, done, started = "working", threading.Event(), time.monotonic()
 
     def beat() -> None:
-        # If the stream is closed, the error is raised where the results are written.
+        # If the stream is closed, writing the results raises the error.
         with contextlib.suppress(OSError, ValueError):
-            while not done.wait(EVERY if every is None else every):
+            while not done.wait(INTERVAL if every is None else every):
                 write(f"{activity}: {time.monotonic() - started:.0f} s so far")
 
     def note(text: str) -> None:
@@ -120,10 +121,10 @@ def heartbeat(write: Callable[[str], object], every: float | None = None) -> Ite
 
 
 def load_additions() -> None:
-    """Import every module that an installed package names as an addition: it adds itself to a registry.
+    """Import the modules that installed packages declare as additions; each adds itself to a registry.
 
     Raises:
-        InputError: one cannot be imported; the message names it, its package and the reason.
+        InputError: a module cannot be imported; the message gives it, its package and the reason.
     """
     for entry in entry_points(group=GROUP):
         try:
@@ -132,5 +133,5 @@ def load_additions() -> None:
             package = entry.dist.name if entry.dist is not None else "an installed package"
             raise InputError(
                 f"the addition '{entry.name}' = {entry.value} of {package} cannot be imported"
-                f" ({type(error).__name__}: {error}): mend it, or uninstall {package}"
+                f" ({type(error).__name__}: {error}): repair it, or uninstall {package}"
             ) from error

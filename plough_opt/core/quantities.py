@@ -1,6 +1,6 @@
-"""The registry of quantities: name, unit, domain and meaning of every number that a scene is made of.
+"""The registry of quantities: name, unit, domain and meaning of every number in a scene.
 
-Files, designs, components, exports, calibration, distributions, sweeps and the documentation's table read it here. A
+Files, designs, components, exports, calibration, distributions, sweeps and the documentation's table all read it. A
 quantity's name is its key in problem files, such as "soil.cohesion".
 """
 
@@ -20,7 +20,7 @@ from plough_opt.core.errors import DomainError, ImplausibleValue
 from plough_opt.core.expressions import Expression
 from plough_opt.core.units import Unit, has_unit, in_si
 
-# SI unit -> units that are often meant by a number in it, with their factors, the likeliest first.
+# SI unit -> units that users often have in mind when they pass a plain number, with factors, likeliest first.
 _SLIPS: Final = {
     "N/m": (("kN/m", 1e3),),
     "m": (("mm", 1e-3), ("cm", 1e-2)),
@@ -34,43 +34,43 @@ _SLIPS: Final = {
 }
 
 
-def warn_of(question: str, stacklevel: int) -> None:
-    """Warn of an implausible number that a user's program gives; what the toolkit makes again says nothing new.
+def _warn_implausible(question: str, stacklevel: int) -> None:
+    """Warn of an implausible number if the user's own code passed it, not when the toolkit copies a scene.
 
     Args:
-        question: with the name and the value.
-        stacklevel: of the warning, 2 for the line that calls the caller of this function.
+        question: names the value and asks whether another unit was meant.
+        stacklevel: stack level of the warning; 2 is the line that calls the caller of this function.
     """
     frame: FrameType | None = sys._getframe(stacklevel)
-    while frame is not None and frame.f_globals.get("__name__") == "dataclasses":  # `replace` makes it for its caller
+    while frame is not None and frame.f_globals.get("__name__") == "dataclasses":  # skip `dataclasses.replace`
         frame, stacklevel = frame.f_back, stacklevel + 1
     if frame is not None and str(frame.f_globals.get("__name__")).partition(".")[0] != "plough_opt":
-        text = f"{question} Plain numbers are SI; a text with its unit says what is meant"
+        text = f"{question} Plain numbers are in SI units; write the value as a string with its unit to be explicit"
         warnings.warn(text, ImplausibleValue, stacklevel=stacklevel + 1)
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number that a scene holds, or that its mass and duration follow from.
+    """A number in a scene, or one that determines the scene's mass or duration.
 
     Attributes:
         name: key in problem files.
-        called: what messages call it.
-        meaning: what it is, with its symbol.
+        called: name in messages.
+        meaning: description, with the symbol.
         unit: SI unit, "" for a pure number.
         typical: a value inside the domain.
-        path: attributes, and places in tuples, that lead to it from a scene; () for a number beside the scene.
+        path: attributes and tuple indices that lead to it from a scene; () for a number outside the scene.
         low: lower end of the model's domain.
         high: upper end of the domain.
         above: whether the lower end is excluded.
         below: whether the upper end is excluded.
-        shown: unit in which a reader expects it, if not the SI one.
-        why: where the limits come from, added to messages.
+        shown: unit in which readers expect it, if not the SI unit.
+        why: reason for the limits, appended to messages.
         required: whether a problem file must give it or make it a variable.
         in_files: whether problem files have it.
-        default: value in a problem file that leaves it out.
-        plausible: from and to which values are found in practice, wide; a value outside that another unit would bring
-            inside is taken for a slip.
+        default: value if a problem file omits it.
+        plausible: generous range of values found in practice. A value outside it that another unit would bring inside
+            is taken for a slip.
     """
 
     name: str
@@ -92,33 +92,33 @@ class Quantity:
 
     @property
     def owner(self) -> str:
-        """The table of a problem file that holds it, as "soil" or "effects.strength_wave_2"."""
+        """Table of a problem file that holds it, such as "soil" or "effects.strength_wave_2"."""
         return self.name.rpartition(".")[0]
 
     @property
     def key(self) -> str:
-        """Its name within that table."""
+        """Name within that table."""
         return self.name.rpartition(".")[2]
 
     @property
     def domain(self) -> tuple[float, float]:
-        """The ends of the model's domain."""
+        """Ends of the model's domain."""
         return self.low, self.high
 
     @cached_property
     def ordinary(self) -> tuple[float, float]:
-        """Between which a number lies that is in the domain and plausible: almost every one, so it is read at once."""
+        """Range inside both the domain and the plausible range; numbers in it need no further check."""
         return max(self.low, self.plausible[0]), min(self.high, self.plausible[1])
 
     def read(self, value: Any, stacklevel: int = 2) -> Expression:
-        """Return a value in SI, checked; a plain number that looks like a slip of the unit carries a warning.
+        """Return a checked value in SI; warn if a plain number looks like a slip of the unit.
 
         Args:
-            value: a text such as "50 kN/m", a pint quantity, or what is in SI: a number, an array or an expression.
-            stacklevel: of the warning, 2 for the caller's line.
+            value: a string such as "50 kN/m", a pint quantity, or a number, array or expression in SI.
+            stacklevel: stack level of the warning, 2 for the caller's line.
 
         Raises:
-            InputError: a text that is not a quantity, or a unit of another kind.
+            InputError: the string is not a quantity, or the unit has the wrong dimension.
             DomainError: as `check`.
         """
         if type(value) is not float:
@@ -131,16 +131,16 @@ class Quantity:
         except DomainError as error:
             raise DomainError(f"{error}; {slip}" if slip else str(error)) from None
         if slip:
-            warn_of(f"{self.called} = {value:g} {self.unit}: {slip}", stacklevel + 1)
+            _warn_implausible(f"{self.called} = {value:g} {self.unit}: {slip}", stacklevel + 1)
         read: Expression = value
         return read
 
     def slip(self, value: Any) -> str:
         """Return a question if a number is implausible in SI but plausible in another customary unit, else ""."""
         low, high = self.plausible
-        # In Python's own floats: NumPy's short ones cannot be compared with numbers beyond their range.
+        # As a Python number: NumPy's short types cannot be compared with numbers beyond their range.
         value = value.item() if isinstance(value, np.integer | np.floating) else value
-        # A whole number may be larger than any float.
+        # An integer may be larger than any float.
         known = isinstance(value, int | float) and -LARGEST <= value <= LARGEST
         if not known or low <= value <= high or not value:
             return ""
@@ -150,11 +150,7 @@ class Quantity:
         return ""
 
     def check(self, value: Expression) -> None:
-        """Refuse a number outside the domain; a symbol passes.
-
-        Raises:
-            DomainError: not a number, or one that is not finite or lies outside.
-        """
+        """Raise DomainError if a value is not a finite number inside the domain; a symbol passes."""
         check_domain(
             self.called,
             value,
@@ -168,7 +164,7 @@ class Quantity:
 
 
 def _angle(name: str, meaning: str, typical: float, path: tuple[str, ...], *, above: bool, in_files: bool) -> Quantity:
-    """Return an angle below 90 degrees, which a file that has it must give."""
+    """Return an angle below 90 degrees, which problem files must give if they have it."""
     called = name.rpartition(".")[2].replace("_", " ")
     return Quantity(
         name, called, meaning, "rad", typical, path, high=math.pi / 2, above=above, below=True,
@@ -176,13 +172,13 @@ def _angle(name: str, meaning: str, typical: float, path: tuple[str, ...], *, ab
     )  # fmt: skip
 
 
-_COMPACTS = "it is undisturbed over locked density, and the plastic gas needs soil that compacts"
+_COMPACTS = "it is undisturbed over locked density, and the plastic gas model needs soil that compacts"
 MOST_WAVES = 8
-"""Most strength waves of a scene."""
+"""Largest number of strength waves in a scene."""
 
 
 def wave_table(number: int) -> str:
-    """Return the table of a problem file that holds a strength wave, counted from 1."""
+    """Return the table of a problem file that holds a strength wave, numbered from 1."""
     return "effects.strength_wave" if number == 1 else f"effects.strength_wave_{number}"
 
 
@@ -242,7 +238,7 @@ QUANTITIES: dict[str, Quantity] = {
             ("soil", "poisson_ratio"), high=0.5, below=True,
         ),
         Quantity(
-            "soil.strength_factor", "strength factor", "measured over computed static resistance", "", 1.0,
+            "soil.strength_factor", "strength factor", "ratio of measured to computed static resistance", "", 1.0,
             ("soil", "strength_factor"), above=True,
         ),
         _angle(
@@ -266,27 +262,27 @@ QUANTITIES: dict[str, Quantity] = {
             ("stiffness",), above=True, shown="kN/m", required=True, plausible=(1e3, 1e9),
         ),
         Quantity(
-            "scene.mass", "mass", "mass m of all that moves but the soil", "kg", 20.0,
+            "scene.mass", "mass", "mass m of all moving parts, without the soil", "kg", 20.0,
             ("mass",), above=True, why="the share itself moves", in_files=False, plausible=(0.2, 5e4),
         ),
         Quantity(
             "scene.tow_speed", "tow speed", "speed V0 of the strut", "m/s", 2.0,
-            ("tow_speed",), high=1e40, shown="km/h", why="a faster motion cannot be followed in floating point",
+            ("tow_speed",), high=1e40, shown="km/h", why="a faster motion cannot be integrated in floating point",
             required=True, plausible=(0.0, 6.0),
         ),
         *(quantity for number in range(1, MOST_WAVES + 1) for quantity in _wave(number)),
         Quantity(
             "effects.random_strength.rms", "RMS of random strength",
-            "standard deviation of the soil's random strength over its mean", "", 0.2,
+            "standard deviation of the soil's random strength, relative to the mean", "", 0.2,
             ("effects", "random_strength", "rms"), high=1.0, why="soil cannot push the share forward",
         ),
         Quantity(
             "effects.random_strength.correlation_length", "correlation length",
-            "distance in which the correlation of the soil's random strength falls to 1/e", "m", 0.3,
+            "distance over which the correlation of the soil's random strength falls to 1/e", "m", 0.3,
             ("effects", "random_strength", "correlation_length"), above=True,
         ),
         Quantity(
-            "effects.tow_ramp", "tow ramp", "time in which the strut's speed rises from 0", "s", 0.5,
+            "effects.tow_ramp", "tow ramp", "time over which the strut's speed rises from 0", "s", 0.5,
             ("effects", "tow_ramp"),
         ),
         Quantity(
@@ -299,42 +295,42 @@ QUANTITIES: dict[str, Quantity] = {
         ),
         Quantity(
             "effects.contact_width", "width of the smooth contact",
-            "speed of the share above which the soil resists fully", "m/s", 0.1,
+            "speed of the share above which the soil offers its full resistance", "m/s", 0.1,
             ("effects", "contact", "width"), above=True,
         ),
         Quantity(
             "effects.breakaway", "breakaway ratio",
-            "resistance at which a sticking share moves over the static one", "", 1.2,
+            "ratio of the resistance that frees a sticking share to the static resistance", "", 1.2,
             ("effects", "contact", "breakaway"), low=1.0,
         ),
     )
 }  # fmt: skip
-"""Quantities of a scene by name; "share.half_angle" of a share that is given as a cone."""
+"""Quantities of a scene by name; "share.half_angle" belongs to a share given as a cone."""
 
 BESIDE: dict[str, Quantity] = {
     quantity.name: quantity
     for quantity in (
         Quantity("scene.duration", "duration", "simulated time", "s", 2.0, (), above=True, required=True),
         Quantity(
-            "scene.frame_mass", "frame mass", "mass of all that moves but the share and the soil", "kg", 20.0, (),
+            "scene.frame_mass", "frame mass", "mass of all moving parts, without share and soil", "kg", 20.0, (),
             required=True, plausible=(0.0, 5e4),
         ),
         Quantity(
             "scene.steel_density", "density of the share's material",
-            "density of the share's material, whose mass moves too", "kg/m^3", 7850.0, (), default=7850.0,
+            "density of the share's material, from which its mass follows", "kg/m^3", 7850.0, (), default=7850.0,
             plausible=(500.0, 25e3),
         ),
     )
 }  # fmt: skip
-"""Quantities beside a scene: its duration, and what its mass is made of."""
+"""Quantities outside a scene: its duration, and those that determine its mass."""
 
 READINGS: dict[str, Quantity] = {
     "soil.cone_index": Quantity(
-        "soil.cone_index", "cone index", "pressure that a penetrometer reads", "Pa", 1e6, (), above=True, shown="MPa",
+        "soil.cone_index", "cone index", "pressure on a penetrometer's cone", "Pa", 1e6, (), above=True, shown="MPa",
         plausible=(1e4, 1e8),
     ),
 }  # fmt: skip
-"""Readings of a problem file that decide another property of its soil."""
+"""Measured values in a problem file that determine another property of its soil."""
 
 EVERY: dict[str, Quantity] = {**QUANTITIES, **BESIDE, **READINGS}
 """Every quantity by name."""
@@ -344,37 +340,37 @@ IN_FILES: dict[str, Quantity] = {name: quantity for name, quantity in EVERY.item
 
 
 def quantities() -> dict[str, Unit]:
-    """Return every key that a quantity can stand at, such as "share.height", with its unit."""
+    """Return the key of every quantity in problem files, such as "share.height", with its unit."""
     return {name: Unit(quantity.unit) for name, quantity in IN_FILES.items()}
 
 
 def every_quantity() -> dict[str, Unit]:
-    """Return every quantity of a scene by its one name: those of files, and what scenes of Python's alone have."""
+    """Return the name of every quantity with its unit, including those that problem files do not have."""
     return {name: Unit(quantity.unit) for name, quantity in EVERY.items()}
 
 
-def ask_about(what: str, unit: str, values: Iterable[Any], stacklevel: int = 2) -> None:
-    """Warn of plain numbers that would be a slip for every quantity of their unit.
+def warn_of_slips(what: str, unit: str, values: Iterable[Any], stacklevel: int = 2) -> None:
+    """Warn of plain numbers that are implausible for every quantity with their unit.
 
     Args:
-        what: what the values are, as the user calls it.
+        what: name of the values, for the user.
         unit: SI unit.
-        values: numbers, texts, quantities.
-        stacklevel: of the warning, 2 for the line that calls the caller.
+        values: numbers, strings, pint quantities.
+        stacklevel: stack level of the warning, 2 for the line that calls the caller.
     """
     alike = [one for one in EVERY.values() if one.unit == unit and one.plausible != (-math.inf, math.inf)]
     for value in values:
         if alike and not has_unit(value) and all(slips := [one.slip(value) for one in alike]):
-            warn_of(f"{what} = {value:g} {unit}: {slips[0]}", stacklevel + 1)
+            _warn_implausible(f"{what} = {value:g} {unit}: {slips[0]}", stacklevel + 1)
             return
 
 
-def settle(owner: object, **names: str) -> None:
-    """Read, check and keep in SI the fields of a frozen dataclass; for its ``__post_init__``.
+def read_fields(owner: object, **names: str) -> None:
+    """Replace fields of a frozen dataclass by their checked values in SI; called in its ``__post_init__``.
 
     Args:
         owner: the object.
-        names: field -> name of its quantity; a field that is None by default may be None.
+        names: field -> name of its quantity; a field whose default is None may be None.
 
     Raises:
         InputError, DomainError: as `Quantity.read`.
@@ -386,7 +382,7 @@ def settle(owner: object, **names: str) -> None:
             continue
         if value is None and getattr(type(owner), field, "none") is None:
             continue
-        # The lines of this loop, of __post_init__ and of the class's own __init__ lie before the user's.
+        # Three frames lie between this one and the user's: this loop, __post_init__ and the generated __init__.
         found = quantity.read(value, stacklevel=4)
         if found is not value:
             object.__setattr__(owner, field, found)

@@ -1,4 +1,4 @@
-"""Error and time of a result by the order of its quadrature, its number of knots, or any other size."""
+"""Convergence studies: error and time of a result over quadrature order, number of knots or any other size."""
 
 import sys
 import time
@@ -12,18 +12,19 @@ from plough_opt.core.checks import NOT_NUMBERS, check_callable, check_kind, show
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_count
 
+# Evaluations of which the median time is taken.
 _REPEATS = 5
-# Relative error below which differences are rounding, and further refinement gains nothing.
+# Relative error that is due to rounding, so that further refinement gains nothing.
 _ROUNDING = 1e-14
 
 
 @dataclass(frozen=True)
 class Refinement:
-    """Error and time of a result at several sizes; `str` of it is a table.
+    """Error and time of a result at several sizes; prints as a table.
 
     Attributes:
         sizes: orders, or numbers of knots, ascending.
-        errors: largest difference from the result at twice the largest size, relative to the largest value of that.
+        errors: largest difference from the result at twice the largest size, relative to that result's largest value.
         seconds: median time of one evaluation, after a warm-up [s].
 
     Example:
@@ -39,53 +40,53 @@ class Refinement:
 
     @property
     def cost(self) -> NDArray[np.float64]:
-        """Times as multiples of the fastest."""
+        """Times as multiples of the shortest."""
         ratios: NDArray[np.float64] = self.seconds / np.min(self.seconds)
         return ratios
 
     def size_for(self, error: float) -> int:
-        """Return the smallest size whose relative error is at most the wanted one.
+        """Return the smallest size whose relative error does not exceed the given one.
 
         Raises:
-            InputError: an invalid error, or one that no size reaches.
+            InputError: the error is invalid, or not reached at any size.
         """
-        error = float(error) if isinstance(error, np.floating) else error  # of few bytes it is compared with its like
+        error = float(error) if isinstance(error, np.floating) else error  # short types would round the comparison
         if (
             not isinstance(error, int | float | np.number)
             or isinstance(error, bool)
             or not 0.0 <= error <= sys.float_info.max
         ):
-            raise InputError(f"error = {shown(error)} must be a number, not below 0")
+            raise InputError(f"error = {shown(error)} must be a finite number of at least 0")
         for size, own in zip(self.sizes, self.errors, strict=True):
             if own <= error:
                 return size
-        raise InputError(f"no size up to {self.sizes[-1]} reaches a relative error of {error:g}: try larger ones")
+        raise InputError(f"no size up to {self.sizes[-1]} reaches a relative error of {error:g}: try larger sizes")
 
     def __str__(self) -> str:
-        """Return the table, with a sentence on the size beyond which refinement gains nothing."""
+        """Return the table, and the size beyond which refinement gains nothing."""
         rows = [f"{'size':>6} {'relative error':>16} {'time, fastest = 1':>18}"]
         for size, error, cost in zip(self.sizes, self.errors, self.cost, strict=True):
             rows.append(f"{size:>6} {error:>16.1e} {cost:>18.1f}")
         enough = [size for size, error in zip(self.sizes, self.errors, strict=True) if error <= _ROUNDING]
         if enough:
-            rows.append(f"{enough[0]} reaches rounding; more costs time and gains nothing.")
+            rows.append(f"At {enough[0]} only rounding errors remain; larger sizes gain nothing.")
         return "\n".join(rows)
 
 
 def refine(quantity: Callable[[int], Expression], sizes: Sequence[int]) -> Refinement:
-    """Evaluate a result at several sizes, and at twice the largest of them to judge them by.
+    """Evaluate a result at several sizes, and compare with the result at twice the largest size.
 
-    For instance the order of a density profile's quadrature, or the knots on a smooth profile::
+    The size may be, for instance, the order of a density profile's quadrature or the number of knots of a profile::
 
         refine(lambda order: resistance(cone, soil.with_density_profile(rho, order=order), 2.0, 0.0), [4, 8, 16])
         refine(lambda n: elastic.wedge_stress(0.1, 0.1, elastic.knots(h, 0.5, n), soil, 2.0).yy, [8, 16, 32])
 
     Args:
-        quantity: a number or an array as a function of the size.
-        sizes: sizes to try, at least one, each 1 or larger.
+        quantity: function of the size that returns a number or an array.
+        sizes: sizes to try, at least one, each at least 1.
 
     Raises:
-        InputError: no sizes, sizes below 1, or a result that is not finite.
+        InputError: there are no sizes, a size is below 1, or a result is not finite.
 
     Example:
         >>> import plough_opt as po
@@ -94,10 +95,10 @@ def refine(quantity: Callable[[int], Expression], sizes: Sequence[int]) -> Refin
         True
     """
     check_callable("the quantity", quantity, "of the size")
-    check_kind("sizes", sizes, Sequence | np.ndarray, "a list of whole numbers from 1 on")
+    check_kind("sizes", sizes, Sequence | np.ndarray, "a list of positive integers")
     tried = tuple(sizes)
     if not tried or not all(map(is_count, tried)):
-        raise InputError(f"sizes = {shown(list(sizes))} must be one or more whole numbers from 1 on")
+        raise InputError(f"sizes = {shown(list(sizes))} must be one or more positive integers")
     tried = tuple(sorted(set(map(int, tried))))
     reference = _value(quantity, 2 * tried[-1])
     largest = float(np.max(np.abs(reference)))
@@ -115,9 +116,9 @@ def _value(quantity: Callable[[int], Expression], size: int) -> NDArray[np.float
     except InputError:
         raise
     except NOT_NUMBERS:
-        raise InputError(f"the quantity returned {shown(result)} at size {size}, and must return numbers") from None
+        raise InputError(f"the quantity returned {shown(result)} at size {size}, but must return numbers") from None
     if not np.all(np.isfinite(value)):
-        raise InputError(f"the result at size {size} is not finite: refine a result that has a value")
+        raise InputError(f"the result at size {size} is not finite: refine a quantity that is finite at every size")
     return value
 
 

@@ -1,4 +1,4 @@
-"""Tables of results: built once, shown as plain text, by a notebook, and by the command line."""
+"""Tables of results, shown as plain text, in notebooks and on the command line."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def text_table(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> str:
-    """Return rows as lines with aligned columns, those whose numbers are given to the left, the others to the right."""
+    """Return rows as text with aligned columns; columns with a number in `left` are aligned left, others right."""
     columns = [*zip(*rows, strict=True)]
     widths = [max(map(len, column)) for column in columns]
     aligned = [
@@ -32,10 +32,10 @@ class Column:
     """A column of a table.
 
     Attributes:
-        heading: what stands above it.
-        left: aligned to the left.
-        fold: broken within a word where a screen is too narrow; other columns break between words.
-        mark: cells say what is out of the ordinary.
+        heading: text above the column.
+        left: whether cells are aligned left.
+        fold: whether cells may be broken within a word on a narrow screen; other columns break between words.
+        mark: whether cells are highlighted, because they report something unusual.
     """
 
     heading: str = ""
@@ -50,12 +50,12 @@ class Grid:
 
     Attributes:
         columns: from left to right.
-        title: what stands above it.
-        caption: what stands below it.
+        title: text above the table.
+        caption: text below the table.
         rows: cells of each row.
-        bold: numbers of the rows that stand out.
-        ends: numbers of the rows after which a part ends.
-        plain: drawn without lines, for a table that is as wide as a page.
+        bold: numbers of the rows in bold.
+        ends: numbers of the rows followed by a rule.
+        plain: whether it is drawn without a frame, for a table as wide as a page.
     """
 
     columns: tuple[Column, ...]
@@ -71,18 +71,18 @@ class Grid:
         """Return an empty table.
 
         Args:
-            title: what stands above it.
-            headings: of the columns; the first is aligned to the left.
-            left: headings of further columns that are.
-            fold: headings of columns that are broken within a word.
-            mark: heading of the column whose cells say what is out of the ordinary.
+            title: text above the table.
+            headings: of the columns; the first column is aligned left.
+            left: headings of further columns that are aligned left.
+            fold: headings of columns that may be broken within a word.
+            mark: heading of the column whose cells are highlighted.
         """
         return cls(tuple(Column(h, k == 0 or h in left, h in fold, k > 0 and h == mark)
                          for k, h in enumerate(headings)), title)  # fmt: skip
 
     @classmethod
     def pairs(cls, title: str, *rows: tuple[str, str]) -> Grid:
-        """Return a table of names and values, without headings."""
+        """Return a table of names and values without headings."""
         return cls((Column(left=True), Column()), title, rows=[*rows])
 
     def row(self, *cells: str, bold: bool = False, end: bool = False) -> None:
@@ -99,15 +99,15 @@ class Grid:
         return any(column.heading for column in self.columns)
 
     def __str__(self) -> str:
-        """Return the table as lines."""
+        """Return the table as plain text."""
         headings = [tuple(" ".join(column.heading.split()) for column in self.columns)] if self.headed else []
-        # A cell of several lines takes as many rows.
+        # A cell with several lines takes as many rows of text.
         rows = [line for row in self.rows for line in _lines(row)]
         text = text_table([*headings, *rows], [k for k, column in enumerate(self.columns) if column.left])
         return "\n".join(part for part in (self.title, text, self.caption) if part)
 
     def __rich__(self) -> Table:
-        """Return the table as rich draws it in a terminal."""
+        """Return the table for a terminal."""
         from rich.box import HEAVY_HEAD, SIMPLE_HEAD
         from rich.table import Table
         from rich.text import Text
@@ -128,7 +128,7 @@ class Grid:
         return table
 
     def html(self) -> str:
-        """Return the table for a browser."""
+        """Return the table as HTML."""
         left = ["left" if column.left else "right" for column in self.columns]
 
         def row(cells: Sequence[str], tag: str, style: str = "") -> str:
@@ -147,7 +147,7 @@ class Grid:
 
 
 def _lines(row: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return a row whose cells have several lines as several rows."""
+    """Return a row whose cells may have several lines as rows of single lines."""
     cells = [cell.splitlines() or [""] for cell in row]
     most = max(map(len, cells))
     return [tuple(cell[k] if k < len(cell) else "" for cell in cells) for k in range(most)]
@@ -158,14 +158,14 @@ Part: TypeAlias = Grid | str
 
 @dataclass(frozen=True)
 class Page:
-    """A result as it is shown.
+    """A result as shown to the user.
 
     Attributes:
-        heading: what it is, in a line.
+        heading: one line that says what was found.
         parts: tables and sentences, in order.
-        notes: what a reader of the numbers must know, each without its full stop.
+        notes: remarks that readers of the numbers must know, each without its full stop.
         footer: how far the numbers can be trusted.
-        title: of the question, which stands above all.
+        title: title of the question, shown first.
     """
 
     heading: str
@@ -175,14 +175,14 @@ class Page:
     title: str = ""
 
     def __str__(self) -> str:
-        """Return the page as lines."""
+        """Return the page as plain text."""
         notes = (f"Note: {text}." for text in dict.fromkeys(self.notes))
         return "\n".join(
             part for part in (self.title, self.heading, *map(str, self.parts), *notes, self.footer) if part
         )
 
     def html(self, picture: str = "") -> str:
-        """Return the page for a browser, a picture behind its tables."""
+        """Return the page as HTML, with a picture after its tables."""
         parts = (part.html() if isinstance(part, Grid) else f"<p>{escape(part)}</p>" for part in self.parts)
         notes = "".join(f"<li>{escape(text)}.</li>" for text in dict.fromkeys(self.notes))
         heading = f"<p>{escape(self.heading)}</p>" if self.title else ""
@@ -194,40 +194,40 @@ class Page:
 
 
 class Readable(ABC):
-    """A result that prints its tables and shows them in a notebook with its picture.
+    """A result that prints as tables, and shows them and its picture in a notebook.
 
-    A class of results defines `page`, and `plot` where it has a picture.
+    Subclasses define `page`, and `plot` if they have a picture.
     """
 
     @abstractmethod
     def page(self) -> Page:
-        """Return what the result shows of itself."""
+        """Return tables and text that present the result."""
 
     def shown_page(self) -> Page:
-        """Return `page`, or what was shown when it was saved, of a result that was read from a file."""
+        """Return the page; for a result read from a file, the page as it was saved."""
         return getattr(self, "_shown", None) or self.page()
 
     def picture(self) -> Figure | None:
-        """Return the picture that a notebook shows, or None."""
+        """Return the picture shown in a notebook, or None."""
         plot = getattr(self, "plot", None)
         return None if plot is None else plot()
 
     def __str__(self) -> str:
-        """Return the tables of the command line as text."""
+        """Return the page as plain text."""
         return str(self.shown_page())
 
     def __repr__(self) -> str:
-        """Return in a line what was found; the numbers would fill pages."""
+        """Return one line that says what was found, because all numbers would fill pages."""
         return f"<{type(self).__name__}: {self.shown_page().heading}>"
 
     def _repr_html_(self) -> str:
-        """Return tables and picture for a notebook."""
+        """Return tables and picture as HTML for a notebook."""
         figure = self.picture()
         return self.shown_page().html("" if figure is None else _image(figure))
 
 
 def _image(figure: Figure) -> str:
-    """Return a picture within a page, as it is shown in any notebook and without a file beside it."""
+    """Return a picture as an HTML image that holds its own data, so that no separate file is needed."""
     from base64 import b64encode
     from io import BytesIO
 
@@ -237,7 +237,7 @@ def _image(figure: Figure) -> str:
 
 
 def data_frame(columns: Mapping[str, Any], units: Mapping[str, str]) -> pandas.DataFrame:
-    """Return columns as a pandas DataFrame whose ``attrs["units"]`` has the unit of each, "" of a pure number.
+    """Return columns as a pandas DataFrame; ``attrs["units"]`` gives each column's unit, "" for a pure number.
 
     Raises:
         InputError: pandas is not installed.

@@ -1,4 +1,4 @@
-"""Quantities with units, read by pint and kept in SI."""
+"""Quantities with units: parsed by pint, converted to SI, and displayed in the unit that the user wrote."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
     from pydantic_core import CoreSchema
 
-# pint and pydantic are slow to import, and most programs give numbers: both are imported when they are first needed.
+# pint and pydantic are slow to import, and most programs pass plain numbers: both are imported on first use.
 
 _QUANTITY = re.compile(
     r"\s*(?P<number>[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*"
     r"(?P<unit>(?:[^\W\d_]|[°%])(?:[\w°%/*^.·³²()-]| (?=\S))*|)\s*"
 )
-# Characters of a quantity, and powers of its unit: pint would compute 9^9^9 before it says that it is not a unit.
+# Most characters of a quantity.
 _LONGEST: Final = 100
+# A power that is not a single digit: pint would compute 9^9^9 before rejecting it as a unit.
 _POWER = re.compile(r"(?:\^|\*\*)(?!\s*-?[0-9](?:\.[0-9])?(?![\w.^]|\s*(?:\^|\*\*)))")
-# What users write; the nearest of these is suggested for a unit that pint does not know.
+# Common units, from which the nearest is suggested for one that pint does not know.
 _COMMON = (
     "m", "cm", "mm", "km", "deg", "rad", "kg", "g", "t", "s", "ms", "min", "h", "N", "kN", "Pa", "kPa", "MPa",
     "m/s", "km/h", "mph", "N/m", "kN/m", "N/mm", "N*s/m", "kN*s/m", "kg/m^3", "g/cm^3", "W", "kW", "s^2/m^2", "%",
@@ -38,7 +39,7 @@ _EXAMPLES = {
 
 @lru_cache(maxsize=1)
 def registry() -> pint.UnitRegistry[Any]:
-    """Return the one registry of units, made when first needed."""
+    """Return the registry of units, created on first use."""
     import pint
 
     return pint.UnitRegistry()
@@ -46,41 +47,41 @@ def registry() -> pint.UnitRegistry[Any]:
 
 @dataclass(frozen=True)
 class Unit:
-    """The SI unit that a key is kept in; "" for a pure number."""
+    """The SI unit in which a quantity is stored; "" for a pure number."""
 
     symbol: str
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Let ``Annotated[float, Unit("m")]`` be the type of a field that parses quantities."""
+        """Let ``Annotated[float, Unit("m")]`` declare a field that parses quantities."""
         from pydantic_core import core_schema
 
         return core_schema.no_info_before_validator_function(self.parse, handler(float))
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """Describe such a field in a JSON schema: text with a number and a unit, or a number where there is none."""
+        """Return the JSON schema of such a field: a string with number and unit, or also a number for a pure one."""
         example = self.example()
         if self.symbol:
             return {"type": "string", "pattern": r"^\s*[+-]?[0-9.]", "examples": [example.strip('"')]}
         return {"type": ["number", "string"], "examples": [float(example)]}
 
     def example(self) -> str:
-        """Return a quantity of this kind as one would write it."""
+        """Return an example of a quantity in this unit, as a user would write it."""
         return _EXAMPLES.get(self.symbol, f'"1 {self.symbol}"')
 
     def parse(self, value: object) -> float:
         """Return a quantity as a number in this unit.
 
         Args:
-            value: text with a number and a unit, or a plain number where the unit is "".
+            value: string with a number and a unit; also a plain number if the unit is "".
 
         Raises:
-            InputError: not a quantity, an unknown unit, or one of another kind.
+            InputError: the value is not a quantity, or its unit is unknown or of the wrong dimension.
         """
         number, factor = self.split(value)
         return _finite(number * factor, str(value))
 
     def split(self, value: Any) -> tuple[Any, float]:
-        """Return a quantity's number as written, and the factor from the unit it is written in to this one.
+        """Return a quantity's number as written, and the conversion factor from its unit to this one.
 
         Raises:
             InputError: as `parse`.
@@ -95,7 +96,7 @@ class Unit:
             return _as_float(value), 1.0
         if len(value) > _LONGEST:
             raise InputError(
-                f'= "{short(value)}" has {len(value)} characters, and a quantity at most {_LONGEST}: write it like'
+                f'= "{short(value)}" has {len(value)} characters; a quantity may have {_LONGEST}: write it like'
                 f" {self.example()}"
             )
         match = _QUANTITY.fullmatch(value)
@@ -103,13 +104,13 @@ class Unit:
             raise InputError(f'= "{value}" is not a quantity: write it like {self.example()}')
         number, written = float(match["number"]), match["unit"]
         if _POWER.search(written):
-            raise InputError(f'= "{value}" has a unit that cannot be read: its powers are one digit each, as "kg/m^3"')
+            raise InputError(f'= "{value}" has an unreadable unit: write powers as one digit, like "kg/m^3"')
         if not written and self.symbol:
             raise InputError(f'= "{value}" has no unit: write it like {self.example()}')
         return number, self._factor(written, value)
 
     def _factor(self, written: str, value: object) -> float:
-        """Return the factor from a written unit to this one."""
+        """Return the conversion factor from a written unit to this one."""
         factor, kind = _root(written, value)
         own_factor, own_kind = _root(self.symbol, value)
         if kind != own_kind:
@@ -119,35 +120,35 @@ class Unit:
 
 
 def _is_pint(value: Any) -> bool:
-    """Return whether a value is a pint quantity, of whatever registry."""
+    """Return whether a value is a pint quantity, from any registry."""
     return hasattr(value, "dimensionality") and hasattr(value, "magnitude")
 
 
 def has_unit(value: Any) -> bool:
-    """Return whether a value says its unit: a text such as "50 kN/m", or a pint quantity."""
+    """Return whether a value states its unit: a string such as "50 kN/m", or a pint quantity."""
     return isinstance(value, str) or _is_pint(value)
 
 
-def _refuse_unprintable(what: str, value: Any) -> None:
-    """Refuse a text that a message could not quote."""
+def _check_printable(what: str, value: Any) -> None:
+    """Raise InputError for a string that a message could not quote."""
     if isinstance(value, str) and unprintable(value):
         raise InputError(f'{what} = {short(ascii(value))} is not a quantity: write it like "50 kN/m"')
 
 
 def in_si(what: str, value: Any, unit: str) -> Any:
-    """Return a text or a pint quantity as a number in an SI unit, and anything else as it is.
+    """Return a string or a pint quantity as a number in an SI unit, and anything else as it is.
 
     Args:
-        what: what the value is, as the user calls it.
-        value: a text such as "50 kN/m", a pint quantity, or what is in SI units already.
+        what: name of the value, for the user.
+        value: a string such as "50 kN/m", a pint quantity, or a value in SI units.
         unit: SI unit.
 
     Raises:
-        InputError: a text that is not a quantity, or a unit of another kind.
+        InputError: the string is not a quantity, or the unit has the wrong dimension.
     """
     if not has_unit(value):
         return value
-    _refuse_unprintable(what, value)
+    _check_printable(what, value)
     try:
         number, factor = Unit(unit).split(value)
         return number * factor if factor != 1.0 else number
@@ -156,23 +157,23 @@ def in_si(what: str, value: Any, unit: str) -> Any:
 
 
 def unit_of(what: str, unit: str, *values: Any) -> tuple[str, Display | None]:
-    """Return the SI unit of values that belong together, and the unit in which reports give them, if one was written.
+    """Return the SI unit of related values, and the unit in which to report them if the user wrote one.
 
     Args:
-        what: what the values are, as the user calls it.
-        unit: unit that was given with them, or "".
-        values: texts, pint quantities and plain numbers; None for one left out.
+        what: name of the values, for the user.
+        unit: unit given as an argument beside them, or "".
+        values: strings, pint quantities and plain numbers; None for one that was left out.
 
     Raises:
-        InputError: plain numbers with a unit that is not SI, for they would be taken as SI, or an unknown unit.
+        InputError: a unit is unknown, or plain numbers come with a unit that is not SI and would be taken as SI.
     """
     written = next((value for value in values if has_unit(value)), None)
     plain = next((value for value in values if value is not None and not has_unit(value)), None)
     factor, symbol = _to_si(unit)
     if plain is not None and factor != 1.0:
         raise InputError(
-            f"{what}: {plain} is a plain number, and '{unit}' is not an SI unit: give a text, \"{plain} {unit}\", or"
-            f' {plain * factor:.6g} with unit="{symbol}"'
+            f"{what}: {plain} is a plain number, but '{unit}' is not an SI unit: write \"{plain} {unit}\" as a string,"
+            f' or {plain * factor:.6g} with unit="{symbol}"'
         )
     if written is None:
         return unit, None
@@ -180,30 +181,30 @@ def unit_of(what: str, unit: str, *values: Any) -> tuple[str, Display | None]:
     found = (symbol if factor != 1.0 else unit) if unit else _to_si(own)[1]
     try:
         return found, display_of(f"1 {own}", Unit(found)) if own else None
-    except InputError:  # of another kind, which is refused where the number is read
+    except InputError:  # wrong dimension: reported when the number itself is parsed
         return found, None
 
 
 def _written_unit(what: str, value: Any) -> str:
-    """Return the unit that a text or a pint quantity says."""
+    """Return the unit of a string or a pint quantity, as written."""
     if _is_pint(value):
         return f"{value.units:~}".replace(" ", "").replace("**", "^")
-    _refuse_unprintable(what, value)
+    _check_printable(what, value)
     match = _QUANTITY.fullmatch(value)
     if match is None or len(value) > _LONGEST or _POWER.search(match["unit"]):
         raise InputError(f'{what} = "{short(value)}" is not a quantity: write it like "50 kN/m"')
-    _root(match["unit"], value)  # which refuses one that there is not
+    _root(match["unit"], value)  # raises if the unit is unknown
     return match["unit"]
 
 
 @lru_cache(maxsize=128)
 def _to_si(unit: str) -> tuple[float, str]:
-    """Return a unit's factor to SI, and the SI unit; a unit that pint does not know, as that of money, is its own."""
+    """Return a unit's factor to SI, and the SI unit; a unit unknown to pint, such as a currency, stays as it is."""
     if unit in _EXAMPLES or unit in ("1", "-"):
         return 1.0, unit
     try:
         factor, base = registry().get_base_units(registry().parse_units(unit.replace("%", "percent")))
-    except Exception:  # pint's parser raises whatever it stumbles over
+    except Exception:  # pint's parser raises errors of many types
         return 1.0, unit
     kind = _root(unit, unit)[1]
     known = next((symbol for symbol in _EXAMPLES if _root(symbol, symbol)[1] == kind), None)
@@ -212,7 +213,12 @@ def _to_si(unit: str) -> tuple[float, str]:
 
 @dataclass(frozen=True)
 class Display:
-    """The unit that a user wrote, to give results back in it: value in SI = factor times value displayed."""
+    """A unit in which results are displayed, usually the one that the user wrote.
+
+    Attributes:
+        symbol: of the unit.
+        factor: value in SI over displayed value.
+    """
 
     symbol: str
     factor: float
@@ -222,25 +228,26 @@ class Display:
         return f"{value / self.factor:.{digits}g} {self.symbol}".rstrip()
 
     def number(self, value: float, digits: int = 5) -> str:
-        """Return an SI value in this unit as text without the unit."""
+        """Return an SI value in this unit as text, without the unit's symbol."""
         return f"{value / self.factor:.{digits}g}"
 
     def heading(self, name: str) -> str:
-        """Return a heading of values in this unit."""
+        """Return a column heading for values in this unit."""
         return f"{name} [{self.symbol}]" if self.symbol else name
 
 
-# Units of which thousands have a name of their own, and lengths [m] below which all are read in millimetres.
+# Units that take the prefix kilo from 1000 on.
 _KILO: Final = ("N", "W", "Pa", "N/m")
+# Lengths all below this [m] are displayed in millimetres.
 _SHORT: Final = 0.01
 
 
 def customary(unit: str, *values: float) -> Display:
-    """Return the one unit in which an engineer reads values of a kind: degrees, kilo of thousands, mm of short lengths.
+    """Return the unit in which an engineer expects values: degrees, kN from 1000 N on, mm for short lengths.
 
     Args:
         unit: SI unit.
-        values: all that stand beside each other, SI; the largest decides.
+        values: all values displayed together, SI; the largest decides.
     """
     largest = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
     if unit == "rad":
@@ -253,25 +260,25 @@ def customary(unit: str, *values: float) -> Display:
 
 
 def in_words(value: float, unit: str, digits: int = 6) -> str:
-    """Return a single value with its unit as an engineer reads it."""
+    """Return a single value as text in its customary unit."""
     return customary(unit, value).text(value, digits)
 
 
 def display_of(value: object, unit: Unit) -> Display:
-    """Return the unit in which a quantity that can be parsed was written."""
+    """Return the unit in which a valid quantity was written."""
     _, factor = unit.split(value)
     match = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
     return Display(match["unit"] if match else unit.symbol, factor)
 
 
 def _root(written: str, value: object) -> tuple[float, str]:
-    """Return a unit's factor to root units and those units; they distinguish an angle from a number."""
+    """Return a unit's factor to pint's root units, and those units, which distinguish an angle from a number."""
     try:
         factor, root = registry().get_root_units(registry().parse_units(written.replace("%", "percent")))
-    except Exception as error:  # pint's parser raises whatever it stumbles over
-        names = getattr(error, "unit_names", None)  # of a unit that it does not know
+    except Exception as error:  # pint's parser raises errors of many types
+        names = getattr(error, "unit_names", None)  # set if the unit is unknown
         if names is None:
-            text = f'= "{value}" is not a quantity: its unit cannot be read; one is like "kN*s/m"'
+            text = f'= "{value}" is not a quantity: its unit cannot be read; write one like "kN*s/m"'
             raise InputError(text) from None
         names = names if isinstance(names, str) else ", ".join(names)
         raise InputError(f"= \"{value}\" has an unknown unit '{names}': {nearest(names, _COMMON)}") from None

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.files import drawn
-from plough_opt.core.kept import Keepable
+from plough_opt.core.saving import Saveable
 from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.core.units import Display, customary
 from plough_opt.design.tolerance import Spread
@@ -148,7 +148,7 @@ class Limit:
 
 
 @dataclass(frozen=True, repr=False)
-class LocalOptimum(Keepable):
+class LocalOptimum(Saveable):
     """One local optimum.
 
     Attributes:

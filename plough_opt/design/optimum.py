@@ -12,8 +12,8 @@ from plough_opt.core.checks import mapping_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_casadi, map_expressions
 from plough_opt.core.files import drawn
-from plough_opt.core.kept import Origin
-from plough_opt.core.plain import to_plain
+from plough_opt.core.plain_data import to_plain
+from plough_opt.core.saving import Origin
 from plough_opt.core.tables import Grid, Page, Part, data_frame
 from plough_opt.core.units import in_words
 from plough_opt.design.local_optimum import LocalOptimum, Search
@@ -76,7 +76,7 @@ class Optimum(LocalOptimum):
     run: Run | Machine | None = field(default=None, compare=False)
     origin: Origin = field(default=Origin(), compare=False)
     kind = "optimum"
-    unkept = frozenset({"solved", "rounder"})
+    unsaved = frozenset({"solved", "rounder"})
 
     def __call__(self, item: Any) -> Any:
         """Return an expression, or any object with expressions nested in it, with numbers in their place.
@@ -142,7 +142,7 @@ class Optimum(LocalOptimum):
         columns |= {name: [one.variables[name] for one in found] for name in self.variables}
         return data_frame(columns, {one.name: one.unit for one in self.limits if one.kind == "bound"})
 
-    def also_kept(self) -> dict[str, Any]:
+    def also_saved(self) -> dict[str, Any]:
         """Return the best design once more, by itself."""
         return {"best": to_plain(self.local_optima[0], LocalOptimum)} if self.local_optima else {}
 
@@ -226,7 +226,7 @@ class Optimum(LocalOptimum):
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the design's graph, which cannot be pickled, behind."""
-        return {**self.__dict__, **dict.fromkeys(self.unkept)}
+        return {**self.__dict__, **dict.fromkeys(self.unsaved)}
 
     def _with_numbers(self, item: Any) -> Any:
         if isinstance(item, Run):

@@ -21,8 +21,8 @@ from plough_opt.core.checks import (
 )
 from plough_opt.core.errors import InputError, unprintable
 from plough_opt.core.expressions import Column, Expression, is_casadi
-from plough_opt.core.kept import Origin
-from plough_opt.core.quantities import ask_about
+from plough_opt.core.quantities import warn_of_slips
+from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display, has_unit, in_si, unit_of
 from plough_opt.design.boxed import Over, ToleranceBoxSolver
 from plough_opt.design.declarations import EVERYWHERE, Declarations, Parameter, Requirement, Variable
@@ -106,7 +106,7 @@ class Design:
         self._refuse_again(name)
         what = f"variable '{name}'"
         (at, low, high), unit, display = _read(what, name, unit, (guess, lower, upper), display, _ENDS)
-        ask_about(what, unit, (upper,))
+        warn_of_slips(what, unit, (upper,))
         symbol = ca.MX.sym(name)
         if has_unit(tolerance) and not str(tolerance).rstrip().endswith("%"):
             tolerance = plain_number(what, in_si(what, tolerance, unit))
@@ -132,7 +132,7 @@ class Design:
         """
         self._refuse_again(name)
         (at,), unit, _ = _read(f"parameter '{name}'", name, unit, (value,), None)
-        ask_about(f"parameter '{name}'", unit, (value,))
+        warn_of_slips(f"parameter '{name}'", unit, (value,))
         symbol = ca.MX.sym(name)
         self._parameters.append(Parameter(name, symbol, at, unit, _ends(name, domain)))
         self._program = None

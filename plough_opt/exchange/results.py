@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from plough_opt.core.checks import path_of, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.kept import Keepable, read_result
+from plough_opt.core.saving import Saveable, read_result
 
 # First bytes of an SQLite file, which the store of a sweep is.
 _STORE: Final = b"SQLite format 3"
@@ -47,7 +47,7 @@ def load(path: str | Path) -> Any:
     path = path_of("the result", path)
     if is_store(path):
         raise InputError(f"{shown(str(path), 200)} is the store of a sweep: read it with po.Sweep.load")
-    classes: list[type[Keepable]] = [
+    classes: list[type[Saveable]] = [
         getattr(import_module(module), name) for module, names in _CLASSES.items() for name in names
     ]
     return read_result(path, {kind.kind: kind for kind in classes})

@@ -12,7 +12,7 @@ from plough_opt.core.checks import check_kind, mapping_of, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression
 from plough_opt.core.files import drawn
-from plough_opt.core.kept import Keepable, Origin
+from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page
 from plough_opt.motion.run import Run, response_table
 
@@ -36,7 +36,7 @@ def alike_once(sentences: Sequence[str]) -> list[str]:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Machine(Keepable):
+class Machine(Saveable):
     """The runs of several shares in one frame.
 
     Attributes:

@@ -14,7 +14,7 @@ from plough_opt.core.checks import check_domain
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, Expression, is_casadi
 from plough_opt.core.files import drawn, from_above
-from plough_opt.core.kept import Keepable, Origin
+from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.averages import Averages, Checks, Settled
@@ -36,7 +36,7 @@ _LIMITED: Final = {"peak_force": "mount_force", "peak_deflection": "deflection"}
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Run(Keepable):
+class Run(Saveable):
     """A simulated run: arrays over the output times, averages, and how far they can be trusted.
 
     Of a numeric scene every value is a float or an array of n + 1 outputs; of a symbolic scene each is
@@ -150,7 +150,7 @@ class Run(Keepable):
         return path
 
     def to_json(self, page: Page | None = None) -> str:
-        """Return a numeric run as JSON: see `Keepable.to_json`.
+        """Return a numeric run as JSON: see `Saveable.to_json`.
 
         Raises:
             InputError: a symbolic run.
@@ -158,7 +158,7 @@ class Run(Keepable):
         self._known("file")
         return super().to_json(page)
 
-    def also_kept(self) -> dict[str, Any]:
+    def also_saved(self) -> dict[str, Any]:
         """Return results that follow from the others, and the scene's quantities by their names in files."""
         names = ("error_estimate", "seconds", "warnings", "peak_force", "peak_deflection")
         section = None if self.scene.law.lacks("loosened_radius") else self.specific_draft
@@ -166,7 +166,7 @@ class Run(Keepable):
         return {**{name: getattr(self, name) for name in names}, "specific_draft": section,
                 "ambient_share": self.scene.ambient_share, "quantities": quantities}  # fmt: skip
 
-    def check_kept(self) -> None:
+    def check_saved(self) -> None:
         """Refuse arrays of other lengths than the times, and averages that are not numbers."""
         if self.checks is None:
             raise ValueError("a numeric run has its checks")

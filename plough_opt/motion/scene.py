@@ -12,7 +12,7 @@ from plough_opt.core.checks import check_domain, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_symbolic, rms, sqrt
 from plough_opt.core.labels import checked_in_designs, unlabelled
-from plough_opt.core.quantities import settle
+from plough_opt.core.quantities import read_fields
 from plough_opt.laws.forces import PlasticGas
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction, without_pressure
 from plough_opt.laws.registry import law_of
@@ -84,7 +84,7 @@ class Scene:
     def __post_init__(self) -> None:
         self._check_kinds()
         self._refuse_what_the_law_lacks()
-        settle(self, **{name: f"scene.{name}" for name in ("stiffness", "mass", "tow_speed")})
+        read_fields(self, **{name: f"scene.{name}" for name in ("stiffness", "mass", "tow_speed")})
         if self.effects.random_strength is not None:
             self.check_stationary()
 

@@ -10,8 +10,8 @@ from typing import TypeVar
 from plough_opt.core.checks import check_switch, mapping_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, Expression
-from plough_opt.core.kept import Origin
 from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
+from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display
 from plough_opt.design import Design, Optimum, Over, Progress
 from plough_opt.design.effort import Search

@@ -10,8 +10,8 @@ from typing import Any, Final, Literal, get_args
 
 from plough_opt.core.checks import check_named, shown
 from plough_opt.core.errors import InputError, nearest
-from plough_opt.core.kept import Origin
 from plough_opt.core.quantities import quantities
+from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display
 from plough_opt.problem_file.evaluations import Optimisation, Simulation, SimulationOfMany, fixed_at
 from plough_opt.problem_file.problem import Problem

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from plough_opt.core.checks import check_domain, plain_number
 from plough_opt.core.expressions import Expression, arctan, cos, sqrt, tan
 from plough_opt.core.labels import checked_in_designs
-from plough_opt.core.quantities import BESIDE, settle
+from plough_opt.core.quantities import BESIDE, read_fields
 from plough_opt.soil.solid import SEGMENTS, Solid, cone_solid, own_opening, share_solid
 
 PLANE_SECTIONS_LIMIT = math.radians(20.0)
@@ -54,7 +54,7 @@ class Cone:
     height: Expression
 
     def __post_init__(self) -> None:
-        settle(self, half_angle="share.half_angle", height="share.height")
+        read_fields(self, half_angle="share.half_angle", height="share.height")
 
     @property
     @checked_in_designs
@@ -124,7 +124,7 @@ class Wedge:
     height: Expression
 
     def __post_init__(self) -> None:
-        settle(self, angle="share.wedge_angle", chisel_angle="share.chisel_angle", height="share.height")
+        read_fields(self, angle="share.wedge_angle", chisel_angle="share.chisel_angle", height="share.height")
 
     @property
     @checked_in_designs

@@ -28,7 +28,7 @@ from plough_opt.core.expressions import (
     sqrt,
     total,
 )
-from plough_opt.core.quantities import settle
+from plough_opt.core.quantities import read_fields
 from plough_opt.soil.waves import StrengthWave
 
 Vector = NDArray[np.float64]
@@ -93,7 +93,7 @@ class RandomStrength:
     correlation_length: Expression
 
     def __post_init__(self) -> None:
-        settle(self, **{name: f"effects.random_strength.{name}" for name in ("rms", "correlation_length")})
+        read_fields(self, **{name: f"effects.random_strength.{name}" for name in ("rms", "correlation_length")})
 
     @property
     def variance(self) -> Expression:

@@ -24,7 +24,7 @@ from plough_opt.core.expressions import (
     log1p_ratio,
     sin,
 )
-from plough_opt.core.quantities import EVERY, QUANTITIES, settle
+from plough_opt.core.quantities import EVERY, QUANTITIES, read_fields
 
 STANDARD_ATMOSPHERE = 101325.0
 """Ambient pressure [Pa] of the named soils and of the source."""
@@ -148,7 +148,7 @@ class Soil:
             raise InputError(
                 f"name = {shown(self.name)} must be a text that can be printed: it names the soil in reports"
             )
-        settle(self, **{quantity.key: quantity.name for quantity in _PROPERTIES})
+        read_fields(self, **{quantity.key: quantity.name for quantity in _PROPERTIES})
 
     @property
     def yielding(self) -> Yielding:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from plough_opt.core.checks import LARGEST, NOT_NUMBERS, check_domain, check_kind, check_text, plain_number
 from plough_opt.core.errors import InputError
-from plough_opt.core.quantities import settle
+from plough_opt.core.quantities import read_fields
 from plough_opt.soil.random_strength import Spectrum, Vector
 
 # Points without which no wave is worth the name, and points, evenly spaced or not, beyond which one takes minutes.
@@ -51,7 +51,7 @@ class Rig:
     tow_speed: float
 
     def __post_init__(self) -> None:
-        settle(
+        read_fields(
             self, damping="effects.damping", **{name: f"scene.{name}" for name in ("mass", "stiffness", "tow_speed")}
         )
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Expression, as_number, is_symbolic
-from plough_opt.core.quantities import settle
+from plough_opt.core.quantities import read_fields
 
 # Longest wavelengths within which several waves must repeat themselves for a lasting orbit, and the relative difference
 # of lengths that are commensurate: what a record or a file says has fewer digits.
@@ -40,7 +40,7 @@ class StrengthWave:
     phase: Expression = 0.0
 
     def __post_init__(self) -> None:
-        settle(self, **{name: f"effects.strength_wave.{name}" for name in ("amplitude", "wavelength", "phase")})
+        read_fields(self, **{name: f"effects.strength_wave.{name}" for name in ("amplitude", "wavelength", "phase")})
 
 
 def turns_of(waves: Sequence[StrengthWave]) -> tuple[int, ...]:

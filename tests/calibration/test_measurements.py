@@ -50,8 +50,8 @@ def test_sigma_in_per_cent_semicolons_tabs_weights_and_time(written):
     ("text", "words"),
     [
         # a wrong column
-        (HEADER.replace("tow_speed", "two_speed") + ROWS, "line 1, column 'scene.two_speed [km/h]': no such column is"
-         " known: did you mean 'scene.tow_speed'"),
+        (HEADER.replace("tow_speed", "two_speed") + ROWS, "line 1, column 'scene.two_speed [km/h]': this column is"
+         " unknown: did you mean 'scene.tow_speed'"),
         (HEADER.replace("mean_draft", "draft") + ROWS, "did you mean 'mean_draft'?"),
         (HEADER.replace("mean_draft [kN]", "soil.cohesion [kPa]") + ROWS, "no column holds a measured result"),
         ("mean_draft [kN], force_rms [N]\n1, 2\n", "mean_draft and force_rms are measured: write a file for each"),
@@ -59,17 +59,17 @@ def test_sigma_in_per_cent_semicolons_tabs_weights_and_time(written):
         ("mean_draft [kN], time [s]\n1, 2\n", "mean_draft is one value for a run: a time goes with mount_force"),
         ("mount_force [kN]\n1\n", "a column 'time [s]' is missing"),
         ("mean_draft [kN], sigma [N], weight\n1, 2, 1\n", "sigma and weights exclude each other"),
-        ("mean draft kN\n1\n", "no such column is known: did you mean 'mean_draft'"),
+        ("mean draft kN\n1\n", "this column is unknown: did you mean 'mean_draft'"),
         # a unit
         (HEADER.replace(" [kN], sigma", ", sigma") + ROWS, "line 1, column 'mean_draft': the unit is missing: write it"
          " like 'mean_draft [kN]'"),
         (HEADER.replace("[deg]", "[kg]") + ROWS, "'kg' is not a unit of rad: write it like 'share.wedge_angle [deg]'"),
         (HEADER.replace("[deg]", "[degg]") + ROWS, "'degg' is not a unit of rad"),
         (HEADER.replace("sigma [kN]", "sigma") + ROWS, "column 'sigma': the unit is missing"),
-        ("soil.tool_friction [m], mean_draft [N]\n1, 2\n", "'m' is a unit, and a pure number is expected"),
+        ("soil.tool_friction [m], mean_draft [N]\n1, 2\n", "'m' is a unit, but a pure number"),
         # a gap, and other cells
         (HEADER + "3.6, 40, , 0.1\n" + ROWS, "line 2, column 'mean_draft [kN]': the cell is empty"),
-        (HEADER + ROWS + "3.6, 40, 4.0\n", "line 4: the number of cells is 3, and the header names 4 columns"),
+        (HEADER + ROWS + "3.6, 40, 4.0\n", "line 4: the row has 3 cells, but the header names 4 columns"),
         (HEADER + "3.6, 40, n/a, 0.1\n", "line 2, column 'mean_draft [kN]': 'n/a' is not a number"),
         (HEADER + "3.6, 40, ３, 0.1\n", "'３' is not a number"),
         (HEADER + "3.6, 40, 4_5, 0.1\n", "'4_5' is not a number"),
@@ -146,7 +146,7 @@ def test_measurements_that_cannot_be(arguments, keywords, words):
 @pytest.mark.parametrize(
     ("rows", "words"),
     [
-        (f"3.6, 40, {'4' * 200_000}, 0.1\n", "line 2: it has 200014 characters, and at most 10000 can be read"),
+        (f"3.6, 40, {'4' * 200_000}, 0.1\n", "line 2: it has 200014 characters, but at most 10000 can be read"),
         ("3.6, 40, 4, 0.1\n" * 700_000, "at most 10 MB of measurements can be read"),
     ],
     ids=["line", "file"],

@@ -102,7 +102,7 @@ def test_a_reader_that_went_away_is_no_matter(error):
 
 
 def test_commands_and_sweeps_say_it(cli, monkeypatch):
-    monkeypatch.setattr(process, "EVERY", 0.01)
+    monkeypatch.setattr(process, "INTERVAL", 0.01)
 
     def long(_):
         with commands.progress() as told:

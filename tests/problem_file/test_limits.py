@@ -30,7 +30,7 @@ def test_what_cannot_be_read_is_told_with_its_line(changed, refusal, inserted, l
 def test_powers_of_units_are_one_digit(changed, cotton, refusal, written):
     file, variable = changed(("7.2 km/h", written)), changed(("0.1 m", written))
     for message in (refusal(file), refusal(cotton, f'share.height="{written}"'), refusal(variable)):
-        assert f'= "{written}" has a unit that cannot be read: its powers are one digit each, as "kg/m^3"' in message
+        assert f'= "{written}" has an unreadable unit' in message
 
 
 @pytest.mark.parametrize("written", ["9.80665 m/s^2*kg/m^2", "1 N*m^-2", "1 N*m**-2", "1 kN*m^-1.5*m^-0.5"])
@@ -40,7 +40,7 @@ def test_units_with_powers_are_read(cotton, read, written):
 
 def test_quantities_and_files_are_short(changed, cotton, refusal):
     said = refusal(changed(("7.2 km/h", f"{'1' * 400} km/h")))
-    assert "has 405 characters, and a quantity at most 100: write it like" in said
+    assert "has 405 characters; a quantity may have 100: write it like" in said
     assert "too long for a problem file: at most 100 kB can be read" in refusal(cotton + "# comment\n" * 10_000)
     with pytest.raises(po.InputError, match="at most 100 kB"):  # nor is one without an end read to it
         po.read_problem("/dev/zero")

@@ -58,7 +58,7 @@ def _check(problem: Problem) -> None:
 
 def _provenance(options: argparse.Namespace, text: str) -> dict[str, str]:
     """Return what made a report, in words."""
-    from plough_opt.core.kept import versions
+    from plough_opt.core.saving import versions
 
     changes = {"changed by --set": "; ".join(options.set)} if options.set else {}
     return {

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.files import drawn
-from plough_opt.core.kept import Keepable
+from plough_opt.core.saving import Saveable
 from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.core.units import customary
 from plough_opt.motion.vocabulary import called
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BatchResult(Keepable):
+class BatchResult(Saveable):
     """Results of a batch, an element for each design in the order in which they were given.
 
     Attributes:

@@ -8,7 +8,7 @@ import numpy as np
 from plough_opt.core.checks import check_choice, check_kind, check_switch, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import COUNT, Expression, as_number, is_count, is_symbolic
-from plough_opt.core.quantities import MOST_WAVES, settle
+from plough_opt.core.quantities import MOST_WAVES, read_fields
 from plough_opt.laws.printed import Formulation, Printed, errors_of
 from plough_opt.motion.effects.own import OwnResistance, check_own
 from plough_opt.motion.effects.smooth import Smooth
@@ -110,7 +110,7 @@ class Effects:
             words = ("transient", "periodic", "linearised")
             check_choice("orbit", self.orbit, words, ", or HarmonicBalance(harmonics)")
         check_choice("start", self.start, ("equilibrium", "rest", "towed"))
-        settle(self, **{name: f"effects.{name}" for name in ("tow_ramp", "damping", "rate_term")})
+        read_fields(self, **{name: f"effects.{name}" for name in ("tow_ramp", "damping", "rate_term")})
         if not self.motion:
             self._refuse_without_motion()
         if self.entry and self.start == "equilibrium":

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from plough_opt.core.expressions import Expression, as_number, maximum, minimum
-from plough_opt.core.quantities import settle
+from plough_opt.core.quantities import read_fields
 from plough_opt.motion.effects.term import Parameters, Place, Rates, Term, Towed
 
 
@@ -28,7 +28,7 @@ class Smooth:
     width: Expression
 
     def __post_init__(self) -> None:
-        settle(self, width="effects.contact_width")
+        read_fields(self, width="effects.contact_width")
 
     def step(self, speed: Expression) -> tuple[Expression, Expression]:
         """Return the step at a speed of the share [m/s], from 0 to 1, and its slope by that [s/m]."""

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from plough_opt.core.expressions import Expression
-from plough_opt.core.quantities import settle
+from plough_opt.core.quantities import read_fields
 from plough_opt.motion.effects.term import Parameters, Place, Term, Towed
 
 
@@ -36,7 +36,7 @@ class StickSlip:
     breakaway: Expression = 1.0
 
     def __post_init__(self) -> None:
-        settle(self, breakaway="effects.breakaway")
+        read_fields(self, breakaway="effects.breakaway")
 
 
 class StickSlipContact(Term):

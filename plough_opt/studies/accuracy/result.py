@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from plough_opt.core.kept import Keepable, Origin
+from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Column, Grid, Page, Part, data_frame
 from plough_opt.studies.accuracy.contest import Entry, cheapest, duration_text, efficient
 from plough_opt.studies.accuracy.methods import AUTO, COMPILED, MACHINE_CODE, error_text
@@ -77,7 +77,7 @@ class Thoroughness:
 
 
 @dataclass(frozen=True, repr=False)
-class AccuracyStudy(Keepable):
+class AccuracyStudy(Saveable):
     """Error against time of everything that can do a scene.
 
     Times are those of this machine at this hour: their ratios say more than they do.
@@ -293,7 +293,7 @@ class AccuracyStudy(Keepable):
             default=question.default,
         )
 
-    def also_kept(self) -> dict[str, Any]:
+    def also_saved(self) -> dict[str, Any]:
         """Return the advice."""
         return {"advice": self.advice}
 

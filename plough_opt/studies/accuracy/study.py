@@ -20,9 +20,9 @@ from plough_opt.core.checks import (
 )
 from plough_opt.core.errors import InfeasibleDesign, InputError, NotConverged, PloughError
 from plough_opt.core.expressions import as_number, holds_casadi, is_count, map_expressions
-from plough_opt.core.kept import versions
 from plough_opt.core.process import available
 from plough_opt.core.quantities import BESIDE
+from plough_opt.core.saving import versions
 from plough_opt.design import Design, Optimum
 from plough_opt.design.effort import Search
 from plough_opt.laws.cones import ElasticMedium

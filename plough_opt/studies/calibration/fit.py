@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_choice
 from plough_opt.core.errors import InputError
-from plough_opt.core.kept import Keepable, Origin, versions
+from plough_opt.core.saving import Origin, Saveable, versions
 from plough_opt.core.tables import Page, Part, data_frame
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.soil import Soil
@@ -36,7 +36,7 @@ _CORRELATED: Final = 0.5
 
 
 @dataclass(frozen=True, repr=False)
-class Fit(Keepable):
+class Fit(Saveable):
     """A calibration: unknowns with their uncertainty, and how well the model follows the data.
 
     Attributes:
@@ -73,7 +73,7 @@ class Fit(Keepable):
     """
 
     kind = "calibration"
-    unkept = frozenset({"source"})
+    unsaved = frozenset({"source"})
 
     title: str
     unknowns: tuple[parts.FittedUnknown, ...]
@@ -252,7 +252,7 @@ class Fit(Keepable):
         return figure
 
     def to_json(self, page: Page | None = None) -> str:
-        """Return the fit as JSON, with its intervals and the ranking of measurements: see `Keepable.to_json`."""
+        """Return the fit as JSON, with its intervals and the ranking of measurements: see `Saveable.to_json`."""
         if self.source is None:
             return super().to_json(page)
         self.intervals(0.95, "linearised")

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from plough_opt.core.kept import Origin
+from plough_opt.core.saving import Origin
 from plough_opt.core.tables import Grid
 from plough_opt.studies.calibration.candidates import NextMeasurement
 from plough_opt.studies.calibration.estimate import Estimate, Interval, Kind

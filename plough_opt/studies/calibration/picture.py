@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from plough_opt.core.files import COLOURS
-from plough_opt.core.kept import Origin
 from plough_opt.core.quantities import EVERY, Quantity
+from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display, Unit
 from plough_opt.motion.vocabulary import called
 from plough_opt.studies.calibration.parts import Row

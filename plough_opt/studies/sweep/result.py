@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from plough_opt.core.checks import path_of, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import drawn, write_file
-from plough_opt.core.kept import Origin
+from plough_opt.core.saving import Origin
 from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame
 from plough_opt.motion.vocabulary import called
 from plough_opt.studies.sweep.database import State

@@ -17,8 +17,8 @@ from rich.progress import Progress as Bar
 from plough_opt.core.checks import check_switch, path_of, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
-from plough_opt.core.kept import versions
 from plough_opt.core.process import available, heartbeat
+from plough_opt.core.saving import versions
 from plough_opt.studies.sweep.cluster import Cluster
 from plough_opt.studies.sweep.database import About, check_columns
 from plough_opt.studies.sweep.engine import Engine, Progress

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from plough_opt.core.errors import NotConverged
-from plough_opt.core.kept import Origin
+from plough_opt.core.saving import Origin
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.optimality import PULLS, decides
 from plough_opt.motion.judgement import remarks

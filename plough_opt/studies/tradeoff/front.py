@@ -9,7 +9,7 @@ import numpy as np
 from plough_opt.core.checks import NOT_NUMBERS, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, is_casadi
-from plough_opt.core.kept import Origin, versions
+from plough_opt.core.saving import Origin, versions
 from plough_opt.core.units import Display
 from plough_opt.motion.vocabulary import called
 from plough_opt.studies.tradeoff import domination

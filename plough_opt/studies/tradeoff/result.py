@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 from plough_opt.core.files import write_file
-from plough_opt.core.kept import Keepable
+from plough_opt.core.saving import Saveable
 from plough_opt.core.tables import Column, Grid, Page, data_frame
 from plough_opt.motion.vocabulary import called
 from plough_opt.studies.tradeoff.front import Axis, Front, FrontPoint
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, repr=False)
-class TradeOff(Keepable, Front):
+class TradeOff(Saveable, Front):
     """A front of designs, from the best in the first objective on: a curve between two, a surface between three.
 
     Its attributes are those of `Front`.

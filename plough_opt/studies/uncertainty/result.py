@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from plough_opt.core.files import COLOURS, save_figure
-from plough_opt.core.kept import Keepable, Origin
 from plough_opt.core.quantities import QUANTITIES
+from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, Part, data_frame
 from plough_opt.design import Optimum
 from plough_opt.motion import Run
@@ -36,7 +36,7 @@ _NONE: Final = 5e-4
 
 
 @dataclass(frozen=True, repr=False)
-class RobustOptimum(Keepable):
+class RobustOptimum(Saveable):
     """The result of a robust design question.
 
     Attributes:
@@ -63,7 +63,7 @@ class RobustOptimum(Keepable):
     requirements: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     origin: Origin = field(default=Origin(), compare=False)
     kind = "robust optimum"
-    unkept = frozenset({"robust"})
+    unsaved = frozenset({"robust"})
 
     def page(self) -> Page:
         """Return the soil, the robust design beside the nominal one, and the fresh samples of both."""
@@ -95,7 +95,7 @@ class RobustOptimum(Keepable):
         heading = f"Robust design: objective {self.best.objective:.9g} ({self.best.status})"
         return Page(heading, tuple(parts), notes, footer, self.origin.title)
 
-    def also_kept(self) -> dict[str, Any]:
+    def also_saved(self) -> dict[str, Any]:
         """Return the soil's distribution in words, and what the question drew and found."""
         if self.robust is None:
             return {}

@@ -1,4 +1,4 @@
-"""Results as JSON: what they were made from, what they showed of themselves, and the fields that make them again."""
+"""Saving results as JSON: the fields to restore them, the page they show, and the question they answer."""
 
 from __future__ import annotations
 
@@ -17,42 +17,42 @@ from typing import Any, ClassVar, Final, Self, TypeVar
 from plough_opt.core.checks import path_of, shown
 from plough_opt.core.errors import InputError, short
 from plough_opt.core.files import write_file, write_new
-from plough_opt.core.plain import Misfit, fields_of, from_plain, to_plain
+from plough_opt.core.plain_data import Misfit, fields_of, from_plain, to_plain
 from plough_opt.core.tables import Page, Readable
 from plough_opt.core.units import Display, customary
 
 SCHEMA: Final = 2
-"""Number of the layout of kept results; it rises when a key changes its meaning."""
+"""Version of the layout of saved results; it increases when a key changes its meaning."""
 
-# Characters of a kept result, some hundred times the longest that the commands write.
+# Largest file read: some hundred times the largest that the commands write.
 _MOST_BYTES: Final = 100_000_000
 _HEAD: Final = ("schema", "kind", "title", "versions", "shown")
-_Result = TypeVar("_Result", bound="Keepable")
+_Result = TypeVar("_Result", bound="Saveable")
 
 
 def versions() -> dict[str, str]:
-    """Return the versions that a result depends on."""
+    """Return the versions of the packages that a result depends on, of Python, and the kind of machine."""
     packages = {name: version(name) for name in ("plough_opt", "casadi", "numpy")}
     return {**packages, "python": platform.python_version(), "machine": platform.machine()}
 
 
 @dataclass(frozen=True)
 class Origin:
-    """The question behind a result; it is empty for a result from Python without a title.
+    """The question that a result answers; empty for a result computed in Python without a title.
 
     Attributes:
-        title: of the question.
+        title: title of the question.
         displays: key or result -> unit in which the question writes it.
         file: name of the problem file, without its folder.
-        text: the whole file.
-        sha256: of its bytes.
-        overrides: what ``--set`` changed in it, in order.
-        data: name of a file that it reads, as it is written there -> the whole file.
-        limits: result -> ends between which the question requires it, SI, or None.
-        declarations: of a design in Python: its variables, parameters, requirements and objective, name by name.
-        seed: of the samples that were drawn.
-        machine: its kind, without its name.
-        made: when, in UTC.
+        text: contents of the problem file.
+        sha256: SHA-256 digest of its bytes.
+        overrides: changes made by ``--set``, in order.
+        data: name of a data file, as written in the problem file -> contents of that file.
+        limits: result -> lower and upper limit that the question requires, SI; None for no limit.
+        declarations: for a design in Python: its variables, parameters, requirements and objective by name.
+        seed: seed of the random samples.
+        machine: kind of machine, without its name.
+        made: date and time in UTC.
     """
 
     title: str = ""
@@ -79,14 +79,14 @@ class Origin:
         seed: int | None = None,
         **more: Any,
     ) -> Origin:
-        """Return the origin of a result that is made now, on this machine.
+        """Return the origin of a result computed now, on this machine.
 
         Args:
-            title: of the question.
+            title: title of the question.
             displays: key or result -> unit in which the question writes it.
             file: name of the problem file, without its folder.
-            text: the whole file.
-            seed: of the samples that were drawn.
+            text: contents of the problem file.
+            seed: seed of the random samples.
             more: other attributes.
         """
         digest = hashlib.sha256(text.encode()).hexdigest() if text else ""
@@ -95,10 +95,10 @@ class Origin:
         return cls(title, displays or {}, file, text, digest, seed=seed, machine=machine, made=made, **more)
 
     def lines(self, made_by: Mapping[str, str]) -> tuple[str, ...]:
-        """Return in words what made a result.
+        """Return sentences that say from which file, when and with which versions a result was computed.
 
         Args:
-            made_by: versions of packages.
+            made_by: package -> version.
         """
         changed = f", changed by --set {' --set '.join(self.overrides)}" if self.overrides else ""
         seed = "" if self.seed is None else f", seed {self.seed}"
@@ -108,9 +108,9 @@ class Origin:
         return tuple(line for line in (file, when) if line)
 
     def problem(self) -> str:
-        """Return the whole problem file, what ``--set`` changed in it, and the files of data that it reads; or "".
+        """Return the problem file, its ``--set`` changes and its data files as one text, or "" if there is none.
 
-        Of a design in Python these are its declarations, a line for each.
+        For a design in Python the text lists the declarations, one per line.
         """
         changes = [f"# --set {change}" for change in self.overrides]
         data = [f"# --- {name} ---\n{text.rstrip()}" for name, text in self.data.items()]
@@ -119,24 +119,24 @@ class Origin:
         return "\n".join([*([self.text.rstrip()] if self.text else []), *changes, *data, *declared])
 
     def restore(self, folder: str | Path) -> Path:
-        """Write the problem file and the files of data that it reads into a folder; return the problem file's path.
+        """Write the problem file and its data files into a folder; return the problem file's path.
 
         ``po.read_problem(path, origin.overrides)`` reads it again.
 
         Raises:
-            InputError: a result that is not of a problem file, a file that is there already, or data elsewhere than in
-                the problem file's folder.
+            InputError: the result does not come from a problem file, a file exists already, or a data file lies
+                outside the problem file's folder.
         """
         if not self.text:
-            raise InputError("this result is not of a problem file: its declarations say what it was made from")
-        around = path_of("the folder", folder)
+            raise InputError("this result does not come from a problem file: see its declarations instead")
+        base = path_of("the folder", folder)
         for name in self.data:
             if Path(name).is_absolute() or ".." in Path(name).parts:
                 raise InputError(f"the problem reads '{name}', which is not below its folder: move it there")
         for name, text in {**self.data, self.file: self.text}.items():
-            (around / name).parent.mkdir(parents=True, exist_ok=True)
-            write_new(around / name, "problem file" if name == self.file else "file of data", text)
-        return around / self.file
+            (base / name).parent.mkdir(parents=True, exist_ok=True)
+            write_new(base / name, "problem file" if name == self.file else "data file", text)
+        return base / self.file
 
     def display(self, name: str, unit: str, *values: float) -> Display:
         """Return the unit in which a quantity or a result is shown: the question's, else the customary one.
@@ -144,91 +144,87 @@ class Origin:
         Args:
             name: key of the quantity, or the result.
             unit: its SI unit.
-            values: all that stand beside each other, SI.
+            values: all values displayed together, SI.
         """
         return self.displays.get(name) or customary(unit, *values)
 
     def common(self, unit: str, values: Mapping[str, float]) -> Display:
-        """Return the one unit of results of a kind, that stand beside each other: the first that the question writes.
+        """Return one unit for several results displayed together: the first that the question writes.
 
         Args:
-            unit: SI unit.
+            unit: their SI unit.
             values: result -> value, SI.
         """
         written = (self.displays[name] for name in values if name in self.displays)
         return next(written, None) or customary(unit, *values.values())
 
 
-class Keepable(Readable):
-    """A result that can be kept as JSON and be read back; a dataclass.
+class Saveable(Readable):
+    """A dataclass of results that can be saved as JSON and read back.
 
     Attributes:
-        kind: by which a file says what it holds.
-        unkept: names of fields that only compute further, and are None in a result that was read.
+        kind: identifies the class in a file.
+        unsaved: names of fields that are needed only for further computations, and are None in a result that was read.
     """
 
     kind: ClassVar[str]
-    unkept: ClassVar[frozenset[str]] = frozenset()
+    unsaved: ClassVar[frozenset[str]] = frozenset()
 
-    def also_kept(self) -> dict[str, Any]:
-        """Return what a file says beside the fields, for others who read it."""
+    def also_saved(self) -> dict[str, Any]:
+        """Return further entries of the file, for other programs that read it."""
         return {}
 
-    def check_kept(self) -> None:
-        """Refuse fields that do not go with each other, of a result that was read.
-
-        Raises:
-            ValueError: such fields.
-        """
+    def check_saved(self) -> None:
+        """Raise ValueError if the fields of a result that was read are inconsistent."""
 
     @property
     def made_by(self) -> dict[str, str]:
-        """Versions of the packages that made the result, and the machine."""
+        """Versions of the packages that computed the result, and the kind of machine."""
         return dict(getattr(self, "_made_by", None) or getattr(self, "versions", None) or versions())
 
     def to_json(self, page: Page | None = None) -> str:
-        """Return the result as strictly valid JSON of ASCII characters, SI units, infinite numbers as "Infinity".
+        """Return the result as strictly valid ASCII JSON, in SI units, with infinite numbers as "Infinity".
 
         Args:
-            page: what it shows of itself, where that is more than `page` says.
+            page: the page to save, if it has more than `page` returns.
 
         Raises:
-            InputError: something in it that is not data.
+            InputError: the result contains something that cannot be saved.
         """
         origin: Origin = getattr(self, "origin", Origin())
-        own = (SCHEMA, self.kind, origin.title, self.made_by, to_plain(page or self.shown_page(), Page))
-        beside = getattr(self, "_beside", None)  # of a result that was read
-        beside = to_plain(self.also_kept()) if beside is None else beside
-        plain = dict(zip(_HEAD, own, strict=True)) | beside | to_plain(self, type(self))
+        head = (SCHEMA, self.kind, origin.title, self.made_by, to_plain(page or self.shown_page(), Page))
+        extra = getattr(self, "_extra", None)  # set if the result was read
+        extra = to_plain(self.also_saved()) if extra is None else extra
+        plain = dict(zip(_HEAD, head, strict=True)) | extra | to_plain(self, type(self))
         return json.dumps(plain, indent=2, allow_nan=False)
 
     def save(self, path: str | Path) -> Path:
-        """Write the result as JSON, making its folder; `plough_opt.load` reads it back.
+        """Write the result as JSON, creating its folder; `plough_opt.load` reads it back.
 
         Raises:
-            InputError: something in it that is not data, or a place that cannot be written.
+            InputError: the result contains something that cannot be saved, or the file cannot be written.
         """
         return write_file(path, "result", f"{self.to_json()}\n")
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a result that `save`, or a command with ``--json``, wrote.
+        """Return a result read from a file that `save`, or a command with ``--json``, wrote.
 
         Raises:
-            InputError: no such file, or not a result of this kind and layout.
+            InputError: the file does not exist, or does not hold a result of this kind and layout.
         """
         return read_result(path, {cls.kind: cls})
 
 
 def read_result(path: str | Path, kinds: dict[str, type[_Result]]) -> _Result:
-    """Return the result that a JSON file holds.
+    """Return the result in a JSON file.
 
     Args:
         path: the file.
-        kinds: what it may hold: kind -> class.
+        kinds: kinds of results that it may hold -> class.
 
     Raises:
-        InputError: no such file, or another kind or layout.
+        InputError: the file does not exist, or holds another kind or layout.
     """
     path = path_of("the result", path)
     try:
@@ -247,15 +243,15 @@ def read_result(path: str | Path, kinds: dict[str, type[_Result]]) -> _Result:
         wanted = f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
         raise InputError(
             f"'{path}' is not {wanted} of this version (schema {SCHEMA}): at {short(place or 'its beginning')}:"
-            f" {short(str(error), 200)}; name another file, or write it anew"
+            f" {short(str(error), 200)}; choose another file, or save the result again"
         ) from None
 
 
 def _result_of(data: Any, kinds: dict[str, type[_Result]]) -> _Result:
-    """Return the result that a document holds.
+    """Return the result in a parsed JSON document.
 
     Raises:
-        ValueError: not a document of these kinds.
+        ValueError: the document does not hold a result of these kinds.
     """
     if not isinstance(data, dict):
         raise Misfit("", "Input should be an object")
@@ -263,20 +259,20 @@ def _result_of(data: Any, kinds: dict[str, type[_Result]]) -> _Result:
         if data.get(key) not in known or isinstance(data[key], bool):
             raise Misfit(key, f"{key} = {data.get(key)!r:.60}: Input should be {' or '.join(map(repr, known))}")
     found: _Result = from_plain(kinds[data["kind"]], data)
-    found.check_kept()
+    found.check_saved()
     from_plain(str, data.get("title"), "title")
     for name, hint, key in (("_shown", Page, "shown"), ("_made_by", dict[str, str], "versions")):
         object.__setattr__(found, name, from_plain(hint, data.get(key), key))
-    beside = {key: own for key, own in data.items() if key not in _HEAD and key not in fields_of(type(found))}
-    object.__setattr__(found, "_beside", beside)
+    extra = {key: own for key, own in data.items() if key not in _HEAD and key not in fields_of(type(found))}
+    object.__setattr__(found, "_extra", extra)
     return found
 
 
 def _parsed(text: str) -> Any:
-    """Return strictly valid JSON.
+    """Return the contents of strictly valid JSON.
 
     Raises:
-        ValueError: not JSON, NaN, or a number beyond all floats.
+        ValueError: the text is not JSON, or holds NaN or a number beyond the range of floats.
     """
 
     def refuse(constant: str) -> Any:
@@ -286,11 +282,11 @@ def _parsed(text: str) -> Any:
         data = json.loads(text, parse_constant=refuse)
     except ValueError as error:
         raise ValueError(f"Invalid JSON: {error}") from None
-    rest = [data]
-    while rest:
-        value = rest.pop()
+    waiting = [data]
+    while waiting:
+        value = waiting.pop()
         if isinstance(value, dict | list):
-            rest += value.values() if isinstance(value, dict) else value
+            waiting += value.values() if isinstance(value, dict) else value
         elif isinstance(value, int | float) and not abs(value) <= sys.float_info.max:
-            raise ValueError("a number is beyond all floats")
+            raise ValueError("a number is beyond the range of floats")
     return data

@@ -1,4 +1,4 @@
-"""Dataclasses as the plain data that JSON has, and back by their annotations, strictly: no text passes for a number."""
+"""Conversion of dataclasses to plain JSON data, and strict conversion back by their type annotations."""
 
 import inspect
 import sys
@@ -12,20 +12,21 @@ import numpy as np
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression
 
-# What may be unknown: a motion that cannot be predicted, what data do not determine, the time of what failed -> the
-# texts that stand for infinity there, as JSON has none.
+# Field (or class and field) that may be infinite -> strings that stand for infinity there, because JSON has none. These
+# values may be unknown: errors of unpredictable motions, unknowns that data do not determine, times of failed methods.
 _MAY_BE_INFINITE: Final = {
     **dict.fromkeys(("error_estimate", "standard_error", "sigma", "errors", "Entry.seconds"), ("Infinity",)),
     **dict.fromkeys(("Interval.lower", "Interval.upper"), ("Infinity", "-Infinity")),
 }
-_EVERY_END: Final = ("Infinity", "-Infinity")
+_INFINITIES: Final = ("Infinity", "-Infinity")
+# Keys that name a class and a function.
 _CLASS, _FUNCTION = "class", "function"
-# Annotations that leave open what a value is: kept expressions are numbers, arrays or None.
-_UNSAID: Final = (Any, Expression)
+# Annotations that leave a value's type open: saved expressions are numbers, arrays or None.
+_OPEN_HINTS: Final = (Any, Expression)
 
 
 class Misfit(ValueError):
-    """Plain data that is not what it should be, and where."""
+    """Plain data that does not match the annotation; `place` says where."""
 
     def __init__(self, place: str, why: str) -> None:
         super().__init__(why)
@@ -33,19 +34,19 @@ class Misfit(ValueError):
 
 
 def to_plain(value: Any, hint: Any = Any) -> Any:
-    """Return a value as plain data; NaN is None, and what is infinite a text.
+    """Return a value as plain data, with NaN as None and infinities as strings.
 
     Args:
-        value: a dataclass, an array, a number, a text, a function of a module, or containers of these.
-        hint: its annotation; a dataclass that does not follow from that is named.
+        value: a dataclass, an array, a number, a string, a module-level function, or containers of these.
+        hint: its annotation; the class of a dataclass is recorded if the annotation does not determine it.
 
     Raises:
-        InputError: something else in it.
+        InputError: the value contains something else.
     """
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, float):
-        return value if np.isfinite(value) else None if np.isnan(value) else _EVERY_END[value < 0.0]
+        return value if np.isfinite(value) else None if np.isnan(value) else _INFINITIES[value < 0.0]
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, complex):
@@ -60,7 +61,7 @@ def to_plain(value: Any, hint: Any = Any) -> Any:
     if inspect.isfunction(value):
         return {_FUNCTION: _path(value)}
     if not (is_dataclass(kind) or kind in _classes(hint)):
-        raise InputError(f"a value of type {kind.__name__} cannot be kept: {value!r:.60}")
+        raise InputError(f"a value of type {kind.__name__} cannot be saved: {value!r:.60}")
     hints = annotations_of(kind)
     plain = {name: to_plain(getattr(value, name), hints.get(name, Any)) for name in fields_of(kind)}
     known = _classes(hint)
@@ -68,16 +69,16 @@ def to_plain(value: Any, hint: Any = Any) -> Any:
 
 
 def from_plain(hint: Any, data: Any, place: str = "", infinite: Sequence[str] = ()) -> Any:
-    """Return the value that `to_plain` made plain.
+    """Return the value that `to_plain` converted.
 
     Args:
         hint: its annotation.
-        data: what JSON has.
-        place: where it stands, for messages.
-        infinite: texts that may stand for a number.
+        data: plain data read from JSON.
+        place: location in the file, for messages.
+        infinite: strings that are accepted as an infinite number.
 
     Raises:
-        Misfit: plain data of another kind.
+        Misfit: the data does not match the annotation.
     """
     misfit = None
     for alternative in _alternatives(hint):
@@ -90,9 +91,9 @@ def from_plain(hint: Any, data: Any, place: str = "", infinite: Sequence[str] = 
 
 
 def _read(hint: Any, data: Any, place: str, infinite: Sequence[str]) -> Any:
-    """Return plain data as one annotation that is not a union has it."""
+    """Return the value of plain data for an annotation that is not a union."""
     origin, inner = get_origin(hint) or hint, get_args(hint)
-    if hint in _UNSAID:
+    if hint in _OPEN_HINTS:
         return _read_any(data, place)
     if hint is object:
         return data
@@ -100,7 +101,7 @@ def _read(hint: Any, data: Any, place: str, infinite: Sequence[str]) -> Any:
         _expect(any(data == own and type(data) is type(own) for own in inner), place, f"must be one of {inner}")
         return data
     if origin is np.ndarray:
-        return _array(data, place, _EVERY_END)
+        return _array(data, place, _INFINITIES)
     if origin is float:
         if isinstance(data, str) and data in infinite:
             return float(data)
@@ -122,29 +123,30 @@ def _read(hint: Any, data: Any, place: str, infinite: Sequence[str]) -> Any:
         key = int if inner[0] is int else str
         return {key(name): from_plain(inner[1], own, _inside(place, name), infinite) for name, own in data.items()}
     if origin is Callable:
-        return _known(_member(data, _FUNCTION, place)) or _missing(_member(data, _FUNCTION, place))
+        path = _name_in(data, _FUNCTION, place)
+        return _imported(path) or _missing(path)
     return _object(hint, data, place)
 
 
 def _object(hint: type, data: Any, place: str) -> Any:
-    """Return an instance of a class, or of the one that the data names."""
+    """Return an instance of a class, or of the subclass that the data names."""
     _expect(isinstance(data, dict), place, "Input should be an object")
     name = data.get(_CLASS, hint.__name__)
-    kind = hint if name == hint.__name__ else _known(name)
+    kind = hint if name == hint.__name__ else _imported(name)
     if kind is None and ":" in str(name) and not is_dataclass(hint):
         kind = _stand_in(hint, name, [key for key in data if key != _CLASS])
     _expect(kind is hint or (isinstance(kind, type) and is_dataclass(kind)), place, f"is not of type {hint.__name__}")
     hints, given = annotations_of(kind), {}
     for key, default in fields_of(kind).items():
         if key in data:
-            ends = _MAY_BE_INFINITE.get(key) or _MAY_BE_INFINITE.get(f"{kind.__name__}.{key}", ())
+            infinite = _MAY_BE_INFINITE.get(key) or _MAY_BE_INFINITE.get(f"{kind.__name__}.{key}", ())
             own = hints.get(key, object)
-            if data[key] is not None or default is not None or own not in _UNSAID:
-                given[key] = from_plain(own, data[key], _inside(place, key), ends)
+            if data[key] is not None or default is not None or own not in _OPEN_HINTS:
+                given[key] = from_plain(own, data[key], _inside(place, key), infinite)
         else:
             _expect(default is not MISSING, _inside(place, key), "Field required")
-    given |= {one.name: None for one in (fields(kind) if unkept_of(kind) else ())
-              if one.name in unkept_of(kind) and _default(one) is MISSING}  # fmt: skip
+    given |= {one.name: None for one in (fields(kind) if unsaved_fields(kind) else ())
+              if one.name in unsaved_fields(kind) and _default(one) is MISSING}  # fmt: skip
     found = kind(**given)
     _expect(isinstance(found, hint), place, f"is not of type {hint.__name__}")
     return found
@@ -159,7 +161,7 @@ def _read_any(data: Any, place: str) -> Any:
 
 
 def _array(data: Any, place: str, infinite: Sequence[str]) -> Any:
-    """Return lists of numbers as an array; None is NaN in it where what is infinite may stand too."""
+    """Return nested lists of numbers as an array; if infinities are accepted, so is None, which stands for NaN."""
 
     def number(own: Any) -> Any:
         if isinstance(own, list):
@@ -186,7 +188,7 @@ def _inside(place: str, key: object) -> str:
     return f"{place}.{key}" if place else str(key)
 
 
-def _member(data: Any, key: str, place: str) -> str:
+def _name_in(data: Any, key: str, place: str) -> str:
     _expect(isinstance(data, dict) and isinstance(data.get(key), str), place, f"must name a {key}")
     return str(data[key])
 
@@ -196,13 +198,13 @@ def _alternatives(hint: Any) -> tuple[Any, ...]:
 
 
 def _classes(hint: Any) -> list[type]:
-    """Return the classes with fields that an annotation allows."""
+    """Return the classes that an annotation allows, without the plain types."""
     plain = (int, float, str, bool, complex, NoneType)
     return [own for own in _alternatives(hint) if isinstance(own, type) and own not in plain]
 
 
 def _entry(hint: Any, number: int) -> Any:
-    """Return the annotation of an entry of a list or a tuple."""
+    """Return the annotation of the entry with a number of a list or a tuple."""
     inner = [own for own in _alternatives(hint) if get_origin(own) in (tuple, list, set, Sequence)]
     entries = get_args(inner[0]) if inner else ()
     if not entries:
@@ -211,27 +213,27 @@ def _entry(hint: Any, number: int) -> Any:
 
 
 def annotations_of(kind: type[Any]) -> dict[str, Any]:
-    """Return the annotations of a dataclass, none of one in a function whose names are gone, or of another class."""
+    """Return a dataclass's annotations; empty for other classes, and if local names in them are out of scope."""
     try:
         return get_type_hints(kind) if is_dataclass(kind) else {}
     except NameError:
         return {}
 
 
-def unkept_of(kind: type[Any]) -> frozenset[str]:
-    """Return the fields of a class that are no data: what computes further."""
-    return getattr(kind, "unkept", frozenset())
+def unsaved_fields(kind: type[Any]) -> frozenset[str]:
+    """Return the names of a class's fields that are not saved."""
+    return getattr(kind, "unsaved", frozenset())
 
 
 def fields_of(kind: type[Any]) -> dict[str, Any]:
-    """Return the fields of a class that are kept, and their defaults; of other classes their arguments."""
+    """Return the saved fields of a dataclass with their defaults, or the constructor arguments of another class."""
     if not is_dataclass(kind):
         return dict.fromkeys(inspect.signature(kind).parameters, MISSING)
-    return {one.name: _default(one) for one in fields(kind) if one.init and one.name not in unkept_of(kind)}
+    return {one.name: _default(one) for one in fields(kind) if one.init and one.name not in unsaved_fields(kind)}
 
 
 def _default(one: Field[Any]) -> Any:
-    """Return the default of a field, MISSING where it has none."""
+    """Return the default of a field, or MISSING."""
     return one.default if one.default_factory is MISSING else one.default_factory
 
 
@@ -239,8 +241,8 @@ def _path(thing: Any) -> str:
     return f"{thing.__module__}:{thing.__qualname__}"
 
 
-def _known(path: Any) -> Any:
-    """Return a user's class or function in a module that is imported already, or None: a file imports nothing."""
+def _imported(path: Any) -> Any:
+    """Return a class or function of a user's module, or None if that is not imported; a file must not import code."""
     module, _, names = str(path).partition(":")
     thing = None if module.partition(".")[0] in sys.stdlib_module_names else sys.modules.get(module)
     for name in names.split("."):
@@ -249,7 +251,7 @@ def _known(path: Any) -> Any:
 
 
 def _missing(path: str) -> Callable[..., Any]:
-    """Return what stands in the place of a function that is not there."""
+    """Return a replacement for a function that is not defined; calling it raises InputError."""
 
     def refuse(*_arguments: object, **_more: object) -> Any:
         raise InputError(f"the result holds '{path}', which is not defined here: define or import it, and load again")
@@ -258,7 +260,7 @@ def _missing(path: str) -> Callable[..., Any]:
 
 
 def _stand_in(hint: type, path: str, names: Sequence[str]) -> type:
-    """Return a class in the place of one that is not there, which holds and shows its fields and computes nothing."""
+    """Return a replacement for a class that is not defined; it holds and shows the fields but cannot compute."""
     methods = dict.fromkeys(("force", "at_rest", "reaction"), _missing(path))
     return make_dataclass(path.rpartition(".")[2].rpartition(":")[2], names, bases=(hint,), frozen=True,
                           namespace={**methods, "label": path})  # fmt: skip

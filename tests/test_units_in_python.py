@@ -143,7 +143,7 @@ def test_plain_numbers_with_a_unit_that_is_not_si_are_refused_with_the_remedy():
         d.variable("height", guess=200, lower=100, upper=300, unit="mm")
     with pytest.raises(po.InputError, match=r'"5 kN" as a string, or 5000 with unit="N"'):
         d.require("draft", d.variable("x", guess=1.0, lower=0.0, upper=2.0), at_most=5, unit="kN")
-    with pytest.raises(po.InputError, match=r'"28 deg", or 0.488692 with unit="rad"'):
+    with pytest.raises(po.InputError, match=r'"28 deg" as a string, or 0.488692 with unit="rad"'):
         d.parameter("friction", 28, unit="deg")
     with pytest.raises(po.InputError, match="variable 'mixed': lower = \"1 kg\" has the wrong unit"):
         d.variable("mixed", guess="2 m", lower="1 kg", upper="3 m")

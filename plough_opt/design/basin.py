@@ -1,4 +1,4 @@
-"""The optimum of the basin in which a guess lies."""
+"""The local optimum in whose basin the guess lies: what `search="near"` returns."""
 
 import numpy as np
 
@@ -14,24 +14,34 @@ from plough_opt.design.program import Program
 from plough_opt.design.sampling import SEED, evaluated_sample
 from plough_opt.design.tolerance import ranking_criterion
 
-# Part of the range by which a descent that stays in its basin moves at once, or a third of it and so on where a barrier
-# lies within that; the least of these, and how often.
-_BOX, _NARROWER, _NARROWEST, _MOST_BOXES = 0.05, 3.0, 2e-4, 80
-# Designs nearer to an infeasible guess than the feasible one that was found: how many are looked at, and how often. One
-# that is feasible, or away from that one and lacks less than this part of what the guess lacks, leads to a nearer one
-# perhaps, by at least this factor.
-_LOOKED, _LOOKS, _LESS, _NEARER = 128, 5, 0.2, 0.999
-# Positions on the straight way to an optimum at which a barrier is looked for, at least and on a way across the whole
-# range, and the rise of the merit that is one.
-_BETWEEN, _ACROSS, _BARRIER = 40, 256, 1e-3
+# A descent that must not leave its basin is confined to boxes: the first half width, the factor by which it shrinks
+# when a barrier lies inside, the smallest half width, and the most boxes. All widths are fractions of the range.
+_BOX = 0.05
+_BOX_FACTOR = 3.0
+_SMALLEST_BOX = 2e-4
+_MOST_BOXES = 80
+
+# From an infeasible guess, designs nearer to it than the feasible one found so far are sampled: sample size and rounds.
+# A feasible sample, or one far from that design with less than a fifth of the guess's violation, starts another search,
+# whose result counts if it reduces the distance at least by this factor.
+_NEARER_SAMPLE = 128
+_NEARER_ROUNDS = 5
+_LESS_VIOLATION = 0.2
+_NEARER = 0.999
+
+# A barrier is looked for at this many positions on a straight line to an optimum, at more if it is long: so many
+# on a line across the whole range. The merit must rise by this fraction.
+_FEWEST_POSITIONS = 40
+_POSITIONS_ACROSS = 256
+_BARRIER = 1e-3
 
 
 def near_optimum(landscape: Landscape, start: Vector) -> Point:
-    """Return the optimum of the guess's basin; from an infeasible guess, of that of the nearest feasible design.
+    """Return the optimum of the guess's basin or, if the guess is infeasible, of the nearest feasible design's basin.
 
     Args:
         landscape: of the program.
-        start: the guess, scaled.
+        start: the scaled guess.
 
     Raises:
         InfeasibleDesign: no design was found that meets the requirements.
@@ -39,10 +49,10 @@ def near_optimum(landscape: Landscape, start: Vector) -> Point:
     program, p = landscape.program, landscape.p
     if not landscape.vectorised:
         program.build(p, starts=[start])
-        begins, point = point_as_found(program, p, start), program.solve(start, p)
-        if point.solved and not (begins.solved and point.f > begins.f):
+        guess, point = point_as_found(program, p, start), program.solve(start, p)
+        if point.solved and not (guess.solved and point.f > guess.f):
             return point
-        return polished(program, p, start) if begins.solved else from_least_violation(program, p, start)
+        return polished(program, p, start) if guess.solved else from_least_violation(program, p, start)
     begin = landscape(start[None])
     if not begin.feasible[0]:
         begin = _nearest_feasible(landscape, begin)
@@ -50,47 +60,48 @@ def near_optimum(landscape: Landscape, start: Vector) -> Point:
         begin = _far_feasible(landscape, start)
     y = begin.points[0]
     end = descend(landscape, y).points[0]
-    y = end if _downhill(landscape, y, end) else _descended_in_steps(landscape, y)
+    y = end if _is_downhill(landscape, y, end) else _descended_in_boxes(landscape, y)
     build_surely(program, p, [y])
     return polished(program, p, y)
 
 
-def _descended_in_steps(landscape: Landscape, y: Vector) -> Vector:
-    """Return where descents lead that go no further than a part of the range at once, and across no barrier."""
+def _descended_in_boxes(landscape: Landscape, y: Vector) -> Vector:
+    """Return the end of successive descents that are confined to small boxes and cross no barrier."""
     box = _BOX
     for _ in range(_MOST_BOXES):
         end = descend(landscape, y, (np.maximum(y - box, 0.0), np.minimum(y + box, 1.0))).points[0]
         moved = np.max(np.abs(end - y))
-        if _downhill(landscape, y, end):
+        if _is_downhill(landscape, y, end):
             y = end
             if moved < 0.9 * box:
                 break
-            box = min(_BOX, _NARROWER * box)
-        elif min(box, moved) < _NARROWEST:
+            box = min(_BOX, _BOX_FACTOR * box)
+        elif min(box, moved) < _SMALLEST_BOX:
             break
         else:
-            box = min(box, moved) / _NARROWER
+            box = min(box, moved) / _BOX_FACTOR
     return y
 
 
 def _nearest_feasible(landscape: Landscape, start: Evaluations) -> Evaluations:
-    """Return the feasible design nearest to one, as far as local searches and looks between the two find it."""
+    """Return the feasible design nearest to a start, as local searches and samples nearer to the start find it."""
     (guess,), rng = start.points, np.random.default_rng(SEED)
     found = nearest_feasible(landscape, guess)
-    for _ in range(_LOOKS if found.feasible[0] else 0):
+    for _ in range(_NEARER_ROUNDS if found.feasible[0] else 0):
         distance = np.linalg.norm(found.points[0] - guess)
-        directions = rng.standard_normal((_LOOKED, len(guess)))
-        lengths = distance * rng.random(_LOOKED) ** (1.0 / len(guess)) / np.linalg.norm(directions, axis=1)
-        seen = landscape(np.clip(guess + lengths[:, None] * directions, 0.0, 1.0))
-        away = np.linalg.norm(seen.points - found.points, axis=1) > 0.5 * distance
-        less = seen.violation < _LESS * start.violation
-        some = seen.select(seen.feasible | (away & less))
-        if not len(some.f):
+        directions = rng.standard_normal((_NEARER_SAMPLE, len(guess)))
+        lengths = distance * rng.random(_NEARER_SAMPLE) ** (1.0 / len(guess)) / np.linalg.norm(directions, axis=1)
+        sampled = landscape(np.clip(guess + lengths[:, None] * directions, 0.0, 1.0))
+        away = np.linalg.norm(sampled.points - found.points, axis=1) > 0.5 * distance
+        less = sampled.violation < _LESS_VIOLATION * start.violation
+        promising = sampled.select(sampled.feasible | (away & less))
+        if not len(promising.f):
             break
-        nearest = np.lexsort(
-            (np.linalg.norm(some.points - guess, axis=1), np.where(some.feasible, 0.0, some.violation))
+        # Feasible ones first, the nearest of them, then by violation.
+        order = np.lexsort(
+            (np.linalg.norm(promising.points - guess, axis=1), np.where(promising.feasible, 0.0, promising.violation))
         )
-        again = nearest_feasible(landscape, guess, some.points[nearest[0]])
+        again = nearest_feasible(landscape, guess, promising.points[order[0]])
         if not (again.feasible[0] and np.linalg.norm(again.points[0] - guess) < _NEARER * distance):
             break
         found = again
@@ -98,10 +109,10 @@ def _nearest_feasible(landscape: Landscape, start: Evaluations) -> Evaluations:
 
 
 def _far_feasible(landscape: Landscape, start: Vector) -> Evaluations:
-    """Return a feasible design near a start beside which there is none."""
-    seen = evaluated_sample(landscape)
-    if np.any(seen.feasible):
-        others = seen.points[seen.feasible]
+    """Return a feasible design for a start near which the local search found none."""
+    sampled = evaluated_sample(landscape)
+    if np.any(sampled.feasible):
+        others = sampled.points[sampled.feasible]
         return nearest_feasible(landscape, start, others[np.argmin(np.sum((others - start) ** 2, axis=1))])
     every = tuple(range(len(start)))
     effort = effort_of("auto", len(start), landscape.program.population.runs, landscape.vectorised)
@@ -112,15 +123,15 @@ def _far_feasible(landscape: Landscape, start: Vector) -> Evaluations:
 
 
 def first_optimum(program: Program, p: Vector) -> Point:
-    """Return the optimum of the basin of a program's guess."""
+    """Return the optimum of the basin in which a program's guess lies."""
     program.prepare(p)
     return near_optimum(Landscape(program, p), program.start())
 
 
-def _downhill(landscape: Landscape, start: Vector, end: Vector) -> bool:
-    """Return whether no barrier lies on the straight way between two designs, nor the end above the start."""
-    count = max(_BETWEEN, int(_ACROSS * np.max(np.abs(end - start))))
-    parts = np.linspace(0.0, 1.0, count)[:, None]
-    merit = landscape(start + parts * (end - start)).merit
+def _is_downhill(landscape: Landscape, start: Vector, end: Vector) -> bool:
+    """Return whether the straight line from a start to an end crosses no barrier and does not end above the start."""
+    count = max(_FEWEST_POSITIONS, int(_POSITIONS_ACROSS * np.max(np.abs(end - start))))
+    fractions = np.linspace(0.0, 1.0, count)[:, None]
+    merit = landscape(start + fractions * (end - start)).merit
     rise = np.max(merit - np.minimum.accumulate(merit))
     return bool(rise <= _BARRIER * abs(merit[0]))

@@ -1,4 +1,4 @@
-"""A design question asked of the whole tolerance box: the mean or the worst objective, the requirements everywhere."""
+"""Design over the tolerance box: the mean or the worst objective in the box, with the requirements met throughout."""
 
 import math
 from dataclasses import replace
@@ -19,76 +19,79 @@ from plough_opt.design.split import split
 from plough_opt.design.tolerance import BOX_DESIGNS, boxes, unit_box
 
 Over = Literal["mean", "worst"]
-"""The objective over the tolerances: its mean, or the worst."""
+"""Which value of the objective over the tolerance box is minimised: its mean, or the worst."""
 
 WORST = "worst objective"
-"""Name of the variable that no design in the box exceeds."""
+"""Name of the auxiliary variable that bounds the objective of every design in the box."""
 
-# Runs of a box together, and designs of a box at least.
-_MOST_RUNS, _FEWEST = 64, 8
-# Designs of a sample whose boxes are looked at.
-_LOOKS = 256
-# By so many of the sample's spreads the bounds of the worst objective reach below the lowest seen.
+# Most runs of all designs in a box together, for the sake of speed, and fewest designs in a box.
+_MOST_RUNS = 64
+_FEWEST = 8
+# Designs whose boxes are sampled to find bounds on the worst objective.
+_SAMPLE_SIZE = 256
+# The lower bound lies below the lowest sampled objective by this many times the sampled range.
 _BELOW = 2.0
+# An optimum within this fraction of the range from the lower bound calls for a lower one.
 _AT_THE_BOUND = 1e-6
 
 
 class ToleranceBoxSolver:
-    """A design's question asked of the tolerance box; its program is kept for further solves."""
+    """Solves a design over its tolerance box; it keeps the last program for further solves."""
 
     def __init__(self, bare: Program, over: Over) -> None:
-        """Take the program of the design itself, and what is minimised."""
+        """Take the program of the bare design, and which value of its objective to minimise."""
         self._bare, self._over = bare, over
-        # The program that was made last, with the parameters and the bounds of the worst objective that it is for.
+        # The last program, with the parameters and the bounds of the worst objective it was built for.
         self._built: tuple[tuple[bytes, tuple[float, float]] | None, Program] | None = None
 
     def solve(self, request: Request) -> Optimum:
         """Return the best optimum."""
         bounds, p = None, request.p
         if self._over == "worst":
-            request.progress("looking at tolerances", 0.0)
+            request.progress("sampling tolerances", 0.0)
             bounds = bounds_on_worst(self._bare, p)
         while True:
             best = solve_program(self._program(p, bounds), request)
             if bounds is None or best.objective > bounds[0] + _AT_THE_BOUND * (bounds[1] - bounds[0]):
                 return best
-            # No sampled design was nearly as low.
+            # The optimum is lower than the sample suggested: extend the range downwards and solve again.
             bounds = bounds[0] - _BELOW * (bounds[1] - bounds[0]), bounds[1]
 
     def _program(self, p: Vector, bounds: tuple[float, float] | None) -> Program:
         key = None if bounds is None else (p.tobytes(), bounds)
         if self._built is None or self._built[0] != key:
-            # The requirements that theories bring follow from the expressions, in every design of the box anew.
+            # Requirements implied by theories are derived again, from the expressions of every design in the box.
             own = replace(self._bare.declared, requirements=self._bare.own_requirements)
-            designs = designs_per_box(own)
+            count = designs_per_box(own)
             over = (
-                f"the objective is the {self._over} of {designs} designs within the tolerances, in all of which the"
-                " requirements are kept"
+                f"the objective is the {self._over} of {count} designs within the tolerances, all of which meet the"
+                " requirements"
             )
-            declared = over_box(own, self._over, designs, bounds)
+            declared = over_box(own, self._over, count, bounds)
             self._built = key, Program(declared, compiled=self._bare.compiled, bare=self._bare, over=over)
         return self._built[1]
 
 
-def over_box(declared: Declarations, over: Over, designs: int, bounds: tuple[float, float] | None) -> Declarations:
-    """Return the same question of designs sampled in the tolerance box around the chosen one.
+def over_box(declared: Declarations, over: Over, count: int, bounds: tuple[float, float] | None) -> Declarations:
+    """Return a design problem over a sample of the tolerance box around the chosen design.
 
-    Each of them has its variables within the tolerances, clipped at the bounds. Requirements must hold in all of them.
+    The sampled designs have their variables within the tolerances, clipped at the bounds. All of them must meet the
+    requirements.
 
     Args:
-        declared: the question.
-        over: whether their mean or their worst objective is minimised.
-        designs: number of them, a power of two.
-        bounds: between which the worst objective lies.
+        declared: the problem of the bare design.
+        over: whether to minimise the mean or the worst objective of the sample.
+        count: number of sampled designs, a power of two.
+        bounds: of the worst objective; None for the mean.
     """
     symbols = [v.symbol for v in declared.variables]
-    asked = [declared.objective, *(r.expression for r in declared.requirements)]
+    expressions = [declared.objective, *(r.expression for r in declared.requirements)]
     found = []
-    for parts in unit_box(len(symbols))[:designs]:
+    for position in unit_box(len(symbols))[:count]:
         within: list[Column] = [
-            v.within_tolerance(v.symbol, float(part)) for v, part in zip(declared.variables, parts, strict=True)
+            v.within_tolerance(v.symbol, float(part)) for v, part in zip(declared.variables, position, strict=True)
         ]
-        found.append(ca.graph_substitute(asked, symbols, within))
+        found.append(ca.graph_substitute(expressions, symbols, within))
     objectives, *columns = (ca.vertcat(*column) for column in zip(*found, strict=True))
     everywhere = [replace(r, expression=column) for r, column in zip(declared.requirements, columns, strict=True)]
     if over == "mean" or bounds is None:
@@ -105,7 +108,7 @@ def over_box(declared: Declarations, over: Over, designs: int, bounds: tuple[flo
 
 
 def designs_per_box(declared: Declarations) -> int:
-    """Return how many designs of a box are taken: fewer where each has several runs, or takes long."""
+    """Return the number of designs sampled in a box: fewer if a design has several runs, or runs that take long."""
     parts = split([declared.objective, *(r.expression for r in declared.requirements)], declared.symbols())
     runs = max(1, len(parts.runs))
     if not all(run.integration.structure.stepped for run in parts.runs):
@@ -114,24 +117,24 @@ def designs_per_box(declared: Declarations) -> int:
 
 
 def bounds_on_worst(program: Program, p: Vector) -> tuple[float, float]:
-    """Return bounds between which the least worst objective of a design lies, from a sample.
+    """Return bounds on the lowest possible worst objective over a tolerance box, estimated from a sample.
 
     Args:
-        program: of the design itself.
+        program: of the bare design.
         p: parameters.
     """
     program.prepare(p)
     landscape = Landscape(program, p)
-    seen = evaluated_sample(landscape, _LOOKS if landscape.vectorised else _FEWEST)
-    sound = np.flatnonzero(np.isfinite(seen.f))
-    near = landscape(boxes(program.declared.variables, seen.points[sound]))
-    worst, violation = (part.reshape(len(sound), -1).max(axis=1) for part in (near.f, near.violation))
-    kept = np.isfinite(worst) & (violation <= FEASIBLE)
-    if np.any(kept):
-        high = float(worst[kept].min())
+    sampled = evaluated_sample(landscape, _SAMPLE_SIZE if landscape.vectorised else _FEWEST)
+    valid = np.flatnonzero(np.isfinite(sampled.f))
+    inside = landscape(boxes(program.declared.variables, sampled.points[valid]))
+    worst, violation = (part.reshape(len(valid), -1).max(axis=1) for part in (inside.f, inside.violation))
+    feasible = np.isfinite(worst) & (violation <= FEASIBLE)
+    if np.any(feasible):
+        high = float(worst[feasible].min())
     else:
-        high = float(np.max(worst[np.isfinite(worst)], initial=float(np.max(seen.f[sound], initial=1.0))))
-    low = float(np.min(seen.f[sound], initial=high))
-    # A spread of none is that of an objective that nothing changes.
+        high = float(np.max(worst[np.isfinite(worst)], initial=float(np.max(sampled.f[valid], initial=1.0))))
+    low = float(np.min(sampled.f[valid], initial=high))
+    # The range must not be empty, even for a constant objective.
     reach = max(high - low, abs(high), 1e-6)
     return (low - _BELOW * reach) * landscape.objective_scale, (high + reach) * landscape.objective_scale

@@ -1,4 +1,4 @@
-"""How thoroughly a design is searched."""
+"""How thoroughly a search over a design's variables is carried out."""
 
 import re
 import time
@@ -10,45 +10,48 @@ from plough_opt.core.errors import InputError, nearest
 from plough_opt.design.declarations import Variable
 
 Search = str | int | Sequence[str]
-"""Words, names of variables, a number of designs, or a text such as "20 s"."""
+"""One of `WORDS`, a time such as "20 s", a number of designs, or names of the variables to search."""
 
 WORDS = ("auto", "thorough", "near", "local")
-"""Words that `search` takes: the last means the same as the one before it."""
+"""The words accepted as `search`; "local" means the same as "near"."""
 
-# By number of variables: designs of a sample, a power of two, and islands of the evolution that begins from it. One
-# evolution in two to four misses the best basin of a problem of four and more variables, so there are several.
+# Sample size by number of variables, a power of two.
 _DESIGNS = {1: 512, 2: 1024, 3: 2048, 4: 4096}
 _MOST_DESIGNS = 8192
-# Designs that a search may be asked to try: days of them.
-_MOST_TRIED = 1_000_000_000
+# Islands by number of variables. With four or more variables every second to fourth evolution misses the best basin.
 _ISLANDS = {1: 0, 2: 1, 3: 2}
 _MOST_ISLANDS = 4
-# Runs, of all designs of a round together, where a design has many: some seconds' worth.
+# Most runs in a round, for designs with many runs: they take some seconds.
 _MOST_RUNS = 60_000
-# Designs whose runs are integrated one by one, each for milliseconds: fewer where a design has several, but so many.
-_ONE_BY_ONE, _FEWEST = 256, 32
+# Sample size if runs are integrated one by one, each for milliseconds: this number divided by a design's runs, but not
+# fewer than _FEWEST.
+_ONE_BY_ONE = 256
+_FEWEST = 32
+# Rounds of a thorough search.
 _THOROUGH = 4
-# Up to so many variables a sample is dense: of more, ripples that it does not show lead descents apart.
-_FEW = 3
+# With up to this many variables the sample is dense; with more, ripples between its designs would go unnoticed.
+_FEW_VARIABLES = 3
+# Largest number of designs accepted as `search`: it takes days.
+_MOST_ACCEPTED = 1_000_000_000
 _SECONDS = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*s\s*")
 
 
 @dataclass(frozen=True)
 class Effort:
-    """Rounds of a search, each a sample, an evolution and descents of their own.
+    """The extent of a search. Each of its rounds consists of a sample, an evolution on islands, and descents.
 
     Attributes:
-        designs: of each round's sample.
-        islands: of each round's evolution.
+        designs: sample size in a round.
+        islands: number of islands in a round.
         population: designs on an island.
-        generations: of an evolution.
-        descents: from the lowest designs of the sample.
-        followed: further descents, from where designs drawn at random lead.
-        dense: whether the sample shows the ways between its designs: then none is descended from that falls straight to
-            an end of another descent, and there is no evolution where what was followed settles which basins there are.
-        rounds: number of them, where neither of the following says.
-        most_designs: after how many designs to stop, or None.
-        seconds: after what time to stop, or None.
+        generations: most generations of an evolution.
+        descents: number of the sample's lowest designs from which descents start.
+        followed: most further descents, from the local minima below designs drawn at random.
+        dense: whether the sample shows the landscape between its designs. Then there is no descent from a design from
+            which the merit falls all the way to a known end, and no evolution if hardly any unseen basin is expected.
+        rounds: number of rounds, unless one of the following is given.
+        most_designs: number of designs after which to stop, or None.
+        seconds: time after which to stop [s], or None.
     """
 
     designs: int
@@ -63,7 +66,13 @@ class Effort:
     seconds: float | None = None
 
     def more(self, rounds: int, designs: int, began: float) -> bool:
-        """Return whether another round is due, after so many rounds and designs, since a time."""
+        """Return whether to start another round.
+
+        Args:
+            rounds: completed rounds.
+            designs: designs tried so far.
+            began: time at which the search began, by `time.perf_counter` [s].
+        """
         if self.seconds is not None:
             return time.perf_counter() - began < self.seconds
         if self.most_designs is not None:
@@ -72,21 +81,21 @@ class Effort:
 
 
 def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> Effort:
-    """Return the effort that words ask for.
+    """Return the extent of a search.
 
     Args:
         search: see `plough_opt.Design.solve`.
         dimensions: number of variables that are searched.
         runs: number of runs in a design.
-        vectorised: whether they are followed side by side.
+        vectorised: whether the runs of many designs are integrated together.
     """
     designs = min(_DESIGNS.get(dimensions, _MOST_DESIGNS), max(_ONE_BY_ONE, _MOST_RUNS // max(runs, 1)))
-    designs = 1 << (designs.bit_length() - 1)  # Sobol points are even in numbers that are powers of two
+    designs = 1 << (designs.bit_length() - 1)  # only powers of two make Sobol points even
     islands = _ISLANDS.get(dimensions, _MOST_ISLANDS) if designs * runs < _MOST_RUNS else 0
     if isinstance(search, int) and search < designs:
-        # Less than a round: a sample alone, of a power of two.
+        # Less than a round: only a sample, of a power of two.
         designs, islands = 1 << max(3, search.bit_length() - 1), 0
-    many = dimensions > 3
+    many = dimensions > _FEW_VARIABLES
     return Effort(
         designs=designs if vectorised else 1 << (max(_FEWEST, _ONE_BY_ONE // max(runs, 1)).bit_length() - 1),
         islands=islands if vectorised else 0,
@@ -94,7 +103,7 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
         generations=60 if many else 30,
         descents=4 + 3 * dimensions,
         followed=4 + 2 * dimensions,
-        dense=dimensions <= _FEW and search != "thorough",
+        dense=not many and search != "thorough",
         rounds=_THOROUGH if search == "thorough" else 1,
         most_designs=search if isinstance(search, int) else None,
         seconds=seconds_of(search),
@@ -102,25 +111,25 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
 
 
 def seconds_of(search: Search) -> float | None:
-    """Return the seconds that a text such as "20 s" asks for, or None for any other."""
+    """Return the number of seconds in a text such as "20 s", or None if `search` is anything else."""
     found = _SECONDS.fullmatch(search) if isinstance(search, str) else None
     return float(found[1]) if found else None
 
 
 def searched(search: Search, variables: Sequence[Variable]) -> tuple[int, ...]:
-    """Return the numbers of the variables to search; none where the guess's basin is asked for.
+    """Return the numbers of the variables to search; none for a search of the guess's basin only.
 
     Raises:
-        InputError: a name that is not a variable, or an invalid effort.
+        InputError: `search` is neither valid nor the name of a variable.
     """
     names = [v.name for v in variables]
     every = tuple(range(len(names)))
     if isinstance(search, bool) or not isinstance(search, str | int | Sequence):
-        raise InputError(f"search = {shown(search)} must be 'auto', 'thorough', 'near', a number of designs, a text"
+        raise InputError(f"search = {shown(search)} must be 'auto', 'thorough', 'near', a number of designs, a time"
                          " such as '20 s', or names of variables")  # fmt: skip
     if isinstance(search, int):
-        if not 1 <= search <= _MOST_TRIED:
-            raise InputError(f"search = {shown(search)} must be a number of designs, from 1 to {_MOST_TRIED}")
+        if not 1 <= search <= _MOST_ACCEPTED:
+            raise InputError(f"search = {shown(search)} must be a number of designs, from 1 to {_MOST_ACCEPTED}")
         return every
     if search in ("near", "local"):
         return ()

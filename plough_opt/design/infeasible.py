@@ -1,4 +1,4 @@
-"""Whether any design meets the requirements, and what to say when none was found."""
+"""The attempt to meet all requirements when a search found no feasible design, and the error if it fails."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -14,34 +14,38 @@ from plough_opt.design.landscape import FEASIBLE_ANSWER, FINER, Evaluations, Lan
 from plough_opt.design.polishing import point_as_found
 from plough_opt.design.program import Program
 
-# Scaled by each limit: violations below are rounding, multipliers below do not hold anything back.
+# A smaller violation, in units of the limit, is rounding.
 _VIOLATED = 1e-7
+# A limit with a smaller scaled multiplier does not hold the design back.
 _HOLDS = 1e-6
-# Designs of a sample from which the least violation is looked for, no two of them nearer than this part of the range.
-_STARTS, _APART = 8, 0.1
-# Of designs with little violation so many go on to the optimiser, which violate by so much more than the best at most.
-_POLISHED, _NEAR_LEAST = 3, 1e-3
-# How far from a design, in parts of the range, its polished one may lie, by which derivatives, and by how much its
-# violation may be larger; and steps by which that is compared.
-_BESIDE = ((0.01, False), (0.01, True), (1e-3, False), (3e-4, True))
+# Designs of the sample from which the least violation is searched, and the smallest distance between them.
+_STARTS = 8
+_DISTANCE = 0.1
+# Designs with the least violation that go on to IPOPT: at most so many, whose violation exceeds the least by at most
+# this fraction.
+_POLISHED = 3
+_NEAR_LEAST = 1e-3
+# Attempts to polish a design: the half width of the box it must stay in, and whether to use exact second derivatives.
+_ATTEMPTS = ((0.01, False), (0.01, True), (1e-3, False), (3e-4, True))
+# The violation of a polished design may be larger by this fraction.
 _NOT_WORSE = 1e-6
-# A requirement is to blame where the others are violated by so much less, in parts of the shortfall, without it.
-_HELPS = 1e-3
+# A requirement blocks the others if, without it, their violation falls by more than this fraction.
+_BLOCKS = 1e-3
 
 
 def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Vector:
-    """Return a scaled design that meets all requirements, after a search that found none.
+    """Return a scaled design that meets all requirements, after a search found none.
 
     Args:
-        landscape: what was searched.
-        explored: what was seen.
-        start: the guess, which is tried too.
+        landscape: the landscape that was searched.
+        explored: the result of the search.
+        start: the scaled guess, which is tried, too.
 
     Raises:
-        InfeasibleDesign: the least violation that was found, from several designs, is one.
+        InfeasibleDesign: the least violation found from several designs is not 0.
     """
     program = landscape.program
-    starts = [start, *_apart(explored.sample)]
+    starts = [start, *_distant_starts(explored.sample)]
     known: Sequence[float] = [np.inf] * len(starts)
     if landscape.vectorised:
         ends = explored.least_violating
@@ -60,18 +64,23 @@ def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Ve
     best, short = min(solved, key=lambda own: own[0].f)
     if best.f < _VIOLATED:
         return best.y
-    raise _infeasible(program, best, short, landscape.designs_tried, lambda k: _helps(landscape, best.y, k))
+    raise _infeasible(program, best, short, landscape.designs_tried, lambda k: _blocks(landscape, best.y, k))
 
 
 def _polished(landscape: Landscape, y: Vector, violation: float) -> tuple[Point, Vector]:
-    """Return the design of least violation beside another, whose violation is known, and by how much each is violated.
+    """Return the design of least violation near another one, and the violation of each requirement.
 
-    Where paths kink the optimiser may come to no better design: then it is the other with its violations.
+    If IPOPT finds none that is as good, for instance because the violation has a kink, the other design is returned.
+
+    Args:
+        landscape: the landscape that was searched.
+        y: the other design, scaled.
+        violation: its summed violation; infinite if unknown.
     """
     program, p = landscape.program, landscape.p
     if not np.isfinite(violation):
         return program.solve_relaxed(y, p)
-    for box, exact in _BESIDE:
+    for box, exact in _ATTEMPTS:
         point, short = program.solve_relaxed(y, p, box=box, exact=exact)
         if point.solved and point.f <= (1.0 + _NOT_WORSE) * violation + _VIOLATED:
             return point, short
@@ -79,33 +88,39 @@ def _polished(landscape: Landscape, y: Vector, violation: float) -> tuple[Point,
     return replace(point, solved=True, y=y, f=float(short.sum())), short
 
 
-def _apart(sample: Evaluations) -> list[Vector]:
-    """Return the designs of a sample with the least violations, none near another."""
+def _distant_starts(sample: Evaluations) -> list[Vector]:
+    """Return the designs of a sample with the least violations, none close to another."""
     chosen: list[Vector] = []
     for k in np.argsort(sample.violation, kind="stable"):
         if not np.isfinite(sample.violation[k]) or len(chosen) == _STARTS:
             break
-        if all(np.max(np.abs(sample.points[k] - other)) > _APART for other in chosen):
+        if all(np.max(np.abs(sample.points[k] - other)) > _DISTANCE for other in chosen):
             chosen.append(sample.points[k])
     return chosen
 
 
-def _helps(landscape: Landscape, y: Vector, requirement: int) -> bool:
-    """Return whether the others are violated less where a requirement is left out."""
+def _blocks(landscape: Landscape, y: Vector, requirement: int) -> bool:
+    """Return whether the other requirements would be violated less without this one."""
     if not landscape.vectorised or requirement >= len(landscape.program.own_requirements):
-        return True  # beyond the end of a theory nothing has a value
+        return True  # a theory's limit cannot be left out: nothing can be evaluated beyond it
     others = np.arange(len(landscape.program.declared.requirements)) != requirement
     before = landscape.violations(landscape.rows(y[None])[1])[0][others].sum()
     end = least_violation(landscape, y, ignored={requirement}).points
     after = landscape.violations(landscape.rows(end)[1])[0][others].sum()
-    return bool(after < (1.0 - _HELPS) * before)
+    return bool(after < (1.0 - _BLOCKS) * before)
 
 
 def from_least_violation(program: Program, p: Vector, start: Vector, fixed: Sequence[int] = ()) -> Point:
-    """Return the optimum, with some variables held, from the design near a start that meets the requirements.
+    """Return the optimum found from the feasible design nearest to a start, with some variables held.
+
+    Args:
+        program: the design's program, built.
+        p: parameters.
+        start: the scaled start.
+        fixed: numbers of the variables to hold.
 
     Raises:
-        InfeasibleDesign: none was found.
+        InfeasibleDesign: no feasible design was found.
     """
     loose, short = program.solve_relaxed(start, p, fixed=fixed)
     if loose.f >= _VIOLATED:
@@ -118,7 +133,7 @@ def from_least_violation(program: Program, p: Vector, start: Vector, fixed: Sequ
 
 
 def failures(program: Program, conflicts: Mapping[str, float]) -> str:
-    """Say by how much which requirements fail."""
+    """Return a text that names the requirements that fail, each with its shortfall."""
     return ", ".join(
         f"'{r.name}' ({r.limits_text()}) fails by {in_words(conflicts[r.name], r.unit)}"
         for r in program.declared.requirements
@@ -127,16 +142,16 @@ def failures(program: Program, conflicts: Mapping[str, float]) -> str:
 
 
 def _infeasible(
-    program: Program, point: Point, short: Vector, designs: int = 0, helps: Callable[[int], bool] = lambda _: True
+    program: Program, point: Point, short: Vector, designs: int = 0, blocks: Callable[[int], bool] = lambda _: True
 ) -> InfeasibleDesign:
-    """Return the error that names the requirements that fail, by how much, and what holds them back.
+    """Return the error that names the requirements that fail, their shortfalls, and the limits that block them.
 
     Args:
         program: the design's program.
-        point: the least violation that was found.
-        short: by how much each requirement is violated there, scaled.
-        designs: number of designs that were tried; 0 leaves it unsaid.
-        helps: number of a requirement that holds others back -> whether these are violated less without it.
+        point: the design with the least violation found.
+        short: scaled violation of each requirement there.
+        designs: number of designs tried; 0 if it need not be stated.
+        blocks: number of a requirement with a multiplier -> whether the others are violated less without it.
     """
     declared = program.declared
     conflicts = {
@@ -144,25 +159,25 @@ def _infeasible(
         for r, s, scale in zip(declared.requirements, short, program.scales, strict=True)
         if s > _VIOLATED
     }
-    pull = np.zeros(len(declared.requirements))
-    np.maximum.at(pull, program.owner, np.abs(point.lam_g))
+    multipliers = np.zeros(len(declared.requirements))
+    np.maximum.at(multipliers, program.owner, np.abs(point.lam_g))
     blockers = [
         f"requirement '{r.name}' {r.limits_text()}"
-        for k, (r, force) in enumerate(zip(declared.requirements, pull, strict=True))
-        if force > _HOLDS and r.name not in conflicts and helps(k)
+        for k, (r, largest) in enumerate(zip(declared.requirements, multipliers, strict=True))
+        if largest > _HOLDS and r.name not in conflicts and blocks(k)
     ]
     for variable, multiplier in zip(declared.variables, point.lam_y, strict=True):
         if abs(multiplier) > _HOLDS:
             side, bound = ("upper", variable.upper) if multiplier > 0 else ("lower", variable.lower)
             blockers.append(f"{side} bound {in_words(bound, variable.unit)} of '{variable.name}'")
     fails = failures(program, conflicts)
-    alone = "no variable of this design changes it" if len(conflicts) == 1 else "against them stand only each other"
-    against = f"against it stand {' and '.join(blockers)}" if blockers else alone
+    alone = "no variable of this design changes it" if len(conflicts) == 1 else "they conflict only with each other"
+    against = f"in conflict with {' and '.join(blockers)}" if blockers else alone
     place = declared.describe(program.values(point.y))
     tried = f" of {designs} tried" if designs else ""
     return InfeasibleDesign(
         f"no design was found that meets all requirements: at best{tried} {fails}; {against}."
-        f" Nearest design: {place}. Loosen one of these",
+        f" Nearest design: {place}. Loosen one of these limits",
         conflicts,
         blockers,
     )

@@ -1,4 +1,4 @@
-"""From the bottoms that a search found to certified optima: last digits, curvature, and never a worse design."""
+"""From the basin minima of a search to optima: full accuracy, curvature, and never a worse design than the start."""
 
 import itertools
 from collections.abc import Callable
@@ -21,44 +21,49 @@ from plough_opt.design.optimality import (
 )
 from plough_opt.design.program import Program
 
-# Of first-order conditions, scaled: what is left at an optimum.
+# Largest scaled residual of the first-order conditions at an optimum.
 _STATIONARY: Final = 1e-10
-# Steps, and how long one is at most: a start further away is not nearly optimal.
-_STEPS, _LONGEST = 5, 0.02
-# By what factor a step must at least bring the conditions nearer: less is not convergence.
-_FALLS: Final = 0.5
-# Scaled step of the differences: between the rounding of a run (some 1e-13) and the narrowest ripples (some 1e-2); and
-# the factor on a search's steps with which they are run.
-_STEP, _FINER = 2e-4, 2.0
-# Differences this far from the exact slopes, relative to the largest, have a kink between them, as the RMS of an
-# amplitude has at 0.
+# Most steps, and the longest one: a start further from the optimum is not nearly optimal.
+_MOST_STEPS: Final = 5
+_LONGEST_STEP: Final = 0.02
+# Each step must reduce the residual by at least this factor; otherwise the steps do not converge.
+_REDUCTION: Final = 0.5
+# Scaled step of the difference quotients: between a run's rounding (about 1e-13) and the narrowest ripples (1e-2).
+_DIFFERENCE: Final = 2e-4
+# Factor on a sample's number of integration steps for these runs.
+_FINER: Final = 2.0
+# If difference quotients deviate from the exact slopes by this fraction of the largest, there is a kink in between, as
+# in the RMS of an amplitude at 0.
 _KINK: Final = 0.05
-# Multipliers and the curvature that goes with them are found together, in so many rounds.
+# The first step needs several rounds, because the curvature depends on the multipliers that the step yields.
 _ROUNDS: Final = 3
-# Limits are kept by so much, scaled, so that rounding breaks none.
-_KEPT: Final = 1e-11
-# Scaled margin that leaves no room, and the least difference of slopes of length 1.
-_TOUCHING, _ALIKE = 1e-8, 1e-7
+# Scaled margin kept to each limit, so that rounding does not violate it.
+_MARGIN: Final = 1e-11
+# A limit is active below this scaled margin. Normalised slopes of active limits are dependent if their matrix has a
+# singular value below the second number, relative to the largest.
+_ACTIVE_MARGIN: Final = 1e-8
+_DEPENDENT: Final = 1e-7
 
 
 def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -> Point | None:
-    """Return the optimum beside a design by quadratic programs, or None where none is reached in a few short steps.
+    """Return the optimum near a design by sequential quadratic programs, or None if a few short steps do not reach it.
 
-    Curvatures, which need only be roughly right, come from differences of runs side by side, so that two or three
-    evaluations of exact slopes do, where an interior-point method takes as many again for its barrier to vanish.
+    Curvatures need only be rough, so they come from difference quotients of runs that are integrated together. Two or
+    three evaluations of exact slopes then suffice. An interior-point method needs as many again to let its barrier
+    vanish.
 
     Args:
         program: the design's program, built.
         p: parameters.
         start: scaled variables, nearly optimal.
     """
-    known = _differences(program, p, start) if program.population.vectorised else None
-    if known is None:
+    derivatives = _difference_quotients(program, p, start) if program.population.vectorised else None
+    if derivatives is None:
         return None
-    slopes, bends = known
-    kept = np.where(program.low < program.high, _KEPT, 0.0)
+    slopes, hessians = derivatives
+    margin = np.where(program.low < program.high, _MARGIN, 0.0)
     y, lam_g, before = start, np.zeros(len(program.low)), np.inf
-    for number in range(_STEPS):
+    for number in range(_MOST_STEPS):
         f, g, gradient, jacobian = (np.asarray(result) for result in program.nlp.slopes(y, p))
         g, gradient = g.ravel(), gradient.ravel()
         if not all(np.all(np.isfinite(part)) for part in (f, g, gradient, jacobian)):
@@ -66,9 +71,9 @@ def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -
         exact = np.vstack([gradient, jacobian])
         if not number and np.max(np.abs(exact - slopes)) > _KINK * max(1.0, float(np.max(np.abs(exact)))):
             return None
-        at, limits = (g, gradient, jacobian), (program.low + kept, program.high - kept)
+        at, limits = (g, gradient, jacobian), (program.low + margin, program.high - margin)
         for _ in range(1 if number else _ROUNDS):
-            curvature = made_convex(bends[0] + np.tensordot(lam_g, bends[1:], 1))
+            curvature = made_convex(hessians[0] + np.tensordot(lam_g, hessians[1:], 1))
             found = optimum_step(curvature, y, at, limits)
             if found is None:
                 return None
@@ -76,87 +81,90 @@ def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -
         point = Point(True, "Solve_Succeeded", y, float(f.item()), lam_g, without_rounding(y, lam_y), number)
         left = residual(point, at, (program.low, program.high))
         if left <= _STATIONARY:
-            if np.all((kept == 0.0) | ((program.low <= g) & (g <= program.high))):
-                return point if _independent(point.y, at, limits) else None
-        elif left > _FALLS * before or np.max(np.abs(step)) > _LONGEST:
+            if np.all((margin == 0.0) | ((program.low <= g) & (g <= program.high))):
+                return point if _multipliers_unique(point.y, at, limits) else None
+        elif left > _REDUCTION * before or np.max(np.abs(step)) > _LONGEST_STEP:
             return None
         y, before = np.clip(y + step, 0.0, 1.0), left
     return None
 
 
-def _independent(y: Vector, at: tuple[Vector, Vector, Vector], limits: tuple[Vector, Vector]) -> bool:
-    """Return whether the slopes of limits that leave no room are independent; else which of them pulls is open."""
+def _multipliers_unique(y: Vector, at: tuple[Vector, Vector, Vector], limits: tuple[Vector, Vector]) -> bool:
+    """Return whether the slopes of the active limits are independent; otherwise their multipliers are ambiguous."""
     (g, _, jacobian), (low, high) = at, limits
-    rooms = np.concatenate([np.minimum(g - low, high - g), np.minimum(y, 1.0 - y)])
-    touching = np.vstack([jacobian, np.eye(len(y))])[rooms < _TOUCHING]
-    sizes = np.maximum(np.linalg.norm(touching, axis=1, keepdims=True), np.finfo(float).tiny)
-    return not len(touching) or int(np.linalg.matrix_rank(touching / sizes, _ALIKE)) == len(touching)
+    margins = np.concatenate([np.minimum(g - low, high - g), np.minimum(y, 1.0 - y)])
+    active = np.vstack([jacobian, np.eye(len(y))])[margins < _ACTIVE_MARGIN]
+    lengths = np.maximum(np.linalg.norm(active, axis=1, keepdims=True), np.finfo(float).tiny)
+    return not len(active) or int(np.linalg.matrix_rank(active / lengths, _DEPENDENT)) == len(active)
 
 
-def _differences(program: Program, p: Vector, y: Vector) -> tuple[Vector, Vector] | None:
-    """Return first and second derivatives of objective and requirements; None without a value somewhere.
+def _difference_quotients(program: Program, p: Vector, y: Vector) -> tuple[Vector, Vector] | None:
+    """Return a gradient (a row) and a Hessian for the objective and each requirement row, by difference quotients.
 
-    Their first derivatives are a row each, their second ones a matrix each.
+    None if a neighbouring design cannot be evaluated.
     """
     n = len(y)
-    steps = np.diag(np.where(y > 0.5, -_STEP, _STEP))
-    both = list(itertools.combinations_with_replacement(range(n), 2))
-    points = np.vstack([y, y + steps, *(y + steps[i] + steps[j] for i, j in both)])
+    steps = np.diag(np.where(y > 0.5, -_DIFFERENCE, _DIFFERENCE))
+    pairs = list(itertools.combinations_with_replacement(range(n), 2))
+    points = np.vstack([y, y + steps, *(y + steps[i] + steps[j] for i, j in pairs)])
     with np.errstate(all="ignore"):
         f, g = program.population(points, p, finer=_FINER, together=len(points))
     scales = np.array(program.scales)[np.array(program.owner, dtype=int)]
     values = np.column_stack([f / program.objective_scale, g / scales])
     if not np.all(np.isfinite(values)):
         return None
-    bends = np.empty((values.shape[1], n, n))
-    for (i, j), value in zip(both, values[n + 1 :], strict=True):
-        bend = (value - values[1 + i] - values[1 + j] + values[0]) / (steps[i, i] * steps[j, j])
-        bends[:, i, j] = bends[:, j, i] = bend
-    sides = np.diag(steps)
-    slopes = (values[1 : n + 1] - values[0]).T / sides - 0.5 * np.einsum("kii->ki", bends) * sides
-    return slopes, bends
+    hessians = np.empty((values.shape[1], n, n))
+    for (i, j), value in zip(pairs, values[n + 1 :], strict=True):
+        second = (value - values[1 + i] - values[1 + j] + values[0]) / (steps[i, i] * steps[j, j])
+        hessians[:, i, j] = hessians[:, j, i] = second
+    signed = np.diag(steps)
+    slopes = (values[1 : n + 1] - values[0]).T / signed - 0.5 * np.einsum("kii->ki", hessians) * signed
+    return slopes, hessians
 
 
-# How far from a start, in parts of the range, an optimum may lie that is the start's own, and that of a ripple.
-_BESIDE, _RIPPLE = 0.05, 0.005
-# Part of the objective by which a polished design may be above its start: where the optimiser stops;
-# and by how much more for each part of a limit by which the start breaks it.
-_NOT_WORSE, _FOR_VIOLATION = 1e-8, 100.0
-# IPOPT stops with these beside an optimum where the objective is rough, as a needle's is.
+# An optimum this close to a start, as a fraction of the range, belongs to the start's basin.
+_NEAR = 0.05
+# The same for the optimum of a ripple.
+_RIPPLE = 0.005
+# A polished design may lie above its start by this fraction of the objective, which is IPOPT's tolerance, and higher by
+# this weight times the start's violation.
+_NOT_WORSE = 1e-8
+_VIOLATION_WEIGHT = 100.0
+# IPOPT stops with these near an optimum if the objective is rough, as on a needle.
 _STALLED = ("Search_Direction_Becomes_Too_Small", "Maximum_Iterations_Exceeded")
 
 
 AS_FOUND = "taken as found"
-"""Status of a design that the optimiser did not confirm as an optimum."""
+"""Status of a design that IPOPT did not confirm as an optimum."""
 
 
 def polished(program: Program, p: Vector, start: Vector) -> Point:
-    """Return the local optimum of a search's bottom: the start as it is, where no better one lies beside it."""
+    """Return the local optimum near a basin minimum of a search, or the start itself if no better design lies near."""
     most = _most(program, p, start)
     near = polished_by_quadratic_programs(program, p, start)
-    if near is not None and np.max(np.abs(near.y - start)) < _BESIDE and near.f <= most:
+    if near is not None and np.max(np.abs(near.y - start)) < _NEAR and near.f <= most:
         return near
-    begins = point_as_found(program, p, start)
-    for box, exact in ((1.0, False), (_BESIDE, True), (_RIPPLE, True)):
+    as_found = point_as_found(program, p, start)
+    for box, exact in ((1.0, False), (_NEAR, True), (_RIPPLE, True)):
         point = program.solve(start, p, SolveOptions(near=True, exact=exact, enough=True), box)
         if point.status in _STALLED and _violation(program, p, point.y)[1] <= FEASIBLE_ANSWER:
             point = replace(point, solved=True, status=AS_FOUND)
-        beside = box == 1.0 or np.max(np.abs(point.y - start)) < box
-        if point.solved and beside and point.f <= most:
+        inside = box == 1.0 or np.max(np.abs(point.y - start)) < box
+        if point.solved and inside and point.f <= most:
             return point
     point = program.solve(start, p)
     if point.solved and point.f <= most:
         return point
-    if begins.solved or not program.declared.requirements:
-        return begins
-    # The search's rougher runs may have kept a limit by a hair which these do not.
+    if as_found.solved or not program.declared.requirements:
+        return as_found
+    # The search's rough runs may just have met a limit that these runs violate.
     return point_as_found(program, p, program.solve_relaxed(start, p)[0].y)
 
 
 def solved_again(program: Program, p: Vector, point: Point) -> Point:
-    """Return an optimum of a program that has been built anew since: the same one, with its new digits."""
+    """Return an optimum solved again after its program was rebuilt with other steps; the same basin, updated digits."""
     most = _most(program, p, point.y)
-    for box, exact in ((_BESIDE, False), (_RIPPLE, False), (_RIPPLE, True)):
+    for box, exact in ((_NEAR, False), (_RIPPLE, False), (_RIPPLE, True)):
         again = program.solve(point.y, p, SolveOptions(near=True, exact=exact, enough=True), box)
         if again.solved and np.max(np.abs(again.y - point.y)) < box and again.f <= most:
             return again
@@ -164,47 +172,52 @@ def solved_again(program: Program, p: Vector, point: Point) -> Point:
 
 
 def converged_tightly(program: Program, p: Vector, point: Point) -> Point:
-    """Return an optimum with the last digits of its derivatives, where these can be had; else as it is."""
+    """Return an optimum solved to the full tolerance if IPOPT stopped before that, else the same point."""
     if point.status in ("Solve_Succeeded", AS_FOUND):
         return point
-    again = program.solve(point.y, p, SolveOptions(near=True, exact=False), _BESIDE)
-    inside = np.max(np.abs(again.y - point.y)) < _BESIDE
+    again = program.solve(point.y, p, SolveOptions(near=True, exact=False), _NEAR)
+    inside = np.max(np.abs(again.y - point.y)) < _NEAR
     return again if again.solved and inside and again.f <= _most(program, p, point.y) else point
 
 
 def point_as_found(program: Program, p: Vector, y: Vector) -> Point:
-    """Return a scaled design as a point without multipliers, solved if it meets all requirements."""
+    """Return a scaled design as an unconfirmed point without multipliers; it is solved if it is feasible."""
     f, violation = _violation(program, p, y)
     count = len(program.owner)
     return Point(bool(violation <= FEASIBLE_ANSWER), AS_FOUND, y, f, np.zeros(count), np.zeros(len(y)), 0)
 
 
 def _most(program: Program, p: Vector, start: Vector) -> float:
-    """Return the largest scaled objective of an optimum that is not worse than its start."""
+    """Return the largest scaled objective at which an optimum counts as no worse than its start."""
     f, violation = _violation(program, p, start)
-    return f + _NOT_WORSE * abs(f) + _FOR_VIOLATION * violation if violation <= FEASIBLE else np.inf
+    return f + _NOT_WORSE * abs(f) + _VIOLATION_WEIGHT * violation if violation <= FEASIBLE else np.inf
 
 
 def _violation(program: Program, p: Vector, y: Vector) -> tuple[float, float]:
-    """Return the scaled objective, and the largest scaled violation, infinite without a value."""
+    """Return the scaled objective, and the largest scaled violation; infinite if the design cannot be evaluated."""
     f, g = (np.asarray(result).ravel() for result in program.nlp.values(y, p))
     worst = np.max(np.maximum(program.low - g, g - program.high), initial=0.0)
     sound = np.all(np.isfinite(f)) and np.all(np.isfinite(g))
     return float(f[0]), float(worst) if sound else np.inf
 
 
-# A curvature this far below the largest is suspected flat, and a change of the objective this small confirms it.
+# A direction may be flat if its curvature is below this fraction of the largest; it is flat if the objective changes by
+# less than this fraction.
 _FLAT_CURVATURE = 1e-7
 _FLAT_OBJECTIVE = 1e-9
+# Scaled margin below which a limit counts as active.
 _ACTIVE = 1e-7
+# Scaled step from a point along a suspicious direction.
 _ASIDE = 0.02
-_DESCENTS = 3
+# Most descents from one saddle point to the next.
+_MOST_DESCENTS = 3
 
 
 def flat_directions(program: Program, p: Vector, at: Point) -> list[Vector]:
-    """Return scaled directions in which designs as good as the optimum lie.
+    """Return the scaled directions along which designs as good as the optimum lie.
 
-    The reduced Hessian suspects a direction; moving along it and solving again for the rest confirms it.
+    Candidates are directions without curvature in the reduced Hessian. A candidate is confirmed by a step along it,
+    after which the other variables are optimised again.
     """
     curvatures, directions = at.curvatures or _reduced_curvatures(program, p, at)
     flat = np.flatnonzero(np.abs(curvatures) < _FLAT_CURVATURE)
@@ -214,18 +227,18 @@ def flat_directions(program: Program, p: Vector, at: Point) -> list[Vector]:
 def minimum_from(
     program: Program, p: Vector, at: Point, downhill: Callable[[Vector, Vector], Vector | None] | None = None
 ) -> Point:
-    """Return the point itself, or where it leads downhill if it is a hilltop or a saddle, with its curvatures.
+    """Return a stationary point with its curvatures or, if it is a maximum or a saddle, the lower optimum beside it.
 
-    IPOPT accepts any stationary point that it starts on; the reduced Hessian decides.
+    IPOPT accepts any stationary point that it starts from. The reduced Hessian shows whether it is a minimum.
 
     Args:
         program: the design's program.
         p: parameters.
-        at: the point.
-        downhill: (the point, a design beside it) -> a lower design to which that leads, or None; without it the
-            optimiser begins beside the point.
+        at: the stationary point.
+        downhill: (the point, a design beside it) -> the end of a descent from that design if it is lower than the
+            point, else None. Without this function IPOPT starts from the design itself.
     """
-    for _ in range(_DESCENTS):
+    for _ in range(_MOST_DESCENTS):
         curvatures, directions = known = _reduced_curvatures(program, p, at)
         if not curvatures.size or curvatures[0] >= -_FLAT_CURVATURE:
             return replace(at, curvatures=known)
@@ -241,27 +254,31 @@ def minimum_from(
 
 
 def _beside(program: Program, p: Vector, start: Vector) -> Point:
-    """Return the local optimum beside a start."""
+    """Return the local optimum near a start."""
     return program.solve(start, p, SolveOptions(near=True, exact=False, enough=True))
 
 
 def _reduced_curvatures(program: Program, p: Vector, at: Point) -> tuple[Vector, Vector]:
-    """Return the curvatures, relative to the largest, in ascending order, and their directions as columns."""
+    """Return the curvatures along the active limits, relative to the largest and ascending, and their directions.
+
+    The directions are columns.
+    """
     values, jacobian = program.built.solver.requirements(at.y, p)
-    touching = (values - program.low < _ACTIVE) | (program.high - values < _ACTIVE)
-    # A bound that does not pull leaves the way back from it open.
+    active = (values - program.low < _ACTIVE) | (program.high - values < _ACTIVE)
+    # A bound without a multiplier does not stop a move away from it.
     bounds = ((at.y < _ACTIVE) | (at.y > 1.0 - _ACTIVE)) & (np.abs(at.lam_y) > PULLS)
-    free = free_directions(np.vstack([jacobian[touching], np.eye(len(at.y))[bounds]]))
+    free = free_directions(np.vstack([jacobian[active], np.eye(len(at.y))[bounds]]))
     if not free.shape[1]:
         return np.empty(0), free
     hessian = symmetric(np.asarray(program.built.rough.hess_lag(at.y, p, 1.0, at.lam_g)))
     if not np.all(np.isfinite(hessian)):
-        # Of a motion that forgets its start at once, second derivatives may be beyond floating point.
+        # Second derivatives may overflow if the motion is so damped that it forgets its start at once.
         return np.empty(0), free[:, :0]
     return reduced_curvatures(hessian, free)
 
 
 def _confirmed(program: Program, p: Vector, at: Point, direction: Vector) -> bool:
+    """Return whether the objective stays the same after a step along a direction."""
     leading = int(np.argmax(np.abs(direction)))
     for sign in (1.0, -1.0):
         moved = at.y + sign * _ASIDE * direction / abs(direction[leading])

@@ -1,4 +1,4 @@
-"""The report on a local optimum: its limits, its name, and what a reader of its numbers must know."""
+"""Reports on local optima: their limits, names and warnings."""
 
 from collections.abc import Iterator, Sequence
 
@@ -19,32 +19,34 @@ from plough_opt.motion.machine import alike_once
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import repeat
 
-# Mounts whose frequencies differ by less than this part are named as one, and of more than so many the first.
-_ONE_MOUNT, _MOST_MOUNTS = 0.02, 4
+# Mounts whose frequencies differ by less than this fraction share one name.
+_SAME_MOUNT = 0.02
+# With more mounts than this only the first is named.
+_MOST_MOUNTS = 4
 
 
 def remarks(explored: Explored | None, point: Point, best: LocalOptimum) -> Iterator[str]:
-    """Give what a reader must know of a search, of a design that was not confirmed, and of one as it is made."""
+    """Yield warnings about designs that could not be evaluated, an unconfirmed optimum, and a needle."""
     if explored is not None and (part := np.mean(np.isnan(explored.sample.f))):
         yield (
-            f"{100.0 * part:.2g} % of the designs tried between the bounds have no value, and were passed over: the"
-            " model ends, the share runs away, or it oscillates too fast to be followed; tighten the bounds, shorten"
-            " the duration, or take the quasi-static scene"
+            f"{100.0 * part:.2g} % of the designs tried between the bounds could not be evaluated and were skipped:"
+            " they leave the model's domain, or the share runs away or oscillates too fast; tighten the bounds, shorten"
+            " the duration, or use the quasi-static scene"
         )
     if point.status == AS_FOUND:
         yield (
-            "the design is the best that was seen, but the optimiser did not confirm it as an optimum: objective or"
+            "the design is the best one found, but the optimiser did not confirm it as an optimum: objective or"
             " requirements are not smooth there (a kink, noise, a needle), or leave no room to move"
         )
     if best.spread is not None and best.spread.needle:
         yield (
-            f"the best design is a needle: within its tolerances the objective is {best.spread.median:.6g} in the"
-            f" middle of the cases, where {best.objective:.6g} was found; no workshop can hit it"
+            f"the best design is a needle: its objective is {best.objective:.6g}, but the median within its tolerances"
+            f" is {best.spread.median:.6g}; no workshop can hit it"
         )
 
 
 def reports(landscape: Landscape, points: Sequence[Point]) -> tuple[tuple[LocalOptimum, ...], tuple[str, ...]]:
-    """Return the reports on points, no two names alike, and what a reader of the first must know of its runs."""
+    """Return the reports on points, each with its own name, and the warnings about the runs of the first."""
     program, p = landscape.program, landscape.p
     numbers = [[*program.values(point.y), *p] for point in points]
     runs = [[program.exact.inputs(k, own) for k in range(len(program.exact.runs))] for own in numbers]
@@ -54,7 +56,7 @@ def reports(landscape: Landscape, points: Sequence[Point]) -> tuple[tuple[LocalO
 
 
 def _local_optimum(landscape: Landscape, point: Point, name: str) -> LocalOptimum:
-    """Return the report on a point, from the tightly integrated model."""
+    """Return the report on a point, from tightly integrated runs."""
     program, p = landscape.program, landscape.p
     found, check = program.exact_values(point.y, p)
     objective = float(found[0].item())
@@ -74,11 +76,11 @@ def _local_optimum(landscape: Landscape, point: Point, name: str) -> LocalOptimu
 
 
 def _requirements(program: Program, point: Point, found: Sequence[Vector]) -> list[Limit]:
-    limits, owner, pulls = [], np.array(program.owner), np.abs(point.lam_g)
+    limits, owner, multipliers = [], np.array(program.owner), np.abs(point.lam_g)
     for k, (r, value) in enumerate(zip(program.declared.requirements, found, strict=True)):
         if r.auxiliary:
             continue
-        numbers, own, scale = value.ravel(), pulls[owner == k], program.scales[k]
+        numbers, own, scale = value.ravel(), multipliers[owner == k], program.scales[k]
         margins = np.minimum(numbers - r.low, r.high - numbers)
         worst = int(np.argmin(margins))
         margin, multiplier = float(margins[worst]), float(np.sum(own) * program.objective_scale / scale)
@@ -90,18 +92,19 @@ def _requirements(program: Program, point: Point, found: Sequence[Vector]) -> li
 
 def _bounds(program: Program, point: Point, values: Vector) -> list[Limit]:
     limits = []
-    for v, x, y, pull in zip(program.declared.variables, values.tolist(), point.y, np.abs(point.lam_y), strict=True):
+    sizes = np.abs(point.lam_y).tolist()
+    for v, x, y, size in zip(program.declared.variables, values.tolist(), point.y, sizes, strict=True):
         if v.auxiliary:
             continue
         text = f"{v.shown.text(v.lower)} to {v.shown.text(v.upper)}"
-        margin, multiplier = min(x - v.lower, v.upper - x), float(pull * program.objective_scale / v.slope(float(y)))
-        active = decides(float(min(y, 1.0 - y)), float(pull))
+        margin, multiplier = min(x - v.lower, v.upper - x), float(size * program.objective_scale / v.slope(float(y)))
+        active = decides(float(min(y, 1.0 - y)), size)
         limits.append(Limit(v.name, "bound", x, text, margin, multiplier, active, v.unit, v.shown, v.lower, v.upper))
     return limits
 
 
 def _warnings_at(program: Program, numbers: Sequence[float], runs: Sequence[tuple[Vector, Scene]]) -> tuple[str, ...]:
-    """Return what a reader of the runs at a point must know, each sentence once."""
+    """Return the warnings about the runs at a point, each once."""
     moving: list[str] = []
     for k, (parameters, scene) in enumerate(runs):
         if scene.effects.orbit == "transient":
@@ -114,7 +117,7 @@ def _warnings_at(program: Program, numbers: Sequence[float], runs: Sequence[tupl
 
 
 def _names_of(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[str]:
-    """Return a name for each optimum, no two alike: under a strength wave its branch, soft or stiff beside resonance.
+    """Return a different name for each optimum: under a strength wave its branch, softer or stiffer than resonance.
 
     Args:
         program: the design's program.
@@ -134,9 +137,9 @@ def _names_of(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[str]:
 
 
 def _mounts(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[list[tuple[str, float]]]:
-    """Return for each mount under a wave that differs from the others, of each optimum, its branch and frequency ratio.
+    """Return branch and frequency ratio in each optimum, for each distinct mount under a strength wave.
 
-    Many samples of one share's soil have mounts that hardly differ; the first stands for them.
+    If a design has many samples of the soil, their mounts hardly differ, and the first one represents them.
     """
     found: list[list[tuple[str, float]]] = []
     for k, run in enumerate(program.exact.runs):
@@ -144,6 +147,6 @@ def _mounts(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[list[tu
             continue
         ratios = [float(own[k].natural_frequency / own[k].wave_frequency) for own in scenes]
         mount = [(str(own[k].branch), ratio) for own, ratio in zip(scenes, ratios, strict=True)]
-        if not any(np.allclose(ratios, [ratio for _, ratio in other], rtol=_ONE_MOUNT) for other in found):
+        if not any(np.allclose(ratios, [ratio for _, ratio in other], rtol=_SAME_MOUNT) for other in found):
             found.append(mount)
     return found if len(found) <= _MOST_MOUNTS else found[:1]

@@ -1,4 +1,4 @@
-"""An optimum in values that can be bought or made: the best of a catalogue's combinations, the rest solved again."""
+"""Optima in catalogue values: the best combination of them, with the other variables optimised again."""
 
 import itertools
 import math
@@ -24,12 +24,14 @@ from plough_opt.design.sensitivity import Solved
 from plough_opt.design.tolerance import Judge, ranking_criterion, spread
 
 Catalogue = float | Sequence[float]
-"""Values that a variable may take, or the step of which it may take multiples."""
+"""The values that a variable may take, or a step whose multiples it may take."""
 
-# The optimiser stops this near a bound; a value of the catalogue this near is the optimum's own.
-_ITSELF = 1e-6
+# A catalogue value within this fraction of the range from the optimum is taken for it: the optimiser stops this far
+# from a bound.
+_SAME_VALUE = 1e-6
+# A value beyond a bound by this fraction of the range counts as the bound.
 _ROUNDING = 1e-12
-# Multiples of a step beyond which floating point cannot distinguish them.
+# Floating point cannot distinguish larger multiples of a step.
 _MOST_MULTIPLES = 1e15
 
 
@@ -38,10 +40,10 @@ class Allowed:
     """The values that a variable may take between its bounds.
 
     Attributes:
-        number: of the variable.
+        number: of the variable among the design's variables.
         variable: the variable.
-        offered: the catalogue's values between the bounds, rising; or multiples of ``step`` by number.
-        step: of which multiples are allowed; 0 of a catalogue.
+        offered: the catalogue's values between the bounds, ascending; or, with a step, the multipliers of the step.
+        step: whose multiples are allowed; 0 for a catalogue.
     """
 
     number: int
@@ -55,23 +57,23 @@ class Allowed:
         return len(self.offered)
 
     def values(self) -> list[float]:
-        """Return all values, rising."""
-        return self._at(self.offered)
+        """Return all values in ascending order."""
+        return self._in_unit(self.offered)
 
-    def beside(self, optimum: float) -> list[float]:
-        """Return the nearest values at or below and at or above an optimum's."""
+    def neighbours(self, optimum: float) -> list[float]:
+        """Return the nearest values below and above an optimum's, or just the one that equals it."""
         v, near = self.variable, self.offered
         if self.step:
             below = math.floor(optimum / self.step) - 1 - self.offered[0]
             near = self.offered[max(0, min(int(below), self.count - 1)) :][:5]
-        inside = self._at(near)
-        itself = min(inside, key=lambda x: abs(x - optimum))
-        if abs(itself - optimum) <= _ITSELF * (v.upper - v.lower):
-            return [itself]
-        lower, higher = [x for x in inside if x < optimum], [x for x in inside if x > optimum]
+        values = self._in_unit(near)
+        nearest_value = min(values, key=lambda x: abs(x - optimum))
+        if abs(nearest_value - optimum) <= _SAME_VALUE * (v.upper - v.lower):
+            return [nearest_value]
+        lower, higher = [x for x in values if x < optimum], [x for x in values if x > optimum]
         return [*lower[-1:], *higher[:1]]
 
-    def _at(self, offered: Sequence[float] | range) -> list[float]:
+    def _in_unit(self, offered: Sequence[float] | range) -> list[float]:
         v = self.variable
         return [min(max(self.step * k, v.lower), v.upper) for k in offered] if self.step else list(offered)
 
@@ -84,21 +86,22 @@ def allowed(variables: Sequence[Variable], catalogues: Mapping[str, Catalogue]) 
         catalogues: for each variable to round, by name, its values or step.
 
     Raises:
-        InputError: no catalogue, no such variable, no numbers, or none between the variable's bounds.
+        InputError: there is no catalogue, or one has an unknown name, values that are not numbers, or no value between
+            the variable's bounds.
     """
     if not catalogues:
-        raise InputError("nothing to round: give a catalogue or a step, like best.rounded(stiffness=[4e4, 5e4])")
+        raise InputError("nothing to round: give a catalogue or a step, as in best.rounded(stiffness=[4e4, 5e4])")
     found: dict[int, Allowed] = {}
     for name, catalogue in catalogues.items():
         number = _number_of(variables, name)
         if number in found:
-            raise InputError(f"'{variables[number].name}' is given two catalogues: give one")
+            raise InputError(f"'{variables[number].name}' has two catalogues: give one")
         found[number] = _allowed(number, variables[number], catalogue)
     return list(found.values())
 
 
 def _number_of(variables: Sequence[Variable], name: str) -> int:
-    """Return the number of a variable by its name, or by that as a keyword: ``wedge_angle`` for "wedge angle"."""
+    """Return the number of a variable by its name or by its keyword, such as ``wedge_angle`` for "wedge angle"."""
     names = [v.name for v in variables if not v.auxiliary]
     if name in names:
         return names.index(name)
@@ -115,14 +118,13 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
         values = np.array([])
     if not values.size or not np.all(np.isfinite(values)):
         raise InputError(f"the catalogue of '{v.name}' must hold finite numbers, not {shown(catalogue)}")
-    # By how much a value may be beyond a bound and still be the bound.
     reserve = _ROUNDING * (v.upper - v.lower)
     if np.ndim(catalogue) == 0:
         step = float(values[0])
         if step <= 0.0:
             raise InputError(f"the step of '{v.name}' must be above 0, not {step:g}")
         if max(abs(v.lower), abs(v.upper)) / _MOST_MULTIPLES > step:
-            raise InputError(f"the step {step:g} of '{v.name}' is too small to count to its bounds: take a larger one")
+            raise InputError(f"the step {step:g} of '{v.name}' is too small for its bounds: use a larger one")
         first, last = math.ceil((v.lower - reserve) / step), math.floor((v.upper + reserve) / step)
         found = Allowed(number, v, range(first, last + 1), step)
     else:
@@ -130,19 +132,21 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
         found = Allowed(number, v, tuple(np.unique(np.clip(inside, v.lower, v.upper)).tolist()))
     if not found.count:
         raise InputError(
-            f"no value that '{v.name}' may take lies between its bounds {in_words(v.lower, v.unit)} and"
-            f" {in_words(v.upper, v.unit)}: offer one that does, or widen the bounds"
+            f"no catalogue value of '{v.name}' lies between its bounds {in_words(v.lower, v.unit)} and"
+            f" {in_words(v.upper, v.unit)}: add one that does, or widen the bounds"
         )
     return found
 
 
-# Combinations from which on only an optimum's neighbours are tried: a look at each takes some seconds by then.
+# Screening this many combinations takes some seconds; with more, only the optimum's neighbours are tried.
 _MOST_SCREENED = 100_000
-# Combinations that are optimised, and neighbours at most.
-_MOST_TRIED, _MOST_NEIGHBOURS = 20, 4096
-# By so much of the objective an optimised design may be above its start: what a search's rougher runs are off by.
+# Most combinations that are optimised.
+_MOST_OPTIMISED = 20
+# Most combinations of neighbours that are accepted.
+_MOST_NEIGHBOURS = 4096
+# An optimised design may lie above its start by this fraction of the objective: the error of a search's rough runs.
 _NOT_WORSE = 1e-5
-# Failing combinations that a refusal names.
+# Most failing combinations that an error message names.
 _MOST_NAMED = 5
 
 
@@ -151,7 +155,7 @@ def rounded(solved: Solved, judge: Judge, unrounded: float, catalogues: Mapping[
 
     Args:
         solved: the design's program with its optimum.
-        judge: by what choices are compared.
+        judge: what the combinations are ranked by.
         unrounded: the optimum's objective.
         catalogues: for each variable to round, its values or step.
     """
@@ -174,16 +178,16 @@ def rounded(solved: Solved, judge: Judge, unrounded: float, catalogues: Mapping[
         else:
             objective = point.f * program.objective_scale
             reached.append((Choice(names, objective, {}, spread(landscape, point.y, objective)), point, values))
-    looked_at = count if every else len(starts)
+    screened = count if every else len(starts)
     if not reached:
-        raise _nothing(program, failed, looked_at)
+        raise _none_feasible(program, failed, screened)
     judged = ranking_criterion(landscape, judge)(np.array([point.y for _, point, _ in reached]))
     order = sorted(range(len(reached)), key=lambda k: (round(float(judged[k]), 9), reached[k][1].f))
     choice, point, values = reached[order[0]]
-    # What holds a rounded variable is the catalogue, and no bound.
-    pulls = point.lam_y.copy()
-    pulls[fixed] = 0.0
-    (local,), warnings = reports(landscape, [replace(point, lam_y=pulls)])
+    # A rounded variable is held by its catalogue, not by a bound, so its bound must not count as active.
+    multipliers = point.lam_y.copy()
+    multipliers[fixed] = 0.0
+    (local,), warnings = reports(landscape, [replace(point, lam_y=multipliers)])
     local = replace(local, variables={**local.variables, **choice.values})
     return Rounded(
         **local.__dict__,
@@ -197,29 +201,36 @@ def rounded(solved: Solved, judge: Judge, unrounded: float, catalogues: Mapping[
         unrounded=unrounded,
         tried=(*(reached[k][0] for k in order), *failed),
         combinations=count,
-        screened=looked_at,
+        screened=screened,
     )
 
 
 Combination = tuple[float, ...]
-"""Values from the catalogues, one of each."""
+"""One value from each catalogue."""
 
 
 def _starts(
     landscape: Landscape, solved: Solved, offered: Sequence[Allowed], every: bool
 ) -> list[tuple[Vector, Combination]]:
-    """Return scaled designs to optimise with combinations held: those that can be best, or those beside the optimum."""
-    beside = [own.beside(float(solved.values[own.number])) for own in offered]
-    near = math.prod(map(len, beside))
+    """Return the designs to optimise with their combinations: those that can be best, or the optimum's neighbours.
+
+    Args:
+        landscape: of the design.
+        solved: the optimum.
+        offered: the values that the rounded variables may take.
+        every: whether to screen all combinations, or to return only the optimum's neighbours.
+    """
+    neighbours = [own.neighbours(float(solved.values[own.number])) for own in offered]
+    near = math.prod(map(len, neighbours))
     if not every and near > _MOST_NEIGHBOURS:
-        raise InputError(f"{len(beside)} variables have too many combinations of neighbours: round fewer at a time")
-    combinations = list(itertools.product(*([own.values() for own in offered] if every else beside)))
+        raise InputError(f"{len(neighbours)} variables have too many combinations of neighbours: round fewer at a time")
+    combinations = list(itertools.product(*([own.values() for own in offered] if every else neighbours)))
     scaled = [[own.variable.scaled(x) for own, x in zip(offered, values, strict=True)] for values in combinations]
     fixed = [own.number for own in offered]
     if every:
-        neighbours = set(itertools.product(*beside)) if near <= _MOST_TRIED else set()
-        kept = [k for k, values in enumerate(combinations) if values in neighbours]
-        found = promising(landscape, solved.point.y, fixed, np.array(scaled), kept)[:_MOST_TRIED]
+        always = set(itertools.product(*neighbours)) if near <= _MOST_OPTIMISED else set()
+        kept = [k for k, values in enumerate(combinations) if values in always]
+        found = promising(landscape, solved.point.y, fixed, np.array(scaled), kept)[:_MOST_OPTIMISED]
         return [(one.start, combinations[one.number]) for one in found]
     designs = np.repeat(solved.point.y[None], len(combinations), axis=0)
     designs[:, fixed] = scaled
@@ -227,16 +238,16 @@ def _starts(
 
 
 def _solved(program: Program, p: Vector, start: Vector, fixed: list[int]) -> tuple[Point | None, dict[str, float]]:
-    """Return the optimum with some variables held, or None and the requirements that fail, by how much."""
-    begins = point_as_found(program, p, start)
-    if len(fixed) == len(start) and begins.solved:
-        return replace(begins, status="nothing left to choose"), {}
+    """Return the optimum with some variables held, or None and the shortfall of each requirement that fails."""
+    as_found = point_as_found(program, p, start)
+    if len(fixed) == len(start) and as_found.solved:
+        return replace(as_found, status="nothing left to choose"), {}
     if len(fixed) < len(start):
         point = program.solve(start, p, SolveOptions(near=True), fixed=fixed)
-        if point.solved and (not begins.solved or point.f <= begins.f + _NOT_WORSE * abs(begins.f)):
+        if point.solved and (not as_found.solved or point.f <= as_found.f + _NOT_WORSE * abs(as_found.f)):
             return point, {}
-        if begins.solved:
-            return begins, {}
+        if as_found.solved:
+            return as_found, {}
     if not program.declared.requirements:
         return None, {}
     try:
@@ -246,19 +257,18 @@ def _solved(program: Program, p: Vector, start: Vector, fixed: list[int]) -> tup
     return (point if point.solved else None), {}
 
 
-def _nothing(program: Program, tried: Sequence[Choice], looked_at: int) -> InfeasibleDesign:
-    """Return the error that says of the best combinations which requirements fail."""
+def _none_feasible(program: Program, tried: Sequence[Choice], screened: int) -> InfeasibleDesign:
+    """Return the error that states for the least infeasible combinations which requirements fail."""
     least = sorted(tried, key=lambda choice: sum(choice.conflicts.values()) or math.inf)
     units = {v.name: v.unit for v in program.declared.variables}
     texts = [
         f"{values_in_words(choice.values, units)}: {failures(program, choice.conflicts) or 'not solved'}"
         for choice in least[:_MOST_NAMED]
     ]
-    many = f"none of {looked_at} combinations of values" if looked_at > 1 else "the only combination of values does not"
-    verb = " meets" if looked_at > 1 else " meet"
+    none = f"none of {screened} combinations of values meets" if screened > 1 else "the only combination does not meet"
     rest = f"; and so on, {len(tried)} of them optimised" if len(tried) > len(texts) else ""
     return InfeasibleDesign(
-        f"{many}{verb} all requirements: {'; '.join(texts)}{rest}. Loosen one of these, or offer more values",
+        f"{none} all requirements: {'; '.join(texts)}{rest}. Loosen one of these, or offer more values",
         least[0].conflicts,
         [f"catalogue of '{name}'" for name in least[0].values],
     )

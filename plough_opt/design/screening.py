@@ -1,4 +1,4 @@
-"""Which combinations of catalogue values can be best: a look at all of them, and a closer one at the lowest."""
+"""Screening of all combinations of catalogue values for those that can be best."""
 
 from dataclasses import dataclass
 
@@ -9,20 +9,32 @@ from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import Evaluations, Landscape, concatenated
 from plough_opt.design.sampling import MANY_VARIABLES, SEED, evolved, local_minima, sobol_points
 
-# Designs at which all combinations together are looked at, beside those with the other variables held; and for each
-# combination at least and at most.
-_LOOKS, _FEWEST, _MOST = 2**16, 2, 128
-# Combinations that are looked at more closely, and those from which descents begin.
-_CLOSER, _DESCENDED = 256, 30
-# Designs around each one's best in a closer look, and how far around, in parts of the range, round by round.
-_AROUND, _RADII = 16, (0.25, 0.12, 0.06, 0.03, 0.015)
-# Descents of all combinations together, and of each at most.
-_DESCENTS, _OF_EACH = 60, 8
-# Combinations that evolve, if their merit is so near the best, in parts of it; designs for each free variable, times,
-# and how alike all of them are when they have converged.
-_EVOLVED, _CAN_WIN, _MEMBERS, _GENERATIONS, _CONVERGED = 8, 0.15, 12, 50, 1e-6
-# What a violation weighs where a combination that does not yet meet the requirements shall stay in view.
-_LIGHTLY = 1.0
+# Sample of the free variables: designs of all combinations together, and limits on the number for each combination.
+_SAMPLE = 2**16
+_FEWEST_EACH = 2
+_MOST_EACH = 128
+
+# The lowest combinations are sampled again in shrinking boxes around their best designs: the number of combinations in
+# the first round, the number from which descents finally start, designs in a box, and the half widths of the boxes.
+_ZOOM_COMBINATIONS = 256
+_DESCENT_COMBINATIONS = 30
+_ZOOM_SAMPLE = 16
+_ZOOM_RADII = (0.25, 0.12, 0.06, 0.03, 0.015)
+
+# Descents of all combinations together, and most of each.
+_DESCENTS = 60
+_MOST_DESCENTS_EACH = 8
+
+# Evolution: most combinations, the fraction of the best merit within which a combination can still win, designs for
+# each free variable, most generations, and the scatter of merits at which it has converged.
+_EVOLVED = 8
+_CAN_WIN = 0.15
+_DESIGNS_PER_VARIABLE = 12
+_GENERATIONS = 50
+_CONVERGED = 1e-6
+
+# Weight of a violation in the second ranking, which keeps slightly infeasible combinations in the competition.
+_LOW_PENALTY = 1.0
 
 
 @dataclass(frozen=True)
@@ -31,8 +43,8 @@ class Promising:
 
     Attributes:
         number: its row among the combinations.
-        start: scaled design from which to optimise it.
-        merit: its merit there.
+        start: scaled design from which to optimise the free variables.
+        merit: merit of the start.
     """
 
     number: int
@@ -43,37 +55,37 @@ class Promising:
 def promising(
     landscape: Landscape, optimum: Vector, fixed: list[int], combinations: Vector, kept: list[int]
 ) -> list[Promising]:
-    """Return the combinations that can be best, the lowest first.
+    """Return the combinations that can be best, lowest merit first.
 
-    All are looked at with the other variables held at an optimum and at a sample of these, the lowest of them in
-    shrinking boxes around their best design; from that and others of its own, descents begin.
+    All are evaluated with the free variables at the optimum and at a sample. The lowest are sampled again in shrinking
+    boxes around their best design, and from the lowest designs of the remaining ones descents start.
 
     Args:
         landscape: of the design; vectorised.
-        optimum: scaled.
-        fixed: numbers of the variables in the catalogue.
-        combinations: scaled values of these, a row for each combination.
+        optimum: the scaled optimum.
+        fixed: numbers of the variables with a catalogue.
+        combinations: scaled values of these variables, a row for each combination.
         kept: rows that are never dropped, such as the optimum's neighbours.
     """
-    view = _View(landscape, optimum, fixed, combinations)
-    if not view.free:
-        seen = landscape(view.designs(np.arange(len(combinations)), np.empty((len(combinations), 0))))
-        best = _lowest(seen, _DESCENDED, kept)
-        return _ordered([Promising(int(k), seen.points[k], float(seen.merit[k])) for k in best])
-    numbers, samples = view.sampled(kept)
-    count = max(2, min(_OF_EACH, _DESCENTS // len(numbers)))
-    looks = dict(zip(numbers.tolist(), samples, strict=True))
-    found = _ordered([view.descended(k, own, count) for k, own in looks.items()])
-    if len(view.free) == 1:
+    screen = _Screen(landscape, optimum, fixed, combinations)
+    if not screen.free:
+        evaluated = landscape(screen.designs(np.arange(len(combinations)), np.empty((len(combinations), 0))))
+        best = _lowest(evaluated, _DESCENT_COMBINATIONS, kept)
+        return _ordered([Promising(int(k), evaluated.points[k], float(evaluated.merit[k])) for k in best])
+    numbers, samples = screen.sampled(kept)
+    descents = max(2, min(_MOST_DESCENTS_EACH, _DESCENTS // len(numbers)))
+    sample_by_number = dict(zip(numbers.tolist(), samples, strict=True))
+    found = _ordered([screen.descended(k, own, descents) for k, own in sample_by_number.items()])
+    if len(screen.free) == 1:
         return found
-    # Of several variables a sample may miss the best basin of a combination that can win.
+    # With several free variables a sample may miss the best basin of a combination that can win.
     limit = found[0].merit + _CAN_WIN * abs(found[0].merit)
-    last = [view.evolved(one, looks[one.number]) for one in found[:_EVOLVED] if one.merit <= limit]
+    last = [screen.evolved(one, sample_by_number[one.number]) for one in found[:_EVOLVED] if one.merit <= limit]
     return _ordered([*last, *found[len(last) :]])
 
 
-class _View:
-    """The combinations and the variables that are free beside them."""
+class _Screen:
+    """Evaluates combinations over the variables that have no catalogue."""
 
     def __init__(self, landscape: Landscape, optimum: Vector, fixed: list[int], combinations: Vector) -> None:
         self._landscape, self._optimum, self._fixed, self._combinations = landscape, optimum, fixed, combinations
@@ -81,60 +93,68 @@ class _View:
         self._rng = np.random.default_rng([SEED, len(combinations)])
 
     def designs(self, numbers: np.ndarray, free: Vector) -> Vector:
-        """Return designs of combinations by number, the free variables given, a row each."""
+        """Return the designs that join combinations, by number, with values of the free variables, a row each."""
         found = np.empty((len(numbers), len(self._optimum)))
         found[:, self._fixed] = self._combinations[numbers]
         found[:, self.free] = free
         return found
 
     def sampled(self, kept: list[int]) -> tuple[np.ndarray, list[Evaluations]]:
-        """Return the lowest combinations, and the designs of each that were looked at, that of the optimum first."""
+        """Return the lowest combinations and the evaluated designs of each.
+
+        The designs of a combination are the one at the optimum, the best one found, and its part of the sample.
+        """
         count, n = len(self._combinations), len(self.free)
         numbers = np.arange(count)
-        held = self._landscape(self.designs(numbers, np.tile(self._optimum[self.free], (count, 1))))
-        each = int(np.clip(_LOOKS // count, _FEWEST, _MOST))
+        at_optimum = self._landscape(self.designs(numbers, np.tile(self._optimum[self.free], (count, 1))))
+        each = int(np.clip(_SAMPLE // count, _FEWEST_EACH, _MOST_EACH))
         points = sobol_points(n, count * each, self._rng)
-        # Neighbouring points of the sequence fill the space evenly: each combination has its own.
-        seen = self._landscape(self.designs(np.repeat(numbers, each), points))
-        best = _best_of_each(held, seen, each)
-        numbers = _lowest(best, _CLOSER, kept)
+        # Consecutive points of the sequence fill the space evenly, so each combination takes a block of them.
+        sample = self._landscape(self.designs(np.repeat(numbers, each), points))
+        best = _best_of_each(at_optimum, sample, each)
+        numbers = _lowest(best, _ZOOM_COMBINATIONS, kept)
         best = best.select(numbers)
-        for k, radius in enumerate(_RADII):
-            best = self._closer(numbers, best, radius)
-            left = _lowest(best, max(_DESCENDED, _CLOSER >> (k + 1)), np.flatnonzero(np.isin(numbers, kept)).tolist())
+        for k, radius in enumerate(_ZOOM_RADII):
+            best = self._zoomed(numbers, best, radius)
+            remaining = max(_DESCENT_COMBINATIONS, _ZOOM_COMBINATIONS >> (k + 1))
+            left = _lowest(best, remaining, np.flatnonzero(np.isin(numbers, kept)).tolist())
             numbers, best = numbers[left], best.select(left)
         own = [
-            concatenated([held.select([k]), best.select([j]), seen.select(slice(k * each, (k + 1) * each))])
+            concatenated([at_optimum.select([k]), best.select([j]), sample.select(slice(k * each, (k + 1) * each))])
             for j, k in enumerate(numbers)
         ]
         return numbers, own
 
-    def _closer(self, numbers: np.ndarray, best: Evaluations, radius: float) -> Evaluations:
-        """Return the lowest designs of combinations in boxes around the lowest so far."""
+    def _zoomed(self, numbers: np.ndarray, best: Evaluations, radius: float) -> Evaluations:
+        """Return the lowest design of each combination after sampling a box around its lowest so far."""
         count, n = len(numbers), len(self.free)
-        offsets = self._rng.uniform(-radius, radius, (count * _AROUND, n))
-        points = np.clip(np.repeat(best.points[:, self.free], _AROUND, axis=0) + offsets, 0.0, 1.0)
-        return _best_of_each(best, self._landscape(self.designs(np.repeat(numbers, _AROUND), points)), _AROUND)
+        offsets = self._rng.uniform(-radius, radius, (count * _ZOOM_SAMPLE, n))
+        points = np.clip(np.repeat(best.points[:, self.free], _ZOOM_SAMPLE, axis=0) + offsets, 0.0, 1.0)
+        return _best_of_each(
+            best, self._landscape(self.designs(np.repeat(numbers, _ZOOM_SAMPLE), points)), _ZOOM_SAMPLE
+        )
 
-    def descended(self, number: int, seen: Evaluations, count: int) -> Promising:
-        """Return where descents from a combination's lowest designs lead, its own values held."""
+    def descended(self, number: int, designs: Evaluations, count: int) -> Promising:
+        """Return the best end of descents from a combination's lowest designs, with the combination's values held."""
+        # The designs at the optimum and the best one found; then the local minima of the sample.
         starts = [0, 1]
-        if len(seen.f) > 4 * _AROUND:
-            lowest, _ = local_minima(seen.points[:, self.free], seen.merit)
+        if len(designs.f) > 4 * _ZOOM_SAMPLE:
+            lowest, _ = local_minima(designs.points[:, self.free], designs.merit)
             starts += [int(k) for k in lowest if k > 1]
-        # Without a value there is no slope to follow.
-        starts = [k for k in starts if np.isfinite(seen.merit[k])][:count]
-        ends = [self._end(seen.points[k]) for k in starts] or [seen.select([0])]
+        # A design that cannot be evaluated has no slope to follow.
+        starts = [k for k in starts if np.isfinite(designs.merit[k])][:count]
+        ends = [self._end(designs.points[k]) for k in starts] or [designs.select([0])]
         best = min(ends, key=lambda one: float(one.merit[0]))
         return Promising(number, best.points[0], float(best.merit[0]))
 
-    def evolved(self, known: Promising, seen: Evaluations) -> Promising:
-        """Return where an evolution leads from a combination's lowest designs, if that is lower."""
+    def evolved(self, known: Promising, designs: Evaluations) -> Promising:
+        """Return the end of an evolution from a combination's lowest designs if it is lower than the known start."""
         n = len(self.free)
-        lowest = np.argsort(seen.merit, kind="stable")[: _MEMBERS * n]
-        start = np.vstack([known.start[self.free], seen.points[lowest][:, self.free]])
-        if len(start) < _MEMBERS * n:
-            start = np.vstack([start, self._rng.random((_MEMBERS * n - len(start), n))])
+        size = _DESIGNS_PER_VARIABLE * n
+        lowest = np.argsort(designs.merit, kind="stable")[:size]
+        start = np.vstack([known.start[self.free], designs.points[lowest][:, self.free]])
+        if len(start) < size:
+            start = np.vstack([start, self._rng.random((size - len(start), n))])
 
         def merit(x: Vector) -> Vector:
             return self._landscape(self.designs(np.full(len(x), known.number), x)).merit
@@ -145,6 +165,7 @@ class _View:
         return Promising(known.number, end.points[0], merit_there) if merit_there < known.merit else known
 
     def _end(self, start: Vector) -> Evaluations:
+        """Return the end of a descent in the free variables, feasible if a least-violation search leads there."""
         box = np.zeros(len(start)), np.ones(len(start))
         for side in box:
             side[self._fixed] = start[self._fixed]
@@ -158,7 +179,7 @@ class _View:
 
 
 def _best_of_each(first: Evaluations, others: Evaluations, each: int) -> Evaluations:
-    """Return the lowest design of each combination: of one and of ``each`` others."""
+    """Return the lowest design of each combination, out of its first design and ``each`` others."""
     count = len(first.f)
     merit = np.column_stack([first.merit, others.merit.reshape(count, each)])
     which = np.argmin(merit, axis=1)
@@ -166,16 +187,16 @@ def _best_of_each(first: Evaluations, others: Evaluations, each: int) -> Evaluat
     return every.select(np.where(which == 0, np.arange(count), count + np.arange(count) * each + which - 1))
 
 
-def _lowest(seen: Evaluations, count: int, kept: list[int]) -> np.ndarray:
-    """Return which combinations are lowest: half by their merit, half where a violation weighs lightly."""
-    if len(seen.f) <= count:
-        return np.arange(len(seen.f))
+def _lowest(best: Evaluations, count: int, kept: list[int]) -> np.ndarray:
+    """Return the numbers of the lowest combinations: half by merit, half with a low penalty, and those to keep."""
+    if len(best.f) <= count:
+        return np.arange(len(best.f))
     with np.errstate(invalid="ignore"):
-        lightly = np.where(np.isfinite(seen.f), seen.f + _LIGHTLY * seen.violation, np.inf)
-    strict, loose = (np.argsort(value, kind="stable").tolist() for value in (seen.merit, lightly))
+        low_penalty = np.where(np.isfinite(best.f), best.f + _LOW_PENALTY * best.violation, np.inf)
+    strict, loose = (np.argsort(value, kind="stable").tolist() for value in (best.merit, low_penalty))
     half = count // 2
     chosen = list(dict.fromkeys([*kept, *strict[:half], *loose[: count - half]]))
-    # The two halves are often the same.
+    # The two halves often overlap: fill up by merit.
     return np.array(list(dict.fromkeys([*chosen, *strict[: count + len(kept)]]))[: max(count, len(chosen))])
 
 

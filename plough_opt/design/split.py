@@ -1,4 +1,4 @@
-"""Expressions of a design, split into the runs inside them and the algebra around those runs."""
+"""Splits a design's expressions into the runs inside them and the algebra around those runs."""
 
 from dataclasses import dataclass, replace
 
@@ -15,12 +15,12 @@ _GIVEN_RESULTS = "a run in a design cannot depend on the results of another run:
 
 @dataclass(frozen=True)
 class EmbeddedRun:
-    """A run that stands in a design's expressions.
+    """A run inside a design's expressions.
 
     Attributes:
-        embedding: method, times, structure and scene that it was written with.
-        inputs: its parameters, the duration last, as expressions of the design's symbols.
-        quantities: every quantity of its scene, as expressions of the design's symbols.
+        embedding: method, times, structure and scene of the run.
+        inputs: its parameters, with the duration last, as expressions of the design's symbols.
+        quantities: all quantities of its scene, as expressions of the design's symbols.
         outputs: its results in the graph: states, means, variances.
     """
 
@@ -31,19 +31,19 @@ class EmbeddedRun:
 
     @property
     def integration(self) -> Integration:
-        """Method, times and structure that the run was written with."""
+        """Method, times and structure of the run."""
         return self.embedding.integration
 
 
 @dataclass(frozen=True)
 class Split:
-    """Expressions with every run's results replaced by symbols.
+    """Expressions in which symbols replace the results of every run.
 
     Attributes:
-        runs: the runs found, each once.
+        runs: the runs, each once.
         expressions: the expressions in terms of the design's symbols and the runs' results.
-        results: for each run, a symbol for its results stacked: states column by column, means, variances.
-        labels: values in the expressions that carry something along, each with the expressions that it carries.
+        results: for each run a symbol of its stacked results: states column by column, means, variances.
+        labels: the meaning of each label in the expressions, with the quantities that the label carries.
     """
 
     runs: tuple[EmbeddedRun, ...]
@@ -53,7 +53,7 @@ class Split:
 
 
 def split(expressions: list[ca.MX], symbols: list[ca.MX]) -> Split:
-    """Find the runs in expressions of ``symbols`` and put symbols in the place of their results.
+    """Return expressions of ``symbols`` with the runs in them replaced by symbols of their results.
 
     Raises:
         InputError: a run's parameters depend on the results of another run.
@@ -89,10 +89,10 @@ def split(expressions: list[ca.MX], symbols: list[ca.MX]) -> Split:
 
 
 def _carried(calls: list[tuple[object, ca.MX]], symbols: list[ca.MX], runs: bool) -> list[tuple[object, ca.MX]]:
-    """Return labels with what they carry, but for laws of runs' results, which have no value before the runs have one.
+    """Return labels with the quantities they carry, except laws of a run's results: these are unknown before the run.
 
     Raises:
-        InputError: something else than a law is given results of a run.
+        InputError: a label that is not a law's carries results of a run.
     """
     found = []
     for meaning, node in calls:
@@ -104,7 +104,7 @@ def _carried(calls: list[tuple[object, ca.MX]], symbols: list[ca.MX], runs: bool
 
 
 def _calls(whole: ca.Function) -> tuple[list[EmbeddedRun], list[tuple[object, ca.MX]]]:
-    """Return the runs that a Function's graph calls, and its calls of labels, each once."""
+    """Return the runs and the labels that a Function's graph calls, each once."""
     runs: dict[int, EmbeddedRun] = {}
     labels: dict[int, tuple[object, ca.MX]] = {}
     for k in range(whole.n_instructions()):

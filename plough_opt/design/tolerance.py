@@ -1,4 +1,4 @@
-"""A design as a workshop makes it: its objective and margins over a box of tolerances around it."""
+"""Objective and margins over the tolerance box around a design, that is, of the share as a workshop makes it."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,18 +13,18 @@ from plough_opt.design.landscape import FEASIBLE, FINER, Landscape
 from plough_opt.design.sampling import sobol_points
 
 Judge = Literal["tolerance", "bare"]
-"""By what optima are compared: the median objective over the tolerances, or the objective itself."""
+"""What optima are ranked by: the median objective over the tolerance box, or the objective itself."""
 
 NEEDLE = 0.05
-"""A median this part above an optimum's own objective makes it a needle, which no workshop can hit."""
+"""An optimum is a needle, which no workshop can hit, if its median is above its own objective by this fraction."""
 
 BOX_DESIGNS = 64
-"""Designs that are sampled in a box."""
+"""Number of designs sampled in a tolerance box."""
 
 _SEED = 64
-# Standard error of the median of so many designs, of their distance between quartiles: 1.25 sigma/sqrt(64), and sigma
-# is 1/1.35 of that distance.
-_OF_QUARTILES = 1.25 / np.sqrt(BOX_DESIGNS) / 1.35
+# Standard error of the median of 64 designs in units of the interquartile range: 1.25 sigma/sqrt(64) for a normal
+# distribution, whose interquartile range is 1.35 sigma.
+_MEDIAN_ERROR = 1.25 / np.sqrt(BOX_DESIGNS) / 1.35
 
 
 @dataclass(frozen=True)
@@ -32,13 +32,13 @@ class Spread:
     """Objective and margins of a design within its tolerances, from a sample of `BOX_DESIGNS` designs.
 
     Attributes:
-        median: of the objective, over the designs that have a value.
-        worst: largest objective of them.
-        margins: least margin of each requirement, positive inside, in its unit.
-        kept: part of the designs that meets all requirements. Where two limits decide a design it is about a tenth: a
-            design that shall keep its limits as made needs a margin.
-        needle: whether the median lies more than 5 % of the objective above the design's own, or half of the designs
-            have no value.
+        median: median objective of the designs that can be evaluated.
+        worst: largest objective of these.
+        margins: smallest margin of each requirement, positive if met, in its unit.
+        kept: fraction of the designs that meet all requirements. It is about a tenth if two limits are active: a share
+            that must meet its limits as made needs a margin.
+        needle: whether the median exceeds the design's own objective by more than 5 %, or half of the designs cannot be
+            evaluated.
     """
 
     median: float
@@ -48,16 +48,13 @@ class Spread:
     needle: bool
 
     def in_words(self) -> str:
-        """Say what becomes of the design."""
-        kept = f"; {100.0 * self.kept:.0f} % of the designs keep all requirements" if self.margins else ""
-        return (
-            f"As it is made, within the tolerances: objective {self.median:.6g} in the middle of the cases,"
-            f" {self.worst:.6g} at worst{kept}."
-        )
+        """Return a sentence about the design as made."""
+        kept = f"; {100.0 * self.kept:.0f} % of the designs meet all requirements" if self.margins else ""
+        return f"As made, within the tolerances: median objective {self.median:.6g}, worst {self.worst:.6g}{kept}."
 
 
 def boxes(variables: Sequence[Variable], points: Vector) -> Vector:
-    """Return the designs of the boxes around scaled designs, one box after the other."""
+    """Return the sampled designs of the tolerance boxes around scaled designs, box after box."""
     unit = unit_box(len(variables))
     found = np.empty((len(points), BOX_DESIGNS, len(variables)))
     for k, v in enumerate(variables):
@@ -67,7 +64,7 @@ def boxes(variables: Sequence[Variable], points: Vector) -> Vector:
 
 
 def ranking_criterion(landscape: Landscape, judge: Judge) -> Callable[[Vector], Vector]:
-    """Return what gives the scaled value by which designs, a row each, are compared."""
+    """Return the function from designs, a row each, to the values by which they are ranked, in units of the merit."""
 
     def bare(points: Vector) -> Vector:
         return landscape(points).merit
@@ -78,16 +75,16 @@ def ranking_criterion(landscape: Landscape, judge: Judge) -> Callable[[Vector], 
         median: Vector = np.median(_objectives(landscape, points), axis=1)
         return median
 
-    # What is asked of the whole box needs no further box around it.
-    several = landscape.program.bare is None and landscape.vectorised
-    return over_tolerances if judge == "tolerance" and several else bare
+    # A program over a whole tolerance box accounts for the tolerances already.
+    has_box = landscape.program.bare is None and landscape.vectorised
+    return over_tolerances if judge == "tolerance" and has_box else bare
 
 
 def ranked(landscape: Landscape, judge: Judge, points: Vector) -> list[int]:
-    """Return designs, a row each, in the order in which they are best.
+    """Return the numbers of designs, a row each, best first.
 
-    Medians of samples differ by chance: designs whose medians 64 designs cannot tell apart are compared by their own
-    objectives, needles excepted.
+    Sample medians differ by chance. Designs whose medians cannot be distinguished from the best one's with 64 samples
+    are ranked by their own objectives, unless they are needles.
     """
     if len(points) == 1:
         return [0]
@@ -95,7 +92,7 @@ def ranked(landscape: Landscape, judge: Judge, points: Vector) -> list[int]:
     if judge == "bare" or not landscape.vectorised:
         return [int(k) for k in np.argsort(own, kind="stable")]
     low, median, high = np.quantile(_objectives(landscape, points, FINER), (0.25, 0.5, 0.75), axis=1, method="higher")
-    error = _OF_QUARTILES * np.where(np.isfinite(high), high - low, np.inf)
+    error = _MEDIAN_ERROR * np.where(np.isfinite(high), high - low, np.inf)
     best = int(np.argmin(median))
     broad = median <= (1.0 + NEEDLE) * np.abs(own)
     with np.errstate(invalid="ignore"):
@@ -105,18 +102,18 @@ def ranked(landscape: Landscape, judge: Judge, points: Vector) -> list[int]:
 
 
 def _objectives(landscape: Landscape, points: Vector, finer: float = 1.0) -> Vector:
-    """Return the objectives over the boxes around designs, a row for each box; infinite without a value."""
+    """Return the objectives in the boxes around designs, a row for each box; infinite where not evaluable."""
     f = landscape(boxes(landscape.program.declared.variables, points), finer=finer).f
     return np.where(np.isnan(f), np.inf, f).reshape(len(points), -1)
 
 
 def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
-    """Return what becomes of a scaled design within its tolerances; None where that takes too long to look at.
+    """Return the spread of a scaled design within its tolerances; None if runs are integrated one by one.
 
     Args:
-        landscape: of the design.
-        y: the design.
-        objective: its own.
+        landscape: of the design, or of its tolerance box.
+        y: the scaled design.
+        objective: the design's own objective, in its unit.
     """
     if not landscape.vectorised:
         return None
@@ -124,10 +121,10 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
     program = landscape.program
     y = y[: len(program.declared.variables)]
     _, f, g = landscape.rows_after_elimination(boxes(program.declared.variables, y[None]), finer=FINER)
-    sound = np.isfinite(f)
-    values = f[sound] * landscape.objective_scale if np.any(sound) else np.array([objective])
+    valid = np.isfinite(f)
+    values = f[valid] * landscape.objective_scale if np.any(valid) else np.array([objective])
     median = float(np.median(values))
-    margins = np.minimum(g - program.low, program.high - g)[sound] if np.any(sound) else np.zeros((1, len(program.low)))
+    margins = np.minimum(g - program.low, program.high - g)[valid] if np.any(valid) else np.zeros((1, len(program.low)))
     least = np.array([margins[:, np.array(program.owner) == k].min() for k in range(len(program.scales))])
     return Spread(
         median=median,
@@ -137,11 +134,11 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
             for r, margin, scale in zip(program.declared.requirements, least, program.scales, strict=True)
         },
         kept=float(np.mean(landscape.violations(g).sum(axis=1) <= FEASIBLE)),
-        needle=bool(median - objective > NEEDLE * abs(objective) or 2 * np.sum(sound) < len(sound)),
+        needle=bool(median - objective > NEEDLE * abs(objective) or 2 * np.sum(valid) < len(valid)),
     )
 
 
 @lru_cache(maxsize=16)
 def unit_box(n: int) -> Vector:
-    """Return the designs of a box between 0 and 1, a row each; the first of them, a power of two, are even too."""
+    """Return the designs sampled in the unit box, a row each. The first 2^k of them are evenly spread, too."""
     return sobol_points(n, BOX_DESIGNS, np.random.default_rng(_SEED))

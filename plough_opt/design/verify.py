@@ -1,4 +1,4 @@
-"""Expressions of a design at numbers, with every run integrated anew and tightly; its domain, and its steps."""
+"""A design's expressions at numbers with every run integrated again tightly, its domain, and its integration steps."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ from plough_opt.motion.timeline import Timeline
 Vector = NDArray[np.float64]
 
 TIGHT = 1e-12
-"""Relative error that the re-integration aims at."""
+"""Relative error that the tight integration aims at."""
 
 
 _Tight: TypeAlias = Callable[[Integration, tuple[float, ...], bool], Vector]
 
-# Runs at numbers that an evaluation remembers: those of a design over some hundred samples at a few points, and checks.
-_MOST_KEPT: Final = 4096
+# Most runs whose results an evaluation caches: enough for a design of some hundred soil samples at a few points.
+_MOST_CACHED: Final = 4096
 
 
 class TightEvaluation:
-    """Expressions of symbols as numeric functions, through runs that are re-integrated tightly.
+    """Numeric evaluation of expressions whose runs are integrated again tightly.
 
     Attributes:
         runs: the runs in the expressions.
-        limits: the limits of theories that the expressions rest on, with what must stay within them.
+        limits: the limits of the theories used in the expressions, each with the quantities that must respect it.
     """
 
     def __init__(
@@ -59,15 +59,15 @@ class TightEvaluation:
 
         Args:
             expressions: the expressions.
-            symbols: that they hold.
-            beside: another evaluation, whose runs are not integrated again where this one has the same.
+            symbols: the symbols in them.
+            beside: another evaluation, whose cache of runs this one shares.
         """
-        self._tight: _Tight = lru_cache(maxsize=_MOST_KEPT)(_tight_results) if beside is None else beside._tight
+        self._tight: _Tight = lru_cache(maxsize=_MOST_CACHED)(_tight_results) if beside is None else beside._tight
         parts = split(list(expressions), list(symbols))
         self.runs = parts.runs
         self._inputs = [ca.Function("inputs", list(symbols), [run.inputs, run.quantities]) for run in parts.runs]
         limits: dict[Limit, list[ca.MX]] = {}
-        # Scenes that are not integrated, and laws, each with what gives its quantities.
+        # Scenes without integration, and calls of laws, each with the Function that gives its quantities.
         self._scenes: list[tuple[Scene, ca.Function]] = []
         self._calls: list[tuple[Call, ca.Function]] = []
         for meaning, carried in parts.labels:
@@ -82,7 +82,7 @@ class TightEvaluation:
         self._algebra = ca.Function("algebra", [*symbols, *parts.results], list(parts.expressions))
 
     def inputs(self, run: int, numbers: Sequence[float]) -> tuple[Vector, Scene]:
-        """Return a run's parameters, the duration last, and its scene at numbers.
+        """Return a run's parameters, with the duration last, and its scene at numbers.
 
         Raises:
             DomainError: the scene lies outside the model's domain.
@@ -91,12 +91,12 @@ class TightEvaluation:
         return parameters, with_numbers(self.runs[run].embedding.template, quantities.tolist())
 
     def given(self, run: int, numbers: Sequence[float]) -> tuple[Vector, Vector]:
-        """Return a run's parameters, the duration last, and its scene's quantities at numbers."""
+        """Return a run's parameters, with the duration last, and its scene's quantities at numbers."""
         parameters, quantities = (result.full().ravel() for result in self._inputs[run](*map(float, numbers)))
         return parameters, quantities
 
     def quasi_static_scenes(self, numbers: Sequence[float]) -> list[Scene]:
-        """Return the scenes at numbers that the expressions hold and that are not integrated.
+        """Return the scenes in the expressions, at numbers, that are evaluated without integration.
 
         Raises:
             DomainError: a scene lies outside the model's domain.
@@ -104,20 +104,16 @@ class TightEvaluation:
         return [with_numbers(template, quantities(*numbers).nonzeros()) for template, quantities in self._scenes]
 
     def check_calls(self, numbers: Sequence[float]) -> None:
-        """Refuse numbers that lead a law in the expressions beyond its domain.
-
-        Raises:
-            DomainError: they do.
-        """
+        """Raise DomainError if these numbers take a law in the expressions out of its domain."""
         for call, quantities in self._calls:
             call.check(quantities(*numbers).nonzeros())
 
     def followed(self, run: int, parameters: Vector, scene: Scene) -> Run:
-        """Return a run from a start, as it was re-integrated.
+        """Return a tightly integrated run.
 
         Args:
-            run: its number.
-            parameters: its parameters, the duration last: see `inputs`.
+            run: number of the run; not one of a periodic orbit.
+            parameters: its parameters, with the duration last: see `inputs`.
             scene: its scene.
         """
         own = self.runs[run].integration
@@ -129,20 +125,24 @@ class TightEvaluation:
         return assemble(scene, float(parameters[-1]), fractions, states, means, variances, Accuracy(error=TIGHT))
 
     def __call__(self, numbers: Sequence[float]) -> tuple[list[Vector], list[Vector]]:
-        """Return the expressions' values, and the same by the method that checks the integration.
+        """Return the expressions' values twice, the second time by the method that checks the integration.
 
         Raises:
-            DomainError: a run has no finite result at these numbers, which lie outside the model's domain.
-            IntegrationError: the same, within it.
+            DomainError: a run has no finite result because these numbers lie outside the model's domain.
+            IntegrationError: a run has no finite result although they lie inside it.
         """
         return self.values(numbers), self.values(numbers, check=True)
 
     def values(self, numbers: Sequence[float], *, check: bool = False) -> list[Vector]:
-        """Return the expressions' values, or the same by the method that checks the integration.
+        """Return the expressions' values.
+
+        Args:
+            numbers: values of the symbols.
+            check: whether to integrate by the method that checks the integration.
 
         Raises:
-            DomainError: a run has no finite result at these numbers, which lie outside the model's domain.
-            IntegrationError: the same, within it.
+            DomainError: a run has no finite result because these numbers lie outside the model's domain.
+            IntegrationError: a run has no finite result although they lie inside it.
         """
         results = []
         for k, run in enumerate(self.runs):
@@ -155,19 +155,19 @@ class TightEvaluation:
 
 
 def _tight_results(own: Integration, inputs: tuple[float, ...], check: bool) -> Vector:
-    """Return a run's stacked results at numbers by a tight adaptive method, or by the one that checks it.
+    """Return a run's stacked results by a tight method, or by the method that checks it.
 
     Args:
-        own: how the run was written in the design; only its structure and output times are kept.
-        inputs: its parameters, the duration last.
-        check: whether the method that checks is asked for.
+        own: the run's integration in the design, of which only the structure and the output times are used.
+        inputs: the run's parameters, with the duration last.
+        check: whether to use the method that checks.
     """
     p, duration = dict(zip(own.names, inputs[:-1], strict=True)), inputs[-1]
     total = phase(p, duration)
     outputs, kink = own.timeline.outputs, kink_of(p.get("ramp_time", 0.0), duration)
     accuracy = checked(suited(own.structure, total)[0], TIGHT, p, duration)[int(check)]
     timeline = Timeline(outputs, accuracy.steps or most_steps(total), kink, aligned=False)
-    # Steps of order 8 in machine code, where there is a compiler, give the same numbers.
+    # Compiled steps of order 8 give the same numbers in less time.
     by_code = own.structure.stepped and accuracy.order_8
     code = compiled_steps(own.structure) if by_code else None
     parts: Sequence[Vector] | None = None if code is None else code(timeline, list(inputs))
@@ -184,12 +184,12 @@ def values_at_guess(
 
     Args:
         declared: the design.
-        exact: gives them at numbers.
-        implied: the last of the requirements, which theories bring.
+        exact: its objective and requirements.
+        implied: the requirements implied by theories, which are the last of all requirements.
         p: parameters.
 
     Raises:
-        InputError: one has no value there, or a theory has ended.
+        InputError: one of them cannot be evaluated there, or a theory's limit is exceeded.
     """
     guess = np.array([v.guess for v in declared.variables])
     place = declared.describe(guess)
@@ -200,18 +200,18 @@ def values_at_guess(
     for limit, value in zip(implied, found[len(found) - len(implied) :], strict=True):
         if limit.margin(value) < 0.0:
             raise InputError(
-                f"at the start ({place}) '{limit.name}' is {float(np.max(value)):.6g}, where the theory ends at"
-                f" {limit.high:.6g}: start below, and let the bounds reach below"
+                f"at the start ({place}) '{limit.name}' is {float(np.max(value)):.6g}, but the theory holds only up to"
+                f" {limit.high:.6g}: start below, and extend the bounds below"
             )
     names = ["the objective", *(f"requirement '{r.name}'" for r in declared.requirements)]
     for name, value in zip(names, found, strict=True):
         if not np.all(np.isfinite(value)):
-            raise InputError(f"{name} is not a finite number at the start ({place}): start elsewhere")
+            raise InputError(f"{name} is not a finite number at the start ({place}): choose another guess")
     return found
 
 
 def corners(declared: Declarations) -> list[tuple[str, list[float]]]:
-    """Return the guess, and the guess with each variable at each of its bounds, with a clause for each."""
+    """Return the guess, and the guess with each variable in turn at each bound, each with a phrase that says where."""
     guess = [v.guess for v in declared.variables]
     found = [("at the guess", guess)]
     for k, v in enumerate(declared.variables):
@@ -221,11 +221,7 @@ def corners(declared: Declarations) -> list[tuple[str, list[float]]]:
 
 
 def check_bounds(declared: Declarations, exact: TightEvaluation, p: Vector) -> None:
-    """Refuse bounds between which a scene leaves the model's domain.
-
-    Raises:
-        DomainError: it does at one of the `corners`.
-    """
+    """Raise DomainError if a scene or a law leaves the model's domain at one of the `corners`."""
     for clause, values in corners(declared):
         try:
             numbers = [*values, *p]
@@ -242,24 +238,27 @@ def check_bounds(declared: Declarations, exact: TightEvaluation, p: Vector) -> N
             raise DomainError(f"{clause}: {error}") from None
 
 
-# By `summed_rate`: a relative error of averages of some 3e-9, and finer steps where the check finds it wanting.
+# Phase per step, with the rate by `summed_rate` [rad]. It leaves a relative error of about 3e-9 in averages; the check
+# at the optimum demands finer steps if that is not enough.
 _PHASE_PER_STEP = 1.15
 _MOST_STEPS = 50_000
 _FEWEST_STEPS = 20
-# Of a periodic orbit, whose harmonics fall off exponentially.
+# Harmonics of a periodic orbit, whose amplitudes decay exponentially.
 _HARMONICS = 12
 
 
 def steps_at(exact: TightEvaluation, designs: Sequence[Sequence[float]], refinement: float) -> list[int | None]:
-    """Return for each run the steps that the fastest of some designs needs, None where its accuracy is not automatic.
+    """Return for each run the number of steps that the fastest of several designs needs.
+
+    It is the number of harmonics for a periodic orbit, and None for a run whose accuracy is not automatic.
 
     Args:
         exact: the design's expressions.
-        designs: variables and parameters of each, in their units.
-        refinement: factor on the steps.
+        designs: variables and parameters of each design, in their units.
+        refinement: factor on the number of steps.
 
     Raises:
-        DomainError: a motion too fast to integrate.
+        DomainError: a motion is too fast to integrate.
     """
     steps: list[int | None] = []
     for k, run in enumerate(exact.runs):
@@ -279,14 +278,14 @@ def steps_at(exact: TightEvaluation, designs: Sequence[Sequence[float]], refinem
             raise DomainError(
                 f"between the bounds the share oscillates up to {fastest / (2 * math.pi):.3g} times in a run,"
                 f" which would take {count} integration steps: tighten the bounds on stiffness and mass,"
-                " shorten the duration, or take the quasi-static scene"
+                " shorten the duration, or use the quasi-static scene"
             )
-        steps.append(_with_reserve(count))
+        steps.append(_rounded_up(count))
     return steps
 
 
 def rough_steps(exact: TightEvaluation, steps: Sequence[int | None]) -> list[int | None]:
-    """Return numbers of steps, or harmonics, with which runs are roughly right."""
+    """Return the numbers of steps for rough runs: two fifths, but for orbits the same number of harmonics."""
     return [
         own if own is None or _holds_orbit(exact, k) else max(_FEWEST_STEPS, 2 * own // 5)
         for k, own in enumerate(steps)
@@ -297,8 +296,11 @@ def _holds_orbit(exact: TightEvaluation, run: int) -> bool:
     return exact.runs[run].integration.structure.orbit == "periodic"
 
 
-def _with_reserve(steps: int) -> int:
-    """Return at least a tenth more, to two binary digits: where an optimiser goes from a start differs little."""
+def _rounded_up(steps: int) -> int:
+    """Return a number at least a tenth larger, rounded up to three binary digits.
+
+    Starts that differ little thus get equal numbers of steps, so that the optimiser sees the same functions.
+    """
     enough = math.ceil(1.1 * steps)
     unit = 1 << max(0, enough.bit_length() - 3)
     return -(-enough // unit) * unit

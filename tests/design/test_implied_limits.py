@@ -152,7 +152,7 @@ def test_a_requirement_above_the_waves_speed_is_a_conflict(objective):
     d.minimise(objective(v, pressure))
     d.require("pressure", pressure, at_most=1e12, unit="Pa")
     d.require("speed wanted", v, at_least=60.0, unit="m/s")
-    with pytest.raises(po.InfeasibleDesign, match="against it stand requirement 'elastic medium") as caught:
+    with pytest.raises(po.InfeasibleDesign, match="in conflict with requirement 'elastic medium") as caught:
         d.solve()
     # The theory's end does not give way.
     assert caught.value.conflicts == {"speed wanted": pytest.approx(60.0 - LAST * FASTEST, rel=1e-6)}
@@ -165,8 +165,8 @@ def test_a_start_above_the_waves_speed_is_refused_by_the_limits_name(lower):
     d.minimise(elastic.wedge_pressure(0.1, NODES, SOIL, v) / 1e6)
     with pytest.raises(po.InputError) as caught:
         d.solve(search="near")
-    assert f"(speed = 70 m/s) '{NAME}' is {70.0 / FASTEST:.6g}, where the theory ends at 0.9999" in str(caught.value)
-    assert "start below" in str(caught.value)
+    assert f"(speed = 70 m/s) '{NAME}' is {70.0 / FASTEST:.6g}" in str(caught.value)
+    assert "only up to 0.9999" in str(caught.value)
 
 
 @results

@@ -1,1 +1,1 @@
-"""Studies of many designs: fronts, uncertain soil, calibration, sweeps, accuracy, other laws beside."""
+"""Studies of many runs or designs: trade-offs, uncertain soil, calibration, sweeps, accuracy, comparison of laws."""

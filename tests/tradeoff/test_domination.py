@@ -4,15 +4,22 @@ import numpy as np
 import pytest
 
 from plough_opt.studies.tradeoff.domination import (
-    beating,
-    beyond_front,
-    beyond_points,
-    in_order,
     knee,
+    lead_over_front,
+    lead_over_points,
+    strongest_dominators,
     undominated,
+    undominated_in_order,
     volume,
 )
-from plough_opt.studies.tradeoff.positions import Lattice, gaps, neighbours, parts_of, spread, uncrowded
+from plough_opt.studies.tradeoff.positions import (
+    Lattice,
+    gaps,
+    neighbours,
+    parts_of,
+    uncrowded_on_curve,
+    uncrowded_on_surface,
+)
 
 LINE = np.column_stack([np.linspace(0.0, 1.0, 11), np.linspace(1.0, 0.0, 11)])
 
@@ -24,18 +31,18 @@ def test_efficient_rows_are_those_that_brute_force_finds():
     rng = np.random.default_rng(1)
     points = rng.random((300, 2))
     beaten = [any(np.all(other < point) for other in points) for point in points]
-    found = in_order(points)
+    found = undominated_in_order(points)
     assert sorted(found) == np.flatnonzero(~np.array(beaten)).tolist()
     assert np.all(np.diff(points[found, 0]) > 0.0)
     assert np.all(np.diff(points[found, 1]) < 0.0)
 
 
 def test_equal_rows_stay_once():
-    assert len(in_order(np.array([[0.0, 1.0], [0.0, 1.0], [1.0, 0.0], [1.0, 0.0]]))) == 2
+    assert len(undominated_in_order(np.array([[0.0, 1.0], [0.0, 1.0], [1.0, 0.0], [1.0, 0.0]]))) == 2
 
 
 def test_of_rows_as_good_in_one_objective_the_better_in_the_other_stays():
-    assert in_order(np.array([[0.0, 1.0], [0.0, 0.4], [1e-9, 0.2]])).tolist() == [2]
+    assert undominated_in_order(np.array([[0.0, 1.0], [0.0, 0.4], [1e-9, 0.2]])).tolist() == [2]
 
 
 def test_gaps_follow_rows_whose_neighbour_is_far():
@@ -46,7 +53,7 @@ def test_gaps_follow_rows_whose_neighbour_is_far():
 
 def test_crowded_rows_go_and_ends_of_parts_stay():
     front = np.array([[0.0, 1.0], [0.001, 0.999], [0.1, 0.9], [0.2, 0.8], [0.201, 0.799], [0.9, 0.1], [1.0, 0.0]])
-    assert spread(front, 0.2).tolist() == [0, 2, 4, 5, 6]
+    assert uncrowded_on_curve(front, 0.2).tolist() == [0, 2, 4, 5, 6]
 
 
 def test_area_of_a_staircase():
@@ -89,34 +96,34 @@ def test_volume_is_that_of_the_boxes():
 def test_designs_beyond_a_line():
     designs = np.array([[0.33, 0.67], [0.33, 0.57], [0.33, 0.77], [-0.1, 1.5], [1.2, 0.3]])
     # On the line, 0.05 below it in both objectives, above it, beyond an end by 0.1, and beaten by an end.
-    assert beyond_front(LINE, designs, 0.2)[:4] == pytest.approx([0.0, 0.05, -0.05, 0.1], abs=1e-12)
-    assert beyond_front(LINE, designs, 0.2)[4] < 0.0
+    assert lead_over_front(LINE, designs, 0.2)[:4] == pytest.approx([0.0, 0.05, -0.05, 0.1], abs=1e-12)
+    assert lead_over_front(LINE, designs, 0.2)[4] < 0.0
 
 
 def test_in_a_gap_only_points_count():
     broken = np.delete(LINE, [4, 5, 6], axis=0)
     middle = np.array([[0.5, 0.5]])
-    assert beyond_front(broken, middle, 0.2) == pytest.approx([0.2])
-    assert beyond_points(broken, middle) == pytest.approx([0.2])
+    assert lead_over_front(broken, middle, 0.2) == pytest.approx([0.2])
+    assert lead_over_points(broken, middle) == pytest.approx([0.2])
     # Neighbours three steps apart are one part of steps that long.
-    assert beyond_front(broken, middle, 0.8) == pytest.approx([0.0], abs=1e-12)
+    assert lead_over_front(broken, middle, 0.8) == pytest.approx([0.0], abs=1e-12)
 
 
 def test_designs_beyond_a_plane():
     plane = np.array([[i, j, 6 - i - j] for i in range(7) for j in range(7 - i)]) / 6.0
     designs = np.array([[0.3, 0.3, 0.4], [0.3, 0.3, 0.37], [0.3, 0.3, 0.43]])
-    assert beyond_front(plane, designs, 1.0 / 6.0) == pytest.approx([0.0, 0.01, -0.01], abs=1e-12)
+    assert lead_over_front(plane, designs, 1.0 / 6.0) == pytest.approx([0.0, 0.01, -0.01], abs=1e-12)
     # Beside the edge half a step is none.
     outside = np.array([[-0.05, 0.5, 0.55]])
-    assert beyond_front(plane, outside, 1.0 / 6.0)[0] < 0.0 < beyond_points(plane, outside)[0]
+    assert lead_over_front(plane, outside, 1.0 / 6.0)[0] < 0.0 < lead_over_points(plane, outside)[0]
 
 
 def test_by_how_much_designs_beat_a_point():
     designs = np.array([[0.4, 0.5], [0.1, 0.95], [0.5, 0.6]])
-    most, by = beating(LINE, designs)
+    most, by = strongest_dominators(LINE, designs)
     assert by == pytest.approx([max(min(a - c, b - d) for c, d in designs) for a, b in LINE], abs=1e-15)
     assert [most[0], most[10]] == [1, 0]
-    assert np.all(beating(LINE, np.empty((0, 2)))[1] == -np.inf)
+    assert np.all(strongest_dominators(LINE, np.empty((0, 2)))[1] == -np.inf)
 
 
 def test_thinned_designs_beat_all_others_to_a_tolerance():
@@ -137,9 +144,9 @@ def test_the_lattice():
     assert {sum(node) for node in nodes} == {6}
     for node in nodes:
         at = np.array(node) / 6.0
-        assert lattice.node_at(at + 5.0) == node
-        assert lattice.off((at + 5.0)[None], node) == pytest.approx(0.0, abs=1e-12)
-        assert lattice.off(np.array(neighbours(node)) / 6.0, node) == pytest.approx(np.ones(6))
+        assert lattice.nearest_node(at + 5.0) == node
+        assert lattice.distance((at + 5.0)[None], node) == pytest.approx(0.0, abs=1e-12)
+        assert lattice.distance(np.array(neighbours(node)) / 6.0, node) == pytest.approx(np.ones(6))
     # With a node more the triangle needs a longer side.
     assert Lattice.with_nodes(29).steps == 7
 
@@ -149,4 +156,4 @@ def test_parts_and_crowds():
     parts, holes = parts_of(row, 0.1)
     assert parts == [[0, 1, 2], [3, 4]]
     assert [sorted(pair) for pair in holes] == [[2, 3]]
-    assert uncrowded(row, np.array([0, 1, 2, 2, 1]), 0.15).tolist() == [0, 2, 4]
+    assert uncrowded_on_surface(row, np.array([0, 1, 2, 2, 1]), 0.15).tolist() == [0, 2, 4]

@@ -6,7 +6,7 @@ import pytest
 import plough_opt as po
 from plough_opt.design import program as program_module
 from plough_opt.design.optimality import least
-from plough_opt.studies.tradeoff import level as level_module
+from plough_opt.studies.tradeoff import corrector as corrector_module
 
 # --- quadratic programs -------------------------------------------------------------------------------------
 
@@ -44,14 +44,14 @@ def test_an_equality_and_a_contradiction():
 
 def test_a_front_is_followed_from_point_to_point_in_few_steps(plane, monkeypatch):
     steps = []
-    real = level_module.Level.correct
+    real = corrector_module.Corrector.correct
 
     def correct(self, at, start, p):
         point = real(self, at, start, p)
         steps.append(point.iterations if point.solved else np.inf)
         return point
 
-    monkeypatch.setattr(level_module.Level, "correct", correct)
+    monkeypatch.setattr(corrector_module.Corrector, "correct", correct)
     d, x, y = plane
     goals = (x**2 + y**2) ** 2, ((x - 1.0) ** 2 + y**2) ** 2
     front = po.trade_off(d, *goals, points=41, search="near")

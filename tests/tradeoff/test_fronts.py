@@ -234,7 +234,7 @@ def test_no_design_meets_the_requirements(plane):
 
 def test_four_objectives_are_refused(plane):
     d, x, y = plane
-    with pytest.raises(po.InputError, match="4 objectives were given: a front is drawn of two or three; put the"):
+    with pytest.raises(po.InputError, match=r"4 objectives .* two or three.*requirements"):
         po.trade_off(d, x, y, x + y, x - y)
 
 
@@ -249,14 +249,14 @@ def test_objectives_that_cannot_be(plane):
     d, x, y = plane
     with pytest.raises(po.InputError, match="must be one number, not 2"):
         po.trade_off(d, x, ca.vertcat(x, y))
-    with pytest.raises(po.InputError, match="is not an expression of a design's variables"):
+    with pytest.raises(po.InputError, match="must be an expression of the design's variables"):
         po.trade_off(d, x, 3.0)
     for name in ("", " ", 3, None):
         with pytest.raises(po.InputError, match=r"an objective's name = .* must be a text"):
             po.Goal(name, x)
     with pytest.raises(po.InputError, match="'first objective' holds symbols that this design did not declare"):
         po.trade_off(d, ca.MX.sym("z"), x)
-    with pytest.raises(po.InputError, match="two objectives are named 'a'"):
+    with pytest.raises(po.InputError, match=r"two objectives .* 'a'"):
         po.trade_off(d, po.Goal("a", x), po.Goal("a", y))
     with pytest.raises(po.InputError, match="nothing to choose"):
         po.trade_off(po.Design(), x, y)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.studies.tradeoff.domination import in_order
+from plough_opt.studies.tradeoff.domination import undominated_in_order
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +35,7 @@ def test_efficient_designs_of_the_grid_lie_on_the_front(soft_or_stiff, grid):
     front = soft_or_stiff.front
     soft = front.objectives[list(front.parts[1])]
     scaled = (grid - grid.min(axis=0)) / np.ptp(grid, axis=0)
-    best = grid[in_order(scaled)]
+    best = grid[undominated_in_order(scaled)]
     inside = best[best[:, 0] > soft[0, 0]]
     assert len(inside) > 50
     # Straight lines between the front's points lie above the curve by an eighth of curvature times distance squared.

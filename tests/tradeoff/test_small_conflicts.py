@@ -32,7 +32,7 @@ def test_the_front_is_right_all_the_same(small):
 
 def test_no_rate_is_told_that_lies_outside_the_front(small):
     assert small.cost(5) is None
-    assert small.in_words(5).endswith("the whole front changes power by 0.003 % only")
+    assert small.in_words(5).endswith("the whole front changes power by only 0.003 %")
     # The rate in units stays, and what 1 % less deflection costs is on the front.
     x = small.designs[5, 0]
     assert small.rate(5) == pytest.approx((x - 1.0) / (4073.0 * 3e-5 * x), rel=1e-4)

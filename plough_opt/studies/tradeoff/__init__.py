@@ -1,4 +1,4 @@
-"""Trade-offs: the curve of designs of which none is better in one objective without being worse in another."""
+"""Trade-offs: fronts of designs that cannot improve in one objective without getting worse in another."""
 
 from plough_opt.studies.tradeoff.front import Goal
 from plough_opt.studies.tradeoff.result import TradeOff

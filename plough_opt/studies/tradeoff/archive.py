@@ -1,4 +1,8 @@
-"""Designs of a front's searches: starts for it, and every design with all its objectives, to hold it against."""
+"""Archive of a trade-off's searches: every design tried, with all its objectives, to hold the front against.
+
+The searches for the optimum of one objective, and for designs at a position between optima, evaluate all objectives of
+each design. So whatever design they try can show what the front misses, and where to start to find it.
+"""
 
 from __future__ import annotations
 
@@ -17,58 +21,67 @@ from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import FEASIBLE, Evaluations, Landscape
 from plough_opt.design.sampling import SEED, evolved, sample
 from plough_opt.design.tolerance import NEEDLE, boxes, ranking_criterion
-from plough_opt.studies.tradeoff.domination import beyond_points
+from plough_opt.studies.tradeoff.domination import lead_over_points
 from plough_opt.studies.tradeoff.program import FrontProgram
 
-# Factor on the steps of a search. Where a share oscillates fast on a stiff mount, those leave an error of a few parts
-# in a thousand, which along a front is much; twice as many leave 1e-5.
+# Least factor on the number of steps of a search. A share that oscillates fast on a stiff mount has errors of a few
+# parts in a thousand with the steps of a search, which is much along a front; twice as many leave 1e-5.
 _FINER = 2.0
-# Looks at so many designs and more are kept whole: searches of several objectives begin with the same sample.
-_A_SAMPLE = 200
-# Designs that are held against their tolerances at once.
-_MOST_JUDGED = 100
-# Judged values by which a bottom may be above the best and still be followed, and how many are.
-_CAN_WIN, _MOST = 0.15, 3
-# Of an evolution at a position: designs for each variable, generations, and how alike all are when it has converged.
-_EACH, _GENERATIONS, _CONVERGED = 6, 25, 0.01
+# Evaluations of this many designs or more are cached, because the searches of all objectives begin with one sample.
+_CACHED = 200
+# Designs whose tolerance boxes are evaluated at once.
+_BOXES_AT_ONCE = 100
+# Relative distance above the best judged value within which the minimum of a basin is followed.
+_CAN_WIN = 0.15
+# Most basins that are followed for one objective.
+_MOST_BASINS = 3
+# Evolution at a position: designs for each variable, generations, and the spread of designs that counts as converged.
+_DESIGNS_EACH = 6
+_GENERATIONS = 25
+_CONVERGED = 0.01
 
 
 class Archive:
-    """All designs that were looked at, and the searches that look.
+    """All designs that were tried, and the searches that try them.
 
     Attributes:
         front: the program.
-        vary: numbers of the variables that are searched; none where only the basin of the guess is wanted.
-        tried: number of designs.
-        vectorised: whether designs are looked at side by side.
-        needles_beyond: number of needles that were seen beyond the front, those that others beat apart.
+        vary: numbers of the variables that are searched; empty if only the basin of the guess is wanted.
+        tried: number of designs tried.
+        vectorised: whether designs are integrated side by side.
+        needles_beyond: number of needles that no point of the front dominates.
     """
 
     def __init__(self, front: FrontProgram, search: Search, progress: Progress) -> None:
-        """Take a program whose scales are set, the `search` of `plough_opt.trade_off`, and where to report.
+        """Use a program whose scales are set.
+
+        Args:
+            front: the program.
+            search: as in `plough_opt.trade_off`.
+            progress: called with what is being done and the fraction done.
 
         Raises:
-            InputError: a name that is not a variable, or an invalid effort.
+            InputError: `search` names an unknown variable, or is not a valid effort.
         """
         self.front, self.tried, self._progress = front, 0, progress
         program = front.program
-        self._bare = Landscape(program, front.nowhere())
-        self.vectorised = self._bare.vectorised
-        self._position = program.owner[front.rows[0]]
-        # Scaled variables and objectives of the designs that meet the requirements.
-        self._designs = np.empty((0, self._bare.dimensions))
+        self._landscape = Landscape(program, front.neutral_parameters())
+        self.vectorised = self._landscape.vectorised
+        self._position = program.owner[front.position_rows[0]]
+        # Scaled variables and scaled objectives of the designs that meet the requirements, and those not yet appended.
+        self._designs = np.empty((0, self._landscape.dimensions))
         self._objectives = np.empty((0, front.count))
         self._fresh: list[tuple[Vector, Vector]] = []
         self._samples: dict[bytes, tuple[Vector, Vector]] = {}
         self._medians: dict[bytes, Vector] = {}
-        # Of each design by how much it is better than all optima that it was held against, and these.
-        self._beyond = np.empty(0)
-        self._against: dict[Hashable, Vector] = {}
+        # Lead of each design over all optima that it was compared with, and these.
+        self._leads = np.empty(0)
+        self._compared: dict[Hashable, Vector] = {}
         self.needles_beyond = 0
         self.vary = searched(search, program.declared.variables)
         self._start = program.start()
         effort = effort_of(search, len(self.vary), program.population.runs, self.vectorised)
-        # Objectives share it; a front does not say how likely further basins are.
+        # The objectives share the effort. How likely further basins are is not reported, so none are followed for that.
         self._effort = replace(
             effort,
             followed=0,
@@ -76,40 +89,40 @@ class Archive:
             seconds=None if effort.seconds is None else effort.seconds / front.count,
         )
 
-    # --- looking -----------------------------------------------------------------------------------------
+    # --- designs -----------------------------------------------------------------------------------------
 
-    def look(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
-        """Return scaled objectives and all rows of requirements, in their units, of designs, a row for each.
+    def evaluate(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
+        """Return scaled objectives and all rows of requirements, in their units, a row for each design.
 
         Args:
-            points: scaled variables.
-            finer: factor on the steps of the runs; less than 2 is 2.
-            together: designs whose runs take equal numbers of steps.
+            points: scaled variables, a row for each design.
+            finer: factor on the number of steps of the runs; at least 2 is taken.
+            together: number of designs whose runs take equal numbers of steps; only designs on their own are archived.
         """
         finer = max(finer, _FINER)
-        key = points.tobytes() if len(points) >= _A_SAMPLE and finer == _FINER and together == 1 else b""
+        key = points.tobytes() if len(points) >= _CACHED and finer == _FINER and together == 1 else b""
         if key in self._samples:
             return self._samples[key]
-        found = self.front.look(points, finer, together)
+        found = self.front.evaluate(points, finer, together)
         self.tried += len(points)
         if key:
             self._samples[key] = found
         if together == 1:
-            self._keep(points, *found)
+            self._archive(points, *found)
         return found
 
-    def _keep(self, points: Vector, objectives: Vector, rows: Vector) -> None:
-        """Keep the designs that have a value and meet the design's own requirements."""
+    def _archive(self, points: Vector, objectives: Vector, rows: Vector) -> None:
+        """Add the designs that have a value and meet the design's own requirements."""
         program = self.front.program
         with np.errstate(all="ignore"):
-            each = self._bare.violations(rows / np.array(program.scales)[np.array(program.owner)])
-            each[:, self._position] = 0.0
-            good = np.all(np.isfinite(objectives), axis=1) & (each.sum(axis=1) <= FEASIBLE)
+            violations = self._landscape.violations(rows / np.array(program.scales)[np.array(program.owner)])
+            violations[:, self._position] = 0.0
+            good = np.all(np.isfinite(objectives), axis=1) & (violations.sum(axis=1) <= FEASIBLE)
         self._fresh.append((points[good], objectives[good]))
 
     @property
     def feasible(self) -> tuple[Vector, Vector]:
-        """Scaled variables, and normalised objectives, of all designs that meet the requirements."""
+        """Scaled variables and normalised objectives of all designs that meet the requirements, a row each."""
         if self._fresh:
             designs, objectives = zip(*self._fresh, strict=True)
             self._designs = np.concatenate([self._designs, *designs])
@@ -117,35 +130,37 @@ class Archive:
             self._fresh = []
         return self._designs, self.front.normalised(self._objectives)
 
-    def beyond(self, optima: Mapping[Hashable, Vector]) -> Vector:
-        """Return by how much each feasible design is better than all optima; infinite without one, less for needles.
+    def leads_over(self, optima: Mapping[Hashable, Vector]) -> Vector:
+        """Return the lead of each feasible design over all optima, this time's and those of earlier calls.
+
+        Leads are those of `lead_over_points`: infinite without an optimum, and -infinite for excluded designs.
 
         Args:
-            optima: what stands for each -> its normalised objectives: of those that it was held against before none is
-                taken away.
+            optima: key that identifies an optimum -> its normalised objectives.
         """
-        _, at = self.feasible
-        fresh = {key: place for key, place in optima.items() if key not in self._against}
-        self._against |= fresh
-        known = len(self._beyond)
+        _, objectives = self.feasible
+        fresh = {key: place for key, place in optima.items() if key not in self._compared}
+        self._compared |= fresh
+        known = len(self._leads)
         if fresh:
-            self._beyond = np.minimum(self._beyond, beyond_points(np.array(list(fresh.values())), at[:known]))
-        every = np.array(list(self._against.values())).reshape(-1, self.front.count)
-        self._beyond = np.r_[self._beyond, beyond_points(every, at[known:])]
-        return self._beyond
+            over_fresh = lead_over_points(np.array(list(fresh.values())), objectives[:known])
+            self._leads = np.minimum(self._leads, over_fresh)
+        every = np.array(list(self._compared.values())).reshape(-1, self.front.count)
+        self._leads = np.r_[self._leads, lead_over_points(every, objectives[known:])]
+        return self._leads
 
-    def leave_out(self, needles: NDArray[np.intp]) -> None:
-        """Let feasible designs, by their numbers, be better than no optimum from now on."""
-        self._beyond[needles] = -np.inf
+    def exclude(self, needles: NDArray[np.intp]) -> None:
+        """Give feasible designs, by their numbers, a lead of -infinity from now on, and count them as needles."""
+        self._leads[needles] = -np.inf
         self.needles_beyond += len(needles)
 
-    # --- starts ------------------------------------------------------------------------------------------
+    # --- searches ----------------------------------------------------------------------------------------
 
-    def bottoms(self, p: Vector) -> Evaluations:
-        """Return the lowest designs of the basins of an objective alone that can be best, the best first.
+    def basin_minima(self, p: Vector) -> Evaluations:
+        """Return the lowest design of each basin of an objective alone that may hold the best one, best first.
 
         Args:
-            p: parameters that set no position.
+            p: parameters of a subproblem without position constraints.
 
         Raises:
             InfeasibleDesign: no design was found that meets the requirements.
@@ -166,10 +181,14 @@ class Archive:
             return descend(landscape, y)
         values = judged(explored.minima.points)
         limit = values.min() + _CAN_WIN * abs(values.min())
-        return explored.minima.select([k for k in np.argsort(values, kind="stable") if values[k] <= limit][:_MOST])
+        best_first = np.argsort(values, kind="stable")
+        return explored.minima.select([k for k in best_first if values[k] <= limit][:_MOST_BASINS])
 
     def evolved_at(self, p: Vector) -> list[Vector]:
-        """Return the designs to which evolutions from samples lead at a position, one for each round of the effort."""
+        """Return the designs to which evolution leads in a subproblem, one for each round of the effort.
+
+        Empty if fewer than two variables are searched, or runs are integrated one by one, which takes too long.
+        """
         landscape, own, found = FrontLandscape(self, p), list(self.vary), []
         if not self.vectorised or len(own) < 2:
             return []
@@ -183,68 +202,70 @@ class Archive:
             return landscape(whole(points)).merit
 
         for number in range(self._effort.rounds):
-            # That of `bottoms`, which is known.
+            # The sample with which `basin_minima` begins, which is cached.
             points, _ = sample(len(own), self._effort.designs, self._start[own], np.random.default_rng([SEED, number]))
             merits = merit(points)
             if np.any(np.isfinite(merits)):
-                best = points[np.argsort(merits, kind="stable")[: _EACH * len(own)]]
+                best = points[np.argsort(merits, kind="stable")[: _DESIGNS_EACH * len(own)]]
                 rng = np.random.default_rng([SEED, number, 1])
                 end = evolved(merit, best, _GENERATIONS, rng, from_best=True, alike=_CONVERGED)
                 found.append(whole(end[None])[0])
         return found
 
-    # --- designs as they are made --------------------------------------------------------------------------
+    # --- tolerances --------------------------------------------------------------------------------------
 
     def medians(self, points: Vector) -> Vector | None:
-        """Return the median of each scaled objective over the tolerances of designs, a row for each.
+        """Return the medians of the scaled objectives over the tolerances of each design, a row each.
 
-        Half of the designs without a value make it infinite; None where runs are integrated one by one, which takes
-        too long.
+        A median is infinite if half of the designs in the tolerance box have no value.
+
+        Returns:
+            The medians; None if runs are integrated one by one, which takes too long.
         """
         if not self.vectorised:
             return None
         keys = [point.tobytes() for point in points]
         fresh = [k for k, key in enumerate(keys) if key not in self._medians]
-        for first in range(0, len(fresh), _MOST_JUDGED):
-            part = fresh[first : first + _MOST_JUDGED]
+        for first in range(0, len(fresh), _BOXES_AT_ONCE):
+            part = fresh[first : first + _BOXES_AT_ONCE]
             around = boxes(self.front.program.declared.variables, points[part])
-            found = self.front.look(around, 1.0, 1)[0]
+            found = self.front.evaluate(around, 1.0, 1)[0]
             self.tried += len(around)
             found = np.where(np.isfinite(found), found, np.inf).reshape(len(part), -1, self.front.count)
             self._medians |= {keys[k]: median for k, median in zip(part, np.median(found, axis=1), strict=True)}
         return np.array([self._medians[key] for key in keys]).reshape(-1, self.front.count)
 
-    def needles(self, points: Vector, at: Vector) -> NDArray[np.bool_]:
-        """Return which designs no workshop can hit, none where that takes too long to look at.
+    def needles(self, points: Vector, objectives: Vector) -> NDArray[np.bool_]:
+        """Return which designs are needles: optima too narrow for a workshop to hit.
 
-        They are those whose median of some objective over the tolerances is above its own by more than 5 % of it and
-        of its range over the front: less changes no decision.
+        The median of some objective over the tolerances of a needle is worse than its own value by more than 5 % of
+        that and of the objective's range over the front. If runs are integrated one by one, none is called a needle.
 
         Args:
-            points: scaled variables, a row for each.
-            at: their normalised objectives.
+            points: scaled variables, a row for each design.
+            objectives: normalised objectives, a row for each design.
         """
         medians = self.medians(points)
         if medians is None:
             return np.zeros(len(points), dtype=bool)
-        own = self.front.scaled(at)
+        own = self.front.scaled(objectives)
         needles: NDArray[np.bool_] = np.any(medians - own > NEEDLE * np.maximum(np.abs(own), self.front.span), axis=1)
         return needles
 
 
 class FrontLandscape(Landscape):
-    """A question of the front's program over the scaled variables, its designs kept with all their objectives."""
+    """Landscape of one subproblem, whose designs enter the archive with all their objectives."""
 
     def __init__(self, archive: Archive, p: Vector) -> None:
-        """Take the archive that keeps the designs, and the parameters of the question."""
+        """Use an archive, and the parameters of a subproblem."""
         super().__init__(archive.front.program, p)
-        self._archive, self._question = archive, archive.front.question(p)
+        self._archive, self._subproblem = archive, archive.front.subproblem(p)
 
     def rows(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
-        """Return the scaled objective and requirements, a row for each design."""
+        """Return the scaled objective and requirements of the subproblem, a row for each design."""
         self.designs_tried += len(points)
-        objectives, g = self._archive.look(points, finer=finer, together=together)
-        weights, normals, limits = self._question
+        objectives, g = self._archive.evaluate(points, finer=finer, together=together)
+        weights, normals, limits = self._subproblem
         g = g.copy()
-        g[:, self._archive.front.rows] = objectives @ normals.T - limits
+        g[:, self._archive.front.position_rows] = objectives @ normals.T - limits
         return weights[0] + objectives @ weights[1:], g / self._scale

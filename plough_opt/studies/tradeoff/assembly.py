@@ -1,4 +1,4 @@
-"""From candidates to a front: certified, put in order, with its parts, holes and sentences."""
+"""Assembly of a front from its candidates: certificates, order, parts, holes and sentences for the reader."""
 
 import re
 from collections import Counter
@@ -19,40 +19,45 @@ from plough_opt.studies.tradeoff.program import FrontProgram
 from plough_opt.studies.tradeoff.result import TradeOff
 from plough_opt.studies.tradeoff.tracer import Tracer
 
-# Of a hole's size: nearer to its ends is at them.
-_EDGE = 1e-3
+# Part of a hole's size by which it is widened, so that a failure at one of its ends counts as inside.
+_HOLE_EDGE = 1e-3
 # Normalised objectives that differ by less are equal.
-_SAME = 1e-4
-# Relative ranges of all objectives below this are hardly a conflict, of one of them below the second too small to act
-# on; below the third they are rounding.
-_HARDLY, _SMALL, _ROUNDING = 0.02, 1e-3, 1e-8
+_EQUAL = 1e-4
+# Relative range of all objectives below which they hardly conflict.
+_HARDLY = 0.02
+# Relative range of one objective below which its conflict is too small to act on.
+_SMALL = 1e-3
+# Relative range below which it is rounding.
+_ROUNDING = 1e-8
 _NUMBER = re.compile(r"[-+]?[0-9]+\.?[0-9]*(?:e[-+]?[0-9]+)?")
 
 
 def assembled(tracer: Tracer, goals: Sequence[Goal], title: str) -> TradeOff:
-    """Certify what was found, and return the efficient points in order with their parts and holes.
+    """Return the efficient candidates as a front: certified, in order, with parts and holes.
 
-    Of the many that no other dominates, only those are certified that the front shows; where that casts doubt on one,
-    another takes its place. Where all candidates are needles, they are shown as such.
+    Only the candidates that the front shows are certified. If a certificate casts doubt on one, another takes its
+    place. If all candidates are needles, the needles are shown.
 
     Raises:
         NotConverged: no point could be certified.
     """
     front, certified = tracer.front, dict[Candidate, FrontPoint]()
-    left = tracer.sound() or tracer.found
+    left = tracer.without_needles() or tracer.candidates
     while True:
-        order = tracer.order(left)
-        if not (fresh := [one for one in order.kept if one not in certified]):
+        arrangement = tracer.arrange(left)
+        if not (fresh := [candidate for candidate in arrangement.shown if candidate not in certified]):
             break
-        tracer.to_the_last_digits(fresh)
-        certified |= {one: certify(front, one) for one in fresh}
+        tracer.solve_exactly(fresh)
+        certified |= {candidate: certificate(front, candidate) for candidate in fresh}
         left = [one for one in left if one not in certified or not certified[one].doubt]
-    failures = _failures(tracer, order.kept, certified)
-    if not order.kept:
+    shown = arrangement.shown
+    failures = _failures(tracer, shown, certified)
+    if not shown:
         raise NotConverged(f"no point of the front could be certified: {failures[-1].reason}", "Not_Certified")
-    others = [one for one in tracer.found if one not in set(order.efficient)]
-    certified |= {one: certify(front, one, beaten=True) for one in others if one not in certified}
-    points = _with_medians(tracer, order.kept, certified)
+    efficient = set(arrangement.efficient)
+    others = [candidate for candidate in tracer.candidates if candidate not in efficient]
+    certified |= {one: certificate(front, one, beaten=True) for one in others if one not in certified}
+    points = _with_medians(tracer, shown, certified)
     beaten = _with_medians(tracer, [one for one in others if not certified[one].doubt], certified)
     variables = front.program.declared.variables
     return TradeOff(
@@ -63,10 +68,10 @@ def assembled(tracer: Tracer, goals: Sequence[Goal], title: str) -> TradeOff:
         dominated=tuple(point for point in beaten if not point.needle),
         needles=tuple(point for point in beaten if point.needle),
         failures=failures,
-        parts=order.parts,
-        holes=tuple(hole(points[a], points[b], failures, front.signs) for a, b in order.holes),
-        notes=(*notes_on(tracer, goals, points), *caveats(front, [one.point.y for one in order.kept])),
-        search=looked_at(tracer),
+        parts=arrangement.parts,
+        holes=tuple(hole(points[a], points[b], failures, front.signs) for a, b in arrangement.holes),
+        notes=(*notes_on(tracer, goals, points), *warnings_of(front, [one.point.y for one in shown])),
+        search=search_in_words(tracer),
         origin=_origin(front, goals, title),
     )
 
@@ -74,7 +79,7 @@ def assembled(tracer: Tracer, goals: Sequence[Goal], title: str) -> TradeOff:
 def _with_medians(
     tracer: Tracer, candidates: Sequence[Candidate], certified: Mapping[Candidate, FrontPoint]
 ) -> tuple[FrontPoint, ...]:
-    """Return the certificates of candidates, with what becomes of them within their tolerances."""
+    """Return the certificates of candidates, with the medians of their objectives over the tolerances."""
     medians = tracer.archive.medians(np.array([one.point.y for one in candidates])) if candidates else None
     if medians is None:
         return tuple(certified[one] for one in candidates)
@@ -85,24 +90,28 @@ def _with_medians(
 
 
 def _failures(
-    tracer: Tracer, kept: Sequence[Candidate], certified: Mapping[Candidate, FrontPoint]
+    tracer: Tracer, shown: Sequence[Candidate], certified: Mapping[Candidate, FrontPoint]
 ) -> tuple[Failure, ...]:
-    """Return what failed, in the objectives' own units; beside a design that another beats nothing is missing."""
+    """Return the positions without a design, with objectives in their units.
+
+    Left out are failures beside a design that another beats, since the front misses nothing there, and doubtful
+    candidates that a certified design replaces.
+    """
     front, found = tracer.front, list[Failure]()
-    places = tracer.places(tracer.found)
+    known = tracer.objectives_of(tracer.candidates)
     for failure in tracer.failures:
-        at = np.array(failure.objectives)
-        if not np.any(np.all(places <= at + _SAME, axis=1) & np.any(places < at - MATTERS, axis=1)):
-            found.append(replace(failure, objectives=tuple((front.scaled(at) * front.units).tolist())))
-    for one, point in certified.items():
-        # One that a certified design is as good as leaves no place without one.
-        if point.doubt and not any(np.all(other.at <= one.at + MATTERS) for other in kept):
+        objectives = np.array(failure.objectives)
+        no_worse, better = np.all(known <= objectives + _EQUAL, axis=1), np.any(known < objectives - MATTERS, axis=1)
+        if not np.any(no_worse & better):
+            found.append(replace(failure, objectives=tuple((front.scaled(objectives) * front.units).tolist())))
+    for candidate, point in certified.items():
+        if point.doubt and not any(np.all(other.objectives <= candidate.objectives + MATTERS) for other in shown):
             found.append(Failure(point.objectives, point.doubt))
     return tuple(found)
 
 
 def _origin(front: FrontProgram, goals: Sequence[Goal], title: str) -> Origin:
-    """Return what made a front: the design's declarations, and the objectives in the place of its own."""
+    """Return the origin of a front: the design's declarations, with the goals in place of the design's objective."""
     displays = {v.name: v.display for v in front.declared.variables if v.display is not None}
     found = front.declared.plain(front.own_values())
     del found["objective"]
@@ -113,29 +122,36 @@ def _origin(front: FrontProgram, goals: Sequence[Goal], title: str) -> Origin:
 
 
 def hole(before: FrontPoint, after: FrontPoint, failures: Sequence[Failure], signs: Array) -> Hole:
-    """Return a hole; it is not settled where the optimiser failed within."""
+    """Return the hole between two points, settled unless the optimiser failed inside.
+
+    Args:
+        before: where one part ends.
+        after: where the next part begins.
+        failures: positions without a design; those without a feasible design do not count.
+        signs: -1 for each objective that is maximised, else 1.
+    """
     ends = np.array([before.objectives, after.objectives]) * signs
     low, high = ends.min(axis=0), ends.max(axis=0)
-    # Failures are found by the optimiser's integration, ends by the tight one.
-    low, high = low - _EDGE * (high - low), high + _EDGE * (high - low)
+    # Failures are located by the optimiser's integration, ends by the tight one.
+    low, high = low - _HOLE_EDGE * (high - low), high + _HOLE_EDGE * (high - low)
     failed = [failure for failure in failures if not failure.reason.startswith("Infeasible_Problem_Detected")]
-    places = np.array([failure.objectives for failure in failed]).reshape(-1, len(signs)) * signs
-    within = np.all((low <= places) & (places <= high), axis=1)
-    return Hole(before.objectives, after.objectives, settled=not np.any(within))
+    objectives = np.array([failure.objectives for failure in failed]).reshape(-1, len(signs)) * signs
+    inside = np.all((low <= objectives) & (objectives <= high), axis=1)
+    return Hole(before.objectives, after.objectives, settled=not np.any(inside))
 
 
 # --- certificates ---------------------------------------------------------------------------------------------
 
 
-def certify(front: FrontProgram, one: Candidate, *, beaten: bool = False) -> FrontPoint:
-    """Return a candidate's report from the tightly integrated model.
+def certificate(front: FrontProgram, candidate: Candidate, *, beaten: bool = False) -> FrontPoint:
+    """Return the certificate of a candidate by a tight integration.
 
     Args:
         front: the program.
-        one: the candidate.
-        beaten: whether it is not on the front, so that its curvature and branch are left out.
+        candidate: a candidate.
+        beaten: whether it is not on the front; its curvature and branch are left out then.
     """
-    program, point, level = front.program, one.point, front.levels[one.exact]
+    program, point, corrector = front.program, candidate.point, front.correctors[candidate.exact]
     scaled, found = front.tight(point.y)
     margins, violation, active = {}, 0.0, []
     for k, (r, value) in enumerate(zip(front.declared.requirements, found, strict=False)):
@@ -148,7 +164,7 @@ def certify(front: FrontProgram, one: Candidate, *, beaten: bool = False) -> Fro
     for v, y, multiplier in zip(program.declared.variables, point.y, point.lam_y, strict=True):
         if decides(float(min(y, 1.0 - y)), float(abs(multiplier))):
             active.append(v.name)
-    weights = _weights(front, one)
+    weights = _weights(front, candidate)
     waved = [] if beaten else [run.scene.branch for run in front.runs(point.y) if run.scene.effects.strength_wave]
     return FrontPoint(
         objectives=tuple((scaled * front.units).tolist()),
@@ -157,21 +173,21 @@ def certify(front: FrontProgram, one: Candidate, *, beaten: bool = False) -> Fro
         active=tuple(active),
         rate=-weights[0] / weights[1] if weights is not None and front.count == 2 else None,
         branch=next(filter(None, waved), ""),
-        residual=level.residual(point, one.p),
+        residual=corrector.residual(point, candidate.p),
         violation=violation,
-        gap=front.gap(point.y, exact=one.exact),
-        curvature=None if beaten or not one.confirmed else level.least_curvature(point, one.p),
+        gap=front.gap(point.y, exact=candidate.exact),
+        curvature=None if beaten or not candidate.confirmed else corrector.least_curvature(point, candidate.p),
         weights=weights,
-        confirmed=one.confirmed,
+        confirmed=candidate.confirmed,
     )
 
 
-def _weights(front: FrontProgram, one: Candidate) -> tuple[float, ...] | None:
-    """Return how much each objective weighs per its unit, those on a range of the front together 1."""
-    point, p = one.inward or (one.point, one.p)
-    own = front.slopes(point, p) * front.span
-    # Where positions do not decide, the weights are those of the question.
-    if not front.holds(point) or np.any(own < -PULLS) or not own[-1] > PULLS:
+def _weights(front: FrontProgram, candidate: Candidate) -> tuple[float, ...] | None:
+    """Return the weight of each objective per unit at a candidate; in units of the ranges they add up to 1."""
+    point, p = candidate.inner_neighbour or (candidate.point, candidate.p)
+    own = front.weights_at(point, p) * front.span
+    # If the position constraints are inactive, the weights are merely those with which the subproblem was posed.
+    if not front.position_decides(point) or np.any(own < -PULLS) or not own[-1] > PULLS:
         return None
     return tuple((own / np.sum(own) / (front.span * front.units)).tolist())
 
@@ -180,73 +196,88 @@ def _weights(front: FrontProgram, one: Candidate) -> tuple[float, ...] | None:
 
 
 def notes_on(tracer: Tracer, goals: Sequence[Goal], points: Sequence[FrontPoint]) -> tuple[str, ...]:
-    """Return sentences on objectives that hardly conflict, needles, points that are not optima, and the error."""
-    front = tracer.front
-    notes = []
+    """Return sentences on objectives that hardly conflict, needles, unconfirmed points, and a wanted error missed."""
+    return (
+        *_conflict_notes(tracer, goals, points),
+        *_needle_notes(tracer, points),
+        *_error_notes(tracer.front, points),
+    )
+
+
+def _conflict_notes(tracer: Tracer, goals: Sequence[Goal], points: Sequence[FrontPoint]) -> list[str]:
+    """Return sentences on objectives that do not or hardly conflict."""
     names = [f"'{goal.name}'" for goal in goals]
-    listed = _listed(names)
     values = np.array([point.objectives for point in points])
     ranges = np.ptp(values, axis=0) / np.maximum(np.max(np.abs(values), axis=0), np.finfo(float).tiny)
-    small = [k for k, change in enumerate(ranges) if change < _SMALL]
     if len(points) == 1:
         best = "both" if len(goals) == 2 else "all three"
-        given_up = front.rounded_off
-        within = f", to within {100.0 * given_up:.2g} %" if given_up > _ROUNDING else ""
+        ignored = tracer.front.ignored_conflict
+        within = f", to within {100.0 * ignored:.2g} %" if ignored > _ROUNDING else ""
         where = "" if tracer.archive.vary else " in the basin of the guess"
-        notes.append(f"{listed} do not conflict{where}: one design is best in {best}{within}")
-    elif np.max(ranges) < _HARDLY:
+        return [f"{_listed(names)} do not conflict{where}: one design is best in {best}{within}"]
+    if np.max(ranges) < _HARDLY:
         how = _listed([f"{100 * change:.2g} %" for change in ranges])
-        notes.append(f"{listed} hardly conflict: along the whole front they change by {how}")
-    elif small:
-        for k in small:
-            notes.append(
-                f"{names[k]} hardly conflicts with the rest: along the whole front it changes by"
-                f" {100 * ranges[k]:.2g} % of its value"
-            )
-    if tracer.archive.needles_beyond:
+        return [f"{_listed(names)} hardly conflict: along the whole front they change by {how}"]
+    return [
+        f"{name} hardly conflicts with the rest: along the whole front it changes by {100 * change:.2g} % of its value"
+        for name, change in zip(names, ranges, strict=True)
+        if change < _SMALL
+    ]
+
+
+def _needle_notes(tracer: Tracer, points: Sequence[FrontPoint]) -> list[str]:
+    """Return sentences on needles, and on points that are not optima."""
+    notes = []
+    if beyond := tracer.archive.needles_beyond:
         notes.append(
-            f"{tracer.archive.needles_beyond} designs beyond the front were seen that are needles: within their"
-            " tolerances no workshop can hit them"
+            f"{beyond} designs beyond the front were left out: they are needles, which no workshop can hit within their"
+            " tolerances"
         )
-    if any(point.needle for point in points):
-        count = sum(point.needle for point in points)
-        notes.append(f"{count} of {len(points)} designs are needles: within their tolerances no workshop can hit them")
+    if needles := sum(point.needle for point in points):
+        notes.append(
+            f"{needles} of {len(points)} designs are needles: no workshop can hit them within their tolerances"
+        )
     if unconfirmed := sum(not point.confirmed for point in points):
         notes.append(
-            f"{unconfirmed} of {len(points)} designs are unconfirmed: simulated, and better than every optimum that"
-            " was found and can be made, but not optima themselves"
+            f"{unconfirmed} of {len(points)} designs are unconfirmed: simulated, and better than every optimum found"
+            " that can be made, but not optima themselves"
         )
+    return notes
+
+
+def _error_notes(front: FrontProgram, points: Sequence[FrontPoint]) -> list[str]:
+    """Return a sentence if the wanted error was not reached."""
     wanted, gap = front.program.wanted_error, max((point.gap for point in points if point.confirmed), default=0.0)
-    if wanted is not None and gap > wanted:
-        notes.append(f"the wanted relative error {wanted:.1e} was not reached everywhere: the largest is {gap:.1e}")
-    return tuple(notes)
+    if wanted is None or gap <= wanted:
+        return []
+    return [f"the wanted relative error {wanted:.1e} was not reached everywhere: the largest is {gap:.1e}"]
 
 
-def looked_at(tracer: Tracer) -> str:
-    """Return what was looked at."""
+def search_in_words(tracer: Tracer) -> str:
+    """Return a sentence on what was searched."""
     archive, vary = tracer.archive, tracer.archive.vary
     if not vary:
-        return "Only the basin of the guess was looked at: other branches, and better ends, may be missing."
+        return "Only the basin of the guess was searched: other branches, and better ends, may be missing."
     over = ", ".join(archive.front.program.declared.variables[k].name for k in vary)
     slow = "" if archive.vectorised else ", few because their runs are integrated one by one"
     return f"{archive.tried} designs tried over {over}{slow}."
 
 
-def caveats(front: FrontProgram, designs: Sequence[Vector]) -> tuple[str, ...]:
-    """Return the warnings that designs' scenes and runs carry, each kind once with the first design's numbers.
+def warnings_of(front: FrontProgram, designs: Sequence[Vector]) -> tuple[str, ...]:
+    """Return the warnings of the designs' scenes and runs, each kind once, with the numbers of its first design.
 
     Args:
         front: the program.
-        designs: the efficient ones, in order, as scaled variables.
+        designs: the efficient designs, in order, as scaled variables.
     """
-    first, often = dict[str, str](), Counter[str]()
+    first, counts = dict[str, str](), Counter[str]()
     for y in designs:
         texts = [text for run in front.runs(y) for text in (*run.scene.warnings(), *remarks(run))]
         texts += [text for scene in front.still_scenes(y) for text in scene.warnings()]
         kinds = {_NUMBER.sub("", text): text for text in texts}
         first = kinds | first
-        often.update(kinds.keys())
-    return tuple(f"at {often[kind]} of {len(designs)} designs: {text}" for kind, text in first.items())
+        counts.update(kinds.keys())
+    return tuple(f"at {counts[kind]} of {len(designs)} designs: {text}" for kind, text in first.items())
 
 
 def _listed(words: Sequence[str]) -> str:

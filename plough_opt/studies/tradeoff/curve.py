@@ -1,4 +1,4 @@
-"""Following a front of two objectives: from every optimum of either alone, position by position, both ways."""
+"""Tracing of a front of two objectives: from every optimum of either alone, position by position, both ways."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -8,176 +8,196 @@ import numpy as np
 from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.studies.tradeoff.archive import Archive
-from plough_opt.studies.tradeoff.candidates import OTHERS, SOUGHT, Candidate, Order, ahead
-from plough_opt.studies.tradeoff.domination import in_order
-from plough_opt.studies.tradeoff.positions import gaps, needed, spread
+from plough_opt.studies.tradeoff.candidates import OTHERS_WEIGHT, SOUGHT, Arrangement, Candidate, predicted
+from plough_opt.studies.tradeoff.domination import undominated_in_order
+from plough_opt.studies.tradeoff.positions import gaps, uncrowded_on_curve, without_needless
 from plough_opt.studies.tradeoff.tracer import Tracer
 
-# A position farther from its limit is held by none: the branch has ended.
-_ENDED = 1e-6
-# Beside an efficient point by so much, so that it does not dominate the end of the other part.
-_BESIDE = 1e-6
-# Steps from an end, where more limits meet than decide the design, to where its rate is taken.
+# An optimum farther from its position is not held by it: the branch has ended.
+_OFF_POSITION = 1e-6
+# Margin by which the end of one part is sought beside an efficient point, so that the point does not dominate it.
+_CLEARANCE = 1e-6
+# Steps from an end of the front to its inner neighbour.
 _INWARD = 0.01
-# A branch that ends at a position farther in a scaled variable than this from where it led has become another one.
-_SMOOTH = 0.1
-# Positions without an optimum, one after the other, after which a branch is left.
+# Largest difference, in a scaled variable, of a solve from its prediction on the same branch.
+_SAME_BRANCH = 0.1
+# Positions in a row without an optimum after which a branch is given up.
 _GIVE_UP = 2
-_ROUNDS = 6
-# Decimals of the normalised objectives by which gaps are distinguished.
-_PLACES = 4
-# Differences of the normalised objectives at which basins are searched.
-_SEARCHED = (-0.5, 0.0, 0.5)
+# Most rounds of looking into gaps.
+_GAP_ROUNDS = 6
+# Decimals of normalised objectives by which gaps are recognised again.
+_GAP_DECIMALS = 4
+# Positions, between -1 and 1, at which evolution searches for further branches.
+_SEARCHED_POSITIONS = (-0.5, 0.0, 0.5)
 
 
 class CurveTracer(Tracer):
-    """The candidates for a front of two objectives."""
+    """Tracer of a front of two objectives.
 
-    turns = np.array([[1.0, OTHERS], [OTHERS, 1.0]])
+    A position is the difference of both normalised objectives: -1 at one anchor and 1 at the other.
+    """
+
+    anchor_weights = np.array([[1.0, OTHERS_WEIGHT], [OTHERS_WEIGHT, 1.0]])
     matters = SOUGHT
-    at_once, rounds = 6, 12
+    at_once, comparisons = 6, 12
 
     def __init__(self, archive: Archive, positions: int, progress: Progress) -> None:
-        """Take what looks at the designs of a front's program, and the number of positions."""
+        """Spread positions evenly between the anchors.
+
+        Args:
+            archive: of the searches.
+            positions: their number, the anchors included.
+            progress: called with what is being done and the fraction done.
+        """
         super().__init__(archive, progress)
-        self._grid = np.linspace(-1.0, 1.0, positions)
+        self._positions = np.linspace(-1.0, 1.0, positions)
         self.step = 2.0 / (positions - 1)
         self.spacing = self.step / 2.0
 
     def trace(self, anchors: Sequence[Sequence[Point]]) -> None:
-        """Follow every branch from every optimum both ways, and look into what gaps are left.
+        """Follow every branch from every optimum both ways, then what the archive shows, then into the gaps.
 
         Args:
             anchors: all local optima of either objective alone.
         """
-        starts = [(self.kept(point, p), 1 - k) for k, p in enumerate(self.orders()) for point in anchors[k]]
-        for number, (one, objective) in enumerate(starts):
+        parameters = self.anchor_parameters()
+        starts = [(self.recorded(point, p), 1 - k) for k, p in enumerate(parameters) for point in anchors[k]]
+        for number, (candidate, objective) in enumerate(starts):
             self.progress(f"following branch {number + 1} of {len(starts)}", number / len(starts))
-            self.follow(one, objective)
-        self._search_inside()
-        self.reach_all()
+            self.follow(candidate, objective)
+        self._search_between_anchors()
+        self.follow_missed()
         self._fill_gaps()
-        self.reach_all(look=False)
+        self.follow_missed(sample=False)
 
     def all_anchors(self, starts: Sequence[Sequence[Vector]]) -> list[list[Point]]:
-        """Return the local optima for each of `orders` beside its starts."""
-        return [self.anchors(p, own) for p, own in zip(self.orders(), starts, strict=True)]
+        """Return the local optima of each anchor's subproblem near its starts."""
+        return [self.anchors(p, own) for p, own in zip(self.anchor_parameters(), starts, strict=True)]
 
-    # --- following ---------------------------------------------------------------------------------------
+    # --- following a branch ------------------------------------------------------------------------------
 
-    def follow(self, one: Candidate, objective: int) -> None:
-        """Follow a branch towards less of an objective, one position after the other, until it ends.
+    def follow(self, candidate: Candidate, objective: int) -> None:
+        """Follow a branch towards less of an objective, one position after another, until it ends.
 
         The limit on the other objective loosens on the way, so that each optimum is a feasible start for the next.
+
+        Args:
+            candidate: on the branch.
+            objective: number of the objective to reduce.
         """
-        behind: Candidate | None = None
-        failed, first = 0, one
-        one.swept.add(objective)
-        for position in self._grid[self._grid > self._difference(one, objective) - _ENDED]:
-            start = ahead(behind, one)
-            found = self.solve(one, start, self._beside(objective, float(position)))
+        previous: Candidate | None = None
+        failed, first = 0, candidate
+        candidate.followed.add(objective)
+        ahead = self._positions[self._positions > self._position_of(candidate, objective) - _OFF_POSITION]
+        for position in ahead:
+            start = predicted(previous, candidate)
+            found = self.solve(candidate, start, self._parameters_for(objective, float(position)))
             if found is None:
-                failed, behind = failed + 1, None
+                failed, previous = failed + 1, None
                 if failed == _GIVE_UP:
                     return
                 continue
-            failed, behind, one = 0, one, found
-            if objective in one.swept and one is not first:
+            failed, previous, candidate = 0, candidate, found
+            if objective in candidate.followed and candidate is not first:
                 return
-            one.swept.add(objective)
-            if np.max(np.abs(found.point.y - start)) < _SMOOTH:
-                # Back from here it leads to where it came from.
-                one.swept.add(1 - objective)
-            if position - self._difference(one, objective) > _ENDED:
+            candidate.followed.add(objective)
+            if np.max(np.abs(found.point.y - start)) < _SAME_BRANCH:
+                # The way back from here is the way that led here.
+                candidate.followed.add(1 - objective)
+            if position - self._position_of(candidate, objective) > _OFF_POSITION:
                 return
 
-    def _search_inside(self) -> None:
-        """Search basins at some positions, and follow what is new from there both ways."""
-        for number, difference in enumerate(_SEARCHED if self.archive.vary else ()):
-            self.progress(f"searching between the anchors, {number + 1} of {len(_SEARCHED)}", number / len(_SEARCHED))
-            self._search_at(difference)
+    def _search_between_anchors(self) -> None:
+        """Search for further branches at some positions, and follow those that are new both ways."""
+        positions = _SEARCHED_POSITIONS if self.archive.vary else ()
+        for number, position in enumerate(positions):
+            self.progress(f"searching between the anchors, {number + 1} of {len(positions)}", number / len(positions))
+            self._search_at(position)
 
-    def _search_at(self, difference: float) -> None:
-        p = self._beside(1, difference)
+    def _search_at(self, position: float) -> None:
+        p = self._parameters_for(1, position)
         for y in self.archive.evolved_at(p):
-            known = len(self.found)
-            self.follow_new(self.best_from(p, y), known)
+            known = len(self.candidates)
+            self.follow_new(self.no_worse_than(y, p), known)
 
-    def follow_all(self, one: Candidate) -> None:
+    def follow_everywhere(self, candidate: Candidate) -> None:
         """Follow a branch both ways."""
         for objective in (1, 0):
-            if objective not in one.swept:
-                self.follow(one, objective)
+            if objective not in candidate.followed:
+                self.follow(candidate, objective)
 
-    def position(self, at: Vector) -> Vector:
-        """Return the parameters that ask for the front's design at the place of normalised objectives."""
-        return self._beside(1, float(at[0] - at[1]))
+    def parameters_at(self, objectives: Vector) -> Vector:
+        """Return the parameters of the subproblem whose position is that of normalised objectives."""
+        return self._parameters_for(1, float(objectives[0] - objectives[1]))
 
-    def _beside(self, objective: int, difference: float) -> Vector:
-        return self.front.limited(objective, {1 - objective: difference}, beside=True)
+    def _parameters_for(self, objective: int, position: float) -> Vector:
+        """Return the parameters that minimise an objective with a limit on the other one's excess over it."""
+        return self.front.limited(objective, {1 - objective: position}, relative=True)
 
     @staticmethod
-    def _difference(one: Candidate, objective: int) -> float:
-        return float(one.at[1 - objective] - one.at[objective])
+    def _position_of(candidate: Candidate, objective: int) -> float:
+        """Return by how much the other objective of a candidate exceeds this one."""
+        return float(candidate.objectives[1 - objective] - candidate.objectives[objective])
 
     # --- gaps --------------------------------------------------------------------------------------------
 
-    def ordered(self) -> list[Candidate]:
-        """Return the candidates that no other dominates, in order."""
-        sound = self.sound()
-        return [sound[k] for k in in_order(self.places(sound))]
+    def efficient(self) -> list[Candidate]:
+        """Return the candidates that no other dominates, from the best in the first objective to the worst."""
+        sound = self.without_needles()
+        return [sound[k] for k in undominated_in_order(self.objectives_of(sound))]
 
-    def order(self, candidates: Sequence[Candidate]) -> Order:
-        """Return how candidates make up a front: its points in order, its parts, and the gaps between them."""
-        at, step = self.places(candidates), self.step
-        best = in_order(at)
-        own = best[needed(at[best], [candidates[k].extra for k in best], step)]
-        kept = own[spread(at[own], step)]
-        breaks = gaps(at[kept], step)
-        bounds = [0, *(k + 1 for k in breaks), len(kept)]
-        return Order(
+    def arrange(self, candidates: Sequence[Candidate]) -> Arrangement:
+        """Return candidates arranged as a front: its points in order, its parts, and the gaps between them."""
+        objectives, step = self.objectives_of(candidates), self.step
+        best = undominated_in_order(objectives)
+        own = best[without_needless(objectives[best], [candidates[k].between for k in best], step)]
+        shown = own[uncrowded_on_curve(objectives[own], step)]
+        breaks = gaps(objectives[shown], step)
+        bounds = [0, *(k + 1 for k in breaks), len(shown)]
+        return Arrangement(
             [candidates[k] for k in best],
-            [candidates[k] for k in kept],
+            [candidates[k] for k in shown],
             tuple(tuple(range(i, j)) for i, j in pairwise(bounds)),
             tuple((k, k + 1) for k in breaks),
         )
 
     def _fill_gaps(self) -> None:
-        """Follow the branches beside every gap into it, to the last design that the other does not dominate."""
+        """Follow the branches on either side of every gap into it, as far as the other side does not dominate them."""
         tried: set[bytes] = set()
-        for number in range(_ROUNDS):
-            front = self.ordered()
-            places = self.places(front)
-            ends = {np.round(places[k : k + 2], _PLACES).tobytes(): k for k in gaps(places, self.step)}
-            fresh = [(front[k], front[k + 1]) for key, k in ends.items() if key not in tried]
-            tried.update(ends)
-            self.progress("looking into gaps", number / _ROUNDS)
+        for number in range(_GAP_ROUNDS):
+            front = self.efficient()
+            objectives = self.objectives_of(front)
+            sides = {np.round(objectives[k : k + 2], _GAP_DECIMALS).tobytes(): k for k in gaps(objectives, self.step)}
+            fresh = [(front[k], front[k + 1]) for key, k in sides.items() if key not in tried]
+            tried.update(sides)
+            self.progress("looking into gaps", number / _GAP_ROUNDS)
             for left, right in fresh:
-                for one, objective in ((left, 1), (right, 0)):
-                    if objective not in one.swept:
-                        self.follow(one, objective)
+                for candidate, objective in ((left, 1), (right, 0)):
+                    if objective not in candidate.followed:
+                        self.follow(candidate, objective)
                 if self.archive.vary:
-                    self._search_at(float(np.mean([self._difference(one, 1) for one in (left, right)])))
-                end = self._end(left, 1, float(right.at[0]) - _BESIDE)
-                self._end(right, 0, float((end or left).at[1]) - _BESIDE)
+                    self._search_at(float(np.mean([self._position_of(side, 1) for side in (left, right)])))
+                end = self._end(left, 1, float(right.objectives[0]) - _CLEARANCE)
+                self._end(right, 0, float((end or left).objectives[1]) - _CLEARANCE)
             if not fresh:
                 return
 
-    def _end(self, one: Candidate, objective: int, limit: float) -> Candidate | None:
-        """Return the design of a branch with least of an objective, the other one limited."""
-        return self.solve(one, one.point.y, self.front.limited(objective, {1 - objective: limit}), report=False)
+    def _end(self, candidate: Candidate, objective: int, limit: float) -> Candidate | None:
+        """Return the design of a branch with the least of an objective while the other one is limited."""
+        p = self.front.limited(objective, {1 - objective: limit})
+        return self.solve(candidate, candidate.point.y, p, report=False)
 
     # --- finishing ---------------------------------------------------------------------------------------
 
-    def look_inward(self) -> None:
-        """Give the ends of a front a neighbour on it: at an end its own multipliers are not unique."""
-        front = self.ordered()
+    def find_inner_neighbours(self) -> None:
+        """Give the ends of the front a neighbour on it, for their rates: multipliers at an end are not unique."""
+        front = self.efficient()
         for number, one in enumerate(front):
-            if self.front.holds(one.point):
+            if self.front.position_decides(one.point):
                 continue
             objective = 0 if number == len(front) - 1 else 1
-            p = self._beside(objective, self._difference(one, objective) + _INWARD * self.step)
+            p = self._parameters_for(objective, self._position_of(one, objective) + _INWARD * self.step)
             point = self.front.solve(one.point, one.point.y, p, exact=one.exact)
-            near = np.sum(np.abs(self.front.objectives(point.y, exact=one.exact) - one.at)) < self.step
-            if point.solved and near and self.front.holds(point):
-                one.inward = (point, p)
+            moved = np.sum(np.abs(self.front.objectives(point.y, exact=one.exact) - one.objectives))
+            if point.solved and moved < self.step and self.front.position_decides(point):
+                one.inner_neighbour = (point, p)

@@ -1,4 +1,4 @@
-"""A front as a picture: a curve, or a surface in space, beside how each variable moves along or over it."""
+"""Pictures of a front: a curve, or a surface in space, and beside it how each variable changes along or over it."""
 
 import math
 from collections.abc import Sequence
@@ -18,32 +18,35 @@ from plough_opt.studies.tradeoff.domination import ACROSS, Array
 from plough_opt.studies.tradeoff.front import Axis, Front, FrontPoint
 
 _GREY: Final = "#A8A8A8"
-_BEATEN: Final = "local optima, dominated"
-# Of the front itself [inch].
-_WIDTH: Final = 7.0
-# Of a variable's panel beside a curve and beside a surface, and the least height of the whole [inch].
-_PANEL: Final = {2: (3.6, 1.75, 5.2), 3: (4.2, 2.1, 5.6)}
-# Part of a variable's bounds, or of its value on a logarithmic scale: what moves less is drawn as hardly moving.
+_DOMINATED: Final = "local optima, dominated"
+# Width of the panel of the front [inch].
+_FRONT_WIDTH: Final = 7.0
+# By number of objectives: width and height of a variable's panel, and least height of the figure [inch].
+_PANEL_SIZES: Final = {2: (3.6, 1.75, 5.2), 3: (4.2, 2.1, 5.6)}
+# Least range of a variable's axis, as part of its bounds or, on a logarithmic scale, of its value. A variable that
+# hardly changes is so drawn as hardly changing.
 _LEAST_RANGE: Final = 0.02
-# Of an objective's value: an axis shows no less, and no more ticks than fit beside each other.
+# Least range of an objective's axis, relative to its value.
 _LEAST_CHANGE: Final = 0.01
+# Most ticks of an axis, so that their numbers do not touch.
 _TICKS: Final = 6
-# Of a variable's size: what changes less along a front is the optimiser's rounding.
+# Relative range of a variable along the front below which it is constant but for the optimiser's rounding.
 _CONSTANT: Final = 1e-4
-# Triangles with a side longer than so many times the usual one lie across a hole.
-_LONGEST: Final = 3.0
+# Triangles with a side longer than this many times the median lie across a hole.
+_LONGEST_SIDE: Final = 3.0
 _LEAST_CORNERS: Final = 3
-# Of the view [deg].
-_ABOVE: Final = 22.0
+# Direction of view in space [deg]: above the plane of the first two objectives, and aside from their diagonal.
+_ELEVATION: Final = 22.0
 _ASIDE: Final = 20.0
-# Between ticks and the name of an axis [points], and of the cube in its panel, so that nothing touches or is cut.
-_ROOM: Final = 10.0
+# Distance of the name of an axis in space from its ticks [points], and size of the cube in its panel. With these
+# nothing touches or is cut off.
+_LABEL_PAD: Final = 10.0
 _ZOOM: Final = 0.85
 _TICKS_IN_SPACE: Final = 5
 
 
 def front_figure(front: Front) -> Figure:
-    """Return the front beside panels for the variables that change along it, and for a third objective."""
+    """Return a figure of the front, with panels for a third objective and for the variables that change along it."""
     varying = [v for v, own in zip(front.variables, front.designs.T, strict=True)
                if np.ptp(own) > _CONSTANT * np.max(np.abs(own))]  # fmt: skip
     varying = varying or list(front.variables)
@@ -51,9 +54,9 @@ def front_figure(front: Front) -> Figure:
     panels = [*front.goals[2:], *varying]
     columns = 1 if len(panels) <= 3 else 2
     rows = math.ceil(len(panels) / columns)
-    width, height, least = _PANEL[len(front.goals)]
-    figure = Figure(figsize=(_WIDTH + width * columns, max(least, height * rows)), layout="constrained")
-    left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(_WIDTH, width * columns))[0]
+    width, height, least = _PANEL_SIZES[len(front.goals)]
+    figure = Figure(figsize=(_FRONT_WIDTH + width * columns, max(least, height * rows)), layout="constrained")
+    left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(_FRONT_WIDTH, width * columns))[0]
     draw_front(left.add_subplot(projection=None if flat else "3d"), front)
     every = right.subplots(rows, columns, sharex=True, sharey=not flat, squeeze=False)
     for axes, axis in zip(every.T.ravel(), panels, strict=False):
@@ -63,7 +66,7 @@ def front_figure(front: Front) -> Figure:
     for axes in every[-1]:
         axes.set_xlabel(_label(front, front.goals[0]), fontsize=None if flat else "small")
         if flat:
-            _plain(axes, _places(front, front.points)[:, 0], "x")
+            _set_ticks(axes, _places(front, front.points)[:, 0], "x")
     for axes in [] if flat else every[:, 0]:
         axes.set_ylabel(_label(front, front.goals[1]), fontsize="small")
     if heading := _heading(front, [v for v in front.variables if v not in varying]):
@@ -75,21 +78,22 @@ def draw_front(axes: Axes, front: Front) -> None:
     """Draw the parts of a front, its holes, its knee, and the local optima that it dominates.
 
     Args:
-        axes: to draw on; of three objectives in space.
+        axes: to draw on; 3D axes for three objectives.
         front: the front.
     """
     flat = len(front.goals) == 2
     places, beaten = _places(front, front.points), _places(front, front.dominated)
     if len(beaten):
-        axes.plot(*beaten.T, "x", color=_GREY, markersize=4.5, zorder=2, label=_BEATEN)
+        axes.plot(*beaten.T, "x", color=_GREY, markersize=4.5, zorder=2, label=_DOMINATED)
     for number, part in enumerate(front.parts):
         own, colour = places[list(part)], COLOURS[number % len(COLOURS)]
         for corners in [] if flat else _triangles(own):
-            axes.plot_trisurf(*own.T, triangles=corners, color=colour, alpha=0.35, linewidth=0.3, edgecolor=colour)  # type: ignore[attr-defined]
+            face = {"color": colour, "alpha": 0.35, "linewidth": 0.3, "edgecolor": colour}
+            axes.plot_trisurf(*own.T, triangles=corners, **face)  # type: ignore[attr-defined]
         label = "front" if len(front.parts) == 1 else f"front, part {number + 1}"
         axes.plot(*own.T, "o-" if flat else "o", color=colour, markersize=4, linewidth=1.3, zorder=4, label=label)
-    if len(open_ones := places[[not point.confirmed for point in front.points]]):
-        axes.plot(*open_ones.T, "o", color="white", markersize=3, zorder=9, label="unconfirmed")
+    if len(unconfirmed := places[[not point.confirmed for point in front.points]]):
+        axes.plot(*unconfirmed.T, "o", color="white", markersize=3, zorder=9, label="unconfirmed")
     if flat:
         _finish_curve(axes, front, places, beaten)
     else:
@@ -108,26 +112,27 @@ def _finish_curve(axes: Axes, front: Front, places: Array, beaten: Array) -> Non
     (left, right), (bottom, top) = sorted(axes.get_xlim()), sorted(axes.get_ylim())
     if not any(left <= x <= right and bottom <= y <= top for x, y in beaten):
         for line in axes.get_lines():
-            if line.get_label() == _BEATEN:
+            if line.get_label() == _DOMINATED:
                 line.remove()
     axes.set(xlabel=_label(front, front.goals[0]), ylabel=_label(front, front.goals[1]))
     for along, values in zip("xy", places.T, strict=True):
-        _plain(axes, values, along)
+        _set_ticks(axes, values, along)
     axes.grid(alpha=0.25)
 
 
 def _finish_surface(axes: Axes, front: Front) -> None:
-    """Label the axes of a surface, and look at it from the side on which both of the first objectives are better."""
+    """Label the axes of a surface, and view it from the side where the first two objectives are better."""
     for along, goal in zip("xyz", front.goals, strict=True):
-        getattr(axes, f"set_{along}label")(_label(front, goal), labelpad=_ROOM)
+        getattr(axes, f"set_{along}label")(_label(front, goal), labelpad=_LABEL_PAD)
         getattr(axes, f"{along}axis").set_major_locator(MaxNLocator(_TICKS_IN_SPACE))
     axes.set_box_aspect(None, zoom=_ZOOM)  # type: ignore[call-arg]
     first, second = (goal.sign for goal in front.goals[:2])
-    axes.view_init(elev=_ABOVE, azim=math.degrees(math.atan2(-second, -first)) + _ASIDE)  # type: ignore[attr-defined]
+    azimuth = math.degrees(math.atan2(-second, -first)) + _ASIDE
+    axes.view_init(elev=_ELEVATION, azim=azimuth)  # type: ignore[attr-defined]
 
 
 def _limit(axes: Axes, places: Array, beaten: Array) -> None:
-    """Show the front with half its range around it, however far dominated optima lie."""
+    """Limit the axes to the front and half its range around it, however far away dominated optima lie."""
     low, high = places.min(axis=0), places.max(axis=0)
     if not len(beaten) or not np.all(high > low):
         return
@@ -137,12 +142,12 @@ def _limit(axes: Axes, places: Array, beaten: Array) -> None:
     axes.set(xlim=(least[0], most[0]), ylim=(least[1], most[1]))
 
 
-def _plain(axes: Axes, values: Array, along: str) -> None:
-    """Show whole numbers that do not touch along an axis, and what hardly changes as hardly changing.
+def _set_ticks(axes: Axes, values: Array, along: str) -> None:
+    """Number an axis without an offset and with space between numbers, over at least 1 % of its largest value.
 
     Args:
-        axes: on which everything is drawn.
-        values: the front's along it.
+        axes: on which everything is drawn already.
+        values: values of the front along the axis.
         along: "x" or "y".
     """
     low, high = axes.get_xlim() if along == "x" else axes.get_ylim()
@@ -155,7 +160,7 @@ def _plain(axes: Axes, values: Array, along: str) -> None:
 
 
 def _draw_along(axes: Axes, front: Front, variable: Axis) -> None:
-    """Draw a variable along the first objective, its bounds where it comes near them."""
+    """Draw a variable over the first objective, with those of its bounds that lie in the range shown."""
     values, factor = _values(front, variable), front.display(variable).factor
     places = _places(front, front.points)[:, 0]
     for number, part in enumerate(front.parts):
@@ -176,9 +181,9 @@ def _draw_along(axes: Axes, front: Front, variable: Axis) -> None:
 
 
 def _triangles(places: Array) -> list[np.ndarray]:
-    """Return the corners of the triangles between a part's points, in a list that is empty for a part that is a line.
+    """Return the corners of the triangles between the points of a part, as a list of one array, or of none for a line.
 
-    They are seen along the diagonal on which all objectives grow, from which no part of a front hides another.
+    The points are triangulated in a projection along the diagonal (1, 1, 1), in which no part of a front hides another.
     """
     if len(places) < _LEAST_CORNERS:
         return []
@@ -188,7 +193,7 @@ def _triangles(places: Array) -> list[np.ndarray]:
         return []
     corners = Triangulation(*flat.T).triangles
     sides = np.linalg.norm(flat[corners] - flat[np.roll(corners, 1, axis=1)], axis=2)
-    short = np.max(sides, axis=1) < _LONGEST * np.median(sides)
+    short = np.max(sides, axis=1) < _LONGEST_SIDE * np.median(sides)
     return [corners[short]] if np.any(short) else []
 
 
@@ -208,13 +213,13 @@ def _draw_over(axes: Axes, front: Front, axis: Axis) -> None:
 
 
 def _range(axis: Axis, values: Array, factor: float, margin: float = 0.0) -> tuple[float, float]:
-    """Return the range in which a variable is drawn: what hardly moves is drawn as hardly moving.
+    """Return the range of an axis for a variable; if the variable hardly changes, the range is wider than that.
 
     Args:
-        axis: with its bounds.
-        values: along the front, in the unit in which they are drawn.
-        factor: that unit's size.
-        margin: part of the range that is left free.
+        axis: variable with its bounds.
+        values: values along the front, in the unit shown.
+        factor: size of that unit.
+        margin: part of the range to leave free.
     """
     low, high = float(values.min()), float(values.max())
     if axis.log:
@@ -227,13 +232,13 @@ def _range(axis: Axis, values: Array, factor: float, margin: float = 0.0) -> tup
 
 
 def _places(front: Front, points: Sequence[FrontPoint]) -> Array:
-    """Return the objectives of points in the units in which they are drawn, a row each."""
+    """Return the objectives of points in the units shown, a row each."""
     factors = [front.display(goal).factor for goal in front.goals]
     return np.array([point.objectives for point in points]).reshape(-1, len(factors)) / factors
 
 
 def _values(front: Front, axis: Axis) -> Array:
-    """Return an objective or a variable of every point in the unit in which it is drawn."""
+    """Return an objective or a variable of all points in the unit shown."""
     columns = dict(zip((*front.goals, *front.variables), (*front.objectives.T, *front.designs.T), strict=True))
     return np.asarray(columns[axis] / front.display(axis).factor)
 
@@ -243,7 +248,7 @@ def _label(front: Front, axis: Axis) -> str:
 
 
 def _heading(front: Front, same: Sequence[Axis]) -> str:
-    """Return the title, and the variables that are the same in every design."""
+    """Return the title, and the values of variables that are the same in every design."""
     values = [f"{called(v.name)} {front.display(v).text(front.points[0].variables[v.name], 4)}" for v in same]
     words = f"{', '.join(values)} in every design" if values else ""
     return "\n".join(part for part in (front.title, words) if part)

@@ -1,11 +1,12 @@
-"""The one program of a trade-off: its parameters say which objective is minimised and where the others must stay.
+"""Program of a trade-off: its parameters choose which objective is minimised and where the others must stay.
 
-With weights w, and for each further objective a normal n and a position c, all of them parameters, it is
+With weights w, and for each further objective a normal n and a limit c, all of them parameters, the program is
 
-    minimise  w0 + sum_i w_i f_i/s_i   subject to   sum_i n_ki f_i/s_i - c_k <= 0   and the requirements,
+    minimise  w0 + sum_i w_i f_i/s_i   subject to   sum_i n_ki f_i/s_i - c_k <= 0   and the requirements.
 
-which is an objective alone (n = 0), the normalised normal constraint (Messac, Ismail-Yahaya and Mattson 2003; of three
-objectives Messac and Mattson 2004) with w and n in units of the objectives' ranges, or limits of the others beside one.
+One choice of parameters is one subproblem: an objective alone (n = 0), an objective with limits on the others, or the
+normalised normal constraint (Messac, Ismail-Yahaya and Mattson 2003; for three objectives Messac and Mattson 2004) with
+w and n in units of the objectives' ranges. The rows with n and c are the position constraints.
 """
 
 import copy
@@ -24,40 +25,42 @@ from plough_opt.design.program import Program
 from plough_opt.design.verify import TightEvaluation
 from plough_opt.motion.run import Run
 from plough_opt.motion.scene import Scene
+from plough_opt.studies.tradeoff.corrector import BatchCorrector, Corrector
 from plough_opt.studies.tradeoff.front import Goal
-from plough_opt.studies.tradeoff.level import BatchLevel, Level
 
 _POSITION = "position on the front"
+# Factor on the number of integration steps for each refinement.
 _FINER = 1.5
-# Multipliers below this pull at nothing.
+# Position constraints with smaller scaled multipliers are inactive.
 _PULLS = 1e-6
+# Errors of objectives that are smaller than this, in units of their size at the guess, are relative to this.
+_SMALL = 1e-3
 
 
 class FrontProgram:
-    """A design's program with several objectives.
+    """Program of a design with several objectives.
 
     Attributes:
         program: the program.
         count: number of objectives.
-        declared: by the design.
-        scales: sizes of the objectives, in their units.
-        signs: -1 for an objective that is maximised.
-        units: what a scaled objective is multiplied by to be one in its unit.
-        rows: numbers of the constraints that set the position.
-        levels: what solves the built program, by whether with exact slopes. Without them it does by the steps of a
-            batch, with slopes by differences; where no run takes automatic steps, or runs are integrated one by one,
-            both are exact.
-        low: normalised objectives' zero, in scaled units.
-        span: their range.
-        building: time that was spent on writing it since it was last prepared [s].
-        rounded_off: largest part of an objective by which it changes and is taken to change by nothing.
+        declared: declarations of the design.
+        scales: sizes of the objectives at the guess, in their units.
+        signs: -1 for an objective that is maximised, else 1.
+        units: factors that turn scaled objectives into objectives in their units.
+        position_rows: numbers of the position constraints among the requirements.
+        correctors: solver of the built program with exact slopes (True), and the faster one with slopes by differences
+            of batched runs (False). Both are exact if no run takes automatic steps, or runs are integrated one by one.
+        low: scaled objectives that are 0 when normalised.
+        span: ranges of the scaled objectives that are 1 when normalised.
+        building: time spent on writing the program since it was last prepared [s].
+        ignored_conflict: largest relative change of an objective that was taken for none.
     """
 
     def __init__(self, declared: Declarations, goals: Sequence[Goal], *, compiled: bool = False) -> None:
         """Declare the program of a design's `declarations`.
 
         Raises:
-            InputError: a symbol of another design.
+            InputError: an objective holds symbols of another design.
         """
         for goal in goals:
             if strangers := declared.strangers(ca.MX(goal.expression)):
@@ -65,17 +68,14 @@ class FrontProgram:
                     f"the objective '{goal.name}' holds symbols that this design did not declare"
                     f" ({', '.join(strangers)}): make them with design.variable or design.parameter of this design"
                 )
-        self.count = len(goals)
+        self.count = count = len(goals)
         self.signs = np.array([goal.sign for goal in goals])
         self.declared = declared
         self._values = [parameter.value for parameter in declared.parameters]
-        self.scales = _sizes([goal.sign * ca.MX(goal.expression) for goal in goals], declared.symbols(),
-                             [*(v.guess for v in declared.variables), *self._values])  # fmt: skip
+        objectives = [goal.sign * ca.MX(goal.expression) for goal in goals]
+        self.scales = _sizes(objectives, declared.symbols(), [*(v.guess for v in declared.variables), *self._values])
         self.units = self.signs * self.scales
-        scaled = ca.vertcat(
-            *(goal.sign * ca.MX(goal.expression) / s for goal, s in zip(goals, self.scales, strict=True))
-        )
-        count = self.count
+        scaled = ca.vertcat(*(objective / size for objective, size in zip(objectives, self.scales, strict=True)))
         own = [ca.MX.sym(f"{_POSITION} {k}") for k in range(count * (count + 1))]
         weights, limits = ca.vertcat(*own[: 1 + count]), ca.vertcat(*own[1 - count :])
         normals = ca.reshape(ca.vertcat(*own[1 + count : 1 - count]), count, count - 1).T
@@ -92,11 +92,11 @@ class FrontProgram:
             compiled=compiled,
         )
         first = self.program.owner.index(len(declared.requirements))
-        self.rows = np.arange(first, first + count - 1)
+        self.position_rows = np.arange(first, first + count - 1)
         self._tight: dict[bytes, tuple[Vector, list[Vector]]] = {}
-        self.levels: dict[bool, Level] = {}
+        self.correctors: dict[bool, Corrector] = {}
         self.building = 0.0
-        self.rounded_off = 0.0
+        self.ignored_conflict = 0.0
         self._refinement = 1.0
         self._starts: list[Vector] = []
 
@@ -104,182 +104,184 @@ class FrontProgram:
         """Check the program for values of the design's parameters.
 
         Args:
-            values: of the parameters, as they were declared.
+            values: of the parameters, in the order of their declaration.
 
         Raises:
-            InputError: a model without a value at the guess and in a sample.
-            DomainError: bounds that lead out of the model's domain.
+            InputError: the model has no value at the guess or in a sample.
+            DomainError: the bounds lead out of the model's domain.
         """
         self._values = values.tolist()
         self._tight.clear()
-        self.levels.clear()
+        self.correctors.clear()
         self.normalise(np.zeros(self.count), np.ones(self.count))
-        # With these parameters objective and positions are the scaled objectives.
+        # With these parameters the program's objective and position constraints are the scaled objectives themselves.
         count = self.count
-        self._all = self.parameters((0.0, 1.0, *np.zeros(count - 1)), np.eye(count)[1:], np.zeros(count - 1))
+        self._objectives_only = self._parameters(
+            (0.0, 1.0, *np.zeros(count - 1)), np.eye(count)[1:], np.zeros(count - 1)
+        )
         self._refinement, self.building = 1.0, 0.0
-        self.program.prepare(self.nowhere())
+        self.program.prepare(self.neutral_parameters())
 
     def own_values(self) -> dict[str, float]:
         """Return the values of the design's own parameters by name."""
         return {p.name: float(value) for p, value in zip(self.declared.parameters, self._values, strict=True)}
 
-    def parameters(self, weights: Sequence[float], normals: Vector, positions: Vector) -> Vector:
-        """Return the program's parameters for w, n (a row for each position) and c, in scaled units."""
-        return np.array([*self._values, *weights, *np.ravel(normals), *positions])
-
     def build(self, starts: Sequence[Vector]) -> None:
-        """Write the program with enough integration steps at some scaled designs, or keep what is written."""
+        """Write the program with enough integration steps for some scaled designs, unless that is already so."""
         self._starts = list(starts)
         self._build()
 
     def refine(self) -> None:
-        """Take more integration steps."""
+        """Write the program with more integration steps."""
         self._refinement *= _FINER
         self._build()
 
     def _build(self) -> None:
         program, began = self.program, time.perf_counter()
-        program.build(self.nowhere(), self._refinement, self._starts)
+        program.build(self.neutral_parameters(), self._refinement, self._starts)
         self.building += time.perf_counter() - began
-        if not self.levels or self.levels[True].nlp is not program.built.nlp:
+        if not self.correctors or self.correctors[True].nlp is not program.built.nlp:
             batched = program.wanted_error and program.population.vectorised
-            self.levels[True] = Level(program)
-            self.levels[False] = BatchLevel(program) if batched else self.levels[True]
+            self.correctors[True] = Corrector(program)
+            self.correctors[False] = BatchCorrector(program) if batched else self.correctors[True]
         self.normalise(self.low, self.span)
 
-    def nowhere(self) -> Vector:
-        """Return parameters with which the objective is 1 and no position is set.
+    def normalise(self, low: Vector, span: Vector) -> None:
+        """Set which scaled objectives are 0 when normalised, and which ranges are 1."""
+        self.low, self.span = low, span
+        quick = self.correctors.get(False)
+        if isinstance(quick, BatchCorrector):
+            quick.set_largest_objective(float(np.max((np.abs(low) + span) / span)))
 
-        The program is scaled by its values with these, so that the scales of objective and positions are 1.
+    def normalised(self, scaled: Vector) -> Vector:
+        """Return scaled objectives in units of their ranges over the front."""
+        return np.asarray((scaled - self.low) / self.span)
+
+    def scaled(self, normalised: Vector) -> Vector:
+        """Return normalised objectives as the program scales them."""
+        return np.asarray(normalised * self.span + self.low)
+
+    # --- subproblems -------------------------------------------------------------------------------------
+
+    def _parameters(self, weights: Sequence[float], normals: Vector, limits: Vector) -> Vector:
+        """Return the program's parameters for w, n (a row for each constraint) and c, in scaled units."""
+        return np.array([*self._values, *weights, *np.ravel(normals), *limits])
+
+    def neutral_parameters(self) -> Vector:
+        """Return parameters for which the objective is constantly 1 and no position constraint is active.
+
+        The program is scaled by its values with these, so that the scales of objective and position constraints are 1.
         """
         nothing = self.weighted(np.zeros(self.count))
         nothing[len(self._values)] = 1.0
         return nothing
 
-    def normalise(self, low: Vector, span: Vector) -> None:
-        """Set the scaled objectives that are 0, and the range that is 1."""
-        self.low, self.span = low, span
-        quick = self.levels.get(False)
-        if isinstance(quick, BatchLevel):
-            quick.normalised(float(np.max((np.abs(low) + span) / span)))
-
-    # --- questions ---------------------------------------------------------------------------------------
-
     def weighted(self, weights: Vector) -> Vector:
-        """Return the parameters for a weighted sum of the scaled objectives."""
+        """Return the parameters that minimise a weighted sum of the scaled objectives, without position constraints."""
         count = self.count
-        return self.parameters((0.0, *weights), np.zeros((count - 1, count)), np.ones(count - 1))
+        return self._parameters((0.0, *weights), np.zeros((count - 1, count)), np.ones(count - 1))
 
     def limited(
-        self, objective: int, limits: Mapping[int, float], others: float = 0.0, *, beside: bool = False
+        self, objective: int, limits: Mapping[int, float], others: float = 0.0, *, relative: bool = False
     ) -> Vector:
-        """Return the parameters for one normalised objective with limits on the others.
+        """Return the parameters that minimise one normalised objective with limits on the others.
 
         Args:
-            objective: which is minimised.
-            limits: largest value of each other one, normalised.
-            others: weight of the others, which decides what the limits leave open.
-            beside: whether limits are on what the others exceed the objective by.
+            objective: number of the objective to minimise.
+            limits: largest value of each other objective, normalised.
+            others: weight of the other objectives, which decides what the limits leave open.
+            relative: whether the limits are on the excess of each other objective over the minimised one.
         """
         weights, normals = np.full(self.count, others), np.zeros((self.count - 1, self.count))
         weights[objective] = 1.0
         normals[np.arange(len(limits)), list(limits)] = 1.0
-        normals[:, objective] = -1.0 if beside else 0.0
+        normals[:, objective] = -1.0 if relative else 0.0
         zero = self.low / self.span
-        return self.parameters(
+        return self._parameters(
             (-float(weights @ zero), *(weights / self.span)),
             normals / self.span,
             np.array(list(limits.values())) + normals @ zero,
         )
 
-    def question(self, p: Vector) -> tuple[Vector, Vector, Vector]:
-        """Return w, n and c of parameters."""
+    def subproblem(self, p: Vector) -> tuple[Vector, Vector, Vector]:
+        """Return w, n and c of parameters, in scaled units."""
         count, own = self.count, p[len(self._values) :]
         return own[: 1 + count], own[1 + count : 1 - count].reshape(count - 1, count), own[1 - count :]
 
-    # --- answers -----------------------------------------------------------------------------------------
-
-    def solve(self, at: Point, start: Vector, p: Vector, *, exact: bool = False) -> Point:
-        """Return the optimum near a start: from a neighbour's multipliers, or without these.
+    def solve(self, neighbour: Point, start: Vector, p: Vector, *, exact: bool = False) -> Point:
+        """Return the optimum of a subproblem near a start, from a neighbour's multipliers or, failing that, without.
 
         Args:
-            at: the neighbour.
+            neighbour: an optimum nearby.
             start: scaled variables.
-            p: parameters.
-            exact: whether with exact slopes.
+            p: parameters of the subproblem.
+            exact: whether to use exact slopes.
         """
-        level = self.levels[exact]
-        point = level.correct(at, start, p)
-        return point if point.solved else level.from_afar(at, start, p)
+        corrector = self.correctors[exact]
+        point = corrector.correct(neighbour, start, p)
+        return point if point.solved else corrector.solve_from_afar(neighbour, start, p)
+
+    def position_decides(self, point: Point) -> bool:
+        """Return whether all position constraints are active at an optimum."""
+        return bool(np.all(point.lam_g[self.position_rows] > _PULLS))
+
+    def weights_at(self, point: Point, p: Vector) -> Vector:
+        """Return the weights with which the scaled objectives' gradients balance at an optimum of a subproblem."""
+        weights, normals, _ = self.subproblem(p)
+        return np.asarray(weights[1:] + point.lam_g[self.position_rows] @ normals)
+
+    # --- values ------------------------------------------------------------------------------------------
 
     def objectives(self, y: Vector, *, exact: bool = False) -> Vector:
-        """Return the normalised objectives as the optimiser has them."""
-        f, g = self.levels[exact].values(y, self._all)
-        return self.normalised(np.concatenate([f, g[self.rows]]))
+        """Return the normalised objectives of a design, as the optimiser computes them."""
+        f, g = self.correctors[exact].values(y, self._objectives_only)
+        return self.normalised(np.concatenate([f, g[self.position_rows]]))
 
-    def look(self, points: Vector, finer: float, together: int) -> tuple[Vector, Vector]:
-        """Return scaled objectives and all rows of requirements, in their units, of designs, a row for each.
+    def evaluate(self, points: Vector, finer: float, together: int) -> tuple[Vector, Vector]:
+        """Return scaled objectives and all rows of requirements, in their units, a row for each design.
 
         Args:
-            points: scaled variables.
+            points: scaled variables, a row for each design.
             finer: as in `Population`.
             together: as in `Population`.
         """
         with np.errstate(all="ignore"):
-            f, g = self.program.population(points, self._all, finer=finer, together=together)
-        return np.column_stack([f, g[:, self.rows]]), g
+            f, g = self.program.population(points, self._objectives_only, finer=finer, together=together)
+        return np.column_stack([f, g[:, self.position_rows]]), g
 
     def tight(self, y: Vector) -> tuple[Vector, list[Vector]]:
-        """Return the scaled objectives and all requirements, integrated tightly."""
+        """Return the scaled objectives and all requirements of a design by a tight integration."""
         key = y.tobytes()
         if key not in self._tight:
-            found = self.program.exact.values([*self.program.values(y), *self._all])
-            row = 1 + self.program.owner[self.rows[0]]
+            found = self.program.exact.values([*self.program.values(y), *self._objectives_only])
+            row = 1 + self.program.owner[self.position_rows[0]]
             self._tight[key] = np.concatenate([found[0].ravel(), found[row].ravel()]), found[1:]
         return self._tight[key]
-
-    def runs(self, y: Vector) -> list[Run]:
-        """Return the runs at a design, integrated tightly."""
-        exact = self.program.exact
-        return [exact.followed(k, *exact.inputs(k, self._numbers(y))) for k in range(len(exact.runs))]
-
-    def still_scenes(self, y: Vector) -> list[Scene]:
-        """Return the scenes at a design, with numbers, that are not integrated."""
-        return self.program.exact.quasi_static_scenes(self._numbers(y))
-
-    def _numbers(self, y: Vector) -> list[float]:
-        """Return the values of all symbols at a design."""
-        return [*self.program.values(y), *self.nowhere()]
-
-    def normalised(self, scaled: Vector) -> Vector:
-        """Return scaled objectives in units of the front's range."""
-        return np.asarray((scaled - self.low) / self.span)
-
-    def scaled(self, normalised: Vector) -> Vector:
-        """Return objectives in units of the front's range as the program scales them."""
-        return np.asarray(normalised * self.span + self.low)
 
     def gap(self, y: Vector, *, exact: bool = True) -> float:
         """Return the largest relative difference of the optimiser's objectives from the tightly integrated ones."""
         found, tight = self.scaled(self.objectives(y, exact=exact)), self.tight(y)[0]
-        return float(np.max(np.abs(found - tight) / np.maximum(np.abs(tight), 1e-3)))
+        return float(np.max(np.abs(found - tight) / np.maximum(np.abs(tight), _SMALL)))
 
-    def holds(self, point: Point) -> bool:
-        """Return whether it is the position that decides where on the front an optimum lies."""
-        return bool(np.all(point.lam_g[self.rows] > _PULLS))
+    def runs(self, y: Vector) -> list[Run]:
+        """Return the runs of a design by a tight integration."""
+        exact = self.program.exact
+        return [exact.followed(k, *exact.inputs(k, self._numbers(y))) for k in range(len(exact.runs))]
 
-    def slopes(self, point: Point, p: Vector) -> Vector:
-        """Return how strongly an optimum weighs each scaled objective: their gradients so weighted balance."""
-        weights, normals, _ = self.question(p)
-        return np.asarray(weights[1:] + point.lam_g[self.rows] @ normals)
+    def still_scenes(self, y: Vector) -> list[Scene]:
+        """Return the scenes of a design that are not integrated, with numbers."""
+        return self.program.exact.quasi_static_scenes(self._numbers(y))
+
+    def _numbers(self, y: Vector) -> list[float]:
+        """Return the values of all symbols at a design."""
+        return [*self.program.values(y), *self.neutral_parameters()]
 
 
 def declarations(design: Design, goals: Sequence[Goal]) -> Declarations:
-    """Return what a design declares, with an objective in the place of its own.
+    """Return what a design declares, with an objective in place of its own.
 
     Raises:
-        InputError: nothing to vary.
+        InputError: the design has no variables.
     """
     own = copy.copy(design)
     own.minimise(goals[0].expression)
@@ -287,10 +289,10 @@ def declarations(design: Design, goals: Sequence[Goal]) -> Declarations:
 
 
 def _sizes(expressions: list[ca.MX], symbols: list[ca.MX], numbers: list[float]) -> list[float]:
-    """Return the sizes of the objectives at the guess, 1 for one that is zero or has no value there."""
+    """Return the sizes of the objectives at the guess; 1 for an objective that is zero or has no value there."""
     try:
         found = TightEvaluation(expressions, symbols).values(numbers)
-    except (PloughError, RuntimeError):  # building the program says which of them, and why
+    except (PloughError, RuntimeError):  # building the program reports which objective fails, and why
         return [1.0] * len(expressions)
     sizes = (abs(float(value.item())) for value in found)
     return [size if np.isfinite(size) and size > 0.0 else 1.0 for size in sizes]

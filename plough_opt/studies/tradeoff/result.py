@@ -1,4 +1,4 @@
-"""Result of a trade-off: its front with tables, pictures and files."""
+"""Result of a trade-off: the front with its tables, pictures and files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class TradeOff(Saveable, Front):
-    """A front of designs, from the best in the first objective on: a curve between two, a surface between three.
+    """Front of designs, from the best in the first objective to the worst: a curve for two, a surface for three.
 
     Its attributes are those of `Front`.
 
@@ -41,11 +41,11 @@ class TradeOff(Saveable, Front):
     kind = "trade-off"
 
     def page(self) -> Page:
-        """Return the front as a table by parts, its holes, what a little more costs, and what has no result."""
+        """Return the front as a report: a table by parts, holes, costs at the knee, and positions without a design."""
         return _page(self)
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return a row for each point: part, objectives and variables, SI; ``attrs["units"]`` has the units.
+        """Return a row for each point: part, objectives and variables in SI units; ``attrs["units"]`` has the units.
 
         Raises:
             InputError: pandas is not installed.
@@ -62,13 +62,13 @@ class TradeOff(Saveable, Front):
     def plot(self, target: str | Path | None = None) -> Figure: ...
 
     def plot(self, target: str | Path | Axes | None = None) -> Figure | Axes:
-        """Draw the front beside how each variable moves along it; on given axes the front alone.
+        """Draw the front, and beside it how each variable changes along it; on given axes draw the front alone.
 
         Args:
-            target: file to write (.png, .svg, .pdf), axes to draw on (of three objectives in space), or None.
+            target: file to write (.png, .svg, .pdf), axes to draw on (3D axes for three objectives), or None.
 
         Raises:
-            InputError: a file name without a known ending, or a place that cannot be written.
+            InputError: the file has no known picture format, or cannot be written.
         """
         from plough_opt.core.files import save_figure
         from plough_opt.studies.tradeoff.picture import draw_front, front_figure
@@ -82,10 +82,10 @@ class TradeOff(Saveable, Front):
         return figure
 
     def to_csv(self, path: str | Path) -> Path:
-        """Write a table of all points, SI units, the efficient ones first.
+        """Write a table of all points in SI units, the efficient ones first.
 
         Raises:
-            InputError: the place cannot be written.
+            InputError: the file cannot be written.
         """
         text = StringIO()
         table = csv.writer(text, lineterminator="\n")
@@ -117,7 +117,7 @@ def _page(front: Front) -> Page:
     parts: list[Grid | str] = [_table(front, everywhere)]
     for hole in front.holes:
         start, end = (_place(front, place) for place in (hole.start, hole.end))
-        doubt = "" if hole.settled else "; the optimiser failed within, so that some may be missing"
+        doubt = "" if hole.settled else "; the optimiser failed inside, so designs may be missing"
         parts.append(f"Hole: no efficient design between {start}, and {end}{doubt}.")
     if front.knee is not None:
         number = front.points.index(front.knee)
@@ -128,7 +128,7 @@ def _page(front: Front) -> Page:
     parts += [front.search] if front.search else []
     failures: dict[str, list[str]] = {}
     for failure in front.failures:
-        # Before the colon is IPOPT's own word.
+        # IPOPT's status stands before the colon.
         reason = failure.reason.partition(": ")[2] or failure.reason
         failures.setdefault(reason, []).append(_place(front, failure.objectives))
     parts += [f"No certified design near {'; '.join(places)}: {reason}." for reason, places in failures.items()]
@@ -136,7 +136,7 @@ def _page(front: Front) -> Page:
     residual = max((point.residual for point in front.points if point.confirmed), default=0.0)
     footer = (
         f"{len(front.dominated)} further local optima are dominated, {len(front.needles)} are needles; first-order"
-        f" conditions met to {residual:.0e}, re-integrated tightly: gap {gap:.0e}; {front.seconds:.1f} s,"
+        f" conditions met to {residual:.0e}, gap to a tight integration {gap:.0e}; {front.seconds:.1f} s,"
         f" {front.building:.1f} s of them for building"
     )
     names = ", ".join(called(goal.name) for goal in front.goals)
@@ -144,11 +144,11 @@ def _page(front: Front) -> Page:
 
 
 def _table(front: Front, everywhere: Sequence[str]) -> Grid:
-    """Return the table of a front, its knee bold.
+    """Return the table of a front, with its knee in bold.
 
     Args:
         front: the front.
-        everywhere: limits that decide every design, which no row repeats.
+        everywhere: limits that are active in every design, and so are left out of the rows.
     """
     pairs, knee = front.pairs, front.knee
     more = [f"{'more' if goal.maximise else 'less'} {called(goal.name)}" for goal in front.goals]
@@ -161,7 +161,7 @@ def _table(front: Front, everywhere: Sequence[str]) -> Grid:
     axes = (*front.goals, *front.variables)
     displays = [front.display(axis) for axis in axes]
     headings = [display.heading(called(axis.name)) for axis, display in zip(axes, displays, strict=True)]
-    # A surface's table is just as wide as 120 characters with headings of one word in a line.
+    # The table of a surface fits into 120 characters if each word of a heading has a line.
     between = " " if len(pairs) == 1 else "\n"
     columns = [
         Column(text.replace(" ", between), fold=True) for text in (*headings, *(f"{head} [%]" for head in heads))

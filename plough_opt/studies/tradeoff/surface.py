@@ -1,270 +1,338 @@
-"""Following a front of three objectives: from node to neighbouring node of a lattice, as far as it reaches."""
+"""Tracing of a front of three objectives, from node to neighbouring node of a lattice, as far as the front reaches.
+
+A front is solved at the nodes that it covers, in one of two ways. If runs are integrated side by side, the archive is
+rich: each node is solved from the best design seen near it (`_solve_from_archive`). Otherwise the front is followed
+from a solved node to its neighbours, and from those to theirs, as a flood spreads (`_flood`). Then nodes in gaps are
+tried from every side.
+"""
 
 from collections import deque
 from collections.abc import Sequence
 from itertools import permutations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.polishing import minimum_from
 from plough_opt.studies.tradeoff.archive import Archive
-from plough_opt.studies.tradeoff.candidates import MATTERS, Candidate, Order, ahead
-from plough_opt.studies.tradeoff.domination import beyond_points, undominated
-from plough_opt.studies.tradeoff.positions import Lattice, Node, covering, neighbours, parts_of, uncrowded
+from plough_opt.studies.tradeoff.candidates import MATTERS, Arrangement, Candidate, predicted
+from plough_opt.studies.tradeoff.domination import lead_over_points, undominated
+from plough_opt.studies.tradeoff.positions import (
+    Lattice,
+    Node,
+    covering,
+    neighbours,
+    parts_of,
+    uncrowded_on_surface,
+)
 from plough_opt.studies.tradeoff.tracer import Tracer
 
-# Weight of the other objectives at the edges of the front, which limits on them and the best of one leave open. A tail
-# that gains less than so much of what it gives away is left out.
-_OTHERS = 0.01
-# Weights of the objectives of an anchor: of the one it is best in, of another and of the last, in all six orders. An
-# optimum of one objective that leaves the others open is not an anchor: it does not bound them.
-_TURNS = np.array(list(permutations((1.0, 1e-3, 1e-6))))[[0, 1, 2, 4, 3, 5]]
-# Of a range: what is worse than the best by less is nearly the best.
-_NEARLY = 0.02
-# Farthest that the lattice reaches beyond the triangle of utopia, in its sides.
-_BEYOND = 1.0
-# Steps between a node and a design that lies beside it.
-_BESIDE = 1.0
-# Nearer is at the node.
-_EXACT = 1e-3
-# Steps between points that are not on positions.
+# Weight of the other objectives at the edges of the front, where limits on them leave the minimised one open. A tail of
+# the front that gains less than this part of what it gives away is left out.
+_EDGE_WEIGHT = 0.01
+# Weights of an anchor: of the objective it is best in, of another, and of the last. Each order of the three is an
+# anchor, because the optima of one objective alone may leave the others open, and do not bound the front then. The two
+# orders that begin with the same objective stand together.
+_ANCHOR_WEIGHTS = np.array(list(permutations((1.0, 1e-3, 1e-6))))[[0, 1, 2, 4, 3, 5]]
+# Normalised distance from the best within which designs compete for the start of an anchor of two objectives.
+_NEARLY_BEST = 0.02
+# Distance that the lattice extends beyond the triangle of utopia, in sides of the triangle.
+_EXTENSION = 1.0
+# An optimum closer to its node than this many steps is at the node.
+_AT_NODE = 1e-3
+# An optimum closer to its node than this many steps leads to the neighbours of that node.
+_NEAR_NODE = 1.0
+# Least distance, in steps, of a shown point that is not at a node from other points.
 _ROOM = 0.7
-# Steps, in the objectives: no efficient design that was found is farther from a point, and none that was seen and can
-# be made from what was found. In a flat triangle of the lattice none is farther than two thirds from a corner.
+# Largest distance, in steps and in any objective, of an efficient design from the nearest shown point. In a flat
+# triangle of the lattice no place is farther than two thirds of a step from a corner.
 _COVERED = 0.67
 
 
 class SurfaceTracer(Tracer):
-    """The candidates for a front of three objectives.
+    """Tracer of a front of three objectives.
 
     Attributes:
-        matters: more than of a curve, for triangles lie beside what is curved between its points.
+        matters: as of `Tracer`; larger than for a curve, because flat triangles between points of a curved surface lie
+            beside it.
     """
 
-    turns = _TURNS
+    anchor_weights = _ANCHOR_WEIGHTS
     matters = 5e-3
-    at_once, rounds = 20, 4
+    at_once, comparisons = 20, 4
 
     def __init__(self, archive: Archive, count: int, progress: Progress) -> None:
-        """Take what looks at the designs of a front's program, and the least number of positions in the triangle."""
+        """Lay a lattice over the triangle between the anchors.
+
+        Args:
+            archive: of the searches.
+            count: least number of nodes in the triangle.
+            progress: called with what is being done and the fraction done.
+        """
         super().__init__(archive, progress)
         self._lattice = Lattice.with_nodes(count)
         self.step = 1.0 / self._lattice.steps
         self.spacing = _COVERED * self.step
-        self._inside = self._lattice.triangle()
-        self._at: dict[Node, list[Candidate]] = {}
+        # Nodes to solve in any case. Those beyond are solved only where a flood reaches them.
+        self._wanted = self._lattice.triangle()
+        self._found_at: dict[Node, list[Candidate]] = {}
 
     def trace(self, anchors: Sequence[Sequence[Point]]) -> None:
-        """Find the designs at all nodes of the lattice that the front reaches, and what lies between and beyond them.
+        """Find the designs at all nodes that the front reaches, and what lies between and beyond them.
 
         Args:
-            anchors: all local optima for each order of the objectives, as `orders` has them.
+            anchors: local optima of each anchor's subproblem, in the order of `anchor_parameters`.
         """
-        ends = [self.kept(point, p) for p, points in zip(self.orders(), anchors, strict=True) for point in points]
-        if self._looks_beside:
-            self.look_beside()
-            self._start_everywhere()
+        parameters = self.anchor_parameters()
+        ends = [self.recorded(point, p) for p, points in zip(parameters, anchors, strict=True) for point in points]
+        if self._samples_around:
+            self.sample_around_best()
+            self._solve_from_archive()
         else:
-            self._start_in_the_middle(ends)
-            for number, one in enumerate(ends):
+            self._flood_from_middle(ends)
+            for number, end in enumerate(ends):
                 self.progress(f"following branch {number + 1} of {len(ends)}", number / len(ends))
-                self._flood(one, self._lattice.node_at(one.at))
+                self._flood(end, self._lattice.nearest_node(end.objectives))
         self._fill_gaps()
-        self.reach_all()
+        self.follow_missed()
 
-    def _start_everywhere(self) -> None:
-        """Solve at each node from the design of the archive nearest to it, of those that hardly any other beats.
+    # --- anchors -----------------------------------------------------------------------------------------
 
-        Compared are the designs with the least sums beside each node, which are few.
+    def all_anchors(self, starts: Sequence[Sequence[Vector]]) -> list[list[Point]]:
+        """Return the local optima of each anchor's subproblem.
+
+        Args:
+            starts: scaled designs for each objective alone.
         """
-        y, at = self.archive.feasible
-        nodes = self._lattice.nearest(at)
-        lowest = np.argsort(at.sum(axis=1), kind="stable")
-        _, first = np.unique(nodes[lowest], axis=0, return_index=True)
-        best = np.flatnonzero(beyond_points(at[lowest[first]], at) > -MATTERS)
-        best = best[np.argsort(self._lattice.off(at[best], nodes[best]), kind="stable")]
+        parameters, found = self.anchor_parameters(), list[list[Point]]()
+        for number, own in enumerate(starts):
+            # Two anchors begin with this objective. The optima of the first are starts for the second.
+            first, second = 2 * number, 2 * number + 1
+            optima = self.anchors(parameters[first], own)
+            if not optima:
+                return [*found, [], []]
+            p = parameters[second]
+            designs = [*self._start_between(_ANCHOR_WEIGHTS[second]), *own]
+            points = [self.front.solve(optima[0], y, p) for y in designs]
+            points += [self.front.solve(optimum, optimum.y, p) for optimum in optima]
+            points = [minimum_from(self.front.program, p, point) for point in points if point.solved]
+            found += [optima, sorted(points, key=lambda point: point.f)]
+        return found
+
+    def _start_between(self, weights: Vector) -> list[Vector]:
+        """Return the archive's best design in the second objective of those nearly best in the first, if there is any.
+
+        Args:
+            weights: of an anchor, whose largest is that of the first objective.
+        """
+        first, second, _ = np.argsort(-weights)
+        designs, objectives = self.archive.feasible
+        best = objectives[:, first].min(initial=np.inf)
+        near = np.flatnonzero(objectives[:, first] <= best + _NEARLY_BEST)
+        return [designs[near[np.argmin(objectives[near, second])]]] if len(near) else []
+
+    # --- positions ---------------------------------------------------------------------------------------
+
+    def parameters_at(self, objectives: Vector) -> Vector:
+        """Return the parameters of the subproblem whose position is that of normalised objectives.
+
+        The smallest objective is minimised, with limits on the excess of the other two over it.
+        """
+        smallest = int(np.argmin(objectives))
+        limits = {k: float(objectives[k] - objectives[smallest]) for k in range(3) if k != smallest}
+        return self.front.limited(smallest, limits, relative=True)
+
+    def _parameters_at_node(self, node: Node) -> Vector:
+        return self.parameters_at(np.array(node) * self.step)
+
+    def _distance(self, candidate: Candidate, node: Node) -> float:
+        """Return the distance of a candidate from a node, in steps."""
+        return float(self._lattice.distance(candidate.objectives[None], node)[0])
+
+    def _is_at(self, candidate: Candidate, node: Node) -> bool:
+        """Return whether an optimum lies at a node and no objective is held back there."""
+        return self.balances(candidate) and self._distance(candidate, node) < _AT_NODE
+
+    def candidate_of(self, p: Vector, point: Point) -> Candidate:
+        """Return the candidate to record for an optimum at a position.
+
+        On the edge of the front the position constraints are not all active. The objective minimised there may leave
+        the others open, so the optimum is solved again with a small weight on these.
+
+        Args:
+            p: parameters of the position.
+            point: its optimum.
+        """
+        if not self.front.position_decides(point):
+            weights, _, _ = self.front.subproblem(p)
+            minimised = int(np.argmax(weights[1:]))
+            objectives = self.front.objectives(point.y)
+            limits = {k: float(objectives[k]) for k in range(3) if k != minimised}
+            at_edge = self.front.limited(minimised, limits, _EDGE_WEIGHT)
+            found = self.front.solve(point, point.y, at_edge)
+            if found.solved:
+                p, point = at_edge, found
+        return self.recorded(point, p)
+
+    # --- solving at nodes --------------------------------------------------------------------------------
+
+    def _record_at(self, node: Node, candidate: Candidate | None) -> bool:
+        """Record a candidate as found at a node; return whether it is new there."""
+        known = self._found_at.setdefault(node, [])
+        if candidate is None or candidate in known:
+            return False
+        known.append(candidate)
+        return True
+
+    def _solve_from_archive(self) -> None:
+        """Solve each node from the nearest design of the archive that no other clearly dominates.
+
+        Nodes without such a design are given up: the front does not reach them.
+        """
+        designs, objectives = self.archive.feasible
+        nodes = self._lattice.nearest(objectives)
+
+        # Comparing every design with every other would take too long. The one with the least sum at each node will do.
+        by_sum = np.argsort(objectives.sum(axis=1), kind="stable")
+        _, first = np.unique(nodes[by_sum], axis=0, return_index=True)
+        lowest = objectives[by_sum[first]]
+        best = np.flatnonzero(lead_over_points(lowest, objectives) > -MATTERS)
+
+        # Of the best designs the nearest to each node, if it is not a needle.
+        by_distance = np.argsort(self._lattice.distance(objectives[best], nodes[best]), kind="stable")
+        best = best[by_distance]
         _, first = np.unique(nodes[best], axis=0, return_index=True)
-        best = best[first][~self.archive.needles(y[best[first]], at[best[first]])]
-        starts = [((int(i), int(j), int(k)), y[own]) for (i, j, k), own in zip(nodes[best], best, strict=True)]
-        self._inside &= {node for node, _ in starts}
+        nearest = best[first]
+        nearest = nearest[~self.archive.needles(designs[nearest], objectives[nearest])]
+
+        starts = [
+            ((int(i), int(j), int(k)), designs[row]) for (i, j, k), row in zip(nodes[nearest], nearest, strict=True)
+        ]
+        self._wanted &= {node for node, _ in starts}
         for number, (node, start) in enumerate(starts):
             self.progress("solving from the best designs seen", number / len(starts))
-            self._new_at(node, self.best_from(self._question(node), start))
+            self._record_at(node, self.no_worse_than(start, self._parameters_at_node(node)))
 
-    def _start_in_the_middle(self, ends: Sequence[Candidate]) -> None:
-        """Follow branches from the middle of the triangle: at an end of a front slopes may vanish that lead inside."""
-        middle = self._lattice.node_at(np.full(3, 1.0 / 3.0))
-        p = self._question(middle)
+    def _flood_from_middle(self, ends: Sequence[Candidate]) -> None:
+        """Follow the front from the middle of the triangle, since slopes that lead inwards may vanish at its ends."""
+        middle = self._lattice.nearest_node(np.full(3, 1.0 / 3.0))
+        p = self._parameters_at_node(middle)
         self.progress("solving in the middle", 0.0)
-        starts = [self.front.program.start(), np.mean([one.point.y for one in ends], axis=0)]
+        starts = [self.front.program.start(), np.mean([end.point.y for end in ends], axis=0)]
         for start in starts:
             found = self.solve(ends[0], start, p, report=False)
             if found is not None and self._is_at(found, middle):
                 self._flood(found, middle)
                 return
 
-    def all_anchors(self, bottoms: Sequence[Sequence[Vector]]) -> list[list[Point]]:
-        """Return local optima for each of `orders`, beside the bottoms of its first objective."""
-        orders, found = self.orders(), list[list[Point]]()
-        for number, own in enumerate(bottoms):
-            points, beside = self.anchors(orders[2 * number], own), orders[2 * number + 1]
-            if not points:
-                return [*found, [], []]
-            starts = [*self._toward(_TURNS[2 * number + 1]), *own]
-            others = [self.front.solve(points[0], y, beside) for y in starts]
-            others += [self.front.solve(point, point.y, beside) for point in points]
-            others = [minimum_from(self.front.program, beside, point) for point in others if point.solved]
-            found += [points, sorted(others, key=lambda point: point.f)]
-        return found
-
-    def _toward(self, weights: Vector) -> list[Vector]:
-        """Return the design of the archive that is nearly the best in the first objective, and best in the next.
+    def _flood(self, candidate: Candidate, node: Node, *, report: bool = True) -> None:
+        """Follow a branch from a node to its neighbours, from those to theirs, and so on until it ends everywhere.
 
         Args:
-            weights: of the objectives; the larger, the earlier.
+            candidate: on the branch.
+            node: where to begin.
+            report: whether to record failures. If not, the flood also stops at dominated candidates; else it passes
+                them, because the branch may become efficient again.
         """
-        first, second, _ = np.argsort(-weights)
-        y, at = self.archive.feasible
-        near = np.flatnonzero(at[:, first] <= at[:, first].min(initial=np.inf) + _NEARLY)
-        return [y[near[np.argmin(at[near, second])]]] if len(near) else []
-
-    # --- following ---------------------------------------------------------------------------------------
-
-    def _question(self, node: Node) -> Vector:
-        """Return the parameters at a node."""
-        return self.position(np.array(node) * self.step)
-
-    def position(self, at: Vector) -> Vector:
-        """Return the parameters that ask for the front's design at the place of normalised objectives.
-
-        The objective farthest beyond its corner's side is minimised.
-        """
-        objective = int(np.argmin(at))
-        limits = {k: float(at[k] - at[objective]) for k in range(3) if k != objective}
-        return self.front.limited(objective, limits, beside=True)
-
-    def _off(self, one: Candidate, node: Node) -> float:
-        """Return how many steps a candidate is from a node."""
-        return float(self._lattice.off(one.at[None], node)[0])
-
-    def _is_at(self, one: Candidate, node: Node) -> bool:
-        """Return whether a local optimum of a node is on the front at that very position."""
-        return self.is_efficient(one) and self._off(one, node) < _EXACT
-
-    def _new_at(self, node: Node, found: Candidate | None) -> bool:
-        """Keep what was found at a node; return whether it is something that was not known there."""
-        known = self._at.setdefault(node, [])
-        if found is None or found in known:
-            return False
-        known.append(found)
-        return True
-
-    def _flood(self, one: Candidate, node: Node, *, report: bool = True) -> None:
-        """Follow a branch from a node over all nodes that it reaches.
-
-        Args:
-            one: on the branch.
-            node: to begin at.
-            report: whether failures are reported, and whether to go on where others beat the branch, which it may come
-                out of.
-        """
-        visited: dict[Node, Candidate] = {}
-        waiting = deque([(one, one.point.y, node)])
-        seen = {node}
+        solved: dict[Node, Candidate] = {}
+        waiting = deque([(candidate, candidate.point.y, node)])
+        queued = {node}
         while waiting:
-            near, start, node = waiting.popleft()
-            found = self.solve(near, start, self._question(node), report=report)
-            if found is None or not self._new_at(node, found):
+            neighbour, start, node = waiting.popleft()
+            found = self.solve(neighbour, start, self._parameters_at_node(node), report=report)
+            if found is None or not self._record_at(node, found):
                 continue
-            visited[node] = found
+            solved[node] = found
             if not report and self.is_beaten(found):
                 continue
-            held = self._is_at(found, node)
-            if not (held or (node in self._inside and self._off(found, node) < _BESIDE)):
+            at_node = self._is_at(found, node)
+            if not (at_node or (node in self._wanted and self._distance(found, node) < _NEAR_NODE)):
                 continue
-            for fresh in neighbours(node):
-                beyond = held and not self._looks_beside and min(fresh) >= -_BEYOND * self._lattice.steps
-                if fresh not in seen and (fresh in self._inside or beyond):
-                    seen.add(fresh)
-                    i, j, k = (2 * a - b for a, b in zip(node, fresh, strict=True))
-                    waiting.append((found, ahead(visited.get((i, j, k)), found), fresh))
+            for following in neighbours(node):
+                extends = at_node and not self._samples_around and min(following) >= -_EXTENSION * self._lattice.steps
+                if following not in queued and (following in self._wanted or extends):
+                    queued.add(following)
+                    # The node opposite to the following one, if it is solved, tells in which direction designs change.
+                    i, j, k = (2 * here - there for here, there in zip(node, following, strict=True))
+                    waiting.append((found, predicted(solved.get((i, j, k)), found), following))
 
-    def at_the_edge(self, p: Vector, point: Point) -> Candidate:
-        """Return the candidate of an optimum at a position; where the position does not hold it, that of the edge.
-
-        The objective that is minimised there may leave the others open.
-        """
-        if not self.front.holds(point):
-            objective = int(np.argmax(self.front.question(p)[0][1:]))
-            at = self.front.objectives(point.y)
-            better = self.front.limited(objective, {k: float(at[k]) for k in range(3) if k != objective}, _OTHERS)
-            found = self.front.solve(point, point.y, better)
-            if found.solved:
-                p, point = better, found
-        return self.kept(point, p)
-
-    def uncovered(self, own: Vector, at: Vector) -> Vector:
-        """Return how far designs lie from every point, if that is far, and at a place where none was sought; else 0.
-
-        A surface that is a narrow band has few nodes, or none.
-        """
-        from scipy.spatial import KDTree  # slow to import
-
-        if not len(own):
-            return np.full(len(at), np.inf)
-        apart, _ = KDTree(own).query(at, p=np.inf)
-        far = apart > _COVERED * self.step
-        places, sought = (rows - rows.mean(axis=1, keepdims=True) for rows in (at[far], own))
-        far[far] = KDTree(sought).query(places, p=np.inf)[0] > self.step / 2.0
-        return np.where(far, apart, 0.0)
-
-    def follow_all(self, one: Candidate) -> None:
-        """Follow a branch from the node nearest to a candidate, where the archive has too few designs to lead on."""
-        if not self._looks_beside:
-            self._flood(one, self._lattice.node_at(one.at), report=False)
+    def follow_everywhere(self, candidate: Candidate) -> None:
+        """Follow a branch from the node nearest to a candidate, unless the archive is rich enough to show all of it."""
+        if not self._samples_around:
+            self._flood(candidate, self._lattice.nearest_node(candidate.objectives), report=False)
 
     def _fill_gaps(self) -> None:
         """Follow the front to nodes that have no efficient design, from every neighbour that has one."""
-        best = set(self.ordered())
-        front = [(node, one) for node, own in self._at.items() for one in own
-                 if one in best and self._is_at(one, node)]  # fmt: skip
-        for number, (node, one) in enumerate(front):
+        best = set(self.efficient())
+        front = [
+            (node, candidate)
+            for node, found in self._found_at.items()
+            for candidate in found
+            if candidate in best and self._is_at(candidate, node)
+        ]
+        for number, (node, candidate) in enumerate(front):
             self.progress("looking into gaps", number / len(front))
             for other in neighbours(node):
-                if other in self._inside and not any(self._is_at(own, other) for own in self._at.get(other, ())):
-                    self._flood(one, other, report=False)
+                if other in self._wanted and not any(self._is_at(own, other) for own in self._found_at.get(other, ())):
+                    self._flood(candidate, other, report=False)
 
     # --- what makes up the front -------------------------------------------------------------------------
 
-    def ordered(self) -> list[Candidate]:
-        """Return the candidates that no other dominates."""
-        own = [one for one in self.sound() if self.is_efficient(one)]
-        return [own[k] for k in sorted(undominated(self.places(own)))]
+    def uncovered(self, front: Vector, objectives: Vector) -> Vector:
+        """Return how far designs lie from every point of the front where it has too few points, else 0.
 
-    def order(self, candidates: Sequence[Candidate]) -> Order:
-        """Return how candidates make up a front, from the best in the first objective on."""
-        at, step = self.places(candidates), self.step
-        own = np.flatnonzero([self.is_efficient(one) for one in candidates])
-        order = np.sort(own[undominated(at[own])])
+        Those are designs far from every point and at a location on the plane where there is none. A surface that is a
+        narrow band leaves such places because it passes few nodes of the lattice, or none.
+        """
+        from scipy.spatial import KDTree  # slow to import
+
+        if not len(front):
+            return np.full(len(objectives), np.inf)
+        apart, _ = KDTree(front).query(objectives, p=np.inf)
+        far = apart > _COVERED * self.step
+        locations, known = (rows - rows.mean(axis=1, keepdims=True) for rows in (objectives[far], front))
+        far[far] = KDTree(known).query(locations, p=np.inf)[0] > self.step / 2.0
+        return np.where(far, apart, 0.0)
+
+    def efficient(self) -> list[Candidate]:
+        """Return the candidates that no other dominates."""
+        balanced = [candidate for candidate in self.without_needles() if self.balances(candidate)]
+        return [balanced[k] for k in sorted(undominated(self.objectives_of(balanced)))]
+
+    def arrange(self, candidates: Sequence[Candidate]) -> Arrangement:
+        """Return candidates arranged as a front, from the best in the first objective to the worst.
+
+        Shown are the ends of holes, anchors, points at nodes, and as many others as fit between or are needed so that
+        no efficient candidate is far from a shown one.
+        """
+        objectives, step = self.objectives_of(candidates), self.step
+        balanced = np.flatnonzero([self.balances(candidate) for candidate in candidates])
+        order = np.sort(balanced[undominated(objectives[balanced])])
         if not len(order):
-            return Order([], [], (), ())
-        parts, ends = parts_of(at[order], step)
-        anchors = np.argmin(at[order] @ _TURNS.T, axis=0)
-        rank = (self._lattice.off(at[order], self._lattice.nearest(at[order])) > _EXACT).astype(int)
-        # Of the anchors none has to stay where it lies beside another.
-        apart = anchors[uncrowded(at[order[anchors]], np.ones_like(anchors), _ROOM * step)]
-        rank[[*apart, *(row for pair in ends for row in pair)]] = 0
-        kept = covering(at[order], uncrowded(at[order], rank, _ROOM * step), _COVERED * step)
-        kept = kept[np.lexsort(at[order[kept]].T[::-1])]
-        number = {int(row): k for k, row in enumerate(kept)}
-        return Order(
+            return Arrangement([], [], (), ())
+        own = objectives[order]
+        parts, hole_ends = parts_of(own, step)
+        shown = covering(own, self._uncrowded(own, hole_ends), _COVERED * step)
+        shown = shown[np.lexsort(own[shown].T[::-1])]
+        number = {int(row): k for k, row in enumerate(shown)}
+        return Arrangement(
             [candidates[k] for k in order],
-            [candidates[k] for k in order[kept]],
+            [candidates[k] for k in order[shown]],
             tuple(tuple(sorted(number[row] for row in part if row in number)) for part in parts),
-            tuple((number[a], number[b]) for a, b in ends),
+            tuple((number[a], number[b]) for a, b in hole_ends),
         )
 
-    def look_inward(self) -> None:
-        """Keep edge points unchanged; their weights already give the trade-off rates."""
+    def _uncrowded(self, objectives: Vector, hole_ends: Sequence[tuple[int, int]]) -> NDArray[np.intp]:
+        """Return the rows of efficient points that have room: first ends and anchors, then nodes, then the others."""
+        room = _ROOM * self.step
+        rank = (self._lattice.distance(objectives, self._lattice.nearest(objectives)) > _AT_NODE).astype(int)
+        # An anchor beside another anchor need not stay.
+        anchors = np.argmin(objectives @ _ANCHOR_WEIGHTS.T, axis=0)
+        anchors = anchors[uncrowded_on_surface(objectives[anchors], np.ones_like(anchors), room)]
+        rank[[*anchors, *(row for pair in hole_ends for row in pair)]] = 0
+        return uncrowded_on_surface(objectives, rank, room)
+
+    def find_inner_neighbours(self) -> None:
+        """Keep the points on edges as they are; their multipliers already give the rates."""

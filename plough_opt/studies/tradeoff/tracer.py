@@ -1,4 +1,4 @@
-"""Follow ends, branches and basins of the archive that a front misses, or add them to it as they are."""
+"""Tracing of a front: designs of the archive that the front misses are followed, or added to it unconfirmed."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -11,202 +11,232 @@ from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.polishing import point_as_found
 from plough_opt.design.sampling import SEED
 from plough_opt.studies.tradeoff.archive import Archive
-from plough_opt.studies.tradeoff.candidates import MATTERS, OTHERS, ROUGHLY, SOUGHT, Candidate, Candidates
-from plough_opt.studies.tradeoff.domination import beating, beyond_front, beyond_points, undominated
+from plough_opt.studies.tradeoff.candidates import MATTERS, OTHERS_WEIGHT, SOUGHT, THINNING, Candidate, Candidates
+from plough_opt.studies.tradeoff.domination import (
+    lead_over_front,
+    lead_over_points,
+    strongest_dominators,
+    undominated,
+)
 
-# Times that is looked beside the front while that shows what it misses.
-_LOOKS = 4
-# How far from the best designs others are looked at, in parts of the variables' ranges, and at how many: between the
-# ripples of a force they must see the dips.
-_SPREADS, _BESIDE = (0.1, 0.03, 0.01, 0.003), 4096
-# The same of missed designs that are not optima, as those at the edge of a needle are.
-_EDGE_SPREADS, _BESIDE_EDGE = (0.03, 0.01, 0.003, 0.001), 1024
-# Missed designs that are held against their tolerances at once, and how often others take the place of needles.
-_MOST_JUDGED, _JUDGEMENTS = 100, 40
-# Of more missed designs none is better than another by less than what matters.
+# Most rounds of sampling around the best designs, as long as each shows that the front misses something.
+_MOST_ROUNDS = 4
+# Standard deviations of the samples around the best designs, in parts of the variables' ranges.
+_SPREADS = (0.1, 0.03, 0.01, 0.003)
+# Designs in each of these samples: enough to see the dips between the ripples of a force.
+_SAMPLE = 4096
+# The same around missed designs beside which there is no optimum, such as those at the edge of a needle.
+_EDGE_SPREADS = (0.03, 0.01, 0.003, 0.001)
+_EDGE_SAMPLE = 1024
+# Missed designs whose tolerances are judged at once.
+_JUDGED_AT_ONCE = 100
+# Most rounds in which the next missed designs take the place of those that turned out to be needles.
+_MOST_JUDGEMENTS = 40
+# Above this number of missed designs, those that differ by less than what matters are thinned out.
 _MANY = 10_000
 
 
 class Tracer(Candidates):
-    """Candidates, and how to find those that are missing.
+    """Candidates of a front, and the search for those that are missing.
 
     Attributes:
-        matters: of the range of an objective: a design that the front misses by less is not sought.
-        spacing: distance of missed designs that are followed at once, in normalised objectives.
-        at_once: missed designs that are followed before the front is compared with the archive again.
-        rounds: how often that is done before further designs beside the front are looked at.
+        matters: normalised lead of a design over the front below which it is not sought.
+        spacing: least distance of missed designs that are followed at once, in normalised objectives.
+        at_once: most missed designs that are followed before the archive is compared with the front again.
+        comparisons: most such comparisons before new designs are sampled around the best.
     """
 
     matters: float
     spacing: float
     at_once: int
-    rounds: int
+    comparisons: int
 
     def __init__(self, archive: Archive, progress: Progress) -> None:
-        """Take what looks at the designs of a front's program."""
+        """Begin without a candidate.
+
+        Args:
+            archive: of the searches.
+            progress: called with what is being done and the fraction done.
+        """
         super().__init__(archive, progress)
         self._tried: set[bytes] = set()
-        self._looks = 0
+        self._rounds = 0
 
     @abstractmethod
     def trace(self, anchors: Sequence[Sequence[Point]]) -> None:
-        """Find the whole front from the local optima of each objective alone."""
+        """Find the whole front from the local optima of each anchor's subproblem."""
 
     @abstractmethod
-    def position(self, at: Vector) -> Vector:
-        """Return the parameters that ask for the front's design at the place of normalised objectives."""
+    def parameters_at(self, objectives: Vector) -> Vector:
+        """Return the parameters of the subproblem whose position is that of normalised objectives."""
 
     @abstractmethod
-    def follow_all(self, one: Candidate) -> None:
+    def follow_everywhere(self, candidate: Candidate) -> None:
         """Follow the branch of a candidate wherever it leads."""
 
     @property
-    def _looks_beside(self) -> bool:
-        """Whether designs beside those of the archive are looked at, which few can be where runs go one by one."""
+    def _samples_around(self) -> bool:
+        """Whether to sample around the best designs, which takes too long if runs are integrated one by one."""
         return bool(self.archive.vary) and self.archive.vectorised
 
-    def look_beside(self) -> None:
-        """Look at designs about those of the archive that no other beats, at first far and then near."""
+    def sample_around_best(self) -> None:
+        """Add designs around the undominated ones to the archive, at first far from them and then near."""
         self.progress("looking beside the best designs", 0.0)
-        self._looks += 1
-        rng = np.random.default_rng([SEED, self._looks])
+        self._rounds += 1
+        rng = np.random.default_rng([SEED, self._rounds])
         for spread in _SPREADS:
-            y, at, beyond = self._held_against()
-            open_ones = np.flatnonzero(beyond > 0.0)
-            best = y[open_ones[undominated(at[open_ones], ROUGHLY)]]
-            self._look_around(np.vstack([best, *(one.point.y for one in self.ordered())]), spread, _BESIDE, rng)
+            designs, objectives, leads = self._archive_with_leads()
+            leading = np.flatnonzero(leads > 0.0)
+            best = designs[leading[undominated(objectives[leading], THINNING)]]
+            parents = np.vstack([best, *(candidate.point.y for candidate in self.efficient())])
+            self._sample_around(parents, spread, _SAMPLE, rng)
 
-    def _look_around(self, best: Vector, spread: float, count: int, rng: np.random.Generator) -> None:
-        """Look at so many designs about some, as far from them as a spread says."""
-        parents = best[rng.integers(len(best), size=count)]
-        self.archive.look(np.clip(parents + spread * rng.standard_normal(parents.shape), 0.0, 1.0))
+    def _sample_around(self, designs: Vector, spread: float, count: int, rng: np.random.Generator) -> None:
+        """Add designs to the archive, normally distributed around some that are given."""
+        parents = designs[rng.integers(len(designs), size=count)]
+        self.archive.evaluate(np.clip(parents + spread * rng.standard_normal(parents.shape), 0.0, 1.0))
 
-    def _held_against(self) -> tuple[Vector, Vector, Vector]:
-        """Return the archive's designs, their normalised objectives, and by how much each is better than all found.
-
-        Candidates that others dominate, and needles, do not count.
-        """
-        y, at = self.archive.feasible
-        return y, at, self.archive.beyond({one: one.at for one in self.ordered()})
-
-    def uncovered(self, _own: Vector, at: Vector) -> Vector:
-        """Return how far designs lie from the front's points where it has too few, else 0; a curve has enough."""
-        return np.zeros(len(at))
+    def _archive_with_leads(self) -> tuple[Vector, Vector, Vector]:
+        """Return the archive's designs, their normalised objectives, and their leads over the efficient candidates."""
+        designs, objectives = self.archive.feasible
+        leads = self.archive.leads_over({candidate: candidate.objectives for candidate in self.efficient()})
+        return designs, objectives, leads
 
     def candidate_beside(self, y: Vector) -> Candidate | None:
-        """Return the local optimum beside a design that the front misses, None without one.
+        """Return an optimum near a design of the archive, or None if there is none as good.
 
-        It is sought at the design's own place, as the program itself has it: a search integrates otherwise, and at the
-        bottom of a narrow dip nothing lies at a place that is better by a hair. In such a dip less of one objective, or
-        of another, is found where the others stay as they are; so it is where the place holds an optimum back.
-        """
-        front, held = self.front, None
-        at = front.objectives(y)
-        others = [{j: float(at[j]) for j in range(front.count) if j != k} for k in range(front.count)]
-        for p in (self.position(at), *(front.limited(k, limits, OTHERS) for k, limits in enumerate(others))):
-            found = self.best_from(p, y)
-            if found is not None and self.is_efficient(found):
-                return found
-            held = held or found
-        return held
-
-    def reach_all(self, *, look: bool = True) -> None:
-        """Follow the designs that the archive has beyond the front, until none is left that is not a needle.
+        It is sought at the position of the design, and then with each objective minimised in turn while the others are
+        limited to their values at the design. The latter finds optima in narrow dips, where no design at the position
+        itself is as good, and those that their position holds back.
 
         Args:
-            look: whether to look beside the front first; where that shows what the front misses, it is done again.
+            y: scaled variables of the design.
         """
-        for _ in range(_LOOKS):
-            if look and self._looks_beside:
-                self.look_beside()
-            look = self._follow_missed()
-            if not look:
+        front, fallback = self.front, None
+        objectives = front.objectives(y)
+        limits = [{j: float(objectives[j]) for j in range(front.count) if j != k} for k in range(front.count)]
+        limited = (front.limited(k, own, OTHERS_WEIGHT) for k, own in enumerate(limits))
+        for p in (self.parameters_at(objectives), *limited):
+            found = self.no_worse_than(y, p)
+            if found is not None and self.balances(found):
+                return found
+            fallback = fallback or found
+        return fallback
+
+    def follow_missed(self, *, sample: bool = True) -> None:
+        """Follow the designs of the archive that the front misses, until only needles are left.
+
+        Args:
+            sample: whether to sample around the best designs first. It is done again after whatever shows that the
+                front missed something.
+        """
+        for _ in range(_MOST_ROUNDS):
+            if sample and self._samples_around:
+                self.sample_around_best()
+            sample = self._follow_missed_now()
+            if not sample:
                 return
 
-    def follow_new(self, found: Candidate | None, known: int) -> bool:
-        """Follow the branch of a candidate that was not known; return whether none other is as good as it.
+    def follow_new(self, candidate: Candidate | None, known: int) -> bool:
+        """Follow the branch of a candidate if it is new.
 
         Args:
-            found: the candidate.
+            candidate: the candidate, or None.
             known: number of candidates before it was found.
+
+        Returns:
+            Whether it is new and no other candidate is as good.
         """
-        if found is None or len(self.found) == known:
+        if candidate is None or len(self.candidates) == known:
             return False
-        found.extra = True
-        best = not self.is_beaten(found)
-        self.follow_all(found)
+        candidate.between = True
+        best = not self.is_beaten(candidate)
+        self.follow_everywhere(candidate)
         return best
 
-    def _follow_missed(self) -> bool:
-        """Follow the designs that the front misses now; return whether any led to what no candidate was as good as."""
-        found_any = False
-        for number in range(self.rounds):
+    def _follow_missed_now(self) -> bool:
+        """Follow the designs that the front misses now; return whether that gave a candidate better than all others."""
+        improved = False
+        for number in range(self.comparisons):
             missed = self.missed(self._tried)
             for k, y in enumerate(missed[: self.at_once]):
-                self.progress("following designs that the front misses", (number + k / self.at_once) / self.rounds)
+                done = (number + k / self.at_once) / self.comparisons
+                self.progress("following designs that the front misses", done)
                 self._tried.add(y.tobytes())
-                known = len(self.found)
-                found_any |= self.follow_new(self.candidate_beside(y), known)
+                known = len(self.candidates)
+                improved |= self.follow_new(self.candidate_beside(y), known)
             if not missed:
                 break
-        return found_any
+        return improved
 
-    def is_beaten(self, one: Candidate) -> bool:
-        """Return whether some other candidate is as good in all objectives to what matters, and better in one."""
-        others = self.places([other for other in self.found if other is not one])
-        better = np.all(others <= one.at + MATTERS, axis=1) & np.any(others < one.at - MATTERS, axis=1)
-        return bool(np.any(better))
+    def is_beaten(self, candidate: Candidate) -> bool:
+        """Return whether some other candidate is better in one objective and, within what matters, no worse in any."""
+        others = self.objectives_of([other for other in self.candidates if other is not candidate])
+        no_worse = np.all(others <= candidate.objectives + MATTERS, axis=1)
+        return bool(np.any(no_worse & np.any(others < candidate.objectives - MATTERS, axis=1)))
 
-    def missed(self, known: set[bytes], *, sparse: bool = True) -> list[Vector]:
-        """Return designs by which the front could be better, where it was to be searched, none beside another.
+    def missed(self, excluded: set[bytes], *, sparse: bool = True) -> list[Vector]:
+        """Return designs of the archive that would improve the front, best first and at least `spacing` apart.
 
-        They are better than the front, or beat one of its points.
+        Such a design leads the front, or dominates one of its points.
 
         Args:
-            known: designs that are left out, as bytes: those that were tried in vain would hide others beside them.
-            sparse: whether to add those that lie where the front has too few points.
+            excluded: designs to leave out, as bytes. Those tried in vain would hide others beside them.
+            sparse: whether to add designs where the front has too few points.
         """
         if not self.archive.vary:
             return []
-        y, at, beyond = self._held_against()
-        own = self.places(self.ordered())
-        left = np.flatnonzero(beyond > SOUGHT)
-        gain = self._gains(own, at, beyond, left, sparse)
+        designs, objectives, leads = self._archive_with_leads()
+        front = self.objectives_of(self.efficient())
+        left = np.flatnonzero(leads > SOUGHT)
+        gain = self._gains(front, objectives, leads, left, sparse)
         best = np.empty(0, dtype=int)
-        for _ in range(_JUDGEMENTS):
-            # At first many designs are wanted, of which a rough choice does.
+        for _ in range(_MOST_JUDGEMENTS):
             left = left[gain[left] > self.matters]
-            best = left[undominated(at[left], SOUGHT if len(left) < _MANY else self.matters)]
-            best = best[[y[k].tobytes() not in known for k in best]] if known else best
-            best = best[np.argsort(-gain[best], kind="stable")][:_MOST_JUDGED]
-            needles = self.archive.needles(y[best], at[best])
+            best = left[undominated(objectives[left], SOUGHT if len(left) < _MANY else self.matters)]
+            best = best[[designs[k].tobytes() not in excluded for k in best]] if excluded else best
+            best = best[np.argsort(-gain[best], kind="stable")][:_JUDGED_AT_ONCE]
+            needles = self.archive.needles(designs[best], objectives[best])
             if not np.any(needles):
                 break
-            self.archive.leave_out(best[needles])
+            self.archive.exclude(best[needles])
             left, best = np.setdiff1d(left, best[needles]), best[~needles]
         chosen: list[int] = []
         for k in best:
-            if all(np.max(np.abs(at[k] - at[i])) > self.spacing for i in chosen):
+            if all(np.max(np.abs(objectives[k] - objectives[i])) > self.spacing for i in chosen):
                 chosen.append(int(k))
-        return [y[k] for k in chosen]
+        return [designs[k] for k in chosen]
 
-    def _gains(self, own: Vector, at: Vector, beyond: Vector, left: NDArray[np.intp], sparse: bool) -> Vector:
-        """Return by how much the front would gain by each of the designs that are left; of others nothing."""
-        gain = np.zeros(len(at))
-        large = left[beyond[left] > self.matters]
-        gain[large] = beyond_front(own, at[large], self.step)
-        # What beats a point counts, too, by however little the line beside that is better.
-        most, by = beating(own, at[left])
-        better = left[most[by > SOUGHT]]
+    def _gains(self, front: Vector, objectives: Vector, leads: Vector, left: NDArray[np.intp], sparse: bool) -> Vector:
+        """Return how much the front would gain by each design of the archive.
+
+        Args:
+            front: normalised objectives of its points.
+            objectives: normalised objectives of the archive's designs.
+            leads: of these over the front's points.
+            left: numbers of the designs to judge; the others gain nothing.
+            sparse: as in `missed`.
+        """
+        gain = np.zeros(len(objectives))
+        large = left[leads[left] > self.matters]
+        gain[large] = lead_over_front(front, objectives[large], self.step)
+        # A design that dominates a point counts too, however little it leads the line or triangle beside that.
+        strongest, by = strongest_dominators(front, objectives[left])
+        better = left[strongest[by > SOUGHT]]
         gain[better] = np.maximum(gain[better], 2.0 * self.matters)
         if sparse:
-            gain[left] = np.maximum(gain[left], self.uncovered(own, at[left]))
+            gain[left] = np.maximum(gain[left], self.uncovered(front, objectives[left]))
         return gain
 
-    def add_unconfirmed(self) -> None:
-        """Add the missed designs beside which no optimum was found, as they were seen.
+    def uncovered(self, front: Vector, objectives: Vector) -> Vector:
+        """Return how far designs lie from every point where a front has too few; 0 for a curve, which has enough."""
+        del front
+        return np.zeros(len(objectives))
 
-        The best that can be made may be no optimum: where an optimum is a needle, such designs lie at its edge.
+    def add_unconfirmed(self) -> None:
+        """Add the missed designs beside which there is no optimum, as they were simulated.
+
+        Where an optimum is a needle, the best designs that can be made lie at its edge and are not optima.
         """
         added: set[bytes] = set()
         rng = np.random.default_rng([SEED, 0])
@@ -215,12 +245,13 @@ class Tracer(Candidates):
                 return
             if self.archive.vectorised:
                 self.progress("looking beside designs that are not optima", 0.0)
-                self._look_around(np.array(missed), spread, _BESIDE_EDGE, rng)
+                self._sample_around(np.array(missed), spread, _EDGE_SAMPLE, rng)
         while missed := self.missed(added, sparse=False):
             for y in missed:
                 added.add(y.tobytes())
-                at = self.front.objectives(y)
-                # A search integrates more roughly, and may have been wrong about it.
-                if beyond_points(self.places(self.ordered()), at[None])[0] > SOUGHT:
-                    p = self.position(at)
-                    self.found.append(Candidate(point_as_found(self.front.program, p, y), p, at, confirmed=False))
+                objectives = self.front.objectives(y)
+                # The archive is integrated more roughly, and may be wrong about a design.
+                if lead_over_points(self.objectives_of(self.efficient()), objectives[None])[0] > SOUGHT:
+                    p = self.parameters_at(objectives)
+                    point = point_as_found(self.front.program, p, y)
+                    self.candidates.append(Candidate(point, p, objectives, confirmed=False))

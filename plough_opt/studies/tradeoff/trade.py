@@ -1,4 +1,4 @@
-"""`trade_off`: two or three objectives of a design in, their front out."""
+"""Function `trade_off`, which returns the front of two or three objectives of a design."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -24,15 +24,19 @@ from plough_opt.studies.tradeoff.result import TradeOff
 from plough_opt.studies.tradeoff.surface import SurfaceTracer
 from plough_opt.studies.tradeoff.tracer import Tracer
 
-_FEWEST, _MOST = 5, 1000
+_FEWEST_POINTS, _MOST_POINTS = 5, 1000
+# Most refinements of the integration steps.
 _REFINEMENTS = 4
-# Relative range of an objective below which it is rounding.
-_NONE = 1e-5
-# Of the size at the guess: what an objective near zero is measured by where one design is best in all.
-_SMALLEST = 0.01
+# Relative change of an objective between the anchors below which it is rounding, and the objective conflicts with none.
+_NO_CONFLICT = 1e-5
+# Least size of an objective, in scaled units, to which that change is relative.
+_LEAST_SIZE = 1e-3
+# Least range of an objective where one design is best in all, in units of the objective's size at the guess. An
+# objective may be zero there.
+_LEAST_RANGE = 0.01
 _NAMES = ("first objective", "second objective", "third objective")
 
-# The program last built for a design, with what it was built from.
+# For each design the program built last, with the expressions and options that it was built from.
 _BUILT: WeakKeyDictionary[Design, tuple[tuple[object, ...], tuple[object, ...], FrontProgram]] = WeakKeyDictionary()
 
 
@@ -48,40 +52,42 @@ def trade_off(
     title: str = "",
     progress: Progress | None = None,
 ) -> TradeOff:
-    """Return the designs of which none is better in one objective without being worse in another.
+    """Return the front of two or three objectives: designs that cannot improve in one without getting worse in another.
 
-    By the normalised normal constraint (Messac, Ismail-Yahaya and Mattson 2003; Messac and Mattson 2004): from the
-    optima of each objective alone, at positions that are evenly spread in the normalised objectives, on a line for two
-    of them and on a lattice for three, which goes on beyond the anchors' triangle to the edges of the surface. Unlike a
-    weighted sum it finds the concave parts of a front. Ends and branches come from a sample of
-    all variables, evolution and descents; then every design that was looked at and is better than the front, by 0.05 %
-    of the ranges and than the triangles of a surface by 0.5 %, is followed, unless it is a needle, and stands in the
-    front as unconfirmed where no optimum lies beside it. What no search saw stays unknown. For example::
+    The normalised normal constraint (Messac, Ismail-Yahaya and Mattson 2003; Messac and Mattson 2004) starts from the
+    optima of each objective alone, the anchors. It spreads positions evenly in the normalised objectives: on a line
+    for two, and for three on a lattice that extends beyond the triangle of the anchors to the edges of the surface.
+    Unlike a weighted sum it finds the concave parts of a front.
+
+    Anchors and branches come from a sample of all variables, evolution and descents. Then every design tried that is
+    better than the front by 0.05 % of the ranges, or than the triangles of a surface by 0.5 %, is followed to an
+    optimum. Needles are not. If there is no optimum beside such a design, it becomes an unconfirmed point of the front.
+    What no search saw stays unknown. For example::
 
         radius = po.Goal("loosened radius", po.loosened_radius(cone, soil), unit="m", maximise=True)
         front = po.trade_off(d, po.Goal("draft", run.mean_draft, unit="N"), radius)
 
     Args:
-        design: variables, parameters and requirements; its own objective takes no part.
+        design: variables, parameters and requirements; its own objective is ignored.
         first: an objective: an expression to minimise, or a `Goal` with a name, a unit and a direction.
         second: another objective.
-        others: a third one, or none; more are refused.
-        points: number of positions, from 5 to 1000: of two objectives the anchors included, of three at least so many
-            between the anchors. Parts that end between positions get their ends beside these.
+        others: a third objective, if any.
+        points: number of positions, from 5 to 1000. For two objectives it includes the anchors; for three it is the
+            least number between them. Parts that end between positions have their ends there in addition.
         parameters: values of parameters that differ from the declared ones, by name. The program is built once for a
-            design and its objectives, and kept for further fronts.
+            design and its objectives, and reused for further fronts.
         search: as in `Design.solve`: "auto", "thorough", names of variables, a number of designs, or a text such as
-            "20 s", which the objectives share. With "near" the ends are those to which the guess leads, and parts of
+            "20 s"; the objectives share it. With "near" the anchors are those to which the guess leads, and parts of
             the front that lie elsewhere stay unknown.
         compiled: as in `Design.solve`.
-        title: of the question, for reports.
+        title: title of the design question, for reports.
         progress: called with what is being done and the fraction done.
 
     Raises:
-        InputError: more than three objectives, one that is not a scalar expression of this design, an unknown
-            parameter, or nothing to vary.
+        InputError: there are more than three objectives, one is not a scalar expression of this design, a parameter is
+            unknown, or the design has no variables.
         InfeasibleDesign: no design was found that meets the requirements.
-        NotConverged: an objective alone has no optimum that the optimiser finds, or no point could be certified.
+        NotConverged: the optimiser finds no optimum of an objective alone, or no point could be certified.
 
     Example:
         >>> import plough_opt as po
@@ -93,8 +99,8 @@ def trade_off(
         True
     """
     started = time.perf_counter()
-    if not is_count(points) or not _FEWEST <= points <= _MOST:
-        raise InputError(f"points = {shown(points)} must be a whole number from {_FEWEST} to {_MOST}")
+    if not is_count(points) or not _FEWEST_POINTS <= points <= _MOST_POINTS:
+        raise InputError(f"points = {shown(points)} must be a whole number from {_FEWEST_POINTS} to {_MOST_POINTS}")
     check_kind("the design", design, Design, "a Design")
     check_switch("compiled", compiled)
     check_text("title", title)
@@ -112,22 +118,22 @@ def trade_off(
     anchors = _anchors(front, tracer)
     idle = _normalise(front, anchors)
     if len(idle) == 1 and len(goals) == 3:
-        kept = [goal for k, goal in enumerate(goals) if k not in idle]
-        found = trade_off(design, *kept, points=points, parameters=parameters, search=search, compiled=compiled,
+        conflicting = [goal for k, goal in enumerate(goals) if k not in idle]
+        found = trade_off(design, *conflicting, points=points, parameters=parameters, search=search, compiled=compiled,
                           title=title, progress=progress)  # fmt: skip
         note = f"'{goals[idle[0]].name}' does not conflict with the others: it is at its best all along their front"
         return replace(found, notes=(note, *found.notes), seconds=time.perf_counter() - started)
     if idle:
-        # An objective that conflicts with none leaves the design to one that may.
+        # One design is best in all. An objective that conflicts with none may not determine it, so take another's.
         number = next((k for k in range(len(anchors)) if k // (len(anchors) // len(goals)) not in idle), 0)
         best = anchors[number][0]
         sizes = np.abs(front.scaled(front.objectives(best.y)))
-        front.normalise(np.zeros(len(goals)), np.maximum(sizes, _SMALLEST))
-        tracer.kept(best, tracer.orders()[number])
+        front.normalise(np.zeros(len(goals)), np.maximum(sizes, _LEAST_RANGE))
+        tracer.recorded(best, tracer.anchor_parameters()[number])
     else:
         tracer.trace(anchors)
         _refine(tracer, front, notify)
-        tracer.look_inward()
+        tracer.find_inner_neighbours()
         tracer.add_unconfirmed()
     notify("checking", 0.0)
     found = assembled(tracer, goals, title)
@@ -135,7 +141,7 @@ def trade_off(
 
 
 def _built(design: Design, goals: Sequence[Goal], compiled: bool) -> FrontProgram:
-    """Return the program of a design and objectives: the one built before, if it was of the same."""
+    """Return the program of a design and its objectives, reused if the last one was built from the same parts."""
     declared = declarations(design, goals)
     parts = (*declared.variables, *declared.parameters, *declared.requirements, *(goal.expression for goal in goals))
     flags = (compiled, *((goal.name, goal.maximise) for goal in goals))
@@ -149,55 +155,59 @@ def _built(design: Design, goals: Sequence[Goal], compiled: bool) -> FrontProgra
 
 
 def _anchors(front: FrontProgram, tracer: Tracer) -> list[list[Point]]:
-    """Return all local optima of each objective alone."""
+    """Return all local optima of each anchor's subproblem.
+
+    Raises:
+        NotConverged: the optimiser finds no optimum of an objective alone.
+    """
     found = tracer.all_anchors(tracer.begin())
     for number, points in enumerate(found):
         if not points:
             raise NotConverged(
-                f"objective number {1 + number * front.count // len(found)} alone has no optimum that the optimiser"
-                " finds: check the bounds, or search more thoroughly",
+                f"the optimiser finds no optimum of objective number {1 + number * front.count // len(found)} alone:"
+                " check the bounds, or search more thoroughly",
                 "no optimum",
             )
     return found
 
 
 def _normalise(front: FrontProgram, anchors: Sequence[Sequence[Point]]) -> list[int]:
-    """Return the objectives that are at their best at every anchor; without one normalise by the anchors."""
+    """Normalise the objectives by the anchors, unless some are equally good at all anchors; return these."""
     ends = np.array([front.scaled(front.objectives(points[0].y)) for points in anchors])
     low, high = ends.min(axis=0), ends.max(axis=0)
-    apart = (high - low) / np.maximum(1e-3, np.max(np.abs(ends), axis=0))
-    front.rounded_off = float(np.max(apart[apart < _NONE], initial=0.0))
-    idle = [int(k) for k in np.flatnonzero(apart < _NONE)]
+    change = (high - low) / np.maximum(_LEAST_SIZE, np.max(np.abs(ends), axis=0))
+    front.ignored_conflict = float(np.max(change[change < _NO_CONFLICT], initial=0.0))
+    idle = [int(k) for k in np.flatnonzero(change < _NO_CONFLICT)]
     if not idle:
         front.normalise(low, high - low)
     return idle
 
 
 def _refine(tracer: Tracer, front: FrontProgram, notify: Progress) -> None:
-    """Solve what makes up the front to the last digits, by as many integration steps as the wanted error takes."""
+    """Solve the points of the front exactly, with as many integration steps as the wanted error takes."""
     for refinement in range(_REFINEMENTS):
-        chosen = tracer.order(tracer.sound()).kept
-        tracer.to_the_last_digits(chosen)
+        chosen = tracer.arrange(tracer.without_needles()).shown
+        tracer.solve_exactly(chosen)
         wanted = front.program.wanted_error
         if wanted is None or all(front.gap(one.point.y) <= wanted for one in chosen if one.exact):
             return
         notify("refining", (refinement + 1) / _REFINEMENTS)
         front.refine()
-        tracer.to_the_last_digits(tracer.found, again=True)
+        tracer.solve_exactly(tracer.candidates, again=True)
 
 
 def _goals(given: Sequence[Goal | Expression]) -> list[Goal]:
-    """Return objectives with names.
+    """Return the objectives as goals, named by their order if they have no names.
 
     Raises:
-        InputError: too many, or two of one name.
+        InputError: there are more than three objectives, or two have the same name.
     """
     if len(given) > len(_NAMES):
         raise InputError(
-            f"{len(given)} objectives were given: a front is drawn of two or three; put the others into requirements"
+            f"{len(given)} objectives were given, but a front takes two or three: put the others into requirements"
         )
     goals = [g if isinstance(g, Goal) else Goal(name, g) for g, name in zip(given, _NAMES, strict=False)]
     for k, goal in enumerate(goals):
         if goal.name in [other.name for other in goals[:k]]:
-            raise InputError(f"two objectives are named '{goal.name}': give each its own name")
+            raise InputError(f"two objectives have the same name '{goal.name}': give each its own")
     return goals

@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 
 import plough_opt as po
 from plough_opt.core.expressions import as_number
-from plough_opt.motion.batch.advance import Before, grown, transfer
-from plough_opt.motion.batch.equations import Layout
+from plough_opt.motion.batch.error_ellipse import deviation_map, ellipse_after
+from plough_opt.motion.batch.layout import Layout, StepStart
 from plough_opt.motion.terms import Structure, parameters
 
 NAMES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power", "error_estimate", "steps")
@@ -45,12 +45,12 @@ def designs(count, seed=0):
 def moved(scene, size, start=0.3):
     """Return what a step makes of a deviation, by the batch and by the differential equation of deviations."""
     layout, known = Layout.of(Structure.of(scene)), parameters(scene)
-    p = ca.DM([float(known[name]) for name in layout.parameters] + [0.0] * 4)
+    p = ca.DM([float(known[name]) for name in layout.names] + [0.0] * 4)
     w = [ca.SX(c) for c in PATH] + [ca.SX(0)] * 6
     rate = [(k + 1) * c for k, c in enumerate(w[1:])]
     powers = [ca.SX(size**k) for k in range(12)]
-    at = Before(layout, ca.SX([start]), ca.SX(p), late=True)
-    found = np.array([float(as_number(x)) for x in transfer(at, (w, rate), powers)])
+    at = StepStart(layout, ca.SX([start]), ca.SX(p), ramp_ended=True)
+    found = np.array([float(as_number(x)) for x in deviation_map(at, (w, rate), powers)])
 
     stiffness, inertia, speed = scene.stiffness, scene.inertia, scene.tow_speed
     static, drag, damping = scene.reaction.static, scene.reaction.drag, scene.effects.damping or 0.0
@@ -102,7 +102,7 @@ def _matrix(ellipse):
 def test_errors_of_a_turning_motion_add_up():
     ellipse, turn = [ca.SX(0)] * 3, [ca.SX(x) for x in (math.cos(1.0), math.sin(1.0), -math.sin(1.0), math.cos(1.0))]
     for _ in range(5):
-        ellipse = grown(ellipse, turn, ca.SX(1e-9))
+        ellipse = ellipse_after(ellipse, turn, ca.SX(1e-9))
     # Five circles of radius 1e-9 make one of 5e-9.
     assert _matrix(ellipse) == pytest.approx(np.eye(2) * 25e-18, rel=1e-14, abs=1e-32)
 
@@ -113,7 +113,7 @@ def test_an_ellipse_holds_all_sums_of_errors():
         root = random.normal(size=(2, 2))
         before, move, made = root @ root.T, random.normal(size=(2, 2)), random.uniform(0.01, 3.0)
         after = _matrix(
-            grown([ca.SX(before[0, 0]), ca.SX(before[0, 1]), ca.SX(before[1, 1])], move.ravel(), ca.SX(made))
+            ellipse_after([ca.SX(before[0, 0]), ca.SX(before[0, 1]), ca.SX(before[1, 1])], move.ravel(), ca.SX(made))
         )
         directions = np.array([[math.cos(a), math.sin(a)] for a in np.linspace(0.0, math.pi, 50)])
         # How far a sum of both sets reaches in a direction is the sum of how far each does.

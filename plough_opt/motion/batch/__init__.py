@@ -1,4 +1,4 @@
-"""Very many designs: their mean and RMS force by compiled steps, a vector register of designs at a time."""
+"""Batches: averages of very many designs, integrated side by side in the processor's vector registers."""
 
 from plough_opt.motion.batch.batch import Batch
 from plough_opt.motion.batch.result import BatchResult

@@ -1,4 +1,4 @@
-"""`Batch`: simulation of very many designs."""
+"""`Batch`: the averages of very many designs of one scene."""
 
 import math
 import time
@@ -24,21 +24,26 @@ from plough_opt.core.expressions import (
 from plough_opt.core.quantities import BESIDE
 from plough_opt.motion.batch.advance import advance
 from plough_opt.motion.batch.c_source import Kernels
+from plough_opt.motion.batch.domain_check import DomainCheck
 from plough_opt.motion.batch.engine import Array, Engine
-from plough_opt.motion.batch.equations import RESULTS, DomainCheck, Layout, Start, of_column, setup
+from plough_opt.motion.batch.equations import RESULTS, StartValues, function_of_column, setup
+from plough_opt.motion.batch.layout import Layout
 from plough_opt.motion.batch.result import BatchResult
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure
 
-# Designs that are in memory at once.
+# Designs that one thread holds in memory at once.
 _CHUNK = 16384
+# Steps after which a design is given up.
 _MOST_STEPS = 200_000
-# How often, and with what reserve, designs that miss the wanted error are repeated.
+# How often a design that misses the wanted error is repeated with shorter steps.
 _REPETITIONS = 4
+# A repetition aims at this part of the wanted error.
 _RESERVE = 0.3
+# A repetition divides the allowed error of a step by at most a million.
 _LARGEST_CUT = 1e-6
-_NO_RAMP = "the tow ramp takes no time: make a batch of a scene without tow_ramp for such designs"
+_NO_RAMP = "the time of the tow ramp is not above 0: use a batch of a scene without tow_ramp for such designs"
 
 
 class Batch:
@@ -53,19 +58,21 @@ class Batch:
         result = batch(values)  # values: a row for each design
         result.mean_draft, result.force_rms, result.error_estimate
 
-    The motion is integrated by its Taylor series in time. The wanted error sets the order, and the last terms of the
-    series set the steps of each design. The graph of the right-hand side is turned into the recurrences of the
-    coefficients, in C that the system's compiler translates for its vector registers, once for every kind of scene.
+    The motion is integrated by its Taylor series in time. The wanted error decides the order, and the last terms of the
+    series decide the step sizes of each design. The recurrences of the coefficients follow from the graph of the
+    right-hand side; they are written in C and compiled for the processor's vector registers, once for each kind of
+    scene.
 
     Args:
-        scene: with CasADi expressions of the inputs; transient motion under contact ``"resisting"`` or `Smooth`.
+        scene: scene whose quantities may be CasADi expressions of the inputs; its motion must be transient, with
+            contact ``"resisting"`` or `Smooth`.
         duration: simulated time, above 0: a float [s], a text such as "2 s", or an expression of the inputs [s].
-        inputs: symbols, in the order of the columns of values.
+        inputs: CasADi symbols, in the order of the columns of values.
         error: wanted error of mean draft and RMS force, relative to the larger of them, from 1e-11 to 1e-2.
 
     Raises:
-        InputError: a scene of another kind, inputs that are not symbols or repeat one, or other symbols in the scene.
-        DomainError: a duration that is a number not above 0.
+        InputError: the scene is of another kind or has other symbols, or inputs are not symbols or repeat one.
+        DomainError: the duration is a number not above 0.
 
     Example:
         >>> import casadi as ca
@@ -80,7 +87,7 @@ class Batch:
     """
 
     def __init__(self, scene: Scene, duration: Expression, inputs: Sequence[Column], *, error: float = 1e-6) -> None:
-        _refuse(scene)
+        _check_scene(scene)
         if not (isinstance(error, int | float | np.number) and 1e-11 <= error <= 1e-2):
             raise InputError(f"error = {shown(error)} must lie between 1e-11 and 1e-2")
         duration = BESIDE["scene.duration"].read(duration, stacklevel=2)
@@ -92,20 +99,19 @@ class Batch:
         self._check = DomainCheck(template, [None if is_symbolic(q) else float(as_number(q)) for q in quantities])
         varying = [q for q in quantities if is_symbolic(q)]
         functions = {
-            "quantities": of_column("quantities", symbols, stacked(*varying, duration)),
+            "quantities": function_of_column("quantities", symbols, stacked(*varying, duration)),
             "setup": setup(self._layout, scene, duration, symbols, error),
         }
         self._inputs = functions["setup"].numel_in(0)
-        # One order more for every digit of the wanted error, of which a step may make a small part.
+        # One order more for every digit of the wanted error, and ten because a step may make only a small part of it.
         order = round(10.0 - math.log10(error))
-        ends = self._layout.ends
-        parts = tuple((advance(self._layout, order, part), end) for part, end in enumerate(ends))
+        phases = tuple((advance(self._layout, order, phase), end) for phase, end in enumerate(self._layout.ends))
         maps = {name: one for name, one in functions.items() if one.is_a("SXFunction")}
-        self._engine = Engine(functions, Kernels(maps, parts, self._layout.allowed + 1))
+        self._engine = Engine(functions, Kernels(maps, phases, self._layout.parameters))
 
     @property
     def compiled(self) -> bool:
-        """Whether a C compiler was found; without one NumPy does the same operations: see `warnings`."""
+        """Whether a C compiler was found. Without one NumPy does the same operations: see `warnings`."""
         return self._engine.compiled
 
     @property
@@ -122,14 +128,14 @@ class Batch:
         """Simulate designs.
 
         Args:
-            values: a row for each design, a column for each input.
-            threads: number of threads, each of which simulates a part of the designs.
+            values: inputs of the designs, SI; a row for each design, a column for each input.
+            threads: number of threads that share the designs.
 
         Raises:
-            InputError: values that are not numbers or have another shape, or threads that is not a whole number from 1.
+            InputError: values are not numbers or have the wrong shape, or threads is not a whole number from 1.
         """
         if not is_count(threads):
-            raise InputError(f"threads = {shown(threads)} must be a whole number from 1 on")
+            raise InputError(f"threads = {shown(threads)} must be a whole number, at least 1")
         began = time.perf_counter()
         rows = self._rows(values)
         starts = range(0, rows.shape[1], _CHUNK)
@@ -156,48 +162,48 @@ class Batch:
         )
 
     def stream(self, chunks: Iterable[ArrayLike], *, threads: int = 1) -> Iterator[BatchResult]:
-        """Yield the results of chunks of designs, one after the other: memory then does not grow with their number.
+        """Yield the results of chunks of designs one after the other, so that memory does not grow with their number.
 
         Args:
-            chunks: arrays as a call takes them.
-            threads: as of a call.
+            chunks: arrays of values, as for a call.
+            threads: number of threads, as for a call.
 
         Raises:
-            InputError: chunks that do not yield arrays, or as a call raises.
+            InputError: chunks does not yield arrays, or a call would raise.
         """
         if is_casadi(chunks) or not isinstance(chunks, Iterable):
-            raise InputError(f"the chunks = {shown(chunks)} must be arrays one after the other: a list or a generator")
+            raise InputError(f"chunks = {shown(chunks)} must be a list or a generator of arrays")
         for chunk in chunks:
             yield self(chunk, threads=threads)
 
     def _rows(self, values: ArrayLike) -> Array:
-        """Return values with a row for each input."""
+        """Return values as an array with a row for each input."""
         try:
             array = np.asarray(values, dtype=float)
         except NOT_NUMBERS as error:
             raise InputError(f"the values of a batch must be numbers, in SI units: {error}") from None
         if array.ndim != 2 or array.shape[1] != self._inputs:
             raise InputError(
-                f"the values have the shape {array.shape}: give a row for each design and a column for each of"
-                f" the {self._inputs} inputs"
+                f"the values of a batch have the shape {array.shape}: they need a row for each design and a column for"
+                f" each of the {self._inputs} inputs"
             )
         return array.T
 
     def _simulate(self, rows: Array) -> tuple[Array, dict[int, str]]:
-        """Return (results, errors, steps) of some designs, and the reasons of those that have none."""
+        """Return results, errors and steps of some designs, a row each, and why designs failed, by their position."""
         layout = self._layout
-        kept = np.full((len(RESULTS) + 2, rows.shape[1]), np.nan)
+        best = np.full((len(RESULTS) + 2, rows.shape[1]), np.nan)
         quantities = self._engine.evaluate("quantities", rows)
         reasons = self._check.reasons(quantities)
         prepared = self._engine.evaluate("setup", rows)
         if layout.structure.ramp:
-            ends = prepared[layout.parameters.index("ramp_time")]
-            reasons |= {int(k): _NO_RAMP for k in np.flatnonzero(~(ends > 0.0)) if int(k) not in reasons}
+            ramp_times = prepared[layout.names.index("ramp_time")]
+            reasons |= {int(k): _NO_RAMP for k in np.flatnonzero(~(ramp_times > 0.0)) if int(k) not in reasons}
         which = np.delete(np.arange(rows.shape[1]), list(reasons))
-        # Designs of similar phase take similar numbers of steps, and so wait little for each other.
         prepared = prepared if len(which) == rows.shape[1] else prepared[:, which]
-        results = self._integrate(prepared, Start(*prepared[layout.allowed + 1 :]).phase)
-        kept[:, which] = results
+        # Designs in one register wait for the slowest of them; those of similar phase take similar numbers of steps.
+        results = self._integrate(prepared, StartValues(*prepared[layout.parameters :]).phase)
+        best[:, which] = results
         for _ in range(_REPETITIONS):
             again = results[-2] > self._error
             if not np.any(again):
@@ -205,40 +211,40 @@ class Batch:
             which, before = which[again], results[:, again]
             cut = np.clip(_RESERVE * self._error / before[-2], _LARGEST_CUT, _RESERVE)
             prepared = prepared[:, again]
-            prepared[layout.allowed] *= cut
+            prepared[layout.allowed_error] *= cut
             results = self._integrate(prepared, before[-1])
-            # An error that shorter steps hardly lower is that of rounding, or of a motion that forgets its start.
-            gained = results[-2] <= np.sqrt(cut) * before[-2]
             better = results[-2] < before[-2]
-            kept[:, which[better]] = results[:, better]
-            which, prepared, results = which[gained], prepared[:, gained], results[:, gained]
-        for k in np.flatnonzero(~np.isfinite(kept[:-2]).all(axis=0)):
-            kept[:-1, k] = np.nan
+            best[:, which[better]] = results[:, better]
+            # If shorter steps hardly lower the error, it is due to rounding or to a chaotic motion.
+            worthwhile = results[-2] <= np.sqrt(cut) * before[-2]
+            which, prepared, results = which[worthwhile], prepared[:, worthwhile], results[:, worthwhile]
+        for k in np.flatnonzero(~np.isfinite(best[:-2]).all(axis=0)):
+            best[:-1, k] = np.nan
             if int(k) not in reasons:
-                reasons[int(k)] = self._reason(quantities[:, k], kept[-1, k])
-        return kept, reasons
+                reasons[int(k)] = self._reason(quantities[:, k], best[-1, k])
+        return best, reasons
 
     def _integrate(self, prepared: Array, key: Array) -> Array:
-        """Return (results, errors, steps) of designs; NaN if the steps did not suffice.
+        """Return results, errors and steps of designs, a row each; results are NaN if a run took too many steps.
 
         Args:
             prepared: results of `setup`.
-            key: a number for each design; those with similar ones are integrated together.
+            key: a number for each design; designs with similar keys are integrated side by side.
         """
-        count = self._layout.allowed + 1
-        p, start = np.ascontiguousarray(prepared[:count]), Start(*prepared[count:])
-        states = np.zeros((self._layout.state, p.shape[1]))
+        count = self._layout.parameters
+        p, start = np.ascontiguousarray(prepared[:count]), StartValues(*prepared[count:])
+        states = np.zeros((self._layout.states, p.shape[1]))
         states[2] = start.rate
         steps = self._engine.run(p, states, np.argsort(key), _MOST_STEPS)
         results = np.empty((len(RESULTS) + 2, p.shape[1]))
         with np.errstate(all="ignore"):
-            results[:-1] = start.averages(self._layout, states[3:])
+            results[:-1] = start.results(self._layout, states[3:])
         results[-1] = steps
         results[:-1, ~(states[0] >= p[self._layout.ends[-1]])] = np.nan
         return results
 
     def _reason(self, quantities: Array, steps: float) -> str:
-        """Return the reason why a design within the domain has no results."""
+        """Return why a design within the domain failed."""
         scene = self._check.scene(lambda k: float(quantities[k]))
         try:
             description = scene.describe()
@@ -249,45 +255,43 @@ class Batch:
                 f"the motion of a {description} takes more than {_MOST_STEPS} steps: use the quasi-static scene"
                 " (Effects(motion=False)), a softer or a damped mount, or a shorter duration"
             )
-        return (
-            f"the motion of a {description} has no finite mean: something drives the share away; po.simulate says when"
-        )
+        return f"the motion of a {description} has no finite mean: the share is driven away; po.simulate reports when"
 
 
 def _symbols(inputs: Sequence[Column]) -> list[Expression]:
     """Return the inputs as a list.
 
     Raises:
-        InputError: an input that is not a symbol, or the same one twice.
+        InputError: an input is not a symbol, or one is named twice.
     """
     symbols = list(inputs) if isinstance(inputs, Sequence) else []
     if not symbols or not all(is_symbolic(one) and one.is_valid_input() for one in symbols):
-        raise InputError("the inputs of a batch must be a list of the CasADi symbols of which its scene is made")
+        raise InputError("the inputs of a batch must be a list of the CasADi symbols in its scene")
     if len({type(one) for one in symbols}) > 1:
-        raise InputError("the inputs of a batch must be all SX, or all MX")
+        raise InputError("the inputs of a batch must be all SX or all MX")
     distinct = ca.symvar(ca.veccat(*symbols))
     if sum(one.numel() for one in distinct) < sum(one.numel() for one in symbols):
-        raise InputError("an input of the batch is named twice: give each symbol one column")
+        raise InputError("an input of the batch is named twice: name each symbol once")
     return symbols
 
 
-def _refuse(scene: Scene) -> None:
-    """Raise InputError if a scene's motion cannot be integrated by steps from its start."""
+def _check_scene(scene: Scene) -> None:
+    """Raise InputError if a batch cannot integrate the motion of a scene."""
     check_kind("the scene", scene, Scene, "a Scene, made of soil, share, stiffness, mass and tow speed")
     effects = scene.effects
     if not effects.motion:
         raise InputError(
-            "a batch integrates a motion, and a quasi-static scene has none: its averages are expressions that cost"
-            " next to nothing; use po.simulate(scene, duration) with symbols, and a casadi.Function of its averages"
+            "a batch integrates a motion, and a quasi-static scene has none: use po.simulate(scene, duration) with"
+            " symbols and a casadi.Function of its averages, which costs next to nothing"
         )
     if effects.orbit != "transient":
         raise InputError(
             "a batch integrates a motion from its start: use orbit = 'transient' and a long duration, or po.simulate"
-            " for the orbit of each design"
+            " for the periodic orbit of each design"
         )
     if effects.events:
-        what = "StickSlip" if isinstance(effects.contact, StickSlip) else "the entry of a share"
+        cause = "StickSlip" if isinstance(effects.contact, StickSlip) else "the entry of a share"
         raise InputError(
-            f"a batch cannot find the events that {what} has: use Smooth(width) as contact and a share that is buried"
-            " from the start, or po.simulate for each design"
+            f"a batch cannot locate the events of {cause}: use Smooth(width) as contact and a share that is buried from"
+            " the start, or po.simulate for each design"
         )

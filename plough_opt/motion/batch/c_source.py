@@ -1,4 +1,4 @@
-"""C source of lists of operations: each on as many designs at once as a vector register holds."""
+"""C source of CasADi Functions in which every operation works on a vector register of designs."""
 
 from __future__ import annotations
 
@@ -21,14 +21,15 @@ _SIMPLE = {
 
 
 def _named(names: str) -> dict[int, str]:
-    """Return functions of C by CasADi's code of each, which has the same name."""
+    """Return CasADi's operation -> C function, for functions that have the same name in both."""
     return {int(getattr(ca, f"OP_{name.upper()}")): name for name in names.split()}
 
 
-# C's name of each function that the vector library has, of one argument and of two, and of those that it lacks.
+# CasADi's operation -> C function: in the vector library with one argument, with two, and missing from it.
 LIBRARY = _named("exp expm1 log log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh erf")
 LIBRARY_OF_TWO = {ca.OP_CONSTPOW: "pow"} | _named("pow atan2 hypot")
 LANE_BY_LANE = _named("floor ceil sqrt")
+# Operation -> function that `_HEAD` defines.
 _OWN = {ca.OP_FABS: "v_fabs", ca.OP_SIGN: "v_sign", ca.OP_FMIN: "v_min", ca.OP_FMAX: "v_max"}
 
 _HEAD = """
@@ -90,7 +91,7 @@ static inline void choose(int64_t n, const int64_t *order, int64_t first, int64_
 """
 
 _MAP = """
-/* Rows of results from rows of arguments, each of n designs. */
+/* Evaluates a function. Arrays have a column for each of n designs. */
 void {name}(int64_t n, const double *in, double *out) {{
   for (int64_t first = 0; first < n; first += LANES) {{
     const int64_t many = n - first < LANES ? n - first : LANES;
@@ -104,7 +105,7 @@ void {name}(int64_t n, const double *in, double *out) {{
 """
 
 _RUN = """
-/* Integrates designs in an order, in groups of LANES, from and into the state x; rows of n designs. */
+/* Integrates designs in the given order, LANES at a time. Arrays have a column for each of n designs. */
 void run(int64_t n, int64_t count, const int64_t *order, const double *in, double *states, double *steps,
          double most) {{
   for (int64_t first = 0; first < count; first += LANES) {{
@@ -113,7 +114,7 @@ void run(int64_t n, int64_t count, const int64_t *order, const double *in, doubl
     V p[{parameters}], x[{state}], y[{state}], taken = {{0}};
     for (int j = 0; j < {parameters}; j++) p[j] = gather(in + j * n, which);
     for (int j = 0; j < {state}; j++) x[j] = gather(states + j * n, which);
-{parts}
+{phases}
     for (int k = 0; k < LANES && first + k < count; k++) {{
       for (int j = 0; j < {state}; j++) states[j * n + which[k]] = x[j][k];
       steps[which[k]] = taken[k];
@@ -122,7 +123,7 @@ void run(int64_t n, int64_t count, const int64_t *order, const double *in, doubl
 }}
 """
 
-_PART = """    {{
+_PHASE = """    {{
 {once}
     for (;;) {{
       const M open = (x[0] < p[{end}]) & (taken < most);
@@ -136,42 +137,43 @@ _PART = """    {{
 
 @dataclass(frozen=True)
 class Kernels:
-    """The operations that a batch compiles.
+    """The Functions that a batch compiles.
 
     Attributes:
         maps: Functions of SX of one argument, by name.
-        parts: of the motion, in time: (one step, of SX, position in the parameters of the time at which the part ends).
+        phases: of the motion, in their order: (Function of SX for one step, position of the phase's end time among the
+            step's parameters).
         parameters: number of a step's parameters.
     """
 
     maps: dict[str, ca.Function]
-    parts: tuple[tuple[ca.Function, int], ...]
+    phases: tuple[tuple[ca.Function, int], ...]
     parameters: int
 
 
 def c_source(kernels: Kernels) -> str:
-    """Return the C source of a library with a function for each map, and one that runs all steps.
+    """Return the C source of a library with a function for each map and the function ``run``, which takes all steps.
 
     Raises:
-        InputError: an operation that has no vector form.
+        InputError: an operation without a vector form.
     """
     lines = [head(), "int64_t lanes(void) { return LANES; }"]
     for name, one in kernels.maps.items():
         text = Statements(one, ("x",))
         body = "\n".join([*text.once, *text.each])
         lines.append(_MAP.format(name=name, inputs=one.numel_in(0), results=one.numel_out(), body=body))
-    state = kernels.parts[0][0].numel_out()
-    parts = []
-    for step, end in kernels.parts:
+    state = kernels.phases[0][0].numel_out()
+    phases = []
+    for step, end in kernels.phases:
         text = Statements(step, ("x", "p"))
         once, each = "\n".join(text.once), "\n".join(text.each)
-        parts.append(_PART.format(once=once, each=each, end=end, state=state))
-    lines.append(_RUN.format(parameters=kernels.parameters, state=state, parts="\n".join(parts)))
+        phases.append(_PHASE.format(once=once, each=each, end=end, state=state))
+    lines.append(_RUN.format(parameters=kernels.parameters, state=state, phases="\n".join(phases)))
     return "\n".join(lines)
 
 
 def head() -> str:
-    """Return the C types and functions that statements use; a compiler drops those that are left over."""
+    """Return the C types and functions that `Statements` may use; the compiler drops the others."""
     lines = [_HEAD, *(f"EACH({name})" for name in LANE_BY_LANE.values())]
     lines += [f"LIBRARY({name})" for name in LIBRARY.values()]
     return "\n".join([*lines, *(f"LIBRARY_OF_TWO({name})" for name in sorted({*LIBRARY_OF_TWO.values()}))])
@@ -179,12 +181,12 @@ def head() -> str:
 
 @dataclass(frozen=True)
 class _Value:
-    """A value in C: a vector of doubles, or of masks, whose bits are all 0 or all 1.
+    """A value in C: a vector of doubles, or a mask, whose bits are all 0 or all 1 in each lane.
 
     Attributes:
-        text: its name, or of a constant its number.
+        text: its name, or the number if it is a constant.
         once: whether it depends on the last argument alone, which is the same in every step.
-        constant: the number, of a constant.
+        constant: the number if it is a constant, else None.
         is_mask: whether it is a condition.
     """
 
@@ -201,37 +203,37 @@ class _Value:
 
     @property
     def number(self) -> str:
-        """It as an operand of arithmetic."""
+        """Text for use as an operand of arithmetic."""
         return f"v_one({self.text})" if self.is_mask else self.text
 
     @property
     def vector(self) -> str:
-        """It as an argument of a function of vectors."""
+        """Text for use as an argument of a vector function."""
         return self.number if self.constant is None else f"((V){{0}} + {self.text})"
 
     @property
     def mask(self) -> str:
-        """It as a condition."""
+        """Text for use as a condition."""
         return self.text if self.is_mask else f"({self.vector} != 0.0)"
 
 
 class Statements:
-    """A Function of SX, whose only result is a dense column, as C statements.
+    """The C statements of a Function of SX with one result, a dense column.
 
     Attributes:
-        once: those that run once before all steps.
-        each: those that run in every step, with the results at their end.
+        once: statements to run once before all steps.
+        each: statements to run in every step; the last ones assign the results.
     """
 
     def __init__(self, function: ca.Function, arrays: tuple[str, ...]) -> None:
         """Write the statements.
 
         Args:
-            function: what they compute.
-            arrays: names of the arrays that hold its arguments.
+            function: the Function.
+            arrays: names of the C arrays that hold its arguments.
 
         Raises:
-            InputError: an operation that has no vector form.
+            InputError: an operation without a vector form.
         """
         self.once: list[str] = []
         self.each: list[str] = []
@@ -251,9 +253,9 @@ class Statements:
         self.each += results
 
     def _apply(self, code: int, of: list[_Value]) -> _Value:
-        """Return an operation's result.
+        """Add the statement of an operation and return its result.
 
-        A division by what is the same in every step becomes a product with its inverse, which is computed once.
+        A division by a value that is the same in every step becomes a product with the inverse, computed once.
         """
         if code == ca.OP_DIV and of[1].once and not of[0].once:
             code, of = ca.OP_MUL, [of[0], self._inverse(of[1])]
@@ -276,7 +278,7 @@ def _expression(code: int, of: list[_Value]) -> str:
     """Return an operation in C.
 
     Raises:
-        InputError: one that has no vector form.
+        InputError: the operation has no vector form.
     """
     if code in _BINARY:
         return f"{of[0].vector} {_BINARY[code]} {of[1].number}"
@@ -295,5 +297,5 @@ def _expression(code: int, of: list[_Value]) -> str:
         return f"(V)((M){of[1].vector} & {of[0].mask})"
     functions = LIBRARY | LIBRARY_OF_TWO | LANE_BY_LANE
     if code not in _OWN and code not in functions:
-        raise InputError(f"a batch cannot do CasADi's operation number {code}")
+        raise InputError(f"a batch cannot evaluate CasADi's operation number {code}: use po.simulate for each design")
     return f"{_OWN.get(code) or f'v_{functions[code]}'}({', '.join(each.vector for each in of)})"

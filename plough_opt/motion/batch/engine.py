@@ -1,4 +1,4 @@
-"""Evaluates a batch's operations: as compiled C, or by NumPy, operation by operation on many designs side by side."""
+"""The arithmetic of a batch: compiled C, or NumPy without a compiler, for many designs side by side."""
 
 import ctypes
 from collections.abc import Callable
@@ -21,35 +21,35 @@ _FLAGS = (
     "-fno-trapping-math",
     "-fno-math-errno",
 )
-# Flags of GCC alone, which put the long run of sums and products in an order that waits less.
-_ORDERED = ("-fschedule-insns", "-fsched-pressure")
-# From the fastest on: with the vector functions of the GNU C library, without, and for any processor.
+# Only GCC has these. They reorder the long sequences of sums and products so that the processor waits less.
+_SCHEDULING = ("-fschedule-insns", "-fsched-pressure")
+# Fastest first: with the vector functions of the GNU C library, without them, and for any processor.
 _VARIANTS: tuple[Variant, ...] = (
-    ((*_FLAGS, *_ORDERED, "-march=native", "-DVECTOR_LIBRARY"), ("-lmvec", "-lm")),
+    ((*_FLAGS, *_SCHEDULING, "-march=native", "-DVECTOR_LIBRARY"), ("-lmvec", "-lm")),
     ((*_FLAGS, "-march=native", "-DVECTOR_LIBRARY"), ("-lmvec", "-lm")),
     ((*_FLAGS, "-march=native"), ("-lm",)),
     (_FLAGS, ("-lm",)),
 )
-# Designs that NumPy takes at once: enough to hide its calls, few enough for the processor's cache.
+# Designs that NumPy evaluates at once: enough to outweigh the cost of its calls, few enough for the processor's cache.
 _BLOCK = 4096
 
 
 class Engine:
-    """Evaluates maps, and integrates designs by steps.
+    """Evaluates Functions for many designs, and integrates designs by steps.
 
-    Arrays have a row for each element and a column for each design. Maps of SX and the steps are compiled, from the
-    fastest variant on that this system allows; without a compiler CasADi evaluates the maps, and NumPy the steps.
+    Arrays have a row for each element and a column for each design. Functions of SX and the steps are compiled in the
+    fastest variant that this system supports. Without a compiler CasADi evaluates the Functions and NumPy the steps.
 
     Attributes:
         compiled: whether a compiler was found.
     """
 
     def __init__(self, functions: dict[str, ca.Function], kernels: Kernels) -> None:
-        """Compile what can be.
+        """Compile the kernels, if there is a compiler.
 
         Args:
-            functions: the maps, of a column each; those of SX are among the kernels too.
-            kernels: the operations.
+            functions: all Functions by name, each of one column; those of SX are in ``kernels.maps`` too.
+            kernels: what is compiled.
         """
         path = library(c_source(kernels), _VARIANTS)
         self.compiled = path is not None
@@ -57,7 +57,7 @@ class Engine:
         self._library = None if path is None else ctypes.CDLL(str(path))
 
     def evaluate(self, name: str, rows: Array) -> Array:
-        """Return the results of a map."""
+        """Return the results of a Function, a row each."""
         if self._library is None or name not in self._kernels.maps:
             return np.asarray(self._functions[name].map(rows.shape[1])(rows))
         rows = np.ascontiguousarray(rows)
@@ -68,12 +68,12 @@ class Engine:
         return results
 
     def run(self, p: Array, states: Array, order: NDArray[np.int64], most: int) -> Array:
-        """Integrate designs from their states, in place; return the number of steps of each.
+        """Integrate designs and return the number of steps that each took.
 
         Args:
-            p: parameters.
-            states: at the start, and afterwards at the end.
-            order: the designs to integrate, in this order.
+            p: parameters of the steps.
+            states: at the start; they are replaced by those at the end.
+            order: numbers of the designs to integrate; neighbours share a vector register.
             most: limit on the number of steps.
         """
         taken = np.zeros(p.shape[1])
@@ -87,7 +87,7 @@ class Engine:
 
     def _run_by_numpy(self, p: Array, states: Array, order: NDArray[np.int64], most: int, taken: Array) -> None:
         with np.errstate(all="ignore"):
-            for step, end in self._kernels.parts:
+            for step, end in self._kernels.phases:
                 interpreted = Interpreter(step)
                 for first in range(0, len(order), _BLOCK):
                     which = order[first : first + _BLOCK]
@@ -101,13 +101,13 @@ def _pointer(array: NDArray[np.generic]) -> ctypes.c_void_p:
 
 
 def _error_function(x: Array) -> Array:
-    from scipy.special import erf  # slow to import, and rarely needed
+    from scipy.special import erf  # imported only if needed, because that is slow
 
     found: Array = erf(x)
     return found
 
 
-# NumPy's function for each operation, by CasADi's code. C has most of them by the same names.
+# NumPy's function for each of CasADi's operations. Most have the same names in C.
 _FUNCTIONS: dict[int, Callable[..., Any]] = {
     **{code: getattr(np, name) for code, name in (LIBRARY | LIBRARY_OF_TWO | LANE_BY_LANE).items() if name != "erf"},
     ca.OP_ERF: _error_function,
@@ -137,10 +137,10 @@ _CONDITIONS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.
 
 
 class Interpreter:
-    """Evaluates a Function of SX whose only result is a dense column."""
+    """Evaluates a Function of SX with one result, a dense column, by NumPy."""
 
     def __init__(self, function: ca.Function) -> None:
-        """Read the Function's operations; their results lie in as few places as CasADi's own do."""
+        """Read the Function's operations; intermediate results share places as in CasADi's own evaluation."""
         self._results, self._places = function.numel_out(), function.sz_w()
         self._operations = [
             (
@@ -153,7 +153,7 @@ class Interpreter:
         ]
 
     def __call__(self, *arguments: Array) -> Array:
-        """Return the result, a row for each element, of arguments with a row for each element."""
+        """Return the result, a row for each element; arguments have a row for each element too."""
         work: list[Any] = [None] * self._places
         results = np.empty((self._results, arguments[0].shape[1]))
         for code, into, of, constant in self._operations:
@@ -165,6 +165,6 @@ class Interpreter:
                 results[into[1]] = work[of[0]]
             else:
                 found = _FUNCTIONS[code](*[work[k] for k in of])
-                # Conditions are numbers, for arithmetic.
+                # CasADi calculates with conditions as with the numbers 0 and 1.
                 work[into[0]] = np.multiply(found, 1.0) if code in _CONDITIONS else found
         return results

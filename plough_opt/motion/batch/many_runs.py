@@ -1,9 +1,9 @@
-"""Runs of one structure at very many parameters, side by side, each by its own number of steps of order 8.
+"""`ManyRuns`: runs at very many parameters side by side, each with its own number of steps of order 8.
 
-A search needs the states at the outputs and the averages of thousands of designs, though not exactly. The steps are
-those of `plough_opt.motion.runge_kutta`, in C for a vector register of designs at a time, or as CasADi interprets them
-if there is no compiler. Outputs within a step are interpolated by the polynomial of degree 5 through deflection, rate
-and acceleration at both ends.
+A search needs output states and averages of thousands of designs, but only roughly. The steps are those of
+`plough_opt.motion.runge_kutta`, compiled for a vector register of designs at a time, or interpreted by CasADi without a
+compiler. Outputs within a step are read from the polynomial of degree 5 through deflection, rate and acceleration at
+both ends.
 """
 
 from __future__ import annotations
@@ -28,17 +28,19 @@ from plough_opt.motion.terms import Structure
 from plough_opt.motion.timeline import Timeline
 
 PHASE_PER_STEP = 2.6
-"""Phase [rad] by `summed_rate` in one step: averages are then right to some 1e-5 of an oscillation."""
+"""Phase of a step by `summed_rate` [rad]; averages then have errors of about 1e-5 of the oscillation."""
 
 PHASE_PER_STEP_READ = 1.6
-"""The same where outputs are read between steps, by a polynomial of a lower order than the method's."""
+"""The same if outputs are read within steps, by a polynomial of lower order than the method."""
 
-# Of a share that swings on by itself such steps lose a part of the amplitude, 3e-5 for each rad (of a towed share
-# without a damper 12 % of the force's RMS after 4000 rad), which grows with this power of their length: beyond so much
-# phase [rad] they are shorter, so that it stays below some 5e-3, and below 1e-5 with twice as many.
-_LOSES, _LASTING = 9.0, 70.0
+# Such steps lose a part of the amplitude of a free oscillation, 3e-5 per rad. For a towed share without a damper it is
+# 12 % of the RMS force after 4000 rad. If the free oscillation lasts longer than this phase [rad], a run takes shorter
+# steps, so that the loss stays below about 5e-3, and below 1e-5 with twice as many steps.
+_LASTING_PHASE = 70.0
+# The loss per rad grows with this power of the step size.
+_LOSS_ORDER = 9.0
 
-# Higher optimisation takes a compiler twice as long and makes nothing faster.
+# -O3 doubles the time of compilation and does not speed up the runs.
 _FLAGS = ("-O2", "-ffp-contract=fast", "-fno-signed-zeros", "-fno-trapping-math", "-fno-math-errno")
 _VARIANTS: tuple[Variant, ...] = (
     ((*_FLAGS, "-march=native", "-DVECTOR_LIBRARY"), ("-lmvec", "-lm")),
@@ -46,17 +48,17 @@ _VARIANTS: tuple[Variant, ...] = (
     (_FLAGS, ("-lm",)),
 )
 _FEWEST_STEPS = 16
-# Of the steps with which a design is first looked at.
+# A run that needs more than this number, before any refinement, is not integrated.
 _MOST_STEPS = 20_000
 # Doubles in the widest vector register.
 _WIDEST = 8
-# Designs that one thread integrates at once: enough to fill vector registers many times, few enough for little memory.
+# Runs that one thread integrates at once: enough to fill vector registers many times, with little memory.
 _CHUNK = 1024
 
 _SOURCE = """
-/* Integrates designs in an order. Each row of `in` holds n of them: the parameters, the number of steps, the number of
-   steps before the kink and its time as a fraction of the duration. Writes the states at the outputs, the means and the
-   mean squares about them. */
+/* Integrates runs in the given order. `in` has a column for each of n runs: the parameters, the number of steps, the
+   number of steps before the kink, and the time of the kink as a fraction of the duration. Writes the states at the
+   outputs, the means, and the mean squares about these. */
 int many_runs(int64_t n, int64_t count, const int64_t *order, const double *in, double *out, int64_t size,
               int64_t outputs, V *ends) {{
   for (int64_t first = 0; first < count; first += LANES) {{
@@ -128,11 +130,11 @@ class ManyRuns:
     """Runs of one structure, at very many parameters.
 
     Args:
-        structure: of a motion that can be integrated by steps from its start.
+        structure: of a motion that steps of fixed size can integrate from its start.
         outputs: number of intervals between output times; 0 if only averages are needed.
 
     Raises:
-        InputError: an operation of an own effect without a vector form.
+        InputError: an own effect has an operation without a vector form.
     """
 
     def __init__(self, structure: Structure, outputs: int) -> None:
@@ -142,27 +144,27 @@ class ManyRuns:
 
     @property
     def size(self) -> int:
-        """Number of results of a run: states at the outputs, column by column, means, mean squares about them."""
+        """Number of results of a run: the states, output by output, the means, and the mean squares about them."""
         states = 2 * (self._outputs + 1) if self._outputs else 0
         return states + self._observed.count + self._observed.squared
 
     @property
     def compiled(self) -> bool:
-        """Whether the runs are integrated by machine code."""
+        """Whether machine code integrates the runs."""
         return self._library is not None
 
     def __call__(
         self, p: Array, *, finer: float = 1.0, together: int = 1, threads: int = 1, count: int | None = None
     ) -> Array:
-        """Return the results, a row for each run; NaN if its parameters are not finite or it takes too many steps.
+        """Return the results, a row for each run; NaN if its parameters are not finite or it needs too many steps.
 
         Args:
-            p: parameters of `plough_opt.motion.integrators.Integration`, the duration last: a row for each run.
+            p: parameters of `plough_opt.motion.integrators.Integration`, the duration last; a row for each run.
             finer: factor on the number of steps.
-            together: number of consecutive rows that take equally many steps, so that their results differ by their
-                parameters alone. It divides the number of rows.
+            together: number of consecutive rows that take equally many steps, so that their results differ only because
+                of their parameters. It divides the number of rows.
             threads: number of threads of machine code; the results do not depend on it.
-            count: number of steps of all runs, instead of one for each.
+            count: number of steps of every run, instead of a number for each.
         """
         columns = np.ascontiguousarray(p.T)
         results = np.full((len(p), self.size), np.nan)
@@ -177,7 +179,7 @@ class ManyRuns:
             early, kink = _before_kink(known, columns[-1], steps) if self._structure.ramp else (none, none)
         sound = np.flatnonzero(np.isfinite(steps) & np.isfinite(columns).all(axis=0))
         given = np.concatenate([columns, [steps, early, kink]])
-        # Designs with similar numbers of steps wait little for each other.
+        # Runs in one register wait for the slowest of them.
         order = sound[np.argsort(steps[sound], kind="stable")]
         chunks = [order[k : k + _CHUNK] for k in range(0, len(order), _CHUNK)]
         run = self._run if self.compiled else self._interpret
@@ -190,49 +192,49 @@ class ManyRuns:
         return results
 
     def _steps(self, known: dict[str, Array], duration: Array, finer: float) -> Array:
-        """Return the number of steps of each run, infinite where they are too many."""
+        """Return the number of steps of each run; infinite if it is too large."""
         phase = PHASE_PER_STEP_READ if self._outputs else PHASE_PER_STEP
         summed, lasting = summed_and_lasting_phase(known, duration)
-        shorter = np.maximum((lasting / _LASTING) ** (1.0 / _LOSES) * phase / PHASE_PER_STEP, 1.0)
+        shorter = np.maximum((lasting / _LASTING_PHASE) ** (1.0 / _LOSS_ORDER) * phase / PHASE_PER_STEP, 1.0)
         steps: Array = np.maximum(np.ceil(finer * shorter * summed / phase), _FEWEST_STEPS)
-        # Whether a design has a value does not depend on how finely it is looked at.
+        # Whether a run is integrated does not depend on `finer`.
         steps[summed / phase > _MOST_STEPS] = np.inf
         return steps
 
     def _run(self, given: Array, which: NDArray[np.int64], results: Array) -> None:
-        """Fill in the results of runs by machine code.
+        """Enter the results of some runs, computed by machine code.
 
         Args:
-            given: the parameters, and as `_SOURCE` has it the steps and the kink: a column for each run.
-            which: the runs, their numbers of steps ascending.
-            results: a row for each run.
+            given: the array `in` of `_SOURCE`.
+            which: numbers of the runs, sorted by their numbers of steps.
+            results: receives a row for each run.
         """
         assert self._library is not None  # else CasADi interprets
         ends = np.empty(3 * int(given[-3, which[-1]] + 2.0) * _WIDEST + _WIDEST)
-        # Vectors lie at addresses that are multiples of their size.
+        # Vectors must lie at addresses that are multiples of their size.
         begin = -(-ends.ctypes.data // (8 * _WIDEST)) * (8 * _WIDEST)
         arrays = which.ctypes.data, given.ctypes.data, results.ctypes.data
         self._library.many_runs(given.shape[1], len(which), *arrays, results.shape[1], self._outputs, begin)
 
     def _interpret(self, given: Array, which: NDArray[np.int64], results: Array) -> None:
-        """Fill in the results of runs by CasADi, with at least as many steps, a power of two of them."""
+        """Enter the results of some runs, computed by CasADi with the next power of two as number of steps."""
         steps = 2.0 ** np.ceil(np.log2(given[-3]))
         for count in np.unique(steps[which]):
-            own = which[steps[which] == count]
+            alike = which[steps[which] == count]
             timeline = Timeline(
                 self._outputs or 1, int(count), aligned=self._structure.ramp, moving=self._structure.ramp
             )
             run = integration(self._structure, Accuracy("dop853", steps=int(count)), timeline).function
-            states, *averages = (np.asarray(part).T for part in run.map(len(own))(given[:-3, own]))
-            read = states.reshape(len(own), -1) if self._outputs else np.empty((len(own), 0))
-            results[own] = np.hstack([read, *averages])
+            states, *averages = (np.asarray(part).T for part in run.map(len(alike))(given[:-3, alike]))
+            read = states.reshape(len(alike), -1) if self._outputs else np.empty((len(alike), 0))
+            results[alike] = np.hstack([read, *averages])
 
 
 def _before_kink(known: dict[str, Array], duration: Array, steps: Array) -> tuple[Array, Array]:
-    """Return the number of steps before the end of a tow ramp, and that end as a fraction of the duration."""
+    """Return the number of steps up to the end of a tow ramp, and that end as a fraction of the duration."""
     kink = np.clip(known["ramp_time"] / duration, 0.0, 1.0)
     early = np.ceil(kink * np.maximum(steps, _FEWEST_STEPS))
-    # A ramp that ends with the run, or nearly so, or later, has no kink within it.
+    # A ramp that ends within rounding of the end of the run, or later, makes no kink.
     inside = kink < 1.0 - 1e-9
     early = np.where(inside, np.minimum(early, np.maximum(steps, _FEWEST_STEPS) - 1.0), 0.0)
     return early, np.where(inside & (early > 0.0), kink, 0.0)
@@ -240,7 +242,7 @@ def _before_kink(known: dict[str, Array], duration: Array, steps: Array) -> tupl
 
 @lru_cache(maxsize=32)
 def _library(structure: Structure) -> ctypes.CDLL | None:
-    """Return the runs of a structure in machine code; None without a compiler."""
+    """Return the compiled runs of a structure; None without a compiler."""
     observed = signals(structure)
     begin, one = _operations(structure)
     first, text = Statements(begin, ("p",)), Statements(one, ("x", "s", "p"))
@@ -262,7 +264,7 @@ def _library(structure: Structure) -> ctypes.CDLL | None:
 
 
 def _operations(structure: Structure) -> tuple[ca.Function, ca.Function]:
-    """Return parameters -> state at the start, and (state, span, parameters) -> (state after a step, w'', moments)."""
+    """Return (parameters -> start state) and ((state, span, parameters) -> state after a step, w'', moments)."""
     motion, observed = equation_of_motion(structure), signals(structure)
     (p, known), state, span = observed.symbols(ca.SX), ca.SX.sym("state", 2), ca.SX.sym("span", 2)
     following, moments = step(structure)(state, span, p)

@@ -1,4 +1,4 @@
-"""The results of a batch, as arrays over its designs."""
+"""`BatchResult`: the results of a batch, as arrays over its designs."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-# Arrays of a batch -> their units, and failures that a table quotes.
+# Array of a batch -> its unit.
 _UNITS: Final = {
     "mean_draft": "N", "force_rms": "N", "mean_deflection": "m", "displacement_rms": "m", "tow_power": "W",
     "error_estimate": "", "steps": "",
 }  # fmt: skip
+# Failures that a table quotes.
 _QUOTED: Final = 3
 
 Array = NDArray[np.float64]
@@ -32,7 +33,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BatchResult(Saveable):
-    """Results of a batch, an element for each design in the order in which they were given.
+    """Results of a batch, an element for each design in the order of the call.
 
     Attributes:
         mean_draft: time average of the mount force P [N].
@@ -40,13 +41,14 @@ class BatchResult(Saveable):
         mean_deflection: time average of the spring's deflection [m].
         displacement_rms: its standard deviation [m].
         tow_power: mean of P s' [W].
-        error_estimate: of mean draft and RMS force, relative to the larger of them: the terms that the steps left out,
-            added up as if all of them pointed the same way, and carried along by the equation of small deviations from
-            the motion; usually some hundred times too large. It is infinite for a motion that forgets its start.
+        error_estimate: estimated error of mean draft and RMS force, relative to the larger of them [-]. It adds up the
+            truncated terms of all steps as if they pointed the same way, and lets the sum grow or decay by the
+            linearised equation of motion. It is a bound, usually some hundred times larger than the error, and
+            infinite for a chaotic motion.
         steps: number of steps of each design.
-        reasons: position of a design without results, which are then NaN -> the reason.
-        wanted: the relative error that was wanted.
-        seconds: time taken.
+        reasons: position of a design without results -> the reason. Its results are NaN.
+        wanted: the relative error that was requested [-].
+        seconds: time taken [s].
         warnings: about the batch as a whole.
 
     Example:
@@ -74,17 +76,17 @@ class BatchResult(Saveable):
     kind = "batch"
 
     def __repr__(self) -> str:
-        """Return a summary in one line; the arrays would fill pages."""
+        """Return a summary in one line, without the arrays."""
         return f"<BatchResult: {self._heading()}>"
 
     def _heading(self) -> str:
         return (
             f"{len(self)} designs in {self.seconds:.3g} s, {len(self.reasons)} without results,"
-            f" {np.count_nonzero(self.missed)} less exact than {self.wanted:g}"
+            f" {np.count_nonzero(self.missed)} with an estimated error above {self.wanted:g}"
         )
 
     def page(self) -> Page:
-        """Return the range of every result, and why designs have none."""
+        """Return the range of every result, and why designs failed."""
         table = Grid.of("", "result", "least", "median", "largest")
         for name, unit in _UNITS.items():
             values = getattr(self, name)[~self.failed]
@@ -97,18 +99,18 @@ class BatchResult(Saveable):
         return Page(self._heading(), (*([table] if table.rows else []), *lost), self.warnings)
 
     def plot(self, target: str | Path | None = None) -> Figure:
-        """Draw the RMS of the mount force over the mean draft, a point for each design.
+        """Draw the RMS of the mount force against the mean draft, a point for each design.
 
         Args:
             target: file to write (.png, .svg, .pdf), or None.
 
         Raises:
-            InputError: a file name without a known ending, or a place that cannot be written.
+            InputError: a file name with an unknown ending, or a path that cannot be written.
         """
         return drawn("plot_batch", self, target=target)
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return a row for each design, SI, NaN where it has no results.
+        """Return a row for each design in SI units, NaN where it failed.
 
         Raises:
             InputError: pandas is not installed.
@@ -120,12 +122,12 @@ class BatchResult(Saveable):
 
     @property
     def failed(self) -> NDArray[np.bool_]:
-        """Which designs have no results: see `reasons`."""
+        """Mask of the designs without results: see `reasons`."""
         mask = np.zeros(len(self), dtype=bool)
         mask[list(self.reasons)] = True
         return mask
 
     @property
     def missed(self) -> NDArray[np.bool_]:
-        """Which designs have results whose estimated error is larger than wanted."""
+        """Mask of the designs whose estimated error is larger than requested."""
         return np.asarray(self.error_estimate > self.wanted)

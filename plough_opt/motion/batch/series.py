@@ -1,9 +1,11 @@
-"""Taylor series in time of a differential equation's solution, order by order from its graph.
+"""Taylor series in time of a differential equation's solution, computed order by order from its graph.
 
 Jorba, Zou: A software package for the numerical integration of ODEs by means of high-order Taylor methods, Experimental
-Mathematics 14 (2005); Griewank, Walther: Evaluating Derivatives, 2nd ed., 2008, chapter 13. Each kind of operation is a
-method of `Graph` with the recurrence for the coefficients of its result. A coefficient that is zero for every design
-(those of a constant, or of the time beyond the first) adds nothing to the compiled code.
+Mathematics 14 (2005); Griewank, Walther: Evaluating Derivatives, 2nd ed., 2008, chapter 13.
+
+Each kind of operation is a method of `Graph` that states the recurrence for the coefficients of its result. A
+coefficient that is zero for every design adds nothing to the compiled code: those of a constant beyond order 0, and of
+the time beyond order 1.
 """
 
 from __future__ import annotations
@@ -23,60 +25,60 @@ class Series:
     """Taylor coefficients of one quantity.
 
     Attributes:
+        recurrence: (this series, an order) -> the coefficient of that order, once all lower orders of the graph are
+            known; None if the caller supplies the coefficients.
         coefficients: those known so far, from order 0.
-        following: (this series, an order) -> the coefficient of that order, all lower ones being known; None if it
-            comes from outside.
-        fixed: whether the quantity is independent of time.
-        timed: whether it is a multiple of the time.
-        affine: (another series, factor, summand) of which it is made, the latter two independent of time. A series that
-            is not made of another one has itself, 1 and 0.
-        derivative: of a function y = f(x) the series of its slope; it is set once y can be used to make it.
+        constant: whether the quantity is independent of time.
+        is_time: whether it is a multiple of the time.
+        affine: (base, factor, summand) with this series = factor * base + summand, where factor and summand are
+            independent of time. A series that was not made like this is its own base.
+        derivative: for y = f(x), the series of f'(x). It may depend on y, so it is set after y was made.
     """
 
     derivative: Series
 
     def __init__(
         self,
-        following: Callable[[Series, int], ca.SX | None],
+        recurrence: Callable[[Series, int], ca.SX | None],
         *coefficients: ca.SX,
-        fixed: bool = False,
-        timed: bool = False,
+        constant: bool = False,
+        is_time: bool = False,
         affine: tuple[Series, ca.SX, ca.SX] | None = None,
     ) -> None:
         """Take the recurrence and the coefficients known at first."""
-        self.following, self.coefficients = following, list(coefficients)
-        self.fixed, self.timed = fixed, timed
+        self.recurrence, self.coefficients = recurrence, list(coefficients)
+        self.constant, self.is_time = constant, is_time
         self.affine = affine or (self, _ONE, _ZERO)
 
     def __getitem__(self, order: int) -> ca.SX:
         return self.coefficients[order]
 
-    def slope(self, order: int) -> ca.SX:
-        """Return the coefficient of an order of the time derivative."""
+    def rate(self, order: int) -> ca.SX:
+        """Return a coefficient of the time derivative."""
         base, factor, _ = self.affine
         return (order + 1) * factor * base[order + 1]
 
 
 class Graph:
-    """Series that depend on each other, in an order in which each coefficient needs only those known by then."""
+    """Series that depend on each other, in an order in which each coefficient needs only those before it.
 
-    def __init__(self, late: bool = False) -> None:
-        """Begin without any.
+    Attributes:
+        ramp_ended: whether the tow ramp is over. In minimum(time, ramp time) the ramp time is then the smaller.
+        switches: series whose signs select the right-hand side's formula.
+    """
 
-        Args:
-            late: whether a ramp of the tow speed has ended: where the time is capped, the cap then counts.
-        """
-        self.late = late
-        self._all: list[Series] = []
-        self._circles: dict[int, tuple[Series, Series]] = {}
-        self._squares: dict[int, Series] = {}
+    def __init__(self, ramp_ended: bool = False) -> None:
+        """Begin without any series."""
+        self.ramp_ended = ramp_ended
         self.switches: list[Series] = []
-        """Series whose sign decides on the right-hand side's formula."""
+        self._all: list[Series] = []
+        self._sines_and_cosines: dict[int, tuple[Series, Series]] = {}
+        self._squares: dict[int, Series] = {}
 
     def extend(self, order: int) -> None:
-        """Compute the coefficients of an order of all series, the orders below being known."""
+        """Compute the coefficients of an order of all series; those of the orders below must be known."""
         for series in self._all:
-            if len(series.coefficients) == order and (found := series.following(series, order)) is not None:
+            if len(series.coefficients) == order and (found := series.recurrence(series, order)) is not None:
                 series.coefficients.append(found)
 
     def _add(self, series: Series) -> Series:
@@ -84,57 +86,58 @@ class Graph:
         return series
 
     def given(self, *coefficients: ca.SX) -> Series:
-        """Return a series whose coefficients come from outside."""
+        """Return a series whose coefficients the caller supplies."""
         return self._add(Series(lambda _, __: None, *coefficients))
 
     def constant(self, value: ca.SX) -> Series:
         """Return the series of a value that is independent of time."""
-        return self._add(Series(lambda _, __: _ZERO, value, fixed=True))
+        return self._add(Series(lambda _, __: _ZERO, value, constant=True))
 
     def clock(self, now: ca.SX) -> Series:
         """Return the series of the time itself."""
-        return self._add(Series(lambda _, k: _ONE if k == 1 else _ZERO, now, timed=True))
+        return self._add(Series(lambda _, k: _ONE if k == 1 else _ZERO, now, is_time=True))
 
     def scaled(self, x: Series, factor: ca.SX | float) -> Series:
-        """Return a fixed multiple of a series."""
+        """Return a multiple of a series by a factor that is independent of time."""
         base, by, plus = x.affine
         affine = base, factor * by, factor * plus
-        return self._add(Series(lambda _, k: factor * x[k], timed=x.timed, affine=affine))
+        return self._add(Series(lambda _, k: factor * x[k], is_time=x.is_time, affine=affine))
 
     def total(self, a: Series, b: Series, sign: float = 1.0) -> Series:
-        """Return a + b, or with the sign -1 a - b."""
+        """Return a + b, or a - b if the sign is -1."""
 
         def added(x: ca.SX, y: ca.SX) -> ca.SX:
             return x + y if sign > 0.0 else x - y
 
         affine = None
-        if a.fixed:
+        if a.constant:
             affine = b.affine[0], sign * b.affine[1], added(a[0], b.affine[2])
-        elif b.fixed:
+        elif b.constant:
             affine = a.affine[0], a.affine[1], added(a.affine[2], b[0])
         return self._add(Series(lambda _, k: added(a[k], b[k]), affine=affine))
 
     def product(self, a: Series, b: Series) -> Series:
-        """Return a b; if both are made of the same series, from the square of that."""
-        if a.fixed or b.fixed:
-            return self.scaled(b, a[0]) if a.fixed else self.scaled(a, b[0])
-        (x, p, q), (other, r, s) = a.affine, b.affine
+        """Return a b. If both have the same base, it is computed from the square of that."""
+        if a.constant or b.constant:
+            return self.scaled(b, a[0]) if a.constant else self.scaled(a, b[0])
         if a is b:
             return self.square(a)
-        if x is not other:
+        (base, p, q), (other_base, r, s) = a.affine, b.affine
+        if base is not other_base:
             return self._add(Series(lambda _, k: _convolved(a, b, k, 0)))
-        square = self.square(x)
-        return self._add(Series(lambda _, k: p * r * square[k] + (p * s + q * r) * x[k] if k else a[0] * b[0]))
+        # (p x + q) (r x + s) = p r x^2 + (p s + q r) x + q s
+        square = self.square(base)
+        return self._add(Series(lambda _, k: p * r * square[k] + (p * s + q * r) * base[k] if k else a[0] * b[0]))
 
     def square(self, x: Series) -> Series:
-        """Return x^2, which is made once."""
+        """Return x^2, always the same series for the same x."""
         if id(x) not in self._squares:
             self._squares[id(x)] = self._add(Series(lambda _, k: _self_convolved(x, k, 0)))
         return self._squares[id(x)]
 
     def quotient(self, a: Series, b: Series) -> Series:
         """Return q = a/b, from a = b q."""
-        if b.fixed:
+        if b.constant:
             return self.scaled(a, 1.0 / b[0])
         inverse = self._add(Series(lambda _, k: 1.0 / b[0] if k == 0 else _ZERO))
         return self._add(Series(lambda q, k: (a[k] - _convolved(b, q, k, 1)) * inverse[0]))
@@ -147,41 +150,41 @@ class Graph:
         """Return r = sqrt(x), from x = r^2."""
         return self._add(Series(lambda r, k: (x[k] - _self_convolved(r, k, 1)) / (2.0 * r[0]) if k else ca.sqrt(x[0])))
 
-    def integral(self, function: Callable[[ca.SX], ca.SX], x: Series) -> Series:
-        """Return y = f(x), from y' = g x'; its `Series.derivative` g, which may be made of y, is still to be set."""
+    def function(self, f: Callable[[ca.SX], ca.SX], x: Series) -> Series:
+        """Return y = f(x), from y' = f'(x) x'. The caller must set `Series.derivative`, which may be made of y."""
 
-        def following(y: Series, order: int) -> ca.SX:
+        def recurrence(y: Series, order: int) -> ca.SX:
             if order == 0:
-                return function(x[0])
-            slopes = [x.slope(k) for k in range(order)]
-            return _convolved(slopes, y.derivative, order - 1, 0) / order
+                return f(x[0])
+            rates = [x.rate(k) for k in range(order)]
+            return _convolved(rates, y.derivative, order - 1, 0) / order
 
-        return self._add(Series(following))
+        return self._add(Series(recurrence))
 
-    def circular(self, x: Series) -> tuple[Series, Series]:
-        """Return sin(x) and cos(x), which are made once, each from the other."""
-        if id(x) not in self._circles:
-            sine, cosine = self.integral(ca.sin, x), self.integral(ca.cos, x)
+    def sine_and_cosine(self, x: Series) -> tuple[Series, Series]:
+        """Return sin(x) and cos(x), each the derivative of the other; always the same series for the same x."""
+        if id(x) not in self._sines_and_cosines:
+            sine, cosine = self.function(ca.sin, x), self.function(ca.cos, x)
             sine.derivative, cosine.derivative = cosine, self.scaled(sine, -1.0)
-            self._circles[id(x)] = sine, cosine
-        return self._circles[id(x)]
+            self._sines_and_cosines[id(x)] = sine, cosine
+        return self._sines_and_cosines[id(x)]
 
-    def chosen(self, switch: Series, yes: Series, no: Series) -> Series:
-        """Return one series until another becomes positive, then a third: by the sign at the start of the step."""
-        return self._add(Series(lambda _, k: ca.if_else(switch[0] <= 0.0, yes[k], no[k])))
+    def chosen(self, switch: Series, if_not_positive: Series, if_positive: Series) -> Series:
+        """Return one of two series, by the sign that a switch has at the start of the step."""
+        return self._add(Series(lambda _, k: ca.if_else(switch[0] <= 0.0, if_not_positive[k], if_positive[k])))
 
     def masked(self, x: Series, condition: Series) -> Series:
-        """Return a series where a condition holds, elsewhere 0."""
+        """Return a series while a condition holds, otherwise 0."""
         return self._add(Series(lambda _, k: ca.if_else(condition[0], x[k], 0.0)))
 
     def switch(self, series: Series) -> Series:
-        """Note a series whose sign decides on the right-hand side's formula, and return it."""
+        """Register a series whose sign selects the right-hand side's formula, and return it."""
         self.switches.append(series)
         return series
 
-    def step(self, function: Callable[..., ca.SX], *of: Series) -> Series:
-        """Return a function that is constant between switches."""
-        return self._add(Series(lambda _, k: function(*(series[0] for series in of)) if k == 0 else _ZERO))
+    def stepwise(self, f: Callable[..., ca.SX], *arguments: Series) -> Series:
+        """Return f(arguments), which is constant as long as no switch changes its sign."""
+        return self._add(Series(lambda _, k: f(*(series[0] for series in arguments)) if k == 0 else _ZERO))
 
 
 def _convolved(a: Series | Sequence[ca.SX], b: Series, k: int, low: int) -> ca.SX:
@@ -194,7 +197,7 @@ def _convolved(a: Series | Sequence[ca.SX], b: Series, k: int, low: int) -> ca.S
 
 
 def _self_convolved(a: Series, k: int, low: int) -> ca.SX:
-    """Return the sum of a_j a_(k-j) for j from low to k - low; equal products are taken once."""
+    """Return the sum of a_j a_(k-j) for j from low to k - low; each pair of equal products is computed once."""
     total = _ZERO
     for j in range(low, (k + 1) // 2):
         if not (a[j].is_zero() or a[k - j].is_zero()):
@@ -206,15 +209,15 @@ def _self_convolved(a: Series, k: int, low: int) -> ca.SX:
 
 
 def series_of(graph: Graph, function: ca.Function, inputs: Sequence[Sequence[Series]]) -> list[Series]:
-    """Return the series of an SX Function's results, each a column, one after the other.
+    """Return the series of the results of a Function, one result after the other.
 
     Args:
-        graph: where the series are entered.
-        function: of SX, of columns.
-        inputs: the series of its arguments' elements.
+        graph: receives the series.
+        function: of SX columns.
+        inputs: the series of the elements of each argument.
 
     Raises:
-        InputError: an operation that has no rule.
+        InputError: an operation without a rule.
     """
     work: dict[int, Series] = {}
     results: list[list[Series]] = [[] for _ in range(function.n_out())]
@@ -234,20 +237,20 @@ def series_of(graph: Graph, function: ca.Function, inputs: Sequence[Sequence[Ser
 
 def _apply(graph: Graph, operation: int, of: list[Series]) -> Series:
     """Return the series of an operation's result."""
-    if all(series.fixed for series in of):
+    if all(series.constant for series in of):
         return graph.constant(_evaluated(operation, *(series[0] for series in of)))
-    if operation == ca.OP_FMIN and any(x.timed for x in of) and any(x.fixed for x in of):
-        time, cap = sorted(of, key=lambda x: x.fixed)
-        return cap if graph.late else time
+    if operation == ca.OP_FMIN and any(x.is_time for x in of) and any(x.constant for x in of):
+        time, ramp_time = sorted(of, key=lambda x: x.constant)
+        return ramp_time if graph.ramp_ended else time
     if operation in _RULES:
         return _RULES[operation](graph, *of)
     if operation in _DERIVATIVES:
-        return _function(graph, operation, *of)
-    if operation in _STEPS:
-        return graph.step(partial(_evaluated, operation), *of)
+        return _elementary(graph, operation, *of)
+    if operation in _LOGICAL:
+        return graph.stepwise(partial(_evaluated, operation), *of)
     name = next(name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == operation)
     raise InputError(
-        f"a batch does not know the operation '{name[3:].lower()}' of something that moves: write the own"
+        f"a batch cannot expand the operation '{name[3:].lower()}' of a quantity that changes with time: write the own"
         " resistance without it, or use po.simulate for each design"
     )
 
@@ -256,26 +259,26 @@ def _evaluated(operation: int, *of: ca.SX) -> ca.SX:
     return ca.SX.unary(operation, *of) if len(of) == 1 else ca.SX.binary(operation, *of)
 
 
-def _function(graph: Graph, operation: int, x: Series) -> Series:
-    """Return the series of y = f(x) from the one of f'(x), which may be written with y."""
-    result = graph.integral(partial(_evaluated, operation), x)
+def _elementary(graph: Graph, operation: int, x: Series) -> Series:
+    """Return the series of y = f(x) for a function of `_DERIVATIVES`."""
+    result = graph.function(partial(_evaluated, operation), x)
     derivative = ca.Function("derivative", [_X, _Y], [_DERIVATIVES[operation]])
     (result.derivative,) = series_of(graph, derivative, [[x], [result]])
     return result
 
 
 def _power(graph: Graph, x: Series, exponent: Series) -> Series:
-    if not exponent.fixed:
-        return _function(graph, ca.OP_EXP, graph.product(exponent, _function(graph, ca.OP_LOG, x)))
-    # Of a whole number CasADi has made products before, which hold for x <= 0 too.
+    if not exponent.constant:
+        return _elementary(graph, ca.OP_EXP, graph.product(exponent, _elementary(graph, ca.OP_LOG, x)))
+    # CasADi has already turned whole powers into products, which hold for x <= 0 too.
     number = exponent[0]
-    result = graph.integral(lambda value: value**number, x)
+    result = graph.function(lambda value: value**number, x)
     result.derivative = graph.product(exponent, graph.quotient(result, x))
     return result
 
 
 def _hyperbolic_cosine(graph: Graph, x: Series) -> Series:
-    rising, falling = _function(graph, ca.OP_EXP, x), _function(graph, ca.OP_EXP, graph.scaled(x, -1.0))
+    rising, falling = _elementary(graph, ca.OP_EXP, x), _elementary(graph, ca.OP_EXP, graph.scaled(x, -1.0))
     return graph.scaled(graph.total(rising, falling), 0.5)
 
 
@@ -294,14 +297,14 @@ def _absolute(graph: Graph, x: Series) -> Series:
 
 def _compared(graph: Graph, a: Series, b: Series, operation: int) -> Series:
     graph.switch(graph.total(a, b, -1.0))
-    return graph.step(partial(_evaluated, operation), a, b)
+    return graph.stepwise(partial(_evaluated, operation), a, b)
 
 
 def _only_if(graph: Graph, condition: Series, x: Series) -> Series:
-    return graph.scaled(x, condition[0]) if condition.fixed else graph.masked(x, condition)
+    return graph.scaled(x, condition[0]) if condition.constant else graph.masked(x, condition)
 
 
-# Operations made of sums, products, quotients and roots, and those that change their formula.
+# Operations made of sums, products, quotients and roots, and those that change their formula at a switch.
 _RULES: dict[int, Callable[..., Series]] = {
     ca.OP_ADD: Graph.total,
     ca.OP_SUB: partial(Graph.total, sign=-1.0),
@@ -316,13 +319,13 @@ _RULES: dict[int, Callable[..., Series]] = {
     ca.OP_HYPOT: lambda graph, a, b: graph.root(graph.total(graph.square(a), graph.square(b))),
     ca.OP_POW: _power,
     ca.OP_CONSTPOW: _power,
-    ca.OP_SIN: lambda graph, x: graph.circular(x)[0],
-    ca.OP_COS: lambda graph, x: graph.circular(x)[1],
+    ca.OP_SIN: lambda graph, x: graph.sine_and_cosine(x)[0],
+    ca.OP_COS: lambda graph, x: graph.sine_and_cosine(x)[1],
     ca.OP_COSH: _hyperbolic_cosine,
     ca.OP_FMIN: _smaller,
     ca.OP_FMAX: _larger,
     ca.OP_FABS: _absolute,
-    ca.OP_SIGN: lambda graph, x: graph.step(ca.sign, graph.switch(x)),
+    ca.OP_SIGN: lambda graph, x: graph.stepwise(ca.sign, graph.switch(x)),
     ca.OP_IF_ELSE_ZERO: _only_if,
     ca.OP_LT: partial(_compared, operation=ca.OP_LT),
     ca.OP_LE: partial(_compared, operation=ca.OP_LE),
@@ -345,5 +348,5 @@ _DERIVATIVES = {
     ca.OP_ERF: 2.0 / math.sqrt(math.pi) * ca.exp(-(_X**2)),
 }
 
-# Operations on conditions, whose result changes only where one of the conditions does.
-_STEPS = (ca.OP_NOT, ca.OP_AND, ca.OP_OR)
+# Operations on conditions, whose results change only where a condition does.
+_LOGICAL = (ca.OP_NOT, ca.OP_AND, ca.OP_OR)

@@ -18,7 +18,7 @@ from plough_opt.core.expressions import Column, Expression, is_casadi
 from plough_opt.design import Optimum
 from plough_opt.design.population import Population
 from plough_opt.design.split import split
-from plough_opt.motion.batch.equations import DomainCheck
+from plough_opt.motion.batch.domain_check import DomainCheck
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.soil import Soil
 

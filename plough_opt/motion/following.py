@@ -1,4 +1,4 @@
-"""A numeric scene followed once, by a method with its setting, or a reason why it cannot be."""
+"""One integration of a numeric scene by a given method, and the diagnosis if it fails."""
 
 from __future__ import annotations
 
@@ -25,27 +25,29 @@ from plough_opt.motion.timeline import Timeline
 
 Array = NDArray[np.float64]
 
-# Part of the expected sizes below which an absolute tolerance related to those leaves few digits.
-_SMALL = 0.03
-# When a motion fails is found by halving the time, with a tolerance and steps that soon come to the end of it.
-_CLOSE = 2e-4
-_SHORTEST = 1e-9
-_COARSE = 1e-4
+# An absolute tolerance follows from the expected size of a quantity. It leaves too few digits if the quantity turns out
+# smaller than this part of it.
+_TOO_SMALL = 0.03
+# Bisection for the time at which a motion fails ends at this relative interval, and at this part of the duration.
+_FAILURE_INTERVAL = 2e-4
+_EARLIEST_FAILURE = 1e-9
+# It is done with this tolerance and this limit on the steps, with which a motion without an end fails sooner.
+_COARSE_TOLERANCE = 1e-4
 _COARSE_STEPS = 10_000
 
 
 @dataclass(frozen=True)
 class Case:
-    """A numeric scene over a time, read once for all its integrations.
+    """A numeric scene and a duration, prepared once for all integrations of them.
 
     Attributes:
         scene: the scene.
         duration: simulated time [s].
         outputs: number of intervals between output times.
-        structure: what its equation of motion contains.
+        structure: what the equation of motion contains.
         p: the equation's parameters by name.
-        closer: how many times as many outputs as usual are followed where events may go unnoticed.
-        code: its steps of order 8 in machine code, where they are wanted and can be had.
+        code: compiled steps of order 8, if requested and available.
+        event_refinement: factor on the number of outputs of a motion with events, so that none goes unnoticed.
     """
 
     scene: Scene
@@ -54,23 +56,23 @@ class Case:
     structure: Structure
     p: dict[str, float]
     code: CompiledSteps | None = None
-    closer: int = 1
+    event_refinement: int = 1
 
     @classmethod
     def of(cls, scene: Scene, duration: float, outputs: int, *, compiled: bool = False) -> Case:
-        """Read a scene; translate its steps if they shall be compiled and can be.
+        """Return the case of a scene; compile its steps if requested and possible.
 
         Raises:
-            InputError: an array in the scene.
+            InputError: a quantity of the scene is an array.
         """
         structure = Structure.of(scene)
         code = compiled_steps(structure) if compiled and scene.effects.motion and structure.stepped else None
         return cls(scene, duration, outputs, structure, numbers_of(scene, structure), code)
 
     @property
-    def every(self) -> int:
-        """How many times as many outputs are followed: between few, events would go unnoticed."""
-        return self.closer * -(-OUTPUTS // self.outputs) if self.structure.events else 1
+    def output_factor(self) -> int:
+        """How many times the requested outputs are computed, because events between distant outputs go unnoticed."""
+        return self.event_refinement * -(-OUTPUTS // self.outputs) if self.structure.events else 1
 
     @cached_property
     def rate(self) -> float:
@@ -84,63 +86,64 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Followed:
-    """A motion, and what a run of its like can learn from it.
+class Integrated:
+    """The run of one integration.
 
     Attributes:
-        run: the motion, at `Case.every` times as many outputs as are wanted.
-        sizes: of what moves, to which an adaptive method relates its tolerance: see `Sized`. None of another method.
+        run: the run, with `Case.output_factor` times the requested outputs.
+        sizes: of the quantities to which an adaptive method relates its tolerance (see `Sized`); None for others. A
+            similar integration can use them.
     """
 
     run: Run
     sizes: Array | None = None
 
 
-def follow(case: Case, accuracy: Accuracy, sizes: Array | None = None, *, shaken: float = 0.0) -> Followed:
-    """Follow a motion by a method with its setting.
+def integrate(case: Case, accuracy: Accuracy, sizes: Array | None = None, *, perturbation: float = 0.0) -> Integrated:
+    """Integrate a case by a method.
 
     Args:
         case: scene and duration.
         accuracy: method and setting.
-        sizes: of a run of its like. Without them an adaptive method takes those that are to be expected, and if it
-            finds far smaller ones, of which it then knows few digits, it follows the motion again.
-        shaken: relative change of every parameter, up and down in turn.
+        sizes: `Integrated.sizes` of a similar run. Without them an adaptive method uses the expected sizes; if it finds
+            far smaller ones, which then have few digits, it integrates again with these.
+        perturbation: relative change of the parameters, alternately up and down.
 
     Raises:
-        IntegrationError: the method failed; the message says for which scene, when and the likely cause.
-        MissedEvent: it missed an event.
+        IntegrationError: the method failed; the message names the scene, the time and the likely cause.
+        MissedEvent: the method missed an event.
     """
     scene, duration = case.scene, case.duration
     refuse_runaway(scene, duration)
-    outputs = case.outputs * case.every
+    outputs = case.outputs * case.output_factor
     steps = accuracy.steps or max(outputs, OUTPUTS)
     if accuracy.adaptive:
         steps = most_steps(case.phase)
     timeline = timeline_of(scene, duration, outputs, steps, accuracy.method)
     values = [case.p[name] for name in signals(case.structure).parameters]
-    p = [*(value * (1.0 + shaken * (-1.0) ** k) for k, value in enumerate(values)), duration]
+    p = [*(value * (1.0 + perturbation * (-1.0) ** k) for k, value in enumerate(values)), duration]
     if case.code is not None and accuracy.order_8 and (found := case.code(timeline, p)) is not None:
-        return Followed(_assembled(case, timeline, found, accuracy))
+        return Integrated(_assembled(case, timeline, found, accuracy))
     solver = integration(case.structure, accuracy, timeline)
     results, sizes = _sized(solver.sized, p, sizes) if solver.sized else (_attempt(solver.function, p), None)
     if results is None:
-        _refuse(case, solver, p)
+        _raise_failure(case, solver, p)
     states, means, variances = results
     run = _assembled(case, timeline, (states.T, means.ravel(), variances.ravel()), accuracy)
     if isinstance(scene.effects.contact, StickSlip):
         refuse_missed_event(run)
         refuse_weak_rest(scene, run)
-    return Followed(run, sizes)
+    return Integrated(run, sizes)
 
 
 def _assembled(case: Case, timeline: Timeline, found: tuple[Array, Array, Array], accuracy: Accuracy) -> Run:
-    """Return the run of states in rows of outputs, means and mean squares of the signals."""
+    """Return the run of (states with a row for each output, means of the signals, mean squares about them)."""
     fractions, known = timeline.output_fractions, (case.structure, case.p)
     return assemble(case.scene, case.duration, fractions, *found, accuracy, known)
 
 
 def thinned(run: Run, outputs: int) -> Run:
-    """Return a run at so many equal intervals between outputs, of which it has a multiple."""
+    """Return a run with fewer equal intervals between outputs; the run must have a multiple of them."""
     every = (len(run.time) - 1) // outputs
     if every == 1:
         return run
@@ -149,7 +152,7 @@ def thinned(run: Run, outputs: int) -> Run:
 
 
 def _sized(sized: Sized, p: list[float], sizes: Array | None) -> tuple[list[Array] | None, Array | None]:
-    """Return the results, and the sizes of what they hold."""
+    """Return the results of an adaptive method (None if it failed) and the sizes of their quantities."""
     expected = sized.expected(p).full().ravel()
     results = _attempt(sized.function, p, expected if sizes is None else sizes)
     if results is None:
@@ -163,37 +166,37 @@ def _sized(sized: Sized, p: list[float], sizes: Array | None) -> tuple[list[Arra
 
 
 def _sizes(results: list[Array], expected: Array) -> Array:
-    """Return the expected sizes of what was found, and where they are far too large, the true ones."""
+    """Return the expected sizes, replaced by the true ones where these are far smaller."""
     states, means, variances = results
     rms = np.sqrt(np.maximum(variances.ravel(), 0.0))
     averages = np.abs(means.ravel())
     averages[: rms.size] += rms
     found = np.concatenate([np.abs(states[:2]).max(axis=1), averages, rms])
-    return np.where((found > 0.0) & (found < _SMALL * expected), found, expected)
+    return np.where((found > 0.0) & (found < _TOO_SMALL * expected), found, expected)
 
 
-def _refuse(case: Case, solver: Integration, p: list[float]) -> NoReturn:
-    """Say of an integration that failed when and why it did."""
+def _raise_failure(case: Case, solver: Integration, p: list[float]) -> NoReturn:
+    """Raise the IntegrationError that says when and why an integration failed."""
     scene, duration = case.scene, case.duration
     if scene.effects.orbit != "transient":
         raise IntegrationError(
-            f"no lasting orbit of a {scene.describe()} was found from its linear response: simulate it from a start,"
-            " orbit = 'transient', to see whether it settles, or damp the mount"
+            f"no periodic orbit of a {scene.describe()} was found from its linear response: damp the mount, or use"
+            " orbit = 'transient' to see whether the motion settles"
         )
-    raise failed_by(scene, duration, solver, *_last(case, solver, p))
+    raise failed_by(scene, duration, solver, *_until_failure(case, solver, p))
 
 
-def _last(case: Case, solver: Integration, p: list[float]) -> tuple[Run | None, float]:
-    """Return the motion until shortly before it can no longer be followed, and the pause until then [s]."""
+def _until_failure(case: Case, solver: Integration, p: list[float]) -> tuple[Run | None, float]:
+    """Return the motion until shortly before the integration fails, and the time from there to the failure [s]."""
     method: str = "rosenbrock" if case.phase > STIFF_PHASE else "erk"
-    coarse = Accuracy(method, tolerance=_COARSE)
-    sooner = integration(case.structure, coarse, timeline_of(case.scene, case.duration, OUTPUTS, _COARSE_STEPS, method))
-    if _attempt(sooner.function, p) is None:
-        # Coarse steps come to the end of a motion that has one in a fraction of the time.
-        solver = sooner
+    coarse = Accuracy(method, tolerance=_COARSE_TOLERANCE)
+    timeline = timeline_of(case.scene, case.duration, OUTPUTS, _COARSE_STEPS, method)
+    coarse_solver = integration(case.structure, coarse, timeline)
+    if _attempt(coarse_solver.function, p) is None:
+        solver = coarse_solver
     reached, failed = 0.0, case.duration
     last: list[Array] | None = None
-    while failed - reached > failed * _CLOSE and failed > _SHORTEST * case.duration:
+    while failed - reached > failed * _FAILURE_INTERVAL and failed > _EARLIEST_FAILURE * case.duration:
         middle = (reached + failed) / 2.0
         results = _attempt(solver.function, [*p[:-1], middle])
         if results is None:
@@ -205,18 +208,18 @@ def _last(case: Case, solver: Integration, p: list[float]) -> tuple[Run | None, 
     states, means, variances = last
     until = replace(case, duration=reached)
     found = states.T, means.ravel(), variances.ravel()
-    with np.errstate(all="ignore"):  # steps that are too long end in any numbers
+    with np.errstate(all="ignore"):  # steps that are too long may give any numbers
         return _assembled(until, solver.timeline, found, solver.accuracy), failed - reached
 
 
 def _attempt(function: Any, *inputs: list[float] | Array) -> list[Array] | None:
-    """Return the results, or None where the method failed or they are not finite."""
+    """Return the results of a Function, or None if it failed or they are not finite."""
     given = [np.array(values) for values in inputs]
-    made: Any = function.buffer()  # its stubs know no arrays
-    buffer, evaluate = made
+    untyped: Any = function.buffer()  # CasADi's type stubs do not accept arrays
+    buffer, evaluate = untyped
     for k, values in enumerate(given):
         buffer.set_arg(k, values.data)
-    # A result that is zero by structure stays as it is.
+    # CasADi does not write a result that is zero by structure.
     results = [np.zeros(function.size_out(k), order="F") for k in range(function.n_out())]
     for k, result in enumerate(results):
         if function.nnz_out(k) == result.size:
@@ -225,5 +228,5 @@ def _attempt(function: Any, *inputs: list[float] | Array) -> list[Array] | None:
         evaluate()
     except RuntimeError:
         return None
-    sound = buffer.ret() == 0 and all(np.isfinite(result).all() for result in results)
-    return results if sound else None
+    valid = buffer.ret() == 0 and all(np.isfinite(result).all() for result in results)
+    return results if valid else None

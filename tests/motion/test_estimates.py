@@ -144,7 +144,7 @@ def test_a_stop_that_the_integrator_passes_over_is_in_the_estimate():
     # The mount pulls the share back from feeble soil for two parts in ten thousand of the run.
     run, errors = by(940)
     assert 1e-9 < max(errors.values()) <= run.error_estimate < 1e-6
-    assert [text for text in run.warnings if "all but stops" in text]
+    assert [text for text in run.warnings if "nearly stops" in text]
 
 
 def test_the_resistance_of_a_share_that_just_entered_has_all_its_digits():
@@ -241,13 +241,13 @@ def sampled(number):
 def steps_for_errors(monkeypatch, number):
     """Return the steps, checks and attempts included, that each of the wanted errors takes, and the estimates."""
     scene, duration = sampled(number)
-    taken, follow = [], verified.follow
+    taken, integrate = [], verified.integrate
 
     def counted(case, accuracy, *given, **named):
         taken.append(accuracy.steps or math.inf)
-        return follow(case, accuracy, *given, **named)
+        return integrate(case, accuracy, *given, **named)
 
-    monkeypatch.setattr(verified, "follow", counted)
+    monkeypatch.setattr(verified, "integrate", counted)
     found = []
     for error in ERRORS:
         taken.clear()

@@ -1,8 +1,8 @@
-"""Second-order Taylor coefficients of a fixed-step run by its parameters, and how far derivatives of runs are off.
+"""First and second derivatives of runs by their parameters, and the error of such derivatives.
 
-A run enters a design through at most a handful of parameters (inertia, stiffness, static resistance,
-drag). Carrying the first and second derivatives with respect to those along with the state, step by
-step, costs a small multiple of the run itself and a graph of one step. Differentiating the whole run
+A run enters a design through a handful of parameters (inertia, stiffness, static resistance, drag). Its jet is the
+column of its results with their first and second derivatives by these. Carrying the jet of the state along, step by
+step, costs a small multiple of the run itself and needs the graph of one step only. Differentiating the whole run
 inside the optimiser's graph gives the same numbers for several times the time and memory.
 """
 
@@ -27,18 +27,21 @@ from plough_opt.motion.terms import Structure, start_deflection
 from plough_opt.motion.timeline import Timeline, at_outputs
 
 Vector = NDArray[np.float64]
-# Runs of one structure that are compared, of however many there are, and steps of theirs, which take a second.
-_MOST_RUNS, _FEWEST_RUNS, _MOST_STEPS = 8, 2, 10_000
-# Of order 8 so many more steps leave a twenty-fifth of the error, and across kinks a fifth.
+# Runs whose derivatives are checked, out of all that were given: as many as take this number of steps together, which
+# is a second, but within these limits.
+_MOST_STEPS = 10_000
+_MOST_RUNS = 8
+_FEWEST_RUNS = 2
+# Factor on the steps of a check. At order 8 it leaves 1/25 of the error, and across kinks 1/5.
 _FINER = 1.5
-# An RMS below this part of the mean counts as that part: what swings less is rounding.
-_LEAST_SWING = 1e-3
+# An RMS below this part of the mean counts as that part, because a smaller oscillation is rounding.
+_LEAST_RMS = 1e-3
 
 
 def weighted_curvature(integration: Integration, varying: tuple[int, ...]) -> ca.Function:
     """Return (parameters, weights) -> second derivatives of the weighted sum of the results by the varying parameters.
 
-    Through events CasADi differentiates forward over adjoint only.
+    The derivatives are forward over adjoint, the only order that CasADi supports through events.
     """
     p, shift, shifted = _shifts(integration, varying)
     results = ca.vertcat(*(ca.vec(result) for result in integration.function.call([shifted])))
@@ -49,7 +52,7 @@ def weighted_curvature(integration: Integration, varying: tuple[int, ...]) -> ca
 
 
 def _shifts(integration: Integration, varying: tuple[int, ...]) -> tuple[ca.MX, ca.MX, ca.MX]:
-    """Return symbols for the parameters and for shifts of the varying ones, and the shifted parameters."""
+    """Return symbols of the parameters, symbols of shifts of the varying ones, and the shifted parameters."""
     p = ca.MX.sym("p", integration.function.numel_in(0))
     shift = ca.MX.sym("shift", len(varying))
     chosen = ca.DM(p.numel(), len(varying))
@@ -59,7 +62,7 @@ def _shifts(integration: Integration, varying: tuple[int, ...]) -> tuple[ca.MX, 
 
 
 def jets_of(integration: Integration, varying: tuple[int, ...], order: int) -> ca.Function:
-    """Return `jets` of any integration: carried along where the method is ours, else by differentiating the run."""
+    """Return the jet of any integration: `jets` for steps of order 8, otherwise by differentiating the whole run."""
     if integration.accuracy.order_8 and integration.structure.orbit == "transient":
         return jets(integration.structure, integration.timeline, varying, order)
     p, e, shifted = _shifts(integration, varying)
@@ -75,7 +78,7 @@ def jets_of(integration: Integration, varying: tuple[int, ...], order: int) -> c
 
 @lru_cache(maxsize=64)
 def jets(structure: Structure, timeline: Timeline, varying: tuple[int, ...], order: int) -> ca.Function:
-    """Return the run's outputs with their derivatives as one Function of the parameters.
+    """Return the Function of a run's jet, by steps of order 8.
 
     Args:
         structure: the terms that are on.
@@ -84,9 +87,9 @@ def jets(structure: Structure, timeline: Timeline, varying: tuple[int, ...], ord
         order: 1 for first derivatives, 2 for second derivatives too.
 
     Returns:
-        Function of the parameters; its single result has a row for each output (states at the output
-        times column by column, means, variances: the outputs of `run_map`, stacked) and as columns the
-        value, the first derivatives and, with order 2, the second ones of `pairs`.
+        Function of the parameters. Its result has a row for each number of the run (the results of `run_map`, stacked:
+        states output by output, means, variances). Its columns are the values, the first derivatives and, with order 2,
+        the second derivatives of `pairs`.
     """
     observed = signals(structure)
     (p, _), count = observed.symbols(ca.MX), len(varying)
@@ -101,18 +104,18 @@ def jets(structure: Structure, timeline: Timeline, varying: tuple[int, ...], ord
     part = None if ramp is None else ramp_part
     averages = runge_kutta.pooled(columns, _average(spans, part, count), observed.count, count)
     paths = [ca.horzcat(first[:, column], states[:, column::width]) for column in range(width)]
-    own = [position == p.numel() - 1 for position in varying]
-    read = _read(timeline, paths, (p[-1], ramp), own)
+    is_duration = [position == p.numel() - 1 for position in varying]
+    read = _read(timeline, paths, (p[-1], ramp), is_duration)
     result = ca.vertcat(ca.horzcat(*map(ca.vec, read)), *averages)
     return ca.Function("jets", [p], [result])
 
 
 def _average(spans: ca.MX | ca.DM, ramp: ca.MX | None, count: int) -> Average:
-    """Return what averages jets over the steps.
+    """Return the function that averages the columns of a jet over the steps.
 
     Args:
         spans: of the steps.
-        ramp: jet of the ramp's part of the duration, where steps have parts of it.
+        ramp: jet of the ramp's part of the duration if the step sizes depend on it, else None.
         count: number of varying parameters.
     """
 
@@ -121,23 +124,25 @@ def _average(spans: ca.MX | ca.DM, ramp: ca.MX | None, count: int) -> Average:
         if ramp is None:
             return found
         more = runge_kutta.product(ca.horzsplit(ramp), [column @ spans[3, :].T for column in columns], count)
-        return [own + other for own, other in zip(found, more, strict=True)]
+        return [a + b for a, b in zip(found, more, strict=True)]
 
     return average
 
 
-def _read(timeline: Timeline, paths: list[ca.MX], times: tuple[ca.MX, ca.MX | None], own: list[bool]) -> list[ca.MX]:
+def _read(
+    timeline: Timeline, paths: list[ca.MX], times: tuple[ca.MX, ca.MX | None], is_duration: list[bool]
+) -> list[ca.MX]:
     """Return the jets of the states at the outputs from those at the ends of the steps.
 
     Args:
         timeline: steps and outputs.
-        paths: value, first and second derivatives of the states, a column for each end.
-        times: duration of the run [s], and of a ramp at whose end a step ends.
-        own: of each varying parameter whether it is the duration, by which the weights of the ends change.
+        paths: value, first and second derivatives of the states; each has a column for each end.
+        times: duration of the run [s], and time of a tow ramp at whose end a step ends [s].
+        is_duration: whether each varying parameter is the duration, on which the interpolation depends.
     """
     duration, ramp = times
     read = [at_outputs(timeline, path, duration, ramp) for path in paths]
-    if timeline.aligned or not any(own):
+    if timeline.aligned or not any(is_duration):
         return read
     time, one = ca.MX.sym("time"), ca.MX.sym("path", *paths[0].shape)
     once = ca.jacobian(ca.vec(at_outputs(timeline, one, time)), time)
@@ -145,21 +150,21 @@ def _read(timeline: Timeline, paths: list[ca.MX], times: tuple[ca.MX, ca.MX | No
         ca.Function("by_duration", [one, time], [ca.reshape(by, *read[0].shape)])
         for by in (once, ca.jacobian(once, time))
     )
-    count = len(own)
+    count = len(is_duration)
     for a in range(count):
-        if own[a]:
+        if is_duration[a]:
             read[1 + a] += slope(paths[0], duration)
     for column, (a, b) in enumerate(runge_kutta.pairs(count) if len(paths) > 1 + count else [], start=1 + count):
         for this, other in ((a, b), (b, a)):
-            if own[this]:
+            if is_duration[this]:
                 read[column] += slope(paths[1 + other], duration)
-        if own[a] and own[b]:
+        if is_duration[a] and is_duration[b]:
             read[column] += bend(paths[0], duration)
     return read
 
 
 def _expand(y: ca.SX, e: ca.SX, order: int) -> ca.SX:
-    """Return value and derivatives of a column ``y`` with respect to ``e``, at e = 0, as columns."""
+    """Return a column ``y`` and its derivatives by ``e`` at e = 0, as columns."""
     slopes = ca.jacobian(y, e)
     columns = [y, slopes]
     if order == 2:
@@ -169,7 +174,7 @@ def _expand(y: ca.SX, e: ca.SX, order: int) -> ca.SX:
 
 
 def _at_start(structure: Structure, varying: tuple[int, ...], order: int) -> ca.Function:
-    """Return parameters -> jets of the state at time 0 and of the ramp's part of the duration, 0 without a ramp."""
+    """Return parameters -> (jet of the state at time 0, jet of the ramp's part of the duration, 0 without a ramp)."""
     names = signals(structure).parameters
     p, e = ca.SX.sym("p", len(names) + 1), ca.SX.sym("e", len(varying))
     shifted = ca.SX(p)
@@ -182,21 +187,25 @@ def _at_start(structure: Structure, varying: tuple[int, ...], order: int) -> ca.
 
 @lru_cache(maxsize=64)
 def _jet_step(structure: Structure, varying: tuple[int, ...], order: int, width: int) -> ca.Function:
-    """Return one step of the jet: (jet of the state, span, parameters) -> (jet of the state, of the moments).
+    """Return one step: (jet of the state, span, parameters) -> (jet of the state after it, jet of the moments).
 
-    The span is that of `OneStep`, of that width.
+    The derivatives solve the equation of motion expanded at every stage. That takes a fraction of the operations of
+    differentiating the whole step.
 
-    The derivatives solve the equation of motion expanded at every stage, which takes a fraction of the operations of
-    the whole step differentiated.
+    Args:
+        structure: the terms that are on.
+        varying: positions of the parameters to differentiate by.
+        order: of the derivatives.
+        width: of the span: see `OneStep`.
     """
     observed, count, one = signals(structure), len(varying), OneStep.of(structure, width)
     p, span, start, size = one.p, one.span, one.start, one.size
     jet = ca.SX.sym("jet", 2, _width(count, order))
-    # Of the step by the parameters: nothing, unless the duration or a ramp's time is one of them.
+    # Derivatives of the step's start and size: zero unless the duration or the ramp time varies.
     lateness, lengthening = (ca.jacobian(time, p[list(varying)]) for time in (start, size))
 
     def moved(weights: Sequence[float], rates: Sequence[ca.SX]) -> ca.SX:
-        """Return the jet of the state after a part of the step."""
+        """Return the jet of the state after a part of the step, from the jets of the rates at the stages."""
         used = [(weight, rate) for weight, rate in zip(weights, rates, strict=False) if weight != 0.0]
         shares = ca.DM([weight for weight, _ in used])
         columns = ca.horzcat(ca.vec(jet), *(rate for _, rate in used))
@@ -209,7 +218,7 @@ def _jet_step(structure: Structure, varying: tuple[int, ...], order: int, width:
             following[:, column] += lengthening[a] * rate[:, 1 + b] + lengthening[b] * rate[:, 1 + a]
         return following
 
-    # Of the same symbols, so that what depends on the parameters alone is shared by the stages.
+    # With the symbols of the step, so that all stages share what depends on the parameters alone.
     at = _expanded(one.structure, varying, order, (p, span))
     _, first, _ = at(ca.horzcat(start, lateness), jet, 0.0, p, span)
     found: list[list[ca.SX]] = []
@@ -227,10 +236,18 @@ def _jet_step(structure: Structure, varying: tuple[int, ...], order: int, width:
 
 
 def _expanded(structure: Structure, varying: tuple[int, ...], order: int, symbols: tuple[ca.SX, ca.SX]) -> ca.Function:
-    """Return the equation of motion and the signals as a Function of jets, of parameters p and of a span, in symbols.
+    """Return the equation of motion and the signals, expanded to jets.
 
-    It takes the time [s] with its slopes, the jet of the state, the stacked one of the signals at the start of the
-    step, p and the span; it returns the stacked jets of the rate, of the signals' changes and of the changes' squares.
+    Args:
+        structure: the terms that are on.
+        varying: positions of the parameters to differentiate by.
+        order: of the derivatives.
+        symbols: of the parameters and of the span of a step.
+
+    Returns:
+        Function of the time [s] with its derivatives, the jet of the state, the stacked jet of the signals at the start
+        of the step, the parameters and the span. It returns the stacked jets of the rate of the state, of the changes
+        of the signals since the start of the step, and of the squares of these.
     """
     motion, observed, count = equation_of_motion(structure), signals(structure), len(varying)
     moment, jet = ca.SX.sym("moment", 1, 1 + count), ca.SX.sym("jet", 2, _width(count, order))
@@ -254,7 +271,7 @@ def _expanded(structure: Structure, varying: tuple[int, ...], order: int, symbol
 
 
 def _square(jet: ca.SX, count: int) -> ca.SX:
-    """Return the jet of squares, of quantities whose jets are rows, by ``count`` parameters."""
+    """Return the jets of squared quantities, whose jets by ``count`` parameters are rows."""
     columns = ca.horzsplit(jet)
     squares: ca.SX = ca.horzcat(*runge_kutta.product(columns, columns, count))
     return squares
@@ -266,21 +283,21 @@ def _width(count: int, order: int) -> int:
 
 
 def derivative_error(solver: Integration, first: int, varying: tuple[int, ...], given: Vector) -> float:
-    """Return the largest error of first and second derivatives of runs, those of an orbit excepted, which is 0.
+    """Return the largest error of the first and second derivatives of runs, by a finer integration of some of them.
 
-    Derivatives are by relative changes of the parameters, the second ones by all pairs. They are compared with those of
-    half as many steps again, or of a tenth of the tolerance; through events the first ones only, for the second ones
-    take as long as a solve.
+    Derivatives are by relative changes of the parameters, second ones by all pairs of these. The finer integration has
+    half as many steps again, or a tenth of the tolerance. Through events only first derivatives are compared, because
+    second ones take as long as a solve. The derivatives of orbits are not compared, and their error counts as 0.
 
     Args:
         solver: integrates the runs.
         first: number of the first result that matters.
         varying: positions of the parameters to differentiate by.
-        given: the parameters, the duration last, a column for each run.
+        given: the parameters, the duration last; a column for each run.
 
     Returns:
-        Relative to the largest of result, first and second derivatives, for each kind of result: deflection and speed
-        at the outputs (the largest of all outputs), means and mean squares.
+        The error [-] relative to the largest of value, first and second derivatives of each kind of result: deflection
+        and speed (the largest of all outputs), means, and mean squares. It is infinite if the finer integration fails.
     """
     if solver.structure.orbit != "transient" or not varying:
         return 0.0
@@ -290,13 +307,12 @@ def derivative_error(solver: Integration, first: int, varying: tuple[int, ...], 
     chosen = np.unique(np.linspace(0, given.shape[1] - 1, most).round().astype(int))
     worst = 0.0
     for p in given.T[chosen]:
-        # By relative changes of each parameter, and of each pair.
         scales = [p[position] for position in varying]
         pairs = [a * b for k, a in enumerate(scales) for b in scales[k:]] if order == 2 else []
         try:
             ours, better = (np.asarray(jet(p)) * np.array([1.0, *scales, *pairs]) for jet in both)
             found = difference_of_jets(solver, p, ours, better, first)
-        except RuntimeError:  # no end of the finer integration
+        except RuntimeError:  # the finer integration does not reach the end
             return math.inf
         if not math.isfinite(found):
             return math.inf
@@ -305,14 +321,14 @@ def derivative_error(solver: Integration, first: int, varying: tuple[int, ...], 
 
 
 def finer_than(solver: Integration) -> Integration:
-    """Return what checks an integration: more steps, or a tighter tolerance."""
+    """Return the same integration with more steps or a tighter tolerance, which checks it."""
     if solver.accuracy.order_8:
-        # Outputs at which steps end may call for more than were wanted.
+        # Steps that end at the outputs may be more than were requested.
         timeline = replace(solver.timeline, steps=math.ceil(_FINER * (len(solver.timeline.nodes) - 1)))
         return integration(solver.structure, solver.accuracy, timeline)
     if solver.accuracy.tolerance is not None:
         return integration(solver.structure, finer(solver.accuracy), solver.timeline)
-    # CasADi's fixed-step methods take as many whole steps in each output interval.
+    # CasADi's methods of fixed steps take a whole number of steps in each output interval.
     outputs = solver.timeline.outputs
     steps = outputs * math.ceil(_FINER * solver.timeline.steps / outputs)
     timeline = replace(solver.timeline, steps=steps)
@@ -320,17 +336,17 @@ def finer_than(solver: Integration) -> Integration:
 
 
 def difference_of_jets(solver: Integration, p: Vector, used: Vector, better: Vector, wanted: int) -> float:
-    """Return the largest relative difference of two jets with a row for each result, from the first wanted one on.
+    """Return the largest relative difference of two jets: see `derivative_error`.
 
     Args:
-        solver: what the jets are of.
+        solver: the integration whose results they are.
         p: the parameters, the duration last.
-        used: results, with their derivatives by relative changes of the parameters as columns.
-        better: the same, closer to the truth.
+        used: jet by relative changes of the parameters, a row for each result.
+        better: a more accurate jet.
         wanted: number of the first result that matters.
     """
     observed = signals(solver.structure)
-    # A parameter that nothing in the equation needs moves nothing, and counts as zero here.
+    # A parameter that does not occur in the equation has no influence and may count as 0.
     known = dict.fromkeys(solver.structure.names, 0.0) | dict(zip(solver.names, map(float, p), strict=False))
     averages = len(better) - observed.count - observed.squared
     states = solver.function.size1_out(0)
@@ -345,8 +361,8 @@ def difference_of_jets(solver: Integration, p: Vector, used: Vector, better: Vec
     sizes[mean:square] = size[mean:square]
     for k, least in enumerate(means):
         sizes[mean + k] = max(least, sizes[mean + k])
-        sizes[square + k] = max((_LEAST_SWING * sizes[mean + k]) ** 2, size[square + k])
-    # Modes and what only counts have no derivatives.
+        sizes[square + k] = max((_LEAST_RMS * sizes[mean + k]) ** 2, size[square + k])
+    # The states after the first two, such as the mode, have no derivatives.
     compared = np.r_[np.arange(averages) % states < 2, np.ones(observed.count + observed.squared, dtype=bool)]
     compared &= (sizes > 0.0) & (np.arange(len(sizes)) >= wanted)
     wrong = np.max(np.abs(used - better), axis=1)[compared] / sizes[compared]

@@ -1,4 +1,4 @@
-"""A run inside somebody's graph: one call that carries its scene along, so that others can find and check it."""
+"""A symbolic run as one call in the user's graph that carries its scene, so that a design can find and check it."""
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ from plough_opt.motion.scene import Scene
 
 @dataclass(frozen=True)
 class Embedding:
-    """A Function in a graph: (parameters with the duration last, quantities of the scene) -> a run's results.
+    """What a call in a graph computes: (parameters, the duration last; quantities of the scene) -> results of a run.
 
-    The quantities have no influence; they let a design rebuild the scene.
+    The quantities do not influence the results; with them a design can rebuild the scene.
 
     Attributes:
         integration: method, structure and times.
@@ -33,7 +33,7 @@ _RUNS: Meanings[Embedding] = Meanings()
 
 
 def with_numbers(template: Scene, quantities: Sequence[float]) -> Scene:
-    """Return a template's scene with numbers for its quantities.
+    """Return the scene of a template with the given numbers as quantities.
 
     Raises:
         DomainError: a number lies outside the model's domain.
@@ -43,35 +43,33 @@ def with_numbers(template: Scene, quantities: Sequence[float]) -> Scene:
 
 
 def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[Column, ...]:
-    """Return the run's results as expressions of the symbols in its scene.
+    """Return the results of a run as expressions of the symbols in its scene.
 
     Args:
         solver: the integration.
         p: its parameters, the duration last.
-        scene: the scene that they come from.
+        scene: the scene from which they were computed.
 
     Raises:
-        InputError: SX symbols and a method that exists for MX only.
+        InputError: the symbols are SX, and the method supports only MX.
     """
     template, quantities = template_of(scene)
     carried = stacked(*quantities)
     inputs = stacked(*p)
     if isinstance(inputs, ca.SX) or isinstance(carried, ca.SX):
         if solver.structure.orbit != "transient":
-            raise InputError("an orbit takes MX symbols only, for it is the root of an equation: use casadi.MX")
+            raise InputError("an orbit takes MX symbols only, because it is the root of an equation: use casadi.MX")
         if not is_stepped(solver.accuracy.method):
-            raise InputError(
-                f"method '{solver.accuracy.method}' takes MX symbols only: make the scene of casadi.MX, or use 'dop853'"
-            )
+            raise InputError(f"method '{solver.accuracy.method}' takes MX symbols only: use casadi.MX, or use 'dop853'")
         return tuple(solver.function.call([inputs]))
-    # Quantities print alike, as placeholders, so scenes that differ in numbers only share one Function.
+    # Quantities are placeholders in the template, so that scenes which differ only in numbers share one Function.
     layout = (hash(solver.function), _key(template))
     run = _RUNS.shared(layout, lambda: (_build(solver, carried.numel()), Embedding(solver, template)))
     return tuple(run.call([inputs, carried]))
 
 
 def labelled(value: Column, scene: Scene) -> Expression:
-    """Return a value of a scene, labelled, where the scene holds MX symbols, with its template and its quantities."""
+    """Return a value with its scene attached as a label if the scene holds MX symbols."""
     template, quantities = template_of(scene)
     carried = stacked(*quantities)
     if isinstance(carried, ca.MX) and is_symbolic(carried):
@@ -80,20 +78,20 @@ def labelled(value: Column, scene: Scene) -> Expression:
 
 
 def embedding_of(function: ca.Function) -> Embedding | None:
-    """Return the run that a Function in a graph is, or None for any other Function."""
+    """Return what a Function in a graph computes if `embed` made it, else None."""
     return _RUNS.of(function)
 
 
 def _key(template: Scene) -> Hashable:
-    """Return a key of a template: its repr, and the classes and the function of a density profile in it."""
+    """Return a key of a template: its repr, the classes in it, and the function of its density profile."""
     profile = template.soil.density_profile
     return repr(template), classes_in(template), None if profile is None else id(profile.density)
 
 
 def _build(solver: Integration, count: int) -> ca.Function:
     p, carried = ca.MX.sym("p", solver.function.numel_in(0)), ca.MX.sym("scene", count)
-    # A share that never moves from equilibrium has results that are zero by structure; dense, they keep the call,
-    # and with it the scene, in the graph.
+    # If a share never leaves equilibrium, its results are zero by structure. Made dense, they keep the call in the
+    # graph, and with it the scene.
     results = [ca.densify(result) for result in solver.function.call([p])]
     names = ["parameters", "scene"], ["states", "means", "variances"]
     return ca.Function("run", [p, carried], results, *names, {"never_inline": True})

@@ -1,9 +1,10 @@
-"""The lasting orbit under strength waves: one period of it, by shooting, and two cheap stand-ins for it.
+"""The periodic orbit under strength waves: by shooting, or approximated by the linear response or harmonic balance.
 
-Under a wave of the soil's strength, or several with a common length ell, a share comes to repeat itself with the
-period T = ell/V0 (where that orbit is stable). Shooting finds the state to which one period of steps of order 8
-returns; CasADi differentiates the root by the implicit function theorem. Both stand-ins see the share's motion as a
-Fourier series: of the waves' own terms, in closed form, about steady sliding; or of several that balance the equation.
+Under waves of the soil's strength that repeat themselves every length ell, a motion may repeat itself with the period
+T = ell/V0; if that orbit is stable, shares come to it. Shooting finds the state to which one period of steps of order 8
+returns, and CasADi differentiates the root by the implicit function theorem. Both approximations are Fourier series:
+the linear response to the waves about steady sliding, in closed form, and the harmonics that balance the equation of
+motion.
 """
 
 import math
@@ -19,20 +20,21 @@ from plough_opt.motion.runge_kutta import run_from
 from plough_opt.motion.terms import Structure, pull, resistance_change, start_deflection
 from plough_opt.motion.timeline import Timeline
 
-# The residual is in units of `_size`. CasADi prints every input of a root that it fails to find; here such a root
-# becomes NaN, which is reported once, as an IntegrationError.
-_OPTIONS = {"abstol": 1e-12, "max_iter": 60, "error_on_fail": False, "show_eval_warnings": False}
-_FOUND = 1e-8
-# Wave amplitude below which the unit of the unknowns no longer follows it, so that it has derivatives at 0.
+# For a root that it does not find, CasADi would print a page. Here such a root becomes NaN, which the caller reports as
+# an IntegrationError.
+_NEWTON_OPTIONS = {"abstol": 1e-12, "max_iter": 60, "error_on_fail": False, "show_eval_warnings": False}
+# Largest residual of a root, in units of `_size`.
+_LARGEST_RESIDUAL = 1e-8
+# The unit of the unknowns is proportional to the wave amplitude only above this value, so that derivatives exist at 0.
 _LEAST_AMPLITUDE = 1e-3
-# Places in the shortest wavelength at which the resistance is looked at: enough for its first harmonic beside 14 more.
+# Samples of the resistance in the shortest wavelength. Up to 14 harmonics leave the first one unaffected.
 _SAMPLES = 16
 
 
 def orbit_map(structure: Structure, timeline: Timeline) -> ca.Function:
-    """Return one wavelength of the orbit, with the interface of `plough_opt.motion.integrators.Integration`.
+    """Return the Function of one period of the orbit, as `plough_opt.motion.integrators.Integration` describes it.
 
-    The duration, its last parameter, is the period ell/V0.
+    The duration, its last parameter, must be the period ell/V0.
     """
     if structure.orbit == "periodic":
         return _shooting(structure, timeline)
@@ -42,18 +44,19 @@ def orbit_map(structure: Structure, timeline: Timeline) -> ca.Function:
 
 @lru_cache(maxsize=32)
 def monodromy(structure: Structure, timeline: Timeline) -> ca.Function:
-    """Return (state at time 0, parameters) -> derivative of the state one period later by that at time 0."""
+    """Return (state at time 0, parameters) -> derivative of the state after one period by the state at time 0."""
     first, p = ca.MX.sym("first", 2), ca.MX.sym("p", len(signals(structure).parameters) + 1)
     last = run_from(structure, timeline)(first, p)[0][:, -1]
     return ca.Function("monodromy", [first, p], [ca.jacobian(last, first)])
 
 
 def _response(structure: Structure, p: dict[str, Column]) -> tuple[Column, Column, Column]:
-    """Return mean, sine and cosine coefficients [m] of w in the linear forced response about steady sliding.
+    """Return the mean, the sine and the cosine coefficients of w [m] in the linear response about steady sliding.
 
-    On the steady path L = V0 t, theta = omega t, the resistance is a series Fm + sum of Fs sin(n theta) + Fc cos(n
-    theta), with an n for each wave's turns in the common length; so M w'' + d w' + k0 w is that series at the lag
-    2 pi z0/ell, with d = c + dF/dL'. Coefficients are columns by n.
+    On the steady path L = V0 t, with theta = omega t, the resistance is Fm + sum of Fs sin(n theta) + Fc cos(n theta),
+    where each wave makes n turns in the common length. The response solves M w'' + d w' + k0 w = that series, delayed
+    by the phase 2 pi z0/ell of the start deflection, with d = c + dF/dL'. The coefficients are columns by the number n
+    from 1 on.
     """
     names, repeats = signals(structure).parameters, _wave(structure).repeats(p)
     omega: Column = 2.0 * math.pi * p["tow_speed"] / repeats
@@ -72,21 +75,22 @@ def _response(structure: Structure, p: dict[str, Column]) -> tuple[Column, Colum
 
 
 def _wave(structure: Structure) -> StrengthWaves:
-    """Return the soil's strength along the path, which an orbit has."""
+    """Return the strength waves, which every scene with an orbit has."""
     assert structure.wave is not None
     return structure.wave
 
 
 def _turns(structure: Structure) -> list[int]:
-    """Return the numbers of turns of the waves in the common length, ascending."""
+    """Return how many turns each wave makes in the common length, ascending, each number once."""
     return sorted({*(_wave(structure).turns or (1,))})
 
 
 @lru_cache(maxsize=32)
 def _series(structure: Structure) -> ca.Function:
-    """Return of the resistance on the steady path: mean change since the start, sines, cosines, mean slope by speed.
+    """Return parameters -> Fourier coefficients of the resistance on the steady path, and its slope.
 
-    A Function of the parameters of `signals`, in N and N s/m; sines and cosines are columns by `_turns`.
+    The parameters are those of `signals`. The results are the mean change since the start [N], the sine and the cosine
+    coefficients [N], columns by `_turns`, and the mean derivative by the speed [N s/m].
     """
     names, turns = signals(structure).parameters, _turns(structure)
     given, travel, gain = ca.SX.sym("given", len(names)), ca.SX.sym("travel"), ca.SX.sym("gain")
@@ -106,13 +110,13 @@ def _series(structure: Structure) -> ca.Function:
 
 
 def _size(structure: Structure, p: dict[str, Column]) -> Column:
-    """Return the unit [m] of an orbit's unknowns: the waves' deflection of the spring."""
+    """Return the unit [m] of an orbit's unknowns: the deflection by the waves' forces, slightly above zero."""
     amplitude = ca.sqrt(sum(p[wave_names(k)[0]] ** 2 for k in range(_wave(structure).count)) + _LEAST_AMPLITUDE**2)
     return amplitude * p["static"] / p["stiffness"] + 1e-30
 
 
 def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
-    """Return the orbit to which one period of steps returns."""
+    """Return the Function of the orbit whose state returns to itself after one period of steps."""
     (p, known), x = signals(structure).symbols(ca.MX), ca.MX.sym("x", 2)
     mean, sines, cosines = _response(structure, known)
     omega: Column = 2.0 * math.pi * known["tow_speed"] / _wave(structure).repeats(known)
@@ -127,7 +131,7 @@ def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
 
 
 def _linear(structure: Structure) -> ca.Function:
-    """Return the Fourier coefficients of the linear response: mean, cosines, sines."""
+    """Return parameters -> Fourier coefficients of the linear response: mean, cosines, sines [m]."""
     p, known = signals(structure).symbols(ca.MX)
     mean, sines, cosines = _response(structure, known)
     return ca.Function("linear", [p], [stacked(mean, cosines, sines)])
@@ -135,7 +139,7 @@ def _linear(structure: Structure) -> ca.Function:
 
 @lru_cache(maxsize=32)
 def _balanced(structure: Structure) -> ca.Function:
-    """Return the Fourier coefficients for which no harmonic of the equation of motion is out of balance."""
+    """Return parameters -> Fourier coefficients for which all harmonics kept balance the equation of motion."""
     count = structure.harmonics
     samples = 4 * count + 12
     phases = 2.0 * math.pi * np.arange(samples) / samples
@@ -147,28 +151,28 @@ def _balanced(structure: Structure) -> ca.Function:
     w, rate, acceleration = (size * ca.mtimes(ca.DM(b), x) for b in (basis, slope, bend))
     rate, acceleration = rate * omega, acceleration * omega**2
     motion = equation_of_motion(structure)
-    own = stacked(*(known[name] for name in motion.names))
+    given = stacked(*(known[name] for name in motion.names))
     states = stacked(w.T, rate.T)
-    forced = motion.function.map(samples)(ca.DM(phases).T / omega, states, ca.repmat(own, 1, samples))[1, :].T
+    forced = motion.function.map(samples)(ca.DM(phases).T / omega, states, ca.repmat(given, 1, samples))[1, :].T
     weights = np.where(np.arange(2 * count + 1) == 0, 1.0, 2.0)[:, None] * basis.T / samples
-    # Scaled by the spring, whose force on the response is of order one.
+    # In units of the spring's and the inertia's accelerations, so that the residual is of order one.
     stiff = known["stiffness"] / known["inertia"] + omega**2
     out_of_balance = ca.mtimes(ca.DM(weights), acceleration - forced) / (size * stiff)
-    rest = ca.MX.zeros(count - sines.numel())
-    guess = stacked(mean / size, cosines / size, rest, sines / size, rest)
+    higher = ca.MX.zeros(count - sines.numel())
+    guess = stacked(mean / size, cosines / size, higher, sines / size, higher)
     return ca.Function("balanced", [p], [_root(x, p, out_of_balance, guess) * size])
 
 
 def _root(x: ca.MX, p: ca.MX, residual: ca.MX, guess: ca.MX) -> ca.MX:
-    """Return the x at which a residual of p vanishes, or NaN where none was found from the guess."""
-    solver = ca.rootfinder("orbit", "newton", {"x": x, "p": p, "g": residual}, _OPTIONS)
+    """Return the x at which a residual vanishes, as a function of p; NaN if Newton's method does not find it."""
+    solver = ca.rootfinder("orbit", "newton", {"x": x, "p": p, "g": residual}, _NEWTON_OPTIONS)
     found = solver(x0=guess, p=p)
-    left = ca.Function("left", [x, p], [residual])(found["x"], p)
-    return ca.if_else(ca.norm_inf(left) < _FOUND, found["x"], np.nan)
+    remaining = ca.Function("remaining", [x, p], [residual])(found["x"], p)
+    return ca.if_else(ca.norm_inf(remaining) < _LARGEST_RESIDUAL, found["x"], np.nan)
 
 
 def _basis(count: int, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return mean, cosines and sines at phases, a column each, and their first and second derivatives by the phase."""
+    """Return 1, cosines and sines at the phases, a column each, and their first and second derivatives by the phase."""
     k = np.arange(1, count + 1)
     angle = np.outer(phases, k)
     cosine, sine, zero = np.cos(angle), np.sin(angle), np.zeros((len(phases), 1))
@@ -180,7 +184,7 @@ def _basis(count: int, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def _from_series(structure: Structure, timeline: Timeline, series: ca.Function) -> ca.Function:
-    """Return states at the outputs, means and variances of a Fourier series."""
+    """Return parameters -> states at the outputs, means and variances of a Fourier series of w."""
     p, known = signals(structure).symbols(ca.MX)
     omega: Column = 2.0 * math.pi * known["tow_speed"] / _wave(structure).repeats(known)
     x = series(p)

@@ -1,9 +1,10 @@
-"""To which motion a share comes that starts from equilibrium: the lasting orbit that was found, or another one.
+"""Where a share that starts from equilibrium ends up: on the periodic orbit that was found, or in another motion.
 
-Under one wave several motions can last: the orbit that repeats itself with every wavelength, others that repeat
-themselves after several, and some that never do. Multipliers of an orbit show whether a slight deviation dies; which
-motion a start leads to shows only by following it. The share is followed from wavelength to wavelength, by the steps
-of the orbit, and its states at their ends are compared with the orbit's and with earlier ones.
+Under one wave several motions can persist: the orbit that repeats itself every wavelength, others that repeat
+themselves after several, and some that never do. The Floquet multipliers of an orbit show whether a small deviation
+decays, but only an integration from the start shows where the start leads. This module follows the share from
+wavelength to wavelength, by the steps of the orbit, and compares its state at the end of each with the orbit's and with
+earlier ones.
 """
 
 from __future__ import annotations
@@ -29,73 +30,76 @@ from plough_opt.motion.timeline import Timeline
 Array = NDArray[np.float64]
 
 MOST_STEPS: Final = 50_000
-"""Steps of order 8 after which a share that has not settled is given up: some tenths of a second."""
+"""Steps of order 8 after which a share that has not settled is given up; they take some tenths of a second."""
 
-# Most and fewest wavelengths that are followed at once.
-_AT_ONCE: Final = 32
-_FEWEST: Final = 4
-# Wavelengths that are followed where nothing damps a deviation, and most that a motion is averaged over which does not
-# repeat itself.
+# Most and fewest wavelengths that one call integrates.
+_MOST_AT_ONCE: Final = 32
+_FEWEST_AT_ONCE: Final = 4
+# Limit on the wavelengths if no deviation decays or grows: more would show nothing new.
 _UNDAMPED: Final = 64
+# Most wavelengths over which a motion is averaged that does not repeat itself.
 _AVERAGED: Final = 256
-# Distance from the orbit, in the orbit's own half ranges, at which multipliers below 1 decide: deviations that change
-# the share's motion at all are of order one.
+# Distance from the orbit, in half ranges of the orbit, within which linear theory certainly holds. Deviations that
+# change the character of the motion are of order one.
 _NEAR: Final = 1e-2
-# Distance from which on it counts that it shrinks nearly as the multipliers say, and how nearly.
-_WITHIN: Final = 0.3
-_AS_SLOWLY: Final = 1.5
-# Longest period that is looked for [wavelengths], and the largest difference of states one period apart.
-_LONGEST: Final = 32
+# Within this distance it is enough that the deviation shrinks nearly as linear theory says ...
+_NEAR_ENOUGH: Final = 0.3
+# ... that is, to no more than this factor times the predicted deviation.
+_NEARLY: Final = 1.5
+# Longest period that is looked for [wavelengths].
+_LONGEST_PERIOD: Final = 32
+# Largest difference of states one period apart in a motion that repeats itself, in half ranges of the orbit. A largest
+# multiplier that differs from 1 by less counts as 1.
 _REPEATS: Final = 1e-6
-# Rounding of states, which a chaotic motion would blow up: what differs by less repeats itself.
+# Relative rounding of states, which a chaotic motion would amplify: states that differ by less are the same.
 _ROUNDING: Final = 1e-13
-# Steps of another motion's averages, over those of the orbit, beside which it may be fast.
+# Factor on the orbit's steps for the averages of another motion, which may be faster.
 _FINER: Final = 2
-# A multiplier above 1 by less is that of an undamped mount, rounded.
+# A multiplier that exceeds 1 by less may be that of an undamped mount, rounded.
 _MARGINAL = 1e-8
-# Least size of an orbit, as a part of the steady deflection: an orbit without a wave is a point.
-_LEAST: Final = 1e-9
+# Smallest unit of distances, as a part of the steady deflection: without a wave the orbit is a point.
+_SMALLEST_UNIT: Final = 1e-9
 
 
 def which_motion(run: Run) -> tuple[tuple[complex, ...], Settled, tuple[str, ...]]:
-    """Return a lasting orbit's Floquet multipliers [-], to which motion a share comes, and what a reader must know.
+    """Return the Floquet multipliers [-] of a periodic orbit, where a share from equilibrium ends up, and warnings.
 
     Args:
-        run: the orbit, of numbers.
+        run: numeric run of the orbit.
     """
     path = _Path(run)
-    # A numeric orbit has a number of steps; derivatives by the start are known less exactly by the same.
+    # Derivatives by the start state are less exact than the states, so they take twice the orbit's steps.
     once = Timeline(1, 2 * path.steps)
     found = np.linalg.eigvals(monodromy(path.structure, once)(path.orbit, path.p).full())
     multipliers, largest = tuple(complex(value) for value in found), float(np.max(np.abs(found)))
-    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     if largest > 1.0 + _MARGINAL:
         grows = f"a deviation grows {largest:.4g} times in every wavelength, so no share stays on it"
-        notes = (f"the orbit is unstable: {grows}",)
-    settles = _settled(path, largest)
-    return multipliers, settles, (*notes, *_sentences(settles, largest))
+        warnings = (f"the orbit is unstable: {grows}",)
+    settled = _settled(path, largest)
+    return multipliers, settled, (*warnings, *_warnings(settled, largest))
 
 
 def _settled(path: _Path, largest: float) -> Settled:
-    """Return to which motion a share comes that starts from equilibrium.
+    """Follow a share from equilibrium and return the motion in which it ends up.
 
-    It is followed for as many wavelengths as `MOST_STEPS` steps reach, at least 4.
+    It is followed until it settles, for as many wavelengths as `MOST_STEPS` allow, and for 4 at least.
 
     Args:
         path: the share.
-        largest: size of the orbit's largest multiplier [-].
+        largest: absolute value of the orbit's largest multiplier [-].
     """
-    lasts = MOST_STEPS // path.steps if abs(largest - 1.0) > _REPEATS else _UNDAMPED
-    shrinks, distances = largest < 1.0 - _REPEATS, [math.inf]
+    limit = MOST_STEPS // path.steps if abs(largest - 1.0) > _REPEATS else _UNDAMPED
+    stable, distances = largest < 1.0 - _REPEATS, [math.inf]
     while True:
         path.follow()
         distance = path.distance
         if not math.isfinite(distance):
             return Settled(False, path.count, None, math.inf, path.count, math.inf, retreats=True)
-        near = shrinks and distance < _NEAR and distance <= distances[-1]
-        spent = path.count >= lasts
+        near = stable and distance < _NEAR and distance <= distances[-1]
+        spent = path.count >= limit
         distances.append(distance)
-        if near or (spent and shrinks and _shrinks(distances, largest ** (len(distances) // 2 * path.at_once))):
+        if near or (spent and stable and _shrinks(distances, largest ** (len(distances) // 2 * path.at_once))):
             return Settled(True, path.count, 1, float(path.run.force_rms), 1, distance, retreats=False)
         if period := path.period(largest):
             return Settled(False, path.count, period, *path.last(period, distance))
@@ -104,26 +108,37 @@ def _settled(path: _Path, largest: float) -> Settled:
 
 
 def _shrinks(distances: list[float], factor: float) -> bool:
-    """Return whether a distance within reach of linear theory shrank since half the time as that says, or nearly."""
-    return distances[-1] < _WITHIN and distances[-1] < _AS_SLOWLY * factor * distances[len(distances) // 2]
+    """Return whether the distance is small and has nearly shrunk by a factor in the second half of the time."""
+    return distances[-1] < _NEAR_ENOUGH and distances[-1] < _NEARLY * factor * distances[len(distances) // 2]
 
 
-def _sentences(found: Settled, largest: float) -> tuple[str, ...]:
-    """Return what a reader of an orbit must know of the motion from equilibrium: nothing where it is the orbit."""
-    if found.orbit:
+def _warnings(settled: Settled, largest: float) -> tuple[str, ...]:
+    """Return a warning unless a share from equilibrium comes to the orbit."""
+    if settled.orbit:
         return ()
     if largest < 1.0 - _REPEATS:
-        why = f", although the orbit is stable: a slight deviation shrinks to {largest:.4g} in every wavelength"
+        why = f", although the orbit is stable: a small deviation shrinks to {largest:.4g} in every wavelength"
     else:
         why = "" if largest > 1.0 + _REPEATS else ": nothing damps a deviation from the orbit"
-    return (f"a share that starts from equilibrium {found.text}{why}",)
+    return (f"a share that starts from equilibrium {settled.text}{why}",)
 
 
 class _Path:
-    """A share that is followed from equilibrium, by its states at the ends of wavelengths, a row each."""
+    """A share that is followed from equilibrium, as its states at the ends of wavelengths.
+
+    Attributes:
+        run: the orbit.
+        structure: the terms that are on.
+        numbers: the equation's parameters by name.
+        p: the same as a column, the period last.
+        steps: of the orbit.
+        unit: of distances in w and w': half ranges of the orbit.
+        orbit: the orbit's state at time 0.
+        states: of the share, a row for each wavelength followed and one for the start.
+    """
 
     def __init__(self, run: Run) -> None:
-        """Begin at equilibrium, beside an orbit whose half ranges are the units of distances."""
+        """Begin at equilibrium."""
         self.run, self.structure, self.numbers = run, Structure.of(run.scene), numbers_of(run.scene)
         self.steps = run.accuracy.steps or 1
         names = signals(self.structure).parameters
@@ -131,45 +146,53 @@ class _Path:
         first = float(start_deflection(self.structure, self.numbers))
         w, rate = run.deflection - first, run.scene.tow_speed - run.speed
         frequency = max(float(run.scene.wave_frequency), float(run.scene.natural_frequency))
-        range_of_w = max(float(np.ptp(w)) / 2.0, float(np.ptp(rate)) / 2.0 / frequency, _LEAST * abs(first))
+        range_of_w = max(float(np.ptp(w)) / 2.0, float(np.ptp(rate)) / 2.0 / frequency, _SMALLEST_UNIT * abs(first))
         self.unit: Array = np.array([1.0, frequency]) * (range_of_w or 1.0)
         self.orbit: Array = np.array([w[0], rate[0]])
         self.states: Array = np.zeros((1, 2))
 
     @property
     def count(self) -> int:
-        """Wavelengths that were followed."""
+        """Number of wavelengths followed."""
         return len(self.states) - 1
 
     @property
     def at_once(self) -> int:
-        """Wavelengths that are followed at once: a quarter of those that `MOST_STEPS` reach, or a usual number."""
-        return max(_FEWEST, min(_AT_ONCE, MOST_STEPS // (4 * self.steps)))
+        """Number of wavelengths that one call of `follow` integrates: at most a quarter of what `MOST_STEPS` allow."""
+        return max(_FEWEST_AT_ONCE, min(_MOST_AT_ONCE, MOST_STEPS // (4 * self.steps)))
 
     @property
     def distance(self) -> float:
-        """Largest distance from the orbit at the ends of the last half of the wavelengths followed at once."""
+        """Largest distance from the orbit at the ends of the last wavelengths: half of those of one call."""
         return float(np.max(np.abs((self.states[-self.at_once // 2 :] - self.orbit) / self.unit)))
 
     def follow(self) -> None:
-        """Follow the share for some more wavelengths."""
+        """Integrate some more wavelengths."""
         ends = _wavelengths(self.structure, self.steps, self.at_once)(self.states[-1], self.p)
         self.states = np.vstack([self.states, ends.full().T])
 
     def period(self, largest: float) -> int | None:
-        """Return after how many wavelengths the states have come to repeat themselves away from the orbit, if so."""
+        """Return the period [wavelengths] with which the last states repeat themselves away from the orbit, if any."""
         distance = self.distance
-        # Beside a slowly attracting orbit states differ little too, by about (1 - multiplier) of their distance.
+        # States near a slowly attracting orbit differ little too: by about (1 - multiplier) times their distance.
         least = _REPEATS * min(1.0, max(distance, _NEAR)) * min(1.0, max(abs(1.0 - largest), _REPEATS))
         scaled = self.states / self.unit
-        for period in range(1, min(_LONGEST, self.count // 2) + 1):
+        for period in range(1, min(_LONGEST_PERIOD, self.count // 2) + 1):
             apart = np.abs(scaled[-period:] - scaled[-2 * period : -period])
             if distance > _NEAR and float(np.max(apart)) < max(least, _ROUNDING * float(np.max(np.abs(scaled)))):
                 return period
         return None
 
     def last(self, count: int, distance: float) -> tuple[float, int, float, bool]:
-        """Return RMS of the mount force [N] over the last wavelengths, their number, the distance, and any retreat."""
+        """Return the last attributes of `Settled`, from another integration of the last wavelengths.
+
+        Args:
+            count: number of wavelengths.
+            distance: from the orbit, returned as it is.
+
+        Returns:
+            RMS of the mount force [N], number of wavelengths, distance, and whether the share retreats.
+        """
         steps = count * _FINER * self.steps
         timeline = Timeline(steps, steps)
         p = ca.vertcat(self.p[:-1], count * float(self.run.duration))
@@ -184,7 +207,7 @@ class _Path:
 def _wavelengths(structure: Structure, steps: int, count: int) -> ca.Function:
     """Return (state, parameters with the wave's period last) -> states at the ends of the next wavelengths.
 
-    Time begins anew with each, for the soil is the same one wavelength on.
+    Time restarts with each of them, because the soil repeats itself every wavelength.
     """
     first, p = ca.MX.sym("first", 2), ca.MX.sym("p", len(signals(structure).parameters) + 1)
     fractions = np.arange(steps) / steps

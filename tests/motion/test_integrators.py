@@ -118,7 +118,7 @@ def test_failure_names_scene_time_and_cause_and_its_advice_works(r1_scene):
     scene_in_words = ("half angle 8.93 deg and height 0.25 m", "500 kN/m", "at 2 m/s")
     for words in (*scene_in_words, "beyond t = ", "of 50 s", "4 steps are too few for"):
         assert words in message
-    steps = int(message.rsplit("take steps=", 1)[1])
+    steps = int(message.rsplit("use steps=", 1)[1])
     run = po.simulate(scene, 50.0, accuracy=po.Accuracy("dop853", steps=steps), outputs=2)
     # Phase errors grow with the time of oscillation; the estimate says so.
     assert run.error_estimate < 1e-6

@@ -300,7 +300,7 @@ def test_runs_that_no_orbit_has_are_refused(r1_scene, choice):
     design = po.Design()
     stiffness = design.variable("stiffness", guess=5e4, lower=1e4, upper=1e9)
     design.minimise(po.simulate(dataclasses.replace(stiff, stiffness=stiffness)).force_rms)
-    with pytest.raises(po.DomainError, match="at the upper bound of 'stiffness': the lasting orbit of"):
+    with pytest.raises(po.DomainError, match="at the upper bound of 'stiffness': the periodic orbit of"):
         design.solve()
 
 
@@ -320,7 +320,7 @@ def test_methods_that_find_no_orbit_are_refused(r1_scene, method):
 def test_where_no_orbit_is_found_the_message_names_a_remedy(scene_of, damping, capfd):
     scene = scene_of("strongest", strength_wave=po.StrengthWave(1.0, 0.2), stiffness=2e3, tow_speed=0.3)
     scene = dataclasses.replace(scene, effects=dataclasses.replace(scene.effects, damping=damping))
-    with pytest.raises(po.IntegrationError, match=r"no lasting orbit of a share .*2 kN/m.*orbit = 'transient'.*damp"):
+    with pytest.raises(po.IntegrationError, match=r"no periodic orbit of a share .*2 kN/m.*damp.*orbit = 'transient'"):
         po.simulate(scene)
     # Not beside a page of what CasADi knows of it.
     assert capfd.readouterr() == ("", "")

@@ -171,7 +171,7 @@ def test_growth_beyond_every_number_names_the_spring(r1_scene, drag, duration, a
     message = str(refusal.value)
     assert "the print's repelling spring drives the share away like exp(" in message
     assert f"exp({scene.natural_frequency:.3g} t)" in message
-    assert "take a shorter duration, or formulation = 'derived'" in message
+    assert "use a shorter duration, or formulation = 'derived'" in message
     assert "on 5 kN/m of a repelling spring, as printed, with" in message
 
 

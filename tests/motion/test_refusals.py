@@ -148,7 +148,7 @@ def test_no_nan_leaves_a_quasi_static_scene(r1_scene):
 @pytest.mark.parametrize(("wavelength", "duration"), [(1e-6, 2.0), (0.6, 1e9)])
 def test_countless_waves_are_refused_at_once(r1_scene, motion, wavelength, duration):
     scene = r1_scene(motion=motion, strength_wave=po.StrengthWave(0.3, wavelength))
-    with pytest.raises(po.IntegrationError, match="times: take a shorter duration or a longer wave"):
+    with pytest.raises(po.IntegrationError, match="times: use a shorter duration or a longer wave"):
         po.simulate(scene, duration)
 
 

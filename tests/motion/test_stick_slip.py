@@ -250,7 +250,7 @@ def test_methods_that_find_no_events_are_refused(r1_soil, method, effects, speed
 def test_sx_symbols_are_refused(r1_soil):
     for effects in ({"contact": law()}, {"entry": True}):
         scene = po.Scene(r1_soil, SHARP, ca.SX.sym("k"), 24.0, 1.0, po.Effects(start="rest", **effects))
-        with pytest.raises(po.InputError, match=r"takes MX symbols only: make the scene of casadi\.MX"):
+        with pytest.raises(po.InputError, match="takes MX symbols only"):
             po.simulate(scene, 1.0)
 
 

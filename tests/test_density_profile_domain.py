@@ -20,15 +20,13 @@ FALLING = (lambda r, width: 1350.0 * (1.0 + exp(-((r / width) ** 2))), 0.1)
 @pytest.mark.parametrize("density", [lambda _r: 1349.0, lambda r: 1300.0 + 0.0 * r, lambda r: 1500.0 - 4000.0 * r])
 def test_soil_that_does_not_compact_enough_has_no_front(density):
     for quantity in (plastic.front_radius, plastic.front_speed, plastic.surface_pressure):
-        with pytest.raises(po.DomainError, match=r"cavity of 0\.05 m was not found.*let it compact more, or further"):
+        with pytest.raises(po.DomainError, match=r"cavity of 0\.05 m was not found.*make the profile denser or wider"):
             quantity(CAVITY, PLAIN.with_density_profile(density))
 
 
 def test_a_profile_below_the_undisturbed_density_somewhere_behind_the_front_is_refused():
     soil = PLAIN.with_density_profile(lambda r: 1349.0 + 4000.0 * r)
-    words = (
-        f"at 0 of the front radius over the undisturbed density = {1349 / 1350:.6g} must be above 1: behind the front"
-    )
+    words = f"at 0 of the front radius over the undisturbed density = {1349 / 1350:.6g} must be above 1: .* compacted"
     with pytest.raises(po.DomainError, match=words):
         plastic.stress(0.01, CAVITY, soil)
 
@@ -66,7 +64,7 @@ def test_the_front_is_found_up_to_the_largest_cavity(filled):
 @pytest.mark.parametrize(
     ("density", "order", "words"),
     [
-        *[(lambda r: 1700.0 + 0.0 * r, order, "whole number from 1 on") for order in (0, 2.5, "16", None)],
+        *[(lambda r: 1700.0 + 0.0 * r, order, "positive integer") for order in (0, 2.5, "16", None)],
         *[(density, 16, r"a function of the radius, in kg/m\^3") for density in (1700.0, None, "rho")],
     ],
 )
@@ -89,7 +87,7 @@ def test_the_wall_pressure_needs_a_cavity():
             getattr(plastic, name)(*given)
 
 
-@pytest.mark.parametrize(("r", "words"), [(-0.01, "at least 0 m"), (0.5, "ahead of the front nothing moves")])
+@pytest.mark.parametrize(("r", "words"), [(-0.01, "at least 0 m"), (0.5, "over front radius")])
 def test_radii_outside_the_field_are_refused(r, words):
     for soil in (ground("bell").soil(8), PLAIN):
         for name in (*FIELD, *(["quadrature_error"] if soil is not PLAIN else [])):

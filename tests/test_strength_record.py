@@ -49,7 +49,7 @@ def test_noise_alone_holds_no_wave():
     """One in a hundred may: of fifty records at most four, with a probability of 0.998."""
     found = [po.strength_waves(record(seed, waves=()), 1.0) for seed in range(50)]
     assert sum(bool(one.found) for one in found) <= 4
-    assert any("stands out of noise" in note for note in found[0].notes)
+    assert any("stands out from noise" in note for note in found[0].notes)
 
 
 @pytest.mark.parametrize("even", [True, False])
@@ -91,7 +91,7 @@ def test_a_force_is_freed_of_its_rig():
     assert np.all(np.abs(force_spectrum.wave_number / rig.resonance - 1.0) >= 0.2)
     assert force_spectrum.variance == pytest.approx(sum(a**2 / 2.0 for a, *_ in waves), rel=0.05)
     # sqrt(4e4/25)/2 = 20 rad/m.
-    assert any(f"waves of {2 * math.pi / 20.0:.3g} m are left out" in note for note in found.notes)
+    assert any(f"of {2 * math.pi / 20.0:.3g} m are left out" in note for note in found.notes)
 
 
 @pytest.mark.parametrize(

@@ -236,7 +236,7 @@ def test_variables_parameters_and_requirements_have_names_of_their_own():
 def test_an_input_is_given_once():
     made = _component()
     assert made(share_height=0.2) == made(**{"share.height": 0.2})
-    with pytest.raises(po.InputError, match=r"'share.height' is given twice, as 'share_height' too"):
+    with pytest.raises(po.InputError, match=r"'share.height' is given twice, also as 'share_height'"):
         made(**{"share.height": 0.2, "share_height": 0.3})
 
 

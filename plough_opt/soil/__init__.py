@@ -1,1 +1,1 @@
-"""Soil and share: properties, geometry, the plastic gas, the elastic medium, strength along the path."""
+"""Soil and share: soil properties, share geometry, plastic gas, elastic medium, strength along the path."""

@@ -14,13 +14,13 @@ PLANE_SECTIONS_LIMIT = math.radians(20.0)
 
 
 def deg(angle: Expression) -> Expression:
-    """Return an angle given in degrees in radians [rad].
+    """Return an angle in radians [rad], given in degrees.
 
     Args:
         angle: a float, a NumPy array or a CasADi expression [degrees].
 
     Raises:
-        DomainError: not a number, or one that is not finite.
+        DomainError: the angle is not a finite number.
 
     Example:
         >>> import plough_opt as po
@@ -33,7 +33,7 @@ def deg(angle: Expression) -> Expression:
 
 @dataclass(frozen=True)
 class Cone:
-    """Right circular cone, moving along its axis with its tip ahead.
+    """A right circular cone that moves along its axis, tip first.
 
     Args:
         half_angle: semi-vertex angle beta [rad], between 0 and 90 degrees.
@@ -42,7 +42,7 @@ class Cone:
     Every argument is a float, a NumPy array or a CasADi expression; results have the same type.
 
     Raises:
-        DomainError: an angle or height outside its domain.
+        DomainError: the angle or the height lies outside its domain.
 
     Example:
         >>> import plough_opt as po
@@ -76,18 +76,18 @@ class Cone:
 
     @checked_in_designs
     def solid_mass(self, density: Expression) -> Expression:
-        """Mass [kg] of a solid cone of the given density [kg/m^3]; steel has about 7850."""
+        """Return the mass [kg] of a solid cone with the given density [kg/m^3], about 7850 for steel."""
         return BESIDE["scene.steel_density"].read(density, stacklevel=3) * self.volume
 
     def mesh(self, *, segments: int = SEGMENTS) -> Solid:
-        """Return the solid cone as a closed body [m]: a pyramid whose base is a polygon inscribed in the cone's.
+        """Return the cone as a closed solid [m]: a pyramid whose base is a polygon inscribed in the cone's base.
 
         Args:
-            segments: sides of the polygon. Area, half angle and volume fall short of the cone's by about
-                (pi/segments)^2 times 2/3 at most: 4e-7 of them by default, 1e-9 with 100,000.
+            segments: sides of the polygon. Area, half angle and volume are smaller than the cone's by a fraction of at
+                most about 2/3 (pi/segments)^2, which is 4e-7 by default and 1e-9 with 100,000 sides.
 
         Raises:
-            InputError: a cone of symbols, or an invalid number of sides.
+            InputError: the cone holds symbols, or the number of sides is invalid.
 
         Example:
             >>> cone = Cone(half_angle=deg(14), height=0.25)
@@ -100,7 +100,7 @@ class Cone:
 
 @dataclass(frozen=True)
 class Wedge:
-    """Ploughshare as a sharp wedge with two triangular faces, figure 2a of the source.
+    """A ploughshare: a sharp wedge with two triangular faces, figure 2a of the source.
 
     Args:
         angle: wedge angle lambda at the top of the share [rad], between 0 and 90 degrees.
@@ -110,7 +110,7 @@ class Wedge:
     Every argument is a float, a NumPy array or a CasADi expression; results have the same type.
 
     Raises:
-        DomainError: an angle or height outside its domain.
+        DomainError: an angle or the height lies outside its domain.
 
     Example:
         >>> import plough_opt as po
@@ -136,31 +136,30 @@ class Wedge:
     def equivalent_cone(self) -> Cone:
         """Return the cone of equal height and surface, equation (7).
 
-        The source's sin(beta) = sqrt(p^2 + 1) - p cancels for a slender share, and its arcsine is inaccurate
-        for a blunt one. With q = 1/p the same angle is tan(beta) = q / sqrt(2 (1 + sqrt(1 + q^2))),
-        accurate to rounding at every wedge angle. Only this one angle enters the dynamics: draft and motion
-        cannot tell wedge angle and chisel angle apart.
+        The source's sin(beta) = sqrt(p^2 + 1) - p cancels for a slender share, and its arcsine is inaccurate for a
+        blunt one. With q = 1/p the same angle is given by tan(beta) = q / sqrt(2 (1 + sqrt(1 + q^2))), accurate to
+        rounding at every wedge angle. Wedge angle and chisel angle affect draft and motion only through this one angle.
         """
         q = 2.0 * tan(self.angle) / (math.pi * cos(self.chisel_angle) ** 2)
         slope = q / sqrt(2.0 * (1.0 + sqrt(1.0 + q**2)))
         return Cone(half_angle=arctan(slope), height=self.height)
 
     def mesh(self, *, opening: float | None = None, thickness: float | None = None) -> Solid:
-        """Return the share as a closed body [m]: a block, or bent from plate.
+        """Return the share as a closed solid [m]: a block, or a bent plate.
 
-        Equation (5) fixes the two faces: right triangles with the angle lambda at the tip, which meet along a ridge of
-        length h / cos(beta_pl) that rises by beta_pl from the direction of travel. The angle between them, and
-        what is behind them, is free.
+        Equation (5) determines the two faces: right triangles with the angle lambda at the tip, which meet along a
+        ridge of length h / cos(beta_pl) that rises at the angle beta_pl from the direction of travel. The angle between
+        the faces and the shape behind them are free.
 
         Args:
-            opening: angle between the two faces, measured inside [rad], between 0 and 180 degrees. Default: the angle
-                at which the block has the volume of the equivalent cone, and so the mass that `Cone.solid_mass` counts;
-                90 degrees where no angle reaches it.
-            thickness: of the plate, inwards from the faces [m]. Default: a block, filled between the faces.
+            opening: interior angle between the two faces [rad], between 0 and 180 degrees. Default: the angle at which
+                the block has the volume of the equivalent cone, and so the mass that `Cone.solid_mass` returns; 90
+                degrees if the block is smaller than the cone at every angle.
+            thickness: thickness of the plate [m], measured inwards from the faces. Default: a solid block.
 
         Raises:
-            InputError: a share of symbols, or a plate so thick that the faces have no inside.
-            DomainError: an opening or thickness outside its domain.
+            InputError: the share holds symbols, or the plate is so thick that its inner faces vanish.
+            DomainError: the opening or the thickness lies outside its domain.
 
         Example:
             >>> share = Wedge(angle=deg(37), chisel_angle=deg(15), height=0.25)
@@ -175,15 +174,15 @@ class Wedge:
 
     @property
     def opening(self) -> float:
-        """Angle between the faces that `mesh` takes by default [rad]; of a numeric share."""
+        """Default angle between the faces in `mesh` [rad]; only for a numeric share."""
         angle, chisel_angle, _ = _numbers(self, "angle", "chisel_angle", "height")
         return own_opening(angle, chisel_angle, float(self.equivalent_cone().slope))
 
 
 def _numbers(share: Cone | Wedge, *names: str) -> list[float]:
-    """Return the measures of a share as floats.
+    """Return attributes of a share as floats.
 
     Raises:
-        InputError: one of them is a symbol, or an array of several.
+        InputError: an attribute is a symbol, or an array of several values.
     """
     return [plain_number(f"{name.replace('_', ' ')} of a body", getattr(share, name)) for name in names]

@@ -1,8 +1,8 @@
 """Rakhmatulin's plastic gas around an expanding cylindrical cavity: equations (8)-(23).
 
-Soil displaced by the share is compacted at a front that runs ahead of the cavity wall, and keeps its density behind it.
-Stresses behind the front obey the law of Mohr and Coulomb. For a constant locked density everything has a closed form;
-for a density profile (`Soil.with_density_profile`) there are Gauss-Legendre quadratures of the profile's order.
+Soil displaced by the share is compacted at a front that runs ahead of the cavity wall, and keeps its density behind the
+front. There the stresses satisfy the Mohr-Coulomb yield condition. For a constant locked density all results have a
+closed form; for a density profile (`Soil.with_density_profile`) they are Gauss-Legendre quadratures.
 """
 
 from collections.abc import Iterator
@@ -34,11 +34,11 @@ class Cavity:
 
     Args:
         radius: cavity radius R [m], at least 0.
-        rate: R' [m/s], at least 0: the plastic gas does not follow a wall that retreats.
+        rate: R' [m/s], at least 0, because the plastic gas does not follow a retreating wall.
         acceleration: R'' [m/s^2].
 
     Raises:
-        DomainError: a number outside its domain.
+        DomainError: a number lies outside its domain.
     """
 
     radius: Expression
@@ -60,7 +60,7 @@ class WallPressure:
         rate: the bracket {...} of equation (23) [-].
         inertia: phi/b1 [-].
 
-    For a density profile they are the corresponding terms, which depend on the cavity's radius.
+    For a density profile they are the corresponding terms and depend on the cavity's radius.
     """
 
     strength: Expression
@@ -68,7 +68,7 @@ class WallPressure:
     inertia: Expression
 
     def around(self, cavity: Cavity, soil: Soil) -> Expression:
-        """Return the gauge pressure [Pa] around a cavity."""
+        """Return the gauge pressure [Pa] for a state of the cavity."""
         motion = self.rate * cavity.rate**2 + self.inertia * cavity.radius * cavity.acceleration
         return self.strength + soil.density * motion
 
@@ -89,17 +89,17 @@ def wall_pressure(soil: Soil, radius: Expression | None = None) -> WallPressure:
 
     Args:
         soil: the soil.
-        radius: R of the cavity [m], above 0; a density profile needs it.
+        radius: cavity radius R [m], above 0; required for a density profile.
 
     Raises:
-        InputError: a density profile and no radius.
+        InputError: the soil has a density profile, but no radius is given.
     """
     check_soil(soil)
     yielding = soil.yielding
     nu, b1 = yielding.nu, soil.density_ratio
     if soil.density_profile is not None:
         if radius is None:
-            raise InputError("the wall pressure of a density profile depends on the cavity: give its radius")
+            raise InputError("with a density profile the wall pressure depends on the cavity: give its radius")
         check_domain("cavity radius", radius, "m", above=0.0, why="with a density profile the pressure depends on it")
         return _pressure(0.0, radius, front(radius, soil), soil)
     log_a = -log1p(-b1)
@@ -120,11 +120,11 @@ def surface_pressure(cavity: Cavity, soil: Soil) -> Expression:
     R' = L' tan(beta), R'' = L'' tan(beta). Positive is compression.
 
     Args:
-        cavity: its state there; floats, arrays or CasADi expressions.
+        cavity: state of the cavity there; floats, arrays or CasADi expressions.
         soil: the soil.
 
     Raises:
-        DomainError: a density profile and a cavity of radius 0, or a profile without a front.
+        DomainError: the soil has a density profile, and the cavity's radius is 0 or there is no front.
     """
     _check_cavity(cavity)
     return wall_pressure(soil, cavity.radius).around(cavity, soil)
@@ -137,7 +137,7 @@ def front_radius(cavity: Cavity, soil: Soil) -> Expression:
     For a constant density it is R sqrt(a) with a = 1/(1 - b1).
 
     Raises:
-        DomainError: a density profile with which no front carries all the soil of the cavity.
+        DomainError: no front can hold all the soil displaced from the cavity with this density profile.
     """
     _check_cavity(cavity)
     return front(cavity.radius, soil)
@@ -150,7 +150,7 @@ def front_speed(cavity: Cavity, soil: Soil) -> Expression:
     For a constant density it is R' sqrt(a) with a = 1/(1 - b1).
 
     Raises:
-        DomainError: a density profile and a cavity of radius 0, or a profile without a front.
+        DomainError: the soil has a density profile, and the cavity's radius is 0 or there is no front.
     """
     check_soil(soil)
     _check_cavity(cavity)
@@ -166,7 +166,7 @@ def density(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
     """Return the density rho(r) [kg/m^3] of the compacted soil at Lagrangian radius r [m], equation (9).
 
     Raises:
-        DomainError: a radius below 0 or ahead of the front, where the soil has its undisturbed density.
+        DomainError: the radius is negative, or ahead of the front, where the soil has its undisturbed density.
     """
     _check_behind(r, front_radius(cavity, soil))
     return soil.density / ratio(r, soil) + 0.0 * r
@@ -179,13 +179,13 @@ def current_radius(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
     For a constant density 2 psi = b1 r^2.
 
     Args:
-        r: Lagrangian radius, the particle's distance from the axis before the share came [m], from 0 on the
+        r: Lagrangian radius, the particle's distance from the axis before the share arrived [m], from 0 on the
             wall to the front radius r*; it may be an array if the cavity's quantities are floats.
         cavity: state of the cavity.
         soil: the soil.
 
     Raises:
-        DomainError: a radius below 0 or ahead of the front, where the soil is undisturbed.
+        DomainError: the radius is negative, or ahead of the front, where the soil is undisturbed.
     """
     _check_behind(r, front_radius(cavity, soil))
     return sqrt(mean_ratio(r, soil) * r**2 + cavity.radius**2)
@@ -227,24 +227,24 @@ class Stress:
 
 @checked_in_designs
 def stress(r: Expression, cavity: Cavity, soil: Soil) -> Stress:
-    """Return both stresses of the particle at Lagrangian radius r [m], equations (10), (14), (22) corrected.
+    """Return both stresses at the particle with Lagrangian radius r [m], equations (10), (14), (22) corrected.
 
     With y the particle's radius and l = ln(r*/y), the radial pressure for a constant density is::
 
         p = e^(nu l) (p_a + rho0 R'^2) + tau0/(1 + mu) l E(nu l)
             + (rho0/b1) l ((R'^2 + R R'') E(nu l) - (R R'/y)^2 E((nu - 2) l))
 
-    and the tangential one follows from the yield condition p - p_theta = tau0 + mu (p + p_theta). The form is
-    regular without internal friction and for b1 -> 0, and at r = 0 gives `surface_pressure`. For a density profile
-    the two inertial terms are quadratures.
+    The tangential pressure follows from the yield condition p - p_theta = tau0 + mu (p + p_theta). This form is regular
+    without internal friction and for b1 -> 0, and equals `surface_pressure` at r = 0. For a density profile the two
+    inertial terms are quadratures.
 
     Args:
         r: Lagrangian radius [m], from 0 to the front radius; it may be an array if the cavity's quantities are floats.
-        cavity: state of the cavity, of radius above 0.
+        cavity: state of the cavity, with a radius above 0.
         soil: the soil.
 
     Raises:
-        DomainError: a radius below 0 or ahead of the front, or a cavity of radius 0.
+        DomainError: the radius is negative or ahead of the front, or the cavity's radius is 0.
     """
     _check_cavity(cavity)
     check_domain("cavity radius", cavity.radius, "m", above=0.0, why="at the tip the stress is not unique")
@@ -252,21 +252,22 @@ def stress(r: Expression, cavity: Cavity, soil: Soil) -> Stress:
     _check_behind(r, r_front)
     pressure = soil.ambient_pressure + _pressure(r, cavity.radius, r_front, soil).around(cavity, soil)
     yielding = soil.yielding
-    # (1 - mu)/(1 + mu), in a form that does not cancel near 90 degrees.
+    # (1 - mu)/(1 + mu), written so that it does not cancel near 90 degrees.
     transferred = (cos(soil.friction_angle) / (1.0 + yielding.mu)) ** 2
     tangential = transferred * pressure - yielding.tau0 / (1.0 + yielding.mu)
     return Stress(radial=-pressure, tangential=-tangential)
 
 
 def quadrature_error(r: Expression, cavity: Cavity, soil: Soil) -> float:
-    """Return an estimate of the relative error of `stress` due to the order of a density profile's quadrature.
+    """Return an estimate of the relative error of `stress` due to the quadrature over a density profile.
 
-    It is the largest difference from the stress with 1.5 times as many nodes, relative to the largest stress; 0 for a
-    constant density. It needs numbers. A radius between the fronts of the two is replaced by the smaller one.
+    It is the largest difference from the stress with 1.5 times as many nodes, relative to the largest stress, and 0 for
+    a constant density. The two quadratures give slightly different fronts; radii beyond the smaller front are replaced
+    by it.
 
     Raises:
         DomainError: as `stress`.
-        InputError: symbols.
+        InputError: an argument holds symbols.
     """
     check_soil(soil)
     profile = soil.density_profile
@@ -281,17 +282,17 @@ def quadrature_error(r: Expression, cavity: Cavity, soil: Soil) -> float:
 
 
 def _check_cavity(cavity: Cavity) -> None:
-    """Raise InputError if the cavity has another type."""
+    """Raise InputError if the cavity has the wrong type."""
     check_kind("the cavity", cavity, Cavity, "a plastic.Cavity, made of radius, rate and acceleration")
 
 
 def _check_behind(r: Expression, r_front: Expression) -> None:
     """Raise DomainError for Lagrangian radii that are negative or ahead of the front."""
     check_domain("Lagrangian radius", r, "m", at_least=0.0)
-    check_domain("front radius", r_front, "m", above=0.0, why="around a cavity of radius 0 no soil has moved")
-    # The front's own radius may exceed it by rounding, or by the tolerance of its equation.
+    check_domain("front radius", r_front, "m", above=0.0, why="around a cavity of radius 0 the soil has not moved")
+    # A radius on the front may exceed it by rounding, or by the tolerance of the front's equation.
     check_domain(
-        "Lagrangian radius over front radius", r / r_front, at_most=1.0 + 1e-11, why="ahead of the front nothing moves"
+        "Lagrangian radius over front radius", r / r_front, at_most=1.0 + 1e-11, why="the soil is at rest ahead of it"
     )
 
 
@@ -301,7 +302,7 @@ def _pressure(r: Expression, radius: Expression, r_front: Expression, soil: Soil
     nu, wall = yielding.nu, radius**2
     y_squared = mean_ratio(r, soil) * r**2 + wall
     if soil.density_profile is None:
-        # r*^2 - y^2 = b1 (r*^2 - r^2): the logarithm of a ratio near one, without cancellation.
+        # With r*^2 - y^2 = b1 (r*^2 - r^2) the logarithm of a ratio near 1 does not cancel.
         spread = (r_front - r) * (r_front + r) / y_squared
         log_over_b1 = spread * log1p_ratio(soil.density_ratio * spread) / 2.0
         log = soil.density_ratio * log_over_b1
@@ -309,7 +310,7 @@ def _pressure(r: Expression, radius: Expression, r_front: Expression, soil: Soil
         swelling = log_over_b1 * expm1_ratio(nu * log)
         spreading = swelling - log_over_b1 * wall / y_squared * expm1_ratio((nu - 2.0) * log)
     else:
-        # The difference of the squares of front and particle, in which R^2 has been cancelled.
+        # R^2 is cancelled analytically in the difference of the squared radii of front and particle.
         log = log1p((mean_ratio(r_front, soil) * r_front**2 - mean_ratio(r, soil) * r**2) / y_squared) / 2.0
         jump = (radius / r_front) ** 2 / (1.0 - ratio(r_front, soil))
         swelling, spreading = _inertia_of_profile(r, r_front, radius, soil)
@@ -323,7 +324,7 @@ def _pressure(r: Expression, radius: Expression, r_front: Expression, soil: Soil
 def _inertia_of_profile(
     r: Expression, r_front: Expression, radius: Expression, soil: Soil
 ) -> tuple[Expression, Expression]:
-    """Return the integrals from r to r* of (y_s/y)^nu s/y_s^2 ds, and of the same times 2 psi(s)/y_s^2 [-]."""
+    """Return the integrals from r to r* of (y_s/y)^nu s/y_s^2 ds, and of that integrand times 2 psi(s)/y_s^2 [-]."""
     nu = soil.yielding.nu
     wall = radius**2
     y_squared = wall + mean_ratio(r, soil) * r**2
@@ -340,11 +341,11 @@ def _inertia_of_profile(
 def _squares(
     r: Expression, r_front: Expression, radius: Expression, soil: Soil
 ) -> Iterator[tuple[Expression, Expression]]:
-    """Yield s^2 and the weight of s ds of Gauss-Legendre nodes between r and the front.
+    """Yield s^2 and the weight of s ds at quadrature nodes between r and the front.
 
-    They are Gauss-Legendre nodes in sigma, with s^2 = R^2 (e^(2 l sigma^2) - 1)/b, l = ln(r*/R) and the mean
-    b = 1 - (R/r*)^2: for a constant density the integrands are then entire functions, and profiles in r and in r^2 are
-    both smooth.
+    The nodes are Gauss-Legendre nodes in sigma, where s^2 = R^2 (e^(2 l sigma^2) - 1)/b, l = ln(r*/R) and b is the mean
+    1 - (R/r*)^2. In sigma the integrands are entire functions for a constant density, and profiles given in r or r^2
+    are both smooth.
     """
     profile = soil.density_profile
     assert profile is not None

@@ -1,6 +1,7 @@
-"""Random soil strength: its spectrum over the wave number, and what a share in steady sliding makes of it.
+"""Random soil strength: its spectrum over the wave number, and the linear response of a sliding share.
 
-About steady sliding at the tow speed V the deflection z answers to relative strength of wave number q, omega = q V, by
+For steady sliding at the tow speed V, the transfer function from relative strength at wave number q to the deflection z
+is, with omega = q V,
 
     H = G/(k0 - M omega^2 + i omega d),    G = F0 (1 + kappa V^2),    d = c + 2 (Fd + kappa F0) V,
 
@@ -33,19 +34,19 @@ from plough_opt.soil.waves import StrengthWave
 
 Vector = NDArray[np.float64]
 
-# Nodes in every panel of a tabulated spectrum. In a panel as wide as the mount's frequency a damping of a tenth of the
-# critical one is integrated to rounding, of a hundredth to 1e-6, of a thousandth to 1e-4.
+# Quadrature nodes per panel of a tabulated spectrum. For a panel as wide as the mount's natural frequency the error is
+# rounding at a tenth of critical damping, 1e-6 at a hundredth and 1e-4 at a thousandth.
 _NODES = 20
-# Most panels: those of a record are joined to so many, by which an RMS changes by 3e-4, far within a spectrum's band.
+# Most panels; a record's finer panels are merged. That changes an RMS by 3e-4, far less than the spectrum's band.
 _MOST_PANELS = 48
 
 
 @dataclass(frozen=True)
 class Sliding:
-    """Steady sliding, linearised: all that the response to relative strength depends on.
+    """Linearised steady sliding: the coefficients of the response to relative strength.
 
     Attributes:
-        force: G, by which the resistance changes for a relative change of strength [N].
+        force: G, change of the resistance per relative change of strength [N].
         stiffness: k0 [N/m].
         inertia: M [kg].
         damping: d of mount and soil [N s/m].
@@ -64,7 +65,7 @@ class Sliding:
         return self.force**2 / (spring**2 + (self.damping * frequency) ** 2)
 
     def to_waves(self, waves: Sequence[StrengthWave]) -> tuple[Expression, Expression]:
-        """Return the variances of deflection [m^2] and of its rate [m^2/s^2] under strength waves of unequal length."""
+        """Return the variances of the deflection [m^2] and its rate [m^2/s^2] due to waves of different lengths."""
         found = [(2.0 * math.pi * self.speed / wave.wavelength, wave.amplitude) for wave in waves]
         parts = [(frequency, size**2 / 2.0 * self.squared(frequency)) for frequency, size in found]
         return sum(part for _, part in parts), sum(frequency**2 * part for frequency, part in parts)
@@ -72,16 +73,17 @@ class Sliding:
 
 @dataclass(frozen=True)
 class RandomStrength:
-    """Random strength whose correlation falls as exp(-distance/correlation length), as a one-sided spectrum.
+    """Random strength with the correlation exp(-distance/correlation length).
 
-    S(q) = 2 rms^2 lambda/(pi (1 + (q lambda)^2)), whose integral over the wave number q is rms^2.
+    Its one-sided spectrum is S(q) = 2 rms^2 lambda/(pi (1 + (q lambda)^2)), whose integral over the wave number q is
+    rms^2.
 
     Args:
         rms: standard deviation of strength over its mean [-], from 0 to 1.
         correlation_length: lambda [m], above 0.
 
     Raises:
-        DomainError: a number outside its domain.
+        DomainError: a number lies outside its domain.
 
     Example:
         >>> import plough_opt as po
@@ -101,15 +103,16 @@ class RandomStrength:
         return self.rms**2
 
     def density(self, wave_number: Expression) -> Expression:
-        """Return S [m/rad] at a wave number q [rad/m]."""
+        """Return the spectrum S [m/rad] at a wave number q [rad/m]."""
         check_domain("wave number", wave_number, "rad/m", at_least=0.0)
         length = self.correlation_length
         return 2.0 * self.rms**2 * length / (math.pi * (1.0 + (wave_number * length) ** 2))
 
     def response(self, to: Sliding) -> tuple[Expression, Expression]:
-        """Return the variances of deflection [m^2] and of its rate [m^2/s^2].
+        """Return the variances of the deflection [m^2] and its rate [m^2/s^2].
 
-        In closed form: that of white noise behind the three poles of the mount and of 1/(1 + i omega lambda/V).
+        The closed form is that of white noise through a filter with three poles: two of the mount, and that of
+        1/(1 + i omega lambda/V).
         """
         time = self.correlation_length / to.speed
         carried = to.inertia + to.damping * time
@@ -118,18 +121,19 @@ class RandomStrength:
 
 
 class Spectrum:
-    """One-sided density of relative strength over the wave number, whose integral is the variance; linear between.
+    """A tabulated one-sided spectrum of relative strength, linear between its wave numbers.
 
-    It is not a dataclass: its columns are a measurement, not quantities that a design or a map of scenes could vary.
+    Its integral over the wave number is the variance. It is not a dataclass, because its columns are measurements and
+    not quantities that a design could vary.
 
     Attributes:
-        wave_number: q [rad/m], rising.
+        wave_number: q [rad/m], increasing.
         density: S(q) [m/rad], at least 0.
-        lower: lower end of its 95 % confidence band; default: the density.
-        upper: upper end.
+        lower: lower end of the 95 % confidence band; default: the density.
+        upper: upper end of the band.
 
     Raises:
-        InputError: columns that are not alike, fewer than two places, or numbers that cannot be.
+        InputError: the columns have different lengths or fewer than two rows, or a number is invalid.
 
     Example:
         >>> import plough_opt as po
@@ -140,7 +144,7 @@ class Spectrum:
     def __init__(
         self, wave_number: ArrayLike, density: ArrayLike, lower: ArrayLike | None = None, upper: ArrayLike | None = None
     ) -> None:
-        """Check the columns, and keep copies that cannot be written to."""
+        """Check the columns, and store read-only copies."""
         given = (wave_number, density, density if lower is None else lower, density if upper is None else upper)
         try:
             columns = [np.array(values, dtype=float) for values in given]
@@ -148,10 +152,12 @@ class Spectrum:
             raise InputError("a spectrum's wave numbers and densities must be numbers") from None
         q = columns[0]
         if q.ndim != 1 or len(q) < 2 or any(values.shape != q.shape for values in columns):
-            raise InputError("a spectrum's wave numbers and densities must be alike columns of two numbers or more")
-        sound = all(np.isfinite(values).all() and np.all(values >= 0.0) for values in columns)
-        if not sound or np.any(np.diff(q) <= 0.0):
-            raise InputError("a spectrum's wave numbers must rise, and be finite and at least 0 as its densities")
+            raise InputError("a spectrum's wave numbers and densities must be columns of equal length, at least two")
+        valid = all(np.isfinite(values).all() and np.all(values >= 0.0) for values in columns)
+        if not valid or np.any(np.diff(q) <= 0.0):
+            raise InputError(
+                "a spectrum's wave numbers must increase, and they and the densities must be finite and at least 0"
+            )
         for values in columns:
             values.setflags(write=False)
         self.wave_number, self.density, self.lower, self.upper = columns
@@ -162,10 +168,10 @@ class Spectrum:
         return float(np.trapezoid(self.density, self.wave_number))
 
     def response(self, to: Sliding) -> tuple[Expression, Expression]:
-        """Return the variances of deflection [m^2] and of its rate [m^2/s^2].
+        """Return the variances of the deflection [m^2] and its rate [m^2/s^2].
 
-        By Gauss-Legendre nodes in every panel of the spectrum, which lie dense about the mount's resonance: the wave
-        number's frequency is omega0 + (d/2M) sinh(u), and the nodes are even in u.
+        They are computed by Gauss-Legendre quadrature in every panel, with nodes clustered about the mount's resonance:
+        the rule is applied in u, where the frequency is omega0 + (d/2M) sinh(u).
         """
         q, density = self._panels()
         known = (q[:-1], q[1:], density[:-1], np.diff(density) / np.diff(q))
@@ -174,11 +180,11 @@ class Spectrum:
         return total(place), total(rate)
 
     def _panels(self) -> tuple[Vector, Vector]:
-        """Return ends and densities of its panels: of very many the means of neighbours, with the same variance."""
+        """Return ends and densities of the panels; if there are too many, neighbours are averaged at equal variance."""
         q, density = self.wave_number, self.density
         if len(q) <= _MOST_PANELS + 1:
             return q, density
-        # Finer at small wave numbers, where a spectrum varies.
+        # Panels are narrower at small wave numbers, where spectra vary most.
         ends = np.r_[q[0], np.geomspace(q[1], q[-1], _MOST_PANELS)]
         between = np.r_[q[0], (ends[:-1] + ends[1:]) / 2.0, q[-1]]
         below = np.r_[0.0, np.cumsum(np.diff(q) * (density[:-1] + density[1:]) / 2.0)]
@@ -192,8 +198,8 @@ class Stationary:
 
     Attributes:
         force_rms: standard deviation of the mount force [N].
-        displacement_rms: of the deflection [m].
-        speed_rms: of the share's speed [m/s].
+        displacement_rms: standard deviation of the deflection [m].
+        speed_rms: standard deviation of the share's speed [m/s].
     """
 
     force_rms: Expression
@@ -207,9 +213,9 @@ def stationary_response(
     """Return the stationary response to strength waves and random strength together.
 
     Args:
-        to: steady sliding, linearised.
-        damper: c of the mount's part of the damping, whose force the mount passes on [N s/m].
-        waves: of unequal length.
+        to: linearised steady sliding.
+        damper: c of the mount's damper, whose force is part of the mount force [N s/m].
+        waves: strength waves of different lengths.
         random: spectrum of random strength, if any.
     """
     place, rate = to.to_waves(waves)
@@ -224,7 +230,11 @@ def stationary_response(
 
 @one_node
 def _over_panels(*given: Expression) -> tuple[Expression, ...]:
-    """Return the integrals of |H|^2 S and omega^2 |H|^2 S over panels: ends, densities, slopes, then `Sliding`."""
+    """Return the integrals of |H|^2 S and omega^2 |H|^2 S over panels.
+
+    Args:
+        given: lower and upper ends of the panels, density at the lower end, slope, and the fields of `Sliding`.
+    """
     (low, high, start, slope), to = given[:4], Sliding(*given[4:])
     middle, width = sqrt(to.stiffness / to.inertia), to.damping / (2.0 * to.inertia)
     first, last = (arcsinh((end * to.speed - middle) / width) for end in (low, high))

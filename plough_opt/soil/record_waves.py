@@ -1,4 +1,4 @@
-"""The strength waves that carry most of a record's variance, with their intervals, and their picture."""
+"""Strength waves that carry most of a record's variance, with confidence intervals and a picture."""
 
 import math
 from collections.abc import Sequence
@@ -19,27 +19,27 @@ from plough_opt.soil.strength_record import (
     NEAR_RESONANCE,
     StrengthRecord,
     checked_diameter,
-    not_heard,
     spectrum_of,
+    unresolved,
 )
 from plough_opt.soil.waves import StrengthWave
 
-# Wave numbers per resolution 2 pi/length at which peaks are looked for.
-_FINE = 8
-# Probability that noise alone gives the largest peak, above which a further wave is none.
-_BY_CHANCE = 0.01
+# Points of the search grid per resolution 2 pi/length.
+_OVERSAMPLING = 8
+# A further wave is accepted only if noise alone would give its peak with at most this probability.
+_FALSE_ALARM = 0.01
 
 
 @dataclass(frozen=True)
 class FoundWave:
-    """A strength wave of a record with its 95 % interval.
+    """A strength wave found in a record, with 95 % confidence intervals.
 
     Attributes:
         wave: amplitude [-], wavelength [m], phase [rad] at the record's first position.
-        amplitude: half width of its interval [-].
-        wavelength: half width [m].
-        phase: half width [rad].
-        part: of the record's variance that it carries.
+        amplitude: half width of the amplitude's interval [-].
+        wavelength: half width of the wavelength's interval [m].
+        phase: half width of the phase's interval [rad].
+        part: fraction of the record's variance that the wave carries.
     """
 
     wave: StrengthWave
@@ -51,14 +51,14 @@ class FoundWave:
 
 @dataclass(frozen=True)
 class RecordWaves:
-    """The contents of a record.
+    """The strength waves and the spectrum of a record.
 
     Attributes:
-        found: waves, the largest first.
-        spectrum: of the record.
-        variance: of relative strength [-].
-        left_out: part of the variance that the waves do not carry.
-        notes: what a reader must know.
+        found: waves, largest first.
+        spectrum: spectrum of the record.
+        variance: variance of relative strength [-].
+        left_out: fraction of the variance that the waves do not carry.
+        notes: remarks for the reader.
 
     Example:
         >>> import numpy as np
@@ -78,14 +78,14 @@ class RecordWaves:
 
     @property
     def waves(self) -> tuple[StrengthWave, ...]:
-        """The waves, as `Effects` takes them."""
+        """The waves, in the form that `Effects` accepts."""
         return tuple(one.wave for one in self.found)
 
     def plot(self, path: str | Path) -> Path:
-        """Draw the spectrum with its confidence band and the waves; the file's ending chooses the format.
+        """Draw the spectrum with its confidence band and the waves; the file's ending determines the format.
 
         Raises:
-            InputError: an ending that is not a picture format, or a place that cannot be written.
+            InputError: the ending is not a picture format, or the file cannot be written.
         """
         from matplotlib.figure import Figure  # slow to import, and rarely needed
 
@@ -104,22 +104,24 @@ class RecordWaves:
 
 
 def strength_waves(record: StrengthRecord, part: float = 0.8, *, base_diameter: float = 0.0) -> RecordWaves:
-    """Return the strength waves that carry a wanted part of a record's variance.
+    """Return the strength waves that carry a given part of a record's variance.
 
-    The record is taken relative to its linear trend. Waves are taken one by one where the least-squares spectrum of
-    what is left peaks, and all are fitted together by least squares after each, until they carry the part, eight are
-    found, or the next peak may be noise. Of a force the rig's response is divided out of every wave.
+    The record is divided by its linear trend. Waves are added one by one at the highest peak of the residual's
+    least-squares spectrum, and after each addition all waves are refitted together by least squares. The search stops
+    once the waves carry the required part, eight are found, or the next peak may be noise. If the record is a force,
+    every wave is divided by the rig's response.
 
     Args:
         record: strength or force along a path.
-        part: of the variance, above 0 and at most 1.
-        base_diameter: of the share [m]: shorter waves are left out, which its base averages. A cone's base is 20 mm.
+        part: fraction of the variance, above 0 and at most 1.
+        base_diameter: diameter of the share's base [m]; shorter waves are left out, because the base averages them. A
+            penetrometer's base is 20 mm wide.
 
     Returns:
-        The waves with 95 % intervals, the spectrum with its band, and the part left out.
+        The waves with 95 % intervals, the spectrum with its band, and the fraction left out.
 
     Raises:
-        InputError: a part that cannot be, or a record without fluctuation.
+        InputError: the part is invalid, or the record does not vary.
 
     Example:
         >>> import numpy as np
@@ -135,75 +137,76 @@ def strength_waves(record: StrengthRecord, part: float = 0.8, *, base_diameter: 
     x, y = record.position - record.position[0], record.relative()
     variance = float(np.mean(y**2))
     if not variance > 0.0:
-        raise InputError(f"{record.name}: its strength does not vary, so it holds no wave: give a record that does")
+        raise InputError(f"{record.name}: its strength does not vary: give a record that does")
     grid, notes = _wave_numbers(record, diameter)
     numbers: list[float] = []
     left = y
     while len(numbers) < MOST_WAVES and float(np.mean(left**2)) > (1.0 - part) * variance:
         peak, height = _peak(record, x, left, grid)
-        # Of white noise every ordinate over its mean is exponential; some length/spacing of them are independent.
-        if math.exp(-min(height, 700.0)) * len(grid) / _FINE > _BY_CHANCE:
-            notes.append("what is left has no peak that stands out of noise: no further wave was taken")
+        # For white noise each ordinate over the mean is exponentially distributed, and about one in _OVERSAMPLING is
+        # independent of the others.
+        if math.exp(-min(height, 700.0)) * len(grid) / _OVERSAMPLING > _FALSE_ALARM:
+            notes.append("the search stopped because no peak of the residual stands out from noise")
             break
         numbers = _refined(x, y, [*numbers, peak], grid)
         left = y - _design(x, numbers) @ _coefficients(x, y, numbers)
     carried = 1.0 - float(np.mean(left**2)) / variance
     found = _found(record, x, y, left, numbers, variance)
     if any(one.wave.amplitude == 1.0 for one in found):
-        notes.append("an amplitude above 1, more than all the strength there is, is given as 1: look at the record")
+        notes.append("an amplitude above 1, more than the whole strength, was limited to 1: check the record")
     if carried < part:
-        notes.append(f"these {len(found)} waves carry {carried:.3g} of the variance, and {part:g} was asked for")
+        notes.append(f"these {len(found)} waves carry {carried:.3g} of the variance instead of the requested {part:g}")
     return RecordWaves(found, spectrum_of(record), variance, 1.0 - carried, tuple(notes))
 
 
 def _wave_numbers(record: StrengthRecord, base_diameter: float) -> tuple[Vector, list[str]]:
-    """Return the wave numbers at which waves may be, and what is left out."""
+    """Return the wave numbers to search, and notes on those left out."""
     shortest = max(2.0 * record.spacing, base_diameter)
-    # The frequencies of a transform of the record with eight times as many zeros behind it.
-    step = 2.0 * math.pi / (_FINE * record.spacing * len(record.position))
-    # Longer waves than the record are part of its trend.
-    grid: Vector = step * np.arange(_FINE, math.ceil(2.0 * math.pi / shortest / step), dtype=float)
+    # The frequencies of the zero-padded discrete Fourier transform.
+    step = 2.0 * math.pi / (_OVERSAMPLING * record.spacing * len(record.position))
+    # Waves longer than the record are part of its trend.
+    grid: Vector = step * np.arange(_OVERSAMPLING, math.ceil(2.0 * math.pi / shortest / step), dtype=float)
     notes = [f"waves shorter than {shortest:.3g} m are left out"]
     if record.rig is not None:
-        near, deaf = not_heard(record.rig, grid)
-        if np.any(near):
+        resonant, damped = unresolved(record.rig, grid)
+        if np.any(resonant):
             notes.append(
-                f"waves of {2 * math.pi / record.rig.resonance:.3g} m are left out, give or take"
-                f" {100 * NEAR_RESONANCE:.0f} %: there the rig resonates, and its force shows its own oscillation"
+                f"waves within {100 * NEAR_RESONANCE:.0f} % of {2 * math.pi / record.rig.resonance:.3g} m are left out,"
+                " because the rig resonates there and the force shows its own oscillation"
             )
-        if np.any(deaf):
-            longest = 2 * math.pi / float(np.min(grid[deaf]))
+        if np.any(damped):
+            longest = 2 * math.pi / float(np.min(grid[damped]))
             notes.append(
-                f"waves shorter than {longest:.3g} m are left out, which the rig hardly passes on to its force"
+                f"waves shorter than {longest:.3g} m are left out, because the rig hardly passes them on to its force"
             )
-        grid = np.asarray(grid[~near & ~deaf], dtype=float)
+        grid = np.asarray(grid[~resonant & ~damped], dtype=float)
     if len(grid) < 2:
         raise InputError(
-            f"{record.name}: between {shortest:.3g} m and its length of {record.length:.3g} m fits no wave"
+            f"{record.name}: there are no waves between {shortest:.3g} m and its length of {record.length:.3g} m"
         )
     return grid, notes
 
 
 def _design(x: Vector, numbers: Sequence[float]) -> Vector:
-    """Return sines and cosines of the wave numbers at positions, and a constant, a column each."""
+    """Return the design matrix: columns of sines, of cosines, and of ones."""
     angle = np.outer(x, numbers)
     return np.hstack([np.sin(angle), np.cos(angle), np.ones((len(x), 1))])
 
 
 def _coefficients(x: Vector, y: Vector, numbers: Sequence[float]) -> Vector:
     design = _design(x, numbers)
-    # By the normal equations: what close wave numbers cost in digits is far below what noise does, and a long thin
-    # system takes a hundred times as long.
+    # The normal equations are a hundred times faster than the tall system, and the digits they lose for close wave
+    # numbers are far below the noise.
     found: Vector = np.asarray(np.linalg.lstsq(design.T @ design, design.T @ y, rcond=None)[0], dtype=float)
     return found
 
 
 def _peak(record: StrengthRecord, x: Vector, y: Vector, grid: Vector) -> tuple[float, float]:
-    """Return the wave number at which a least-squares spectrum peaks, and its height over the mean."""
+    """Return the wave number of the highest peak of the least-squares spectrum, and its height over the mean."""
     power: NDArray[Any]
     if record.even:
-        step = 2.0 * math.pi / (_FINE * record.spacing * len(x))
-        power = np.abs(np.fft.rfft(y, _FINE * len(x)))[np.round(grid / step).astype(int)] ** 2
+        step = 2.0 * math.pi / (_OVERSAMPLING * record.spacing * len(x))
+        power = np.abs(np.fft.rfft(y, _OVERSAMPLING * len(x)))[np.round(grid / step).astype(int)] ** 2
     else:
         from scipy import signal  # as above
 
@@ -213,11 +216,11 @@ def _peak(record: StrengthRecord, x: Vector, y: Vector, grid: Vector) -> tuple[f
 
 
 def _refined(x: Vector, y: Vector, numbers: list[float], grid: Vector) -> list[float]:
-    """Return the wave numbers with which all waves together leave the least squares."""
+    """Return the wave numbers at which all waves together fit best by least squares."""
     from scipy import optimize  # as above
 
     start = np.array(numbers)
-    step = float(grid[1] - grid[0]) * _FINE / 2.0  # half the resolution 2 pi/length
+    step = float(grid[1] - grid[0]) * _OVERSAMPLING / 2.0  # half the resolution 2 pi/length
 
     def left(shift: Vector) -> Vector:
         shifted: list[float] = (start + step * shift).tolist()
@@ -225,7 +228,7 @@ def _refined(x: Vector, y: Vector, numbers: list[float], grid: Vector) -> list[f
         return rest
 
     low, high = (np.clip((end - start) / step, -1.0, 1.0) for end in (grid[0], grid[-1]))
-    # Bounds must leave room on both sides of the start.
+    # The start must lie strictly inside the bounds.
     found = optimize.least_squares(left, np.zeros(len(start)), bounds=(low - 1e-9, high + 1e-9))
     return [float(number) for number in start + step * found.x]
 
@@ -233,7 +236,7 @@ def _refined(x: Vector, y: Vector, numbers: list[float], grid: Vector) -> list[f
 def _found(
     record: StrengthRecord, x: Vector, y: Vector, left: Vector, numbers: Sequence[float], variance: float
 ) -> tuple[FoundWave, ...]:
-    """Return the waves with their intervals, which follow from the scatter of what is left."""
+    """Return the waves with their intervals, which follow from the scatter of the residual."""
     from scipy import stats  # as above
 
     if not numbers:
@@ -254,7 +257,7 @@ def _found(
         along, across = np.array([a[k], b[k]]) / size, np.array([-b[k], a[k]]) / size**2
         errors = [wide * math.sqrt(float(d @ own @ d)) for d in (along, across)]
         gain = abs(response[k])
-        # A phase is defined up to turns, and is given between minus and plus half of one.
+        # Phases are reduced to the range from -pi to pi.
         phase = math.remainder(math.atan2(b[k], a[k]) - float(np.angle(response[k])), 2.0 * math.pi)
         relative = wide * math.sqrt(float(covariance[2 * count + 1 + k, 2 * count + 1 + k])) / number
         wave = StrengthWave(min(size / gain, 1.0), 2.0 * math.pi / number, phase)

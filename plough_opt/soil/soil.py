@@ -9,8 +9,8 @@ from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from plough_opt.core.checks import check_kind, check_named, shown
-from plough_opt.core.errors import InputError, nearest, unprintable
+from plough_opt.core.checks import check_kind, check_named, check_text, shown
+from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import (
     COUNT,
     Expression,
@@ -33,9 +33,9 @@ CONE_HALF_ANGLE = math.radians(15.0)
 """Half angle [rad] of a penetrometer's cone."""
 
 Adjust: TypeAlias = Literal["strength factor", "cohesion", "density ratio"]
-"""The property of a soil that is set from a cone index."""
+"""Property of a soil that a cone index can determine."""
 
-# No source in docs/soils.md has a soil beyond these; with this density ratio the front runs ahead by 4.5 cone radii.
+# Largest values in the sources of docs/soils.md. At this density ratio the front is at 4.5 cone radii.
 _MOST_COHESION = 100e3
 _MOST_DENSITY_RATIO = 0.95
 
@@ -47,13 +47,13 @@ class DensityProfile:
     """Density of the soil behind the compaction front as a function of the Lagrangian radius.
 
     Args:
-        density: rho(r, *parameters) [kg/m^3] of the radius r [m], a float, an array or a CasADi expression as r is:
-            write it with arithmetic and the functions of `plough_opt.core.expressions`.
-        parameters: other arguments of the function. Design variables must be here, where a design finds them.
+        density: function rho(r, *parameters) [kg/m^3] of the radius r [m]. Write it with arithmetic and the functions
+            of `plough_opt.core.expressions`, so that it accepts floats, arrays and CasADi expressions.
+        parameters: further arguments of the function. Design variables must be passed here, where a design finds them.
         order: number of Gauss-Legendre nodes in every quadrature over the profile.
 
     Raises:
-        InputError: a density that is not a function, or an order below 1.
+        InputError: the density is not a function, or the order is below 1.
     """
 
     density: Callable[..., Expression]
@@ -65,7 +65,7 @@ class DensityProfile:
             raise InputError(f"the density profile {shown(self.density)} must be a function of the radius, in kg/m^3")
         if not is_count(self.order):
             raise InputError(
-                f"order = {shown(self.order)} of the density profile's quadrature must be a whole number from 1 on"
+                f"order = {shown(self.order)} of the density profile's quadrature must be a positive integer"
             )
 
     def at(self, r: Expression) -> Expression:
@@ -75,7 +75,13 @@ class DensityProfile:
 
 @dataclass(frozen=True)
 class Yielding:
-    """The yield condition (10): p_r - p_theta = tau0 + mu (p_r + p_theta), and nu = 2 mu/(1 + mu)."""
+    """Coefficients of the yield condition (10), p_r - p_theta = tau0 + mu (p_r + p_theta).
+
+    Attributes:
+        mu: sine of the friction angle [-].
+        nu: 2 mu/(1 + mu) [-].
+        tau0: 2 k cos(theta) [Pa].
+    """
 
     mu: Expression
     nu: Expression
@@ -86,42 +92,42 @@ class Yielding:
         return self.nu * ambient_pressure + self.tau0 / (1.0 + self.mu)
 
     def growth(self, density_ratio: Expression) -> Expression:
-        """Return phi = (a^(nu/2) - 1)/nu with a = 1/(1 - b1) [-], the factor on the strength at the cavity wall."""
+        """Return phi = (a^(nu/2) - 1)/nu with a = 1/(1 - b1) [-], the factor of the strength in the wall pressure."""
         log_a = -log1p(-density_ratio)
         return log_a / 2.0 * expm1_ratio(self.nu * log_a / 2.0)
 
     def density_ratio(self, growth: Expression) -> Expression:
-        """Return the b1 of a `growth`, 1 - (1 + nu phi)^(-2/nu), regular without internal friction."""
+        """Return b1 = 1 - (1 + nu phi)^(-2/nu), the inverse of `growth`; regular without internal friction."""
         return -expm1(-2.0 * growth * log1p_ratio(self.nu * growth))
 
 
 @dataclass(frozen=True)
 class Soil:
-    """A dense soil in front of the share.
+    """A dense soil ahead of the share.
 
     Args:
-        density: rho0 of the undisturbed soil [kg/m^3], above 0.
-        density_ratio: b1 = rho0/rho1, undisturbed over locked density [-], between 0 and 1.
-        cohesion: k [Pa], at least 0.
-        friction_angle: theta of internal friction [rad], from 0 to below 90 degrees.
-        tool_friction: mu0 of soil on metal [-], at least 0.
-        ambient_pressure: p_a ahead of the compaction front [Pa], at least 0. The source uses that of the
-            atmosphere; for soil with open pores the overburden, a few kPa, is the other interpretation.
-        youngs_modulus: E [Pa], above 0, or None when unknown. The plastic gas does not use it.
-        poisson_ratio: from 0 to below 0.5, or None when unknown. The plastic gas does not use it.
-        name: of the soil in reports.
-        source: of the values.
-        density_profile: density behind the compaction front, instead of the constant one that follows from b1; see
+        density: density rho0 of the undisturbed soil [kg/m^3], above 0.
+        density_ratio: ratio b1 = rho0/rho1 of undisturbed to locked density [-], between 0 and 1.
+        cohesion: cohesion k [Pa], at least 0.
+        friction_angle: angle theta of internal friction [rad], from 0 to below 90 degrees.
+        tool_friction: friction coefficient mu0 of soil on metal [-], at least 0.
+        ambient_pressure: pressure p_a ahead of the compaction front [Pa], at least 0. The source uses atmospheric
+            pressure; for soil with open pores one may use the overburden, a few kPa, instead.
+        youngs_modulus: Young's modulus E [Pa], above 0, or None if unknown. The plastic gas does not use it.
+        poisson_ratio: Poisson's ratio, from 0 to below 0.5, or None if unknown. The plastic gas does not use it.
+        name: name of the soil in reports.
+        source: source of the values.
+        density_profile: density behind the compaction front, in place of the constant one that follows from b1; see
             `with_density_profile`.
-        strength_factor: measured over computed static resistance [-], above 0. It multiplies A of equation (26), and so
-            F0 and everything that depends on it; not the stresses, the inertia, the front or other models.
-            `from_cone_index` computes it from a penetrometer's reading.
+        strength_factor: ratio of measured to computed static resistance [-], above 0. It multiplies A of equation (26)
+            and so F0 and everything that depends on it, but not the stresses, the inertia, the front or other models.
+            `from_cone_index` computes it from a penetrometer reading.
 
     Properties may be floats, NumPy arrays or CasADi expressions.
 
     Raises:
-        DomainError: a property outside its domain.
-        InputError: a name that cannot be printed.
+        DomainError: a property lies outside its domain.
+        InputError: the name is not a string of printable characters.
 
     Example:
         >>> import plough_opt as po
@@ -144,15 +150,12 @@ class Soil:
     strength_factor: Expression = 1.0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or unprintable(self.name, allowed=""):
-            raise InputError(
-                f"name = {shown(self.name)} must be a text that can be printed: it names the soil in reports"
-            )
+        check_text("name", self.name)
         read_fields(self, **{quantity.key: quantity.name for quantity in _PROPERTIES})
 
     @property
     def yielding(self) -> Yielding:
-        """The condition under which it yields."""
+        """The yield condition of the soil."""
         mu = sin(self.friction_angle)
         return Yielding(mu, 2.0 * mu / (1.0 + mu), 2.0 * self.cohesion * cos(self.friction_angle))
 
@@ -161,39 +164,39 @@ class Soil:
     ) -> Soil:
         """Return the soil with a density that varies behind the compaction front, equations (9)-(22).
 
-        The density ratio b1 is then not used. Everything that depends on the profile is a Gauss-Legendre quadrature of
-        the given order, in the graph; `plough_opt.soil.plastic.quadrature_error` estimates its error and
-        `plough_opt.refine` shows it against its cost.
+        The density ratio b1 is then not used. Results that depend on the profile are Gauss-Legendre quadratures of the
+        given order. `plough_opt.soil.plastic.quadrature_error` estimates their error, and `plough_opt.refine` compares
+        error and cost of several orders.
 
         Args:
-            density: rho(r, *parameters) [kg/m^3] of the Lagrangian radius r [m], above the undisturbed density up to
-                the front; for instance ``lambda r, width: 1350.0 + 250.0 * exp(-(r / width) ** 2)`` with the ``exp``
-                of `plough_opt.core.expressions`, which accepts numbers and symbols.
-            parameters: other arguments of the function, design variables among them.
+            density: function rho(r, *parameters) [kg/m^3] of the Lagrangian radius r [m], above the undisturbed density
+                up to the front; for instance ``lambda r, width: 1350.0 + 250.0 * exp(-(r / width) ** 2)`` with the
+                ``exp`` of `plough_opt.core.expressions`, which accepts numbers and symbols.
+            parameters: further arguments of the function, such as design variables.
             order: number of nodes, at least 1.
 
         Raises:
-            InputError: a density that is not a function, or an order below 1.
+            InputError: the density is not a function, or the order is below 1.
         """
         return replace(self, density_profile=DensityProfile(density, parameters, order))
 
     @classmethod
     def from_cone_index(cls, cone_index: Expression, soil: Soil, adjust: Adjust = "strength factor") -> Soil:
-        """Return the soil in which a penetrometer reads a cone index.
+        """Return the soil adjusted to a measured cone index.
 
         The equation s (1 + mu0/tan 15 deg) phi (nu p_a + tau0/(1 + mu)) = cone index is solved for one property in
-        closed form. The others stay, and `plough_opt.cone_index` of the result is the reading.
+        closed form; the others are unchanged. `plough_opt.cone_index` of the result equals the reading.
 
         Args:
             cone_index: pressure on the base of the 30 degree cone [Pa], above 0; a float, an array or an expression.
-            soil: the soil whose other properties are kept.
+            soil: the soil to adjust.
             adjust: the property to set: ``"strength factor"``, which only scales the static resistance;
                 ``"cohesion"``; or ``"density ratio"``, which moves the compaction front too.
 
         Raises:
-            InputError: an unknown ``adjust``, a soil with a density profile, or a reading below what the other
-                properties alone give, with the difference.
-            DomainError: a reading that is not above 0.
+            InputError: ``adjust`` is unknown, the soil has a density profile, or the reading is lower than even zero
+                cohesion gives; the message says by how much.
+            DomainError: the reading is not above 0.
 
         Example:
             >>> import plough_opt as po
@@ -203,11 +206,11 @@ class Soil:
         """
         cone_index = EVERY["soil.cone_index"].read(cone_index, stacklevel=2)
         if not isinstance(soil, Soil):
-            raise InputError(f"soil = {soil!r} must be the Soil whose other properties are kept")
+            raise InputError(f"soil = {soil!r} must be the Soil to adjust")
         if soil.density_profile is not None:
             raise InputError(
-                "a cone index does not adjust a soil with a density profile: set strength_factor to the reading over"
-                " po.cone_index of the soil"
+                "a soil with a density profile cannot be adjusted to a cone index: set strength_factor to the reading"
+                " divided by po.cone_index of the soil"
             )
         if adjust not in get_args(Adjust):
             raise InputError(f"adjust = {adjust!r}: {nearest(str(adjust), get_args(Adjust))}")
@@ -217,27 +220,27 @@ class Soil:
         return replace(soil, **changed, name=f"{soil.name}, by cone index", source=source)
 
     def warnings(self) -> tuple[str, ...]:
-        """Return warnings about the properties of a numeric soil."""
+        """Return warnings about unusual properties of a numeric soil."""
         warned = []
         cohesion, ratio, factor = (
             np.max(as_number(value)) for value in (self.cohesion, self.density_ratio, self.strength_factor)
         )
         if cohesion > _MOST_COHESION:
             warned.append(
-                f"a cohesion of {cohesion / 1e3:.4g} kPa is more than soils have, {_MOST_COHESION / 1e3:g} kPa"
+                f"a cohesion of {cohesion / 1e3:.4g} kPa is more than soils have ({_MOST_COHESION / 1e3:g} kPa at most)"
             )
         if ratio > _MOST_DENSITY_RATIO and self.density_profile is None:
             warned.append(
-                f"a density ratio of {ratio:.6g} is nearer to 1 than soils are ({_MOST_DENSITY_RATIO:g}): the"
-                f" compaction front runs ahead by {(1.0 - ratio) ** -0.5:.3g} radii of the share"
+                f"a density ratio of {ratio:.6g} is closer to 1 than in real soils ({_MOST_DENSITY_RATIO:g} at most):"
+                f" the radius of the compaction front is {(1.0 - ratio) ** -0.5:.3g} times that of the share"
             )
         if np.any(as_number(self.strength_factor) != 1.0):
-            warned.append(f"the static resistance is {factor:.4g} times the law's, by the measured strength factor")
+            warned.append(f"the measured strength factor multiplies the law's static resistance by {factor:.4g}")
         return tuple(warned)
 
 
 def _adjusted(reading: Expression, soil: Soil, adjust: Adjust) -> Expression:
-    """Return the property of a soil that follows from a cone index [Pa]."""
+    """Return the value of the adjusted property for a cone index [Pa]."""
     yielding = soil.yielding
     friction = 1.0 + soil.tool_friction / math.tan(CONE_HALF_ANGLE)
     phi = yielding.growth(soil.density_ratio)
@@ -248,15 +251,15 @@ def _adjusted(reading: Expression, soil: Soil, adjust: Adjust) -> Expression:
             short = float(np.max(as_number(level * without) - as_number(reading)))
             if short > 0.0:
                 raise InputError(
-                    f"friction and ambient pressure alone give a cone index {short / 1e3:.4g} kPa above the reading,"
-                    " which no cohesion can match; adjust the strength factor, or lower the ambient pressure or the"
-                    " friction angle"
+                    f"friction and ambient pressure alone give a cone index {short / 1e3:.4g} kPa above the reading, so"
+                    " it cannot be matched by cohesion: adjust the strength factor, or reduce the ambient pressure or"
+                    " the friction angle"
                 )
         return (reading / level - without) * (1.0 + yielding.mu) / (2.0 * cos(soil.friction_angle))
     strength = yielding.strength(soil.ambient_pressure)
     if not is_symbolic(strength) and np.any(as_number(strength) == 0.0):
-        raise InputError("a soil without cohesion, and without friction or pressure, has no strength to scale: adjust"
-                         " the cohesion")  # fmt: skip
+        raise InputError("a soil without cohesion, and without friction or pressure, has zero strength, which cannot be"
+                         " scaled: adjust the cohesion")  # fmt: skip
     if adjust == "strength factor":
         return reading / (friction * phi * strength)
     return yielding.density_ratio(reading / (soil.strength_factor * friction * strength))
@@ -267,7 +270,7 @@ _FRICTION = "tool friction: soil on steel 0.13-0.85 by moisture (Manuwa 2012, Mo
 
 
 # Name, density [kg/m^3], density ratio, cohesion [kPa], friction angle [deg], tool friction, Young's modulus [MPa],
-# Poisson's ratio, and the brackets that are published.
+# Poisson's ratio, and published brackets.
 _TABLE = (
     ("loose sandy loam", 1300, 0.722, 5, 30, 0.40, 3, 0.30,
      "density: light loam after subsoiling 1300 kg/m^3 (zzs.ujs.edu.cn, abstract 948)"),
@@ -313,11 +316,11 @@ def soil_names() -> tuple[str, ...]:
 def named_soil(name: str) -> Soil:
     """Return one of the named soils: loose sandy loam, firm sandy loam, serozem, hardpan, heavy clay.
 
-    Their values are engineering choices inside published brackets, as ``source`` says; none of the sets was
-    measured on one soil. Ambient pressure is the standard atmosphere.
+    Their values are engineering choices inside published brackets, as ``source`` says; they were not measured on a
+    single soil. The ambient pressure is the standard atmosphere.
 
     Raises:
-        InputError: an unknown name; the message suggests the nearest.
+        InputError: the name is unknown; the message suggests the nearest.
 
     Example:
         >>> import plough_opt as po

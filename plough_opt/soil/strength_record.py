@@ -1,4 +1,4 @@
-"""Records of soil strength along a field, the rig that felt a force, and the spectrum of a record."""
+"""Records of soil strength along a path, the rig that measured them, and the spectrum of a record."""
 
 import math
 from dataclasses import dataclass
@@ -11,33 +11,38 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.quantities import read_fields
 from plough_opt.soil.random_strength import Spectrum, Vector
 
-# Points without which no wave is worth the name, and points, evenly spaced or not, beyond which one takes minutes.
-_FEWEST, _MOST, _MOST_UNEVEN = 32, 200_000, 10_000
-# Relative difference of spacings up to which they count as even.
+# Fewest points from which a wave can be estimated.
+_FEWEST = 32
+# Most points of an evenly and an unevenly spaced record; a wave takes minutes to find in a longer one.
+_MOST = 200_000
+_MOST_UNEVEN = 10_000
+# Spacings count as even up to this relative difference.
 _EVEN = 1e-3
-# Segments of Welch's method, half overlapping under Hann's window, and the correlation of neighbours' squares under it.
-_SEGMENTS, _NEIGHBOURS = 8, 1.0 / 36.0
-# How near to the rig's resonance its response no longer depends on the soil, as a part of that frequency.
+# Segments of Welch's method, which overlap by half under a Hann window.
+_SEGMENTS = 8
+# Correlation of the periodograms of neighbouring segments under that window.
+_NEIGHBOURS = 1.0 / 36.0
+# Within this fraction of the rig's resonance its force shows its own oscillation rather than the soil.
 NEAR_RESONANCE = 0.2
-# Least part of the soil's fluctuation that the rig must pass on: a quotient of less is noise.
+# Smallest response of the rig that can be divided out; below it the quotient is noise.
 _LEAST_RESPONSE = 0.1
 
 LEVEL = 0.95
-"""Of confidence intervals, two-sided."""
+"""Level of the two-sided confidence intervals."""
 
 
 @dataclass(frozen=True)
 class Rig:
-    """The mount on which a force was recorded, whose own response is divided out of the record.
+    """The mount on which a force was recorded; its response is divided out of the record.
 
     Args:
         mass: moving mass [kg].
-        stiffness: of its spring [N/m].
-        damping: of its damper [N s/m], at least 0.
+        stiffness: spring stiffness [N/m].
+        damping: damping coefficient [N s/m], at least 0.
         tow_speed: speed at which it was pulled [m/s].
 
     Raises:
-        DomainError: a number outside its domain.
+        DomainError: a number lies outside its domain.
 
     Example:
         >>> import plough_opt as po
@@ -64,23 +69,23 @@ class Rig:
 
     @property
     def resonance(self) -> float:
-        """Wave number [rad/m] at which it resonates."""
+        """Wave number [rad/m] of its resonance."""
         return math.sqrt(self.stiffness / self.mass) / self.tow_speed
 
 
 @dataclass(frozen=True)
 class StrengthRecord:
-    """Soil strength along a path: cone index over position, or force over position with the rig that it was felt by.
+    """Soil strength along a path: cone index over position, or force over position with the rig that measured it.
 
     Args:
-        position: along the path [m], rising.
+        position: position along the path [m], increasing.
         value: cone index [Pa], force [N], or any other measure of strength.
-        rig: mount on which a force was recorded; None: the values are strength itself.
-        name: what messages call it.
+        rig: mount on which a force was recorded; None if the values are strength itself.
+        name: name of the record in messages.
 
     Raises:
-        InputError: fewer than 32 points or more than a million, positions that do not rise, or numbers that are not
-            finite.
+        InputError: there are fewer than 32 or more than 200,000 points (10,000 at uneven distances), positions do not
+            increase, or a number is not finite.
 
     Example:
         >>> import numpy as np
@@ -102,27 +107,25 @@ class StrengthRecord:
             x, y = (np.asarray(given, dtype=float).copy() for given in (position, value))
         except NOT_NUMBERS:
             raise InputError(f"{name}: positions and values must be numbers") from None
-        check_kind("the rig", rig, Rig | None, "a Rig, or None of strength itself")
+        check_kind("the rig", rig, Rig | None, "a Rig, or None if the values are strength itself")
         if x.ndim != 1 or x.shape != y.shape:
             raise InputError(
-                f"{name}: positions and values of the shapes {x.shape} and {y.shape} must be alike columns"
+                f"{name}: positions and values must be columns of equal length, not of shapes {x.shape} and {y.shape}"
             )
         if not _FEWEST <= len(x) <= _MOST:
-            raise InputError(
-                f"{name}: it has {len(x)} points, and a spectrum takes at least {_FEWEST} and at most {_MOST}"
-            )
+            raise InputError(f"{name}: it has {len(x)} points, but a spectrum needs {_FEWEST} to {_MOST}")
         if not (np.all(np.abs(x) <= LARGEST) and np.all(np.abs(y) <= LARGEST)):
             raise InputError(
-                f"{name}: every position and value must be finite, and within {LARGEST:g} in size: leave the others out"
+                f"{name}: every position and value must be finite and at most {LARGEST:g} in magnitude: omit the others"
             )
         if np.any(np.diff(x) <= 0.0):
             place = int(np.argmax(np.diff(x) <= 0.0)) + 1
-            raise InputError(f"{name}: positions must rise, and {x[place]:g} m follows {x[place - 1]:g} m")
+            raise InputError(f"{name}: positions must increase, but {x[place]:g} m follows {x[place - 1]:g} m")
         for key, given in (("position", x), ("value", y), ("rig", rig), ("name", name)):
             object.__setattr__(self, key, given)
         if len(x) > _MOST_UNEVEN and not self.even:
             raise InputError(
-                f"{name}: it has {len(x)} points at uneven distances: resample it, or take {_MOST_UNEVEN} of them"
+                f"{name}: it has {len(x)} points at uneven distances: resample it, or use at most {_MOST_UNEVEN}"
             )
 
     @property
@@ -141,22 +144,22 @@ class StrengthRecord:
         return bool(np.max(np.abs(np.diff(self.position) / self.spacing - 1.0)) <= _EVEN)
 
     def relative(self) -> Vector:
-        """Return strength over its linear trend, less 1.
+        """Return strength divided by its linear trend, minus 1.
 
         Raises:
-            InputError: a trend that reaches 0.
+            InputError: the trend falls to 0.
         """
         trend = np.polyval(
             np.polyfit(self.position - self.position[0], self.value, 1), self.position - self.position[0]
         )
         if np.min(trend) <= 0.0:
-            raise InputError(f"{self.name}: its linear trend falls to 0: strength cannot be given relative to it")
+            raise InputError(f"{self.name}: its linear trend falls to 0, so strength relative to it is not defined")
         found: Vector = self.value / trend - 1.0
         return found
 
 
 def spectrum_of(record: StrengthRecord) -> Spectrum:
-    """Return the spectrum of a record: Welch's for even spacing, else that of Lomb and Scargle, with its 95 % band."""
+    """Return the spectrum of a record with its 95 % band, by Welch's method or, for uneven spacing, Lomb-Scargle."""
     from scipy import signal, stats  # slow to import, and rarely needed
 
     y = record.relative()
@@ -175,17 +178,18 @@ def spectrum_of(record: StrengthRecord) -> Spectrum:
 
 
 def strength_spectrum(record: StrengthRecord, *, base_diameter: float = 0.0) -> Spectrum:
-    """Return the spectrum of the soil's strength from a record, as `Effects` takes it for random strength.
+    """Return the spectrum of the soil's strength from a record, for use as random strength in `Effects`.
 
-    Of a force the rig's response is divided out, and the spectrum is taken as linear across the wave numbers of the
-    rig's resonance; those that it hardly passes on are left out, and so are waves shorter than two spacings.
+    If the record is a force, the rig's response is divided out. The spectrum is then interpolated linearly across the
+    rig's resonance, and wave numbers that the rig hardly passes on are left out. Waves shorter than two spacings are
+    always left out.
 
     Args:
         record: strength or force along a path.
-        base_diameter: of the share [m]: shorter waves are left out, which its base averages.
+        base_diameter: diameter of the share's base [m]; shorter waves are left out, because the base averages them.
 
     Raises:
-        InputError: a diameter that is not a number of metres, or one beside which nothing of the record is left.
+        InputError: the diameter is not a number, or leaves nothing of the spectrum.
 
     Example:
         >>> import numpy as np
@@ -197,24 +201,24 @@ def strength_spectrum(record: StrengthRecord, *, base_diameter: float = 0.0) -> 
     """
     diameter = checked_diameter(record, base_diameter)
     found = spectrum_of(record)
-    kept, gain = found.wave_number * diameter <= 2.0 * math.pi, np.ones(len(found.wave_number))
+    usable, gain = found.wave_number * diameter <= 2.0 * math.pi, np.ones(len(found.wave_number))
     if record.rig is not None:
-        near, deaf = not_heard(record.rig, found.wave_number)
-        kept, gain = kept & ~near & ~deaf, np.abs(record.rig.response(found.wave_number)) ** 2
-    if np.count_nonzero(kept) < 2:
-        raise InputError(f"{record.name}: its spectrum holds no waves longer than {diameter:.3g} m that its rig felt")
-    rest = ((values / gain)[kept] for values in (found.density, found.lower, found.upper))
-    return Spectrum(found.wave_number[kept], *rest)
+        resonant, damped = unresolved(record.rig, found.wave_number)
+        usable, gain = usable & ~resonant & ~damped, np.abs(record.rig.response(found.wave_number)) ** 2
+    if np.count_nonzero(usable) < 2:
+        raise InputError(f"{record.name}: its spectrum has no waves longer than {diameter:.3g} m that its rig measured")
+    columns = ((values / gain)[usable] for values in (found.density, found.lower, found.upper))
+    return Spectrum(found.wave_number[usable], *columns)
 
 
 def checked_diameter(record: StrengthRecord, base_diameter: float) -> float:
-    """Raise InputError for anything but a record, and return a base's diameter [m]."""
+    """Return the diameter of a base [m] as a float; raise InputError if it or the record is invalid."""
     check_kind("the record", record, StrengthRecord, "a StrengthRecord, as read_strength_record returns one")
     check_domain("base_diameter", base_diameter, "m", at_least=0.0)
     return plain_number("base_diameter", base_diameter)
 
 
-def not_heard(rig: Rig, wave_number: Vector) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return at which wave numbers a rig resonates, and which it hardly passes on to its force."""
-    near = np.abs(wave_number / rig.resonance - 1.0) < NEAR_RESONANCE
-    return near, np.abs(rig.response(wave_number)) < _LEAST_RESPONSE
+def unresolved(rig: Rig, wave_number: Vector) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return masks of the wave numbers near a rig's resonance, and of those that it hardly passes on to its force."""
+    resonant = np.abs(wave_number / rig.resonance - 1.0) < NEAR_RESONANCE
+    return resonant, np.abs(rig.response(wave_number)) < _LEAST_RESPONSE

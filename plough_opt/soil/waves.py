@@ -1,4 +1,4 @@
-"""Soil strength that varies along the path as one sine or a sum of several."""
+"""Soil strength that varies along the path as a sine or a sum of sines."""
 
 import math
 from collections.abc import Sequence
@@ -10,11 +10,11 @@ from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Expression, as_number, is_symbolic
 from plough_opt.core.quantities import read_fields
 
-# Longest wavelengths within which several waves must repeat themselves for a lasting orbit, and the relative difference
-# of lengths that are commensurate: what a record or a file says has fewer digits.
+# Longest common period of several waves, in multiples of the longest wavelength.
 _MOST_TURNS = 100
+# Relative error up to which wavelengths count as commensurate; records and files give fewer digits than that.
 _COMMENSURATE = 1e-9
-# Points in the shortest wavelength at which strength is looked at, and most points: what is missed between is 1e-3.
+# Points per shortest wavelength at which the strength is evaluated; a minimum between them is lower by at most 1e-3.
 _POINTS = 64
 _MOST_POINTS = 1_000_000
 
@@ -26,8 +26,8 @@ class StrengthWave:
     Args:
         amplitude: epsilon [-], from 0 to 1.
         wavelength: ell [m], above 0.
-        phase: at travel 0 [rad], at most one turn either way. A start at equilibrium is at the deflection of the mean
-            strength all the same.
+        phase: phase at travel 0 [rad], from -2 pi to 2 pi. It does not change a start at equilibrium, which uses the
+            mean strength.
 
     Example:
         >>> import plough_opt as po
@@ -44,35 +44,32 @@ class StrengthWave:
 
 
 def turns_of(waves: Sequence[StrengthWave]) -> tuple[int, ...]:
-    """Return how often each wave turns before all repeat themselves together.
+    """Return how many wavelengths of each wave fit into their common period.
 
     Raises:
-        InputError: wavelengths that are symbols, or that have no common length within a hundred of the longest.
+        InputError: a wavelength is a symbol, or there is no common period within a hundred of the longest wavelength.
     """
     if len(waves) == 1:
         return (1,)
     if any(is_symbolic(wave.wavelength) for wave in waves):
-        raise InputError("a lasting orbit under several waves needs numeric wavelengths: they decide its period")
+        raise InputError("a periodic orbit under several waves needs numeric wavelengths: they determine its period")
     lengths = np.array([float(as_number(wave.wavelength)) for wave in waves])
     for count in range(1, _MOST_TURNS + 1):
         turns = count * np.max(lengths) / lengths
         if np.all(np.abs(turns - np.round(turns)) <= _COMMENSURATE * turns):
             return tuple(int(turn) for turn in np.round(turns))
     raise InputError(
-        f"the strength waves ({', '.join(f'{length:g}' for length in lengths)} m) have no common length within"
-        f" {_MOST_TURNS} of the longest, so no motion repeats itself: simulate from a start"
+        f"the strength waves ({', '.join(f'{length:g}' for length in lengths)} m) have no common period within"
+        f" {_MOST_TURNS} of the longest, so the motion is not periodic: simulate from a start"
     )
 
 
 def check_strength(waves: Sequence[StrengthWave], path: tuple[float, float] | None = None) -> None:
-    """Refuse waves that together leave the soil less than no strength.
+    """Raise DomainError if waves together make the soil's strength negative; the message gives the place.
 
     Args:
-        waves: the strength waves; those whose amplitudes are symbols pass.
-        path: from and to [m] where the share comes, if known; without it the amplitudes must not exceed 1 in sum.
-
-    Raises:
-        DomainError: as said; the message gives the place.
+        waves: the strength waves; symbolic amplitudes are not checked.
+        path: start and end [m] of the share's path, if known; otherwise the sum of the amplitudes must not exceed 1.
     """
     if len(waves) < 2 or any(is_symbolic(wave.amplitude) for wave in waves):
         return
@@ -81,7 +78,7 @@ def check_strength(waves: Sequence[StrengthWave], path: tuple[float, float] | No
         return
     if path is None:
         raise DomainError(
-            f"the strength waves' amplitudes are {total:.6g} in sum and must be at most 1 where the path is not known:"
+            f"the sum of the strength waves' amplitudes is {total:.6g} and must be at most 1 if the path is not known:"
             " soil cannot push the share forward"
         )
     numbers = [[float(as_number(x)) for x in (w.amplitude, w.wavelength, w.phase)] for w in waves]
@@ -92,6 +89,6 @@ def check_strength(waves: Sequence[StrengthWave], path: tuple[float, float] | No
     least = int(np.argmin(strength))
     if strength[least] < 0.0:
         raise DomainError(
-            f"the strength waves leave the soil {strength[least]:.4g} of its strength at a travel of"
-            f" {travel[least]:.4g} m, which must be at least 0: soil cannot push the share forward; lower an amplitude"
+            f"the strength waves change the soil's strength by a factor of {strength[least]:.4g} at a travel of"
+            f" {travel[least]:.4g} m, which must be at least 0: soil cannot push the share forward; reduce an amplitude"
         )

@@ -87,18 +87,18 @@ def test_what_is_no_sum_of_waves_is_refused(waves, words):
 
 def test_strength_stays_above_zero_along_the_path():
     deep = (po.StrengthWave(0.8, 0.2), po.StrengthWave(0.5, 0.3, 0.7))
-    with pytest.raises(po.DomainError, match=r"leave the soil -0\.156\d of its strength at a travel of 0\.15[78]\d m"):
+    with pytest.raises(po.DomainError, match=r"strength by a factor of -0\.156\d at a travel of 0\.15[78]\d m"):
         po.simulate(scene(deep), 1.0)
     # Before that place nothing is wrong.
     assert po.simulate(scene(deep, motion=False, damping=None), 0.07).mean_draft > 0.0
     symbol = ca.MX.sym("k")
     made = po.Scene(po.named_soil("serozem"), SHARE, symbol, 20.0, 2.0, po.Effects(strength_wave=deep))
-    with pytest.raises(po.DomainError, match=r"1\.3 in sum"):
+    with pytest.raises(po.DomainError, match=r"amplitudes is 1\.3"):
         po.simulate(made, 1.0)
 
 
 def test_orbits_without_a_common_length_are_refused():
-    with pytest.raises(po.InputError, match="no common length within 100"):
+    with pytest.raises(po.InputError, match="no common period within 100"):
         scene((po.StrengthWave(0.2, 0.2), po.StrengthWave(0.1, 0.2 * math.sqrt(2))), orbit="periodic")
     with pytest.raises(po.InputError, match=r"HarmonicBalance\(5\)"):
         scene(orbit=po.HarmonicBalance(3))

@@ -28,7 +28,7 @@ def test_each_method_takes_its_own_setting_and_no_other(method):
         if method in methods:
             assert getattr(po.Accuracy(method, **{name: value}), name) == value
         else:
-            with pytest.raises(po.InputError, match=f"method '{method}' has no setting '{name}': it belongs to"):
+            with pytest.raises(po.InputError, match=f"method '{method}' has no setting '{name}'"):
                 po.Accuracy(method, **{name: value})
 
 

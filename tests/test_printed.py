@@ -74,7 +74,7 @@ def test_a_run_says_that_it_is_no_physics(r1_scene, errors):
         *[(lambda value=value: po.Printed(one_third=value), r"one_third = .* must be True or False")
           for value in (1, "yes", None)],
         *[(lambda kind=kind: po.Effects(motion=False, formulation=kind),
-           "repelling spring needs motion: .*take formulation = 'derived'")
+           "repelling spring needs motion: .*formulation = 'derived'")
           for kind in ("printed", only("repelling_spring"))],
     ],
 )  # fmt: skip

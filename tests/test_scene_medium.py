@@ -91,7 +91,7 @@ def test_ambient_pressure_only_keeps_the_contact():
         ({"effects": po.Effects(motion=False, rate_term=0.1)}, "rate_term has no meaning"),
         (
             {"effects": po.Effects(motion=False, formulation=po.Printed(repelling_spring=False))},
-            "printed formulation belongs to the plastic gas",
+            "printed formulation is one of the plastic gas",
         ),
         ({"medium": "viscous"}, "no resistance law is named 'viscous'.*elastic.*plastic"),
     ],

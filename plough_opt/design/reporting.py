@@ -15,7 +15,7 @@ from plough_opt.design.polishing import AS_FOUND
 from plough_opt.design.program import Program
 from plough_opt.design.tolerance import spread
 from plough_opt.motion.judgement import remarks as remarks_on_run
-from plough_opt.motion.machine import alike_once
+from plough_opt.motion.machine import without_repetition
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import repeat
 
@@ -113,7 +113,7 @@ def _warnings_at(program: Program, numbers: Sequence[float], runs: Sequence[tupl
             moving += repeat(scene, float(parameters[-1])).warnings
     still = program.exact.quasi_static_scenes(numbers)
     slow = (NO_COMPILER,) if program.compiled and program.nlp is program.built.plain else ()
-    return (*slow, *alike_once([*moving, *(text for scene in still for text in scene.warnings())]))
+    return (*slow, *without_repetition([*moving, *(text for scene in still for text in scene.warnings())]))
 
 
 def _names_of(program: Program, scenes: Sequence[Sequence[Scene]]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Accuracy: a method and its setting, or an error to reach."""
+"""Accuracy: an integration method with its setting, or the error to reach."""
 
 from dataclasses import dataclass
 
@@ -16,33 +16,31 @@ DEFAULT_TOLERANCE = 1e-10
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How exactly the equation of motion is integrated.
+    """Accuracy with which the equation of motion is integrated.
 
     Args:
-        method: ``"auto"`` reaches ``error``; the others are named for whoever wants one:
-            ``"dop853"``, fixed steps of order 8, cheapest inside a design and twice differentiable at
-            every setting; CasADi's adaptive ``"cvodes"``, ``"idas"``, ``"erk"``, ``"rosenbrock"``; and
-            CasADi's fixed-step ``"collocation"`` and ``"rk"``, of order 5 and 4 (RMS by
-            ``"rk"`` from a start at which the force has a slope: 3); or a tableau of one's own, by its name in
-            `plough_opt.motion.methods.METHODS`.
-        error: for ``"auto"``, the wanted relative error: of a numeric run that of every result, each on its own
-            scale, as in its ``error_estimate``; default 1e-8.
-        steps: for a fixed-step method, steps over the whole duration; default: as many as the scene's
-            fastest oscillation needs for 1e-8, or of a symbolic scene, whose time scales are unknown, at
-            least 400 of order 8. Under ``"auto"`` a design chooses and refines them by itself. In a numeric run
-            order 8 takes a few more: the outermost in two, for what is read between them, and some on either side of
+        method: ``"auto"``, the default, chooses a method that reaches ``error``. Named methods are ``"dop853"``, fixed
+            steps of order 8, cheapest inside a design and twice differentiable at every setting; CasADi's adaptive
+            ``"cvodes"``, ``"idas"``, ``"erk"`` and ``"rosenbrock"``; CasADi's fixed-step ``"collocation"`` and
+            ``"rk"``, of order 5 and 4 (an RMS by ``"rk"``: order 3 if the force has a slope at the start); or the name
+            of your own tableau in `plough_opt.motion.methods.METHODS`.
+        error: for ``"auto"``, the relative error to reach in a numeric run, for every result on its own scale, as in
+            ``error_estimate``; default 1e-8.
+        steps: for a fixed-step method, number of steps over the whole duration. Default: as many as the fastest
+            oscillation of the scene needs for 1e-8; for a symbolic scene, whose time scales are unknown, at least 400
+            of order 8. Under ``"auto"`` a design chooses and refines the number. A numeric run of order 8 takes a few
+            more: the first and last step are halved, for the outputs between them, and there are some on either side of
             the end of a ramp.
-        derivatives: for ``"auto"``, the wanted error of the first and second derivatives of a symbolic scene's averages
-            by relative changes of its numbers, relative to the largest of average, first and second derivatives;
-            default 1e-6. Where smooth contact calls for it there are more than 400 steps, and events are located
-            more tightly. A symbolic scene cannot be checked, for it has no numbers: that is done where a design is
-            solved, at its optimum, and where a component is made, at points between its bounds, by finer
-            steps; where the error is missed, a warning says so.
-        tolerance: for an adaptive method, relative tolerance; default 1e-10. Absolute tolerances
-            follow from it and from the scene's own scales of deflection and speed.
+        derivatives: for ``"auto"``, the error to reach in the first and second derivatives of a symbolic scene's
+            averages by relative changes of its numbers, relative to the largest of average, first and second
+            derivatives; default 1e-6. Smooth contact may need more than 400 steps, and events are located more tightly.
+            A symbolic scene has no numbers, so its error is checked later by finer steps: at the optimum of a design,
+            and at points between the bounds of a component. A warning reports an error that was not reached.
+        tolerance: for an adaptive method, relative tolerance; default 1e-10. Absolute tolerances follow from it and
+            from the scene's own scales of deflection and speed.
 
     Raises:
-        InputError: an unknown method, or a setting that the method does not have.
+        InputError: the method is unknown, or does not have one of the settings.
 
     Example:
         >>> import plough_opt as po
@@ -65,32 +63,32 @@ class Accuracy:
 
     @property
     def adaptive(self) -> bool:
-        """Whether the method takes a tolerance."""
+        """Whether the setting of the method is a tolerance."""
         return METHODS[self.method].adaptive
 
     @property
     def locates_events(self) -> bool:
-        """Whether the method finds the events of a motion."""
+        """Whether the method locates the events of a motion."""
         return METHODS[self.method].locates_events
 
     @property
     def order_8(self) -> bool:
-        """Whether a symbolic scene becomes a loop of order-8 steps."""
+        """Whether a symbolic scene becomes a loop over steps of order 8."""
         return self.method in ORDER_8
 
     @property
     def wanted_derivatives(self) -> float:
-        """Wanted error of derivatives."""
+        """Error to reach in derivatives."""
         return self.derivatives or DEFAULT_DERIVATIVES
 
     def _check_setting(self, name: str, value: float | None, methods: tuple[str, ...], low: float, high: float) -> None:
         if value is None:
             return
         if self.method not in methods:
-            raise InputError(f"method '{self.method}' has no setting '{name}': it belongs to {', '.join(methods)}")
+            raise InputError(f"method '{self.method}' has no setting '{name}', which is for {', '.join(methods)}")
         whole = name == "steps"
         sound = is_count(value) if whole else isinstance(value, int | float | np.number) and not isinstance(value, bool)
-        value = float(value) if isinstance(value, np.floating) else value  # of few bytes it is compared with its like
+        value = float(value) if isinstance(value, np.floating) else value  # NumPy would round the bounds to float16
         if not (sound and low <= value <= high):
-            kind, given = ", as a whole number" if whole else "", f"{min(value, 1e300):g}" if sound else shown(value)
+            kind, given = " and be a whole number" if whole else "", f"{min(value, 1e300):g}" if sound else shown(value)
             raise InputError(f"accuracy {name} = {given} must lie between {low:g} and {high:g}{kind}")

@@ -1,4 +1,4 @@
-"""Runs from what was found of them: of an integrated motion, and of a share that follows the strut rigidly."""
+"""Assembly of a `Run` from an integrated motion, or from the quasi-static limit."""
 
 from functools import partial
 
@@ -22,15 +22,15 @@ from plough_opt.motion.terms import Structure
 from plough_opt.motion.timeline import Timeline
 
 GAUSS_POINTS = 10
-"""Gauss-Legendre nodes in each panel of the averages of a numeric run."""
+"""Gauss-Legendre nodes in each panel, for the averages of a numeric quasi-static run."""
 
 MORE_POINTS = 6
-"""How many more nodes check them."""
+"""Additional nodes in each panel of the checking run."""
 
 SYMBOLIC_GAUSS_POINTS = 4
-"""The same in a symbolic run, whose graph grows with them."""
+"""Gauss-Legendre nodes in each panel of a symbolic run, whose graph grows with them."""
 
-# Exact for the square of a ramp's force, a polynomial of degree 20, in however few panels the ramp lies.
+# Exact for the square of a ramp's force, a polynomial of degree 20, even if the ramp lies within one panel.
 _RAMP_GAUSS_POINTS = 11
 
 
@@ -44,17 +44,17 @@ def assemble(
     accuracy: Accuracy,
     known: tuple[Structure, Parameters] | None = None,
 ) -> Run:
-    """Turn the changes since the start that were integrated into forces and travel.
+    """Return the run that belongs to integrated changes since the start.
 
     Args:
         scene: the scene, numeric or symbolic.
         duration: simulated time [s].
-        fractions: output times as fractions of it.
-        states: (w; w') as two columns over the outputs.
-        means: of the signals of `plough_opt.motion.equation`.
-        variances: of those that have an RMS.
+        fractions: output times as fractions of the duration.
+        states: states (w, w', ...) in columns, a row for each output.
+        means: means of the signals of `plough_opt.motion.equation`.
+        variances: mean squares about the mean of those signals that have an RMS.
         accuracy: method and setting used.
-        known: structure and parameters of the scene, where they were read off it before.
+        known: structure and parameters of the scene, if they have been computed before.
     """
     structure, p = known or (Structure.of(scene), terms.parameters(scene))
     if structure.entry:
@@ -76,7 +76,7 @@ def assemble(
     if structure.sticks:
         opening, mode = states[:, 2], states[:, 3]
         if not is_casadi(mode):
-            # An implicit method solves for modes too, and rounds them.
+            # An implicit method solves for the mode too, and leaves it rounded.
             mode = np.round(mode)
         speed = where((mode - STICK) ** 2 < (SLIP - STICK) ** 2 / 4.0, 0.0, speed)
         soil = where(mode < (SLIP + STICK) / 2.0, soil, where(mode < (STICK + GAP) / 2.0, force, 0.0))
@@ -97,12 +97,13 @@ def assemble(
 
 
 def _added_mass(scene: Scene) -> Expression:
+    """Return the added mass [kg] without a label, for the run is checked together with its scene."""
     with unlabelled():
         return scene.reaction.added_mass
 
 
 def averages_of(scene: Scene, structure: Structure, p: Parameters, means: Column, variances: Column) -> Averages:
-    """Add the values at the start back to the averages of the changes since then: see `assemble`."""
+    """Return the averages of a run from those of its changes since the start: see `assemble`."""
     first = terms.start_force(structure, p)
     with unlabelled():
         scale = scene.steady_resistance
@@ -125,21 +126,21 @@ def averages_of(scene: Scene, structure: Structure, p: Parameters, means: Column
 def quasi_static(
     scene: Scene, duration: Expression, timeline: Timeline, accuracy: Accuracy, points: int = GAUSS_POINTS
 ) -> Run:
-    """Return the run of a share that moves with the strut: P = F0 (1 + eps sin(2 pi s/ell)) + Fd s'^2, z = P/k0.
+    """Return the run of a share that follows the strut: P = F0 (1 + eps sin(2 pi s/ell)) + Fd s'^2, z = P/k0.
 
-    Averages are composite Gauss-Legendre quadratures over the timeline's steps.
+    Averages are composite Gauss-Legendre quadratures with a panel for each step of the timeline.
     """
     p = terms.parameters(scene)
-    inner, shares = _quadrature(timeline, points, duration, ramp_time(p) if "ramp_time" in p else 0.0)
+    nodes, weights = _quadrature(timeline, points, duration, ramp_time(p) if "ramp_time" in p else 0.0)
     p["static"] = labelled(p["static"], scene)
     course = partial(_course, scene, p, duration)
     time, path, speed, force = course(timeline.output_fractions)
-    _, _, inner_speed, inner_force = course(inner)
-    # From the first value on: where nothing varies the rounding of the weights then makes no variance.
-    change = inner_force - inner_force[0]
-    mean_change = _average(change, shares)
-    mean_draft = inner_force[0] + mean_change
-    variance = _average((change - mean_change) ** 2, shares)
+    _, _, node_speed, node_force = course(nodes)
+    # Averages of the change since the first node: a constant force then has no variance by rounding of the weights.
+    change = node_force - node_force[0]
+    mean_change = _average(change, weights)
+    mean_draft = node_force[0] + mean_change
+    variance = _average((change - mean_change) ** 2, weights)
     with unlabelled():
         force_rms = rms(variance, scene.steady_resistance)
     stiffness = scene.stiffness
@@ -159,20 +160,20 @@ def quasi_static(
             force_rms=force_rms,
             mean_deflection=mean_draft / stiffness,
             displacement_rms=force_rms / stiffness,
-            tow_power=_average(inner_force * inner_speed, shares),
+            tow_power=_average(node_force * node_speed, weights),
         ),
         accuracy=accuracy,
     )
 
 
 def _quadrature(timeline: Timeline, points: int, duration: Expression, ramp: Expression) -> tuple[Column, Column]:
-    """Return nodes and weights of an average over the timeline's steps, as fractions of the duration."""
+    """Return quadrature nodes and weights of a time average, as fractions of the duration."""
     points = max(points, _RAMP_GAUSS_POINTS) if timeline.moving else points
     nodes, weights = np.polynomial.legendre.leggauss(points)
     if timeline.moving:
         a, b = ends(timeline, duration, ramp)
-        at = a + b * (ramp / duration)
-        starts, sizes = at[:-1], at[1:] - at[:-1]
+        panel_ends = a + b * (ramp / duration)
+        starts, sizes = panel_ends[:-1], panel_ends[1:] - panel_ends[:-1]
         rows = [starts + sizes * ((node + 1.0) / 2.0) for node in nodes]
         return ca.vertcat(*rows), ca.vertcat(*(sizes * (weight / 2.0) for weight in weights))
     sizes = np.diff(timeline.nodes)[:, None]
@@ -185,8 +186,9 @@ def _course(
 ) -> tuple[Column, Column, Column, Column]:
     """Return time [s], path [m], speed [m/s] and resistance [N] at fractions of the duration."""
     structure = Structure.of(scene)
-    known = not isinstance(fractions, np.ndarray)
-    time = (fractions if known else column(fractions, holds_casadi((scene, duration)))) * duration
+    if isinstance(fractions, np.ndarray):
+        fractions = column(fractions, holds_casadi((scene, duration)))
+    time = fractions * duration
     mount = terms.strut(structure, p, time)
     force = terms.resistance(structure, p, mount.path, terms.start_speed(structure, p) + mount.gain)
     everywhere = 0.0 * time
@@ -198,8 +200,8 @@ def _course(
     )
 
 
-def _average(values: Column, shares: Column) -> Expression:
+def _average(values: Column, weights: Column) -> Expression:
     if not is_casadi(values):
-        return float(shares @ values)
-    mean: Expression = ca.dot(ca.DM(shares) if isinstance(shares, np.ndarray) else shares, values)
+        return float(weights @ values)
+    mean: Expression = ca.dot(ca.DM(weights) if isinstance(weights, np.ndarray) else weights, values)
     return mean

@@ -1,4 +1,4 @@
-"""Results of a run beside its arrays: averages, error estimate, warnings, and the motion to which a share settles."""
+"""Scalar results of a run: averages, error estimate, warnings, and the motion to which a share settles."""
 
 from dataclasses import dataclass
 
@@ -7,15 +7,15 @@ from plough_opt.core.expressions import Expression
 
 @dataclass(frozen=True)
 class Settled:
-    """To which motion a share comes that starts from equilibrium.
+    """Motion to which a share settles from equilibrium.
 
     Attributes:
-        orbit: whether it is the orbit; None where it has come to none after the wavelengths followed.
-        wavelengths: number that were followed.
-        period: of the motion that it comes to [wavelengths]; None where that does not repeat itself.
+        orbit: whether it is the periodic orbit; None if the share has not settled within the simulated wavelengths.
+        wavelengths: number of simulated wavelengths.
+        period: period of the motion in wavelengths; None if it does not repeat itself.
         force_rms: RMS of the mount force [N] of that motion.
-        averaged: wavelengths over which that is averaged: its period, else the last ones that were followed.
-        distance: of the share from the orbit at the end, in parts of the orbit's half range [-].
+        averaged: number of wavelengths in that RMS: the period, or the last simulated ones without a period.
+        distance: distance from the orbit at the end, relative to half the range of the orbit [-].
         retreats: whether the share moves backwards in that motion.
     """
 
@@ -29,7 +29,7 @@ class Settled:
 
     @property
     def text(self) -> str:
-        """The motion that a share which starts from equilibrium comes to, as a clause."""
+        """Predicate of a sentence about a share that starts from equilibrium."""
         after, back = f"after {self.wavelengths} wavelengths", ", in which it retreats" if self.retreats else ""
         if self.orbit:
             return f"comes to this orbit ({after} it is within {100.0 * self.distance:.1g} % of the orbit's range)"
@@ -43,7 +43,7 @@ class Settled:
 
 @dataclass(frozen=True)
 class Averages:
-    """Time averages of a run; every RMS is the standard deviation about the mean.
+    """Time averages of a run. Each RMS is the standard deviation about the mean.
 
     Attributes:
         mean_draft: mean of the mount force P [N].
@@ -62,14 +62,14 @@ class Averages:
 
 @dataclass(frozen=True)
 class Checks:
-    """Error estimate, time and warnings of a numeric run.
+    """Error estimate, computing time and warnings of a numeric run.
 
     Attributes:
         error_estimate: estimated relative error [-] of every result: see `plough_opt.simulate`.
-        seconds: time taken [s].
-        notes: sentences on this run for whoever reads its results.
-        floquet: multipliers of a lasting orbit [-].
-        settles: to which motion a share comes from equilibrium, of a lasting orbit.
+        seconds: computing time [s].
+        notes: warnings about this run, besides those about its scene.
+        floquet: Floquet multipliers of a periodic orbit [-].
+        settles: for a periodic orbit, the motion to which a share settles from equilibrium.
     """
 
     error_estimate: float

@@ -1,4 +1,4 @@
-"""Runs of order 8 in machine code: the same operations as CasADi's loop, by the system's compiler."""
+"""Runs of order 8 in machine code: the same operations as in CasADi's loop, built by the system's compiler."""
 
 import ctypes
 from functools import lru_cache
@@ -16,7 +16,7 @@ from plough_opt.motion.timeline import Timeline, readings
 
 Array = NDArray[np.float64]
 
-# Products and sums are not fused: then the results are those of CasADi's interpreter.
+# Without fused multiply-add the results are equal to those of CasADi's interpreter.
 _FLAGS = ("-O2", "-ffp-contract=off")
 _VARIANTS: tuple[Variant, ...] = (((*_FLAGS, "-fno-semantic-interposition"), ("-lm",)), (_FLAGS, ("-lm",)))
 
@@ -25,8 +25,8 @@ _SOURCE = """
 #include <string.h>
 enum {{ SIGNALS = {count}, SQUARED = {squared}, MOMENTS = SIGNALS + SQUARED, DURATION = {given} }};
 
-/* `first` and `count`: of each output the first and the number of the ends of steps from which it is read, with their
-   weights: of w and of its rate in w, of w and of its rate in the rate. */
+/* Interpolates the outputs. Each is read from `count` ends of steps, from `first` on. Each end has four weights: of w
+   and of its rate in w, of w and of its rate in the rate. */
 static double *read(long long outputs, const long long *first, const long long *count, const double *weight,
                     const double *x, double duration, double *out) {{
   for (long long o = 0; o < outputs; o++) {{
@@ -52,7 +52,7 @@ static void average(long long steps, const double *span, const double *moments, 
     }}
 }}
 
-/* Writes the states at the outputs, the means and the mean squares about them; returns 1 for want of memory. */
+/* Writes the states at the outputs, the means and the mean squares about them. Returns 1 if out of memory. */
 CASADI_SYMBOL_EXPORT int motion_follow(long long steps, long long outputs, const double *span, const long long *first,
     const long long *count, const double *weight, const double *p, double *out) {{
   double *x = malloc((2 * (steps + 1) + MOMENTS * steps) * sizeof(double));
@@ -74,26 +74,29 @@ CASADI_SYMBOL_EXPORT int motion_follow(long long steps, long long outputs, const
 
 
 class CompiledSteps:
-    """The equation of a structure, followed by steps of order 8 in machine code."""
+    """Integration of a structure's equation by steps of order 8 in machine code."""
 
     def __init__(self, structure: Structure, loaded: ctypes.CDLL) -> None:
-        """Take the library of the structure."""
+        """Wrap a loaded library that was compiled for the structure."""
         self._observed = signals(structure)
         self._follow = loaded.motion_follow
         self._follow.argtypes = [*[ctypes.c_longlong] * 2, *[ctypes.c_void_p] * 6]
 
     def __call__(self, timeline: Timeline, p: list[float]) -> tuple[Array, Array, Array] | None:
-        """Return the states at the outputs (a row each), means and mean squares; None where they are not finite.
+        """Return the states at the outputs (a row each), means and mean squares; None if any is not finite.
 
         Args:
-            timeline: steps, which do not end at the outputs.
-            p: the equation's parameters, the duration last.
+            timeline: steps and outputs, not aligned.
+            p: the equation's parameters with the duration last.
+
+        Raises:
+            MemoryError: there is not enough memory for the steps.
         """
         (arrays, addresses), given = _times(timeline), np.array(p)
         end = 2 * len(timeline.output_fractions)
         found = np.empty(end + self._observed.count + self._observed.squared)
         if self._follow(len(arrays[0]), end // 2, *addresses, given.ctypes.data, found.ctypes.data):
-            raise MemoryError(f"there is no room for the states at the ends of {timeline.steps} steps")
+            raise MemoryError(f"not enough memory for the states at the ends of {timeline.steps} steps")
         if not np.isfinite(found).all():
             return None
         averages = end + self._observed.count
@@ -102,7 +105,7 @@ class CompiledSteps:
 
 @lru_cache(maxsize=64)
 def compiled_steps(structure: Structure) -> CompiledSteps | None:
-    """Return a structure's steps in machine code, from the user's cache if they are there; None without a compiler."""
+    """Return a structure's steps in machine code, compiled or from the user's cache; None without a compiler."""
     path = library(_source(structure), _VARIANTS)
     return None if path is None else CompiledSteps(structure, ctypes.CDLL(str(path)))
 
@@ -120,13 +123,14 @@ def _source(structure: Structure) -> str:
 
 @lru_cache(maxsize=256)
 def _times(timeline: Timeline) -> tuple[list[NDArray[Any]], list[int]]:
-    """Return a timeline for C, and the addresses of its arrays.
+    """Return the arrays of a timeline for C, and their addresses.
 
-    Those are the spans of the steps; of the outputs the first end, the number of ends, and their weights.
+    They hold the spans of the steps and, for each output, the first end that it is read from, the number of ends, and
+    their weights.
     """
     read, nodes = readings(timeline), timeline.nodes
     pattern = read.w_by_w.sparsity()
-    # Ends from which an output is read lie side by side.
+    # The ends from which an output is read are consecutive.
     starts = np.array(pattern.colind(), dtype=np.int64)
     weights = read.w_by_w, read.w_by_rate, read.rate_by_w, read.rate_by_rate
     arrays = [

@@ -1,6 +1,6 @@
-"""The cost of each effect: nodes, states and events of the differential equation, and operations of a run.
+"""Cost of each effect: nodes, states and events of the differential equation, and operations of a run.
 
-Operations are counted, not clocked: they are the same at every repetition and on every machine.
+Operations are counted and not timed, so that they are the same on every machine.
 """
 
 from collections.abc import Callable
@@ -26,17 +26,17 @@ from plough_opt.motion.terms import Structure, resistance
 
 @dataclass(frozen=True)
 class EffectCost:
-    """The change of a scene's results by one effect.
+    """Cost that one effect adds to a scene.
 
     Attributes:
-        name: the effect.
+        name: name of the effect.
         on: whether the scene has it.
-        nodes: of the differential equation and its events.
-        states: of the differential equation.
-        events: that an integrator must find.
-        operations: in a run with the effect, and in what checks it, over those without it [-]; None of an orbit, which
-            is sought by going through one wavelength again and again, beside a run from a start.
-        refused: why it does not go with the rest of the scene, or "".
+        nodes: additional nodes of the differential equation and its events.
+        states: additional states of the differential equation.
+        events: additional events that an integrator must locate.
+        operations: operations of a run and its check with the effect, relative to those without it [-]; None for an
+            orbit, which repeats one wavelength until it is found and so cannot be compared with a run from a start.
+        refused: why the effect cannot be combined with the rest of the scene, or "".
     """
 
     name: str
@@ -49,11 +49,11 @@ class EffectCost:
 
 
 def effect_costs(scene: Scene, duration: float | None) -> list[EffectCost]:
-    """Count every effect on a numeric scene; one that the scene lacks is tried with a strength of its own order.
+    """Return the cost of every effect on a numeric scene. An effect that is off is tried with a realistic value.
 
     Args:
         scene: the scene.
-        duration: simulated time [s]; None for a lasting orbit, whose like from a start is ten wavelengths.
+        duration: simulated time [s]; None for a periodic orbit, which is compared with a run over ten wavelengths.
     """
     counted = cache(lambda effects: _operations(replace(scene, effects=effects), duration))
     return [_cost(name, scene, pair, counted) for name, pair in _pairs(scene, duration).items()]
@@ -62,7 +62,7 @@ def effect_costs(scene: Scene, duration: float | None) -> list[EffectCost]:
 def _cost(
     name: str, scene: Scene, pair: tuple[dict[str, Any], dict[str, Any]], counted: Callable[[Effects], int]
 ) -> EffectCost:
-    """Return what an effect costs, from the changes that switch it on and off."""
+    """Return the cost of an effect, given the changes of `Effects` that switch it on and off."""
     present = all(getattr(scene.effects, field) == value for field, value in pair[0].items())
     try:
         both = [replace(scene.effects, **changes) for changes in pair]
@@ -76,7 +76,7 @@ def _cost(
 
 
 def _pairs(scene: Scene, duration: float | None) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
-    """Return, for every effect, the changes that switch it on and off."""
+    """Return the name of every effect with the changes of `Effects` that switch it on and off."""
     effects, plain = scene.effects, Effects()
     start = effects.start if effects.start != "equilibrium" else "towed"
     pairs: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
@@ -96,7 +96,7 @@ def _pairs(scene: Scene, duration: float | None) -> dict[str, tuple[dict[str, An
 
 
 def _size(scene: Scene) -> tuple[int, int, int]:
-    """Return nodes, states and events of a scene's differential equation; none without motion."""
+    """Return the numbers of nodes, states and events of a scene's differential equation; zero without motion."""
     if not scene.effects.motion:
         return 0, 0, 0
     equation = equation_of_motion(Structure.of(scene))
@@ -107,14 +107,14 @@ def _size(scene: Scene) -> tuple[int, int, int]:
 
 
 def _operations(scene: Scene, duration: float | None) -> int:
-    """Return the operations in a run and in what checks it; of an orbit, in going through one wavelength."""
+    """Return the number of operations of a run and its check; for an orbit, of one pass through a wavelength."""
     structure = Structure.of(scene)
     if scene.effects.orbit != "transient":
         duration = None
     elif duration is None:
-        duration = 10.0 * float(as_number(scene.wave_period))  # the scene's own orbit has one
+        duration = 10.0 * float(as_number(scene.wave_period))
     if not scene.effects.motion:
-        assert duration is not None  # an orbit has motion
+        assert duration is not None  # only orbits have none, and they have motion
         panels = steps_for(forced_rate(numbers_of(scene)) * duration)
         return panels * (2 * GAUSS_POINTS + MORE_POINTS) * _of_resistance(structure)
     accuracy = simulate(scene, duration).accuracy
@@ -123,12 +123,12 @@ def _operations(scene: Scene, duration: float | None) -> int:
         return (steps + coarser(steps)) * int(step(structure).n_instructions())
     assert duration is not None
     assert accuracy.tolerance is not None
-    both = accuracy, replace(accuracy, tolerance=10.0 * accuracy.tolerance)  # and its check: see `plan.checked`
+    both = accuracy, replace(accuracy, tolerance=10.0 * accuracy.tolerance)  # about its check's: see `plan.checked`
     return sum(_of_adaptive(scene, duration, one) for one in both)
 
 
 def _of_resistance(structure: Structure) -> int:
-    """Return the operations of the resistance at one point of the path."""
+    """Return the number of operations of the resistance at one point of the path."""
     symbols = {name: ca.SX.sym(name) for name in structure.names}
     travel, speed = ca.SX.sym("travel"), ca.SX.sym("speed")
     force: Column = resistance(structure, symbols, travel, speed)
@@ -136,7 +136,7 @@ def _of_resistance(structure: Structure) -> int:
 
 
 def _of_adaptive(scene: Scene, duration: float, accuracy: Accuracy) -> int:
-    """Return the operations of an adaptive method: its evaluations of the equation, and of what events are found by."""
+    """Return the number of operations of an adaptive method in evaluating the equation and its event functions."""
     p, timeline = numbers_of(scene), timeline_of(scene, duration, OUTPUTS, MOST_ADAPTIVE, accuracy.method)
     solver = integration(Structure.of(scene), accuracy, timeline)
     assert solver.sized is not None  # adaptive methods are CasADi's

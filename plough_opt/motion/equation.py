@@ -1,8 +1,8 @@
 """Equation of motion (27) as CasADi Functions: the right-hand side, and the events that interrupt it.
 
-A share that slips has the states (w, w'). Under `StickSlip`, and while a share enters, two more follow: how far it is
-behind its furthest point [m], and its mode, whose rate is zero. Of a share that enters the next state is 1 once it was
-wholly in the soil, and before 0; behind a strut whose speed ramps up the last one is 1 once the ramp is over.
+The states begin with (w, w'). With `StickSlip` or entry two more follow: the distance behind the furthest point [m],
+and the mode, whose rate is zero. With entry the next state is 0 until the share is fully in the soil, and 1 afterwards.
+With a tow ramp whose end is an event, the last state is 0 until that end, and 1 afterwards.
 """
 
 from dataclasses import dataclass
@@ -20,18 +20,18 @@ SLIP: Final = 0.0
 STICK: Final = 1.0
 GAP: Final = 2.0
 
-# Part of the tow speed within which a difference of the strut's and the spring's speed is rounding.
+# A speed below this fraction of the tow speed is rounding of the difference between strut's and spring's speed.
 _STANDSTILL = 1e-12
 
 
 @dataclass(frozen=True)
 class EquationOfMotion:
-    """Right-hand side as a CasADi Function, with exactly the parameters that it uses.
+    """Right-hand side as a CasADi Function of exactly the parameters that it uses.
 
     Attributes:
         function: (time [s], state, parameters) -> rate of the state.
-        events: (time, state, parameters) -> (what is negative after an event, a row each; the state after each event,
-            a column each), or None.
+        events: (time [s], state, parameters) -> (values, a row for each event, that become negative at the event; the
+            state after each event, a column each); None without events.
         names: names of the parameters, in order.
     """
 
@@ -40,7 +40,7 @@ class EquationOfMotion:
     names: tuple[str, ...]
 
     def rates(self, time: Column, state: Column, p: Parameters) -> Column:
-        """Return the rate of the state, of parameters by name."""
+        """Return the rate of the state for parameters by name."""
         return self.function(time, state, stacked(*(p[name] for name in self.names)))
 
     @property
@@ -49,18 +49,18 @@ class EquationOfMotion:
         return int(self.function.numel_out(0))
 
 
-class _Now:
-    """The share at one moment: its state as symbols, and what follows from it.
+class _SymbolicShare:
+    """State of the share as symbols, and expressions that follow from it.
 
     Attributes:
         speed: L' [m/s].
-        stopping: becomes negative when the share stops: its speed, but for rounding of one that barely moves yet.
+        stopping: speed [m/s] that becomes negative when the share stops, but not by rounding at the start.
         pull: mount force P [N].
-        slipping: w'' of a share that slips [m/s^2].
+        slipping: w'' of a slipping share [m/s^2].
     """
 
     def __init__(self, structure: Structure, p: dict[str, ca.SX]) -> None:
-        """Make the symbols of a structure's state."""
+        """Create the symbols of a structure's state."""
         self.time = ca.SX.sym("time")
         self.w, self.rate = ca.SX.sym("w"), ca.SX.sym("rate")
         self.opening, self.mode = ca.SX.sym("opening"), ca.SX.sym("mode")
@@ -84,7 +84,7 @@ class _Now:
         self.slipping = acceleration + self.mount.acceleration if structure.ramp else acceleration
 
     def by_mode(self, slip: Column, stick: Column, gap: Column) -> Column:
-        """Choose by the mode, element by element."""
+        """Return the column that belongs to the mode, chosen element by element."""
         middle = (SLIP + STICK) / 2.0, (STICK + GAP) / 2.0
         chosen = [
             where(self.mode < middle[0], a, where(self.mode < middle[1], b, c))
@@ -93,51 +93,54 @@ class _Now:
         return stacked(*chosen)
 
 
-def _stick_slip(now: _Now) -> tuple[Column, list[Column], list[Column]]:
-    """Return the rate of the four states in the mode that is on, what is negative once that ends, the state after."""
-    p, mass = now.p, now.p["mass"]
-    hold = terms.hold(now.structure, p, now.travel)
-    slip = stacked(now.rate, now.slipping, 0.0, 0.0)
-    stick = stacked(now.strut_speed, now.mount.acceleration, 0.0, 0.0)
-    gap = stacked(now.rate, now.mount.acceleration - now.pull / mass, -now.speed, 0.0)
-    # While the share sticks the strut only stretches the mount: P never falls back to 0.
-    until = now.by_mode(now.stopping, hold - now.pull, now.opening)
-    stopped = where(now.pull < 0.0, GAP, where(now.pull <= hold, STICK, SLIP))
-    taken_up = now.speed * mass / (mass + terms.carried_mass(now.structure, p, now.travel))
-    rate = now.by_mode(now.strut_speed, now.strut_speed, now.strut_speed - taken_up)
-    after = stacked(now.w, rate, 0.0, now.by_mode(stopped, SLIP, SLIP))
-    return now.by_mode(slip, stick, gap), [until], [after]
+def _stick_slip(share: _SymbolicShare) -> tuple[Column, list[Column], list[Column]]:
+    """Return the rate of the four states, the value that becomes negative when the mode ends, and the state after."""
+    p, mass = share.p, share.p["mass"]
+    hold = terms.hold(share.structure, p, share.travel)
+    slip = stacked(share.rate, share.slipping, 0.0, 0.0)
+    stick = stacked(share.strut_speed, share.mount.acceleration, 0.0, 0.0)
+    gap = stacked(share.rate, share.mount.acceleration - share.pull / mass, -share.speed, 0.0)
+    # While the share sticks the strut only compresses the mount, so P cannot fall to 0.
+    until = share.by_mode(share.stopping, hold - share.pull, share.opening)
+    stopped = where(share.pull < 0.0, GAP, where(share.pull <= hold, STICK, SLIP))
+    speed_with_soil = share.speed * mass / (mass + terms.carried_mass(share.structure, p, share.travel))
+    rate = share.by_mode(share.strut_speed, share.strut_speed, share.strut_speed - speed_with_soil)
+    after = stacked(share.w, rate, 0.0, share.by_mode(stopped, SLIP, SLIP))
+    return share.by_mode(slip, stick, gap), [until], [after]
 
 
-def _entering(now: _Now) -> tuple[Column, list[Column], list[Column]]:
-    """Return the like of a share that enters and never leaves contact; it may turn back, and is then behind."""
-    behind = now.mode > STICK
-    rates = stacked(now.rate, now.slipping, where(behind, -now.speed, 0.0), 0.0)
-    turning = where(now.p["entered"] < 0.5, where(behind, now.opening, now.stopping), 1.0)
-    after = stacked(now.w, now.rate, 0.0, where(behind, SLIP, GAP))
+def _entering(share: _SymbolicShare) -> tuple[Column, list[Column], list[Column]]:
+    """Return the same as `_stick_slip` for a share that enters and stays in contact.
+
+    It may turn back. The mode GAP then marks that it is behind its furthest point.
+    """
+    behind = share.mode > STICK
+    rates = stacked(share.rate, share.slipping, where(behind, -share.speed, 0.0), 0.0)
+    turning = where(share.p["entered"] < 0.5, where(behind, share.opening, share.stopping), 1.0)
+    after = stacked(share.w, share.rate, 0.0, where(behind, SLIP, GAP))
     return rates, [turning], [after]
 
 
 @lru_cache(maxsize=64)
 def equation_of_motion(structure: Structure) -> EquationOfMotion:
-    """Build the differential equation of a structure; terms that are off leave no trace in it."""
+    """Build the differential equation of a structure from the terms that are on."""
     symbols = {name: ca.SX.sym(name) for name in structure.names}
-    now = _Now(structure, symbols)
+    share = _SymbolicShare(structure, symbols)
     if structure.sticks:
-        rates, zeros, after = _stick_slip(now)
+        rates, zeros, after = _stick_slip(share)
     elif structure.entry:
-        rates, zeros, after = _entering(now)
+        rates, zeros, after = _entering(share)
     else:
-        rates, zeros, after = stacked(now.rate, now.slipping), [], []
-    counted = now.state[4 if structure.events else 2 :]
-    rates, after = stacked(rates, ca.SX.zeros(counted.numel())), [stacked(state, counted) for state in after]
-    for term, ended in zip(structure.ending, ca.vertsplit(counted), strict=True):
-        zeros.append(where(ended < 0.5, term.until(now.p, now.time, now.travel), 1.0))
-        after.append(ca.substitute(now.state, ended, 1.0))
+        rates, zeros, after = stacked(share.rate, share.slipping), [], []
+    end_flags = share.state[4 if structure.events else 2 :]
+    rates, after = stacked(rates, ca.SX.zeros(end_flags.numel())), [stacked(state, end_flags) for state in after]
+    for term, ended in zip(structure.ending, ca.vertsplit(end_flags), strict=True):
+        zeros.append(where(ended < 0.5, term.until(share.p, share.time, share.travel), 1.0))
+        after.append(ca.substitute(share.state, ended, 1.0))
     everything = stacked(rates, *zeros, *after)
     used = {symbol.name() for symbol in ca.symvar(everything)} & set(structure.names)
     names = tuple(name for name in structure.names if name in used)
-    inputs = [now.time, now.state, stacked(*(symbols[name] for name in names))]
+    inputs = [share.time, share.state, stacked(*(symbols[name] for name in names))]
     labels = ["time", "state", "parameters"]
     function = ca.Function("equation_of_motion", inputs, [rates], labels, ["rate"])
     if not zeros:
@@ -149,14 +152,14 @@ def equation_of_motion(structure: Structure) -> EquationOfMotion:
 def start_state(structure: Structure, p: Parameters) -> Column:
     """Return the state at time 0 as a column."""
     first = stacked(0.0, terms.start_rate(structure, p))
-    counted = (0.0,) * len(structure.ending)
+    end_flags = (0.0,) * len(structure.ending)
     if not structure.sticks:
-        return stacked(first, *((0.0, SLIP) if structure.entry else ()), *counted)
-    # A share without speed sticks, unless the mount already pulls enough.
+        return stacked(first, *((0.0, SLIP) if structure.entry else ()), *end_flags)
+    # A share without speed sticks, unless the mount force already exceeds what holds it.
     speed = 0.0 if structure.start == "rest" else terms.start_speed(structure, p)
     pulled = terms.start_force(structure, p) + terms.pull(structure, p, 0.0, terms.start_rate(structure, p))
     held = pulled < terms.hold(structure, p, -terms.start_deflection(structure, p))
-    return stacked(first, 0.0, where(speed > 0.0, SLIP, where(held, STICK, SLIP)), *counted)
+    return stacked(first, 0.0, where(speed > 0.0, SLIP, where(held, STICK, SLIP)), *end_flags)
 
 
 Symbols = TypeVar("Symbols", ca.SX, ca.MX)
@@ -164,15 +167,15 @@ Symbols = TypeVar("Symbols", ca.SX, ca.MX)
 
 @dataclass(frozen=True)
 class Signals:
-    """Integrands of a run's averages.
+    """Signals whose time averages a run reports.
 
     Attributes:
-        function: (time [s], state (w [m], w' [m/s]), parameters) -> signals. Where the end of the strut's ramp is an
-            event the state has a third element, ``ramped``.
+        function: (time [s], state (w [m], w' [m/s]), parameters) -> signals. If the end of the strut's ramp is an
+            event, the state has a third element, ``ramped``.
         parameters: names of all parameters of the equation of motion and of the signals, in order.
-        count: number of signals: change of deflection w; with a damper, change of mount force
+        count: number of signals: the change of deflection w; with a damper, the change of mount force
             k0 w + c (w' - w'(0)); with a tow ramp, the tow power P s'.
-        squared: how many of them, from the first, have an RMS.
+        squared: number of signals, from the first, that have an RMS too.
     """
 
     function: ca.Function
@@ -181,19 +184,19 @@ class Signals:
     squared: int
 
     def symbols(self, kind: type[Symbols]) -> tuple[Symbols, dict[str, Expression]]:
-        """Return a column of symbols of a kind for the parameters, the duration last, and those before it by name."""
+        """Return a column of symbols for the parameters and, last, the duration; and the parameters by name."""
         p = kind.sym("p", len(self.parameters) + 1)
         return p, self.named(p)
 
     def named(self, p: Column) -> dict[str, Expression]:
-        """Return a column of the parameters, with the duration last, by name; without the duration."""
+        """Return the parameters by name, from a column that has the duration as its last element."""
         values: list[Column] = ca.vertsplit(p[:-1])
         return dict(zip(self.parameters, values, strict=True))
 
 
 @lru_cache(maxsize=64)
 def signals(structure: Structure) -> Signals:
-    """Build the signals of a structure. Without a damper the mount force is k0 z and needs none of its own."""
+    """Build the signals of a structure. Without a damper the mount force is k0 z and needs no signal."""
     symbols = {name: ca.SX.sym(name) for name in structure.names}
     time, w, rate = ca.SX.sym("time"), ca.SX.sym("w"), ca.SX.sym("rate")
     state = stacked(w, rate)
@@ -207,7 +210,7 @@ def signals(structure: Structure) -> Signals:
         speed = terms.start_speed(structure, symbols) + terms.strut(structure, symbols, time).gain
         values.append((terms.start_force(structure, symbols) + force) * speed)
     expression = stacked(*values)
-    # A start at rest needs the strut's speed even where nothing else does.
+    # A start at rest needs the strut's speed even if no signal does.
     everything = stacked(expression, terms.start_rate(structure, symbols))
     used = {s.name() for s in ca.symvar(everything)} | set(equation_of_motion(structure).names)
     names = tuple(name for name in structure.names if name in used)

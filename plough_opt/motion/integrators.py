@@ -1,4 +1,4 @@
-"""The equation of motion under each integration method, behind one interface."""
+"""Integration of the equation of motion by each method, behind one interface."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -16,26 +16,26 @@ from plough_opt.motion.runge_kutta import run_map
 from plough_opt.motion.terms import Structure, lightest_mass, pull, start_resistance
 from plough_opt.motion.timeline import Timeline
 
-# Lower than any force that matters; keeps the scales of a scene without forces above zero.
+# A negligible force [N], which keeps the sizes of a scene without forces above zero.
 _LEAST_FORCE = 1e-9
 _MOST_EVENTS = 1_000_000
-# CasADi quotes the name where one wants a forward derivative of a forward derivative, which it does not have.
-_EVENTFUL = "motion_with_events_whose_second_derivatives_are_those_of_a_gradient_as_by_casadi_hessian"
+# CasADi quotes this name in its error if a forward derivative of a forward derivative, which it lacks, is requested.
+_NAME_WITH_EVENTS = "motion_with_events_whose_second_derivatives_are_those_of_a_gradient_as_by_casadi_hessian"
 # A failure is reported once, as an IntegrationError, and not by CasADi at every attempt.
 _QUIET = {"show_eval_warnings": False}
 
 
 @dataclass(frozen=True)
 class Sized:
-    """An adaptive run whose tolerances relate to sizes that are given, and the sizes that a scene lets expect.
+    """Run by a CasADi integrator whose absolute tolerances are relative to given sizes.
 
     The sizes are those of w [m] and w' [m/s], of each of the `signals`, and of the RMS of those that have one.
 
     Attributes:
-        function: (parameters, the duration last; sizes) -> the results of an `Integration`.
-        expected: parameters -> sizes.
+        function: (parameters with the duration last, sizes) -> results of an `Integration`.
+        expected: parameters -> sizes to expect before a run.
         solver: CasADi's integrator.
-        given: (parameters, sizes) -> its initial state and its parameters.
+        given: (parameters, sizes) -> initial state and parameters of the integrator.
     """
 
     function: ca.Function
@@ -44,10 +44,10 @@ class Sized:
     given: ca.Function
 
     def evaluations(self, p: list[float]) -> tuple[int, int]:
-        """Return how often a run evaluates the equation's rates, and what its events are found by.
+        """Return how often a run evaluates the rates of the equation, and its event functions.
 
         Args:
-            p: the parameters, the duration last.
+            p: the parameters with the duration last.
         """
         first, known = self.given(p, self.expected(p))
         self.solver(x0=first, p=known)
@@ -59,9 +59,9 @@ class Sized:
 class Integration:
     """A run as a CasADi Function of the parameters ``names`` and, last, the duration [s].
 
-    Its results are the states (w [m]; w' [m/s]) at the output times, a column each, the means of the
-    `signals`, and the mean squares about the mean of those signals that have an RMS. By CasADi's integrators
-    it is there in another form too, ``sized``.
+    Its results are the states (w [m]; w' [m/s]) at the output times, a column each, the means of the `signals`, and the
+    mean squares about the mean of those signals that have an RMS. CasADi's integrators also provide ``sized``, in which
+    the sizes for the tolerances can be chosen.
     """
 
     structure: Structure
@@ -83,13 +83,13 @@ class Integration:
 
 @lru_cache(maxsize=128)
 def integration(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> Integration:
-    """Build, or find, the Function that integrates scenes of a structure by a named method with its setting."""
+    """Return the Function that integrates scenes of a structure by a named method with its setting."""
     if structure.orbit != "transient":
         return Integration(structure, accuracy, timeline, orbit_map(structure, timeline))
     if is_stepped(accuracy.method):
         run = run_map(structure, timeline, tableau_of(accuracy.method))
         return Integration(structure, accuracy, timeline, run)
-    # Where symbols end a ramp no output can be put, and a step across the end errs in derivatives by it.
+    # The end of a symbolic ramp cannot be an output time, and a step across it would spoil derivatives by its time.
     locates = timeline.moving and accuracy.locates_events
     sized = _by_casadi(replace(structure, locates_ramp=locates and structure.ramp), accuracy, timeline)
     p = ca.MX.sym("p", sized.expected.size1_in(0))
@@ -105,10 +105,10 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
     options = _options(accuracy, timeline)
     if transition is not None:
         options |= {"transition": transition, "max_events": _MOST_EVENTS, "event_tol": 1e-12, "max_event_iter": 100}
-    # Fixed steps end where the result is read: at the kink too, so that they keep their order.
+    # Fixed steps end at the times of the results. The kink is one of them, so that the method keeps its order.
     times = (timeline.stops if METHODS[accuracy.method].order is not None else timeline.output_fractions)[1:]
     read = [int(i) for i in np.searchsorted(times, timeline.output_fractions[1:])]
-    name = "motion" if transition is None else _EVENTFUL
+    name = "motion" if transition is None else _NAME_WITH_EVENTS
     solver = ca.integrator(name, accuracy.method, equation, 0.0, times.tolist(), options)
     p, known = observed.symbols(ca.MX)
     sizes = ca.MX.sym("sizes", 2 + observed.count + observed.squared)
@@ -127,14 +127,14 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
 
 
 def _expected(structure: Structure, p: dict[str, Any], duration: Any) -> Any:
-    """Return the sizes of a `Sized` run that a scene lets expect, so that one absolute tolerance fits all."""
-    # A parameter that nothing in the equation needs moves nothing, and counts as zero here.
+    """Return the sizes to expect in a `Sized` run. In units of them one absolute tolerance suits every state."""
+    # Parameters without influence on the motion count as zero.
     complete = dict.fromkeys(structure.names, 0.0) | p
-    stiffness = ca.fabs(p["stiffness"])  # below zero where a spring repels
+    stiffness = ca.fabs(p["stiffness"])  # negative for a repelling spring
     hardness = ca.sqrt(stiffness * lightest_mass(p))
     force = start_resistance(structure, complete) + complete["tow_speed"] * hardness + _LEAST_FORCE
     if structure.relaxed and structure.sticks:
-        # Soil that only resists may be far stronger than a relaxed spring ever pulls.
+        # The resistance may be far greater than the force that the relaxed spring reaches.
         force = ca.fmin(force, complete["tow_speed"] * (stiffness * duration + hardness) + _LEAST_FORCE)
     deflection, rate = force / stiffness, force / hardness
     squared, others = [deflection], []
@@ -146,16 +146,17 @@ def _expected(structure: Structure, p: dict[str, Any], duration: Any) -> Any:
 
 
 def _units(structure: Structure, sizes: Any) -> Any:
-    """Return the units of an equation's states: deflection, rate, a gap's opening; mode and entry count."""
+    """Return the units of the states: deflection, its rate, opening of a gap; 1 for the mode and other flags."""
     modes = (sizes[0], 1.0) if structure.events else ()
     return stacked(sizes[0], sizes[1], *modes, *(1.0,) * len(structure.ending))
 
 
 def _scaled_equation(structure: Structure) -> tuple[dict[str, ca.SX], ca.Function | None]:
-    """Return the DAE over time as a fraction of the duration, in units of given sizes, and what an event does to it.
+    """Return CasADi's dictionary of the scaled equation, and its state transition at events, or None.
 
-    Over the scaled time integrals are averages. That of a squared deviation takes the deviation from the running mean:
-    its growth, d/dt of the sum about the mean, is exactly that square, so the RMS is never a difference of squares.
+    Time is scaled by the duration, so that integrals are averages, and states by the given sizes. A mean square about
+    the mean integrates the squared deviation from the running mean. Its derivative is exactly that square, so the RMS
+    is never a difference of squares.
     """
     motion, observed = equation_of_motion(structure), signals(structure)
     fraction = ca.SX.sym("fraction")
@@ -172,7 +173,7 @@ def _scaled_equation(structure: Structure) -> tuple[dict[str, ca.SX], ca.Functio
     seen = stacked(state[:2], state[-1]) if structure.ends_ramp else state
     values = observed.function(time, seen[: observed.function.size1_in(1)], p[:-1]) / of_means
     squared = values[: observed.squared]
-    # At the start the running mean is 0/0; the spread is 0 there.
+    # At the start the running mean would be 0/0; the deviation is 0 there.
     started = fraction > 0.0
     running_mean = x[count:] / ca.if_else(started, fraction, 1.0)
     deviation = ca.if_else(started, squared - running_mean, 0.0) * of_means[: observed.squared]
@@ -206,6 +207,6 @@ def _options(accuracy: Accuracy, timeline: Timeline) -> dict[str, Any]:
     options: dict[str, Any] = {**_QUIET, "reltol": tolerance, "abstol": 0.01 * tolerance}
     options["max_num_steps"] = timeline.steps
     if accuracy.method in ("cvodes", "idas"):
-        # Without the quadratures in the error control, sensitivities of these two can be silently wrong.
+        # Without quadratures in the error control, sensitivities by these two methods can be silently wrong.
         options["quad_err_con"] = True
     return options

@@ -1,4 +1,4 @@
-"""Machine: the runs of several shares in one frame, which draws all of them at one speed."""
+"""Machine: the runs of several shares in one frame, all towed at the same speed."""
 
 from __future__ import annotations
 
@@ -24,14 +24,17 @@ if TYPE_CHECKING:
 _NUMBER: Final = re.compile(r"\d[\d.e+-]*")
 
 
-def alike_once(sentences: Sequence[str]) -> list[str]:
-    """Return sentences each once; of those that differ in numbers only, the first, which says of how many it speaks."""
-    alike: dict[str, list[str]] = {}
+def without_repetition(sentences: Sequence[str]) -> list[str]:
+    """Return sentences without repetition.
+
+    Of sentences that differ in their numbers only, the first remains, with the number of the others.
+    """
+    groups: dict[str, list[str]] = {}
     for text in dict.fromkeys(sentences):
-        alike.setdefault(_NUMBER.sub("#", text), []).append(text)
+        groups.setdefault(_NUMBER.sub("#", text), []).append(text)
     return [
-        own[0] if len(own) == 1 else f"{own[0]}; and with other numbers in {len(own) - 1} further scenes of this design"
-        for own in alike.values()
+        first if not others else f"{first}; the same with other numbers in {len(others)} more scenes of the design"
+        for first, *others in groups.values()
     ]
 
 
@@ -41,10 +44,10 @@ class Machine(Saveable):
 
     Attributes:
         runs: name of a share -> its run.
-        origin: what made it.
+        origin: the question behind the runs.
 
     Raises:
-        InputError: no runs, or something else among them.
+        InputError: there are no runs, or one of them is not a `Run`.
 
     Example:
         >>> import plough_opt as po
@@ -65,51 +68,51 @@ class Machine(Saveable):
     def __post_init__(self) -> None:
         runs = mapping_of("runs", self.runs, "a share's name -> its run")
         for name, run in runs.items():
-            check_kind(f"the run of {shown(name)}", run, Run, "a Run, as po.simulate returns one")
+            check_kind(f"the run of {shown(name)}", run, Run, "a Run, as returned by po.simulate")
         if not runs:
-            raise InputError("a machine needs the run of one share or more")
+            raise InputError("a machine needs the run of at least one share")
 
     @property
     def mean_draft(self) -> Expression:
-        """Mean draft of all shares together [N]."""
+        """Sum of the mean drafts of all shares [N]."""
         return sum(run.mean_draft for run in self.runs.values())
 
     @property
     def tow_power(self) -> Expression:
-        """Power that the frame needs for all shares [W]."""
+        """Sum of the tow powers of all shares [W]."""
         return sum(run.tow_power for run in self.runs.values())
 
     @property
     def error_estimate(self) -> float:
-        """The largest error estimate of the runs, relative [-]."""
+        """Largest relative error estimate of the runs [-]."""
         return max(run.error_estimate for run in self.runs.values())
 
     @property
     def seconds(self) -> float:
-        """Time that all runs and their checks took [s]."""
+        """Computing time of all runs and their checks [s]."""
         return sum(run.seconds for run in self.runs.values())
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings about any of the shares."""
-        return tuple(alike_once([text for run in self.runs.values() for text in run.warnings]))
+        """Warnings about the runs of all shares, without repetition."""
+        return tuple(without_repetition([text for run in self.runs.values() for text in run.warnings]))
 
     def page(self) -> Page:
-        """Return the results of all shares side by side, and of the frame."""
+        """Return the results of all shares side by side, and those of the frame."""
         trust = f"relative error about {self.error_estimate:.0e}, {self.seconds:.2f} s"
         return Page(
             f"{len(self.runs)} shares in one frame", (self.response(),), self.warnings, trust, self.origin.title
         )
 
     def response(self) -> Grid:
-        """Return the table of the results, a column for each share, and one for what adds up; one unit in a row."""
+        """Return the table of results: a column for each share, and one for the sums; a row has one unit."""
         return response_table(self.runs, self.origin)
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return a row for each share and output time, SI; ``attrs["units"]`` has the units.
+        """Return a row for each share and output time, in SI units; ``attrs["units"]`` has the units.
 
         Raises:
-            InputError: symbolic runs, or pandas is not installed.
+            InputError: the runs are symbolic, or pandas is not installed.
         """
         frames = {name: run.to_dataframe() for name, run in self.runs.items()}
         import pandas
@@ -125,6 +128,6 @@ class Machine(Saveable):
             target: file to write (.png, .svg, .pdf), or None.
 
         Raises:
-            InputError: a file name without a known ending, or a place that cannot be written.
+            InputError: the file name has no known ending, or the file cannot be written.
         """
         return drawn("plot_machine", self, target=target)

@@ -1,25 +1,25 @@
-"""The integration methods by name: steps of a Butcher tableau, CasADi's, or chosen."""
+"""Integration methods by name: Butcher tableaus, CasADi's integrators, and automatic choice."""
 
 from dataclasses import dataclass, field
 from typing import Final
 
 from plough_opt.core.errors import InputError
 
-# Rounding of a tableau's coefficients, which may be as large as some tens.
+# Rounding of sums of a tableau's coefficients, which may be as large as about 50.
 _ROUNDING = 1e-12
-# Error that steps of order 8 are usually chosen for: by the law of its order a method of another one then takes others.
+# Usual error of steps of order 8. From it follows the number of steps of a method of another order.
 _USUAL_ERROR = 1e-10
 
 
 @dataclass(frozen=True)
 class Method:
-    """An integration method.
+    """Integration method.
 
     Attributes:
-        order: of a method of fixed steps.
-        adaptive: whether it takes a tolerance, and no number of steps.
-        locates_events: whether it finds the events of a motion, and differentiates through their times.
-        finer: how many steps it takes for one of order 8.
+        order: order of a fixed-step method; otherwise None.
+        adaptive: whether its setting is a tolerance instead of a number of steps.
+        locates_events: whether it locates the events of a motion, with the derivatives of their times.
+        finer: number of its steps that replace one step of order 8.
     """
 
     order: int | None = None
@@ -30,16 +30,16 @@ class Method:
 
 @dataclass(frozen=True)
 class Tableau(Method):
-    """An explicit Runge-Kutta method by its Butcher tableau: fixed steps, any number of derivatives.
+    """Explicit Runge-Kutta method given by its Butcher tableau: fixed steps, differentiable any number of times.
 
     Args:
-        order: of its error.
+        order: order of the error.
         nodes: times of the stages, as fractions of a step.
-        weights: of the stages' rates in the step.
-        stages: weights of the rates before a stage in that stage; the first row is empty.
+        weights: weights of the stages' rates in the step.
+        stages: for each stage, the weights of the rates of the stages before it; the first row is empty.
 
     Raises:
-        InputError: rows of another length, or coefficients that are not those of a method of first order at least.
+        InputError: a row has the wrong length, or the coefficients are inconsistent with the order.
 
     Example:
         >>> Tableau(2, nodes=(0.0, 0.5), weights=(0.0, 1.0), stages=((), (0.5,))).order
@@ -56,24 +56,24 @@ class Tableau(Method):
         if order < 1 or lengths != list(range(len(self.nodes))) or len(self.weights) != len(self.nodes):
             raise InputError(
                 f"a tableau of order {self.order} with {len(self.nodes)} nodes, {len(self.weights)} weights and rows of"
-                f" {lengths} must be explicit: a node and a weight for each stage, and in row k the weights of k rates"
+                f" lengths {lengths} must be explicit: a node and a weight for each stage, and k weights in row k"
             )
         for power in range(order):
             wrong = sum(w * c**power for w, c in zip(self.weights, self.nodes, strict=True)) - 1.0 / (power + 1)
             if not abs(wrong) <= _ROUNDING:
                 raise InputError(
-                    f"the weights of a tableau of order {order} integrate the power {power} with an error of"
-                    f" {wrong:.1e}: check nodes and weights"
+                    f"the weights of a tableau of order {order} integrate t^{power} with an error of {wrong:.1e}: check"
+                    " nodes and weights"
                 )
         for node, row in zip(self.nodes, self.stages, strict=True):
             if not abs(sum(row) - node) <= _ROUNDING:
-                raise InputError(f"the row of a tableau's stage at {node} adds up to {sum(row)}: it must be the node")
-        if order != ORDER:  # by the law of the order
+                raise InputError(f"a row of the tableau adds up to {sum(row)}: it must add up to its node {node}")
+        if order != ORDER:  # the error is proportional to the step size to the power of the order
             object.__setattr__(self, "finer", max(1.0, _USUAL_ERROR ** (1.0 / ORDER - 1.0 / order)))
 
 
 ORDER: Final = 8
-"""Order of the steps that the toolkit takes by itself."""
+"""Order of the steps that the toolkit takes by default."""
 
 # fmt: off
 DOP853: Final = Tableau(
@@ -117,37 +117,37 @@ METHODS: Final[dict[str, Method]] = {
     "idas": Method(adaptive=True),
     "erk": Method(adaptive=True, locates_events=True),
     "rosenbrock": Method(adaptive=True, locates_events=True),
-    # By trial they take so many steps for the error of order 8.
+    # Measured factors for the error of order 8.
     "collocation": Method(order=5, finer=2.0),
     "rk": Method(order=4, finer=16.0),
 }
-"""Name -> method; a `Tableau` that is added here is a method like the others. "auto" chooses, and checks itself."""
+"""Name -> method. "auto" chooses one of the others. Add a `Tableau` here to use it by name."""
 
 ORDER_8: Final = ("dop853", "auto")
-"""Methods by which a symbolic scene becomes a loop of order-8 steps; under "auto" a design sets their number."""
+"""Methods that turn a symbolic scene into a loop over steps of order 8; under "auto" a design sets their number."""
 
 
 def fixed_step() -> tuple[str, ...]:
-    """Return the names of the methods that take a number of steps."""
+    """Return the names of the fixed-step methods."""
     return tuple(name for name, method in METHODS.items() if method.order is not None)
 
 
 def adaptive() -> tuple[str, ...]:
-    """Return the names of the methods that take a tolerance."""
+    """Return the names of the adaptive methods."""
     return tuple(name for name, method in METHODS.items() if method.adaptive)
 
 
 def locating() -> tuple[str, ...]:
-    """Return the names of the methods that find the events of a motion."""
+    """Return the names of the methods that locate events."""
     return tuple(name for name, method in METHODS.items() if method.locates_events)
 
 
 def is_stepped(name: str) -> bool:
-    """Return whether a symbolic scene becomes a loop over steps of a tableau."""
+    """Return whether the method turns a symbolic scene into a loop over steps of a tableau."""
     return name == "auto" or isinstance(METHODS[name], Tableau)
 
 
 def tableau_of(name: str) -> Tableau:
-    """Return the tableau of a method that `is_stepped`."""
+    """Return the tableau of a method for which `is_stepped` is true."""
     method = METHODS[name]
     return method if isinstance(method, Tableau) else DOP853

@@ -1,4 +1,4 @@
-"""Which method, how many steps, and what checks it: choices made from a scene's own time scales."""
+"""Choice of the integration method, the number of steps and the checking run from a scene's own time scales."""
 
 import math
 from collections.abc import Mapping
@@ -20,74 +20,78 @@ from plough_opt.motion.timeline import Timeline
 OUTPUTS = 400
 """Default number of intervals between output times."""
 
-# Of order 8 in a symbolic run with smooth contact, which changes in a fraction of the time of the mount's swing.
+# Steps of order 8 in a symbolic run with smooth contact, which acts within a fraction of the mount's period.
 _SMOOTH_STEPS = 1600
 
 STIFF_PHASE = 1e5
-"""Phase [rad] of the fastest oscillation over a run above which an implicit method integrates it."""
+"""Phase [rad] of the fastest oscillation over a run above which an implicit method is used."""
 
 TIGHTEST = 1e-13
-"""Tightest relative tolerance that double precision leaves room for."""
+"""Tightest relative tolerance that double precision allows."""
 
 STIFF_TOLERANCE = 1e-9
-"""Tightest tolerance for an implicit method; below it the steps follow every oscillation of a stiff mount."""
+"""Tightest tolerance for an implicit method. Below it the steps resolve every oscillation of a stiff mount."""
 
-# Steps of order 8. Their error falls with the eighth power of the phase in a step, so that one length that was tried
-# gives those for all errors. By the fastest oscillation 0.5 rad a step leave some 1e-10; by `summed_rate`, which
-# scatters half as far, 0.475 rad usually do: where they do not, the check finds out, and steps are repeated finer.
+# Steps of order 8. Their error is proportional to the eighth power of the phase per step, so one measured error gives
+# the step length for any other. A phase of 0.5 rad of the fastest oscillation leaves an error of about 1e-10. By
+# `summed_rate`, which scatters half as much, 0.475 rad usually do. If not, the check notices and the run is refined.
 PHASE_PER_STEP = 0.5
-"""Phase [rad] of the fastest oscillation in one step of order 8 that leaves a relative error of some 1e-10."""
+"""Phase [rad] of the fastest oscillation per step of order 8 that leaves a relative error of about 1e-10."""
 _USUAL_PHASE = 0.475
-# Where the motion is smooth, long steps come first: of 1.6 rad by `summed_rate`, from which on errors follow the law.
+# A smooth motion is tried with long steps first. Up to 1.6 rad by `summed_rate` the error follows the order's law.
 _LONG_PHASE = 1.6
-# From an error up to 1e-3 follows how many steps reach the wanted one: by a power a little below 1/8, for from long
-# steps the error falls a little faster at first; an eighth more, to be sure; and no less than 1.15 times as many.
-_KNOWN = 1e-3
-_FALLS = 1.0 / 8.5
-_SURE = 1.12
-_LEAST_FINER = 1.15
-# From a larger one nothing follows but that they must be shorter.
-_ANEW = 1.4
-# Three quarters of the steps err by (4/3)^8 = 10 times as much: enough for a check, at less than another run's cost.
-_COARSER = 0.75
-# Fewest steps of a run, between which eight are read from at once, and most, for their memory.
+# Largest error from which the necessary number of steps can be extrapolated.
+_LARGEST_KNOWN_ERROR = 1e-3
+# Exponent of that extrapolation: below 1/8, for the error of long steps first falls faster than its order.
+_ERROR_EXPONENT = 1.0 / 8.5
+# Safety factor on the extrapolated number of steps.
+_SAFETY = 1.12
+# Least factor between two numbers of steps that are tried.
+_LEAST_REFINEMENT = 1.15
+# The same factor after an error too large to extrapolate from.
+_BLIND_REFINEMENT = 1.4
+# A check takes three quarters of the steps: its error is (4/3)^8 = 10 times as large, at less than the run's cost.
+_CHECK_STEPS = 0.75
+# Fewest steps of a run. Outputs are interpolated between eight ends of steps.
 _FEWEST_STEPS = 20
+# Most steps of a run, limited by memory.
 _MOST_STEPS = 4_000_000
-# Phase [rad] over a run that steps of order 8 follow within seconds.
+# Phase [rad] over a run that steps of order 8 resolve within seconds.
 _ORDER_8_PHASE = 4e5
 
-# Adaptive methods. Part of the tolerance of its check with which one runs: it then errs by a tenth of it or so.
-_RUN_FINER = 0.2
-# The tightest takes some 100 steps for a phase of 1 rad: it may take three times as many, and 10,000 for a start.
+# An adaptive run takes this fraction of its check's tolerance. Its error is then about a tenth of the check's.
+_RUN_TOLERANCE = 0.2
+# At the tightest tolerance an adaptive method needs about 100 steps per rad. It may take three times as many.
 _ADAPTIVE_PER_PHASE = 300.0
+# Steps that an adaptive method may take in addition, to get started.
 _FEWEST_ADAPTIVE = 1e4
 MOST_ADAPTIVE = 10_000_000
-"""Steps after which an adaptive method of a symbolic scene gives up, whose phase is unknown."""
+"""Steps after which an adaptive method gives up on a symbolic scene, whose phase is unknown."""
 
 MOST_RINGING = 2e4
-"""Phase [rad] of the share's own oscillation from a start that is not steady, up to which it is followed by default."""
+"""Largest phase [rad] of the share's own oscillation after an unsteady start that is simulated by default."""
 
 MOST_FORCED = 1e6
-"""Phase [rad] that strut and soil impose over a run, up to which it is followed by default."""
+"""Largest phase [rad] imposed by strut and soil over a run that is simulated by default."""
 
 MOST_PANELLED = 4e5
-"""The same of a quasi-static run, whose panels are in memory at once."""
+"""The same limit for a quasi-static run, whose quadrature panels are all in memory at once."""
 
 MOST_SHOT = 1e4
-"""Phase [rad] of the fastest part of a motion over one wavelength; up to it a lasting orbit is computed by default."""
+"""Largest phase [rad] of the fastest rate over one wavelength for which a periodic orbit is computed by default."""
 
 MOST_OUTPUTS = 10_000_000
-"""Output intervals of a run, whose arrays are in memory at once."""
+"""Most output intervals of a run, whose arrays are all in memory at once."""
 
-# exp(-30) is the rounding of the first swing.
+# An oscillation that has decayed by exp(-30) has reached the rounding of its first swing.
 _DECAYED = 30.0
 
 
 def numbers_of(scene: Scene, structure: Structure | None = None) -> dict[str, float]:
-    """Return the parameters of a numeric scene, by name, and the steepest slopes of its own effects.
+    """Return the parameters of a numeric scene by name, with the steepest slopes of its own resistances.
 
     Raises:
-        InputError: one is an array.
+        InputError: a parameter is an array.
     """
     p = {name: _number(name, value) for name, value in parameters(scene, structure).items()}
     return p | slopes(Own.of(scene), p) if scene.effects.own else p
@@ -97,7 +101,7 @@ def _number(name: str, value: Expression) -> float:
     if isinstance(value, float):
         return value
     if isinstance(value, np.ndarray) and value.ndim > 0:
-        raise InputError(f"{name} is an array of {value.size} values: simulate takes one scene at a time")
+        raise InputError(f"{name} is an array of {value.size} values: simulate accepts one scene at a time")
     return float(as_number(value))
 
 
@@ -112,36 +116,37 @@ def is_imposed(name: str) -> bool:
 
 
 def fastest_rate(p: Mapping[str, float]) -> float:
-    """Return the fastest angular frequency [rad/s] or rate of decay or growth [1/s] of an equation's parameters."""
+    """Return the largest angular frequency [rad/s], or rate of decay or growth [1/s], of the motion."""
     return float(max(_rates(p)))
 
 
 def summed_rate(p: Mapping[str, Any]) -> Any:
-    """Return the sum of mount's, wave's and decay's rates [1/s], for numbers or arrays: steps are in proportion to it.
+    """Return the sum of the rates of mount, waves and decay [1/s], for numbers or arrays; steps are proportional to it.
 
-    Of 23 sampled scenes under contact "resisting", steps of order 8 reached 1e-8 with 0.84 to 1.2 rad of it in the
-    slower half, where `fastest_rate` scattered twice as far.
+    In 23 sampled scenes under contact "resisting", steps of order 8 reached an error of 1e-8 with 0.84 to 1.2 rad per
+    step by this rate. By `fastest_rate` the phase scattered twice as much.
     """
     frequency, decay, forced = _rates(p)
     return frequency + decay + 0.5 * forced
 
 
 def summed_and_lasting_phase(p: Mapping[str, Any], duration: Any) -> tuple[Any, Any]:
-    """Return two phases of a run [rad], for numbers or arrays: by `summed_rate`, and of what swings on by itself.
+    """Return two phases of a run [rad], for numbers or arrays.
 
-    The latter is the phase of the share's own oscillation while it lasts, along which errors of its amplitude add up.
+    The first is that of `summed_rate`. The second is the phase of the share's own oscillation while it lasts; errors of
+    its amplitude accumulate along it.
 
     Args:
         p: the equation's parameters.
-        duration: of the run [s].
+        duration: simulated time [s].
     """
     frequency, decay, forced = _rates(p)
-    # A swing dies away by half of the rate with which its speed does.
+    # The amplitude of an oscillation decays at half the rate d/M of the speed.
     return (frequency + decay + 0.5 * forced) * duration, frequency * duration / (1.0 + 0.5 * decay * duration)
 
 
 def _rates(p: Mapping[str, Any]) -> tuple[Any, Any, Any]:
-    """Return the mount's angular frequency [rad/s], the rate of decay [1/s] and `forced_rate`."""
+    """Return the mount's angular frequency [rad/s], the rate of decay [1/s] and `forced_rate` [rad/s]."""
     inertia, rates = lightest_mass(p), [kind.rates(p) for kind in TERMS]
     decay = sum(each.damping + each.steepest for each in rates) / inertia
     stiffness = abs(p["stiffness"]) + sum(each.stiffness for each in rates)
@@ -149,12 +154,12 @@ def _rates(p: Mapping[str, Any]) -> tuple[Any, Any, Any]:
 
 
 def phase(p: Mapping[str, float], duration: float) -> float:
-    """Return the phase of the fastest oscillation over the run [rad]."""
+    """Return the phase of the fastest oscillation over a duration in s [rad]."""
     return fastest_rate(p) * duration
 
 
 def ringing(p: Mapping[str, float], duration: float) -> float:
-    """Return the phase [rad] of the share's own oscillation from a start that is not steady, until it has died away."""
+    """Return the phase [rad] of the share's own oscillation after an unsteady start, until it has decayed."""
     inertia: float = lightest_mass(p)
     frequency = math.sqrt(abs(p["stiffness"]) / inertia)
     decay = sum(kind.rates(p).damping for kind in TERMS) / (2.0 * inertia)
@@ -163,11 +168,11 @@ def ringing(p: Mapping[str, float], duration: float) -> float:
 
 
 def steps_for(total_phase: float, phase_per_step: float = PHASE_PER_STEP) -> int:
-    """Return how many steps of order 8 resolve an oscillation of that phase."""
+    """Return the number of steps of order 8 that resolve a total phase [rad]."""
     return max(_FEWEST_STEPS, math.ceil(min(total_phase / phase_per_step, _MOST_STEPS)))
 
 
-# Scenes much alike share one, whose times are computed once.
+# Similar scenes share a timeline, whose times are computed once.
 _timeline = lru_cache(maxsize=256)(Timeline)
 
 
@@ -180,17 +185,17 @@ def timeline_of(
     *,
     symbolic: bool = False,
 ) -> Timeline:
-    """Return the times of a run; the end of a tow ramp is among them, a number or wherever its symbols put it.
+    """Return the times of a run, which include the end of a tow ramp, numeric or symbolic.
 
-    Steps of order 8 need not end at the outputs, which are read between them, unless steps end at moving kinks.
+    Steps of order 8 need not end at the outputs, which are interpolated, unless steps end at kinks of unknown time.
 
     Args:
         scene: the scene.
-        duration: of the run [s].
+        duration: simulated time [s].
         outputs: number of intervals between output times.
         steps: number of steps.
-        method: the method that takes them.
-        symbolic: whether the run is to be differentiated, so that steps end where smooth contact ends too.
+        method: name of the method.
+        symbolic: whether the run will be differentiated, so that steps must also end at the ends of smooth contact.
     """
     effects, aligned = scene.effects, method not in ORDER_8
     ramp: Any = effects.tow_ramp if effects.ramps else 0.0
@@ -202,42 +207,42 @@ def timeline_of(
 
 
 def kink_of(ramp: float, duration: float) -> float | None:
-    """Return at which part of the duration [s] a ramp of a time [s], or 0, ends; None if not within the run."""
+    """Return the fraction of a duration [s] at which a ramp [s] ends; None if it is 0 or ends after the run."""
     return ramp / duration if 0.0 < ramp < duration else None
 
 
 def unknown_steps(scene: Scene, accuracy: Accuracy, outputs: int) -> int:
-    """Return how many steps of order 8 a symbolic run takes, whose time scales are unknown."""
+    """Return the number of steps of order 8 of a symbolic run, whose time scales are unknown."""
     steps = _SMOOTH_STEPS if isinstance(scene.effects.contact, Smooth) else OUTPUTS
-    # For the default; second derivatives of order-8 steps are of that order too.
+    # These suffice for the default error. Second derivatives of order-8 steps are of order 8 too.
     finer: float = (DEFAULT_DERIVATIVES / accuracy.wanted_derivatives) ** 0.125
     return max(outputs, OUTPUTS, math.ceil(steps * finer))
 
 
 def most_steps(total_phase: float) -> int:
-    """Return after how many steps an adaptive method gives up, a power of ten: where a motion has no end, none do."""
+    """Return the number of steps, a power of ten, after which an adaptive method gives up on a diverging motion."""
     return int(10.0 ** math.ceil(math.log10(_FEWEST_ADAPTIVE + _ADAPTIVE_PER_PHASE * total_phase)))
 
 
 def with_setting(accuracy: Accuracy, steps: int, outputs: int) -> Accuracy:
-    """Return a named method with the setting that it will really have.
+    """Return a named method with its final setting.
 
     Args:
-        accuracy: the method; a setting that it gives is kept.
-        steps: what order 8 would take.
-        outputs: output intervals; methods of fixed steps but order 8 take as many whole steps in each of them.
+        accuracy: the method; its own setting, if given, is kept.
+        steps: number of steps that order 8 would take.
+        outputs: output intervals. Fixed-step methods except order 8 take a whole number of steps in each.
     """
     if accuracy.adaptive:
         return replace(accuracy, tolerance=accuracy.tolerance or DEFAULT_TOLERANCE)
     if accuracy.method == "dop853":
         return replace(accuracy, steps=accuracy.steps or steps)
-    # Other methods of fixed steps are of lower order and take more steps for the same error.
+    # Other fixed-step methods have a lower order and need more steps for the same error.
     wanted = accuracy.steps or math.ceil(METHODS[accuracy.method].finer * steps)
     return replace(accuracy, steps=-(-wanted // outputs) * outputs)
 
 
 def suited(structure: Structure, total_phase: float) -> tuple[str, ...]:
-    """Return the methods that suit an equation over that phase [rad], cheapest first."""
+    """Return the methods that suit an equation over a total phase [rad], cheapest first."""
     if structure.orbit != "transient":
         return ("dop853",)
     adaptive: str = "rosenbrock" if total_phase > STIFF_PHASE else "erk"
@@ -249,71 +254,76 @@ def automatic(method: str, wanted: float, p: Mapping[str, float], duration: floa
 
     Args:
         method: one of `suited`.
-        wanted: the relative error; of order 8 three quarters of the steps should reach it.
+        wanted: the relative error; three quarters of the returned steps of order 8 should reach it.
         p: the equation's parameters.
-        duration: of the run [s].
+        duration: simulated time [s].
     """
     if method == "rosenbrock":
         return Accuracy(method, tolerance=max(0.1 * wanted, STIFF_TOLERANCE))
     if method == "erk":
         return Accuracy(method, tolerance=max(0.01 * wanted, TIGHTEST))
-    # The error of order 8 falls by (4/3)^8 = 10 from the steps that should reach it to those taken.
     enough = steps_for(summed_rate(p) * duration, _USUAL_PHASE * (max(wanted, TIGHTEST) / DEFAULT_TOLERANCE) ** 0.125)
-    return _order_8(_rounded(math.ceil(enough / _COARSER)))
+    return _order_8(_rounded(math.ceil(enough / _CHECK_STEPS)))
 
 
 def first_steps(p: Mapping[str, float], duration: float) -> int:
-    """Return how many steps of order 8 are so long that their error just begins to follow the order's law."""
+    """Return the number of steps of order 8 at which the error just begins to follow the law of that order."""
     return _rounded(steps_for(summed_rate(p) * duration, _LONG_PHASE))
 
 
 def next_steps(steps: int, error: float, wanted: float) -> int:
-    """Return how many steps of order 8 to take for an error, after so many that left another one; infinite: failed."""
-    if error > _KNOWN:
-        return _rounded(math.ceil(_ANEW * steps), 5)
-    by_law = math.ceil(_SURE * steps * (error / wanted) ** _FALLS)
-    return max(_rounded(math.ceil(_LEAST_FINER * steps), 5), _rounded(by_law, 5))
+    """Return the number of steps of order 8 to try next.
+
+    Args:
+        steps: number of steps tried last.
+        error: error that they left; infinite if the integration failed.
+        wanted: error to reach.
+    """
+    if error > _LARGEST_KNOWN_ERROR:
+        return _rounded(math.ceil(_BLIND_REFINEMENT * steps), 5)
+    by_law = math.ceil(_SAFETY * steps * (error / wanted) ** _ERROR_EXPONENT)
+    return max(_rounded(math.ceil(_LEAST_REFINEMENT * steps), 5), _rounded(by_law, 5))
 
 
 def pair_of(steps: int) -> tuple[Accuracy, Accuracy]:
-    """Return so many steps of order 8, and what checks them."""
+    """Return the settings of a run of order 8 and of its check."""
     return _order_8(steps), _order_8(coarser(steps))
 
 
 def coarser(steps: int) -> int:
-    """Return the steps of order 8 that check so many."""
-    return math.ceil(_COARSER * steps)
+    """Return the number of steps that checks a run of order 8."""
+    return math.ceil(_CHECK_STEPS * steps)
 
 
 def _rounded(steps: int, digits: int = 3) -> int:
-    """Return at least so many steps, to some binary digits: scenes much alike then share one loop over steps."""
+    """Return a number rounded up to some binary digits, so that similar scenes share one loop over steps."""
     unit = 1 << max(0, steps.bit_length() - digits)
     return -(-steps // unit) * unit
 
 
 def checked(method: str, wanted: float, p: Mapping[str, float], duration: float) -> tuple[Accuracy, Accuracy]:
-    """Return how a method runs, and what checks it: `automatic`, of an adaptive method after a finer run.
+    """Return the settings of a run and of its check, which is coarser, to reach an error: see `automatic`.
 
-    The coarser of the two errs by several times as much as the run, so that their difference is no less than its error.
+    The check's error is several times the run's, so their difference is no less than the error of the run.
     """
     chosen = automatic(method, wanted, p, duration)
-    return pair_of(chosen.steps) if chosen.steps else (finer(chosen, _RUN_FINER), chosen)
+    return pair_of(chosen.steps) if chosen.steps else (finer(chosen, _RUN_TOLERANCE), chosen)
 
 
 @lru_cache(maxsize=256)
 def _order_8(steps: int) -> Accuracy:
-    """Return steps of order 8 as an accuracy, which takes longer to check than to look up."""
+    """Return an `Accuracy` of order 8, cached because its validation takes longer than the look-up."""
     return Accuracy("dop853", steps=steps)
 
 
 def check_of(accuracy: Accuracy, p: Mapping[str, float], duration: float, kinked: bool) -> Accuracy:
-    """Return what checks a method with its setting: order 8 with enough steps, or the same method, finer.
+    """Return the setting that checks a named method: order 8 with enough steps, or the same method, finer.
 
     Args:
-        accuracy: the method.
+        accuracy: the method with its setting.
         p: the equation's parameters.
-        duration: of the run [s].
-        kinked: whether the motion has events or kinks, across which order 8 is none.
+        duration: simulated time [s].
+        kinked: whether the motion has events or kinks, across which steps of order 8 lose their order.
     """
     if not accuracy.adaptive:
         return replace(accuracy, steps=2 * (accuracy.steps or 1))
@@ -323,5 +333,5 @@ def check_of(accuracy: Accuracy, p: Mapping[str, float], duration: float, kinked
 
 
 def finer(accuracy: Accuracy, by: float = 0.1) -> Accuracy:
-    """Return an adaptive method at a part of its tolerance."""
+    """Return an adaptive method at a fraction of its tolerance."""
     return replace(accuracy, tolerance=max(by * (accuracy.tolerance or DEFAULT_TOLERANCE), 0.1 * TIGHTEST))

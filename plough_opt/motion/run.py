@@ -1,4 +1,4 @@
-"""Run: what a simulation found, as numbers or as expressions of a design."""
+"""Run: the results of a simulation, as numbers or as expressions for a design."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ OUTPUTS: Final = {
     "time": "s", "travel": "m", "speed": "m/s", "deflection": "m", "mount_force": "N", "soil_resistance": "N",
     "opening": "m", "mode": "",
 }  # fmt: skip
-"""Arrays of a run over its output times -> their units."""
+"""Name of an array over the output times -> its unit."""
 
-# Peaks -> the names under which files limit them, and write their units.
-_LIMITED: Final = {"peak_force": "mount_force", "peak_deflection": "deflection"}
+# Peak -> the array whose limit in a problem file, and so whose unit, applies to it.
+_ARRAY_OF_PEAK: Final = {"peak_force": "mount_force", "peak_deflection": "deflection"}
 
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Run(Saveable):
-    """A simulated run: arrays over the output times, averages, and how far they can be trusted.
+    """Simulated run: arrays over the output times, averages, and an error estimate.
 
-    Of a numeric scene every value is a float or an array of n + 1 outputs; of a symbolic scene each is
-    a CasADi expression (arrays: a column), and the run has no error estimate, time taken or peak of its own.
+    For a numeric scene every value is a float or an array of n + 1 outputs. For a symbolic scene every value is a
+    CasADi expression (arrays are columns), and the run has no error estimate, computing time or peaks.
 
     Attributes:
         scene: the scene.
@@ -49,16 +49,17 @@ class Run(Saveable):
         travel: L of the share [m]; 0 at the unloaded spring's position when the strut is at 0.
         speed: L' of the share [m/s].
         deflection: z of the spring, compression positive [m].
-        mount_force: P = k0 z + c z' of spring and damper on the share [N]. Under the print's repelling spring the
-            force on the share is -k0 z + c z'; the P(t) = k0 (V0 t - L) of its figures is then the negative of the
-            spring's part.
-        soil_resistance: F on the share, the added mass's part included [N].
-        opening: how far the share is behind its furthest point, with a gap ahead [m]; zero but under `StickSlip`.
-        mode: 0 where the share slips, 1 where it sticks, 2 in a gap; zero but under `StickSlip`.
-        averages: mean draft and the like; each is also an attribute of the run.
-        accuracy: method and setting that were used.
-        checks: error estimate, time taken and warnings of a numeric run, each also an attribute of the run.
-        origin: what made it.
+        mount_force: P = k0 z + c z' of spring and damper on the share [N]. Under the print's repelling spring the force
+            on the share is -k0 z + c z'; the spring's part then has the opposite sign of P(t) = k0 (V0 t - L) in the
+            print's figures.
+        soil_resistance: F on the share, including the added mass's part [N].
+        opening: distance of the share behind its furthest point, which is the gap ahead of it [m]; 0 unless under
+            `StickSlip`.
+        mode: 0 while the share slips, 1 while it sticks, 2 in a gap; 0 unless under `StickSlip`.
+        averages: mean draft and other averages; each is also an attribute of the run.
+        accuracy: method and setting used.
+        checks: error estimate, computing time and warnings of a numeric run; each is also an attribute of the run.
+        origin: the question behind the run.
 
     Example:
         >>> import plough_opt as po
@@ -87,7 +88,7 @@ class Run(Saveable):
     kind = "run"
 
     def __repr__(self) -> str:
-        """Return in a line what was found; the arrays would fill pages."""
+        """Return a summary in one line, without the arrays."""
         if self.checks is None:
             return "<Run: expressions of a scene's symbols>"
         return (
@@ -96,7 +97,7 @@ class Run(Saveable):
         )
 
     def page(self) -> Page:
-        """Return the results of a numeric run as a table, with what a reader must know."""
+        """Return the results of a numeric run as a table, with its warnings and error estimate."""
         if self.checks is None:
             return Page(repr(self))
         head = f"{self.duration:g} s of a {self.scene.describe()}, by {self.accuracy.method}"
@@ -104,16 +105,16 @@ class Run(Saveable):
         return Page(head, (self.response(),), self.warnings, trust, self.origin.title)
 
     def response(self) -> Grid:
-        """Return the table of the results of a numeric run, each in one unit: see `Origin`."""
+        """Return the table of results of a numeric run; a row has one unit, that of the question if it has one."""
         return response_table({"": self}, self.origin)
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return a row for each output time of a numeric run, SI; ``attrs["units"]`` has the units.
+        """Return a row for each output time of a numeric run, in SI units; ``attrs["units"]`` has the units.
 
         Raises:
-            InputError: a symbolic run, or pandas is not installed.
+            InputError: the run is symbolic, or pandas is not installed.
         """
-        self._known("data frame")
+        self._numeric("data frame")
         return data_frame({name: getattr(self, name) for name in OUTPUTS}, OUTPUTS)
 
     def plot(self, target: str | Path | None = None) -> Figure:
@@ -123,29 +124,30 @@ class Run(Saveable):
             target: file to write (.png, .svg, .pdf), or None.
 
         Raises:
-            InputError: a symbolic run, a file name without a known ending, or a place that cannot be written.
+            InputError: the run is symbolic, the file name has no known ending, or the file cannot be written.
         """
-        self._known("picture")
+        self._numeric("picture")
         return drawn("plot_run", self, target=target)
 
     def animate(self, target: str | Path, *, slower: float = 5.0) -> Path:
-        """Write the motion as a picture that moves: the share behind its strut, and its deflection.
+        """Write an animation of the motion: the share behind its strut, and its deflection.
 
         Args:
             target: file to write: .gif, or .html with buttons and keys to play and step (needs jinja2).
-            slower: how many times slower than the motion a GIF plays; in a page that is chosen.
+            slower: factor by which a GIF plays slower than the motion; an HTML page lets the reader choose.
 
         Returns:
             The path.
 
         Raises:
-            InputError: a symbolic run, one in which nothing changes, another ending, or a place that cannot be written.
+            InputError: the run is symbolic, nothing changes in it, the file name has another ending, or the file cannot
+                be written.
             DomainError: ``slower`` is not above 0.
 
         Example:
             >>> run.animate("out/share.gif", slower=10)  # doctest: +SKIP
         """
-        self._known("animation")
+        self._numeric("animation")
         path: Path = from_above("animation", "write_animation")(self, target, slower)
         return path
 
@@ -153,13 +155,13 @@ class Run(Saveable):
         """Return a numeric run as JSON: see `Saveable.to_json`.
 
         Raises:
-            InputError: a symbolic run.
+            InputError: the run is symbolic.
         """
-        self._known("file")
+        self._numeric("file")
         return super().to_json(page)
 
     def also_saved(self) -> dict[str, Any]:
-        """Return results that follow from the others, and the scene's quantities by their names in files."""
+        """Return derived results, and the scene's quantities by their names in problem files."""
         names = ("error_estimate", "seconds", "warnings", "peak_force", "peak_deflection")
         section = None if self.scene.law.lacks("loosened_radius") else self.specific_draft
         quantities = {name: x for name, x in quantities_of(self.scene).items() if x is not None}
@@ -167,7 +169,7 @@ class Run(Saveable):
                 "ambient_share": self.scene.ambient_share, "quantities": quantities}  # fmt: skip
 
     def check_saved(self) -> None:
-        """Refuse arrays of other lengths than the times, and averages that are not numbers."""
+        """Raise ValueError if an array has another length than the times, or an average is not a number."""
         if self.checks is None:
             raise ValueError("a numeric run has its checks")
         for name in OUTPUTS:
@@ -178,7 +180,7 @@ class Run(Saveable):
                 raise ValueError(f"averages.{name} must be a number")
 
     def picture(self) -> Figure | None:
-        """Return the picture for a notebook; a symbolic run has none."""
+        """Return the picture for a notebook; None for a symbolic run."""
         return None if self.checks is None else self.plot()
 
     @property
@@ -208,10 +210,11 @@ class Run(Saveable):
 
     @property
     def specific_draft(self) -> Expression:
-        """Mean draft per loosened section pi r*^2 at the share's base [N/m^2]; the elastic medium has none.
+        """Mean draft per loosened section pi r*^2 at the share's base [N/m^2].
 
         Raises:
-            DomainError: a share so small that its section is zero in floating point.
+            InputError: the law of resistance, such as the elastic medium, gives no loosened radius.
+            DomainError: the share is so small that its section is zero in floating point.
         """
         section = math.pi * self.scene.loosened_radius**2
         check_domain("loosened section", section, "m^2", above=0.0, why="take a larger share")
@@ -219,74 +222,81 @@ class Run(Saveable):
 
     @property
     def peak_force(self) -> float:
-        """Largest mount force at an output time [N]; of a numeric run only."""
-        return self._peak("peak_force", self.mount_force, "mount_force")
+        """Largest mount force at an output time [N], of a numeric run."""
+        return self._peak("peak_force")
 
     @property
     def peak_deflection(self) -> float:
-        """Largest deflection at an output time [m]; of a numeric run only."""
-        return self._peak("peak_deflection", self.deflection, "deflection")
+        """Largest deflection at an output time [m], of a numeric run."""
+        return self._peak("peak_deflection")
 
     @property
     def error_estimate(self) -> float:
-        """Estimated relative error [-] of every result, each on its own scale: see `simulate`. Of numbers only."""
-        return self._known("error estimate").error_estimate
+        """Estimated relative error [-] of every result of a numeric run, each on its own scale: see `simulate`."""
+        return self._numeric("error estimate").error_estimate
 
     @property
     def seconds(self) -> float:
-        """Time that the run and its check took [s]. A numeric run only."""
-        return self._known("time taken").seconds
+        """Computing time of a numeric run and its check [s]."""
+        return self._numeric("computing time").seconds
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings: limits of the theory, a retreating share, an accuracy that was not reached."""
+        """Warnings about limits of the theory, a retreating share, or an error that was not reached."""
         if self.checks is None:
-            return ("a symbolic run cannot be checked: simulate the scene with numbers, for instance best(run)",)
+            return ("a symbolic run cannot be checked: simulate the scene with numbers, for instance by best(run)",)
         return (*self.scene.warnings(), *self.checks.notes)
 
     @property
     def floquet(self) -> tuple[complex, ...]:
-        """Floquet multipliers of a periodic orbit [-]: factors by which deviations grow in one wavelength.
+        """Floquet multipliers of a periodic orbit [-]: factors by which deviations grow over one wavelength.
 
         Raises:
-            InputError: a run of expressions, or one that is not a periodic orbit.
+            InputError: the run is symbolic, or not a periodic orbit.
         """
-        multipliers = self._known("Floquet multipliers").floquet
+        multipliers = self._numeric("Floquet multipliers").floquet
         if not multipliers:
-            raise InputError("only a periodic orbit has Floquet multipliers: take orbit = 'periodic'")
+            raise InputError("only a periodic orbit has Floquet multipliers: use orbit = 'periodic'")
         return multipliers
 
     @property
     def settles(self) -> Settled:
-        """To which motion a share comes that starts from equilibrium: this periodic orbit, or what else.
+        """Motion to which a share settles from equilibrium: this periodic orbit, or another one.
 
         Raises:
-            InputError: a run of expressions, or one that is not a periodic orbit.
+            InputError: the run is symbolic, or not a periodic orbit.
         """
-        found = self._known("motion to which a share settles").settles
+        found = self._numeric("motion to which a share settles").settles
         if found is None:
-            raise InputError("only a periodic orbit says to which motion a share settles: take orbit = 'periodic'")
+            raise InputError(
+                "only runs of a periodic orbit say to which motion a share settles: use orbit = 'periodic'"
+            )
         return found
 
-    def _known(self, what: str) -> Checks:
+    def _numeric(self, what: str) -> Checks:
+        """Return the checks of a numeric run; raise InputError for a symbolic one, which does not have ``what``."""
         if self.checks is None:
-            raise InputError(f"a symbolic run has no {what}: simulate the scene with numbers, for instance best(run)")
+            raise InputError(
+                f"a symbolic run has no {what}: simulate the scene with numbers, for instance by best(run)"
+            )
         return self.checks
 
-    def _peak(self, name: str, values: Column, array: str) -> float:
+    def _peak(self, name: str) -> float:
+        array = _ARRAY_OF_PEAK[name]
+        values = getattr(self, array)
         if is_casadi(values):
             raise InputError(
-                f"a symbolic run has no {name}, which has no derivative: limit run.{array} itself, at every output"
+                f"a symbolic run has no {name}, which is not differentiable: limit run.{array} at every output instead"
             )
         return float(np.max(values))
 
 
 def response_table(runs: Mapping[str, Any], origin: Origin) -> Grid:
-    """Return the table of results of numeric runs side by side, each row in one unit: see `Origin`.
+    """Return the table of results of numeric runs side by side; a row has one unit.
 
     Args:
-        runs: heading of a column -> run; of several the sum stands behind them, of what adds up.
-        origin: of the runs.
+        runs: heading of a column -> run. For several runs a last column has the sums of additive results.
+        origin: the question behind the runs, whose units the table uses.
     """
     every, several = [*runs.values()], len(runs) > 1
     scenes = [run.scene for run in every]
@@ -296,7 +306,7 @@ def response_table(runs: Mapping[str, Any], origin: Origin) -> Grid:
         "W": ("tow_power",),
     }
     units = {
-        unit: origin.common(unit, {_LIMITED.get(name, name): max((_result(run, name) for run in every), key=abs)
+        unit: origin.common(unit, {_ARRAY_OF_PEAK.get(name, name): max((_result(run, name) for run in every), key=abs)
                                    for name in own})
         for unit, own in names.items()
     }  # fmt: skip
@@ -322,12 +332,13 @@ def response_table(runs: Mapping[str, Any], origin: Origin) -> Grid:
     row("peak mount force", "peak_force", "N")
     row("peak deflection", "peak_deflection", "m")
     if all(scene.effects.orbit == "periodic" for scene in scenes):
-        comes = {True: "comes to this orbit", False: "comes to another motion", None: "has not settled"}
+        settled = {True: "comes to this orbit", False: "comes to another motion", None: "has not settled"}
         rest = [""] if several else []
         grid.row("largest Floquet multiplier", *(f"{max(map(abs, run.floquet)):.4g}" for run in every), *rest)
-        grid.row("a share from equilibrium", *(comes[run.settles.orbit] for run in every), *rest)
+        grid.row("a share from equilibrium", *(settled[run.settles.orbit] for run in every), *rest)
     return grid
 
 
 def _result(run: Any, name: str) -> float:
+    """Return a result of a run, or of its scene if the run does not have it."""
     return float(getattr(run if hasattr(type(run), name) else run.scene, name))

@@ -1,13 +1,13 @@
 """Fixed-step integration by a Butcher tableau as one CasADi Function; by default Dormand and Prince's DOP853.
 
-A step is a small symbolic graph, the run a loop over it (``mapaccum``), so the
-size of the graph does not grow with the number of steps and every derivative is that of the numbers.
+A step is a small symbolic graph, and a run a loop over it (``mapaccum``). The size of the graph is independent of the
+number of steps, and derivatives are exactly those of the computed results.
 
-Steps end where the parameters put a kink: at the end of a tow ramp, and where the smooth contact's step ends. Across a
-kink steps of order 8 lose their order, and derivatives by what moves the kink lose most: each differentiation one
-order more. The end of a ramp is a time, and moves with it. The ends of the smooth contact's step are found in the
-motion; that part of a step is not a function of the parameters to a derivative, for where the motion has four
-derivatives a step may as well end a little beside.
+Steps end at kinks: at the end of a tow ramp, and at the ends of the smooth contact's step. Across a kink steps of order
+8 lose their order, and each differentiation by a parameter that moves the kink loses one order more. The end of a ramp
+is a known time that moves with the parameters. The ends of the smooth contact's step are located in the motion. Their
+position within a step is held constant under differentiation: the motion has four derivatives there, so the step may
+end a little off.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from plough_opt.motion.terms import Structure, start_speed, strut
 from plough_opt.motion.timeline import Timeline, at_outputs
 
 Average = Callable[[Sequence[ca.MX]], list[ca.MX]]
-"""Taylor coefficients of what is averaged, a column for each step -> those of its average over the steps."""
+"""Taylor coefficients of a quantity, with a column for each step -> those of its average over the steps."""
 
-# A kink is missed by 1e-3 of a step, and what it leaves of a second derivative by the fourth power of that.
+# Locates a kink to 1e-3 of a step; the error of a second derivative is of the fourth power of that.
 _BISECTIONS = 10
 
 
@@ -41,11 +41,11 @@ def pairs(count: int) -> list[tuple[int, int]]:
 
 
 def product(x: Sequence[Any], y: Sequence[Any], count: int) -> list[Any]:
-    """Return the Taylor coefficients of a product, element by element, from those of its factors.
+    """Return the Taylor coefficients of an elementwise product from those of its factors.
 
     Args:
-        x: value, first derivatives by ``count`` parameters and, of order 2, the second ones of `pairs`.
-        y: the same of the other factor.
+        x: value, first derivatives by ``count`` parameters and, for order 2, the second ones of `pairs`.
+        y: the same for the other factor.
         count: number of parameters.
     """
     found = [x[0] * y[0], *(x[0] * y[a] + x[a] * y[0] for a in range(1, 1 + count))]
@@ -55,34 +55,35 @@ def product(x: Sequence[Any], y: Sequence[Any], count: int) -> list[Any]:
 
 
 def pooled(moments: Sequence[ca.MX], average: Average, signals: int, count: int = 0) -> tuple[ca.MX, ca.MX]:
-    """Pool the moments of steps into means and mean squares about the mean.
+    """Return the means, and the mean squares about the mean, over a run from the moments of its steps.
 
     Args:
         moments: Taylor coefficients of the moments (means of all signals, then their spreads), a column for each step.
-        average: over the steps.
-        signals: their number.
+        average: average over the steps.
+        signals: number of signals.
         count: number of parameters by which the moments are differentiated.
 
     Returns:
         Both with the Taylor coefficients as columns.
     """
-    own, spreads = [m[:signals, :] for m in moments], [m[signals:, :] for m in moments]
-    means, squared, steps = average(own), spreads[0].shape[0], moments[0].shape[1]
-    # Pooling the steps' own spreads with the spread of their means adds squares only: nothing cancels.
-    drift = [m[:squared, :] - ca.repmat(mean[:squared], 1, steps) for m, mean in zip(own, means, strict=True)]
+    step_means, spreads = [m[:signals, :] for m in moments], [m[signals:, :] for m in moments]
+    means, squared, steps = average(step_means), spreads[0].shape[0], moments[0].shape[1]
+    # The spreads within steps and the spread of their means are both positive, so nothing cancels in the sum.
+    drift = [m[:squared, :] - ca.repmat(mean[:squared], 1, steps) for m, mean in zip(step_means, means, strict=True)]
     squares = product(drift, drift, count)
     variances = average([spread + square for spread, square in zip(spreads, squares, strict=True)])
     return ca.horzcat(*means), ca.horzcat(*variances)
 
 
 def ends(timeline: Timeline, duration: Column, ramp: Column) -> tuple[Column, Column]:
-    """Return a and b, columns: steps end at a * duration + b * ramp, at the ramp's end too if that is within the run.
+    """Return the columns a and b of the ends of steps a * duration + b * ramp.
 
-    Both are numbers to a derivative. Where the ramp ends at a step's end, or behind the run, one step has no length.
+    The end of the ramp is one of them if it lies within the run. Both columns are constant under differentiation. If
+    the ramp ends at the end of another step, or after the run, one step has no length.
 
     Args:
         timeline: the other ends.
-        duration: of the run [s].
+        duration: simulated time [s].
         ramp: time of the ramp [s].
     """
     nodes = ca.DM(timeline.nodes)
@@ -95,18 +96,18 @@ def ends(timeline: Timeline, duration: Column, ramp: Column) -> tuple[Column, Co
 
 @dataclass(frozen=True)
 class OneStep:
-    """The symbols of one step.
+    """Symbols of one step.
 
     Attributes:
-        structure: the terms that are on. Where a step may end at the ramp's end, its span says whether the ramp is
-            over: at the end itself a stage cannot decide, for there the ramp's formula and the constant speed differ
-            in second derivatives.
-        span: start and size of the step as fractions of the duration and, of width 5, of the ramp's time, which add up,
-            and whether the ramp is over.
-        p: the parameters, the duration last.
+        structure: the terms that are on. If steps end at the ramp's end, their span states whether the ramp is over. A
+            stage at the end itself could not decide it, and there the formulas of ramp and constant speed differ in
+            second derivatives.
+        span: start and size of the step as fractions of the duration. A span of width 5 also has parts of both as
+            fractions of the ramp's time, which are added, and a flag that is 1 after the ramp.
+        p: the parameters with the duration last.
         known: the parameters by name, without the duration.
-        start: time at which it begins [s].
-        size: its length [s].
+        start: start of the step [s].
+        size: length of the step [s].
     """
 
     structure: Structure
@@ -118,7 +119,7 @@ class OneStep:
 
     @classmethod
     def of(cls, structure: Structure, width: int) -> OneStep:
-        """Make the symbols of a step with a span of that width."""
+        """Create the symbols of a step with a span of that width, 2 or 5."""
         span, (p, known) = ca.SX.sym("span", width), signals(structure).symbols(ca.SX)
         start: Column = span[0] * p[-1]
         size: Column = span[1] * p[-1]
@@ -130,15 +131,12 @@ class OneStep:
 
 
 def moving_ramp(structure: Structure, timeline: Timeline, p: ca.MX) -> Column:
-    """Return the time of a ramp [s] at whose end a step ends wherever that is, or None. The duration is last in p."""
+    """Return the time [s] of a ramp at whose symbolic end a step ends, or None; the duration is the last of p."""
     return ramp_time(signals(structure).named(p)) if timeline.moving and structure.ramp else None
 
 
 def spans_of(timeline: Timeline, duration: ca.MX, ramp: ca.MX | None) -> ca.MX | ca.DM:
-    """Return starts and sizes of the steps, a column for each: as fractions of the duration, then of a ramp if any.
-
-    With a ramp a fifth row is 1 once it is over.
-    """
+    """Return the span of each step in a column: see `OneStep`. With a ramp it has five rows, otherwise two."""
     if ramp is None:
         return ca.DM(np.vstack([timeline.nodes[:-1], np.diff(timeline.nodes)]))
     a, b = ends(timeline, duration, ramp)
@@ -149,12 +147,12 @@ def spans_of(timeline: Timeline, duration: ca.MX, ramp: ca.MX | None) -> ca.MX |
 
 
 def unbroken(structure: Structure, timeline: Timeline, one: ca.Function, count: int = 0) -> ca.Function:
-    """Return a Function like ``one`` that takes a step in three where the smooth contact's step ends within it.
+    """Return a Function like ``one`` that divides a step into three if the smooth contact's step ends within it.
 
     Args:
         structure: the terms that are on.
-        timeline: whether steps end there.
-        one: (Taylor coefficients of the state, span, parameters) -> (those of the state after it, of the moments).
+        timeline: times of the run; without ``moving`` steps are not divided.
+        one: (Taylor coefficients of the state, span, parameters) -> (those of the next state, those of the moments).
         count: number of parameters by which these are differentiated.
     """
     if not timeline.moving or not structure.smooth:
@@ -185,9 +183,9 @@ def unbroken(structure: Structure, timeline: Timeline, one: ca.Function, count: 
 
 @lru_cache(maxsize=64)
 def crossings(structure: Structure, width: int) -> ca.Function:
-    """Return (states at both ends of a step, span, p) -> at which parts of it the contact's step ends, 1 if beyond.
+    """Return (states at both ends of a step, span, p) -> fractions of the step at which the smooth contact's step ends.
 
-    The share's speed between is a cubic.
+    A fraction is 1 if that end is not within the step. The share's speed is interpolated by a cubic.
     """
     states, at = [ca.SX.sym("first", 2), ca.SX.sym("last", 2)], OneStep.of(structure, width)
     motion, known, size = equation_of_motion(at.structure), at.known, at.size
@@ -214,9 +212,9 @@ def crossings(structure: Structure, width: int) -> ca.Function:
 def step(structure: Structure, width: int = 2, tableau: Tableau = DOP853) -> ca.Function:
     """Return one step as a Function: (state, span, parameters with the duration last) -> (state, moments).
 
-    The span is that of `OneStep`. The moments are, for each signal, the mean over the step, then, for each signal with
-    an RMS, the mean square about that mean. Both are taken from the deviation from the value at the step's start, where
-    they lose at most a factor of four to cancellation.
+    The span is that of `OneStep`. The moments are the mean of each signal over the step and then, for each signal with
+    an RMS, the mean square about that mean. Both are computed from the deviation from the value at the step's start, in
+    which cancellation costs at most a factor of four.
     """
     at, state = OneStep.of(structure, width), ca.SX.sym("state", 2)
     motion, observed, size = equation_of_motion(at.structure), signals(at.structure), at.size
@@ -244,7 +242,7 @@ def step(structure: Structure, width: int = 2, tableau: Tableau = DOP853) -> ca.
 
 
 def run_map(structure: Structure, timeline: Timeline, tableau: Tableau = DOP853) -> ca.Function:
-    """Return the whole run as a Function of the parameters: see `plough_opt.motion.integrators.Integration`."""
+    """Return a run as a Function of the parameters: see `plough_opt.motion.integrators.Integration`."""
     p, known = signals(structure).symbols(ca.MX)
     results = run_from(structure, timeline, tableau)(start_state(structure, known), p)
     return ca.Function("run_map", [p], list(results), {"never_inline": True})
@@ -252,7 +250,7 @@ def run_map(structure: Structure, timeline: Timeline, tableau: Tableau = DOP853)
 
 @lru_cache(maxsize=64)
 def run_from(structure: Structure, timeline: Timeline, tableau: Tableau = DOP853) -> ca.Function:
-    """Return the run from any state: (state at time 0, parameters) -> states at the outputs, means, variances."""
+    """Return a run from any state: (state at time 0, parameters) -> (states at the outputs, means, variances)."""
     observed = signals(structure)
     first = ca.MX.sym("first", 2)
     p, _ = observed.symbols(ca.MX)

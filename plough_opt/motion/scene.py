@@ -1,4 +1,4 @@
-"""Scene: a share on its mount in the soil, with the effects that are simulated and no others."""
+"""Scene: a share on its mount in the soil, and the effects to simulate."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TypeVar
 
-from plough_opt.core.checks import check_domain, shown
+from plough_opt.core.checks import check_domain, check_kind
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_symbolic, rms, sqrt
 from plough_opt.core.labels import checked_in_designs, unlabelled
@@ -22,21 +22,21 @@ from plough_opt.soil.random_strength import Sliding, Stationary, stationary_resp
 from plough_opt.soil.soil import Soil
 from plough_opt.soil.waves import check_strength
 
-# Overburden [Pa] of some 1.5 m of soil, below which no subsoiler works: more is the atmosphere's.
-_DEEPEST = 20e3
-# Standard deviations that a Gaussian motion exceeds in one of 370 moments.
-_SURELY = 3.0
+# Overburden [Pa] at a depth of about 1.5 m, deeper than any subsoiler works. Higher pressure includes the atmosphere's.
+_GREATEST_OVERBURDEN = 20e3
+# A Gaussian variable exceeds this many standard deviations for 0.3 % of the time.
+_RARE_DEVIATIONS = 3.0
 
 _Property = TypeVar("_Property")
 
 
 def _checked_in_designs(law: Callable[[Scene], _Property]) -> Callable[[Scene], _Property]:
-    """Decorate a scene's property, which a design checks with the scene."""
+    """Decorate a property of `Scene`; designs check it by `Scene.check_reaction`."""
     return checked_in_designs(law, lambda scene: scene.check_reaction())
 
 
 def _checked_stationary(law: Callable[[Scene], _Property]) -> Callable[[Scene], _Property]:
-    """Decorate a property of the linearised motion, which a design checks with its numbers."""
+    """Decorate a property of the linearised motion; designs check it by computing that motion."""
     return checked_in_designs(law, lambda scene: scene._stationary)
 
 
@@ -46,23 +46,23 @@ class Scene:
 
     Args:
         soil: the soil.
-        share: a `Wedge`, of which only the equivalent cone enters, or that `Cone` itself.
+        share: a `Wedge`, which enters by its equivalent cone only, or a `Cone`.
         stiffness: k0 of the mount [N/m], above 0.
-        mass: m of all that moves but the soil [kg], above 0: frame part and share (`Cone.solid_mass`).
+        mass: moving mass m without soil [kg], above 0: the moving part of the frame and the share (`Cone.solid_mass`).
         tow_speed: V0 of the strut [m/s], at least 0.
-        effects: what to simulate.
-        medium: the law of resistance: a name in `plough_opt.laws.LAWS`, or a `ResistanceLaw` such as
+        effects: the effects to simulate.
+        medium: law of resistance: a name in `plough_opt.laws.LAWS`, or a `ResistanceLaw` such as
             ``McKyesAli(depth=0.35)``. ``"plastic"``: the plastic gas; ``"elastic"``: the linear elastic medium, which
             gives the steady contact force on the equivalent cone (`po.elastic.cone_force`, an order of magnitude).
-            What a law does not give is refused, as motion is by those of steady sliding only (the elastic medium, Swick
-            and Perumpral), which take ``Effects(motion=False)``, or left out, as added mass, with a warning.
+            A law may not cover every effect. Laws of steady sliding (the elastic medium, Swick and Perumpral) refuse
+            motion and need ``Effects(motion=False)``. A law without added mass omits it with a warning.
 
     Every number may be a float or a CasADi expression.
 
     Raises:
         DomainError: a number outside its domain.
-        InputError: an unknown medium, an effect that has no meaning in it, or something else in the place of soil,
-            share or effects.
+        InputError: an unknown medium, an effect that the medium does not cover, or a soil, share or effects of the
+            wrong type.
 
     Example:
         >>> import plough_opt as po
@@ -82,39 +82,35 @@ class Scene:
     medium: str | ResistanceLaw = "plastic"
 
     def __post_init__(self) -> None:
-        self._check_kinds()
-        self._refuse_what_the_law_lacks()
+        self._check_types()
+        self._check_effects()
         read_fields(self, **{name: f"scene.{name}" for name in ("stiffness", "mass", "tow_speed")})
         if self.effects.random_strength is not None:
             self.check_stationary()
 
-    def _check_kinds(self) -> None:
+    def _check_types(self) -> None:
         """Raise InputError if soil, share or effects has the wrong type."""
-        for name, wanted, kinds in (
-            ("soil", "a Soil, for instance named_soil('serozem')", Soil),
-            ("share", "a Wedge or a Cone", Wedge | Cone),
-            ("effects", "an Effects", Effects),
-        ):
-            if not isinstance(getattr(self, name), kinds):
-                raise InputError(f"the scene's {name} = {shown(getattr(self, name))} must be {wanted}")
+        check_kind("the scene's soil", self.soil, Soil, "a Soil, for instance named_soil('serozem')")
+        check_kind("the scene's share", self.share, Wedge | Cone, "a Wedge or a Cone")
+        check_kind("the scene's effects", self.effects, Effects, "an Effects")
 
-    def _refuse_what_the_law_lacks(self) -> None:
-        """Refuse effects that have no meaning in the law of resistance."""
+    def _check_effects(self) -> None:
+        """Raise InputError if the law of resistance does not cover one of the effects."""
         effects = self.effects
         for name in ("motion", "strength_wave", "random_strength", "tow_ramp", "rate_term", "own", "entry"):
             if self.law.lacks(name) and getattr(effects, name) not in (None, False, ()):
                 raise InputError(self.law.refusal(name))
         if effects.printed.errors and not isinstance(self.law, PlasticGas):
-            raise InputError("the printed formulation belongs to the plastic gas: take medium = 'plastic' for it")
+            raise InputError("the printed formulation is one of the plastic gas: use medium = 'plastic' with it")
 
     @cached_property
     def law(self) -> ResistanceLaw:
-        """The law of resistance: see ``medium``."""
+        """Law of resistance that ``medium`` names."""
         return law_of(self.medium)
 
     @cached_property
     def cone(self) -> Cone:
-        """The share's equivalent cone."""
+        """Equivalent cone of the share."""
         if isinstance(self.share, Cone):
             return self.share
         with unlabelled():
@@ -123,7 +119,7 @@ class Scene:
     @property
     @_checked_in_designs
     def reaction(self) -> SoilReaction:
-        """F0 [N], Fd [N s^2/m^2] and added mass [kg], zero where the effect is off."""
+        """F0 [N], Fd [N s^2/m^2] and added mass [kg]; Fd and the added mass are zero if their effect is off."""
         return self._reaction
 
     @cached_property
@@ -136,56 +132,56 @@ class Scene:
         )
 
     def check_reaction(self) -> None:
-        """Refuse a numeric scene outside the domain of its law of resistance, or a strength below 0 somewhere.
+        """Raise DomainError if a numeric scene lies outside the domain of its law of resistance.
 
-        Limits that a design keeps by requirements, such as the shear wave's speed, are left out.
+        Limits that a design enforces by requirements, such as the speed of the shear wave, are not checked.
 
         Raises:
-            DomainError: such as a density profile with which there is no compaction front, or strength waves whose
-                amplitudes exceed 1 in sum.
+            DomainError: for instance a density profile without a compaction front, or strength waves whose sum makes
+                the strength negative somewhere.
         """
         check_strength(self.effects.waves)
         with unlabelled():
             self.law.check(self._at)
 
     @property
-    def _whole(self) -> ShareInSoil:
-        """The share in its soil, under the soil's ambient pressure."""
+    def _under_pressure(self) -> ShareInSoil:
+        """The share in its soil under ambient pressure, whether or not that effect is on."""
         return ShareInSoil(self.share, self.cone, self.soil, self.tow_speed)
 
     @property
     def _at(self) -> ShareInSoil:
-        """The share in its soil, without ambient pressure where the scene takes none."""
-        return self._whole if self.effects.ambient_pressure else without_pressure(self._whole)
+        """The share in its soil, without ambient pressure if that effect is off."""
+        return self._under_pressure if self.effects.ambient_pressure else without_pressure(self._under_pressure)
 
     def _reaction_at(self, at: ShareInSoil) -> SoilReaction:
-        """Return the whole reaction of a soil to a share, in the scene's formulation."""
+        """Return the reaction of the soil in the scene's formulation, with every part that the law gives."""
         with unlabelled():
             return self.effects.printed.reaction(self.law.reaction(at))
 
     @property
     @_checked_in_designs
     def carried_soil(self) -> Expression:
-        """Mass of soil that the share carries along by the law of resistance [kg], also where that effect is off.
+        """Mass of soil that the share carries along [kg], by the law of resistance, even if that effect is off.
 
         Raises:
-            InputError: the law of resistance says nothing of it.
+            InputError: the law of resistance does not give it.
         """
         if self.law.lacks("added_mass"):
             raise InputError(self.law.refusal("added_mass"))
         with unlabelled():
-            return self.law.reaction(self._whole).added_mass
+            return self.law.reaction(self._under_pressure).added_mass
 
     @property
     @_checked_in_designs
     def loosened_radius(self) -> Expression:
-        """Radius to which the soil is loosened at the share's base [m]; of the plastic gas that of the front, r*.
+        """Radius to which the soil is loosened at the share's base [m]; r* of the front for the plastic gas.
 
         Raises:
-            InputError: the law of resistance gives none.
+            InputError: the law of resistance does not give it.
         """
         with unlabelled():
-            return self.law.loosened_radius(self._whole)
+            return self.law.loosened_radius(self._under_pressure)
 
     @property
     @_checked_in_designs
@@ -195,7 +191,7 @@ class Scene:
 
     @property
     def restoring_stiffness(self) -> Expression:
-        """Force of the spring on the share per deflection [N/m]: k0, or -k0 as equation (27) is printed."""
+        """Force of the spring on the share per unit of deflection [N/m]: k0, or -k0 as equation (27) is printed."""
         return -self.stiffness if self.effects.printed.repelling_spring else self.stiffness
 
     @property
@@ -209,27 +205,27 @@ class Scene:
     @property
     @_checked_stationary
     def stationary_force_rms(self) -> Expression:
-        """RMS of the mount force about its mean [N], of the linearised motion under random strength and strength waves.
+        """RMS of the mount force about its mean [N] under random strength and strength waves, by linearised motion.
 
-        Linearised about steady sliding, over a path without an end: see `plough_opt.soil.random_strength`. A share that
-        follows the strut (``motion=False``) passes on all of the soil's fluctuation.
+        The motion is linearised about steady sliding along an infinite path: see `plough_opt.soil.random_strength`. A
+        share that follows the strut rigidly (``motion=False``) transmits the whole fluctuation of the soil.
 
         Raises:
-            InputError: strength that does not vary, a motion without damping of any kind or without speed, own
-                resistances, two strength waves of one length, the elastic medium, or the print's repelling spring.
-            DomainError: a response that is not finite.
+            InputError: constant strength, motion without damping or without speed, own resistances, two strength waves
+                of the same length, the elastic medium, or the print's repelling spring.
+            DomainError: the response is not finite.
         """
         return self._stationary.force_rms
 
     @property
     @_checked_stationary
     def stationary_displacement_rms(self) -> Expression:
-        """RMS of the deflection about its mean [m], as `stationary_force_rms`."""
+        """RMS of the deflection about its mean [m]: see `stationary_force_rms`."""
         return self._stationary.displacement_rms
 
     @cached_property
     def _stationary(self) -> Stationary:
-        """The linearised response about steady sliding."""
+        """Linearised response about steady sliding."""
         self.check_stationary()
         effects, speed = self.effects, self.tow_speed
         with unlabelled():
@@ -242,7 +238,7 @@ class Scene:
                 variance = variance + effects.random_strength.variance
             return Stationary(force * rms(variance, 1.0), 0.0, 0.0)
         if isinstance(effects.contact, Smooth):
-            # The smooth step multiplies all resistance, and has a slope of its own below its width.
+            # The smooth step multiplies all resistance, and below its width its slope adds to that of the resistance.
             step, steepness = effects.contact.step(speed)
             force, slope = step * force, step * slope + steepness * (force + drag * speed**2)
         damper = effects.damping if effects.damping is not None else 0.0
@@ -252,59 +248,59 @@ class Scene:
         return found
 
     def check_stationary(self) -> None:
-        """Refuse a scene without a linearised response about steady sliding.
+        """Raise InputError if the scene has no linearised response about steady sliding.
 
         Raises:
             InputError: see `stationary_force_rms`.
         """
         effects, what = self.effects, "the stationary RMS"
         if self.law.lacks("motion"):
-            raise InputError(f"{what} is of a motion: {self.law.refusal('motion')}")
+            raise InputError(f"{what} needs motion: {self.law.refusal('motion')}")
         if not effects.waves and effects.random_strength is None:
-            raise InputError(f"{what} needs strength that varies: give random_strength, or strength_wave")
+            raise InputError(f"{what} needs strength that varies: give random_strength or strength_wave")
         if not effects.motion:
             return
         if effects.own:
-            raise InputError(f"{what} takes no own resistances, which are not linearised: leave them out, or simulate")
+            raise InputError(f"{what} cannot include own resistances, which are not linearised: omit them, or simulate")
         if effects.printed.repelling_spring:
-            raise InputError(f"{what} needs a spring that holds the share: take formulation = 'derived'")
+            raise InputError(f"{what} needs a spring that holds the share: use formulation = 'derived'")
         if not is_symbolic(self.tow_speed) and not float(as_number(self.tow_speed)) > 0.0:
-            raise InputError(f"{what} needs a tow speed above 0: a share that stands meets no other soil")
+            raise InputError(f"{what} needs a tow speed above 0: a standing share stays in the same soil")
         given = (effects.damping, effects.rate_term, 1.0 if effects.inertial_drag else 0.0)
         if not any(is_symbolic(part) or (part is not None and float(as_number(part)) > 0.0) for part in given):
-            raise InputError(f"{what} needs damping of some kind: give damping or rate_term, or keep inertial_drag")
+            raise InputError(f"{what} needs some damping: give damping or rate_term, or keep inertial_drag")
         lengths = [float(as_number(w.wavelength)) for w in effects.waves if not is_symbolic(w.wavelength)]
         if len({*lengths}) < len(lengths):
-            raise InputError(f"{what} takes one strength wave of each length: join those that are alike")
+            raise InputError(f"{what} needs strength waves of different lengths: merge those of equal length")
 
     @property
     @_checked_in_designs
     def natural_frequency(self) -> Expression:
-        """Undamped angular frequency sqrt(k0/M) [rad/s]; of the print's repelling spring the rate of growth."""
+        """Undamped angular frequency sqrt(k0/M) [rad/s]; the rate of growth under the print's repelling spring."""
         return sqrt(self.stiffness / self.inertia)
 
     @property
     @_checked_in_designs
     def wave_frequency(self) -> Expression:
-        """Angular frequency 2 pi V0/ell [rad/s] at which the first strength wave passes; 0 without a wave."""
+        """Angular frequency 2 pi V0/ell [rad/s] of the first strength wave at the tow speed; 0 without a wave."""
         waves = self.effects.waves
         return 2.0 * math.pi * self.tow_speed / waves[0].wavelength if waves else 0.0
 
     @property
     def wave_period(self) -> Expression:
-        """Time [s] in which a share passes one wavelength, or of several waves the length common to all.
+        """Time [s] in which a share passes one wavelength, or the common length of several waves.
 
         Raises:
-            InputError: no wave, or several without a common length.
+            InputError: there is no wave, or several waves have no common length.
         """
         waves = self.effects.waves
         if not waves:
-            raise InputError("the scene has no strength_wave, and so no period")
+            raise InputError("the scene has no strength_wave and therefore no period")
         return waves[0].wavelength * self.effects.turns[0] / self.tow_speed
 
     @property
     def branch(self) -> str:
-        """Of a numeric scene "soft" or "stiff", its mount below or above resonance with the wave; else ""."""
+        """Whether a numeric scene's natural frequency is below ("soft") or above ("stiff") the wave's; else ""."""
         if not float(as_number(self.wave_frequency)) > 0.0:
             return ""
         return "soft" if float(as_number(self.natural_frequency / self.wave_frequency)) < 1.0 else "stiff"
@@ -312,9 +308,10 @@ class Scene:
     @property
     @_checked_in_designs
     def ambient_share(self) -> Expression:
-        """Part of the static resistance F0 that the ambient pressure carries [-]; 0 where F0 is 0.
+        """Fraction of the static resistance F0 caused by the ambient pressure [-]; 0 if F0 is 0.
 
-        It is 0 in a medium whose force is gauge, as the elastic one, where the pressure only keeps the contact.
+        It is also 0 for a law that gives the force above ambient pressure, such as the elastic medium: there the
+        pressure only keeps soil and share in contact.
         """
         if not self.effects.ambient_pressure or self.law.lacks("ambient_pressure"):
             return 0.0
@@ -325,7 +322,7 @@ class Scene:
         return 1.0 - bare / total
 
     def describe(self) -> str:
-        """Return, for a numeric scene, a clause that names it."""
+        """Return a noun phrase that identifies a numeric scene in messages."""
         spring = " of a repelling spring, as printed," if self.effects.printed.repelling_spring else ""
         angle, height, stiffness, inertia, speed = (
             float(as_number(value))
@@ -337,28 +334,28 @@ class Scene:
         )
 
     def warnings(self) -> tuple[str, ...]:
-        """Return, for a numeric scene, what a reader of its results must know about the theory's limits."""
+        """Return warnings about the limits of the theory that affect the results of a numeric scene."""
         found = []
         if errors := self.effects.printed.errors:
             found.append(
-                f"these are the source's equations as printed ({', '.join(errors)}), not physics: their results only"
-                " show what the print's errors do; for all else take formulation = 'derived'"
+                f"these are the source's equations as printed ({', '.join(errors)}), not physics: the results only"
+                " show the effect of the printing errors; otherwise use formulation = 'derived'"
             )
-        found += self.law.warnings(self._whole)
+        found += self.law.warnings(self._under_pressure)
         if self.effects.random_strength is not None:
-            found.append("random strength counts in the stationary RMS, and not in a simulated motion")
+            found.append("random strength enters the stationary RMS only, not the simulated motion")
             rate, speed = (float(as_number(x)) for x in (self._stationary.speed_rms, self.tow_speed))
-            if _SURELY * rate > speed > 0.0:
+            if _RARE_DEVIATIONS * rate > speed > 0.0:
                 found.append(
-                    f"under random strength the share's speed varies by {rate:.3g} m/s (RMS): three times that exceed"
-                    f" the tow speed of {speed:.3g} m/s, so the share stops or retreats now and then, which the"
-                    " linearised stationary RMS does not know"
+                    f"under random strength the share's speed varies by {rate:.3g} m/s (RMS): three times that exceeds"
+                    f" the tow speed of {speed:.3g} m/s, so the share sometimes stops or retreats, which the"
+                    " linearised stationary RMS ignores"
                 )
         share = float(as_number(self.ambient_share))
         if share > 0.0:
             pressure = float(as_number(self.soil.ambient_pressure))
             text = f"ambient pressure ({pressure / 1e3:.4g} kPa) carries {100 * share:.0f} % of the static draft"
-            if pressure > _DEEPEST:
+            if pressure > _GREATEST_OVERBURDEN:
                 text += (
                     "; soil with open pores would feel only the overburden, a few kPa: set soil.ambient_pressure for"
                     " that reading"

@@ -14,24 +14,24 @@ def quantity_of(scene: Scene, name: str) -> Expression:
     """Return a scene's quantity by name.
 
     Raises:
-        InputError: an unknown name, or a quantity that the scene does not have.
+        InputError: the name is unknown, or the scene does not have the quantity.
     """
     if name not in QUANTITIES:
         raise InputError(f"a scene has no quantity '{name}': {nearest(name, QUANTITIES)}")
     value: Expression | None = _at(scene, QUANTITIES[name].path)
     if value is None:
-        raise InputError(f"the scene has no '{name}': give it one, or leave the name out")
+        raise InputError(f"the scene has no '{name}': add it to the scene, or omit the name")
     return value
 
 
 def quantities_of(scene: Scene) -> dict[str, Expression | None]:
-    """Return a scene's quantities by name, None for those that it does not have."""
+    """Return all quantities by name; those that the scene does not have are None."""
     return {name: _at(scene, quantity.path) for name, quantity in QUANTITIES.items()}
 
 
 def _at(value: Any, path: tuple[str | int, ...]) -> Any:
     for step in path:
-        if isinstance(step, int):  # one wave stands by itself, several in a tuple
+        if isinstance(step, int):  # a single wave is not in a tuple, several are
             several = value if isinstance(value, tuple) else (value,)
             value = several[step] if step < len(several) else None
         else:
@@ -40,10 +40,10 @@ def _at(value: Any, path: tuple[str | int, ...]) -> Any:
 
 
 def with_quantities(scene: Scene, changes: Mapping[str, Expression]) -> Scene:
-    """Return a scene with other values of some quantities, by name, numbers or expressions.
+    """Return a copy of a scene in which some quantities, by name, have new values: numbers or expressions.
 
     Raises:
-        InputError: an unknown name, or a quantity that the scene does not have.
+        InputError: a name is unknown, or the scene does not have the quantity.
         DomainError: a number outside the model's domain.
     """
     for name, value in changes.items():

@@ -1,4 +1,4 @@
-"""`simulate`: one verb for numeric scenes, checked, and for symbolic scenes inside a design."""
+"""`simulate`: checked simulation of numeric scenes, and simulation of symbolic scenes for designs."""
 
 import time
 from dataclasses import replace
@@ -37,43 +37,45 @@ def simulate(
     """Simulate a share on its mount, equation (27), or its quasi-static limit.
 
     Args:
-        scene: of floats, or with CasADi expressions in it.
-        duration: simulated time [s], above 0; a float or an expression. Of a lasting orbit it is one wavelength of
-            the soil's strength and must be left out.
+        scene: a scene of floats or CasADi expressions.
+        duration: simulated time [s], above 0; a float or an expression. Omit it for a periodic orbit: its duration is
+            one wavelength of the soil strength.
         accuracy: method and setting, or the error to reach; default: a relative error of 1e-8.
         outputs: number of equal intervals between output times, at least 1.
-        compiled: of a numeric scene, follow a motion from its start by steps of order 8 in machine code, by the
-            system's C compiler. Translating takes about a second, once for scenes of like effects on a machine; then a
-            run takes about a quarter of the time, with the same result. Where there is no compiler, or
-            another method or model takes the run, a warning says so.
+        compiled: whether steps of order 8 of a numeric scene, integrated from a start, run as machine code. Compilation
+            by the system's C compiler takes about a second, once per machine for all scenes with the same effects; a
+            run then takes about a quarter of the time, with the same result. A warning reports if there is no compiler,
+            or if another method or model takes the run.
 
     Returns:
-        A numeric or symbolic `Run`. A numeric run is integrated a second time, more coarsely, of a method
-        that is named more finely, and ``error_estimate`` is the largest difference of the two, twice that where the
-        second run is not the coarser or the contact has kinks, and after events no less than 1e-11, or than what a stop
-        between the outputs may change that the integrator may have passed over. It covers every result, each relative
-        to its own size: mount force, soil resistance, deflection and speed at the outputs, and so their peaks, relative
-        to the largest of each; travel and opening to the largest deflection too; both RMS to themselves; mean draft and
-        deflection to themselves or the RMS, whichever is larger; the tow power to itself or that force at the strut's
-        mean speed.
-        A size below 1e-7 of what the motion's forces, deflections or speeds reach counts as that. Soil resistance and
-        speed jump at an event, and count where both runs are in the same mode. What is left of double precision, some
-        1e-13 of those, is not in it, nor what the model leaves out. An estimate above the wanted error, or of a
-        named method above 1e-6, is reported in ``warnings``, and that a motion is too sensitive to be predicted. Of a
-        stand-in for the lasting orbit it is the difference from that orbit. A symbolic run is an exactly
-        differentiable expression that has no such estimate.
-        Its derivatives aim at ``Accuracy(derivatives=...)``. Of stick and slip, and of entry, second derivatives are
-        those of a gradient, ``casadi.hessian(f, x)`` or ``jacobian(gradient(f, x), x)``: of a forward derivative, as
-        in ``jacobian(jacobian(f, x), x)``, CasADi has none and raises a ``RuntimeError``.
-        A symbolic quasi-static run in which the tow speed, the wavelength or the ramp's time is a symbol averages over
-        as many panels as it has outputs, at least 400: enough for some hundred waves; more are not reported.
+        A numeric or symbolic `Run`.
+
+        A numeric run is integrated twice. The second run is coarser, or finer if a method is named. The largest
+        difference between the two is the ``error_estimate``. It is doubled if the second run is not the coarser one or
+        the contact has kinks. With events it is at least 1e-11, and at least the possible effect of a stop between
+        outputs that both runs may have missed. The estimate covers every result relative to its own size: mount force,
+        soil resistance, deflection and speed at the outputs, hence their peaks, relative to the largest value of each;
+        travel and opening relative to the largest deflection too; each RMS relative to itself; mean draft and mean
+        deflection relative to themselves or the RMS, whichever is larger; tow power relative to itself or to that force
+        at the strut's mean speed. A size below 1e-7 of the motion's own scale of force, deflection or speed counts as
+        1e-7 of that scale. Soil resistance and speed jump at an event, and count at outputs where both runs are in the
+        same mode. The estimate excludes rounding (about 1e-13 relative) and the error of the model itself. For an
+        approximation of the periodic orbit it is the difference from that orbit. ``warnings`` report an estimate above
+        the wanted error (1e-6 for a named method), and a motion too sensitive to be predicted.
+
+        A symbolic run is an exactly differentiable expression without an estimate. Its derivatives aim at
+        ``Accuracy(derivatives=...)``. With stick and slip, or entry, take second derivatives of a gradient:
+        ``casadi.hessian(f, x)`` or ``jacobian(gradient(f, x), x)``. CasADi has no second derivatives of a forward
+        derivative, as in ``jacobian(jacobian(f, x), x)``, and raises a ``RuntimeError``. A symbolic quasi-static run
+        whose tow speed, wavelength or ramp time is a symbol averages over as many panels as it has outputs, at least
+        400. That suffices for about a hundred waves; more are not reported.
 
     Raises:
         DomainError: the duration is not positive.
-        InputError: no duration, or one for an orbit, fewer than one output interval, an array in the scene, an
-            integration method for a quasi-static scene, SX symbols with a method that cannot take them, or a symbolic
-            scene that shall be compiled.
-        IntegrationError: the method failed; the message says for which scene, when and the likely cause.
+        InputError: the duration is missing, or given for an orbit; there is no output interval; the scene holds an
+            array; a quasi-static scene has an integration method; the method cannot take SX symbols; or a symbolic
+            scene is to be compiled.
+        IntegrationError: the method failed; the message names the scene, the time and the likely cause.
 
     Example:
         >>> import plough_opt as po
@@ -83,7 +85,7 @@ def simulate(
         >>> po.simulate(scene, "1 s").duration
         1.0
     """
-    _check_kinds(scene, accuracy, outputs)
+    _check_types(scene, accuracy, outputs)
     check_switch("compiled", compiled)
     duration = _duration(scene, duration)
     accuracy = accuracy or Accuracy()
@@ -91,18 +93,20 @@ def simulate(
         raise InputError(f"accuracy method '{accuracy.method}' has nothing to integrate in a quasi-static scene")
     if scene.effects.orbit != "transient" and not accuracy.order_8:
         raise InputError(
-            f"accuracy method '{accuracy.method}' finds no orbit: take 'auto', or 'dop853' with a number of steps"
+            f"accuracy method '{accuracy.method}' cannot find an orbit: use 'auto', or 'dop853' with a number of steps"
         )
     if scene.effects.events and not accuracy.locates_events:
         raise InputError(
-            f"accuracy method '{accuracy.method}' finds no events, which stick and slip and the entry of a share have:"
-            f" take {' or '.join(map(repr, locating()))}"
+            f"accuracy method '{accuracy.method}' cannot locate the events of stick and slip or entry: use"
+            f" {' or '.join(map(repr, locating()))}"
         )
     if holds_casadi((scene, duration)):
         check_single("simulate", (scene, duration))
         if any(map(is_symbolic, (*parameters(scene).values(), scene.mass, duration))):
             if compiled:
-                raise InputError("a symbolic run has no machine code: what it becomes part of is compiled as a whole")
+                raise InputError(
+                    "a symbolic run cannot be compiled by itself: the design or component that uses it is compiled"
+                )
             check_strength(scene.effects.waves)
             return _symbolic(scene, duration, accuracy, outputs)
         scene, duration = map_expressions((scene, duration), lambda value: float(as_number(value)))
@@ -110,39 +114,36 @@ def simulate(
     case = Case.of(scene, float(duration), outputs, compiled=compiled)
     run, error, notes = verified(case, accuracy)
     check_strength(scene.effects.waves, (float(np.min(run.travel)), float(np.max(run.travel))))
-    multipliers, found, lasting = which_motion(run) if scene.effects.orbit == "periodic" else ((), None, ())
-    notes = (*notes, *lasting, *(interpreted(case, run) if compiled else ()))
-    return replace(run, checks=Checks(error, time.perf_counter() - started, notes, multipliers, found))
+    multipliers, settled, stability = which_motion(run) if scene.effects.orbit == "periodic" else ((), None, ())
+    notes = (*notes, *stability, *(interpreted(case, run) if compiled else ()))
+    return replace(run, checks=Checks(error, time.perf_counter() - started, notes, multipliers, settled))
 
 
-def _check_kinds(scene: Scene, accuracy: Accuracy | None, outputs: int) -> None:
-    """Refuse something else in the place of a scene, an accuracy or a number of outputs."""
+def _check_types(scene: Scene, accuracy: Accuracy | None, outputs: int) -> None:
+    """Raise InputError if the scene, accuracy or number of outputs has the wrong type."""
     check_kind("the scene", scene, Scene, "a Scene, made of soil, share, stiffness, mass and tow speed")
-    if not (accuracy is None or isinstance(accuracy, Accuracy)):
-        raise InputError(f"accuracy = {shown(accuracy)} must be an Accuracy, as Accuracy('erk')")
+    check_kind("accuracy", accuracy, Accuracy | None, "an Accuracy, such as Accuracy('erk')")
     if not is_count(outputs) or outputs > plan.MOST_OUTPUTS:
-        raise InputError(
-            f"outputs = {shown(outputs)} must be a whole number from 1 to {plan.MOST_OUTPUTS}: of intervals"
-        )
+        raise InputError(f"outputs = {shown(outputs)} must be a whole number of intervals, 1 to {plan.MOST_OUTPUTS}")
 
 
 def repeat(scene: Scene, duration: Expression, *, outputs: int = plan.OUTPUTS) -> Run:
-    """Simulate a scene for the duration of a run of its like; an orbit has its own."""
+    """Simulate a scene for the duration of an earlier run; an orbit has its own duration."""
     return simulate(scene, duration if scene.effects.orbit == "transient" else None, outputs=outputs)
 
 
 def _duration(scene: Scene, duration: Expression | None) -> Expression:
-    """Return the simulated time, of an orbit its period."""
+    """Return the simulated time [s]; for an orbit its period."""
     if scene.effects.orbit == "transient":
         if duration is None:
-            raise InputError("the duration is missing: how long shall the scene be simulated, in seconds?")
+            raise InputError("the duration is missing: give the time to simulate, in seconds")
         duration = BESIDE["scene.duration"].read(duration, stacklevel=4)
         if isinstance(duration, np.ndarray) and duration.ndim > 0:
-            raise InputError(f"the duration is an array of {duration.size} values: simulate takes one at a time")
+            raise InputError(f"the duration is an array of {duration.size} values: simulate accepts one at a time")
         return duration
     if duration is not None:
-        raise InputError("a lasting orbit has a duration of its own, one wavelength of the soil: leave it out")
-    check_domain("tow speed", scene.tow_speed, "m/s", above=0.0, why="a share that stands still has no orbit")
+        raise InputError("the duration of a periodic orbit is one wavelength of the soil strength: omit it")
+    check_domain("tow speed", scene.tow_speed, "m/s", above=0.0, why="a standing share has no orbit")
     return scene.wave_period
 
 
@@ -159,7 +160,7 @@ def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: i
     if accuracy.method != "auto":
         accuracy = plan.with_setting(accuracy, max(outputs, plan.OUTPUTS), outputs)
     elif scene.effects.events:
-        # Events are located, the ends of smooth contact's step beside them are not.
+        # Events are located, but not the ends of the step of smooth contact, which need a tighter tolerance.
         part = 1e-4 if isinstance(scene.effects.contact, Smooth) else 1e-2
         wanted = min(accuracy.error or DEFAULT_ERROR, part * accuracy.wanted_derivatives)
         accuracy = Accuracy("erk", tolerance=max(0.01 * wanted, plan.TIGHTEST))
@@ -167,7 +168,7 @@ def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: i
 
 
 def _embedded(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
-    """Return a run by a method with its setting as expressions of the scene's symbols."""
+    """Return a run by a method with its setting, as expressions of the scene's symbols."""
     steps = plan.MOST_ADAPTIVE if accuracy.adaptive else accuracy.steps or plan.unknown_steps(scene, accuracy, outputs)
     timeline = plan.timeline_of(scene, duration, outputs, steps, accuracy.method, symbolic=True)
     solver, p = integration(Structure.of(scene), accuracy, timeline), parameters(scene)

@@ -1,12 +1,12 @@
-"""Terms of the equation of motion (27) in the spring deflection, each there only if a scene contains it.
+"""Terms of the equation of motion (27) in the spring deflection; a scene has only the terms that it needs.
 
-With z = s(t) - L the spring's deflection, z0 its value at the start and w = z - z0,
+With z = s(t) - L the deflection of the spring, z0 its value at the start and w = z - z0, the equation is
 
     M w'' = F(L, L') - k0 z0 - k0 w - c w' + M s''
 
-is written in deviations from the start, so that at an equilibrium start the large steady forces cancel
-on paper and not in floating point. As printed, with + k0 (L - V0 t), the spring repels: the parameter "stiffness"
-is then -k0, the equilibrium lies at z = -F/k0, and a deviation from it grows like exp(sqrt(k0/M) t).
+It is written in deviations from the start, so that the large steady forces of an equilibrium start cancel algebraically
+and not in floating point. As printed, with + k0 (L - V0 t), the spring repels: the parameter "stiffness" is then -k0,
+the equilibrium lies at z = -F/k0, and a deviation from it grows like exp(sqrt(k0/M) t).
 """
 
 from __future__ import annotations
@@ -37,22 +37,22 @@ from plough_opt.motion.scene import Scene
 
 _Kind = TypeVar("_Kind", bound=Term)
 
-# Parameters that belong to no single effect; the last two where events change what moves.
+# Parameters that do not belong to a single effect. The last two are used if events change the moving mass.
 _COMMON = ("inertia", "stiffness", "static", "tow_speed", "mass", "added_mass")
 
 
 @dataclass(frozen=True)
 class Structure:
-    """The terms of a scene's equation of motion, without their numbers: scenes with equal terms share one graph.
+    """Terms of a scene's equation of motion without their numbers. Scenes of equal structure share one graph.
 
     Attributes:
         terms: the effects that are on, in the order of `TERMS`.
         start: see `Effects`.
         carries: whether events change the mass of soil that moves with the share.
         orbit: see `Effects`.
-        harmonics: of a harmonic balance.
-        ramp_by_step: whether each step says if the ramp is over: see `plough_opt.motion.runge_kutta.OneStep`.
-        locates_ramp: whether an integrator finds the end of the ramp though nothing else calls for events.
+        harmonics: number of harmonics of a harmonic balance; otherwise 0.
+        ramp_by_step: whether each step states if the ramp is over: see `plough_opt.motion.runge_kutta.OneStep`.
+        locates_ramp: whether an integrator locates the end of the ramp even if the scene has no other events.
     """
 
     terms: tuple[Term, ...] = ()
@@ -65,7 +65,7 @@ class Structure:
 
     @classmethod
     def of(cls, scene: Scene) -> Structure:
-        """Read the structure off a scene."""
+        """Return the structure of a scene."""
         effects = scene.effects
         return cls(
             terms=tuple(term for kind in TERMS for term in kind.of(scene)),
@@ -76,18 +76,18 @@ class Structure:
         )
 
     def find(self, kind: type[_Kind]) -> _Kind | None:
-        """Return the term of a kind, or None where that effect is off."""
+        """Return the term of a class, or None if that effect is off."""
         return next((term for term in self.terms if isinstance(term, kind)), None)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of everything that its terms may need, in order."""
+        """Names of all parameters that the terms may need, in order."""
         by_step = ("ramped",) if self.ramp_by_step else ()
         return (*_COMMON, *(name for term in self.terms for name in term.names), *by_step)
 
     @cached_property
     def wave(self) -> StrengthWaves | None:
-        """The soil's strength along the path, if it varies."""
+        """Strength waves along the path, or None."""
         return self.find(StrengthWaves)
 
     @cached_property
@@ -102,7 +102,7 @@ class Structure:
 
     @cached_property
     def entry(self) -> bool:
-        """Whether the share enters."""
+        """Whether the share enters the soil."""
         return self.find(Entry) is not None
 
     @cached_property
@@ -117,7 +117,7 @@ class Structure:
 
     @cached_property
     def own(self) -> tuple[Own, ...]:
-        """Resistances of the user's own classes."""
+        """Resistances of the user's own."""
         return tuple(term for term in self.terms if isinstance(term, Own))
 
     @property
@@ -127,34 +127,34 @@ class Structure:
 
     @cached_property
     def kinked(self) -> bool:
-        """Whether the equation is not smooth where a share may come, so that steps of order 8 lose their order."""
+        """Whether the equation has a kink that a share may reach, where steps of order 8 lose their order."""
         return any(term.kinked for term in self.terms)
 
     @cached_property
     def events(self) -> bool:
-        """Whether an integrator must find events."""
+        """Whether an integrator must locate events."""
         return any(term.events for term in self.terms)
 
     @property
     def stepped(self) -> bool:
-        """Whether steps of order 8 from a start can follow the motion."""
+        """Whether the motion runs from a start without events, so that steps of order 8 can integrate it."""
         return self.orbit == "transient" and not self.events
 
     @cached_property
     def ends_ramp(self) -> bool:
-        """Whether an integrator must find the end of the strut's ramp."""
+        """Whether an integrator must locate the end of the strut's ramp."""
         return self.ramp and (self.events or self.locates_ramp)
 
     @cached_property
     def ending(self) -> tuple[Term, ...]:
-        """The effects whose end an integrator finds: each has a state that is 0 until then, and 1 afterwards."""
+        """Effects whose end an integrator locates. Each has a state that is 0 until then and 1 afterwards."""
         return tuple(term for term in self.terms if term.state and (self.ends_ramp or not isinstance(term, TowRamp)))
 
 
 def parameters(scene: Scene, structure: Structure | None = None) -> dict[str, Expression]:
-    """Return the numbers that the equation of motion may need, by name, in SI units."""
+    """Return the parameters that the equation of motion may need, by name, in SI units."""
     structure = structure or Structure.of(scene)
-    with unlabelled():  # a run is checked with its scene
+    with unlabelled():  # a design checks a run together with its scene
         inertia, reaction = scene.inertia, scene.reaction
         values = {
             "inertia": inertia,
@@ -172,38 +172,38 @@ def parameters(scene: Scene, structure: Structure | None = None) -> dict[str, Ex
 
 
 def strut(structure: Structure, p: Parameters, time: Expression) -> Strut:
-    """Return the strut's motion: constant speed, or a ramp."""
+    """Return the strut's motion: at constant speed, or with a ramp."""
     ramp = structure.find(TowRamp)
     return Strut(path=p["tow_speed"] * time, gain=0.0, acceleration=0.0) if ramp is None else ramp.strut(p, time)
 
 
 def start_speed(structure: Structure, p: Parameters) -> Expression:
-    """Return the strut's speed at time 0 [m/s]: the speed to which the steady state at the start belongs."""
+    """Return the strut's speed at time 0 [m/s], which also defines the steady state of an equilibrium start."""
     return 0.0 if structure.ramp else p["tow_speed"]
 
 
 def start_resistance(structure: Structure, p: Parameters) -> Expression:
-    """Return the steady resistance at the strut's initial speed [N], without the wave, of a buried share."""
+    """Return the steady resistance to a buried share at the strut's initial speed [N], without strength waves."""
     return _resist(structure, p, p["static"], Place(None, start_speed(structure, p)))
 
 
 def start_force(structure: Structure, p: Parameters) -> Expression:
-    """Return the spring's force at the start [N]: steady, or zero from rest."""
+    """Return the spring's force at the start [N]: the steady resistance, or 0 for a relaxed spring."""
     return 0.0 if structure.relaxed else start_resistance(structure, p)
 
 
 def start_deflection(structure: Structure, p: Parameters) -> Expression:
-    """Return z0 [m]: steady deflection, or zero from rest."""
+    """Return the deflection z0 at the start [m]: steady, or 0 for a relaxed spring."""
     return start_force(structure, p) / p["stiffness"]
 
 
 def start_rate(structure: Structure, p: Parameters) -> Expression:
-    """Return z' at time 0 [m/s]: a share at rest under a moving strut has z' = V0."""
+    """Return z' at time 0 [m/s]: V0 for a share at rest under a moving strut, otherwise 0."""
     return start_speed(structure, p) if structure.start == "rest" else 0.0
 
 
 def resistance(structure: Structure, p: Parameters, travel: Expression, speed: Expression) -> Expression:
-    """Return the resistance [N], the added mass's part excepted: to all its digits, however small it is.
+    """Return the resistance [N] without that of the added mass, accurate to all digits even if it is small.
 
     Args:
         structure: the terms that are on.
@@ -215,13 +215,13 @@ def resistance(structure: Structure, p: Parameters, travel: Expression, speed: E
 
 
 def resistance_change(structure: Structure, p: Parameters, travel: Expression, gain: Expression) -> Expression:
-    """Return how far the resistance is from the steady one of an equilibrium start [N]: see `resistance`.
+    """Return the resistance minus the steady resistance of an equilibrium start [N]: see `resistance`.
 
     Args:
-        structure: the terms that are on; a share that starts at equilibrium does not enter.
+        structure: the terms that are on, without entry, which excludes an equilibrium start.
         p: parameters by name.
         travel: L of the share [m].
-        gain: L' - s'(0), the share's speed above the strut's initial speed [m/s].
+        gain: L' - s'(0), the share's speed relative to the strut's initial speed [m/s].
     """
     at = Place(travel, Changed(start_speed(structure, p), gain))
     found: Any = _resist(structure, p, Changed(p["static"], 0.0), at)
@@ -230,6 +230,7 @@ def resistance_change(structure: Structure, p: Parameters, travel: Expression, g
 
 
 def _resist(structure: Structure, p: Parameters, force: Any, at: Place) -> Expression:
+    """Return the resistance that the terms, one after another, make of the static force [N]."""
     found: Expression = force
     for term in structure.terms:
         found = term.resist(found, at, p)
@@ -237,7 +238,7 @@ def _resist(structure: Structure, p: Parameters, force: Any, at: Place) -> Expre
 
 
 def hold(structure: Structure, p: Parameters, travel: Expression) -> Expression:
-    """Return the mount force [N] at which a share that sticks at a travel L [m] moves: see `StickSlip`."""
+    """Return the mount force [N] at which a sticking share at a travel L [m] breaks loose: see `StickSlip`."""
     force = p["static"]
     for term in structure.terms:
         force = term.hold(force, Place(travel, 0.0), p)
@@ -250,7 +251,7 @@ def own_force(structure: Structure, p: Parameters, travel: Expression, speed: Ex
 
 
 def pull(structure: Structure, p: Parameters, deflection: Expression, rate: Expression) -> Expression:
-    """Return the force [N] of the mount at a deflection [m], or a change of it, and at a rate of that [m/s]."""
+    """Return the mount force [N] at a deflection [m] and its rate [m/s], or its change for changes of both."""
     force = p["stiffness"] * deflection
     for term in structure.terms:
         force = force + term.pull(p, rate)
@@ -258,17 +259,17 @@ def pull(structure: Structure, p: Parameters, deflection: Expression, rate: Expr
 
 
 def inertia_at(structure: Structure, p: Parameters, travel: Expression) -> Expression:
-    """Return the mass of the share and of the soil that it carries at a travel L [kg]."""
+    """Return the moving mass [kg] at a travel L [m]: the share and the soil that it carries along."""
     return p["mass"] + carried_mass(structure, p, travel) if structure.events else p["inertia"]
 
 
 def lightest_mass(p: Parameters) -> Any:
-    """Return the least mass that moves [kg], by an equation's parameters: in a gap and at first contact that alone."""
+    """Return the least moving mass [kg]: under events the share alone, as in a gap, otherwise the constant inertia."""
     return p["mass"] if "mass" in p else p["inertia"]
 
 
 def carried_mass(structure: Structure, p: Parameters, travel: Expression) -> Expression:
-    """Return the added mass of soil at a travel L [kg] in a structure with events."""
+    """Return the added mass of soil [kg] at a travel L [m], in a structure with events."""
     if not structure.carries:
         return 0.0
     entry = structure.find(Entry)

@@ -1,8 +1,8 @@
-"""The times of a run: where it is sampled, where steps end, and how outputs between those ends are read.
+"""Times of a run: outputs, ends of steps, and the interpolation of outputs between those ends.
 
-Steps of order 8 are long beside the spacing of a run's outputs. The deflection w and its rate w' at eight ends of steps
-around an output time determine a Hermite polynomial of degree 15, whose error falls by a higher power of the step than
-the method's. What is read is linear in the states, so that derivatives with respect to anything are read likewise.
+Steps of order 8 are longer than the intervals between outputs. The deflection w and its rate w' at the eight ends of
+steps around an output time determine a Hermite polynomial of degree 15. Its error falls by a higher power of the step
+size than that of the method. Interpolated states are linear in those at the ends, and so are their derivatives.
 """
 
 import math
@@ -15,18 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 READ_FROM: Final = 8
-"""Ends of steps from which an output is read that lies at none of them."""
+"""Number of ends of steps from which an output between them is interpolated."""
 
-# Of n steps so many times n^(3/4) at the least lie on either side of a kink. They are enough to read between, and of
-# a check with fewer steps they are so much fewer there too that what a short ramp leaves of error is seen.
-_LEAST: Final = 0.6
+# A run of n steps has at least this factor times n^(3/4) on either side of a kink. That is enough to interpolate
+# between, and the number for a check is sufficiently smaller to show the error that a short ramp leaves.
+_LEAST_PER_SIDE: Final = 0.6
 
-# Part of the duration below which a kink is at rounding distance from the end of a step: it would make steps of no
-# length.
+# A kink closer to the end of a step than this fraction of the duration is at that end, up to rounding.
 _SHORT: Final = 1e-9
 
 Array = NDArray[np.float64]
-# Rounding of times that are equal, as fractions of the duration.
+# Times closer than this fraction of the duration are equal up to rounding.
 _SAME: Final = 4.0 * float(np.finfo(np.float64).eps)
 
 
@@ -36,15 +35,15 @@ class Timeline:
 
     Args:
         outputs: number of equal intervals between output times.
-        steps: number of integration steps. Of an adaptive method the most that it takes.
-        kink: fraction at which the right-hand side is not smooth (the end of a tow ramp), or None. A
-            step ends there, so that the method keeps its order. Between 0 and 1. Where no step need end at the
-            outputs, steps are of equal length on either side of it, no longer than without it, and some on each.
-        aligned: whether a step ends at each output; each output interval then takes the nearest whole number of
-            steps, at least one. Else outputs are read between the ends of `READ_FROM` steps.
-        moving: whether steps of order 8 end at kinks too wherever the parameters put these: see
-            `plough_opt.motion.runge_kutta`. Then they are aligned, an output interval takes no fewer steps than its
-            share, and ``kink`` is None.
+        steps: number of integration steps; for an adaptive method the largest number.
+        kink: fraction between 0 and 1 at which the right-hand side is not smooth (the end of a tow ramp), or None. A
+            step ends there, so that the method keeps its order. Without ``aligned`` the steps on either side are
+            equally long, no longer than they would be without a kink.
+        aligned: whether a step ends at each output. Each output interval then has the nearest whole number of steps, at
+            least one. Otherwise outputs are interpolated between the ends of `READ_FROM` steps.
+        moving: whether steps of order 8 also end at kinks whose times depend on the parameters: see
+            `plough_opt.motion.runge_kutta`. Steps are then aligned, their number in an output interval is rounded up,
+            and ``kink`` is None.
     """
 
     outputs: int
@@ -62,30 +61,27 @@ class Timeline:
     def nodes(self) -> NDArray[np.float64]:
         """Ends of the steps as fractions of the duration, both ends included."""
         if not self.aligned:
-            return (
-                self._in_two()
-                if self.kink and _SHORT <= self.kink <= 1.0 - _SHORT
-                else self._part(0.0, 1.0, self.steps)
-            )
-        share = self.steps / self.outputs
-        per_interval = max(1, math.ceil(share) if self.moving else round(share))
+            if self.kink and _SHORT <= self.kink <= 1.0 - _SHORT:
+                return self._around_kink(self.kink)
+            return self._smooth_part(0.0, 1.0, self.steps)
+        steps_per_output = self.steps / self.outputs
+        per_interval = max(1, math.ceil(steps_per_output) if self.moving else round(steps_per_output))
         return self._with_kink(np.linspace(0.0, 1.0, self.outputs * per_interval + 1))
 
-    def _in_two(self) -> NDArray[np.float64]:
-        """Return the ends of steps to the kink and from there."""
-        assert self.kink is not None  # else there is one part
-        least = min(self.steps, math.ceil(_LEAST * self.steps**0.75))
-        before, after = (max(math.ceil(part * self.steps), least) for part in (self.kink, 1.0 - self.kink))
-        return np.concatenate([self._part(0.0, self.kink, before), self._part(self.kink, 1.0, after)[1:]])
+    def _around_kink(self, kink: float) -> NDArray[np.float64]:
+        """Return the ends of steps before and after a kink."""
+        least = min(self.steps, math.ceil(_LEAST_PER_SIDE * self.steps**0.75))
+        before, after = (max(math.ceil(part * self.steps), least) for part in (kink, 1.0 - kink))
+        return np.concatenate([self._smooth_part(0.0, kink, before), self._smooth_part(kink, 1.0, after)[1:]])
 
-    def _part(self, start: float, end: float, steps: int) -> NDArray[np.float64]:
-        """Return the ends of a part's steps: of equal ones, of which the outermost two are halved.
+    def _smooth_part(self, start: float, end: float, steps: int) -> NDArray[np.float64]:
+        """Return the ends of equal steps of which the first and the last are halved.
 
-        What is read from one side, between the outermost ends, is then as exact as in the middle: for half a radian a
-        step rates are 1e-14 off, of equal steps 3e-12, and for 1.6 rad 2e-7, of equal steps 8e-5.
+        Interpolation near the ends, where all data lie on one side, is then as exact as in the middle. With 0.5 rad per
+        step the error of rates is 1e-14 instead of 3e-12, and with 1.6 rad it is 2e-7 instead of 8e-5.
         """
         equal = np.linspace(start, end, steps + 1)
-        if self.outputs == 1:  # and nothing is read
+        if self.outputs == 1:  # nothing is interpolated
             return equal
         halves = (equal[0] + equal[1]) / 2.0, (equal[-2] + equal[-1]) / 2.0
         return np.unique(np.append(equal, halves))
@@ -108,15 +104,15 @@ class Timeline:
 
 @dataclass(frozen=True)
 class Readings:
-    """Weights of the states at the ends of all steps in those at the outputs: ends in rows, outputs in columns.
+    """Interpolation weights: ends of steps in rows, outputs in columns.
 
-    The time is counted in durations here, also in the rate.
+    The unit of time is the duration, in rates too.
 
     Attributes:
-        w_by_w: of w in w.
-        w_by_rate: of the rate in w.
-        rate_by_w: of w in the rate.
-        rate_by_rate: of the rate in the rate.
+        w_by_w: weights of w at the ends in w at the outputs.
+        w_by_rate: weights of the rate in w.
+        rate_by_w: weights of w in the rate.
+        rate_by_rate: weights of the rate in the rate.
     """
 
     w_by_w: ca.DM
@@ -130,13 +126,13 @@ def at_outputs(timeline: Timeline, states: ca.MX, duration: ca.MX, ramp: ca.MX |
 
     Args:
         timeline: steps and outputs.
-        states: at the ends of all steps, the start included, a column each.
-        duration: of the run [s].
-        ramp: time of a ramp [s] at which a step ends too, wherever that is.
+        states: states at the ends of all steps, including the start, a column each.
+        duration: simulated time [s].
+        ramp: time of a ramp [s] whose end is an additional end of a step; None without one.
     """
     columns = timeline.output_columns
     if ramp is not None:
-        # Behind the ramp's end the steps count one more.
+        # After the ramp's end an output is one column further on.
         reached = ca.repmat(ca.DM(timeline.output_fractions).T * duration <= ramp, states.shape[0], 1)
         return ca.if_else(reached, states[:, columns], states[:, [column + 1 for column in columns]])
     if timeline.aligned:
@@ -151,7 +147,7 @@ def at_outputs(timeline: Timeline, states: ca.MX, duration: ca.MX, ramp: ca.MX |
 
 @lru_cache(maxsize=64)
 def readings(timeline: Timeline) -> Readings:
-    """Return the weights of a timeline; no polynomial reaches across its kink."""
+    """Return the interpolation weights of a timeline; no polynomial extends across its kink."""
     nodes, outputs = timeline.nodes, timeline.output_fractions
     kinks = [] if timeline.kink is None else [int(np.argmin(np.abs(nodes - timeline.kink)))]
     inner = [kink for kink in kinks if 0 < kink < len(nodes) - 1]
@@ -170,14 +166,14 @@ def readings(timeline: Timeline) -> Readings:
 
 
 def hermite(x: Array, t: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the weights of values and slopes at points x in the value, and in the slope, at t.
+    """Return the weights of values and slopes at points x in the value and in the slope of their polynomial at t.
 
-    At a point itself they are those of the point alone: between steps much shorter than the others rounding of their
-    length, divided by it, would else count in the slope.
+    The four arrays are value by values, value by slopes, slope by values and slope by slopes. If t is one of the
+    points, only that point has weight: otherwise the relative rounding of very short steps would enter the slope.
 
     Args:
         x: points, a row for each t.
-        t: where the polynomial is read.
+        t: times at which the polynomial is evaluated.
     """
     count = x.shape[1]
     gap = x[:, :, None] - x[:, None, :] + np.eye(count)

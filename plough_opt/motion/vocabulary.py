@@ -1,4 +1,4 @@
-"""Quantities and results by the names that problem files give them, such as "share.height" and "mean_draft"."""
+"""Results of a run by the names that problem files use, such as "mean_draft", and labels for tables and pictures."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,17 +14,17 @@ from plough_opt.motion import Run
 
 @dataclass(frozen=True)
 class Measure:
-    """A result of a run that can be named.
+    """A named result of a run.
 
     Attributes:
         unit: SI unit.
-        of: run -> value, a column where ``everywhere``.
-        needs: what the scene's law of resistance must give for it: see `ResistanceLaw.lacking`.
-        everywhere: a value at every output time; it can be limited, and not minimised.
-        random: belongs to strength that varies along the path, and stands in tables where that is random.
-        label: under which a run's table shows it on the command line; "" where the table holds it anyhow, or not.
-        measured: whether it can be measured in the field, and so be calibrated with.
-        adds: whether several shares in one frame have it together, as their sum.
+        of: run -> value; a column if ``everywhere``.
+        needs: results that the scene's law of resistance must give: see `ResistanceLaw.lacking`.
+        everywhere: whether it has a value at each output time; it can then be limited, but not minimised.
+        random: whether it requires strength that varies along the path; tables show it if that strength is random.
+        label: label of its extra row in a run's table on the command line; "" for none.
+        measured: whether it can be measured in the field and used in a calibration.
+        adds: whether the sum over several shares in one frame is a result of the frame.
     """
 
     unit: Unit
@@ -37,17 +37,18 @@ class Measure:
     adds: bool = False
 
     def check(self, name: str, law: ResistanceLaw) -> None:
-        """Refuse a measure that a law of resistance does not give.
+        """Raise InputError if a law of resistance does not give the measure.
 
-        Raises:
-            InputError: as said.
+        Args:
+            name: name of the measure, for the message.
+            law: the law of resistance.
         """
         for what in self.needs:
             if law.lacks(what):
                 raise InputError(law.refusal(what, name))
 
     def given_by(self, law: ResistanceLaw) -> bool:
-        """Return whether a law of resistance gives it."""
+        """Return whether a law of resistance gives the measure."""
         return not any(map(law.lacks, self.needs))
 
 
@@ -72,9 +73,9 @@ MEASURES: dict[str, Measure] = {
     "soil_resistance": Measure(Unit("N"), lambda run: run.soil_resistance, everywhere=True),
     "speed": Measure(Unit("m/s"), lambda run: run.speed, everywhere=True),
 }
-"""Results by name; an angle in rad. One that is added is a result in files, sweeps, fronts and components."""
+"""Results by name; angles in rad. A measure added here can be used in files, sweeps, fronts and components."""
 
-_CALLED = {
+_LABELS = {
     "force_rms": "RMS of the mount force",
     "displacement_rms": "RMS of the deflection",
     "specific_draft": "draft per loosened section",
@@ -85,13 +86,13 @@ _SIDES = {"at_least": "at least", "at_most": "at most"}
 
 
 def called(name: str) -> str:
-    """Return what tables and pictures call a quantity, a result, a limit of one, or a name of one's own.
+    """Return the label, in tables and pictures, of a quantity, a result, a limit of either, or a user's own name.
 
     Args:
         name: such as "share.height", "front.share.height", "force_rms", "loosened_radius at_least" or "my draft".
     """
-    if name in _CALLED:
-        return _CALLED[name]
+    if name in _LABELS:
+        return _LABELS[name]
     if name in MEASURES and MEASURES[name].label:
         return MEASURES[name].label
     if name in EVERY:

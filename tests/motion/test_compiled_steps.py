@@ -122,5 +122,5 @@ def test_what_is_not_compiled_says_so(r1_scene, effects, what):
 
 
 def test_a_symbolic_scene_is_refused(r1_scene):
-    with pytest.raises(po.InputError, match="compiled as a whole"):
+    with pytest.raises(po.InputError, match="cannot be compiled by itself"):
         po.simulate(r1_scene(stiffness=ca.MX.sym("k0")), 1.0, compiled=True)

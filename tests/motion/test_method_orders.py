@@ -98,19 +98,6 @@ def assert_orders(errors, steps, orders, band):
 # --- the reference ---
 
 
-@pytest.mark.parametrize("name", ["linear damper, from rest", "ramp and all"])
-def test_the_reference_agrees_with_another_and_with_itself(r1_scene, name):
-    scene = scene_of(r1_scene, SCENES[name], 0.3)
-    truth, finer = (gauss_motion.follow(scene, 0.3, steps=steps) for steps in (60, 90))
-    other = three_modes.follow(scene, 0.3)
-    for average in ("mean_draft", "force_rms", "mean_deflection", "displacement_rms"):
-        value, size = getattr(truth, average), getattr(truth, average)
-        # Rounding of some hundreds of steps.
-        assert value == pytest.approx(getattr(finer, average), rel=0, abs=2e-14 * size), average
-        # The other integrates the travel, whose rounding is 1e-16 of 1 m in a deflection of 1e-2 m.
-        assert value == pytest.approx(getattr(other, average), rel=0, abs=1e-10 * size), average
-
-
 # --- smooth scenes, and scenes with the kink at the end of a tow ramp ---
 
 

@@ -258,11 +258,11 @@ def test_own_resistances_that_do_not_repeat_with_the_wave_have_no_orbit(r1_scene
     [
         ({"strength_wave": None}, "an orbit needs a strength_wave"),
         ({"motion": False}, "an orbit needs motion"),
-        ({"contact": po.Smooth(0.1)}, "an orbit takes contact = 'resisting'"),
-        ({"contact": po.StickSlip()}, "an orbit takes contact = 'resisting'"),
-        ({"start": "towed", "entry": True}, "an orbit has no start: leave start, tow_ramp and entry out"),
+        ({"contact": po.Smooth(0.1)}, "an orbit needs contact = 'resisting'"),
+        ({"contact": po.StickSlip()}, "an orbit needs contact = 'resisting'"),
+        ({"start": "towed", "entry": True}, "an orbit has no start: omit start, tow_ramp and entry"),
         ({"tow_ramp": 0.2}, "an orbit has no start"),
-        ({"formulation": "printed"}, "the print's repelling spring has no lasting orbit: take formulation = 'derived'"),
+        ({"formulation": "printed"}, "the print's repelling spring has no periodic orbit: use formulation = 'derived'"),
     ],
 )
 def test_effects_that_no_orbit_has_are_refused(changes, message):
@@ -286,9 +286,9 @@ def test_harmonics_are_a_whole_number_up_to_64(harmonics):
 @pytest.mark.parametrize("choice", ORBITS, ids=str)
 def test_runs_that_no_orbit_has_are_refused(r1_scene, choice):
     scene = r1_scene(strength_wave=WAVE, orbit=choice)
-    with pytest.raises(po.InputError, match="duration of its own, one wavelength of the soil: leave it out"):
+    with pytest.raises(po.InputError, match=r"duration .* is one wavelength .* omit it"):
         po.simulate(scene, 0.3)
-    with pytest.raises(po.DomainError, match=r"tow speed = 0.*a share that stands still has no orbit"):
+    with pytest.raises(po.DomainError, match=r"tow speed = 0.*has no orbit"):
         po.simulate(dataclasses.replace(scene, tow_speed=0.0))
     # Of a stiff mount it would take minutes.
     stiff = dataclasses.replace(scene, stiffness=1e9, tow_speed=0.5, effects=po.Effects(
@@ -312,7 +312,7 @@ def test_a_missing_duration_is_refused(r1_scene, effects):
 
 @pytest.mark.parametrize("method", ["erk", "rosenbrock", "cvodes", "idas", "collocation", "rk"])
 def test_methods_that_find_no_orbit_are_refused(r1_scene, method):
-    with pytest.raises(po.InputError, match=f"'{method}' finds no orbit: take 'auto', or 'dop853'"):
+    with pytest.raises(po.InputError, match=f"'{method}' cannot find an orbit: use 'auto', or 'dop853'"):
         po.simulate(r1_scene(strength_wave=WAVE, orbit="periodic"), accuracy=po.Accuracy(method))
 
 

@@ -140,7 +140,7 @@ class Wrong(Shank):
 @pytest.mark.parametrize(
     ("own", "words"),
     [
-        (Shank(3.0), r"Shank does not say what it is at rest.*at_rest\(travel\)"),
+        (Shank(3.0), r"Shank does not define its force at rest.*at_rest\(travel\)"),
         (Resting(300.0, resting=200.0), r"Resting holds a share at rest with 200 N.*with 300 N: at_rest must be"),
         (Wrong(300.0), r"Wrong\.at_rest returned 'much'"),
     ],

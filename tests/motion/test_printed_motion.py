@@ -2,7 +2,6 @@
 
 import math
 
-import casadi as ca
 import numpy as np
 import pytest
 from helpers import three_modes
@@ -126,29 +125,6 @@ def test_another_solver_agrees_with_every_effect(r1_scene, effects):
 
 
 # --- derivatives ---
-
-
-@pytest.mark.parametrize(("kind", "formulation"), [(ca.SX, REPELS), (ca.MX, "printed")])
-def test_derivatives_are_those_of_the_exact_solution(r1_scene, kind, formulation):
-    x = kind.sym("x", 4)
-    scene = r1_scene(
-        25.0 * x[0], 0.25 * x[1], 5e4 * x[2], tow_speed=2.0 * x[3], start="rest", inertial_drag=False,
-        formulation=formulation,
-    )  # fmt: skip
-    duration = 0.1
-    run = po.simulate(scene, duration, accuracy=po.Accuracy("dop853", steps=80), outputs=4)
-    deflection, slope = exact(scene, ca.sinh, ca.cosh, ca.exp, ca.sqrt)
-    found = ca.vertcat(run.deflection[2], run.deflection[4], run.speed[4], run.mount_force[4] / 5e4)
-    truth = ca.vertcat(
-        deflection(duration / 2), deflection(duration), 2.0 * x[3] - slope(duration),
-        -x[2] * deflection(duration),
-    )  # fmt: skip
-    at = [1.1, 0.9, 1.2, 0.95]
-    for order in range(3):
-        of_x = ca.Function("both", [x], [found, truth])
-        mine, theirs = (np.asarray(value) for value in of_x.call([ca.DM(at)]))
-        assert mine == largest(theirs, 1e-11), f"derivative of order {order}"
-        found, truth = (ca.vec(ca.jacobian(value, x)) for value in (found, truth))
 
 
 # --- what stays as it is ---

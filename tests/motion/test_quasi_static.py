@@ -107,23 +107,6 @@ def test_numbers_and_symbols_run_alike(quasi_scene, kind, effects):
         assert found.full().ravel() == pytest.approx(getattr(numeric, name), rel=1e-11, abs=1e-15), name
 
 
-def test_gradient_is_that_of_the_closed_form(quasi_scene):
-    x = ca.MX.sym("x", 2)
-    run = po.simulate(quasi_scene(tow_speed=x[0], strength_wave=po.StrengthWave(x[1], 0.6)), 2.0)
-    values = ca.vertcat(run.mean_draft, run.force_rms)
-    v, eps, duration = ca.MX.sym("v"), ca.MX.sym("eps"), 2.0
-    reaction = quasi_scene().reaction
-    phase = 2 * math.pi * v * duration / 0.6
-    mean = (1 - ca.cos(phase)) / phase
-    square = 0.5 - ca.sin(2 * phase) / (4 * phase)
-    closed = ca.vertcat(
-        reaction.static * (1 + eps * mean) + reaction.drag * v**2, reaction.static * eps * ca.sqrt(square - mean**2)
-    )
-    found = ca.Function("found", [x], [ca.jacobian(values, x)])([1.9, 0.3]).full()
-    expected = ca.Function("expected", [v, eps], [ca.jacobian(closed, ca.vertcat(v, eps))])(1.9, 0.3).full()
-    assert found == pytest.approx(expected, rel=0, abs=1e-11 * np.max(np.abs(expected)))
-
-
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX])
 @pytest.mark.parametrize("outputs", [1, 4, 37])
 def test_averages_do_not_depend_on_the_outputs(quasi_scene, kind, outputs):

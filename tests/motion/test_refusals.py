@@ -139,11 +139,6 @@ def test_an_own_force_that_is_none(r1_scene, force):
         po.simulate(r1_scene(own=(Own(lambda *_: force),)), 1.0)
 
 
-def test_no_nan_leaves_a_quasi_static_scene(r1_scene):
-    with pytest.raises(po.IntegrationError, match="not finite"):
-        po.simulate(r1_scene(motion=False, own=(viscous(math.nan),)), 1.0)
-
-
 @pytest.mark.parametrize("motion", [True, False])
 @pytest.mark.parametrize(("wavelength", "duration"), [(1e-6, 2.0), (0.6, 1e9)])
 def test_countless_waves_are_refused_at_once(r1_scene, motion, wavelength, duration):

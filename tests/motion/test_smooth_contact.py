@@ -65,14 +65,6 @@ def test_an_independent_solver_agrees(r1_soil, width, effects):
     three_modes.agreed(scene, 1.0, allowed=5e-8, resistance=20.0)
 
 
-def test_above_the_width_it_is_the_plain_law(r1_soil):
-    effects = {"strength_wave": po.StrengthWave(0.1, 0.6), "speed": 2.0}
-    smooth, plain = (po.simulate(scene_of(r1_soil, law, **effects), 1.0) for law in (po.Smooth(0.5), "resisting"))
-    assert min(plain.speed) > 0.5
-    assert smooth.mount_force == pytest.approx(plain.mount_force, rel=3e-8)
-    assert smooth.force_rms == pytest.approx(plain.force_rms, rel=1e-7)
-
-
 @pytest.mark.parametrize("speed", [0.02, 0.05, 0.2])
 def test_a_steady_start_is_that_of_the_step(r1_soil, speed):
     scene = scene_of(r1_soil, po.Smooth(0.1), speed=speed)

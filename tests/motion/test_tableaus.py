@@ -6,7 +6,6 @@ import casadi as ca
 import pytest
 
 import plough_opt as po
-from plough_opt.app import main
 from plough_opt.motion.methods import METHODS, Tableau
 
 THREE_EIGHTHS = Tableau(
@@ -61,26 +60,12 @@ def test_symbolic_run_has_the_derivatives_of_its_steps(kind):
     assert slope == pytest.approx(difference, rel=1e-6)
 
 
-def test_design_by_a_tableau_is_the_design_by_the_default():
-    found = []
-    for accuracy in (po.Accuracy("three_eighths", steps=1600), po.Accuracy()):
-        design = po.Design()
-        damping = design.variable("damping", guess=400.0, lower=100.0, upper=4e3, unit="N*s/m", log=True)
-        effects = po.Effects(strength_wave=po.StrengthWave(0.3, 0.2), damping=damping)
-        run = po.simulate(scene(effects=effects), 0.5, accuracy=accuracy, outputs=4)
-        design.minimise(run.force_rms / 1e3 + (damping / 1e3) ** 2)
-        found.append(design.solve())
-    # 1600 steps of order 4 err by some 1e-8.
-    assert found[0].objective == pytest.approx(found[1].objective, rel=1e-7)
-    assert found[0].variables["damping"] == pytest.approx(found[1].variables["damping"], rel=1e-4)
-
-
 def test_what_it_cannot_do_is_refused():
-    with pytest.raises(po.InputError, match="'heun_3' finds no events"):
+    with pytest.raises(po.InputError, match=r"'heun_3' cannot locate.* events"):
         po.simulate(scene(effects=po.Effects(contact=po.StickSlip())), 0.5, accuracy=po.Accuracy("heun_3"))
     with pytest.raises(po.InputError, match="'heun_3' has no setting 'tolerance'"):
         po.Accuracy("heun_3", tolerance=1e-9)
-    with pytest.raises(po.InputError, match=r"no integration method is named 'heun_4'.*heun_3"):
+    with pytest.raises(po.InputError, match=r"is named 'heun_4'.*heun_3"):
         po.Accuracy("heun_4")
 
 
@@ -90,23 +75,11 @@ def test_what_it_cannot_do_is_refused():
         ({"weights": (0.25, 0.75)}, "must be explicit"),
         ({"stages": ((), (1 / 3,), (0.0, 2 / 3, 0.0))}, "must be explicit"),
         ({"order": 0}, "must be explicit"),
-        ({"weights": (0.5, 0.0, 0.5)}, "integrate the power 1 with an error of -1.7e-01"),
-        ({"stages": ((), (1 / 3,), (0.1, 2 / 3))}, "stage at 0.66.* adds up to"),
+        ({"weights": (0.5, 0.0, 0.5)}, r"integrate t\^1 with an error of -1.7e-01"),
+        ({"stages": ((), (1 / 3,), (0.1, 2 / 3))}, "row .* adds up to .* node 0.66"),
     ],
 )
 def test_tableaus_that_are_none_are_refused(change, message):
     given = {"order": 3, "nodes": HEUN.nodes, "weights": HEUN.weights, "stages": HEUN.stages}
     with pytest.raises(po.InputError, match=message):
         Tableau(**given | change)
-
-
-def test_command_line_and_file_know_it(tmp_path, capsys):
-    path = tmp_path / "own.toml"
-    assert main(["init", str(path)]) == 0
-    text = path.read_text(encoding="utf-8").replace('duration = "2 s"', 'duration = "0.2 s"')
-    path.write_text(text + '\n[accuracy]\nmethod = "three_eighths"\nsteps = 800\n', encoding="utf-8")
-    capsys.readouterr()
-    assert main(["simulate", str(path)]) == 0
-    assert "relative error about" in capsys.readouterr().out
-    assert main(["simulate", str(path), "--set", "accuracy.method=three_eights"]) == 2
-    assert "did you mean 'three_eighths'" in capsys.readouterr().err

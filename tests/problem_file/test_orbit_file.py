@@ -49,7 +49,7 @@ def test_what_no_orbit_has_is_refused_at_its_line(changed, blames, form, fragmen
 
 
 def test_a_duration_belongs_to_a_transient(changed, blames):
-    blames(changed(orbit('"periodic"')[1]), "duration =", "duration of its own, one wavelength", "leave it out")
+    blames(changed(orbit('"periodic"')[1]), "duration =", "orbit", "one wavelength")
 
 
 @pytest.mark.parametrize(
@@ -59,8 +59,8 @@ def test_a_duration_belongs_to_a_transient(changed, blames):
         ('start = "rest"', "an orbit has no start"),
         ('tow_ramp = "0.2 s"', "an orbit has no start"),
         ('start = "towed"\nentry = true', "an orbit has no start"),
-        ('contact = "stick_slip"', "an orbit takes contact = 'resisting'"),
-        ('formulation = "printed"', "repelling spring has no lasting orbit"),
+        ('contact = "stick_slip"', "an orbit needs contact = 'resisting'"),
+        ('formulation = "printed"', "repelling spring has no periodic orbit"),
     ],
 )
 def test_effects_that_exclude_an_orbit_are_refused_in_one_line(changed, refusal, effects, piece):

@@ -84,7 +84,7 @@ REFUSED = [
     ("scene.outputs=1000000", "'scene.outputs' = 1000000 must be at most 100000"),
     ("scene..tow_speed=2 m/s", "'scene..tow_speed' is not a key"),
     ("accuracy.error='1e-6'", "'accuracy.error' = '1e-6' must be a number"),
-    ("effects.motion=false", "damping needs motion", "leave it out"),
+    ("effects.motion=false", "damping needs motion", "omit it"),
     ("soil.name=hardpn", "no soil is named 'hardpn'", "did you mean 'hardpan'?"),
     ("accuracy.method=cvode", "is named 'cvode'", "did you mean 'cvodes'?"),
     ("title=3", "'title' = 3 must be a text in quotes"),

@@ -133,7 +133,7 @@ def test_fixed_values_are_refused_whatever_the_others_are(cotton, blames, angle,
 
 def test_damping_in_a_quasi_static_scene_is_refused_where_motion_is_taken(changed, blames):
     text = changed(("[effects]", "[effects]\nmotion = false"))
-    blames(text, "motion =", "damping needs motion: in a quasi-static scene the mount never moves, so leave it out")
+    blames(text, "motion =", "damping needs motion: in a quasi-static scene the mount never moves, so omit it")
 
 
 def test_a_variable_whose_dots_are_not_quoted_is_read_all_the_same(changed, read):

@@ -1,4 +1,4 @@
-"""Effects: what a scene contains, and how each of them enters the equation of motion, in the order of `TERMS`."""
+"""Effects of a scene, and their terms in the equation of motion."""
 
 from plough_opt.motion.effects.damping import Damping
 from plough_opt.motion.effects.effects import MOST_HARMONICS, Effects, HarmonicBalance
@@ -21,4 +21,4 @@ __all__ = [
 TERMS: tuple[type[Term], ...] = (
     StrengthWaves, RateTerm, InertialDrag, Entry, SmoothContact, StickSlipContact, Own, TowRamp, Damping,
 )  # fmt: skip
-"""The effects in the order in which they make up the resistance."""
+"""Classes of all terms, in the order in which the resistance is built up from them."""

@@ -8,7 +8,7 @@ from plough_opt.motion.effects.term import Parameters, Rates, Term
 
 
 class Damping(Term):
-    """Force c z' of the mount on the share, beside the spring's."""
+    """Damping force c z' of the mount on the share, added to that of the spring."""
 
     label = field = "damping"
     names = ("damping",)

@@ -1,4 +1,4 @@
-"""Effects: what a scene contains, and what excludes what."""
+"""Effects: the choice of effects in a scene, and checks of which exclude each other."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -22,10 +22,10 @@ MOST_HARMONICS = 64
 
 @dataclass(frozen=True)
 class HarmonicBalance:
-    """The lasting orbit approximated by a mean and harmonics of the strength wave's frequency.
+    """Approximation of the periodic orbit by a mean and harmonics of the strength wave's frequency.
 
     Args:
-        harmonics: their number, from 1 to 64.
+        harmonics: number of harmonics, from 1 to 64.
 
     Example:
         >>> import plough_opt as po
@@ -43,35 +43,35 @@ class HarmonicBalance:
 
 @dataclass(frozen=True)
 class Effects:
-    """Which effects a scene contains. What is off adds no node, state or parameter to the equation of motion.
+    """Choice of the effects in a scene. An effect that is off adds no node, state or parameter to the equation.
 
     Args:
-        motion: integrate the equation of motion; False: quasi-static, the share follows the strut rigidly
-            and the draft is the soil's resistance to it, without the force M s'' that a ramp takes.
-        inertial_drag: the resistance's part B rho0 L'^2.
-        added_mass: the soil that the share carries along, C rho0 h L''.
-        ambient_pressure: the soil's ambient pressure p_a in A; False takes p_a = 0.
-        contact: ``"resisting"``: the resistance always points backwards, as printed in (27). It would
-            push a resting or retreating share, so a run in which that happens carries a warning. `Smooth` and
-            `StickSlip` only ever resist.
+        motion: integrate the equation of motion; False: quasi-static, the share follows the strut rigidly and the draft
+            is the soil's resistance, without the force M s'' that a ramp would need.
+        inertial_drag: include the resistance B rho0 L'^2.
+        added_mass: include the soil that the share carries along, C rho0 h L''.
+        ambient_pressure: include the soil's ambient pressure p_a in A; False sets p_a = 0.
+        contact: ``"resisting"``: the resistance always points backwards, as printed in (27). It would also push a
+            resting or retreating share, so a run in which that happens carries a warning. Under `Smooth` and
+            `StickSlip` the soil never pushes.
         start: ``"equilibrium"``: at the steady deflection for the strut's initial speed; ``"rest"``: travel and
             speed of the share zero, spring relaxed; ``"towed"``: travel zero, spring relaxed, at the strut's speed.
-        entry: the share enters at travel 0: its resistance is that of the buried length H = min(max L, h), F0 and
-            Fd with H^2 and the added mass with H^3. Starts at ``"rest"`` or ``"towed"``.
-        strength_wave: periodic soil strength along the path; a tuple of several waves, whose sum multiplies F0 and must
-            leave it at least 0 along the path; or None.
+        entry: the share enters the soil at travel 0. With the buried length H = min(max L, h), F0 and Fd grow as H^2
+            and the added mass as H^3. Needs the start ``"rest"`` or ``"towed"``.
+        strength_wave: periodic soil strength along the path: a wave, or a tuple of several whose sum multiplies F0 and
+            must keep it at least 0; or None.
         random_strength: random soil strength along the path, as a `RandomStrength` or a tabulated `Spectrum`, or None.
-            It counts in `Scene.stationary_force_rms` and the like, and not in a simulated motion.
-        tow_ramp: time [s] in which the strut's speed rises from 0 by a C2 smoothstep; None or 0: none. Of
-            an expression 0 is a ramp too short to matter, 1e-9 s, so that it has derivatives.
+            It enters stationary results such as `Scene.stationary_force_rms`, not the simulated motion.
+        tow_ramp: time [s] in which the strut's speed rises from 0 by a C2 smoothstep; None or 0: full speed from the
+            start. An expression with the value 0 means 1e-9 s, too short to matter, so that derivatives exist.
         damping: viscous damper c in the mount [N s/m], or None.
         rate_term: kappa [s^2/m^2] of F0 (1 + kappa L'^2), for calibration, or None. Not in the source.
-        own: resistances of the user's own classes, added to the soil's: see `OwnResistance`.
-        orbit: ``"transient"``: from the start over the duration; ``"periodic"``: the lasting orbit under the strength
-            wave, one wavelength of it, which needs no duration; ``"linearised"``: its linear forced response in
-            closed form; `HarmonicBalance`: its first harmonics.
-        formulation: ``"derived"``; ``"printed"``: equations (25)-(27) with the print's errors, to show what
-            they do; or a `Printed` with some of them. It is not physics, and a run says so.
+        own: resistances of the user's own classes, added to that of the soil: see `OwnResistance`.
+        orbit: ``"transient"``: motion from the start over the duration; ``"periodic"``: one wavelength of the periodic
+            orbit under the strength wave, without a duration; ``"linearised"``: the linear forced response in closed
+            form; `HarmonicBalance`: the first harmonics. The last two approximate the periodic orbit.
+        formulation: ``"derived"``; ``"printed"``: equations (25)-(27) with the errors of the print, to show their
+            effect; or a `Printed` with some of them. Printed equations are not physics, and a run warns of it.
 
     Raises:
         InputError: an unknown choice, or effects that exclude each other; the message says why.
@@ -100,9 +100,9 @@ class Effects:
     formulation: Formulation = "derived"
 
     def __post_init__(self) -> None:
-        self._check_kinds()
-        laws = isinstance(self.contact, Smooth | StickSlip)
-        if not (laws or (isinstance(self.contact, str) and self.contact == "resisting")):
+        self._check_types()
+        resisting = isinstance(self.contact, str) and self.contact == "resisting"
+        if not resisting and not isinstance(self.contact, Smooth | StickSlip):
             raise InputError(
                 f"contact = {shown(self.contact)} must be 'resisting', Smooth(width) or StickSlip(breakaway)"
             )
@@ -112,17 +112,17 @@ class Effects:
         check_choice("start", self.start, ("equilibrium", "rest", "towed"))
         read_fields(self, **{name: f"effects.{name}" for name in ("tow_ramp", "damping", "rate_term")})
         if not self.motion:
-            self._refuse_without_motion()
+            self._check_quasi_static()
         if self.entry and self.start == "equilibrium":
-            raise InputError("entry begins at first contact, where nothing is steady: take start = 'rest' or 'towed'")
+            raise InputError("entry begins at first contact, before any steady state: use start = 'rest' or 'towed'")
         check_own(self.own, resting=isinstance(self.contact, StickSlip))
         if self.orbit != "transient":
-            self._refuse_on_an_orbit()
+            self._check_orbit()
         if self.printed.repelling_spring and self.contact != "resisting":
-            raise InputError("the print knows no contact law: its repelling spring goes with contact = 'resisting'")
+            raise InputError("the print has no contact law: use contact = 'resisting' with its repelling spring")
 
-    def _check_kinds(self) -> None:
-        """Refuse a switch that is neither on nor off, and a strength wave that is none."""
+    def _check_types(self) -> None:
+        """Raise InputError if a switch or a strength has the wrong type; make switches bool."""
         for name in ("motion", "inertial_drag", "added_mass", "ambient_pressure", "entry"):
             value = getattr(self, name)
             check_switch(name, value)
@@ -130,49 +130,49 @@ class Effects:
         several = isinstance(self.strength_wave, tuple)
         if (several and not self.strength_wave) or not all(isinstance(wave, StrengthWave) for wave in self.waves):
             raise InputError(
-                f"strength_wave = {shown(self.strength_wave)} must be None or a StrengthWave, as"
+                f"strength_wave = {shown(self.strength_wave)} must be None or a StrengthWave, such as"
                 " StrengthWave(amplitude=0.3, wavelength=0.2), or a tuple of several"
             )
-        wanted = "None, a RandomStrength, as RandomStrength(rms=0.2, correlation_length=0.3), or a Spectrum"
+        wanted = "None, a RandomStrength such as RandomStrength(rms=0.2, correlation_length=0.3), or a Spectrum"
         check_kind("random_strength", self.random_strength, RandomStrength | Spectrum | None, wanted)
         if len(self.waves) > MOST_WAVES:
-            raise InputError(f"strength_wave has {len(self.waves)} waves: give the {MOST_WAVES} largest at most")
+            raise InputError(f"strength_wave has {len(self.waves)} waves: give at most the {MOST_WAVES} largest")
 
-    def _refuse_on_an_orbit(self) -> None:
-        """Refuse what a lasting orbit cannot have."""
+    def _check_orbit(self) -> None:
+        """Raise InputError if a periodic orbit, or an approximation of it, cannot have one of the effects."""
         if not self.motion:
             raise InputError("an orbit needs motion: a quasi-static share repeats itself from the start")
         if self.strength_wave is None:
-            raise InputError("an orbit needs a strength_wave: without one the share comes to slide steadily")
+            raise InputError("an orbit needs a strength_wave: without one the share ends up sliding steadily")
         turns = self.turns
         if len(self.waves) > 1 and self.own:
-            raise InputError("an orbit under several strength waves takes no own resistances: simulate from a start")
+            raise InputError("an orbit under several strength waves cannot have own resistances: simulate from a start")
         if isinstance(self.orbit, HarmonicBalance) and self.orbit.harmonics < max(turns):
             raise InputError(
-                f"the shortest strength wave turns {max(turns)} times in the period of all: take"
+                f"the shortest strength wave turns {max(turns)} times in the common period: use"
                 f" HarmonicBalance({max(turns)}) or more"
             )
         if self.contact != "resisting":
-            raise InputError("an orbit takes contact = 'resisting': simulate other contact laws from a start, for long")
+            raise InputError("an orbit needs contact = 'resisting': simulate other contacts from a start until settled")
         if self.start != "equilibrium" or self.tow_ramp is not None or self.entry:
-            raise InputError("an orbit has no start: leave start, tow_ramp and entry out")
+            raise InputError("an orbit has no start: omit start, tow_ramp and entry")
         if self.printed.repelling_spring:
-            raise InputError("the print's repelling spring has no lasting orbit: take formulation = 'derived'")
+            raise InputError("the print's repelling spring has no periodic orbit: use formulation = 'derived'")
 
-    def _refuse_without_motion(self) -> None:
-        """Refuse what a quasi-static scene cannot have."""
+    def _check_quasi_static(self) -> None:
+        """Raise InputError if a quasi-static scene cannot have one of the effects."""
         if self.start != "equilibrium":
             raise InputError(
                 f"start = '{self.start}' needs motion: a quasi-static share follows the strut from the start"
             )
         if self.damping is not None:
-            raise InputError("damping needs motion: in a quasi-static scene the mount never moves, so leave it out")
+            raise InputError("damping needs motion: in a quasi-static scene the mount never moves, so omit it")
         if self.contact != "resisting":
             raise InputError("a contact law needs motion: a quasi-static share never stops or retreats")
         if self.printed.repelling_spring:
             raise InputError(
-                "the print's repelling spring needs motion: a share that it repels never follows the strut, so there"
-                " is not a quasi-static limit; take formulation = 'derived'"
+                "the print's repelling spring needs motion: a repelled share never follows the strut, so there is no"
+                " quasi-static limit; use formulation = 'derived'"
             )
 
     @property
@@ -184,20 +184,20 @@ class Effects:
 
     @property
     def turns(self) -> tuple[int, ...]:
-        """How often each strength wave turns before all repeat themselves together: see `turns_of`."""
+        """Number of periods of each strength wave in the period common to all: see `turns_of`."""
         return turns_of(self.waves)
 
     @property
     def printed(self) -> Printed:
-        """Which errors of the print are kept: none, unless the formulation says so."""
+        """Errors of the print that the formulation keeps; none unless it says so."""
         return errors_of(self.formulation)
 
     @property
     def events(self) -> bool:
-        """Whether the motion has events that an integrator must find: stick and slip, or the end of entry."""
+        """Whether the motion has events that an integrator must locate: stick and slip, or the end of entry."""
         return self.entry or isinstance(self.contact, StickSlip)
 
     @property
     def ramps(self) -> bool:
-        """Whether the strut's speed ramps up; a ramp of zero duration is not a ramp."""
+        """Whether the strut's speed ramps up. A ramp of zero duration does not count."""
         return self.tow_ramp is not None and (is_symbolic(self.tow_ramp) or bool(np.any(as_number(self.tow_ramp) > 0)))

@@ -7,7 +7,7 @@ from plough_opt.motion.effects.term import Parameters, Place, Term, Towed
 
 
 class Entry(Term):
-    """Resistance of the part of the share that is in the soil."""
+    """Factor (H/h)^2 on the resistance of a share of height h with the length H in the soil."""
 
     label = field = "entry"
     names = ("height",)
@@ -25,10 +25,10 @@ class Entry(Term):
         return force if at.travel is None else self.buried(p, at.travel) ** 2 * force
 
     def buried(self, p: Parameters, travel: Expression) -> Expression:
-        """Return the part H/h of the share's height that is in the soil [-], which its furthest travel decides.
+        """Return the fraction H/h of the share's height that is in the soil [-]; it follows from the furthest travel.
 
-        In the differential equation the state ``entered`` decides: rounding of the time at which the share is wholly in
-        the soil would else leave the slope of the wrong side.
+        The differential equation has the state ``entered``, which sets it to 1. Otherwise rounding of the time at which
+        the share is fully in the soil could select the slope before that time.
         """
         entering = maximum((travel + p.get("behind", 0.0)) / p["height"], 0.0)
         return where(p["entered"] > 0.5, 1.0, entering) if "entered" in p else minimum(entering, 1.0)

@@ -1,4 +1,4 @@
-"""The part of the soil's resistance that is its inertia: it grows with the squared speed."""
+"""Inertial resistance of the soil, which grows with the squared speed."""
 
 from typing import Any
 

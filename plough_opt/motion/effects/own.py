@@ -1,4 +1,4 @@
-"""Resistances of a user's own class, in the equation of motion like the built-in ones."""
+"""Resistances of a user's own class, which enter the equation of motion like the built-in ones."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from plough_opt.core.expressions import (
 )
 from plough_opt.motion.effects.term import Parameters, Place, Rates, Term, Towed
 
-# What prints all that it is, or its own place in memory, beside single numbers and expressions.
+# Types whose repr is complete or holds their address in memory, so that different values print differently.
 _DISTINCT = (str, bool, int, float, type(None), np.generic, Enum, type, FunctionType, BuiltinFunctionType, np.ufunc)
-# Differences of travel [m] and speed [m/s] by which slopes that only choose steps are measured.
+# Differences of travel [m] and speed [m/s] for slopes that only choose the number of steps.
 _DIFFERENCE = 1e-4
 
 
 @runtime_checkable
 class OwnResistance(Protocol):
-    """A resistance that the toolkit does not know, such as that of the shank: a frozen dataclass with this method.
+    """Resistance of the user's own, such as that of the shank: a frozen dataclass with this method.
 
-    Its fields are what it needs: single numbers or expressions, tuples of them, text, switches or functions. Effects of
-    one class are distinguished by their repr, so that arrays and tables are refused. For example::
+    Its fields may be single numbers or expressions, tuples of them, text, switches or functions. Effects of one class
+    are distinguished by their repr, so arrays and tables are not allowed. For example::
 
         @dataclass(frozen=True)
         class Shank:
@@ -62,37 +62,37 @@ class OwnResistance(Protocol):
 
         Under `StickSlip` it acts while the share slips, and is zero in a gap, like the soil.
 
-        Written with arithmetic and the functions of `plough_opt.core.expressions`, so that it takes symbols.
+        Use arithmetic and the functions of `plough_opt.core.expressions` only, so that symbols work too.
         """
 
 
 OWN_EFFECTS: Final[dict[str, type[OwnResistance]]] = {}
-"""Name -> class of own effects that problem files may name; a field's metadata gives its unit: {"unit": "N"}."""
+"""Name in problem files -> class of an own effect. The metadata of a field gives its unit: {"unit": "N"}."""
 
 
 @runtime_checkable
 class RestingResistance(OwnResistance, Protocol):
-    """An own resistance that says what it is at rest too, as `StickSlip` needs it."""
+    """Own resistance that also holds a resting share, as `StickSlip` requires."""
 
     def at_rest(self, travel: Expression) -> Expression:
-        """Return the largest force [N] that holds a resting share at a travel L [m], no less than `force` at no speed.
+        """Return the largest force [N] that holds a resting share at a travel L [m]; at least `force` at speed 0.
 
-        Written like `force`.
+        Write it like `force`.
         """
 
 
 def check_own(own: Any, resting: bool) -> None:
-    """Refuse own resistances of the wrong type, without a distinct repr, or without ``at_rest``.
+    """Check the own resistances of an `Effects`.
 
     Args:
-        own: of a scene's `Effects`.
-        resting: whether the contact law needs to know what they are at rest.
+        own: the value of its field ``own``.
+        resting: whether the contact law lets a share rest, so that ``at_rest`` is required.
 
     Raises:
-        InputError: as said.
+        InputError: they have the wrong type, a repr that may not be distinct, or no ``at_rest`` where it is required.
     """
     if not isinstance(own, tuple):
-        raise InputError(f"own = {shown(own)} must be a tuple of effects, as (Shank(150.0, 80.0),)")
+        raise InputError(f"own = {shown(own)} must be a tuple of effects, such as (Shank(150.0, 80.0),)")
     for effect in own:
         name = type(effect).__name__
         if isinstance(effect, type) or not (is_dataclass(effect) and isinstance(effect, OwnResistance)):
@@ -101,20 +101,20 @@ def check_own(own: Any, resting: bool) -> None:
             )
         if (found := _indistinct(effect)) is not None:
             raise InputError(
-                f"own effect {name} holds {found}, and effects are compared by their repr, which may be the same for"
-                " another one: give single numbers, or tuples of them, and wrap a lookup table in a function, as"
-                " lambda travel: table(travel)"
+                f"own effect {name} holds {found}; effects are compared by their repr, which may be the same for two"
+                " different values: use single numbers or tuples of them, and wrap a lookup table in a function, such"
+                " as lambda travel: table(travel)"
             )
         if resting and not isinstance(effect, RestingResistance):
             raise InputError(
-                f"own effect {name} does not say what it is at rest or in a gap: give it a method at_rest(travel), the"
-                " largest force that it holds a resting share with; it is then zero in a gap, like the soil; or take"
+                f"own effect {name} does not define its force at rest: add a method at_rest(travel) that returns the"
+                " largest force with which it holds a resting share (in a gap it is zero, like the soil), or use"
                 " contact = 'resisting' or Smooth"
             )
 
 
 def _indistinct(item: Any) -> str | None:
-    """Return the type of something in an own effect that two different effects may print alike, if any."""
+    """Return the type of a value, in an own effect, whose repr may not be distinct; None if there is none."""
     inner: Iterable[Any] = ()
     if is_dataclass(item) and not isinstance(item, type):
         inner = [getattr(item, each.name) for each in fields(item)]
@@ -124,27 +124,27 @@ def _indistinct(item: Any) -> str | None:
         inner = item
     elif is_casadi(item):
         return None if item.numel() == 1 else f"a column of type {type(item).__name__}"
-    elif not isinstance(item, _DISTINCT) and not _prints_its_place(item):
+    elif not isinstance(item, _DISTINCT) and not _prints_its_address(item):
         return f"a value of type {type(item).__name__}"
     return next((found for each in inner if (found := _indistinct(each)) is not None), None)
 
 
-def _prints_its_place(item: Any) -> bool:
-    """Return whether something prints by its place in memory, as objects do unless they say otherwise."""
+def _prints_its_address(item: Any) -> bool:
+    """Return whether an object has Python's default repr, which holds its address in memory."""
     printed: object = type(item).__repr__
     return printed is object.__repr__
 
 
 @dataclass(frozen=True)
 class Own(Term):
-    """An own resistance with placeholders for its quantities: what it contains, apart from numbers.
+    """Own resistance with placeholders for its numbers.
 
     Attributes:
-        number: its place among a scene's own effects.
+        number: its index among a scene's own effects.
         kind: its class.
-        text: how it prints with placeholders, which print alike.
-        count: number of its quantities.
-        template: itself, with placeholders.
+        text: its repr with placeholders; all placeholders print alike.
+        count: number of its numbers and expressions.
+        template: the effect with placeholders.
     """
 
     number: int
@@ -170,37 +170,37 @@ class Own(Term):
         return own + force
 
     def hold(self, force: Expression, at: Place, p: Parameters) -> Expression:
-        assert at.travel is not None  # a share at rest is somewhere
+        assert at.travel is not None  # None only describes steady sliding
         return force + self.at_rest(p, at.travel)
 
     def force(self, p: Parameters, travel: Expression, speed: Expression) -> Expression:
         """Return the resistance [N].
 
         Raises:
-            InputError: the user's class returns something else.
+            InputError: the user's method returns neither a number nor an expression.
         """
-        return self._value("force", p, travel, speed)
+        return self._call("force", p, travel, speed)
 
     def at_rest(self, p: Parameters, travel: Expression) -> Expression:
-        """Return the largest force [N] that it holds a share at rest with.
+        """Return the largest force [N] with which it holds a resting share.
 
         Raises:
-            InputError: the user's class returns something else.
+            InputError: the user's method returns neither a number nor an expression.
         """
-        return self._value("at_rest", p, travel)
+        return self._call("at_rest", p, travel)
 
-    def _value(self, method: str, p: Parameters, *at: Expression) -> Expression:
-        """Return what a method of the user's class gives at travel, and at speed if it takes one."""
+    def _call(self, method: str, p: Parameters, *at: Expression) -> Expression:
+        """Return the value of a method of the user's class at a travel, and at a speed if it takes one."""
         values = (p[name] for name in self.names)
         effect: OwnResistance = map_expressions(self.template, lambda _: next(values))
         found: Expression = getattr(effect, method)(*at)
         if not (is_quantity(found) or isinstance(found, np.ndarray)) or _size(found) not in {1, *map(_size, at)}:
             raise InputError(
-                f"{self.kind.__name__}.{method} returned {found!r}: an own effect returns its resistance [N], a number"
-                " or an expression of travel and speed"
+                f"{self.kind.__name__}.{method} returned {found!r}: an own effect must return its resistance [N], a"
+                " number or an expression of travel and speed"
             )
         if isinstance(found, ca.DM) and not is_casadi(at[0]):
-            # CasADi's own functions of an array, as a table is one, give a column.
+            # A CasADi function of an array, such as an interpolation table, returns a DM column.
             number = as_number(found)
             return float(number) if number.ndim == 0 else number
         return found
@@ -215,7 +215,7 @@ def _size(value: Expression) -> int:
 
 
 def slopes(own: Sequence[Own], p: Parameters) -> dict[str, float]:
-    """Return the steepest slopes of own resistances, by travel [N/m] and by speed [N s/m], at rest and at tow speed."""
+    """Return the steepest slopes of own resistances by travel [N/m] and speed [N s/m], at speed 0 and the tow speed."""
     steepest = {"own_stiffness": 0.0, "own_damping": 0.0}
     for speed in (0.0, float(as_number(p["tow_speed"]))):
         for name, dx, dv in (("own_stiffness", _DIFFERENCE, 0.0), ("own_damping", 0.0, _DIFFERENCE)):

@@ -1,4 +1,4 @@
-"""Static resistance that grows with the squared speed, as a calibration may ask for it."""
+"""Static resistance that grows with the squared speed, for calibration."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Contact `Smooth`: soil that resists only a share that moves forwards, without memory."""
+"""Contact `Smooth`: one-sided resistance without memory."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,12 +12,12 @@ from plough_opt.motion.effects.term import Parameters, Place, Rates, Term, Towed
 class Smooth:
     """One-sided contact without memory: the resistance is multiplied by a smooth step of the share's speed.
 
-    The step is 0 for L' <= 0 and 1 above the width w, u^5 (126 - 420 u + 540 u^2 - 315 u^3 + 70 u^4) with u = L'/w
-    between, smooth enough at both ends that second derivatives of a run keep their digits. It tends to `StickSlip`
-    for a width that tends to 0, but only where no gap opens.
+    With u = L'/w for the width w, the step is 0 for u <= 0, u^5 (126 - 420 u + 540 u^2 - 315 u^3 + 70 u^4) up to u = 1,
+    and 1 beyond. It is so smooth at both ends that second derivatives of a run keep their digits. As the width tends
+    to 0 the motion tends to that of `StickSlip`, provided that no gap opens.
 
     Args:
-        width: speed [m/s] above which the soil resists fully, above 0.
+        width: speed w [m/s] above which the soil resists fully, above 0.
 
     Example:
         >>> import plough_opt as po
@@ -31,15 +31,15 @@ class Smooth:
         read_fields(self, width="effects.contact_width")
 
     def step(self, speed: Expression) -> tuple[Expression, Expression]:
-        """Return the step at a speed of the share [m/s], from 0 to 1, and its slope by that [s/m]."""
+        """Return the step at a speed of the share [m/s], from 0 to 1, and its derivative [s/m]."""
         u = minimum(maximum(speed / self.width, 0.0), 1.0)
-        # Four derivatives vanish at the ends, so that steps which cross one keep the digits of second derivatives.
+        # Four derivatives vanish at each end, so integration steps across an end keep the digits of second derivatives.
         step = u**5 * (126.0 + u * (u * (540.0 + u * (70.0 * u - 315.0)) - 420.0))
         return step, 630.0 * (u * (1.0 - u)) ** 4 / self.width
 
 
 class SmoothContact(Term):
-    """Factor `Smooth.step` on all resistance of the soil."""
+    """Factor `Smooth.step` on the whole resistance of the soil."""
 
     label, field = "smooth contact", "contact"
     names = ("width",)
@@ -63,6 +63,6 @@ class SmoothContact(Term):
     def rates(p: Parameters) -> Rates:
         if "width" not in p:
             return Rates()
-        # Steepest slope of the step, at its strongest soil.
+        # Steepest slope of the step, in the strongest soil along the path.
         strongest = 1.0 + sum(value for name, value in p.items() if name.startswith("wave_amplitude"))
         return Rates(steepest=315.0 / 128.0 * p["static"] * strongest / p["width"])

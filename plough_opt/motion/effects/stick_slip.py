@@ -1,4 +1,4 @@
-"""Contact `StickSlip`: soil that only resists, with the events that come of it."""
+"""Contact `StickSlip`: soil that only resists; the share slips, sticks or leaves a gap."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,22 +10,25 @@ from plough_opt.motion.effects.term import Parameters, Place, Term, Towed
 
 @dataclass(frozen=True)
 class StickSlip:
-    """Soil that keeps its density on unloading, and so cannot push: the share slips, sticks, or leaves a gap.
+    """Contact with soil that keeps its density on unloading and so cannot push the share.
 
-    * Slip, L' > 0 at the furthest point: the resistance of (25). Where L' falls to 0 the share sticks if the mount
-      force P lies between 0 and ``breakaway`` times the static resistance, leaves a gap if P < 0, and else slips on.
-    * Stick, L' = 0: until P reaches ``breakaway`` F0(L), or 0.
-    * Gap, behind the furthest point: no soil and no added mass; at the furthest point the share takes up the added
-      mass, m v = (m + m_a) v', and slips on.
+    The share is in one of three modes:
 
-    CasADi says on the error stream, whenever an integrator with events or a derivative of one is built, that its
-    support of them is experimental; a library leaves a program's streams alone. Every run is checked by a second one.
+    * Slip, L' > 0 at the furthest point: the resistance of (25) acts. When L' falls to 0, the share sticks if the mount
+      force P lies between 0 and ``breakaway`` times the static resistance, leaves a gap if P < 0, and otherwise slips
+      on.
+    * Stick, L' = 0: lasts until P reaches ``breakaway`` F0(L), or 0.
+    * Gap, behind the furthest point: neither soil nor added mass act. Back at the furthest point the share picks up the
+      added mass, m v = (m + m_a) v', and slips on.
 
-    Derivatives are those through the times at which it moves and stops; CasADi has the second ones of a gradient only:
-    see `plough_opt.simulate`.
+    When an integrator with events, or a derivative of one, is built, CasADi prints on the error stream that its support
+    of events is experimental. The toolkit does not redirect a program's streams. Every run is checked by a second one.
+
+    Derivatives include those of the times at which the share stops and breaks loose. CasADi provides second derivatives
+    of a gradient only: see `plough_opt.simulate`.
 
     Args:
-        breakaway: resistance at which a sticking share moves, over the static resistance [-], at least 1.
+        breakaway: ratio of the force at which a sticking share breaks loose to the static resistance [-], at least 1.
 
     Example:
         >>> import plough_opt as po
@@ -40,7 +43,7 @@ class StickSlip:
 
 
 class StickSlipContact(Term):
-    """Factor ``breakaway`` on the soil's resistance to a share at rest; the equation of motion has its modes."""
+    """Factor ``breakaway`` on the force that holds a resting share; the modes are part of the equation of motion."""
 
     label, field = "stick and slip", "contact"
     names = ("breakaway",)

@@ -15,8 +15,8 @@ class StrengthWaves(Term):
 
     Attributes:
         count: number of waves.
-        phased: whether any has a phase.
-        turns: on an orbit under several waves, how often each turns before all repeat themselves together; else ().
+        phased: whether any wave has a phase.
+        turns: periods of each wave in the common period, for an orbit under several waves; otherwise ().
     """
 
     count: int
@@ -50,23 +50,23 @@ class StrengthWaves(Term):
         total: Expression = 0.0
         for k in range(self.count):
             amplitude, length, phase = wave_names(k)
-            # On an orbit all lengths follow from the first one's, so that they stay commensurate.
+            # On an orbit all wavelengths follow from the first one, so that they stay commensurate.
             turn = 2.0 * math.pi * self.turns[k] / self.repeats(p) if self.turns else 2.0 * math.pi / p[length]
             angle = turn * at.travel + p[phase] if self.phased else turn * at.travel
             total = total + p["static"] * p[amplitude] * sin(angle)
         return force + at.varying(total)
 
     def repeats(self, p: Parameters) -> Expression:
-        """Return the length [m] after which the soil of an orbit repeats itself."""
+        """Return the length [m] of path after which the soil of an orbit repeats itself."""
         return p["wavelength"] * self.turns[0] if self.turns else p["wavelength"]
 
     @staticmethod
     def imposed(p: Parameters) -> list[Any]:
-        # The wave is a sine of the travel, to which the share's own oscillation adds harmonics.
+        # Twice the wave's frequency: the force is a sine of the travel, whose oscillation adds harmonics.
         return [4.0 * math.pi * p["tow_speed"] / length for name, length in p.items() if name.startswith("wavelength")]
 
 
 def wave_names(k: int) -> tuple[str, str, str]:
-    """Return the names of amplitude, wavelength and phase of a strength wave, counted from 0."""
+    """Return the names of amplitude, wavelength and phase of strength wave k, counted from 0."""
     number = "" if k == 0 else f"_{k + 1}"
     return f"wave_amplitude{number}", f"wavelength{number}", f"wave_phase{number}"

@@ -1,4 +1,4 @@
-"""How an effect enters the equation of motion: the base class of all of them, a user's own included."""
+"""Term of an effect in the equation of motion: the base class of all effects, including a user's own."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from plough_opt.laws.law import SoilReaction
 from plough_opt.soil.geometry import Cone
 
 Parameters = Mapping[str, Expression]
-"""Numbers or symbols of an equation, by name."""
+"""Parameters of an equation of motion by name: numbers or symbols."""
 
 
 class Towed(Protocol):
-    """The part of a scene that effects read."""
+    """Attributes of a scene that effects read."""
 
     @property
     def effects(self) -> Any:
-        """Its `Effects`."""
+        """`Effects` of the scene."""
 
     @property
     def cone(self) -> Cone:
@@ -27,14 +27,15 @@ class Towed(Protocol):
 
     @property
     def reaction(self) -> SoilReaction:
-        """Resistance of the soil."""
+        """Reaction of the soil."""
 
 
 @dataclass(frozen=True)
 class Changed:
-    """A quantity as its value at the start and the change since: what does not change cancels on paper.
+    """A quantity as the sum of its value at the start and its change since then.
 
-    It takes the place of an expression in the sums and products of resistances.
+    It replaces an expression in the sums and products of resistances. Constant parts then cancel algebraically instead
+    of in floating point.
     """
 
     first: Expression
@@ -58,11 +59,11 @@ class Changed:
 
 
 class Place(NamedTuple):
-    """Where a share is, and how fast.
+    """Position and speed of a share.
 
     Attributes:
-        travel: L [m]; None of a buried share that slides steadily, through soil of the mean strength.
-        speed: L' [m/s]; as `Changed` where the resistance is wanted as its change from an equilibrium start.
+        travel: L [m]; None for a buried share that slides steadily through soil of the mean strength.
+        speed: L' [m/s]; a `Changed` to compute the change of resistance since an equilibrium start.
     """
 
     travel: Expression | None
@@ -70,15 +71,15 @@ class Place(NamedTuple):
 
     @property
     def squared_speed(self) -> Expression:
-        """The share's speed, squared."""
+        """Square of the speed."""
         return cast(Expression, self.speed.squared() if isinstance(self.speed, Changed) else self.speed**2)
 
     def varying(self, value: Expression) -> Expression:
-        """Return a quantity whose mean along the path is zero, and which an equilibrium start leaves out."""
+        """Return a quantity that averages to zero along the path, and so does not count at an equilibrium start."""
         return cast(Expression, Changed(0.0, value)) if isinstance(self.speed, Changed) else value
 
     def of(self, function: Callable[..., Expression]) -> Expression:
-        """Return a function of travel and speed."""
+        """Return the value of a function of travel and speed."""
         if not isinstance(self.speed, Changed):
             return function(0.0 if self.travel is None else self.travel, self.speed)
         first = function(0.0, self.speed.first)
@@ -87,12 +88,12 @@ class Place(NamedTuple):
 
 
 class Rates(NamedTuple):
-    """How an effect moves a share, for the choice of steps.
+    """Slopes of an effect's force, from which the number of steps is chosen.
 
     Attributes:
-        stiffness: steepest slope of its force by the travel [N/m], beside the mount's.
-        damping: slope by the speed [N s/m], as long as the share slides.
-        steepest: the same, that it only reaches somewhere.
+        stiffness: steepest slope by travel [N/m].
+        damping: slope by speed [N s/m] of a share that slides.
+        steepest: slope by speed [N s/m] that occurs only at some speeds.
     """
 
     stiffness: Any = 0.0
@@ -100,20 +101,20 @@ class Rates(NamedTuple):
     steepest: Any = 0.0
 
 
-_NOTHING = Rates()
+_NO_RATES = Rates()
 
 
 @dataclass(frozen=True)
 class Term:
-    """An effect in the equation of motion, apart from numbers. What a class does not say leaves the equation alone.
+    """An effect in the equation of motion, without numbers. Methods that a class does not override have no influence.
 
     Attributes:
-        label: its name in tables; "" for an effect that they leave out.
-        field: of `Effects` that switches it on, or gives its only number.
-        names: of its parameters.
-        state: name of the state that is 0 until the effect is over, and then 1.
-        kinked: whether it is not smooth where a share may come, so that steps of order 8 lose their order.
-        events: whether it interrupts the motion by events, which an integrator must find.
+        label: its name in tables; "" for an effect that tables omit.
+        field: the field of `Effects` that switches it on, or holds its only number.
+        names: names of its parameters.
+        state: name of a state that is 0 until the effect is over and 1 afterwards; "" without one.
+        kinked: whether the force has a kink that a share may reach, where steps of order 8 lose their order.
+        events: whether it interrupts the motion by events that an integrator must locate.
     """
 
     label: ClassVar[str] = ""
@@ -124,46 +125,46 @@ class Term:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of its parameters."""
+        """Names of the parameters."""
         return ()
 
     @classmethod
     def of(cls, scene: Towed) -> Sequence[Term]:
-        """Return the terms of a scene, none where the effect is off."""
+        """Return the terms of a scene; none if the effect is off."""
         value = getattr(scene.effects, cls.field)
         return () if value is None or value is False else (cls(),)
 
     def values(self, scene: Towed) -> dict[str, Expression]:
-        """Return its parameters in a scene, by name."""
+        """Return the parameters of a scene by name."""
         return {name: getattr(scene.effects, self.field) for name in self.names}
 
     @classmethod
     def usual(cls, scene: Any, duration: float) -> Any:
-        """Return a strength of the order that a numeric scene calls for, to try the effect with."""
+        """Return a realistic value for a numeric scene, to try the effect with."""
         raise NotImplementedError
 
     def resist(self, force: Expression, at: Place, p: Parameters) -> Expression:
-        """Return the resistance [N] with this effect, from that without it and those that follow."""
+        """Return the resistance [N] with this effect, given that of all terms before it."""
         return force
 
     def hold(self, force: Expression, at: Place, p: Parameters) -> Expression:
-        """Return the largest force [N] that holds a share at rest, likewise."""
+        """Return the largest force [N] that holds a resting share, given that of all terms before it."""
         return self.resist(force, at, p)
 
     def pull(self, p: Parameters, rate: Expression) -> Expression:
-        """Return its part in the mount force [N], at a rate z' of the deflection [m/s]."""
+        """Return the contribution to the mount force [N] at a rate z' of the deflection [m/s]."""
         return 0.0
 
     def until(self, p: Parameters, time: Expression, travel: Expression) -> Expression:
-        """Return what becomes negative when the effect is over, if it has a `state`."""
+        """Return a value that becomes negative when the effect is over; for an effect with a `state`."""
         raise NotImplementedError
 
     @staticmethod
     def rates(p: Parameters) -> Rates:
-        """Return how it moves a share: of an effect whose parameters are not there, nothing."""
-        return _NOTHING
+        """Return the slopes of the force; all zero if the parameters of the effect are missing."""
+        return _NO_RATES
 
     @staticmethod
     def imposed(p: Parameters) -> Sequence[Any]:
-        """Return the angular frequencies [rad/s] that it imposes on a share."""
+        """Return the angular frequencies [rad/s] that the effect imposes on a share."""
         return ()

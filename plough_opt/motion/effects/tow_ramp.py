@@ -7,13 +7,13 @@ from typing import Any
 from plough_opt.core.expressions import Expression, minimum, where
 from plough_opt.motion.effects.term import Parameters, Term, Towed
 
-# Time [s] in which no mount moves: forces change by 1e-11 of themselves or so.
+# A ramp of this time [s] changes forces by about 1e-11 relative to a start at full speed.
 _SHORTEST_RAMP = 1e-9
 
 
 @dataclass(frozen=True)
 class Strut:
-    """Path s [m], speed gained since the start s' - s'(0) [m/s] and acceleration s'' [m/s^2] of the strut."""
+    """Path s [m], gain in speed since the start s' - s'(0) [m/s] and acceleration s'' [m/s^2] of the strut."""
 
     path: Expression
     gain: Expression
@@ -21,7 +21,7 @@ class Strut:
 
 
 class TowRamp(Term):
-    """Speed of the strut by 6u^5 - 15u^4 + 10u^3 with u = t/t_r."""
+    """Strut that reaches the tow speed after the time t_r: its speed rises like 6u^5 - 15u^4 + 10u^3 with u = t/t_r."""
 
     label, field = "tow ramp", "tow_ramp"
     names = ("ramp_time",)
@@ -38,8 +38,8 @@ class TowRamp(Term):
     def strut(self, p: Parameters, time: Expression) -> Strut:
         """Return the strut's motion.
 
-        Where events interrupt the motion the state ``ramped`` ends the ramp: the step that finds its end goes beyond
-        it, and its stages there must not see another motion yet.
+        In an equation with events the state ``ramped`` ends the ramp. The step that locates the end overshoots it, and
+        its stages beyond the end must still evaluate the ramp's formula.
         """
         speed, ramp = p["tow_speed"], ramp_time(p)
         u = where(p["ramped"] > 0.5, 1.0, time / ramp) if "ramped" in p else minimum(time / ramp, 1.0)
@@ -58,6 +58,6 @@ class TowRamp(Term):
 
 
 def ramp_time(p: Parameters) -> Expression:
-    """Return the time of the strut's ramp [s]: of one that symbols make 0, one so short that it changes nothing."""
+    """Return the time of the strut's ramp [s]; if a symbol makes it 0, a time too short to matter."""
     time = p["ramp_time"]
     return where(time > 0.0, time, time + _SHORTEST_RAMP)

@@ -120,7 +120,7 @@ def test_outputs_are_a_whole_number(r1_scene, outputs):
 
 @pytest.mark.parametrize("duration", [[1.0], "1", np.array([1.0, 2.0]), ca.DM([1.0, 2.0]), ca.MX.sym("duration", 2)])
 def test_a_duration_is_one_number(r1_scene, duration):
-    with pytest.raises((po.InputError, po.DomainError), match=r"duration|one number for each quantity"):
+    with pytest.raises((po.InputError, po.DomainError), match=r"duration|one number per quantity"):
         po.simulate(r1_scene(), duration)
 
 
@@ -129,7 +129,7 @@ def test_what_is_no_scene_or_accuracy(r1_scene, r1_soil):
         po.simulate(r1_soil, 1.0)
     with pytest.raises(po.InputError, match="must be an Accuracy"):
         po.simulate(r1_scene(), 1.0, accuracy="rk")
-    with pytest.raises(po.InputError, match="one number for each quantity"):
+    with pytest.raises(po.InputError, match="one number per quantity"):
         po.simulate(r1_scene(stiffness=ca.MX.sym("stiffness", 2)), 1.0)
 
 

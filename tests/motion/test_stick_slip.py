@@ -281,10 +281,10 @@ def test_a_design_finds_what_brute_force_finds(r1_soil, contact):
 def test_a_tolerance_too_loose_to_see_a_stop_is_refused():
     effects = po.Effects(contact=law(1.3), start="rest", strength_wave=wave(0.7, 0.4))
     scene = po.Scene(po.named_soil("serozem"), SHARP, 1e6, 30.0, 2.0, effects)
-    with pytest.raises(po.IntegrationError, match=r"'erk' missed that the share stopped before t = .*: take a tighter"):
+    with pytest.raises(po.IntegrationError, match=r"'erk' missed that the share stopped before t = .*: .* tighter"):
         po.simulate(scene, 1.0, accuracy=po.Accuracy("erk", tolerance=6e-3))
     run = po.simulate(scene, 1.0)
     held = dataclasses.replace(run, mode=np.full_like(run.mode, STICK))
-    with pytest.raises(po.IntegrationError, match=r"'erk' missed that the share broke loose before t = .*: take a"):
+    with pytest.raises(po.IntegrationError, match=r"'erk' missed that the share broke loose before t = "):
         refuse_missed_event(held)
     refuse_missed_event(run)

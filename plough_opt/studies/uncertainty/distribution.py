@@ -1,4 +1,4 @@
-"""Distributions of soil properties: marginals from scipy.stats, truncated, correlated by a Gaussian copula."""
+"""Distributions of soil properties: truncated marginals from scipy.stats, correlated by a Gaussian copula."""
 
 import contextlib
 import math
@@ -24,13 +24,15 @@ Vector = NDArray[np.float64]
 PROPERTIES = tuple(quantity.key for quantity in QUANTITIES.values() if quantity.owner == "soil")
 """Properties of a soil that can be uncertain."""
 
-# Largest probability, at either end, with which a distribution may lie outside the model's domain.
-_OUTSIDE = 1e-9
+# The quantiles of this probability and of its complement must lie in the model's domain.
+_TAIL = 1e-9
 # Least probability between the bounds of a distribution: with less its quantiles are inaccurate.
 _LEAST_MASS = 1e-9
+# A correlation matrix with a smaller eigenvalue is taken as singular.
 _LEAST_EIGENVALUE = 1e-8
 _MOST_SAMPLES = 1 << 20
-_INSIDE = 2.0**-54
+# Least coordinate of a point in the unit cube: at 0 and 1 the normal quantile is infinite.
+_LEAST_COORDINATE = 2.0**-54
 
 
 @dataclass(frozen=True)
@@ -41,10 +43,10 @@ class Marginal:
         distribution: a frozen distribution of scipy.stats, or anything with `cdf` and `ppf` (or `icdf`).
         lower: lower bound at which it is truncated, or minus infinity.
         upper: upper bound, or infinity.
-        name: of the property, for messages.
+        name: name of the property, for messages.
 
     Raises:
-        InputError: not a distribution, or bounds with hardly any probability between them.
+        InputError: the distribution is not one, or there is hardly any probability between the bounds.
     """
 
     distribution: Any
@@ -62,7 +64,7 @@ class Marginal:
         for side, bound in (("lower", self.lower), ("upper", self.upper)):
             infinite = isinstance(bound, float) and math.isinf(bound)
             if not infinite:
-                # SciPy takes no whole numbers of more than 63 binary digits.
+                # As a float, because SciPy cannot compute with integers of more than 63 bits.
                 object.__setattr__(self, side, plain_number(f"{self.name}: its {side} bound", bound))
         if not self.lower < self.upper:
             raise InputError(
@@ -72,13 +74,13 @@ class Marginal:
             middle = float(self._inverse(0.5))
         if not math.isfinite(middle):
             raise InputError(
-                f"{self.name}: its distribution has no median, because of parameters such as a scale of 0; set a value"
-                " without uncertainty in the soil itself"
+                f"{self.name}: its distribution has no median, which happens with parameters such as a scale of 0; set"
+                " a property that is not uncertain in the soil itself"
             )
         if not self._mass > _LEAST_MASS:
             raise InputError(
                 f"{self.name}: the probability between its bounds {self.lower:g} and {self.upper:g} is"
-                f" {self._mass:.1g}; the median is {middle:g}: set bounds around that"
+                f" {self._mass:.1g}; the median is {middle:g}: set bounds around it"
             )
 
     @property
@@ -100,27 +102,27 @@ class Marginal:
             probability: a number or an array, from 0 to 1.
 
         Raises:
-            InputError: not a number, or one outside that range.
+            InputError: a value that is not a number from 0 to 1.
         """
-        parts = _numbers("a probability", probability)
-        if not np.all((parts >= 0.0) & (parts <= 1.0)):
+        numbers = _numbers("a probability", probability)
+        if not np.all((numbers >= 0.0) & (numbers <= 1.0)):
             raise InputError(f"a probability = {shown(probability)} must lie from 0 to 1")
-        inner = self._below + parts * self._mass
-        values: Vector = np.clip(np.asarray(self._inverse(inner), dtype=float), self.lower, self.upper)
+        untruncated = self._below + numbers * self._mass
+        values: Vector = np.clip(np.asarray(self._inverse(untruncated), dtype=float), self.lower, self.upper)
         return values
 
     def cdf(self, value: ArrayLike) -> Vector:
-        """Return the probability of being below a value.
+        """Return the probability of lying below a value.
 
         Args:
             value: a number or an array, in the property's unit.
 
         Raises:
-            InputError: not a number.
+            InputError: a value that is not a number.
         """
         below: Vector = np.asarray(self.distribution.cdf(_numbers("a value", value)), dtype=float)
-        part: Vector = np.clip((below - self._below) / self._mass, 0.0, 1.0)
-        return part
+        probability: Vector = np.clip((below - self._below) / self._mass, 0.0, 1.0)
+        return probability
 
     @cached_property
     def moments(self) -> tuple[float, float]:
@@ -132,7 +134,7 @@ class Marginal:
 
 @dataclass(frozen=True, init=False)
 class SoilDistribution:
-    """A soil some of whose properties are uncertain.
+    """A soil with uncertain properties.
 
     For example::
 
@@ -145,13 +147,14 @@ class SoilDistribution:
         )
         soils = field.sample(64, seed=1)
 
-    Correlated properties are joined by a Gaussian copula. A correlation c is that of their normal scores, so that the
-    rank correlations are 6/pi arcsin(c/2) by Spearman and 2/pi arcsin(c) by Kendall, whatever the marginals are.
+    Correlated properties are joined by a Gaussian copula: a correlation c is that of their normal scores. Whatever the
+    marginals, the rank correlations are then 6/pi arcsin(c/2) by Spearman and 2/pi arcsin(c) by Kendall.
 
     Args:
         soil: the soil, with the values of the properties that are not uncertain.
         within: property -> (lower, upper) bounds at which its distribution is truncated; either may be infinite.
-        correlation: pair of properties -> correlation of their normal scores, between -1 and 1; others are independent.
+        correlation: pair of properties -> correlation of their normal scores, between -1 and 1; other pairs are
+            independent.
         **properties: property of `Soil` -> a frozen distribution of scipy.stats, in SI units and radians.
 
     Raises:
@@ -202,7 +205,7 @@ class SoilDistribution:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The uncertain properties, in the given order."""
+        """Names of the uncertain properties, in the given order."""
         return tuple(self.marginals)
 
     @property
@@ -216,7 +219,7 @@ class SoilDistribution:
         matrix = np.eye(len(self.names))
         for pair, value in self.correlation.items():
             if isinstance(pair, str) or len(pair) != 2 or pair[0] == pair[1]:
-                raise InputError(f"a correlation belongs to a pair of properties, not to {shown(pair)}")
+                raise InputError(f"a correlation needs a pair of properties, not {shown(pair)}")
             for name in pair:
                 if name not in self.names:
                     known = nearest(str(name), self.names)
@@ -233,21 +236,25 @@ class SoilDistribution:
 
     @cached_property
     def factor(self) -> Vector:
-        """Lower triangle whose product with its transpose is `matrix`."""
+        """Cholesky factor of `matrix`: the lower triangle whose product with its transpose it is.
+
+        Raises:
+            InputError: correlations whose matrix is not positive definite.
+        """
         least = float(np.linalg.eigvalsh(self.matrix)[0])
         if least < _LEAST_EIGENVALUE:
             pairs = ", ".join(f"{a} and {b} {value:g}" for (a, b), value in self.correlation.items())
             raise InputError(
-                f"these correlations cannot hold together ({pairs}): their matrix is not positive definite, its"
-                f" smallest eigenvalue is {least:.3g}; weaken one of them"
+                f"these correlations contradict each other ({pairs}): their matrix is not positive definite, with a"
+                f" smallest eigenvalue of {least:.3g}; weaken one of them"
             )
         return np.asarray(np.linalg.cholesky(self.matrix), dtype=np.float64)
 
     def sample(self, count: int, *, seed: int = 0) -> SoilSamples:
         """Return samples that cover the distribution evenly: points of a scrambled Sobol sequence (scipy.stats.qmc).
 
-        A seed always gives the same samples, which are the first ones of any larger sample: an objective over them is
-        a smooth function of the design. The best counts are powers of two.
+        The same seed always gives the same samples, so that an objective over them is a smooth function of the design.
+        A larger sample begins with the smaller one. Powers of two cover the distribution best.
 
         Raises:
             InputError: an invalid count or seed.
@@ -257,7 +264,7 @@ class SoilDistribution:
         return self.at(sequence.random_base2(math.ceil(math.log2(count)))[:count])
 
     def draw(self, count: int, *, seed: int) -> SoilSamples:
-        """Return samples drawn independently of each other, as confidence intervals need them.
+        """Return samples drawn independently of each other, as confidence intervals require.
 
         Raises:
             InputError: an invalid count or seed.
@@ -266,10 +273,10 @@ class SoilDistribution:
         return self.at(np.random.default_rng(seed).random((count, len(self.names))))
 
     def corners(self, part: float = 0.9) -> SoilSamples:
-        """Return the corners of a box, for the worst case over a set.
+        """Return the corners of a box of properties, for the worst case over a set.
 
         Args:
-            part: probability of each property within the box, which ends at its quantiles (1 -+ part)/2.
+            part: probability that each property lies within the box, which ends at its quantiles (1 -+ part)/2.
 
         Raises:
             InputError: a part that is not between 0 and 1.
@@ -281,55 +288,59 @@ class SoilDistribution:
         return SoilSamples(self.soil, self.names, grid)
 
     def at(self, uniforms: ArrayLike) -> SoilSamples:
-        """Return the samples at points of the unit cube, a row for each, by the inverse Rosenblatt transform.
+        """Return the samples at points of the unit cube, one per row, by the inverse Rosenblatt transform.
 
-        The first property depends on the first coordinate, each further one on its own coordinate and those before it.
+        The first property depends on the first coordinate; each further one also on the coordinates before its own.
         """
-        inner: NDArray[Any] = np.clip(_numbers("points of the unit cube", uniforms), _INSIDE, 1.0 - 2.0 * _INSIDE)
-        if inner.ndim != 2 or inner.shape[1] != len(self.names):
-            raise InputError(f"points of the shape {inner.shape} do not have a column for each of {self.names}")
+        given = _numbers("points of the unit cube", uniforms)
+        points: NDArray[Any] = np.clip(given, _LEAST_COORDINATE, 1.0 - 2.0 * _LEAST_COORDINATE)
+        if points.ndim != 2 or points.shape[1] != len(self.names):
+            raise InputError(f"points of the shape {points.shape} do not have a column for each of {self.names}")
         if self.correlated:
-            inner = np.asarray(special.ndtr(special.ndtri(inner) @ self.factor.T))
-        columns = [own.quantile(column) for own, column in zip(self.marginals.values(), inner.T, strict=True)]
+            points = np.asarray(special.ndtr(special.ndtri(points) @ self.factor.T))
+        columns = [own.quantile(column) for own, column in zip(self.marginals.values(), points.T, strict=True)]
         return SoilSamples(self.soil, self.names, np.stack(columns, axis=1))
 
     def in_words(self) -> str:
-        """Return mean and standard deviation of every property in words, SI units."""
+        """Return mean and standard deviation of every property as text, SI units."""
         return ", ".join(f"{name} {mean:.4g} +- {spread:.2g}" for name, (mean, spread) in self.moments.items())
 
     @property
     def moments(self) -> dict[str, tuple[float, float]]:
-        """Mean and standard deviation of every property."""
+        """Property -> its mean and standard deviation, SI."""
         return {name: own.moments for name, own in self.marginals.items()}
 
     def _check_domain(self) -> None:
+        """Raise DomainError if a distribution extends outside the model's domain."""
         for name, own in self.marginals.items():
             if is_casadi(getattr(self.soil, name)):
-                raise InputError(f"'{name}' is an expression in the soil and cannot be uncertain too: give it a number")
-            for end in (_OUTSIDE, 1.0 - _OUTSIDE):
+                raise InputError(
+                    f"'{name}' is an expression in the soil, so it cannot be uncertain too: give the soil a number"
+                )
+            for end in (_TAIL, 1.0 - _TAIL):
                 value: Any = float(own.quantile(end))
                 try:
                     replace(self.soil, **{name: value})
                 except DomainError as error:
                     raise DomainError(
-                        f"the distribution of {name} reaches {value:.4g}, out of the model's domain: {error}; truncate"
+                        f"the distribution of {name} reaches {value:.4g}, outside the model's domain: {error}; truncate"
                         f' it: within={{"{name}": (lower, upper)}}, in a file lower = ... and upper = ...'
                     ) from None
 
 
 def _pair_of(name: str, ends: Any) -> tuple[float, float]:
-    """Return bounds, or raise InputError if they are not two numbers."""
+    """Return two bounds as floats, or raise InputError if they are not two numbers."""
     try:
         lower, upper = map(float, ends)
     except NOT_NUMBERS:
         raise InputError(
-            f"within: the bounds of {name} are {shown(ends)}: give two numbers, SI units, either may be infinite"
+            f"within: the bounds of {name} are {shown(ends)}: give two numbers, SI units; either may be infinite"
         ) from None
     return lower, upper
 
 
 def _numbers(what: str, values: ArrayLike) -> Vector:
-    """Return a number or an array as an array, or raise InputError for anything else and for NaN."""
+    """Return a number or an array as an array; raise InputError for anything else, including NaN."""
     array: Vector | None = None
     if not isinstance(values, str | bytes | bool | np.bool_ | None):
         with contextlib.suppress(*NOT_NUMBERS):
@@ -340,8 +351,8 @@ def _numbers(what: str, values: ArrayLike) -> Vector:
 
 
 def _check_draw(count: int, seed: int) -> None:
-    """Raise InputError for a number of samples, or a seed, that cannot be."""
+    """Raise InputError for an invalid number of samples or an invalid seed."""
     if not is_count(count) or count > _MOST_SAMPLES:
-        raise InputError(f"{shown(count)} samples must be a whole number from 1 to {_MOST_SAMPLES}")
+        raise InputError(f"the number of samples {shown(count)} must be a whole number from 1 to {_MOST_SAMPLES}")
     if not (is_count(seed) or (seed == 0 and not isinstance(seed, bool))):
-        raise InputError(f"the seed {shown(seed)} must be a whole number from 0 on")
+        raise InputError(f"the seed {shown(seed)} must be a whole number of at least 0")

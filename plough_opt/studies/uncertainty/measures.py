@@ -1,14 +1,14 @@
 """Measures of a result that varies with the soil, from its values over common samples.
 
-Every function accepts the values of equally likely samples as an array or as a CasADi column of a design's expressions.
-For numbers each measure is that of the samples, exactly. In a design it must be smooth: a measure with kinks or jumps
-takes a width, in the unit of the values, over which it is smoothed, and its docstring gives the largest difference.
+Every function accepts the values of equally likely samples, as an array or as a CasADi column of a design's
+expressions. From numbers the measure is exact for these samples. In a design it must be smooth: a measure with kinks or
+jumps takes a width, in the unit of the values, over which it is smoothed. Its docstring gives the largest difference.
 
-A smoothed step and a smoothed ramp are convolutions with the triweight kernel k(u) = 35/32 (1 - u^2)^3 on [-1, 1],
-u = x/width (Wand and Jones 1995, "Kernel smoothing", section 2.2), and have continuous second derivatives: beyond the
-width they are exactly the step 1(x > 0) and the ramp max(x, 0). The kernel has the variance 1/9, so that averages over
-a density f differ from the sharp ones by f'(0) width^2/18 and f(0) width^2/18 to first order; the ramp lies above the
-sharp one by at most 35/256 of the width.
+The smoothed step and ramp are convolutions with the triweight kernel k(u) = 35/32 (1 - u^2)^3 on [-1, 1], u = x/width
+(Wand and Jones 1995, "Kernel smoothing", section 2.2). They have continuous second derivatives, and beyond the width
+they equal the step 1(x > 0) and the ramp max(x, 0). The kernel has the variance 1/9: averages over a density f differ
+from the exact ones by f'(0) width^2/18 for the step and f(0) width^2/18 for the ramp, to first order. The smoothed ramp
+exceeds the exact one by at most 35/256 of the width.
 """
 
 import math
@@ -20,17 +20,18 @@ from plough_opt.core.checks import LARGEST, LEAST, NOT_NUMBERS, plain_number, sh
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, is_casadi, maximum, minimum, sqrt, where
 
-# Halvings that reduce a range of a million widths to 1e-9 widths, an error that one step of Newton's method squares.
+# They reduce a bracket of a million widths to 1e-9 widths, an error that one Newton step squares.
 _HALVINGS = 50
-# Spread added to a standard deviation, relative to the mean: the root has no derivative at 0.
+# Spread added to a standard deviation, relative to the mean, because the square root has no derivative at 0.
 _LEAST_SPREAD = 1e-10
+# Keeps denominators and roots above 0, and changes no digit of anything else.
 _TINY = 1e-200
 MOST_ROUNDING = 35.0 / 256.0
-"""Largest difference of the ramp from max(x, 0), in widths."""
+"""Largest difference of the smoothed ramp from max(x, 0), in widths."""
 
 # Largest value of the kernel.
 _PEAK = 35.0 / 32.0
-_NO_SAMPLES = "there are no samples to take a measure of"
+_NO_SAMPLES = "there are no samples: a measure needs at least one value"
 
 
 # --- step and ramp ---------------------------------------------------------------------------------------------
@@ -84,22 +85,22 @@ def standard_deviation(values: Column) -> Column:
 
 
 def mean_plus(values: Column, kappa: float) -> Column:
-    """Return mean + kappa * standard deviation, with a negative kappa if small values are bad."""
+    """Return mean + kappa * standard deviation; kappa is negative if small values are bad."""
     return expected(values) + plain_number("kappa", kappa) * standard_deviation(values)
 
 
 def cvar(values: Column, level: float, *, width: float = 0.0) -> Column:
-    """Return the mean of the worst part 1 - level of the samples, the largest: the conditional value at risk.
+    """Return the conditional value at risk: the mean of the largest samples, a fraction 1 - level of all.
 
     It is the minimum over t of t + mean(max(v - t, 0))/(1 - level) (Rockafellar and Uryasev 2000). In a design the ramp
-    is smoothed over a width and t is eliminated, which gives a smooth expression with exact first and second
-    derivatives and without a further variable. It is larger than the exact measure, by at most
-    35/256 width/(1 - level), and for many samples of density f by f(t) width^2/18/(1 - level).
+    is smoothed over a width and t is eliminated: the expression is smooth, has exact first and second derivatives and
+    needs no further variable. It exceeds the exact measure by at most 35/256 width/(1 - level), and for many samples
+    of density f by f(t) width^2/18/(1 - level).
 
     Args:
-        values: of the samples.
-        level: from 0 to below 1; 0 is the mean.
-        width: over which the ramp is smoothed, in the unit of the values; above 0 in a design.
+        values: values of the samples.
+        level: from 0 to below 1; 0 gives the mean.
+        width: width over which the ramp is smoothed, in the unit of the values; above 0 in a design.
 
     Raises:
         InputError: an invalid level or width.
@@ -108,31 +109,31 @@ def cvar(values: Column, level: float, *, width: float = 0.0) -> Column:
     if not 0.0 <= level < 1.0:
         raise InputError(f"the level {shown(level)} of a CVaR must lie from 0 to below 1: 0.9 means the worst tenth")
     column = _column(values)
-    part = 1.0 - level
-    if not _smooth("CVaR", column, width):
-        return _exact_cvar(np.asarray(column, dtype=float), part)
+    tail = 1.0 - level
+    if not _is_smoothed("CVaR", column, width):
+        return _exact_cvar(np.asarray(column, dtype=float), tail)
     scaled = column / width
-    t = _threshold(scaled, part)
+    t = _threshold(scaled, tail)
     above = scaled - t
-    rest = 1.0 - expected(step(above)) / part
-    curvature = expected(density(above)) / part
-    # t has no derivatives here: at the minimum the value does not depend on it, and the last term, a step of Newton's
-    # method, gives the second derivative its part due to the change of t.
-    return width * (t + expected(ramp(above)) / part - 0.5 * rest**2 / (curvature + _TINY))
+    slope = 1.0 - expected(step(above)) / tail
+    curvature = expected(density(above)) / tail
+    # The threshold t is computed without derivatives. The first derivative needs none, because the value is stationary
+    # in t. The last term, a Newton step in t, adds the part of the second derivative that comes from the change of t.
+    return width * (t + expected(ramp(above)) / tail - 0.5 * slope**2 / (curvature + _TINY))
 
 
 def worst(values: Column, *, width: float = 0.0) -> Column:
     """Return the largest value; the smallest is -worst(-values).
 
-    In a design it is the CVaR of the worst single sample, smoothed over a width: larger than the largest value by at
-    most 35/256 of the width times the number of samples so close to it, and equal to it if the second largest is two
-    widths below. `Robust.bound_from_above` is exact.
+    In a design it is the CVaR of the worst single sample, smoothed over a width. It exceeds the largest value by at
+    most 35/256 of the width times the number of samples within a width of it, and equals it if the second largest is
+    two widths below. `Robust.bound_from_above` is exact.
 
     Raises:
         InputError: an invalid width.
     """
     column = _column(values)
-    if not _smooth("worst case", column, width):
+    if not _is_smoothed("worst case", column, width):
         return float(np.max(column))
     return cvar(column, 1.0 - 1.0 / _count(column), width=width)
 
@@ -142,11 +143,11 @@ def probability(
 ) -> Column:
     """Return the fraction of the samples within limits.
 
-    In a design each sample counts by a smooth step of its distance from the limit, over +- a width. For many samples of
-    density f the error of the probability is then f'(limit) width^2/18, of either sign, to first order.
+    In a design each sample is weighted by a smooth step of its distance from the limit, over +- a width. For many
+    samples of density f the probability is then wrong by f'(limit) width^2/18, of either sign, to first order.
 
     Args:
-        values: of the samples.
+        values: values of the samples.
         at_least: lower limit, in the unit of the values, or None.
         at_most: upper limit, or None.
         width: half the range of the smooth step; above 0 in a design.
@@ -161,22 +162,23 @@ def probability(
     if low > high:
         raise InputError(f"the limits of a probability contradict each other: at least {low:g}, at most {high:g}")
     column = _column(values)
-    if not _smooth("probability", column, width):
+    if not _is_smoothed("probability", column, width):
         return float(np.mean((column >= low) & (column <= high)))
-    parts = [] if at_least is None else [step((column - low) / width)]
-    parts += [] if at_most is None else [step((high - column) / width)]
-    return expected(sum(parts[1:], parts[0])) - (len(parts) - 1.0)
+    steps = [] if at_least is None else [step((column - low) / width)]
+    steps += [] if at_most is None else [step((high - column) / width)]
+    return expected(sum(steps[1:], steps[0])) - (len(steps) - 1.0)
 
 
 def quantile(values: Column, level: float, *, width: float = 0.0) -> Column:
     """Return the value that a fraction ``level`` of the samples does not exceed.
 
-    In a design it is the limit at which `probability` with at_most and the same width equals the level. A requirement
-    on the quantile is therefore one on that probability, but it has a slope everywhere, while a probability of 0 or 1
-    has none. The quantile must lie within a width of some sample: use a width larger than their distance.
+    In a design it is the limit at which `probability` with at_most and the same width equals the level. Requiring a
+    quantile therefore allows the same designs as requiring that probability, but a quantile has a slope everywhere and
+    a probability of 0 or 1 has none. The quantile must lie within a width of some sample: use a width larger than the
+    samples' distance.
 
     Args:
-        values: of the samples.
+        values: values of the samples.
         level: between 0 and 1.
         width: as for `probability`; above 0 in a design.
 
@@ -187,11 +189,11 @@ def quantile(values: Column, level: float, *, width: float = 0.0) -> Column:
     if not 0.0 < level < 1.0:
         raise InputError(f"the level {shown(level)} of a quantile must lie between 0 and 1")
     column = _column(values)
-    if not _smooth("quantile", column, width):
+    if not _is_smoothed("quantile", column, width):
         return float(np.quantile(column, level, method="inverted_cdf"))
     scaled = column / width
     t = _threshold(scaled, 1.0 - level)
-    # The threshold has no derivatives: the first step of Newton's method gives the root its first derivative, the next
+    # The threshold is computed without derivatives. A first Newton step gives the root its first derivative, a second
     # one its second.
     for _ in range(2):
         excess = expected(step(scaled - t)) - (1.0 - level)
@@ -200,28 +202,27 @@ def quantile(values: Column, level: float, *, width: float = 0.0) -> Column:
 
 
 def _threshold(scaled: Column, part: float) -> Column:
-    """Return t where mean(step(scaled - t)) = part, by halving, so that it has no derivatives.
+    """Return t with mean(step(scaled - t)) = part, found by bisection; its derivatives are 0.
 
-    The ends of the first bracket are whole numbers, whose derivatives are 0.
+    The first bracket ends at whole numbers, because rounding to them has the derivative 0.
     """
     low, high = _floor(_least(scaled)) - 1.0, _floor(-_least(-scaled)) + 2.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        beyond = expected(step(scaled - middle)) > part
-        low, high = where(beyond, middle, low), where(beyond, high, middle)
+        too_low = expected(step(scaled - middle)) > part
+        low, high = where(too_low, middle, low), where(too_low, high, middle)
     return 0.5 * (low + high)
 
 
 def _exact_cvar(values: np.ndarray, part: float) -> float:
-    """Return the mean of the largest values, the last of them weighted by the rest of the part."""
-    falling = np.sort(values)[::-1]
-    left = part * len(falling) - np.arange(len(falling))
-    shares = np.clip(left, 0.0, 1.0)
-    return float(shares @ falling / np.sum(shares))
+    """Return the mean of the largest part of the values; the last of them has the fractional weight that is left."""
+    descending = np.sort(values)[::-1]
+    weights = np.clip(part * len(descending) - np.arange(len(descending)), 0.0, 1.0)
+    return float(weights @ descending / np.sum(weights))
 
 
-def _smooth(what: str, column: Column, width: float) -> bool:
-    """Return whether a measure is smoothed; raise InputError for an invalid width, or none for expressions."""
+def _is_smoothed(what: str, column: Column, width: float) -> bool:
+    """Return whether a measure is smoothed; raise InputError for an invalid width, or for expressions without one."""
     if plain_number(f"the width of a {what}", width) < 0.0:
         raise InputError(
             f"the width {shown(width)} of a {what} must be a number of at least 0, in the unit of the values"
@@ -237,7 +238,7 @@ def _smooth(what: str, column: Column, width: float) -> bool:
 
 
 def _column(values: Column) -> Column:
-    """Return values as a column, or raise InputError if there are none or they are not finite numbers."""
+    """Return values as a column; raise InputError if there are none, or if some are not finite numbers."""
     if is_casadi(values):
         column = ca.vec(values)
         if column.numel() == 0:

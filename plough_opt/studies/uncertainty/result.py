@@ -1,4 +1,4 @@
-"""A robust optimum beside the nominal one, both verified on fresh samples of the soil."""
+"""`RobustOptimum`: a robust optimum beside the nominal one, both verified on fresh samples of the soil."""
 
 from __future__ import annotations
 
@@ -26,13 +26,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Results in the picture, and bars of each.
+# Largest number of results in the picture.
 _MOST_PANELS: Final = 4
+# Number of bars in a histogram.
 _BINS: Final = 60
-# Part of the fresh samples that lie beyond either end of a panel.
-_BEYOND: Final = 0.001
-# Parts of a variance below this are shown as 0.
-_NONE: Final = 5e-4
+# Part of the fresh samples that a histogram cuts off at each end.
+_CUT_OFF: Final = 0.001
+# Smaller parts of a variance are shown as 0.
+_NEGLIGIBLE: Final = 5e-4
 
 
 @dataclass(frozen=True, repr=False)
@@ -43,13 +44,13 @@ class RobustOptimum(Saveable):
         best: the robust optimum.
         run: its run in the nominal soil.
         nominal: the optimum for the nominal soil alone.
-        robust: the results over the samples, and the requested measures.
-        fresh: the checks of the robust optimum by fresh samples.
-        nominal_fresh: the checks of the nominal one by the same samples.
-        indices: the part of each result's variance, at the robust optimum, by uncertain property.
-        failures: reasons why some starts led to no robust optimum.
-        requirements: name -> its limits in words, and in which soils it keeps them.
-        origin: what made it.
+        robust: the results over the samples, and the requested measures; None in a result that was loaded.
+        fresh: verification of the robust optimum on fresh samples.
+        nominal_fresh: verification of the nominal optimum on the same samples.
+        indices: result -> Sobol indices of the uncertain properties at the robust optimum.
+        failures: why some local optima could not be solved again with their own widths.
+        requirements: name of a requirement -> its limits, and the soils in which it must hold, as text.
+        origin: the problem file and the versions that produced it.
     """
 
     best: Optimum
@@ -66,8 +67,8 @@ class RobustOptimum(Saveable):
     unsaved = frozenset({"robust"})
 
     def page(self) -> Page:
-        """Return the soil, the robust design beside the nominal one, and the fresh samples of both."""
-        checks = [self._written(check) for check in self.fresh.checks]
+        """Return tables of the soil, of the robust and the nominal design, and of both verifications."""
+        checks = [self._in_units_of_file(check) for check in self.fresh.checks]
         parts: list[Part] = [_soil_table(self.robust.field, self.origin), _design_table(self.best, self.nominal)]
         required = _limits_table(self.best, self.requirements, self.origin)
         parts += [required] if required.rows else []
@@ -84,9 +85,9 @@ class RobustOptimum(Saveable):
         if note := next((own.note for own in self.indices.values() if own.note), ""):
             parts.append(f"In that table {note}.")
         parts.append(f"In the robust design {in_words(checks)}.")
-        lost = len(self.fresh.failures)
+        failed = len(self.fresh.failures)
         notes = (*self.best.warnings, *self.failures)
-        notes += (f"{lost} fresh soils have no result and are left out",) if lost else ()
+        notes += (f"{failed} fresh soils have no result and are left out",) if failed else ()
         footer = (
             f"{len(self.robust.samples)} samples in one program; robust objective re-integrated tightly: gap"
             f" {self.best.gap:.0e}; {self.best.seconds:.1f} s, nominal {self.nominal.seconds:.1f} s, verified in"
@@ -96,7 +97,7 @@ class RobustOptimum(Saveable):
         return Page(heading, tuple(parts), notes, footer, self.origin.title)
 
     def also_saved(self) -> dict[str, Any]:
-        """Return the soil's distribution in words, and what the question drew and found."""
+        """Return further saved data: the soil's distribution, the samples, checks, warnings and total time."""
         if self.robust is None:
             return {}
         pairs = self.robust.field.correlation.items()
@@ -108,21 +109,21 @@ class RobustOptimum(Saveable):
             "seconds": self.best.seconds + self.nominal.seconds + self.fresh.seconds,
         }  # fmt: skip
 
-    def _written(self, check: Check) -> Check:
-        """Return a check whose limits are written as the question writes them."""
+    def _in_units_of_file(self, check: Check) -> Check:
+        """Return a check whose limits read as in the problem file."""
         if check.result not in self.requirements or not check.text.startswith("probability"):
             return check
         limits = self.requirements[check.result][0].replace(", ", " and ")
         return replace(check, text=f"probability of {limits}")
 
     def plot(self, target: str | Path | None = None) -> Figure:
-        """Draw how the results spread over fresh samples, in the robust design and in the nominal one.
+        """Draw histograms of the results over fresh samples, for the robust and the nominal design.
 
         Args:
             target: file to write (.png, .svg, .pdf), or None.
 
         Raises:
-            InputError: a file name without a known ending, or a place that cannot be written.
+            InputError: a file name without a known ending, or a path that cannot be written.
         """
         from matplotlib.figure import Figure
 
@@ -132,36 +133,36 @@ class RobustOptimum(Saveable):
         figure = Figure(figsize=(6.2 * columns, 4.0 * rows), layout="constrained")
         heading = "over fresh samples of the soil; dashed: means"
         figure.suptitle("\n".join(part for part in (self.origin.title, heading) if part))
-        every = figure.subplots(rows, columns, squeeze=False).ravel()
-        for axes in every[len(names) :]:
+        panels = figure.subplots(rows, columns, squeeze=False).ravel()
+        for axes in panels[len(names) :]:
             axes.set_visible(False)
-        for axes, name in zip(every, names, strict=False):
+        for axes, name in zip(panels, names, strict=False):
             self._draw(axes, name)
         if target is not None:
             save_figure(figure, target)
         return figure
 
     def _draw(self, axes: Axes, name: str) -> None:
-        """Draw how a result spreads in both designs, a colour for each, with means and limits."""
+        """Draw the histograms of a result in both designs, with means and limits."""
         unit = MEASURES[name].unit.symbol if name in MEASURES else ""
         display = self.origin.display(name, unit, *self.fresh.values[name].tolist())
         beside = f" {display.symbol}".rstrip()
-        # A limited probability has its limit in the share of the samples, and not in the result.
+        # A requirement in another unit limits a probability, and not the result itself.
         wanted = ("requirement", name, unit)
-        limit = next((own for own in self.best.limits if (own.kind, own.name, own.unit) == wanted), None)
+        limit = next((one for one in self.best.limits if (one.kind, one.name, one.unit) == wanted), None)
         low, high = (None, None) if limit is None else (limit.low, limit.high)
         sides = [side / display.factor for side in (low, high) if side is not None]
-        beyond = np.array([-np.inf if low is None else low, np.inf if high is None else high]) / display.factor
+        least, most = np.array([-np.inf if low is None else low, np.inf if high is None else high]) / display.factor
         designs = {"nominal design": self.nominal_fresh.values[name], "robust design": self.fresh.values[name]}
         every = np.concatenate(list(designs.values())) / display.factor
-        first, last = np.quantile(every, [_BEYOND, 1.0 - _BEYOND])
+        first, last = np.quantile(every, [_CUT_OFF, 1.0 - _CUT_OFF])
         first, last = min([first, *sides]), max([last, *sides])
         room = 0.04 * (last - first) or 0.5 * abs(last) or 1.0
         bins = np.linspace(first - room, last + room, _BINS + 1).tolist()
         for (design, fresh), colour in zip(designs.items(), COLOURS, strict=False):
             values = np.sort(fresh) / display.factor
             if sides:
-                part = 100.0 * np.mean((values >= beyond[0]) & (values <= beyond[1]))
+                part = 100.0 * np.mean((values >= least) & (values <= most))
                 text = f"{part:.1f} % within the limit"
             else:
                 text = f"worst tenth {np.mean(values[-max(1, len(values) // 10) :]):.4g}{beside}"
@@ -172,12 +173,12 @@ class RobustOptimum(Saveable):
         for side in sides:
             axes.axvline(side, color="black", linewidth=1.4, label=f"limit {side:.4g}{beside}")
         axes.set(xlabel=display.heading(called(name)), ylabel="samples [%]")
-        # Room for the legend above the bars.
+        # Leave room for the legend above the bars.
         axes.set_ylim(0.0, axes.get_ylim()[1] * (1.1 + 0.12 * (len(designs) + len(sides))))
         axes.legend(loc="upper left", frameon=True, framealpha=1.0, edgecolor="none", fontsize=9)
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return a row for each variable: robust and nominal value, SI; ``attrs["units"]`` has their units by name.
+        """Return a row for each variable with robust and nominal value, SI; ``attrs["units"]`` has the units by name.
 
         Raises:
             InputError: pandas is not installed.
@@ -190,7 +191,7 @@ class RobustOptimum(Saveable):
 
 
 def _soil_table(field: SoilDistribution, origin: Origin) -> Grid:
-    """Return the uncertain properties of a soil."""
+    """Return a table of the uncertain properties of a soil."""
     table = Grid.of(
         f"Uncertain soil: {field.soil.name}", "property", "nominal", "mean", "standard deviation", "correlated with",
         left=("correlated with",),
@@ -206,7 +207,7 @@ def _soil_table(field: SoilDistribution, origin: Origin) -> Grid:
 
 
 def _design_table(best: Optimum, nominal: Optimum) -> Grid:
-    """Return the variables of the robust design beside those of the nominal one."""
+    """Return a table of the variables in the robust and in the nominal design."""
     title = f"Design: robust objective {best.objective:.9g} ({best.status})"
     table = Grid.of(title, "variable", "robust", "nominal", "bounds", "", mark="")
     for limit in best.limits:
@@ -217,29 +218,29 @@ def _design_table(best: Optimum, nominal: Optimum) -> Grid:
 
 
 def _limits_table(best: Optimum, requirements: Mapping[str, tuple[str, str]], origin: Origin) -> Grid:
-    """Return the requirements of the robust design.
+    """Return a table of the requirements of the robust design.
 
     Args:
         best: the robust design.
-        requirements: name -> its limits, and in which soils it meets them.
-        origin: with the units.
+        requirements: name -> its limits, and the soils in which it must hold.
+        origin: gives the units of the file.
     """
     title = "Requirements of the robust design"
     table = Grid.of(title, "requirement", "limits", "in", "value", "margin", "", left=("in",), mark="")
     for limit in best.limits:
         if limit.kind == "requirement" and limit.name in requirements:
-            limits, how = requirements[limit.name]
+            limits, soils = requirements[limit.name]
             display = origin.display(limit.name, limit.unit, limit.value)
-            own = replace(limit, display=display)
+            margin = replace(limit, display=display).margin_text()
             decides = "decides" if limit.active else ""
-            table.row(limit.name, limits, how, display.text(limit.value), own.margin_text(), decides)
+            table.row(limit.name, limits, soils, display.text(limit.value), margin, decides)
     return table
 
 
 def _checks_table(checks: Sequence[Check], nominal: Sequence[Check], samples: int, origin: Origin) -> Grid:
-    """Return the checks of a design by fresh samples, and of another one if its checks are given."""
+    """Return a table of a design's checks on fresh samples, beside those of the nominal design if they are given."""
     beside = ["nominal design"] if nominal else []
-    title = f"What {samples} fresh samples say" + (", of the robust design and of the nominal one" if nominal else "")
+    title = f"Verification on {samples} fresh samples" + (": robust design and nominal design" if nominal else "")
     table = Grid.of(
         title, "result", "measure", "the optimiser saw", "fresh samples", "95 % interval", *beside, "",
         left=("measure",), fold=("measure",),
@@ -255,15 +256,15 @@ def _checks_table(checks: Sequence[Check], nominal: Sequence[Check], samples: in
 
 def _remarks_on(check: Check, origin: Origin) -> list[str]:
     """Return remarks on a measure: the number of worse soils, and the effect of its smoothing."""
-    found = [] if check.worse is None else [f"{check.result}, {check.text}: of the fresh samples {check.note}."]
+    remarks = [] if check.worse is None else [f"{check.result}, {check.text}: of the fresh samples {check.note}."]
     if check.width:
         width, rounding = _value_text(origin, check, check.width, True), _value_text(origin, check, check.rounding)
-        found.append(f"{check.result}, {check.text}: rounded off over {width}, which changes it by {rounding}.")
-    return found
+        remarks.append(f"{check.result}, {check.text}: smoothed over {width}, which changes it by {rounding}.")
+    return remarks
 
 
 def _value_text(origin: Origin, check: Check, value: float, of_result: bool = False) -> str:
-    """Return a measure's value, or with ``of_result`` one in the result's own unit, as the question shows it."""
+    """Return a measure's value in the unit of the file; with ``of_result`` a value of the result itself."""
     if check.text.startswith("probability") and not of_result:
         return f"{100.0 * value:.2f} %"
     unit = MEASURES[check.result].unit.symbol if check.result in MEASURES else ""
@@ -271,7 +272,7 @@ def _value_text(origin: Origin, check: Check, value: float, of_result: bool = Fa
 
 
 def _indices_table(indices: Mapping[str, SobolIndices]) -> Grid:
-    """Return the part of each result's variance that each property explains, alone and with others."""
+    """Return a table of the part of each result's variance that each property explains, alone and with others."""
     names = next(iter(indices.values())).names
     title = "Sobol indices of the robust design: part of each result's variance, alone / with others"
     table = Grid.of(title, "result", *names, fold=names)
@@ -282,4 +283,4 @@ def _indices_table(indices: Mapping[str, SobolIndices]) -> Grid:
 
 
 def _percent(part: float) -> str:
-    return "0 %" if abs(part) < _NONE else f"{100.0 * part:.1f} %"
+    return "0 %" if abs(part) < _NEGLIGIBLE else f"{100.0 * part:.1f} %"

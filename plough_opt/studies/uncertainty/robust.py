@@ -1,4 +1,4 @@
-"""Robust: a design's results over common samples of its soil, measures of them, and the best design by these."""
+"""`Robust`: a design's results over common samples of its soil, their measures, and the search by these."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -21,38 +21,41 @@ Vector = NDArray[np.float64]
 Kind = Literal["mean", "largest", "smallest", "probability"]
 Tail = Literal["upper", "lower"]
 
-# Relative change of every spread below which the widths stay, and limit on the number of times they are set.
-_SETTLED, _ROUNDS = 0.02, 6
-# Part of the best objective within which other optima may become the best with widths of their own.
+# Widths follow spreads of results. They have settled when no spread changes by more than this part.
+_SETTLED = 0.02
+# Limit on the number of times that the widths of one optimum are set anew.
+_MOST_ROUNDS = 6
+# Local optima within this part of the best objective are solved with their own widths: they may then become the best.
 _CAN_WIN = 0.02
-# Part of every variable by which designs may differ that are one.
+# Two designs count as the same if no variable differs by more than this part of its value.
 _SAME = 1e-3
+# Tail of a distribution -> its worst value.
 _WORST: Mapping[Tail, Kind] = {"upper": "largest", "lower": "smallest"}
 
 
 @dataclass(frozen=True)
 class RequestedMeasure:
-    """A requested measure.
+    """A measure that a design uses, and `verify` checks.
 
     Attributes:
         result: name of its result.
         text: the measure in words.
         kind: how it is verified on fresh samples.
-        sharp: values of the samples -> measure, exact.
-        rounded: values -> measure, smoothed as in the optimisation.
-        width: over which it is smoothed, in the unit of the values; 0 if it is not.
+        exact: values of the samples -> exact measure.
+        smoothed: values of the samples -> measure, smoothed as in the optimisation.
+        width: width over which it is smoothed, in the unit of the values; 0 if it is not.
     """
 
     result: str
     text: str
     kind: Kind
-    sharp: Callable[[Vector], float]
-    rounded: Callable[[Vector], float]
+    exact: Callable[[Vector], float]
+    smoothed: Callable[[Vector], float]
     width: float = 0.0
 
 
 class Robust(Readable):
-    """The results of a design for every one of some common samples of its soil.
+    """The results of a design over common samples of its soil.
 
     For example::
 
@@ -67,16 +70,16 @@ class Robust(Readable):
         print(po.uncertainty.verify(robust, best))
 
     All samples are in one program: their runs share one integrator, which is mapped over them. Each measure is an
-    expression that the design may use as any other; it is remembered for `verify`.
+    expression for the design to use, and is recorded for `verify`.
 
     Args:
-        field: the distribution.
+        field: the distribution of the soil.
         response: soil -> results by name, each a scalar expression of the design.
-        samples: number of samples, by `SoilDistribution.sample`; or the samples, such as the distribution's corners.
-        seed: of the samples.
+        samples: number of samples, drawn by `SoilDistribution.sample`; or samples, such as the distribution's corners.
+        seed: seed of the samples.
 
     Raises:
-        InputError: results that are not scalars by name, or an invalid number of samples.
+        InputError: the response does not return scalars by name, or the number of samples is invalid.
 
     Example:
         >>> from scipy import stats
@@ -97,7 +100,7 @@ class Robust(Readable):
         self.field = field
         self.samples = samples if isinstance(samples, SoilSamples) else field.sample(samples, seed=seed)
         if self.samples.names != field.names:
-            raise InputError(f"the samples are of {self.samples.names}, and the distribution of {field.names}")
+            raise InputError(f"the samples have the properties {self.samples.names}, the distribution {field.names}")
         self.response = response
         self.seed = seed
         self.columns: Mapping[str, Expression] = self.samples.each(response)
@@ -110,10 +113,10 @@ class Robust(Readable):
             table.row(one.result, one.text)
         named = ", ".join(self.columns)
         heading = f"{named} over {len(self.samples)} samples of {self.field.in_words()}"
-        return Page(heading, (table,) if table.rows else ("No measure is requested yet.",))
+        return Page(heading, (table,) if table.rows else ("No measure has been requested yet.",))
 
     def __getitem__(self, name: str) -> Expression:
-        """Return a result's values, a column over the samples; a requirement on it must hold for every sample."""
+        """Return a result as a column over the samples; a requirement on it must hold for every sample."""
         check_named("{} is not a result of the response", name, self.columns)
         return self.columns[name]
 
@@ -129,7 +132,7 @@ class Robust(Readable):
         return self._request(name, text, "mean", partial(measures.mean_plus, kappa=kappa))
 
     def cvar(self, name: str, level: float, *, width: float, tail: Tail = "upper") -> Expression:
-        """Return the mean of a result over the worst part 1 - level of the samples: see `measures.cvar`.
+        """Return the mean of a result over its worst samples, a fraction 1 - level of all: see `measures.cvar`.
 
         The worst are the largest, or with ``tail="lower"`` the smallest.
         """
@@ -145,7 +148,7 @@ class Robust(Readable):
         return self._request(name, f"{kind} of the samples", kind, _in_tail(measures.worst, tail), width)
 
     def every(self, name: str, *, at_least: float | None = None, at_most: float | None = None) -> Expression:
-        """Return a result's values, to be required within limits; `verify` then estimates the probability of that."""
+        """Return a result as a column, to be required within limits; `verify` then estimates their probability."""
         values = self[name]
         self.requested.append(_within(name, at_least, at_most, 0.0))
         return values
@@ -171,20 +174,20 @@ class Robust(Readable):
         width: float,
         unit: str = "",
     ) -> None:
-        """Require that a result is within one limit with a probability; the requirement is on the quantile.
+        """Require a result to keep one limit with a probability, by a requirement on its quantile.
 
         Args:
             design: the design that gets the requirement.
-            requirement: its name in reports.
-            name: of the result.
-            probability: the least one, between 0 and 1.
+            requirement: name of the requirement in reports.
+            name: name of the result.
+            probability: the least probability, between 0 and 1.
             at_least: lower limit, or None.
             at_most: upper limit, or None.
-            width: of the smooth step: see `measures.probability`.
-            unit: of the result, for reports.
+            width: width of the smooth step: see `measures.probability`.
+            unit: unit of the result, for reports.
 
         Raises:
-            InputError: no limit or two, or an invalid probability.
+            InputError: no limit, two limits, or an invalid probability.
         """
         check_kind("the design", design, Design, "a Design")
         if (at_least is None) == (at_most is None):
@@ -199,17 +202,17 @@ class Robust(Readable):
     def bound_from_above(
         self, design: Design, name: str, *, lower: float, upper: float, guess: float | None = None, unit: str = ""
     ) -> Expression:
-        """Return a variable of the design that is at least the largest value of a result; minimised, it is that value.
+        """Return a new variable of the design that no value of a result exceeds; minimised, it is the largest value.
 
-        It is named "worst NAME", and the requirement on it "NAME below its worst".
+        The variable is named "worst NAME", and the requirement that bounds the values "NAME below its worst".
 
         Args:
             design: the design that gets the variable.
-            name: of the result.
+            name: name of the result.
             lower: lower bound of the variable.
-            upper: upper bound.
-            guess: its guess; default: its upper bound.
-            unit: of the result, for reports.
+            upper: upper bound of the variable.
+            guess: guess of the variable; default: its upper bound.
+            unit: unit of the result, for reports.
         """
         check_kind("the design", design, Design, "a Design")
         values, start = self[name], upper if guess is None else guess
@@ -222,14 +225,18 @@ class Robust(Readable):
 
     @cached_property
     def responses(self) -> Responses:
-        """The response, evaluated with numbers."""
+        """The response, compiled for numeric designs and samples."""
         return Responses(self.response, self.samples.soil, self.samples.names)
 
     def values(self, at: Optimum | Mapping[str, float], samples: SoilSamples | None = None) -> dict[str, Vector]:
-        """Return the results over samples, by default the common ones, at an optimum or a design by name.
+        """Return name -> values of each result over samples, by default the common ones.
+
+        Args:
+            at: an optimum, or a design by the names of its variables and parameters.
+            samples: other samples.
 
         Raises:
-            InputError: a soil without results.
+            InputError: a soil has no result.
         """
         if samples is not None:
             check_kind("samples", samples, SoilSamples, "SoilSamples, which a SoilDistribution makes")
@@ -241,17 +248,18 @@ class Robust(Readable):
     def _request(
         self, name: str, text: str, kind: Kind, measure: Callable[..., Column], width: float = 0.0
     ) -> Expression:
+        """Return a measure of a result as an expression, and record it for `verify`."""
         width = plain_number("width", width)
-        rounded = partial(measure, width=width) if width else measure
-        value: Expression = rounded(self[name])
-        self.requested.append(RequestedMeasure(name, text, kind, measure, rounded, width))
+        smoothed = partial(measure, width=width) if width else measure
+        value: Expression = smoothed(self[name])
+        self.requested.append(RequestedMeasure(name, text, kind, measure, smoothed, width))
         return value
 
 
 def _within(name: str, at_least: float | None, at_most: float | None, width: float) -> RequestedMeasure:
-    """Return the probability that a result is within limits, as a measure."""
-    sides = [f"{word} {plain_number(word, limit):.6g}" for word, limit in (("at least", at_least), ("at most", at_most))
-             if limit is not None]  # fmt: skip
+    """Return the probability that a result is within limits, as a requested measure."""
+    limits = (("at least", at_least), ("at most", at_most))
+    sides = [f"{word} {plain_number(word, limit):.6g}" for word, limit in limits if limit is not None]
     within = partial(measures.probability, at_least=at_least, at_most=at_most)
     return RequestedMeasure(
         name, f"probability of {' and '.join(sides)}", "probability", within, partial(within, width=width), width
@@ -259,7 +267,7 @@ def _within(name: str, at_least: float | None, at_most: float | None, width: flo
 
 
 def _in_tail(measure: Callable[..., Expression], tail: Tail) -> Callable[..., Expression]:
-    """Return a measure of the largest values, or the same measure of the smallest."""
+    """Return a measure of the largest values as it is, or mirrored into one of the smallest."""
     if tail == "upper":
         return measure
 
@@ -275,83 +283,83 @@ Spreads = Mapping[str, float]
 """Standard deviations of results over the samples, by name."""
 
 Build = Callable[[Mapping[str, float], Spreads], tuple[Design, Robust, frozenset[str]]]
-"""Variables and spreads -> the robust design with these guesses, and the results whose spreads set widths."""
+"""Guesses and spreads -> the robust design, its results, and the names of the results whose spreads set widths."""
 
 
 def best_robust(
     start: Mapping[str, float], build: Build, spreads: Callable[[Mapping[str, float]], Spreads], progress: Progress
 ) -> tuple[Optimum, Robust, tuple[str, ...]]:
-    """Return the best robust optimum with all local ones, its results, and the reasons why some have no own widths.
+    """Return the best robust optimum with all local ones, its results, and why some local optima were not settled.
 
-    The search uses the widths at a start. At each optimum they are set anew and it is solved again from there, until
-    they stay.
+    Widths of measures follow the spreads of the results, and these depend on the design. The search uses the widths at
+    the start. Each of the best local optima is then solved again with the widths that belong to it, until they stay.
 
     Args:
         start: variables by name, such as those of the nominal optimum.
         build: makes the robust design.
         spreads: variables -> the spreads of the results there.
-        progress: called with the present step in words, and the part done.
+        progress: called with the present step in words, and the fraction done.
 
     Raises:
         InfeasibleDesign: no design meets the requirements.
-        NotConverged: the optimiser found no optimum.
+        NotConverged: the optimiser did not find an optimum.
     """
     first = spreads(start)
     design, robust, follow = build(start, first)
-    seen = design.solve(progress=progress)
-    limit = seen.objective + _CAN_WIN * abs(seen.objective)
-    candidates = [own for own in seen.local_optima if own.objective <= limit]
-    found: list[tuple[Optimum, Robust]] = []
+    searched = design.solve(progress=progress)
+    limit = searched.objective + _CAN_WIN * abs(searched.objective)
+    candidates = [local for local in searched.local_optima if local.objective <= limit]
+    settled: list[tuple[Optimum, Robust]] = []
     failures = []
-    for number, own in enumerate(candidates):
+    for number, candidate in enumerate(candidates):
         progress("setting the widths of the best designs", number / len(candidates))
         try:
-            known = (seen, robust) if own is seen.local_optima[0] else None
-            found.append(_settled(own, known, build, spreads, {name: first[name] for name in follow}))
+            solution = (searched, robust) if candidate is searched.local_optima[0] else None
+            settled.append(_settled(candidate, solution, build, spreads, {name: first[name] for name in follow}))
         except (InfeasibleDesign, NotConverged) as error:
-            place = ", ".join(f"{name} = {value:.5g}" for name, value in own.variables.items())
-            failures.append(f"with widths of its own, from {place}: {error}")
-    if not found:
-        found = [(seen, robust)]
-    best, robust = min(found, key=lambda pair: pair[0].objective)
-    local: list[LocalOptimum] = []
-    every = [*(own.local_optima[0] for own, _ in found), *seen.local_optima[len(candidates) :]]
-    for optimum in sorted(every, key=lambda one: one.objective):
-        if not any(_same(optimum.variables, other.variables) for other in local):
-            local.append(optimum)
-    seconds = seen.seconds + sum(own.seconds for own, _ in found if own is not seen)
-    best = replace(best, local_optima=tuple(local), search=seen.search, seconds=seconds)
+            place = ", ".join(f"{name} = {value:.5g}" for name, value in candidate.variables.items())
+            failures.append(f"solved again with its own widths, from {place}: {error}")
+    if not settled:
+        settled = [(searched, robust)]
+    best, robust = min(settled, key=lambda pair: pair[0].objective)
+    distinct: list[LocalOptimum] = []
+    every = [*(one.local_optima[0] for one, _ in settled), *searched.local_optima[len(candidates) :]]
+    for local in sorted(every, key=lambda one: one.objective):
+        if not any(_same(local.variables, other.variables) for other in distinct):
+            distinct.append(local)
+    seconds = searched.seconds + sum(one.seconds for one, _ in settled if one is not searched)
+    best = replace(best, local_optima=tuple(distinct), search=searched.search, seconds=seconds)
     return best, robust, tuple(failures)
 
 
 def _settled(
-    own: LocalOptimum,
-    known: tuple[Optimum, Robust] | None,
+    local: LocalOptimum,
+    solution: tuple[Optimum, Robust] | None,
     build: Build,
     spreads: Callable[[Mapping[str, float]], Spreads],
     used: Spreads,
 ) -> tuple[Optimum, Robust]:
-    """Return an optimum solved again until the widths that follow from spreads are those of its own.
+    """Return a local optimum, solved again until its widths are those that follow from the spreads at it.
 
     Args:
-        own: the optimum.
-        known: its solution, if there is one; it is kept if its widths are right.
+        local: the optimum.
+        solution: its solution, if there is one; it is returned if its widths are right already.
         build: makes the robust design.
         spreads: variables -> the spreads of the results there.
         used: the spreads that set its widths.
     """
-    at = own.variables
-    for _ in range(_ROUNDS):
+    at = local.variables
+    for _ in range(_MOST_ROUNDS):
         now = spreads(at)
-        if known is not None and all(abs(now[name] - used[name]) <= _SETTLED * used[name] for name in used):
+        if solution is not None and all(abs(now[name] - used[name]) <= _SETTLED * used[name] for name in used):
             break
         design, robust, follow = build(at, now)
-        known, used = (design.solve(search="near"), robust), {name: now[name] for name in follow}
-        at = known[0].variables
-    assert known is not None  # solved in the first round at the latest
-    return known
+        solution, used = (design.solve(search="near"), robust), {name: now[name] for name in follow}
+        at = solution[0].variables
+    assert solution is not None  # solved in the first round at the latest
+    return solution
 
 
 def _same(one: Mapping[str, float], other: Mapping[str, float]) -> bool:
-    """Return whether two designs are equal, to a small part of every variable."""
+    """Return whether no variable of two designs differs by more than a small part of its value."""
     return all(abs(x - other[name]) <= _SAME * abs(x) for name, x in one.items())

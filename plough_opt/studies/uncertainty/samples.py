@@ -1,6 +1,6 @@
-"""Samples of a soil, and the results of a function of the soil over them: as expressions, and as numbers.
+"""Samples of a soil, and results of a function over them: as expressions for a design, and as numbers.
 
-The samples are the same ones for every design, so that averages over them are smooth.
+The samples are the same for every design, so that averages over them are smooth functions of the design.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,8 +25,9 @@ from plough_opt.soil.soil import Soil
 Vector = NDArray[np.float64]
 Response = Callable[[Soil], Mapping[str, Column]]
 
-# Factor on the steps of a search: averages are then right to some 1e-10, far below what a few thousand samples say.
-_FINER = 4.0
+# Factor on the number of steps in a search. Averages are then accurate to some 1e-10, far better than the statistics of
+# a few thousand samples.
+_MORE_STEPS = 4.0
 
 
 @dataclass(frozen=True)
@@ -34,9 +35,9 @@ class SoilSamples:
     """Equally likely soils.
 
     Attributes:
-        soil: with the values that they have in common.
-        names: the properties that differ.
-        values: their values, a row for each sample, a column for each property; SI units.
+        soil: the soil with the properties that all samples share.
+        names: names of the properties that differ.
+        values: their values, a row for each sample and a column for each property; SI units.
     """
 
     soil: Soil
@@ -59,20 +60,20 @@ class SoilSamples:
         """Return the values of a property, SI.
 
         Raises:
-            InputError: a name that is not among the uncertain properties.
+            InputError: the name is not that of an uncertain property.
         """
         check_named("{} is not an uncertain property", name, self.names)
         column: Vector = self.values[:, self.names.index(name)]
         return column
 
     def each(self, response: Callable[[Soil], Mapping[str, Expression]]) -> dict[str, Expression]:
-        """Return the results of a function for each soil, by name, as columns over the samples.
+        """Return name -> result of a function of the soil, as a column over the samples.
 
         Args:
             response: soil -> results by name, each a number or a scalar expression of a design.
 
         Raises:
-            InputError: results that are not given by name, or not scalars.
+            InputError: the results are not given by name, or are not scalars.
         """
         check_callable("the response", response, "of a soil that returns results by name")
         rows = [response(soil) for soil in self.soils]
@@ -86,7 +87,7 @@ class ResponseValues:
     """Results over samples.
 
     Attributes:
-        values: name -> value of each sample with results.
+        values: name -> values over the samples that have results.
         failures: number of a sample without results -> the reason.
     """
 
@@ -95,23 +96,23 @@ class ResponseValues:
 
 
 class Responses:
-    """The results of a function for each of very many soils, at one numeric design.
+    """The results of a function for very many soils, at one numeric design.
 
     The function is called once, with symbols for the uncertain properties. Design and properties are then the variables
-    of a population, which follows the runs of all soils side by side where it can, and evaluates the algebra around
-    them.
+    of a `Population`, which integrates the runs of all soils side by side where possible, and evaluates the algebra
+    around them.
     """
 
     def __init__(self, response: Response, soil: Soil, names: Sequence[str]) -> None:
         """Call the function with symbols for the properties of the given names."""
-        own: list[Any] = [ca.MX.sym(name) for name in names]
-        results = response(replace(soil, **dict(zip(names, own, strict=True))))
+        properties: list[Any] = [ca.MX.sym(name) for name in names]
+        results = response(replace(soil, **dict(zip(names, properties, strict=True))))
         self.names = tuple(results)
         column: ca.MX = ca.vertcat(*(ca.MX(value) for value in results.values()))
-        known = {hash(symbol) for symbol in own}
-        self._design = [symbol for symbol in ca.symvar(column) if hash(symbol) not in known]
-        self._y = ca.MX.sym("design and soil", len(self._design) + len(own))
-        (column,) = ca.graph_substitute([column], [*self._design, *own], ca.vertsplit(self._y))
+        of_soil = {hash(symbol) for symbol in properties}
+        self._design = [symbol for symbol in ca.symvar(column) if hash(symbol) not in of_soil]
+        self._y = ca.MX.sym("design and soil", len(self._design) + len(properties))
+        (column,) = ca.graph_substitute([column], [*self._design, *properties], ca.vertsplit(self._y))
         none = ca.MX.sym("none", 0)
         self._parts = split([column[0], column], [self._y, none])
         self._population = Population(self._parts, self._y, none, rough=False)
@@ -126,7 +127,7 @@ class Responses:
         design = [_number(at, symbol) for symbol in self._design]
         rows = np.hstack([np.tile(design, (len(samples), 1)), samples.values])
         failures = self._outside(rows)
-        _, values = self._population(rows, np.empty(0), finer=_FINER)
+        _, values = self._population(rows, np.empty(0), finer=_MORE_STEPS)
         for bad in np.flatnonzero(~np.all(np.isfinite(values), axis=1)):
             failures.setdefault(int(bad), "a result is not a finite number")
         kept = np.delete(values, list(failures), axis=0)
@@ -134,7 +135,7 @@ class Responses:
 
     @cached_property
     def _scenes(self) -> list[tuple[DomainCheck, ca.Function]]:
-        """Every scene in the results: its domain check, and its quantities and duration from the symbols."""
+        """For every scene in the results its domain check, and a Function from the symbols to its quantities."""
         scenes = [(run.embedding.template, run.quantities, run.inputs[-1]) for run in self._parts.runs]
         scenes += [
             (meaning, carried, ca.MX(1.0)) for meaning, carried in self._parts.labels if isinstance(meaning, Scene)
@@ -148,7 +149,7 @@ class Responses:
         ]
 
     def _outside(self, rows: Vector) -> dict[int, str]:
-        """Return the numbers of the rows outside the model's domain, with the reasons."""
+        """Return number -> reason of every row outside the model's domain."""
         reasons: dict[int, str] = {}
         for check, quantities in self._scenes:
             reasons |= check.reasons(np.asarray(quantities.map(len(rows))(rows.T)))
@@ -156,6 +157,11 @@ class Responses:
 
 
 def _number(at: Optimum | Mapping[str, float], symbol: ca.MX) -> float:
+    """Return the value of a design's variable or parameter.
+
+    Raises:
+        InputError: the design has no value for it.
+    """
     check_kind("the design", at, Optimum | Mapping, "an Optimum, or its values by name")
     values = at.variables if isinstance(at, Optimum) else at
     if symbol.name() in values:
@@ -166,6 +172,7 @@ def _number(at: Optimum | Mapping[str, float], symbol: ca.MX) -> float:
 
 
 def _column(name: str, values: list[Column]) -> Column:
+    """Return the values of a result as a column, or raise InputError if they are not scalars."""
     if any(is_casadi(value) for value in values):
         if any(ca.MX(value).numel() != 1 for value in values):
             raise InputError(f"the result '{name}' of each soil must be one number: average it, or take its mean")

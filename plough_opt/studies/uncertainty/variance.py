@@ -18,23 +18,23 @@ Vector = NDArray[np.float64]
 
 _CONFIDENCE = 0.95
 _RESAMPLES = 200
-# Relative spread below which a result does not vary.
-_NONE = 1e-9
+# A result whose relative range is smaller does not vary: the rest is rounding.
+_NEGLIGIBLE = 1e-9
 
 
 @dataclass(frozen=True)
 class SobolIndices:
-    """Parts of the variance of one result at one design.
+    """The Sobol indices of one result at one design.
 
     Attributes:
         result: name of the result.
         names: the uncertain properties; if they are correlated, "b given a" is b for a known a.
-        first: part of the variance that each explains by itself.
-        total: part that each explains by itself and together with others.
+        first: first-order indices: the part of the variance that each property explains alone.
+        total: total indices: the part that each explains alone and in interaction with others.
         first_low: lower ends of the confidence intervals (95 %, bootstrap) of `first`.
-        first_high: upper ends.
-        total_low: lower ends of those of `total`.
-        total_high: upper ends.
+        first_high: upper ends of these intervals.
+        total_low: lower ends of the confidence intervals of `total`.
+        total_high: upper ends of these intervals.
         note: a warning, or "".
     """
 
@@ -49,7 +49,7 @@ class SobolIndices:
     note: str
 
     def __str__(self) -> str:
-        """Return the part that each property explains, the largest first."""
+        """Return the part of the variance that each property explains, the largest first."""
         order = np.argsort(-self.total)
         parts = [
             f"{self.names[k]} {100 * self.first[k]:.3g} % alone ({100 * self.first_low[k]:.2g} to"
@@ -64,21 +64,21 @@ def sobol_indices(
 ) -> dict[str, SobolIndices]:
     """Return, for each result, the part of its variance that each uncertain property explains.
 
-    Sobol indices (Sobol 1993; estimators of Saltelli et al. 2010, table 2, b and f) split a variance among independent
+    Sobol indices (Sobol 1993; estimators of Saltelli et al. 2010, table 2, b and f) divide a variance among independent
     inputs. Correlated properties therefore raise an error, unless ``correlated`` accepts indices of the independent
-    coordinates behind the copula (Mara and Tarantola 2012): the first property counts with all that it shares with the
-    others, each further one only as far as it is independent of those before it. A result that does not vary has no
-    indices. Intervals lie between percentiles of the indices of resampled points (Efron 1979).
+    coordinates behind the copula (Mara and Tarantola 2012). The first property then includes all that it shares with
+    the others, and each further one only the part that is independent of those before it. A result that does not vary
+    has no indices. Confidence intervals are percentile intervals of the bootstrap (Efron 1979).
 
     Args:
         robust: the results.
         at: an optimum, or a design by the names of its variables and parameters.
-        samples: a power of two; the response is evaluated samples (properties + 2) times.
-        seed: of the samples and of the bootstrap.
-        correlated: accept the coordinates behind the copula.
+        samples: a power of two; the response is evaluated samples * (properties + 2) times.
+        seed: seed of the samples and of the bootstrap.
+        correlated: whether to accept the coordinates behind the copula.
 
     Raises:
-        InputError: correlated properties, a number of samples that is not a power of two, or soils without results.
+        InputError: the properties are correlated, the number of samples is not a power of two, or a soil has no result.
     """
     check_kind("the results", robust, Robust, "a Robust")
     field = robust.field
@@ -86,16 +86,16 @@ def sobol_indices(
         raise InputError(f"samples = {shown(samples)} must be a power of two, as the Sobol sequence needs")
     if field.correlated and not correlated:
         raise InputError(
-            "correlated properties share variance, which Sobol indices cannot split between them: leave the correlation"
-            " out, or use correlated=True for the independent coordinates behind the copula"
+            "Sobol indices cannot divide the variance that correlated properties share: leave the correlation out, or"
+            " use correlated=True for the independent coordinates behind the copula"
         )
 
-    own = robust.values(at)
-    results = [name for name, value in own.items() if np.ptp(value) > _NONE * np.max(np.abs(value))]
+    nominal = robust.values(at)
+    results = [name for name, value in nominal.items() if np.ptp(value) > _NEGLIGIBLE * np.max(np.abs(value))]
     if not results:
         return {}
 
-    # Two independent samples, and one more for each property: the first, with that property as in the second.
+    # Two independent samples, and for each property a third: the first sample with this property from the second.
     count, generator = len(field.names), np.random.default_rng(seed)
     both = qmc.Sobol(2 * count, bits=64, rng=generator).random(samples)
     designs = np.repeat(both[None, :, :count], count + 2, axis=0)
@@ -108,7 +108,7 @@ def sobol_indices(
     again = [_indices(answers[..., generator.integers(samples, size=samples)]) for _ in range(_RESAMPLES)]
     tail = (1.0 - _CONFIDENCE) / 2.0
     (first_low, total_low), (first_high, total_high) = np.quantile(again, (tail, 1.0 - tail), axis=0)
-    note = "the properties are correlated: each counts as far as it is independent of those before it"
+    note = "the properties are correlated: each counts only as far as it is independent of those before it"
     return {
         name: SobolIndices(
             result=name,
@@ -126,15 +126,15 @@ def sobol_indices(
 
 
 def _indices(answers: Vector) -> tuple[Vector, Vector]:
-    """Return first and total indices, (results, properties).
+    """Return first-order and total indices, each of the shape (results, properties).
 
     Args:
-        answers: (results, properties + 2, samples): of the first sample, of those with one property of the second, and
-            of the second.
+        answers: results (results, properties + 2, samples) over the first sample, over those with one property from
+            the second, and over the second sample.
     """
     variance = np.var(answers[:, [0, -1]], axis=(1, 2))[:, None]
-    variance[variance == 0.0] = 1.0  # a resample of few points may be one point many times: its indices are 0
-    # Products of values less their mean are more accurate (Sobol and Levitan 1999).
+    variance[variance == 0.0] = 1.0  # a resample may repeat a single point: its indices are then 0
+    # Subtracting the mean first makes the products more accurate (Sobol and Levitan 1999).
     other = answers[:, -1] - np.mean(answers[:, [0, -1]], axis=(1, 2))[:, None]
     change = answers[:, 1:-1] - answers[:, :1]
     first = np.mean(other[:, None] * change, axis=-1) / variance
@@ -142,7 +142,7 @@ def _indices(answers: Vector) -> tuple[Vector, Vector]:
 
 
 def _names(field: SoilDistribution) -> tuple[str, ...]:
-    """Return the properties' names, each with those before it on which it depends."""
+    """Return the properties' names, each with the earlier ones that it depends on."""
     names = []
     for k, name in enumerate(field.names):
         before = [other for other, weight in zip(field.names, field.factor[k, :k], strict=False) if weight != 0.0]

@@ -1,6 +1,6 @@
 """Verification of a robust design: every requested measure over fresh samples, with a confidence interval.
 
-An optimum over some samples fits these samples: it looks better on them than the design is. Samples that are drawn
+An optimum is fitted to the optimiser's samples, and looks better on them than it is. Samples that are drawn
 independently, and that the optimiser did not use, show by how much.
 """
 
@@ -20,31 +20,36 @@ from plough_opt.studies.uncertainty.robust import RequestedMeasure, Robust
 
 Vector = NDArray[np.float64]
 
-SAMPLES, SEED = 4096, 20_000
-"""Default number of fresh samples, and default seed."""
+SAMPLES = 4096
+"""Default number of fresh samples."""
+SEED = 20_000
+"""Default seed of the fresh samples."""
 
 CONFIDENCE = 0.95
 _RESAMPLES = 500
-_AT_ONCE = 50
-# Part of the fresh samples without a result above which verification raises an error.
+# Number of resamples that are evaluated together, which limits the memory.
+_BATCH = 50
+# Verification raises an error if a larger part of the fresh samples has no result.
 _MOST_FAILURES = 0.01
+# Relative range below which values are equal but for rounding: the bootstrap has no interval for them.
+_NEGLIGIBLE = 1e-9
 
 
 @dataclass(frozen=True)
 class Check:
-    """One measure of a design, on its own samples and on fresh ones.
+    """One measure of a design, over the optimiser's samples and over fresh ones.
 
     Attributes:
         result: name of its result.
         text: the measure in words.
-        seen: the optimiser's value, smoothed, over its own samples.
-        sharp: the exact value over these samples.
+        seen: the optimiser's value: smoothed, over its own samples.
+        sharp: the exact value over the optimiser's samples.
         fresh: the exact value over the fresh samples.
-        low: lower end of the confidence interval of the measure of the whole distribution; None for a worst case.
-        high: upper end.
-        width: over which the optimiser's measure is smoothed; 0 if it is not.
-        rounding: effect of the smoothing, over the fresh samples.
-        note: method of the interval, or words instead of it.
+        low: lower end of the confidence interval for the whole distribution; None for a worst case.
+        high: upper end of this interval.
+        width: width over which the optimiser's measure is smoothed; 0 if it is not.
+        rounding: change of the value by smoothing, over the fresh samples.
+        note: method of the interval, or a text instead of one.
         worse: for a worst case, the number of worse fresh samples; otherwise None.
     """
 
@@ -62,36 +67,36 @@ class Check:
 
     @property
     def optimism(self) -> float:
-        """The measure on fresh samples less the optimiser's value."""
+        """The value over fresh samples minus the optimiser's value."""
         return self.fresh - self.seen
 
     @property
     def confirmed(self) -> bool:
-        """Whether the optimiser's value lies within the interval; for a worst case, whether no sample is worse."""
+        """Whether the optimiser's value is in the interval; for a worst case, whether no fresh sample is worse."""
         if self.low is None or self.high is None:
             return self.worse == 0
         return self.low <= self.seen <= self.high
 
     @property
     def verdict(self) -> str:
-        """Whether fresh samples confirm the optimiser's value, or on which side of it they lie, in words."""
+        """Whether fresh samples confirm the optimiser's value, and otherwise on which side of it they lie."""
         if self.confirmed:
             return "confirmed"
         return f"{'larger' if self.fresh > self.seen else 'smaller'} than seen"
 
     @property
     def interval(self) -> str:
-        """The confidence interval in words."""
+        """The confidence interval as text."""
         if self.low is None or self.high is None:
             return self.note
         return f"{100 * CONFIDENCE:.0f} %: {self.low:.6g} to {self.high:.6g}, {self.note}"
 
     def __str__(self) -> str:
         """Return the check in a sentence."""
-        rounded = f"; rounded off over {self.width:.4g}, which changes it by {self.rounding:+.2g}" if self.width else ""
+        smoothing = f"; smoothed over {self.width:.4g}, which changes it by {self.rounding:+.2g}" if self.width else ""
         return (
             f"{self.result}, {self.text}: the optimiser saw {self.seen:.6g}, fresh samples give {self.fresh:.6g}"
-            f" ({self.interval}): {self.verdict}{rounded}"
+            f" ({self.interval}): {self.verdict}{smoothing}"
         )
 
 
@@ -100,11 +105,11 @@ class Verification:
     """The measures of a design over fresh samples.
 
     Attributes:
-        checks: every requested measure.
+        checks: the check of every requested measure.
         samples: number of fresh samples with results.
         failures: number of a fresh sample without results -> the reason.
         values: name of a result -> its values over the fresh samples.
-        seed: of the fresh samples.
+        seed: seed of the fresh samples.
         seconds: time taken [s].
     """
 
@@ -116,7 +121,7 @@ class Verification:
     seconds: float
 
     def __getitem__(self, key: tuple[str, str]) -> Check:
-        """Return the check of a result's measure, by the result's name and the beginning of the measure's words."""
+        """Return a check by the name of its result and the beginning of its measure's text."""
         for check in self.checks:
             if check.result == key[0] and check.text.startswith(key[1]):
                 return check
@@ -129,7 +134,7 @@ class Verification:
         return all(check.confirmed for check in self.checks)
 
     def __str__(self) -> str:
-        """Return the checks, a line for each measure."""
+        """Return one line for each check."""
         return "\n".join(map(str, self.checks))
 
 
@@ -139,14 +144,14 @@ def verify(
     """Evaluate every requested measure of a design over fresh, independently drawn samples.
 
     Means, standard deviations and CVaR get percentile intervals of the bootstrap (scipy.stats.bootstrap),
-    probabilities the exact interval of Clopper and Pearson (scipy.stats.binomtest). The worst of the samples has no
-    interval, because the distribution may extend beyond them: it gets the probability of worse soils.
+    probabilities the exact interval of Clopper and Pearson (scipy.stats.binomtest). The worst sample has no interval,
+    because the distribution may extend beyond the samples: its check gives the probability of worse soils instead.
 
     Args:
         robust: the results in the design.
-        at: the optimum, or a design by the names of its variables and parameters.
+        at: an optimum, or a design by the names of its variables and parameters.
         samples: number of fresh samples, at least 100.
-        seed: of the fresh samples; they are drawn by another generator than the optimiser's.
+        seed: seed of the fresh samples; their generator differs from that of the optimiser's samples.
 
     Raises:
         InputError: too few samples, or too many soils without results.
@@ -157,23 +162,23 @@ def verify(
         raise InputError(f"samples = {shown(samples)} must be a whole number of at least 100, for confidence intervals")
     own = robust.values(at)
     fresh = robust.responses(at, robust.field.draw(samples, seed=seed))
-    kept = samples - len(fresh.failures)
+    valid = samples - len(fresh.failures)
     if len(fresh.failures) > _MOST_FAILURES * samples:
         number, reason = next(iter(fresh.failures.items()))
         raise InputError(
             f"{len(fresh.failures)} of {samples} fresh soils have no result, such as number {number}: {reason};"
-            " truncate the distribution where the model ends"
+            " truncate the distribution at the ends of the model's domain"
         )
     requested = {(one.result, one.text): one for one in robust.requested}
     checks = tuple(_checked(one, own[one.result], fresh.values[one.result], seed) for one in requested.values())
-    return Verification(checks, kept, fresh.failures, fresh.values, seed, time.perf_counter() - started)
+    return Verification(checks, valid, fresh.failures, fresh.values, seed, time.perf_counter() - started)
 
 
 def _checked(requested: RequestedMeasure, own: Vector, fresh: Vector, seed: int) -> Check:
-    """Return one measure on the optimiser's samples and on fresh ones."""
-    seen, sharp = float(requested.rounded(own)), float(requested.sharp(own))
-    found = float(requested.sharp(fresh))
-    rounding = float(requested.rounded(fresh)) - found if requested.width else 0.0
+    """Return the check of a measure, from the values over the optimiser's own samples and over fresh ones."""
+    seen, sharp = float(requested.smoothed(own)), float(requested.exact(own))
+    found = float(requested.exact(fresh))
+    rounding = float(requested.smoothed(fresh)) - found if requested.width else 0.0
     low: float | None
     high: float | None
     worse: int | None = None
@@ -197,29 +202,30 @@ def _checked(requested: RequestedMeasure, own: Vector, fresh: Vector, seed: int)
 
 
 def _binomial(count: int, total: int) -> tuple[float, float]:
+    """Return the exact interval of a probability from the number of cases."""
     interval = stats.binomtest(count, total).proportion_ci(CONFIDENCE, method="exact")
     return float(interval.low), float(interval.high)
 
 
 def _bootstrap(requested: RequestedMeasure, values: Vector, seed: int) -> tuple[float, float]:
-    """Return the percentile interval of a measure; if all values are equal, that value."""
-    if float(np.ptp(values)) <= 1e-9 * float(np.max(np.abs(values))):
+    """Return the percentile interval of a measure; if all values are equal, their range."""
+    if float(np.ptp(values)) <= _NEGLIGIBLE * float(np.max(np.abs(values))):
         return float(np.min(values)), float(np.max(values))
 
     def measure(resampled: Vector, axis: int = -1) -> Vector:
-        return np.apply_along_axis(requested.sharp, axis, resampled)
+        return np.apply_along_axis(requested.exact, axis, resampled)
 
     generator = np.random.default_rng([seed, 1])
     interval = stats.bootstrap(
-        (values,), measure, n_resamples=_RESAMPLES, batch=_AT_ONCE, vectorized=True, confidence_level=CONFIDENCE,
+        (values,), measure, n_resamples=_RESAMPLES, batch=_BATCH, vectorized=True, confidence_level=CONFIDENCE,
         method="percentile", rng=generator,
     ).confidence_interval  # fmt: skip
     return float(interval.low), float(interval.high)
 
 
 def in_words(checks: Sequence[Check]) -> str:
-    """Return one sentence on whether fresh samples confirm the optimiser's values."""
+    """Return a sentence that says whether fresh samples confirm the optimiser's values."""
     doubtful = [f"{check.result} ({check.text}: {check.verdict})" for check in checks if not check.confirmed]
     if not doubtful:
         return "fresh samples confirm every measure"
-    return f"fresh samples do not confirm {', '.join(doubtful)}; an optimisation over more samples would come nearer"
+    return f"fresh samples do not confirm {', '.join(doubtful)}; optimise over more samples for a closer value"

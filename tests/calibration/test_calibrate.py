@@ -106,7 +106,7 @@ def test_a_fit_that_does_not_converge_is_refused(measured, three, monkeypatch):
     from plough_opt.studies.calibration import least_squares
 
     calibration = po.Calibration(steady_scene(), measured, three)
-    monkeypatch.setitem(least_squares._TIGHT, "max_nfev", 1)
+    monkeypatch.setitem(least_squares._TOLERANCES, "max_nfev", 1)
     with pytest.raises(po.NotConverged, match="did not converge from any of 4 starts") as failure:
         calibration.fit()
     assert failure.value.status

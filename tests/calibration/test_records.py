@@ -5,7 +5,7 @@ import pytest
 from scipy import interpolate
 
 import plough_opt as po
-from plough_opt.studies.calibration.setup import reading
+from plough_opt.studies.calibration.setup import interpolation
 
 WAVE = po.StrengthWave(0.3, 0.2)
 
@@ -89,7 +89,7 @@ def test_mean_drafts_of_runs_under_a_strength_wave(motion):
 
 def test_reading_between_outputs_is_exact_for_polynomials():
     places = np.array([0.0, 0.013, 0.5, 0.777, 0.999, 1.0])
-    matrix = reading(places, 20)
+    matrix = interpolation(places, 20)
     grid = np.linspace(0.0, 1.0, 21)
     for degree in range(8):
         # Eight nodes carry a polynomial of degree seven; weights of order ten at the ends.
@@ -99,5 +99,5 @@ def test_reading_between_outputs_is_exact_for_polynomials():
 
 def test_a_run_needs_a_duration():
     data = po.Measurements("mean_draft", [3e3, 3.1e3], {"scene.tow_speed": [1.0, 2.0]}, sigma=10.0, name="drafts")
-    with pytest.raises(po.InputError, match="drafts: mean_draft of this scene is a run's: give the duration"):
+    with pytest.raises(po.InputError, match="drafts: mean_draft of this scene needs a run: give its duration"):
         po.calibrate(moving_scene(), data, {"soil.cohesion": (1e3, 80e3)})

@@ -1,4 +1,4 @@
-"""`calibrate`: a scene and measurements in, the unknowns with their uncertainty out."""
+"""`calibrate`: the unknowns of a scene, with their uncertainty, from measurements."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -30,10 +30,10 @@ class Calibration:
         data: one set of measurements, or several.
         unknown: key of a problem file -> (lower, upper) or (lower, upper, guess), SI or text with units; default: the
             variables of the problem file that are not columns of the data.
-        loss: "squares", or one that gives outliers less weight: "huber", "soft_l1", "cauchy".
-        duration: simulated time [s] of runs whose averages were measured, if not the problem's.
-        starts: number of starts: the guess, and the best of 64 points between the bounds (16 if they need runs).
-        title: for reports.
+        loss: "squares", or a robust loss that gives outliers less weight: "huber", "soft_l1", "cauchy".
+        duration: simulated time [s] of runs whose averages were measured; default: the problem's.
+        starts: number of starts: the guess, and the best of 64 points between the bounds (of 16 if they need runs).
+        title: title for reports.
 
     Raises:
         InputError: an unknown name, invalid bounds, too few rows, or data that do not belong to the scene.
@@ -67,15 +67,18 @@ class Calibration:
         self.title = title or self.setup.model.title
 
     def predict(self, values: Mapping[str, float]) -> Vector:
-        """Return the predictions of all rows with given unknowns, SI."""
+        """Return the predictions of all rows at given values of the unknowns, SI."""
         y = np.array([unknown.scaled(values[unknown.name]) for unknown in self.setup.model.unknowns])
         return self.setup.problem.predict(y)
 
     def fit(self, observed: Vector | None = None) -> Fit:
-        """Return the fit to the measured values, or to others instead.
+        """Return the fit to the measured values, or to other observed values.
+
+        Args:
+            observed: other values in place of the measured ones, SI, one for each row.
 
         Raises:
-            InputError: others that are not finite numbers, one for each row.
+            InputError: the observed values are not finite numbers, one for each row.
             NotConverged: no start led to an optimum.
         """
         started = time.perf_counter()
@@ -106,7 +109,7 @@ def calibrate(
         given: a problem file, a numeric scene, or a function of values by key that returns a scene.
         data: one set of measurements, or several.
         unknown: key of a problem file -> (lower, upper) or (lower, upper, guess), SI or text with units.
-        **options: loss, duration, starts and title, and everything more about these three: see `Calibration`.
+        **options: loss, duration, starts and title; see `Calibration` for all arguments.
 
     Raises:
         InputError: an unknown name, invalid bounds, too few rows, or data that do not belong to the scene.

@@ -1,4 +1,4 @@
-"""The next measurement: candidates ranked by how much they would reduce the uncertainty that the data leave."""
+"""The next measurement: candidates ranked by how much they would reduce the uncertainty of the unknowns."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -19,15 +19,16 @@ from plough_opt.studies.calibration.setup import Rows, Setup, predictor
 
 Vector = NDArray[np.float64]
 
-# A candidate that measures an unknown by itself does so within this part of its bounds.
-_DIRECT: Final = 0.05
-# Conditions of the proposed measurements: factors on the middle of those measured.
+# Assumed standard deviation of a direct measurement of an unknown, as a part of the distance of its bounds.
+_DIRECT_ERROR: Final = 0.05
+# Conditions of the proposed measurements, as factors on the median of the measured ones.
 _FACTORS: Final = {"share.wedge_angle": (0.6, 1.5), "share.height": (0.7, 1.4), "scene.tow_speed": (0.5, 1.7)}
+# Largest wedge angle that is proposed.
 _STEEPEST: Final = math.radians(70.0)
-# A tool of known friction: steel with a coating of polyethylene.
-_COATED: Final = 0.2
-# Pressure ahead of the front at another depth.
-_DEEPER: Final = 10e3
+# Known tool friction of steel coated with polyethylene.
+_COATED_FRICTION: Final = 0.2
+# Proposed increase of the ambient pressure [Pa], as at a larger depth.
+_MORE_PRESSURE: Final = 10e3
 
 
 @dataclass(frozen=True)
@@ -35,10 +36,10 @@ class Candidate:
     """A measurement that could be made.
 
     Attributes:
-        result: the result to measure, as in `Measurements`; or an unknown by itself.
-        conditions: key -> value, SI; the others are at the middle of those measured.
+        result: the result to measure, as in `Measurements`; or the name of an unknown that is measured directly.
+        conditions: key -> value, SI; the other conditions are at the median of the measured ones.
         sigma: standard deviation of its error, in the result's SI unit; None: the relative error of the data.
-        why: its name, or "" for a description.
+        why: a name for reports; "" for a generated description.
 
     Example:
         >>> import plough_opt as po
@@ -52,7 +53,7 @@ class Candidate:
     why: str = ""
 
     def describe(self) -> str:
-        """Return the measurement in words."""
+        """Return the measurement as text."""
         if self.why:
             return self.why
         if not self.conditions:
@@ -67,8 +68,8 @@ class NextMeasurement:
     Attributes:
         candidate: the measurement.
         sigma: assumed standard deviation of its error, SI.
-        information: gain, ln of the ratio by which the volume of possible values shrinks.
-        errors: unknown -> (standard error now, with the measurement), SI; the bounds count as knowledge.
+        information: gain of information: ln of the factor by which the volume of possible values shrinks.
+        errors: unknown -> (standard error now, and with the measurement), SI; both include what the bounds say.
         units: unknown -> SI unit.
     """
 
@@ -79,7 +80,7 @@ class NextMeasurement:
     units: Mapping[str, str]
 
     def words(self) -> str:
-        """Return a sentence."""
+        """Return the gain in a sentence."""
         gains = sorted(self.errors.items(), key=lambda item: item[1][1] / item[1][0])
         largest = [
             f"{name} from ±{now:.3g} to ±{then:.3g} {self.units[name]}".rstrip()
@@ -90,16 +91,16 @@ class NextMeasurement:
 
 
 def next_measurements(fit: Estimate, candidates: Sequence[Candidate] | None = None) -> tuple[NextMeasurement, ...]:
-    """Return candidates by their gain of information, the best first.
+    """Return candidates with their gain of information, the best first.
 
-    This is D-optimal, with the bounds as prior knowledge: a uniform distribution between them.
+    The first one is D-optimal. The prior is a uniform distribution between the bounds.
 
     Args:
         fit: the estimate from the data.
-        candidates: default: other conditions, other results, and the unknowns by themselves.
+        candidates: candidates to rank; default: other conditions, other results, and direct measurements of unknowns.
 
     Raises:
-        InputError: a candidate of another type, or none that is a measurement of this scene.
+        InputError: a candidate of another type, or no candidate that this scene can have.
     """
     if candidates is None:
         candidates = _proposals(fit.setup)
@@ -114,8 +115,8 @@ def next_measurements(fit: Estimate, candidates: Sequence[Candidate] | None = No
     ranking = []
     for candidate in candidates:
         try:
-            sigma, slope = _measurement(candidate, fit, slopes)
-        except (DomainError, InputError):  # the scene has no such result, or not at these conditions
+            sigma, slope = _predicted(candidate, fit, slopes)
+        except (DomainError, InputError):  # the scene does not have this result or these conditions
             continue
         row = slope / sigma
         step = now @ row
@@ -124,49 +125,54 @@ def next_measurements(fit: Estimate, candidates: Sequence[Candidate] | None = No
         errors = {u.name: (float(before[k]), float(after[k])) for k, u in enumerate(unknowns)}
         ranking.append(NextMeasurement(candidate, sigma, 0.5 * math.log1p(gain), errors, units))
     if not ranking:
-        raise InputError("none of the candidates is a measurement of this scene")
+        raise InputError("none of the candidates can be measured in this scene: check their results and conditions")
     return tuple(sorted(ranking, key=lambda item: -item.information))
 
 
-def _measurement(candidate: Candidate, fit: Estimate, slopes: Vector) -> tuple[float, Vector]:
+def _predicted(candidate: Candidate, fit: Estimate, slopes: Vector) -> tuple[float, Vector]:
     """Return the standard deviation of a candidate's error, and its derivatives by the scaled unknowns.
 
+    Args:
+        candidate: the candidate.
+        fit: the estimate from the data.
+        slopes: derivatives of the unknowns by their scaled values.
+
     Raises:
-        DomainError: conditions outside the model's domain.
-        InputError: a result or a condition that the scene does not have.
+        DomainError: the conditions are outside the model's domain.
+        InputError: the scene does not have the result or a condition.
     """
     for k, unknown in enumerate(fit.unknowns):
         if unknown.name == candidate.result:
             return candidate.sigma or _direct_error(unknown), slopes[k] * np.eye(len(slopes))[k]
     if candidate.result not in measurable():
         raise InputError(f"'{candidate.result}' is neither a result of a run nor one of the unknowns")
-    middles = {key: float(np.median(column)) for m in fit.setup.measured for key, column in m.conditions.items()}
-    added = Measurements(candidate.result, [0.0], {**middles, **candidate.conditions})
+    medians = {key: float(np.median(column)) for m in fit.setup.measured for key, column in m.conditions.items()}
+    added = Measurements(candidate.result, [0.0], {**medians, **candidate.conditions})
     value, slope = predictor((Rows(added, fit.setup.model),), fit.setup.model)(fit.y)
     size, observed = abs(float(value)), np.abs(fit.data.observed)
-    counts = (fit.data.weights > 0.0) & (observed > 0.0)
-    relative = float(np.median(fit.deviation[counts] / observed[counts]))
+    counted = (fit.data.weights > 0.0) & (observed > 0.0)
+    relative = float(np.median(fit.deviation[counted] / observed[counted]))
     return candidate.sigma or max(relative * size, 1e-12 * max(1.0, size)), np.asarray(slope).ravel()
 
 
 def _proposals(setup: Setup) -> list[Candidate]:
-    """Return candidates beside the data: other conditions, other results, and the unknowns by themselves."""
+    """Return the default candidates: other conditions, other results, and direct measurements of the unknowns."""
     names = {unknown.name for unknown in setup.model.unknowns}
     results = [m.result for m in setup.measured if m.result in measurable() and m.result != RECORD] or ["mean_draft"]
     candidates: list[Candidate] = []
     for result in dict.fromkeys(results):
         candidates.append(Candidate(result))
         for key, factors in _FACTORS.items():
-            if key not in names and (middle := _middle(key, setup)):
+            if key not in names and (median := _median(key, setup)):
                 most = _STEEPEST if key == "share.wedge_angle" else math.inf
-                candidates += [Candidate(result, {key: min(factor * middle, most)}) for factor in factors]
+                candidates += [Candidate(result, {key: min(factor * median, most)}) for factor in factors]
         key = "soil.ambient_pressure"
-        if key not in names and (middle := _middle(key, setup)):
-            why = f"{result} at an ambient pressure {_DEEPER / 1e3:g} kPa higher"
-            candidates.append(Candidate(result, {key: middle + _DEEPER}, why=why))
+        if key not in names and (median := _median(key, setup)):
+            why = f"{result} at an ambient pressure {_MORE_PRESSURE / 1e3:g} kPa higher"
+            candidates.append(Candidate(result, {key: median + _MORE_PRESSURE}, why=why))
         if "soil.tool_friction" in names:
-            why = f"{result} of a coated share, of known tool friction {_COATED:g}"
-            candidates.append(Candidate(result, {"soil.tool_friction": _COATED}, why=why))
+            why = f"{result} of a coated share, of known tool friction {_COATED_FRICTION:g}"
+            candidates.append(Candidate(result, {"soil.tool_friction": _COATED_FRICTION}, why=why))
     if "loosened_radius" not in results:
         candidates.append(Candidate("loosened_radius", why="loosened_radius"))
     for unknown in setup.model.unknowns:
@@ -177,10 +183,12 @@ def _proposals(setup: Setup) -> list[Candidate]:
 
 
 def _direct_error(unknown: Unknown) -> float:
-    return _DIRECT * (unknown.upper - unknown.lower)
+    """Return the standard deviation that is assumed for a direct measurement of an unknown."""
+    return _DIRECT_ERROR * (unknown.upper - unknown.lower)
 
 
-def _middle(key: str, setup: Setup) -> float | None:
+def _median(key: str, setup: Setup) -> float | None:
+    """Return the median of a condition over all rows; the scene's own value if it was not varied."""
     columns = [m.conditions[key] for m in setup.measured if key in m.conditions]
     return float(np.median(np.concatenate(columns))) if columns else setup.model.current.get(key)
 

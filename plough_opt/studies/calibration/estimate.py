@@ -1,4 +1,4 @@
-"""The estimate: the best fit from several starts, the scale of its residuals, and the intervals of the unknowns."""
+"""The estimate: the best fit from several starts, the scale of its residuals, and confidence intervals."""
 
 import math
 from collections.abc import Iterator
@@ -15,45 +15,49 @@ from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.studies.calibration.identifiability import Spread, spread_of
 from plough_opt.studies.calibration.least_squares import AT_BOUND, Data, LeastSquares, Minimum
 from plough_opt.studies.calibration.model import Unknown
-from plough_opt.studies.calibration.setup import Setup
+from plough_opt.studies.calibration.setup import INSIDE, Setup
 
 Vector = NDArray[np.float64]
 Kind = Literal["profile", "linearised"]
 
-# Points between the bounds at which the loss is evaluated to choose starts; fewer if it needs runs, which take longer.
-_SCANNED, _RUNS_SCANNED, _SEED = 64, 16, 7
-# Starts keep this distance from the bounds, at which a search may stay.
-_INSIDE: Final = 0.02
-# Median absolute deviation of normal errors over their standard deviation, inverted.
+# Number of points between the bounds at which the loss is evaluated to choose starts.
+_SCANNED: Final = 64
+# The same if the predictions need runs, which take longer.
+_SCANNED_WITH_RUNS: Final = 16
+_SEED: Final = 7
+# Standard deviation of normal errors over their median absolute deviation.
 _MAD: Final = 1.4826
-_RESCALINGS, _SETTLED = 20, 1e-4
-# Least scatter of residuals over the nominal one per cent: data with less are exact to rounding.
+# Limit on the number of fits that determine the scale of a robust loss.
+_MOST_RESCALINGS: Final = 20
+# The scale has settled when it changes by less than this part.
+_SETTLED: Final = 1e-4
+# Least scale of residuals relative to the nominal one per cent: with less scatter, data are exact to rounding.
 _LEAST_SCALE: Final = 1e-10
-# Losses that differ by less than this, relative, belong to the same optimum.
+# Optima whose losses differ by less than this, relative, count as the same.
 _SAME: Final = 1e-6
 # Least mean curvature of a robust loss: with less, nearly all rows are outliers.
-_LEAST_BEND: Final = 0.05
-# Within so small a part of the bounds the loss is quadratic.
-_STRAIGHT: Final = 1e-6
-# Of a standard error: how accurately the ends are found.
+_LEAST_CURVATURE: Final = 0.05
+# If an interval's half width is a smaller part of the bounds, the loss is quadratic over it.
+_QUADRATIC: Final = 1e-6
+# Accuracy of an interval's ends, as a part of a standard error.
 _ACCURACY: Final = 1e-7
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """The best fit, with its calibration.
+    """The best fit, with its calibration; n rows and p unknowns.
 
     Attributes:
         setup: model, measurements and problem.
-        data: observed values and weights, which include the estimated scale.
+        data: observed values and weights; the weights include the estimated scale.
         best: the best optimum.
         optima: sums of losses of all distinct local optima, the best first.
-        residuals: weighted, predicted less observed (n).
+        residuals: weighted residuals, predicted minus observed (n).
         spread: how far the data determine the unknowns.
-        freedom: rows that count less the rank.
-        variance: of a weighted residual in the covariance; 1 if sigma is stated.
-        rise: allowed rise of twice the sum of losses inside an interval, per squared quantile.
-        normal: whether quantiles are normal, because the variance is known, or Student's.
+        freedom: degrees of freedom: rows with a weight minus the rank.
+        variance: variance of a weighted residual in the covariance; 1 if sigma is stated.
+        rise: rise of twice the sum of losses at the end of an interval, over the squared quantile.
+        normal: whether quantiles are normal, because the variance is known; otherwise they are Student's.
     """
 
     setup: Setup
@@ -74,7 +78,7 @@ class Estimate:
 
     @property
     def y(self) -> Vector:
-        """Scaled unknowns."""
+        """Scaled unknowns (p)."""
         return self.best.y
 
     @property
@@ -94,7 +98,7 @@ class Estimate:
             return np.asarray(self.variance**0.5 / self.data.weights)
 
     def quantile(self, level: float) -> float:
-        """Return the two-sided quantile of a level."""
+        """Return the two-sided quantile at a confidence level."""
         side = 0.5 + level / 2.0
         return float(stats.norm.ppf(side) if self.normal else stats.t.ppf(side, self.freedom))
 
@@ -108,9 +112,9 @@ def estimate(setup: Setup, data: Data, guess: Vector, starts: int) -> Estimate:
     problem, scaled = setup.problem, data
     best, optima = _best(problem, data, guess, starts)
     if problem.loss.robust and not data.stated:
-        # A robust loss depends on the scale of the residuals, and that scale on the fit.
+        # A robust loss depends on the scale of the residuals, and the scale on the fit: repeat both until they settle.
         scale = 1.0
-        for _ in range(_RESCALINGS):
+        for _ in range(_MOST_RESCALINGS):
             before, scale = scale, _scale(problem, data, best.y)
             scaled = replace(data, weights=data.weights / scale)
             if abs(scale - before) <= _SETTLED * scale:
@@ -121,9 +125,9 @@ def estimate(setup: Setup, data: Data, guess: Vector, starts: int) -> Estimate:
 
 
 def _best(problem: LeastSquares, data: Data, guess: Vector, starts: int) -> tuple[Minimum, tuple[float, ...]]:
-    """Return the best optimum, and the losses of all."""
-    inside = np.clip(guess, _INSIDE, 1.0 - _INSIDE)
-    # Along an undetermined direction there are many optima: the nearest to the guess is wanted.
+    """Return the best optimum, and the losses of all distinct ones."""
+    inside = np.clip(guess, INSIDE, 1.0 - INSIDE)
+    # Along an undetermined direction there are many optima: take the nearest to the guess.
     open_ended = spread_of(problem.at(inside)[1] * data.weights[:, None], 1.0).free.shape[1] > 0
     centre = inside if open_ended else None
     found = [problem.solve(y, data, centre) for y in (inside, *_starts(problem, data, starts - 1))]
@@ -142,16 +146,16 @@ def _best(problem: LeastSquares, data: Data, guess: Vector, starts: int) -> tupl
 
 
 def _starts(problem: LeastSquares, data: Data, count: int) -> list[Vector]:
-    """Return the best of many points between the bounds."""
+    """Return the points between the bounds with the smallest losses, out of many."""
     if count < 1:
         return []
-    points = qmc.Sobol(problem.unknowns, seed=_SEED).random(_SCANNED if problem.closed else _RUNS_SCANNED)
+    points = qmc.Sobol(problem.unknowns, seed=_SEED).random(_SCANNED if problem.closed else _SCANNED_WITH_RUNS)
     losses = np.nan_to_num([problem.total(point, data) for point in points], nan=np.inf, posinf=np.inf)
     return [points[k] for k in np.argsort(losses)[:count]]
 
 
 def _scale(problem: LeastSquares, data: Data, y: Vector) -> float:
-    """Return the standard deviation of residuals, from the median of their sizes."""
+    """Return the standard deviation of the residuals, estimated from the median of their absolute values."""
     size = np.abs(data.weights * (problem.predict(y) - data.observed))[data.weights > 0.0]
     return max(_MAD * float(np.median(size)) * math.sqrt(len(size) / (len(size) - problem.unknowns)), _LEAST_SCALE)
 
@@ -166,10 +170,10 @@ def _with_accuracy(setup: Setup, data: Data, best: Minimum, optima: tuple[float,
     normal = data.stated and not problem.loss.robust
     pull = problem.loss.weight(own) * own
     square = 1.0 if normal else max(float(np.sum(pull**2)) / max(freedom, 1), _LEAST_SCALE**2)
-    bend = max(float(np.mean(problem.loss.curvature(own))), _LEAST_BEND)
-    variance = square / bend**2
+    curvature = max(float(np.mean(problem.loss.curvature(own))), _LEAST_CURVATURE)
+    variance = square / curvature**2
     spread = spread_of(weighted, variance**0.5)
-    return Estimate(setup, data, best, optima, residuals, spread, freedom, variance, square / bend, normal)
+    return Estimate(setup, data, best, optima, residuals, spread, freedom, variance, square / curvature, normal)
 
 
 @dataclass(frozen=True)
@@ -179,8 +183,8 @@ class Interval:
     Attributes:
         lower: its lower end; minus infinity if the data do not determine the unknown.
         upper: its upper end.
-        clipped: the ends that are the unknown's bounds, "lower" or "upper", because the data do not exclude them.
-        kind: "profile", or "linearised" if requested or if the profile could not be computed.
+        clipped: which ends ("lower", "upper") are bounds of the unknown, because the data do not exclude the bounds.
+        kind: "profile"; "linearised" if that was requested, or if the profile could not be computed.
     """
 
     lower: float
@@ -196,7 +200,7 @@ class Interval:
 
 
 def check_level(level: float) -> float:
-    """Return a level, or raise InputError if it is not between 0 and 1."""
+    """Return a confidence level as a float, or raise InputError if it is not between 0 and 1."""
     if not isinstance(level, int | float) or not 0.0 < level < 1.0:
         raise InputError(f"level = {shown(level)} must lie between 0 and 1, such as 0.95")
     return float(level)
@@ -205,14 +209,15 @@ def check_level(level: float) -> float:
 def interval(fit: Estimate, k: int, level: float, kind: Kind) -> Interval:
     """Return the interval of unknown number k.
 
-    Profile: all values with which, the other unknowns adjusted, the loss rises by no more than the quantile allows.
-    Linearised: standard error times quantile, on the unknown's own scale (its logarithm where that is scaled).
+    A profile interval holds all values at which the loss, with the other unknowns fitted anew, rises by no more than
+    the quantile allows. A linearised one is the value ± quantile times standard error, on the scale of the unknown (its
+    logarithm if that is what is scaled).
     """
     if not fit.spread.determined[k]:
         return Interval(-np.inf, np.inf, kind=kind)
     reach = fit.quantile(level) * float(np.sqrt(fit.spread.covariance[k, k]))
     low, high = fit.y[k] - reach, fit.y[k] + reach
-    if reach < _STRAIGHT:
+    if reach < _QUADRATIC:
         kind = "linearised"
     if kind == "profile":
         try:
@@ -220,33 +225,34 @@ def interval(fit: Estimate, k: int, level: float, kind: Kind) -> Interval:
         except NotConverged:
             kind = "linearised"
     unknown = fit.unknowns[k]
-    beyond = {"lower": low <= AT_BOUND, "upper": high >= 1.0 - AT_BOUND}
-    lower = unknown.lower if beyond["lower"] else float(unknown.value(low))
-    upper = unknown.upper if beyond["upper"] else float(unknown.value(high))
-    return Interval(lower, upper, tuple(side for side, clipped in beyond.items() if clipped), kind)
+    clipped = {"lower": low <= AT_BOUND, "upper": high >= 1.0 - AT_BOUND}
+    lower = unknown.lower if clipped["lower"] else float(unknown.value(low))
+    upper = unknown.upper if clipped["upper"] else float(unknown.value(high))
+    return Interval(lower, upper, tuple(side for side, at_bound in clipped.items() if at_bound), kind)
 
 
 def _profile_end(fit: Estimate, k: int, sign: float, quantile: float) -> float:
-    """Return the end of the profile's interval in scaled unknown k on one side, or the bound if that comes first.
+    """Return one end of the profile interval of scaled unknown k, or the bound on that side if it comes first.
 
     Raises:
-        NotConverged: the other unknowns could not be adjusted.
+        NotConverged: the other unknowns could not be fitted.
     """
     error = float(np.sqrt(fit.spread.covariance[k, k]))
-    along = fit.spread.covariance[:, k] / error**2
+    # Change of all unknowns per change of this one, to first order: it predicts the fit of the others.
+    direction = fit.spread.covariance[:, k] / error**2
     centre = fit.y if fit.spread.free.shape[1] else None
-    known = {float(fit.y[k]): fit.best}
+    solved = {float(fit.y[k]): fit.best}
 
-    def excess(own: float) -> float:
-        """Return the root of the loss's rise, in quantiles: nearly a straight line."""
-        if own not in known:
-            nearest = min(known, key=lambda other: abs(other - own))
-            start = np.clip(known[nearest].y + (own - nearest) * along, 0.0, 1.0)
-            start[k] = own
-            known[own] = found = fit.setup.problem.solve(start, fit.data, centre, held=k)
-            if not found.converged:
-                raise NotConverged(f"the profile likelihood has no optimum: {found.status}", found.status)
-        return float(np.sqrt(max(2.0 * (known[own].loss - fit.best.loss), 0.0) / fit.rise)) - quantile
+    def excess(value: float) -> float:
+        """Return the square root of the loss's rise minus the quantile; it is nearly linear in the value."""
+        if value not in solved:
+            nearest = min(solved, key=lambda other: abs(other - value))
+            start = np.clip(solved[nearest].y + (value - nearest) * direction, 0.0, 1.0)
+            start[k] = value
+            solved[value] = minimum = fit.setup.problem.solve(start, fit.data, centre, held=k)
+            if not minimum.converged:
+                raise NotConverged(f"the profile likelihood has no optimum: {minimum.status}", minimum.status)
+        return float(np.sqrt(max(2.0 * (solved[value].loss - fit.best.loss), 0.0) / fit.rise)) - quantile
 
     near, reach = float(fit.y[k]), sign * quantile * error
     while True:

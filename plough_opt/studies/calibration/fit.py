@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 
-# Correlations above this are worth a line.
-_CORRELATED: Final = 0.5
+# Correlations of at least this size are reported.
+_NOTABLE_CORRELATION: Final = 0.5
 
 
 @dataclass(frozen=True, repr=False)
@@ -40,26 +40,26 @@ class Fit(Saveable):
     """A calibration: unknowns with their uncertainty, and how well the model follows the data.
 
     Attributes:
-        title: of the calibration.
-        unknowns: their values and standard errors.
-        correlations_found: of the errors of determined unknowns, each pair once.
-        unidentifiable: combinations that the data do not determine.
-        rows: the data beside the fit.
+        title: title of the calibration.
+        unknowns: the unknowns with values and standard errors.
+        correlations_found: correlations of the errors of determined unknowns, each pair once.
+        unidentifiable: combinations of unknowns that the data do not determine.
+        rows: the measured rows with their predictions.
         loss: name of the loss.
         total: sum of the losses.
         optima: sums of the losses at all distinct local optima.
-        freedom: degrees of freedom, rows that count less the determined directions.
-        scatter: root of the sum of squares over the degrees of freedom, of residuals over the stated sigma, or over the
-            mean measured value if none is stated.
+        freedom: degrees of freedom: rows with a weight minus determined directions.
+        scatter: square root of the sum of squared residuals over the degrees of freedom; residuals are relative to the
+            stated sigma, or to the mean measured value if no sigma is stated.
         stated: whether sigma was stated.
-        status: of the solver.
-        warnings: about the numbers.
-        seconds: time taken.
-        saved_intervals: those in a file.
-        saved_next: the ranking in a file.
-        versions: of packages, and the machine.
-        source: the estimate behind it; None of a fit from a file.
-        origin: what made it.
+        status: status of the solver.
+        warnings: warnings about the results.
+        seconds: time taken [s].
+        saved_intervals: intervals in a loaded file.
+        saved_next: ranking of further measurements in a loaded file.
+        versions: versions of packages, and the kind of machine.
+        source: the estimate behind the fit; None for a loaded fit.
+        origin: the question, and the versions that answered it.
 
     Example:
         >>> import plough_opt as po
@@ -123,42 +123,42 @@ class Fit(Saveable):
 
     @property
     def residuals(self) -> Vector:
-        """Predicted less observed, SI."""
+        """Predicted minus observed values, SI."""
         return np.array([row.residual for row in self.rows])
 
     @property
     def standardised(self) -> Vector:
-        """Residuals over the standard deviation of a measurement; 0 of rows of weight 0."""
+        """Residuals over the standard deviation of a measurement; 0 for rows of weight 0."""
         return np.array([row.residual / row.sigma if row.sigma > 0.0 else 0.0 for row in self.rows])
 
     def intervals(self, level: float = 0.95, kind: Kind = "profile") -> dict[str, Interval]:
         """Return the confidence interval of every unknown, SI.
 
         Args:
-            level: confidence, between 0 and 1.
-            kind: "profile": of the profile likelihood, which includes the model's curvature; "linearised": standard
+            level: confidence level, between 0 and 1.
+            kind: "profile": from the profile likelihood, which includes the model's curvature; "linearised": standard
                 error times quantile. Quantiles are normal if sigma is stated, and Student's if it is estimated.
 
         Raises:
-            InputError: an invalid level or kind, or one that a saved fit does not contain.
+            InputError: an invalid level or kind, or intervals that a loaded fit does not contain.
         """
         level = check_level(level)
         check_choice("kind", kind, ("profile", "linearised"))
         if (level, kind) not in self._intervals:
             estimate = self._source_to(f"compute {kind} intervals of level {level:g} of")
-            own = {u.name: interval(estimate, k, level, kind) for k, u in enumerate(estimate.unknowns)}
-            self._intervals[level, kind] = own
+            intervals = {u.name: interval(estimate, k, level, kind) for k, u in enumerate(estimate.unknowns)}
+            self._intervals[level, kind] = intervals
         return dict(self._intervals[level, kind])
 
     def next_measurements(self, candidates: Sequence[Candidate] | None = None) -> tuple[NextMeasurement, ...]:
-        """Return further measurements by their gain of information, the best first.
+        """Return possible further measurements with their gain of information, the best first.
 
         Args:
-            candidates: possible measurements; default: other wedge angles, heights, speeds and depths, a tool of known
-                friction, the loosened radius, and each unknown by itself.
+            candidates: measurements to rank; default: other wedge angles, heights, speeds and depths, a tool of known
+                friction, the loosened radius, and a direct measurement of each unknown.
 
         Raises:
-            InputError: a candidate of another type, or candidates for a fit from a file, which has only its own.
+            InputError: a candidate of another type, or candidates for a loaded fit, which only has a saved ranking.
         """
         if candidates is not None:
             return next_measurements(self._source_to("rank other candidates for"), candidates)
@@ -172,16 +172,16 @@ class Fit(Saveable):
         return self.next_measurements()[0]
 
     def cross_validation(self, folds: int | None = None, *, seed: int = 1) -> CrossValidation:
-        """Return how well the model predicts rows that took no part in its fit.
+        """Return how well the model predicts rows that are left out of the fit.
 
         Args:
-            folds: number of parts, each left out in turn; default: each row by itself, 20 parts for over 60 rows, and 5
-                if the rows need runs.
-            seed: of the shuffling.
+            folds: number of parts, each left out in turn; default: one for each row, 20 for over 60 rows, and 5 if the
+                rows need runs.
+            seed: seed of the shuffling.
 
         Raises:
-            InputError: an invalid number of folds, or a fit from a file.
-            NotConverged: a fit without some of the rows has no optimum.
+            InputError: an invalid number of folds, or a loaded fit.
+            NotConverged: a fit without some of the rows did not converge.
         """
         return cross_validate(self._source_to("cross-validate"), folds, seed)
 
@@ -190,12 +190,12 @@ class Fit(Saveable):
         """The scene with the calibrated values."""
         setup = self._source_to("take the scene of").setup
         scene = setup.model.scene(self.values)
-        own = [name.removeprefix("soil.") for name in self.values if name.startswith("soil.")]
-        if not own:
+        properties = [name.removeprefix("soil.") for name in self.values if name.startswith("soil.")]
+        if not properties:
             return scene
         files = ", ".join(dict.fromkeys(m.name for m in setup.measured))
-        origin = f"{', '.join(own)} from {files}; {scene.soil.source}"
-        return replace(scene, soil=replace(scene.soil, name=f"{scene.soil.name}, calibrated", source=origin))
+        source = f"{', '.join(properties)} from {files}; {scene.soil.source}"
+        return replace(scene, soil=replace(scene.soil, name=f"{scene.soil.name}, calibrated", source=source))
 
     @property
     def soil(self) -> Soil:
@@ -205,12 +205,12 @@ class Fit(Saveable):
     def page(self) -> Page:
         """Return the unknowns, the undetermined combinations, the next measurements, and the scatter about the fit.
 
-        Intervals and the ranking of further measurements take time, and are shown only if they are already computed.
+        Intervals and the ranking of further measurements are costly, and are shown only if they are already computed.
         """
-        profiles = [(level, own) for (level, kind), own in self._intervals.items() if kind == "profile"]
+        profiles = [(level, found) for (level, kind), found in self._intervals.items() if kind == "profile"]
         level, intervals = profiles[-1] if profiles else (0.0, {})
         shown: list[Part] = [parts.unknowns_table(self.unknowns, level, intervals, self.origin)]
-        correlated = [c for c in self.correlations_found if abs(c.value) >= _CORRELATED]
+        correlated = [c for c in self.correlations_found if abs(c.value) >= _NOTABLE_CORRELATION]
         for c in sorted(correlated, key=lambda c: -abs(c.value)):
             shown.append(f"Errors of {c.first} and {c.second} are correlated: {c.value:+.3f}.")
         shown += [f"Not determined: {item.words}." for item in self.unidentifiable]
@@ -224,7 +224,7 @@ class Fit(Saveable):
         return Page(heading, tuple(shown), self.warnings, footer, self.title)
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return a row for each measured row beside the fit, SI; the unit of each is a column.
+        """Return a row for each measured row with its prediction, SI; a column holds the units.
 
         Raises:
             InputError: pandas is not installed.
@@ -235,13 +235,13 @@ class Fit(Saveable):
         return frame
 
     def plot(self, target: str | Path | None = None) -> Figure:
-        """Draw measured against predicted values, residuals, and their distribution.
+        """Draw measured against predicted values, the residuals, and their distribution.
 
         Args:
             target: file to write (.png, .svg, .pdf), or None.
 
         Raises:
-            InputError: a file name without a known ending, or a place that cannot be written.
+            InputError: a file name without a known ending, or a path that cannot be written.
         """
         from plough_opt.core.files import save_figure
         from plough_opt.studies.calibration.picture import figure_of
@@ -258,16 +258,16 @@ class Fit(Saveable):
         self.intervals(0.95, "linearised")
         self.intervals(0.95, "profile")
         intervals = tuple(
-            parts.KnownInterval(name, level, kind, own)
-            for (level, kind), every in self._intervals.items()
-            for name, own in every.items()
+            parts.KnownInterval(name, level, kind, interval)
+            for (level, kind), by_name in self._intervals.items()
+            for name, interval in by_name.items()
         )
-        whole = replace(self, source=None, saved_intervals=intervals, saved_next=self.next_measurements())
-        return whole.to_json(page or self.page())
+        complete = replace(self, source=None, saved_intervals=intervals, saved_next=self.next_measurements())
+        return complete.to_json(page or self.page())
 
     @cached_property
     def _intervals(self) -> dict[tuple[float, Kind], dict[str, Interval]]:
-        """The intervals in the file, and those computed so far, by level and kind."""
+        """(level, kind) -> intervals that were loaded, or computed so far."""
         known: dict[tuple[float, Kind], dict[str, Interval]] = {}
         for item in self.saved_intervals:
             known.setdefault((item.level, item.asked), {})[item.name] = item.interval
@@ -275,18 +275,18 @@ class Fit(Saveable):
 
     @cached_property
     def _ranking(self) -> list[NextMeasurement]:
-        """The ranking of candidates in the file, or once it is computed."""
+        """The ranking of candidates that was loaded, or computed; empty before."""
         return list(self.saved_next)
 
     def _source_to(self, verb: str) -> Estimate:
-        """Return the estimate behind a fit that is not from a file."""
+        """Return the estimate behind the fit; raise InputError that says what a loaded fit cannot do."""
         if self.source is None:
             raise InputError(f"this fit comes from a file: calibrate again to {verb} it")
         return self.source
 
 
 def reported(title: str, estimate: Estimate, started: float) -> Fit:
-    """Return the fit of an estimate; ``started`` is the reading of the clock at its beginning."""
+    """Return the fit of an estimate; ``started`` is the value of `time.perf_counter` at its beginning."""
     data = estimate.setup.data
     unscaled = data.weights * (estimate.predicted - estimate.data.observed)
     scatter = float(np.sqrt(np.sum(unscaled**2) / max(estimate.freedom, 1)))

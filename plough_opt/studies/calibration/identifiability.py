@@ -1,4 +1,4 @@
-"""Identifiability: which combinations of unknowns the data determine, by the singular values of the Jacobian."""
+"""Identifiability: which combinations of unknowns the data determine, from the Jacobian's singular values."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,23 +14,24 @@ from plough_opt.studies.calibration.model import Unknown
 Vector = NDArray[np.float64]
 
 UNIFORM: Final = 12.0**-0.5
-"""Standard deviation of a number of which only the bounds, 0 and 1, are known."""
+"""Standard deviation of a number that is known only to lie between 0 and 1: a uniform distribution."""
 
 # Singular values below this part of the largest are rounding: the predictions do not depend on such directions.
 _STRUCTURAL: Final = 1e-9
-# Parts of a direction below these are rounding, or too small to mention.
+# Smaller components of a direction (a unit vector) are rounding.
 _ROUNDING: Final = 1e-6
-_WORTH: Final = 0.02
+# Smaller components of a combination, relative to its largest, are left out.
+_MINOR: Final = 0.02
 
 
 @dataclass(frozen=True)
 class Undetermined:
-    """A combination of unknowns along which the predictions do not change, or less than the scatter of the data.
+    """A combination of unknowns along which predictions change by less than the scatter of the data, or not at all.
 
     Attributes:
         changes: unknown -> its change along the direction, SI, at the fit; the first is one per cent of its bounds.
         structural: whether the predictions do not change at all; otherwise the data are not accurate enough.
-        words: a sentence.
+        words: a sentence about it.
     """
 
     changes: Mapping[str, float]
@@ -43,11 +44,11 @@ class Spread:
     """How far the data determine the scaled unknowns.
 
     Attributes:
-        covariance: of the scaled unknowns (p, p); rows of undetermined ones are 0.
-        determined: whether an unknown's variance is smaller than the one that follows from its bounds (p).
-        free: directions of the scaled unknowns that are not determined, as columns (p, d).
-        structural: whether the predictions do not depend on each of them at all (d).
-        rank: number of directions that the model determines.
+        covariance: covariance of the scaled unknowns (p, p); rows of undetermined ones are 0.
+        determined: whether an unknown's variance is smaller than that from its bounds alone (p).
+        free: undetermined directions of the scaled unknowns, as columns (p, d).
+        structural: for each of these, whether the predictions do not depend on it at all (d).
+        rank: number of directions that the predictions depend on.
     """
 
     covariance: Vector
@@ -58,10 +59,10 @@ class Spread:
 
 
 def spread_of(slope: Vector, noise: float) -> Spread:
-    """Return how far a Jacobian of weighted residuals (n, p) determines scaled unknowns.
+    """Return how far data determine scaled unknowns.
 
     Args:
-        slope: the Jacobian.
+        slope: Jacobian of the weighted residuals by the unknowns (n, p).
         noise: standard deviation of a weighted residual.
     """
     count = slope.shape[1]
@@ -71,7 +72,7 @@ def spread_of(slope: Vector, noise: float) -> Spread:
     structural = sizes <= _STRUCTURAL * max(float(sizes[0]), np.finfo(float).tiny)
     deviation = np.full(count, np.inf)
     deviation[~structural] = noise / sizes[~structural]
-    loose = deviation >= UNIFORM
+    undetermined_directions = deviation >= UNIFORM
     parts = np.where(np.abs(directions) > np.where(structural, _ROUNDING, 0.0), directions, 0.0)
     with np.errstate(invalid="ignore"):
         variance = np.where(parts != 0.0, parts**2 * deviation**2, 0.0).sum(axis=1)
@@ -82,21 +83,21 @@ def spread_of(slope: Vector, noise: float) -> Spread:
     return Spread(
         covariance=covariance * np.outer(known, known),
         determined=determined,
-        free=directions[:, loose],
-        structural=structural[loose],
+        free=directions[:, undetermined_directions],
+        structural=structural[undetermined_directions],
         rank=int(np.sum(~structural)),
     )
 
 
 def undetermined(unknowns: Sequence[Unknown], y: Vector, spread: Spread) -> tuple[Undetermined, ...]:
     """Return the undetermined combinations, each of as few unknowns as possible."""
-    never, coarse = spread.free[:, spread.structural], spread.free[:, ~spread.structural]
-    never, own = _sparse(never)
-    # A combination without any effect may be added to one with little effect, to leave fewer unknowns in that.
-    coarse, _ = _sparse(coarse - never @ coarse[own, :])
-    combinations = [_combination(unknowns, y, direction, structural=True) for direction in never.T]
-    combinations += [_combination(unknowns, y, direction, structural=False) for direction in coarse.T]
-    # An unknown may be undetermined because of two directions that are each just determined.
+    without_effect, pivots = _sparse(spread.free[:, spread.structural])
+    # Directions without effect may be subtracted from those with little effect, which leaves fewer unknowns in these.
+    weak = spread.free[:, ~spread.structural]
+    weak, _ = _sparse(weak - without_effect @ weak[pivots, :])
+    combinations = [_combination(unknowns, y, direction, structural=True) for direction in without_effect.T]
+    combinations += [_combination(unknowns, y, direction, structural=False) for direction in weak.T]
+    # An unknown may be undetermined although each direction is just determined: name it alone.
     named = {name for item in combinations for name in item.changes}
     for k, unknown in enumerate(unknowns):
         if not spread.determined[k] and unknown.name not in named:
@@ -107,17 +108,17 @@ def undetermined(unknowns: Sequence[Unknown], y: Vector, spread: Spread) -> tupl
 
 
 def _sparse(free: Vector) -> tuple[Vector, NDArray[np.intp]]:
-    """Return a basis of the same directions in which each has an unknown of its own, and these unknowns."""
+    """Return a basis of the same space, and its pivots: each basis vector is the only one with its pivot unknown."""
     if free.shape[1] == 0:
         return free, np.zeros(0, dtype=np.intp)
     _, _, order = linalg.qr(free.T, pivoting=True, mode="economic")
-    own = order[: free.shape[1]]
-    basis = np.linalg.solve(free[own, :].T, free.T).T
-    return np.where(np.abs(basis) > _WORTH * np.max(np.abs(basis), axis=0), basis, 0.0), own
+    pivots = order[: free.shape[1]]
+    basis = np.linalg.solve(free[pivots, :].T, free.T).T
+    return np.where(np.abs(basis) > _MINOR * np.max(np.abs(basis), axis=0), basis, 0.0), pivots
 
 
 def _combination(unknowns: Sequence[Unknown], y: Vector, direction: Vector, structural: bool) -> Undetermined:
-    """Return a direction as changes of the unknowns in their own units, and in words."""
+    """Return a direction as a combination: changes of the unknowns in SI units, and a sentence."""
     order = np.argsort(-np.abs(direction), kind="stable")
     members = [k for k in order if direction[k] != 0.0]
     size = 0.01 / direction[members[0]]
@@ -126,11 +127,12 @@ def _combination(unknowns: Sequence[Unknown], y: Vector, direction: Vector, stru
 
 
 def _words(members: Sequence[Unknown], changes: Mapping[str, float], structural: bool) -> str:
+    """Return the sentence about a combination."""
     names = [unknown.name for unknown in members]
     if len(names) == 1:
         if structural:
             return f"{names[0]} has no effect on the measured results: the data do not determine it"
-        return f"{names[0]} is hardly determined: the data narrow it no further than its bounds"
+        return f"{names[0]} is hardly determined: the data do not narrow it further than its bounds"
     first = changes[names[0]]
     moves = ", ".join(f"{_size(u, changes)} {'less' if changes[u.name] * first < 0.0 else 'more'} {u.name}"
                       for u in members[1:])  # fmt: skip

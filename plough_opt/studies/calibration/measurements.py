@@ -1,4 +1,4 @@
-"""Measurements: one measured result over conditions or time, checked, SI units; from Python or from a CSV file."""
+"""`Measurements`: checked values of one measured result over conditions or time, from Python or from a CSV file."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,38 +18,37 @@ from plough_opt.motion.vocabulary import MEASURES
 Vector = NDArray[np.float64]
 
 RECORD: Final = "mount_force"
-"""The result that is measured over time, in one run for each set of conditions."""
+"""The result that is measured over time; rows with equal conditions belong to one run."""
 _EXAMPLE: Final = "'scene.tow_speed [km/h], share.wedge_angle [deg], mean_draft [kN], sigma [kN]'"
 
 
 def measurable() -> tuple[str, ...]:
-    """Return the names of the results that can be measured in the field, and are compared with those of a run."""
+    """Return the names of the results that can be measured in the field."""
     return tuple(name for name, one in MEASURES.items() if one.measured)
 
 
 def result_unit(name: str) -> Unit:
-    """Return the SI unit of a result, or of a quantity that is measured on its own."""
+    """Return the SI unit of a result, or of a quantity that is measured directly."""
     return MEASURES[name].unit if name in measurable() else every_quantity()[name]
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """Measured values of one result; every column has one number per row.
+    """Measured values of one result, with a number per row in every column.
 
     For example ``Measurements("mean_draft", [3.9e3, 4.1e3], {"scene.tow_speed": [1.0, 2.0]}, sigma=100.0)``.
 
     Args:
-        result: what was measured: mean_draft [N], mount_force [N] over time, force_rms [N], mean_deflection [m],
-            displacement_rms [m], tow_power [W], loosened_radius [m], added_mass [kg],
-            cone_index [Pa]; or one of the unknowns itself,
-            such as "soil.friction_angle" [rad] from a shear test.
+        result: the measured result: mean_draft [N], mount_force [N] over time, force_rms [N], mean_deflection [m],
+            displacement_rms [m], tow_power [W], loosened_radius [m], added_mass [kg] or cone_index [Pa]; or an unknown
+            that was measured directly, such as "soil.friction_angle" [rad] in a shear test.
         values: measured values, SI.
-        conditions: key of a problem file such as "scene.tow_speed" -> its value in every row, SI.
+        conditions: key of a problem file, such as "scene.tow_speed" -> its value in every row, SI.
         sigma: standard deviation of the measuring error, one number or one per row, above 0; None: estimated from the
             scatter.
-        weights: relative weight of each row's square, at least 0, instead of sigma; a row of weight 0 is left out.
+        weights: relative weight of each row's square, at least 0, instead of sigma; rows of weight 0 are left out.
         time: times since the start of the run [s], at least 0; only for mount_force.
-        name: of the set in messages, such as the file's name.
+        name: name of the set in messages, such as the file's name.
         lines: line of the file for each row.
 
     Raises:
@@ -87,8 +86,8 @@ class Measurements:
         check_kind(f"{name}: lines", lines, Sequence, "a list of the rows' line numbers")
         conditions = mapping_of(f"{name}: conditions", conditions, "a quantity's key -> its values")
         _check_names(name, result, conditions)
-        for key, own in (("result", result), ("name", name), ("lines", tuple(lines))):
-            object.__setattr__(self, key, own)
+        for key, value in (("result", result), ("name", name), ("lines", tuple(lines))):
+            object.__setattr__(self, key, value)
         measured = self._column(result, values)
         count = len(measured)
         if not count:
@@ -106,7 +105,7 @@ class Measurements:
         return len(self.values)
 
     def row(self, number: int) -> str:
-        """Return the name of a row in messages.
+        """Return the name of a row for messages.
 
         Raises:
             InputError: an invalid row number.
@@ -131,7 +130,7 @@ class Measurements:
             raise InputError(f"{self.name}: row {shown(number)} must be a whole number from 0 to {self.rows - 1}")
 
     def _column(self, key: str, given: Any, rows: int | None = None) -> Vector:
-        """Return a column of finite numbers; a single number applies to all rows, if their number is known."""
+        """Return a column of finite numbers; a single number stands for all rows, if their number is known."""
         try:
             column = np.array(given, dtype=float)
         except NOT_NUMBERS:
@@ -141,37 +140,38 @@ class Measurements:
         if column.ndim != 1 or len(column) != (len(column) if rows is None else rows):
             expected = "one dimension" if rows is None else f"{rows} rows, as '{self.result}' has"
             raise InputError(f"{self.name}: '{key}' has the shape {column.shape}, and must have {expected}")
-        self._refuse(key, column, ~np.isfinite(column), "a finite number")
+        self._check_rows(key, column, ~np.isfinite(column), "a finite number")
         column.flags.writeable = False
         return column
 
     def _check_columns(self) -> None:
-        """Raise InputError if numbers are outside their domains, or if columns exclude or lack each other."""
+        """Raise InputError if numbers are outside their domains, or if the columns do not go together."""
         if self.sigma is not None:
-            self._refuse("sigma", self.sigma, self.sigma <= 0.0, "above 0: it is a standard deviation")
+            self._check_rows("sigma", self.sigma, self.sigma <= 0.0, "above 0: it is a standard deviation")
         if self.weights is not None:
-            self._refuse("weights", self.weights, self.weights < 0.0, "at least 0")
+            self._check_rows("weights", self.weights, self.weights < 0.0, "at least 0")
             if self.sigma is not None:
                 raise InputError(f"{self.name}: sigma and weights exclude each other: keep sigma")
             if not np.any(self.weights > 0.0):
                 raise InputError(f"{self.name}: every weight is 0, which leaves no row")
         if self.time is not None:
-            self._refuse("time", self.time, self.time < 0.0, "at least 0: it counts from the start of the run")
+            self._check_rows("time", self.time, self.time < 0.0, "at least 0: it counts from the start of the run")
             if self.result != RECORD:
                 raise InputError(
-                    f"{self.name}, column 'time': {self.result} is one value for a run: a time goes with {RECORD}"
+                    f"{self.name}, column 'time': {self.result} is one value per run: a time goes with {RECORD} only"
                 )
         elif self.result == RECORD:
             raise InputError(f"{self.name}: {RECORD} is measured over time: a column 'time [s]' is missing")
 
-    def _refuse(self, key: str, column: Vector, bad: NDArray[np.bool_], expected: str) -> None:
+    def _check_rows(self, key: str, column: Vector, bad: NDArray[np.bool_], expected: str) -> None:
+        """Raise InputError for the first bad row of a column."""
         if np.any(bad):
             number = int(np.argmax(bad))
             raise InputError(f"{self._place(number)}: {key} = {column[number]:g} must be {expected}")
 
 
 def _check_names(name: str, result: object, conditions: Mapping[str, Any]) -> None:
-    """Raise InputError if a result or a condition is unknown, or if one is both."""
+    """Raise InputError if the result or a condition is unknown, or if the result is also a condition."""
     known = every_quantity()
     if not (isinstance(result, str) and result in known):
         check_named(f"{name}: {{}} is not a measured result", result, measurable())
@@ -184,15 +184,15 @@ def _check_names(name: str, result: object, conditions: Mapping[str, Any]) -> No
 def read_measurements(path: str | Path) -> Measurements:
     """Read one measured result from a CSV file.
 
-    The first line that is neither empty nor begins with ``#`` names the columns with their units, as
-    ``scene.tow_speed [km/h], share.wedge_angle [deg], mean_draft [kN], sigma [kN]``: conditions by their keys in a
-    problem file, one measured result, and optionally ``sigma`` (its standard deviation, in its unit or in ``%``) or
-    ``weight``; ``mount_force`` needs a column ``time``. Cells are numbers with a decimal point, separated by commas,
-    semicolons or tabs.
+    The first line that is not empty and does not begin with ``#`` names the columns with their units, such as
+    ``scene.tow_speed [km/h], share.wedge_angle [deg], mean_draft [kN], sigma [kN]``. Conditions have their keys in a
+    problem file. There is one measured result, and optionally ``sigma`` (its standard deviation, in its unit or in
+    ``%``) or ``weight``; ``mount_force`` needs a column ``time``. Cells are numbers with a decimal point, separated by
+    commas, semicolons or tabs.
 
     Raises:
-        InputError: no such file, or an invalid column or cell; the message lists each with line, column, the expected
-            value and the nearest valid name.
+        InputError: the file does not exist, or has an invalid column or cell; the message lists each with line, column,
+            the expected value and the nearest valid name.
 
     Example:
         >>> import plough_opt as po
@@ -202,7 +202,7 @@ def read_measurements(path: str | Path) -> Measurements:
     path = path_of("the file of measurements", path)
     rows = read_rows(path, "measurements")
     if not rows:
-        raise InputError(f"{path}: the file is empty: write a first line that names the columns, as {_EXAMPLE}")
+        raise InputError(f"{path}: the file is empty: name the columns in its first line, such as {_EXAMPLE}")
     line, headings = rows[0]
     relative = any((m := HEADING.fullmatch(text)) and (m["name"], m["unit"]) == ("sigma", "%") for text in headings)
     columns = _columns(f"{path}, line {line}", headings, relative)
@@ -214,7 +214,7 @@ def read_measurements(path: str | Path) -> Measurements:
     result = next(name for name in values if name in measurable())
     sigma = values.pop("sigma", None)
     if sigma is not None and relative:
-        with np.errstate(over="ignore"):  # `Measurements` refuses an infinite number with its row
+        with np.errstate(over="ignore"):  # `Measurements` reports an infinite number with its row
             sigma = sigma * np.abs(values[result])
     time, weights, measured = values.pop("time", None), values.pop("weight", None), values.pop(result)
     lines = [number for number, _ in rows[1:]]
@@ -225,29 +225,29 @@ def _columns(place: str, headings: Sequence[str], relative: bool) -> list[tuple[
     """Return name and factor to SI of the columns that a header names.
 
     Raises:
-        InputError: an invalid column, or columns that do not belong together; every one is listed.
+        InputError: invalid columns, or columns that do not go together; the message lists all.
     """
     measured = [m["name"] for text in headings if (m := HEADING.fullmatch(text)) and m["name"] in measurable()]
     units = {**quantities(), **{name: MEASURES[name].unit for name in measurable()}}
     of_sigma = MEASURES[measured[0]].unit if measured and not relative else Unit("")
     units |= {"sigma": of_sigma, "weight": Unit(""), "time": Unit("s")}
-    # Without a measured result nothing is known of the unit of sigma.
+    # Without a measured result the unit of sigma is unknown: report the missing result only.
     found = columns_of(place, [text for text in headings if measured or "sigma" not in text], units)
     names = [name for name, _ in found]
     twice = sorted({name for name in names if names.count(name) > 1})
     errors = [f"{place}, column '{key}': it is given twice: leave one of the two out" for key in twice]
     if not measured:
         errors.append(
-            f"{place}: no column holds a measured result: one of {', '.join(measurable())} is needed, as {_EXAMPLE}"
+            f"{place}: no column holds a measured result: add one of {', '.join(measurable())}, such as {_EXAMPLE}"
         )
     if len(set(measured)) > 1:
-        errors.append(f"{place}: {' and '.join(measured)} are measured: write a file for each, and give all of them")
+        errors.append(f"{place}: {' and '.join(measured)} are measured: write one file for each, and give all files")
     raise_listed(errors)
     return found
 
 
 def _check_cell(name: str, value: float, cell: str) -> None:
-    """Raise InputError if a number is outside its column's domain."""
+    """Raise InputError if a number is outside the domain of its column."""
     if name == "sigma" and value <= 0.0:
         raise InputError(f"{cell} must be above 0: it is a standard deviation")
     if name in ("weight", "time") and value < 0.0:

@@ -1,6 +1,6 @@
-"""The model to calibrate: a scene as a function of its quantities by name, and the unknowns among these.
+"""The model to calibrate: a scene as a function of its named quantities, some of which are unknown.
 
-An unknown is sought between bounds, and scaled to the interval from 0 to 1.
+Each unknown is searched between bounds, and scaled to the interval from 0 to 1.
 """
 
 import math
@@ -23,13 +23,13 @@ from plough_opt.motion.scene_quantities import quantities_of, with_quantities
 Vector = NDArray[np.float64]
 SceneOf: TypeAlias = Callable[[Mapping[str, Expression]], Scene]
 _DURATION = "scene.duration"
-# From this ratio of the bounds on an unknown is scaled logarithmically.
-_WIDE = 10.0
+# An unknown whose bounds have at least this ratio is scaled logarithmically.
+_LOG_RATIO = 10.0
 
 
 @runtime_checkable
 class Described(Protocol):
-    """A scene with its quantities by name, as `read_problem` returns it."""
+    """A scene with named quantities, such as the problem that `read_problem` returns."""
 
     @property
     def title(self) -> str:
@@ -41,18 +41,18 @@ class Described(Protocol):
 
     @property
     def variables(self) -> Mapping[str, Any]:
-        """Quantities that a design may change, each with lower, upper and guess."""
+        """Quantities that a design may change, each with attributes lower, upper and guess."""
 
     def values(self) -> dict[str, Expression]:
-        """Return the given quantities, by name."""
+        """Return the given quantities by name, SI."""
 
     def scene(self, changes: Mapping[str, Expression] | None = None) -> Scene:
-        """Return the scene, with other values of some quantities."""
+        """Return the scene with changed values of some quantities."""
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """A quantity to be found.
+    """A quantity to find.
 
     Attributes:
         name: its key in a problem file, such as "soil.cohesion".
@@ -60,7 +60,7 @@ class Unknown:
         lower: least value.
         upper: largest value.
         guess: start of the search.
-        log: whether its logarithm is scaled, for a quantity above 0 of unknown order of magnitude.
+        log: whether its logarithm is scaled, as for a positive quantity of unknown order of magnitude.
     """
 
     name: str
@@ -91,15 +91,15 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Model:
-    """A scene by the names of its quantities, and the unknowns among these.
+    """A scene as a function of its named quantities, and the unknowns among them.
 
     Attributes:
-        title: for reports.
-        build: values by key, numbers or symbols, that differ from the scene's own -> scene.
+        title: title for reports.
+        build: key -> changed value, a number or a symbol -> scene.
         current: key -> the scene's own value.
         duration: simulated time [s], or None if no result needs it.
         accuracy: method and setting of runs.
-        unknowns: to be found.
+        unknowns: the quantities to find.
     """
 
     title: str
@@ -115,14 +115,14 @@ class Model:
         return np.array([unknown.scaled(unknown.guess) for unknown in self.unknowns])
 
     def values(self, y: Sequence[Expression] | Vector) -> dict[str, Expression]:
-        """Return the unknowns by name at their scaled values."""
+        """Return name -> value of the unknowns at scaled values."""
         return {unknown.name: unknown.value(y[k]) for k, unknown in enumerate(self.unknowns)}
 
     def scene(self, values: Mapping[str, Expression]) -> Scene:
-        """Return the scene with changed values; a duration among them does not belong to the scene."""
+        """Return the scene with changed values; a duration among them is ignored, as it is not part of the scene."""
         scene = self.build({key: value for key, value in values.items() if key != _DURATION})
         if not isinstance(scene, Scene):
-            raise InputError(f"the function of values returned {shown(scene)}, and must return a Scene")
+            raise InputError(f"the function of values returned {shown(scene)}: it must return a Scene")
         return scene
 
     def duration_of(self, values: Mapping[str, Expression]) -> Expression | None:
@@ -137,12 +137,12 @@ def model_of(
 
     Args:
         given: a problem, a numeric scene, or a function of values by key that returns a scene.
-        duration: simulated time [s], if not the problem's.
-        unknown: key -> (lower, upper) or (lower, upper, guess); None: the problem's variables but for the columns.
-        columns: keys that the data give.
+        duration: simulated time [s]; None: the problem's.
+        unknown: key -> (lower, upper) or (lower, upper, guess); None: the problem's variables except the columns.
+        columns: keys that are columns of the data.
 
     Raises:
-        InputError: something else, an unknown name, or invalid bounds.
+        InputError: ``given`` has the wrong type, an unknown name, or invalid bounds.
     """
     title, accuracy = "calibration", Accuracy()
     current: dict[str, float] = {}
@@ -166,7 +166,7 @@ def model_of(
 
 
 def _of_file(problem: Described, values: Mapping[str, Expression]) -> Scene:
-    """Return a problem's scene; its quantities are those of files, with frame and steel instead of the whole mass."""
+    """Return a problem's scene with changed values, by keys of files: the mass is that of the frame."""
     for name in values:
         if name not in quantities():
             raise InputError(f"a problem file has no '{name}': {nearest(name, quantities())}")
@@ -174,7 +174,7 @@ def _of_file(problem: Described, values: Mapping[str, Expression]) -> Scene:
 
 
 def _current(scene: Scene) -> dict[str, float]:
-    """Return the quantities that a numeric scene has, by name."""
+    """Return name -> value of the quantities of a numeric scene."""
     values = {name: value for name, value in quantities_of(scene).items() if value is not None}
     if any(map(is_symbolic, values.values())):
         raise InputError("the scene holds symbols: calibrate a numeric scene, and name its unknowns")
@@ -182,10 +182,10 @@ def _current(scene: Scene) -> dict[str, float]:
 
 
 def _unknowns(given: Mapping[str, Any], current: Mapping[str, float]) -> tuple[Unknown, ...]:
-    """Return checked unknowns; values of the scene are their guesses if they lie between the bounds.
+    """Return the checked unknowns.
 
     Raises:
-        InputError: no unknowns, an unknown name, or invalid bounds.
+        InputError: there are no unknowns, an unknown name, or invalid bounds.
     """
     if not mapping_of("unknown", given, "{'soil.cohesion': (1e3, 80e3)}"):
         raise InputError("there are no unknowns: name each with its bounds, as {'soil.cohesion': (1e3, 80e3)}")
@@ -193,6 +193,7 @@ def _unknowns(given: Mapping[str, Any], current: Mapping[str, float]) -> tuple[U
 
 
 def _unknown(name: str, bounds: Any, current: float | None) -> Unknown:
+    """Return an unknown; the default guess is the scene's value if it is between the bounds, otherwise their middle."""
     units = every_quantity()
     check_named("{} cannot be an unknown", name, units)
     if isinstance(bounds, str) or not isinstance(bounds, Sequence) or len(bounds) not in (2, 3):
@@ -208,7 +209,7 @@ def _unknown(name: str, bounds: Any, current: float | None) -> Unknown:
     lower, upper = numbers[:2]
     if not lower < upper:
         raise InputError(f"'{name}': the lower bound {lower:g} must be below the upper bound {upper:g}")
-    log = lower > 0.0 and upper / lower >= _WIDE
+    log = lower > 0.0 and upper / lower >= _LOG_RATIO
     middle = math.sqrt(lower * upper) if log else (lower + upper) / 2.0
     guess = numbers[2] if len(numbers) == 3 else current
     if guess is None or (len(numbers) == 2 and not lower < guess < upper):

@@ -1,4 +1,4 @@
-"""Parts of a fit as plain data, unknowns, correlations and rows; and their tables."""
+"""The parts of a fit as plain data (unknowns, correlations, rows), and tables of them."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ from plough_opt.studies.calibration.candidates import NextMeasurement
 from plough_opt.studies.calibration.estimate import Estimate, Interval, Kind
 from plough_opt.studies.calibration.measurements import result_unit
 
-# Rows of the table of candidates.
+# Largest number of rows in the table of candidates.
 _MOST_CANDIDATES: Final = 6
 
 
@@ -25,8 +25,8 @@ class FittedUnknown:
     Attributes:
         name: its key in a problem file.
         unit: SI unit.
-        value: at the fit; if the unknown is not determined, one of many that fit.
-        standard_error: infinite if the data do not determine it.
+        value: fitted value; if the data do not determine the unknown, one of many that fit.
+        standard_error: its standard error; infinite if the data do not determine it.
         lower: its lower bound.
         upper: its upper bound.
         determined: whether the data narrow it further than its bounds.
@@ -52,19 +52,19 @@ class Correlation:
 
 @dataclass(frozen=True)
 class Row:
-    """A measured row beside the fit, SI.
+    """A measured row with its prediction, SI.
 
     Attributes:
         place: file and line, or set and row.
         result: the measured result.
         unit: its unit.
-        conditions: of the row.
-        time: since the start of the run [s], or None.
+        conditions: conditions of the row by key.
+        time: time since the start of the run [s], or None.
         observed: measured value.
-        predicted: by the fit.
-        sigma: standard deviation of the measurement, stated or estimated; infinite of a row of weight 0.
-        standard_error: of the prediction, from the errors of the determined unknowns.
-        residual: predicted less observed.
+        predicted: fitted value.
+        sigma: standard deviation of the measurement, stated or estimated; infinite for a row of weight 0.
+        standard_error: standard error of the prediction, from the errors of the determined unknowns.
+        residual: predicted minus observed value.
     """
 
     place: str
@@ -81,7 +81,7 @@ class Row:
 
 @dataclass(frozen=True)
 class KnownInterval:
-    """A computed interval, with its level and the kind that was requested."""
+    """A computed interval of an unknown, with its level and the requested kind."""
 
     name: str
     level: float
@@ -108,7 +108,7 @@ def correlations_of(fit: Estimate) -> tuple[Correlation, ...]:
 
 
 def rows_of(fit: Estimate) -> tuple[Row, ...]:
-    """Return every measured row beside the fit."""
+    """Return every measured row with its prediction."""
     error = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", fit.slope, fit.spread.covariance, fit.slope), 0.0))
     columns = (fit.data.observed, fit.predicted, fit.deviation, error, fit.predicted - fit.data.observed)
     numbers = iter(np.column_stack(columns).tolist())
@@ -122,7 +122,7 @@ def rows_of(fit: Estimate) -> tuple[Row, ...]:
 def unknowns_table(
     unknowns: Sequence[FittedUnknown], level: float, intervals: Mapping[str, Interval], origin: Origin
 ) -> Grid:
-    """Return the values with their standard errors, and with their intervals if these are already computed."""
+    """Return a table of the unknowns with standard errors, and with intervals if some are given."""
     between = [f"{100 * level:g} % interval"] if intervals else []
     table = Grid.of("Calibrated", "unknown", "value", "standard error", *between, "bounds", "", left=("",))
     for unknown in unknowns:
@@ -140,7 +140,7 @@ def unknowns_table(
 
 
 def next_table(unknowns: Sequence[FittedUnknown], ranking: Sequence[NextMeasurement], origin: Origin) -> Grid:
-    """Return the best candidates, with the standard errors that they would leave."""
+    """Return a table of the best candidates with the standard errors of the unknowns after each."""
     names = [unknown.name.rpartition(".")[2] for unknown in unknowns]
     title = "What to measure next: standard errors now, and with one more measurement of the same quality"
     table = Grid.of(title, "measurement", *names, fold=("measurement",))
@@ -152,7 +152,7 @@ def next_table(unknowns: Sequence[FittedUnknown], ranking: Sequence[NextMeasurem
 
 
 def _text(origin: Origin, unknown: FittedUnknown, value: float, digits: int = 5) -> str:
-    """Return an SI value in the one unit in which its unknown is shown."""
+    """Return a value of an unknown as text, in the unit in which all its values are shown."""
     if math.isinf(value):
         return "infinite"
     return origin.display(unknown.name, unknown.unit, unknown.value, unknown.upper).text(value, digits)

@@ -1,4 +1,4 @@
-"""A fit as a picture: measured against predicted, residuals over the fit and over a condition, their quantiles."""
+"""The picture of a fit: measured against predicted values, residuals, and quantiles of the residuals."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -24,12 +24,12 @@ _MUTED: Final = "#8A8A8A"
 
 
 def figure_of(title: str, rows: Sequence[Row], origin: Origin) -> Figure:
-    """Return four panels: measured against predicted, residuals against both, and their quantiles.
+    """Return four panels: measured against predicted values, residuals over both axes, and quantiles of residuals.
 
     Args:
-        title: of the picture.
-        rows: the data beside the fit.
-        origin: of the fit, which has the units that its question is written in.
+        title: title of the picture.
+        rows: the measured rows with their predictions.
+        origin: origin of the fit, which gives the units of the file.
     """
     counted = [row for row in rows if math.isfinite(row.sigma) and row.sigma > 0.0]
     kinds = {row.result: _display(row, counted, origin) for row in counted}
@@ -47,7 +47,7 @@ def figure_of(title: str, rows: Sequence[Row], origin: Origin) -> Figure:
 
 
 def _draw_fit(axes: Axes, rows: Sequence[Row], kinds: Mapping[str, Display]) -> None:
-    """Draw measured over predicted values with their errors; several results each over its largest value."""
+    """Draw measured over predicted values with errors; several results are each divided by their largest value."""
     for (result, display), colour in zip(kinds.items(), cycle(COLOURS)):
         own = [row for row in rows if row.result == result]
         predicted, observed, sigma, error = (
@@ -63,6 +63,7 @@ def _draw_fit(axes: Axes, rows: Sequence[Row], kinds: Mapping[str, Display]) -> 
 
 def _draw_residuals(axes: Axes, rows: Sequence[Row], kinds: Mapping[str, Display], places: Sequence[float],
                     label: str) -> None:  # fmt: skip
+    """Draw the standardised residuals over a coordinate of the rows."""
     for result, colour in zip(kinds, cycle(COLOURS)):
         own = [(place, _standardised(row)) for place, row in zip(places, rows, strict=True) if row.result == result]
         axes.plot(*zip(*own, strict=True), "o", markersize=4, color=colour, label=called(result))
@@ -75,7 +76,7 @@ def _draw_residuals(axes: Axes, rows: Sequence[Row], kinds: Mapping[str, Display
 
 
 def _draw_quantiles(axes: Axes, rows: Sequence[Row]) -> None:
-    """Draw the ordered residuals over the normal quantiles that they would have."""
+    """Draw the ordered standardised residuals over normal quantiles."""
     (theory, ordered), _ = stats.probplot([_standardised(row) for row in rows])
     axes.plot(theory, ordered, "o", markersize=4, color=COLOURS[0])
     _draw_diagonal(axes, 0.0, "normal")
@@ -83,7 +84,7 @@ def _draw_quantiles(axes: Axes, rows: Sequence[Row]) -> None:
 
 
 def _draw_diagonal(axes: Axes, place: float, label: str) -> None:
-    """Draw the line of equal values through a place on it."""
+    """Draw the diagonal of equal values, through a given point on it."""
     axes.axline((place, place), slope=1.0, color="black", linewidth=0.9, label=label)
     axes.grid(alpha=0.25)
     axes.legend(fontsize="small")
@@ -94,7 +95,7 @@ def _standardised(row: Row) -> float:
 
 
 def _display(like: Row, rows: Sequence[Row], origin: Origin) -> Display:
-    """Return the unit of a result; of several results that stand beside each other the largest value of each."""
+    """Return the unit in which a result is drawn; if there are several results, its largest value is the unit."""
     own = [abs(row.predicted) for row in rows if row.result == like.result]
     several = len({row.result for row in rows}) > 1
     return Display("", max(own)) if several else origin.display(like.result, like.unit, *own)
@@ -113,7 +114,7 @@ def _coordinates(row: Row) -> dict[str, float]:
 
 
 def _varied(rows: Sequence[Row], origin: Origin) -> tuple[Sequence[Row], list[float], str]:
-    """Return rows and the coordinate of their residuals: time, the speed if it varies, or the most varied condition."""
+    """Return the rows, a coordinate of each, and its label: time or speed if it varies, else the most varied one."""
     counts: dict[str, set[float]] = {}
     for row in rows:
         for key, value in _coordinates(row).items():
@@ -128,6 +129,6 @@ def _varied(rows: Sequence[Row], origin: Origin) -> tuple[Sequence[Row], list[fl
 
 
 def _usual(quantity: Quantity) -> Display:
-    """Return the unit in which a quantity is usually given."""
+    """Return the customary unit of a quantity."""
     symbol = quantity.shown or quantity.unit
     return Display(symbol, Unit(quantity.unit).split(f"1 {symbol}")[1])

@@ -1,4 +1,4 @@
-"""How well a model follows its data: warnings about a fit, and cross-validation, which predicts rows by the others."""
+"""How well a model follows its data: warnings about a fit, and cross-validation."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -21,15 +21,17 @@ from plough_opt.studies.calibration.setup import Rows, SceneOfRows, checked, is_
 
 Vector = NDArray[np.float64]
 
-# Probability below which a scatter is not taken for chance.
-_CHANCE: Final = 1e-3
+# Significance level of the tests for scatter and correlation.
+_SIGNIFICANCE: Final = 1e-3
+# A residual above this many standard deviations is an outlier.
 _OUTLIER: Final = 4.0
-# Residuals of a record below this number say nothing about its correlation.
-_FEWEST: Final = 8
-# Errors of a prediction above this part of a standard deviation count.
-_TELLING: Final = 0.1
+# Least number of residuals of a record from which their correlation is estimated.
+_FEWEST_CORRELATED: Final = 8
+# Differences between checked runs and predictions are reported above this part of a standard deviation.
+_NOTABLE_ERROR: Final = 0.1
+# Largest number of runs that are checked.
 _MOST_CHECKED: Final = 12
-# Limit on the rows that are left out one by one, if they need no runs.
+# By default cross-validation leaves out one row at a time up to this number of rows, if they need no runs.
 _MOST_LEFT_OUT: Final = 60
 
 
@@ -38,32 +40,34 @@ def caveats(fit: Estimate) -> tuple[str, ...]:
     at_fit = [rows.scenes(fit.y) for rows in fit.setup.rows]
     scenes = [scene for own in at_fit for scene, _, _ in own]
     return (
-        *_scatter(fit),
-        *_outliers(fit),
-        *_neighbours(fit),
-        *_bounds(fit),
-        *_optima(fit),
-        *_checked(fit, at_fit),
-        *_blunt(scenes),
-        *_pressure(fit, scenes),
+        *_scatter_notes(fit),
+        *_outlier_notes(fit),
+        *_correlation_notes(fit),
+        *_bound_notes(fit),
+        *_optima_notes(fit),
+        *_accuracy_notes(fit, at_fit),
+        *_bluntness_notes(scenes),
+        *_pressure_notes(fit, scenes),
     )
 
 
-def _scatter(fit: Estimate) -> Iterator[str]:
+def _scatter_notes(fit: Estimate) -> Iterator[str]:
+    """Yield a warning if the residuals are larger or smaller than the stated sigma implies."""
     if not fit.normal or fit.freedom < 1:
         return
     square = float(fit.residuals @ fit.residuals)
     ratio = f"{math.sqrt(square / fit.freedom):.3g} times as large as the stated sigma implies"
-    if stats.chi2.sf(square, fit.freedom) < _CHANCE:
+    if stats.chi2.sf(square, fit.freedom) < _SIGNIFICANCE:
         yield (
-            f"residuals are {ratio}: the model does not follow the data,"
-            " or sigma is too small, and the intervals with it; without sigma they follow from the scatter itself"
+            f"residuals are {ratio}: the model does not follow the data, or sigma and with it the intervals are too"
+            " small; leave sigma out to derive the intervals from the scatter"
         )
-    elif stats.chi2.cdf(square, fit.freedom) < _CHANCE:
+    elif stats.chi2.cdf(square, fit.freedom) < _SIGNIFICANCE:
         yield f"residuals are only {ratio}: sigma is too large"
 
 
-def _outliers(fit: Estimate) -> Iterator[str]:
+def _outlier_notes(fit: Estimate) -> Iterator[str]:
+    """Yield a warning that names rows with large residuals."""
     size = np.abs(fit.residuals) / math.sqrt(fit.variance)
     far = [k for k in np.argsort(-size) if size[k] > _OUTLIER]
     if far:
@@ -72,21 +76,21 @@ def _outliers(fit: Estimate) -> Iterator[str]:
         yield f"outliers: {first}{more}; a robust loss, such as 'huber', gives them less weight"
 
 
-def _parts(fit: Estimate, values: NDArray[Any]) -> Iterator[tuple[Rows, NDArray[Any]]]:
-    """Yield every set of rows with its part of a column over all rows."""
+def _by_set(fit: Estimate, values: NDArray[Any]) -> Iterator[tuple[Rows, NDArray[Any]]]:
+    """Yield every set of measurements with its part of a column over all rows."""
     ends = np.cumsum([m.rows for m in fit.setup.measured])[:-1]
     yield from zip(fit.setup.rows, np.split(values, ends), strict=True)
 
 
-def _neighbours(fit: Estimate) -> Iterator[str]:
+def _correlation_notes(fit: Estimate) -> Iterator[str]:
     """Yield a warning for each record whose residuals are correlated in time."""
-    for rows, own in _parts(fit, fit.residuals):
+    for rows, own in _by_set(fit, fit.residuals):
         m = rows.measured
-        if m.time is None or len(own) < _FEWEST or not np.any(own):
+        if m.time is None or len(own) < _FEWEST_CORRELATED or not np.any(own):
             continue
         own = own[np.lexsort((m.time, *m.conditions.values()))]
         correlation = float(own[1:] @ own[:-1] / (own @ own))
-        if correlation > stats.norm.isf(_CHANCE) / math.sqrt(len(own)):
+        if correlation > stats.norm.isf(_SIGNIFICANCE) / math.sqrt(len(own)):
             wider = math.sqrt((1.0 + correlation) / (1.0 - correlation))
             yield (
                 f"{m.name}: residuals of neighbouring times are correlated ({correlation:.2g}): intervals"
@@ -94,32 +98,34 @@ def _neighbours(fit: Estimate) -> Iterator[str]:
             )
 
 
-def _bounds(fit: Estimate) -> Iterator[str]:
+def _bound_notes(fit: Estimate) -> Iterator[str]:
+    """Yield a warning for each determined unknown that is on a bound."""
     for k in np.flatnonzero(fit.spread.determined):
         unknown = fit.unknowns[k]
         for side, distance, bound in (("lower", fit.y[k], unknown.lower), ("upper", 1.0 - fit.y[k], unknown.upper)):
             if distance < AT_BOUND:
                 place = f"{unknown.name} is at its {side} bound {bound:g} {unknown.unit}".rstrip()
-                yield f"{place}: the data call for a value beyond it, and intervals are valid only if the bound is"
+                yield f"{place}: the data call for a value beyond it, and the intervals are valid only if the bound is"
 
 
-def _optima(fit: Estimate) -> Iterator[str]:
+def _optima_notes(fit: Estimate) -> Iterator[str]:
+    """Yield a warning if other local optima fit almost as well."""
     near = [loss for loss in fit.optima[1:] if loss - fit.optima[0] < 0.5 * fit.quantile(0.95) ** 2 * fit.rise]
     if near:
         yield (
-            f"{len(near)} other local optima fit almost as well: intervals are those around the best alone; use"
-            " narrower bounds or other measurements to decide between them"
+            f"{len(near)} other local optima fit almost as well: the intervals surround only the best; use narrower"
+            " bounds or further measurements to decide between them"
         )
 
 
-def _checked(fit: Estimate, at_fit: list[list[SceneOfRows]]) -> Iterator[str]:
-    """Yield a warning if numeric runs, which check their own error, differ from the fitted values."""
-    worst, done = 0.0, 0
-    for (rows, numbers), scenes in zip(_parts(fit, np.arange(len(fit.residuals))), at_fit, strict=True):
+def _accuracy_notes(fit: Estimate, at_fit: list[list[SceneOfRows]]) -> Iterator[str]:
+    """Yield a warning if numeric runs, whose error is checked, differ from the fitted values."""
+    worst, count = 0.0, 0
+    for (rows, numbers), scenes in zip(_by_set(fit, np.arange(len(fit.residuals))), at_fit, strict=True):
         for scene, duration, which in scenes:
-            if is_closed(scene, rows.measured.result) or done >= _MOST_CHECKED:
+            if is_closed(scene, rows.measured.result) or count >= _MOST_CHECKED:
                 continue
-            done += 1
+            count += 1
             try:
                 run = checked(rows, scene, duration, which)
             except IntegrationError as error:
@@ -127,12 +133,12 @@ def _checked(fit: Estimate, at_fit: list[list[SceneOfRows]]) -> Iterator[str]:
                 return
             own = numbers[which]
             worst = max(worst, float(np.max(np.abs(run - fit.predicted[own]) / fit.deviation[own])))
-    if worst > _TELLING:
+    if worst > _NOTABLE_ERROR:
         yield f"runs with an error check differ from the fitted ones by up to {worst:.2g} standard deviations"
 
 
-def _blunt(scenes: list[Scene]) -> Iterator[str]:
-    """Yield the limit of the theory at the measured conditions."""
+def _bluntness_notes(scenes: list[Scene]) -> Iterator[str]:
+    """Yield a warning if the equivalent cone is too blunt for the theory at measured conditions."""
     angles = [float(as_number(scene.cone.half_angle)) for scene in scenes if scene.law.slender]
     if blunt := sum(angle > PLANE_SECTIONS_LIMIT for angle in angles):
         yield (
@@ -141,8 +147,8 @@ def _blunt(scenes: list[Scene]) -> Iterator[str]:
         )
 
 
-def _pressure(fit: Estimate, scenes: list[Scene]) -> Iterator[str]:
-    """Yield that an ambient pressure is taken as known, if it carries a part of the draft."""
+def _pressure_notes(fit: Estimate, scenes: list[Scene]) -> Iterator[str]:
+    """Yield a warning if an ambient pressure that carries a part of the draft is taken as known."""
     known = {unknown.name for unknown in fit.unknowns}.union(*(m.conditions for m in fit.setup.measured))
     share = max((float(as_number(scene.ambient_share)) for scene in scenes), default=0.0)
     if "soil.ambient_pressure" not in known and share > 0.0:
@@ -158,12 +164,12 @@ class CrossValidation:
     """Errors of the predictions for rows left out of the fit.
 
     Attributes:
-        folds: number of parts that were left out in turn; with the number of rows, each row by itself.
-        rows: numbers of the rows that were left out; rows that measure an unknown itself stay in.
-        errors: predicted less observed in these, by the fit without them, SI.
-        standardised: the same over the standard deviation of a measurement.
+        folds: number of parts that were left out in turn; equal to the number of rows if each was left out alone.
+        rows: numbers of the rows that were left out; rows that measure an unknown directly are never left out.
+        errors: predicted minus observed values of these rows, by the fits without them, SI.
+        standardised: the errors over the standard deviation of a measurement.
         rms: result -> root mean square of its errors, SI.
-        rms_fitted: the same of the residuals of the fit to all rows, which is smaller.
+        rms_fitted: result -> root mean square of its residuals in the fit to all rows, which is smaller, SI.
     """
 
     folds: int
@@ -175,17 +181,17 @@ class CrossValidation:
 
 
 def cross_validate(fit: Estimate, folds: int | None, seed: int) -> CrossValidation:
-    """Leave parts of the rows out in turn.
+    """Return the errors of predictions for rows that are left out of the fit, part by part.
 
     Args:
         fit: the fit to all rows.
-        folds: number of parts, from 2 to the number of rows; None: each row by itself, 20 parts for over 60 rows, and 5
-            if the rows need runs.
-        seed: of the shuffling; rows of a record stay in order, as the errors of neighbours are correlated.
+        folds: number of parts, from 2 to the number of rows; None: one for each row, 20 for over 60 rows, and 5 if the
+            rows need runs.
+        seed: seed of the shuffling; rows of a record are not shuffled, because errors of neighbours are correlated.
 
     Raises:
         InputError: an invalid number of folds.
-        NotConverged: a fit without some of the rows has no optimum.
+        NotConverged: a fit without some of the rows did not converge.
     """
     setup, data = fit.setup, fit.data
     results = np.array([m.result for m in setup.measured for _ in range(m.rows)])
@@ -207,8 +213,9 @@ def cross_validate(fit: Estimate, folds: int | None, seed: int) -> CrossValidati
         without = estimate(setup, replace(data, weights=weights), fit.y, starts=1)
         errors[part] = (without.predicted - data.observed)[part]
 
-    def rms(of: Vector) -> dict[str, float]:
-        return {str(name): float(np.sqrt(np.mean(of[results == name] ** 2))) for name in dict.fromkeys(results[rows])}
+    def rms(values: Vector) -> dict[str, float]:
+        names = dict.fromkeys(results[rows])
+        return {str(name): float(np.sqrt(np.mean(values[results == name] ** 2))) for name in names}
 
     standardised = errors[rows] / fit.deviation[rows]
     return CrossValidation(folds, rows, errors[rows], standardised, rms(errors), rms(fit.predicted - data.observed))

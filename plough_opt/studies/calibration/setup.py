@@ -1,6 +1,6 @@
-"""A calibration before it is solved: measurements, the model's predictions of every row, and the problem of both.
+"""A calibration before it is solved: measurements, predictions of every row, and the least-squares problem.
 
-The predictions are a Function of the scaled unknowns, with derivatives.
+The predictions are a CasADi Function of the scaled unknowns, with derivatives.
 """
 
 import math
@@ -27,7 +27,7 @@ from plough_opt.studies.calibration.model import Described, Model, SceneOf, mode
 Vector = NDArray[np.float64]
 Numbers: TypeAlias = Sequence[Expression] | Vector
 SceneOfRows: TypeAlias = tuple[Scene, Expression | None, NDArray[np.intp]]
-"""A scene, its duration [s] or None, and the numbers of the rows that were measured in it."""
+"""A scene, its duration [s] or None, and the indices of the rows that were measured in it."""
 
 # Results of a scene that do not depend on its motion.
 _OF_SCENE: Final[dict[str, Callable[[Scene], Expression]]] = {
@@ -35,25 +35,30 @@ _OF_SCENE: Final[dict[str, Callable[[Scene], Expression]]] = {
     "added_mass": lambda scene: scene.carried_soil,
     "cone_index": lambda scene: cone_index(scene.soil),
 }
-# Phase [rad] between output times, and nodes of the polynomial that interpolates the force: an error of 1e-8.
-_PHASE, _NODES, _OUTPUTS = 0.25, 8, 400
+# Phase [rad] of the fastest oscillation between output times. With `_NODES` it interpolates the force to 1e-8.
+_PHASE: Final = 0.25
+# Number of nodes of the polynomial that interpolates the force between output times.
+_NODES: Final = 8
+_LEAST_OUTPUTS: Final = 400
 _MOST_OUTPUTS: Final = 20_000
-# The scalar operations of more rows would fill the memory.
+# The predictions of more rows are not expanded to scalar operations, which would fill the memory.
 _MOST_EXPANDED: Final = 1000
+# A time counts as an output time if it is closer to it than this part of the duration.
+_ON_OUTPUT: Final = 1e-9
 NOMINAL: Final = 0.01
-"""Standard deviation, as a part of the mean measured value, from which weights follow if no sigma is stated."""
+"""Nominal standard deviation of an error, relative to the mean measured value, if no sigma is stated."""
 
-# The search begins at least so far from the bounds.
-_INSIDE: Final = 0.02
+INSIDE: Final = 0.02
+"""Starts keep at least this distance from the bounds, as a part of their distance: a search may stay at a bound."""
 
 
 @dataclass(frozen=True)
 class Rows:
-    """The rows of one set of measurements as distinct conditions, each computed once.
+    """The rows of one set of measurements, grouped by distinct conditions so that each is computed once.
 
     Attributes:
-        measured: the set.
-        model: to calibrate.
+        measured: the set of measurements.
+        model: the model to calibrate.
     """
 
     measured: Measurements
@@ -61,23 +66,24 @@ class Rows:
 
     @cached_property
     def _distinct(self) -> tuple[Vector, NDArray[np.intp]]:
-        """Distinct conditions (m, c), and which of them each row has."""
-        columns = [np.zeros(self.measured.rows), *self.measured.conditions.values()]  # one at least
+        """Distinct conditions (m, c), and for each row the index of its conditions (n)."""
+        # A column of zeros, dropped below, allows measurements without conditions.
+        columns = [np.zeros(self.measured.rows), *self.measured.conditions.values()]
         distinct, which = np.unique(np.column_stack(columns), axis=0, return_inverse=True)
         return distinct[:, 1:], which.ravel()
 
     @property
     def direct(self) -> bool:
-        """Whether an unknown was measured itself."""
+        """Whether an unknown was measured directly."""
         return self.measured.result not in measurable()
 
     def scenes(self, y: Numbers) -> list[SceneOfRows]:
-        """Return the distinct scenes at scaled unknowns, with their durations and their rows.
+        """Return the distinct scenes at scaled unknowns, with their durations and rows.
 
         Raises:
-            InputError: a row whose conditions are outside the model's domain.
+            InputError: the conditions of a row are outside the model's domain.
         """
-        found = []
+        scenes = []
         for number, conditions in enumerate([] if self.direct else self._distinct[0].tolist()):
             rows = np.flatnonzero(self._distinct[1] == number)
             values = self.model.values(y) | dict(zip(self.measured.conditions, conditions, strict=True))
@@ -87,14 +93,15 @@ class Rows:
             except DomainError as error:
                 raise InputError(f"{self.measured.row(int(rows[0]))}: {error}") from None
             time = self.measured.time
-            found.append((scene, self.model.duration_of(values) if time is None else float(np.max(time[rows])), rows))
-        return found
+            duration = self.model.duration_of(values) if time is None else float(np.max(time[rows]))
+            scenes.append((scene, duration, rows))
+        return scenes
 
     def predicted(self, y: ca.MX) -> tuple[ca.MX, ca.MX, bool]:
-        """Return the predictions (n) at scaled unknowns, their Jacobian (n, p), and whether they need no runs.
+        """Return the predictions (n) at scaled unknowns, their Jacobian (n, p), and whether they are in closed form.
 
         Raises:
-            InputError: a row whose conditions are outside the model's domain, or a missing duration.
+            InputError: the conditions of a row are outside the model's domain, or the duration is missing.
         """
         if self.direct:
             values: dict[str, Column] = {**self.model.values(ca.vertsplit(y))}
@@ -103,22 +110,24 @@ class Rows:
         for scene, duration, _ in self.scenes(self.model.guess):
             needs_run = not is_closed(scene, self.measured.result) and scene.effects.orbit == "transient"
             if needs_run and (duration is None or not duration > 0.0):
-                raise InputError(f"{self.measured.name}: {self.measured.result} of this scene is a run's: give the"
-                                 " duration of the run, in seconds")  # fmt: skip
+                raise InputError(
+                    f"{self.measured.name}: {self.measured.result} of this scene needs a run: give its duration,"
+                    " in seconds"
+                )
         if self.measured.result == RECORD:
             value = self._record(y)
             return value, ca.jacobian(value, y), False
         distinct, which = self._distinct
-        function = self._of_conditions()
+        function = self._of_one_row()
         value, slope = function.map(len(distinct))(ca.repmat(y, 1, len(distinct)), ca.DM(distinct.T))
         return value.T[which.tolist(), :], slope.T[which.tolist(), :], function.is_a("SXFunction")
 
-    def _of_conditions(self) -> ca.Function:
-        """Return scaled unknowns and conditions -> (the result, its derivatives by the unknowns as a column)."""
+    def _of_one_row(self) -> ca.Function:
+        """Return a Function: scaled unknowns and conditions -> (result, derivatives by the unknowns as a column)."""
         model, result, conditions = self.model, self.measured.result, self.measured.at(0)
         example = model.scene(model.values(model.guess) | conditions)
         closed = is_closed(example, result)
-        # A law with quadratures of matrices, or loops, would be unrolled by scalar operations.
+        # SX would unroll a law with matrix quadratures or loops; in MX it stays small.
         kind: Any = ca.SX if closed and example.law.scalar else ca.MX
         y, c = kind.sym("y", len(model.unknowns)), kind.sym("c", len(conditions))
         values = model.values(ca.vertsplit(y)) | {key: c[k] for k, key in enumerate(conditions)}
@@ -130,25 +139,27 @@ class Rows:
         else:
             value = MEASURES[result].of(simulate(scene, model.duration_of(values), accuracy=model.accuracy))
         value = kind(value)
-        # Forward through an integration: the reverse mode takes far longer to build.
+        # Forward mode: through an integration the reverse mode takes far longer to build.
         slope = [ca.jtimes(value, y, column) for column in ca.horzsplit(ca.DM.eye(len(model.unknowns)))]
         return ca.Function("row", [y, c], [value, ca.densify(ca.vertcat(*slope))])
 
     def _record(self, y: ca.MX) -> ca.MX:
-        """Return the mount force at the times of a run for each distinct condition."""
-        parts, order = [], []
+        """Return the mount force at the times of all rows, from one run for each distinct condition."""
+        forces, order = [], []
         at_guess = self.scenes(self.model.guess)
         for (scene, duration, rows), (example, _, _) in zip(self.scenes(ca.vertsplit(y)), at_guess, strict=True):
-            parts.append(_force_at(scene, duration, self.measured, rows, self.model, example))
+            forces.append(_force_at(scene, duration, self.measured, rows, self.model, example))
             order.extend(rows.tolist())
-        return ca.MX(stacked(*parts))[np.argsort(order).tolist(), 0]
+        return ca.MX(stacked(*forces))[np.argsort(order).tolist(), 0]
 
 
 def predictor(sets: Sequence[Rows], model: Model) -> ca.Function:
-    """Return scaled unknowns (p) -> (predictions of all sets (n), their Jacobian (n, p)); of scalars if without runs.
+    """Return a Function: scaled unknowns (p) -> (predictions of all sets (n), their Jacobian (n, p)).
+
+    It is expanded to scalar operations if no prediction needs a run.
 
     Raises:
-        InputError: a row whose conditions are outside the model's domain, or a missing duration.
+        InputError: the conditions of a row are outside the model's domain, or the duration is missing.
     """
     y = ca.MX.sym("y", len(model.unknowns))
     values, slopes, closed = zip(*(rows.predicted(y) for rows in sets), strict=True)
@@ -157,7 +168,7 @@ def predictor(sets: Sequence[Rows], model: Model) -> ca.Function:
 
 
 def is_closed(scene: Scene, result: str) -> bool:
-    """Return whether a result needs no run: the mean draft of a steady motion is the resistance."""
+    """Return whether a result has a closed form: the mean draft of a steady motion is the steady resistance."""
     if result in _OF_SCENE:
         return True
     effects = scene.effects
@@ -167,7 +178,7 @@ def is_closed(scene: Scene, result: str) -> bool:
 
 
 def checked(rows: Rows, scene: Scene, duration: Expression | None, which: NDArray[np.intp]) -> Vector:
-    """Return the results of some rows from a numeric run, which checks its own error."""
+    """Return the results of some rows from a numeric run, whose error is checked."""
     if rows.measured.result == RECORD:
         force = _force_at(scene, duration, rows.measured, which, rows.model, scene)
         return np.asarray(force, dtype=float).ravel()
@@ -178,41 +189,52 @@ def checked(rows: Rows, scene: Scene, duration: Expression | None, which: NDArra
 def _force_at(
     scene: Scene, duration: Any, measured: Measurements, rows: NDArray[np.intp], model: Model, example: Scene
 ) -> Expression:
-    """Return the mount force of a run at the times of some rows; an example in numbers sets its number of outputs."""
+    """Return the mount force of a run at the times of some rows.
+
+    Args:
+        scene: the scene, numeric or symbolic.
+        duration: its duration [s].
+        measured: the measurements.
+        rows: indices of the rows.
+        model: the model, for its accuracy.
+        example: a numeric scene of the same kind, which determines the number of output times.
+    """
     assert measured.time is not None
     times = measured.time[rows]
     outputs = _outputs(example, duration, times)
     run = simulate(scene, duration, accuracy=model.accuracy, outputs=outputs)
-    forces: Expression = ca.DM(reading(times / duration, outputs)) @ run.mount_force
+    forces: Expression = ca.DM(interpolation(times / duration, outputs)) @ run.mount_force
     return forces
 
 
 def _outputs(scene: Scene, duration: float, times: Vector) -> int:
-    """Return a number of output intervals with an output at every time, or enough of them to interpolate."""
-    fine = max(_OUTPUTS, math.ceil(phase(numbers_of(scene), duration) / _PHASE)) if scene.effects.motion else _OUTPUTS
-    fine = min(fine, _MOST_OUTPUTS)
-    for count in range(fine, 2 * fine):
-        places = times / duration * count
-        if np.all(np.abs(places - np.round(places)) < 1e-9 * count):
+    """Return a number of output intervals that places an output at every time, or suffices to interpolate there."""
+    enough = _LEAST_OUTPUTS
+    if scene.effects.motion:
+        enough = max(enough, math.ceil(phase(numbers_of(scene), duration) / _PHASE))
+    enough = min(enough, _MOST_OUTPUTS)
+    for count in range(enough, 2 * enough):
+        positions = times / duration * count
+        if np.all(np.abs(positions - np.round(positions)) < _ON_OUTPUT * count):
             return count
-    return fine
+    return enough
 
 
-def reading(fractions: Vector, outputs: int) -> Vector:
-    """Return the matrix that interpolates a signal on equal output intervals at fractions of its duration.
+def interpolation(fractions: Vector, outputs: int) -> Vector:
+    """Return the matrix that maps a signal at the output times to its values at fractions of the duration.
 
-    It uses polynomials of degree 7 through the nearest outputs, and at an output the value there.
+    It interpolates by Lagrange polynomials of degree 7 through the nearest outputs; at an output it takes the value.
     """
     weights = np.zeros((len(fractions), outputs + 1))
     for row, fraction in enumerate(fractions):
-        place = fraction * outputs
-        if abs(place - round(place)) < 1e-9 * outputs:
-            place = float(round(place))
-        first = min(max(math.floor(place) - _NODES // 2 + 1, 0), outputs + 1 - _NODES)
+        position = fraction * outputs
+        if abs(position - round(position)) < _ON_OUTPUT * outputs:
+            position = float(round(position))
+        first = min(max(math.floor(position) - _NODES // 2 + 1, 0), outputs + 1 - _NODES)
         nodes = np.arange(first, first + _NODES)
         for k in nodes:
             others = nodes[nodes != k]
-            weights[row, k] = np.prod((place - others) / (k - others))
+            weights[row, k] = np.prod((position - others) / (k - others))
     return weights
 
 
@@ -223,7 +245,7 @@ class Setup:
     Attributes:
         model: the scene as a function of its quantities, with the unknowns.
         rows: the sets of measurements.
-        problem: the sum of losses.
+        problem: the least-squares problem.
         data: measured values and their weights.
     """
 
@@ -239,7 +261,7 @@ class Setup:
 
     @property
     def places(self) -> list[str]:
-        """Name of every row in messages."""
+        """Name of every row for messages."""
         return [m.row(k) for m in self.measured for k in range(m.rows)]
 
 
@@ -250,38 +272,39 @@ def setup_of(
     loss: str,
     duration: float | None,
 ) -> Setup:
-    """Return a calibration, checked; the arguments are those of `Calibration`.
+    """Return a checked calibration; `Calibration` describes the arguments.
 
     Raises:
         InputError: an unknown name, invalid bounds, too few rows, or data that do not belong to the scene.
     """
     measured = (data,) if isinstance(data, Measurements) else tuple(data) if isinstance(data, Sequence) else ()
     if not measured or not all(isinstance(m, Measurements) for m in measured):
-        raise InputError("the data must be Measurements, one set or several: po.read_measurements reads a file")
+        raise InputError("the data must be Measurements, one set or several: read a file with po.read_measurements")
     if not any(np.any(m.values) for m in measured):
-        raise InputError(f"{measured[0].name}: every measured value is 0, which fits no soil: check the column")
-    own, model = loss_of(loss), model_of(given, duration, unknown, {key for m in measured for key in m.conditions})
+        raise InputError(f"{measured[0].name}: every measured value is 0, which no soil gives: check the column")
+    chosen_loss = loss_of(loss)
+    model = model_of(given, duration, unknown, {key for m in measured for key in m.conditions})
     _check_names(model, measured)
     _check_bounds(model, measured)
     rows = tuple(Rows(m, model) for m in measured)
-    setup = Setup(model, rows, LeastSquares(predictor(rows, model), own), _data(measured))
+    setup = Setup(model, rows, LeastSquares(predictor(rows, model), chosen_loss), _data(measured))
     _check_numbers(setup)
     return setup
 
 
 def _check_names(model: Model, measured: Sequence[Measurements]) -> None:
-    """Raise InputError if a column is an unknown too, or if neither a result nor an unknown was measured."""
+    """Raise InputError if a column is also an unknown, or if neither a result nor an unknown was measured."""
     names = {unknown.name for unknown in model.unknowns}
     for m in measured:
         if both := names & set(m.conditions):
-            raise InputError(f"{m.name}: '{min(both)}' is a column of the data, and so cannot be an unknown")
+            raise InputError(f"{m.name}: '{min(both)}' is a column of the data, so it cannot be an unknown")
         if m.result not in measurable() and m.result not in names:
             known = ", ".join(sorted(names))
-            raise InputError(f"{m.name}: '{m.result}' was measured, and is not among the unknowns: {known}")
+            raise InputError(f"{m.name}: '{m.result}' was measured, but is not among the unknowns: {known}")
 
 
 def _check_bounds(model: Model, measured: Sequence[Measurements]) -> None:
-    """Raise InputError if bounds or the first row are outside the model's domain; `Rows` checks the other rows."""
+    """Raise InputError if the bounds or the first row are outside the model's domain; `Rows` checks other rows."""
     first = next((m for m in measured if m.result in measurable()), measured[0])
     guess = {unknown.name: unknown.guess for unknown in model.unknowns} | first.at(0)
     tried = {first.row(0): guess}
@@ -299,12 +322,12 @@ def _data(measured: Sequence[Measurements]) -> Data:
     """Return values and weights of all rows.
 
     Raises:
-        InputError: some sets state sigma, and others do not.
+        InputError: some sets state sigma and others do not.
     """
     stated = {m.sigma is not None for m in measured}
     if len(stated) > 1:
         without = next(m.name for m in measured if m.sigma is None)
-        raise InputError(f"{without}: no sigma is stated, but other sets state theirs: give each set one")
+        raise InputError(f"{without}: no sigma is stated, but other sets state theirs: give every set its sigma")
     weights = []
     for m in measured:
         nominal = NOMINAL * float(np.mean(np.abs(m.values))) or 1.0
@@ -314,18 +337,18 @@ def _data(measured: Sequence[Measurements]) -> Data:
 
 
 def _check_numbers(setup: Setup) -> None:
-    """Raise InputError if there are too few rows, or if a prediction or a derivative at the guesses is not finite."""
+    """Raise InputError if there are too few rows, or if a prediction or derivative at the guess is not finite."""
     data, unknowns = setup.data, setup.model.unknowns
     least = len(unknowns) + (0 if data.stated and not setup.problem.loss.robust else 1)
     if data.count < least:
-        why = "" if data.stated else ", and the scatter is to be estimated too: state sigma, or measure more"
+        why = "" if data.stated else ", because the scatter is estimated too: state sigma, or measure more"
         raise InputError(
             f"{setup.measured[0].name}: {data.count} rows are too few for {len(unknowns)} unknowns"
             f" ({', '.join(u.name for u in unknowns)}): at least {least} are needed{why}"
         )
-    values, slopes = setup.problem.at(np.clip(setup.model.guess, _INSIDE, 1.0 - _INSIDE))
+    values, slopes = setup.problem.at(np.clip(setup.model.guess, INSIDE, 1.0 - INSIDE))
     finite = np.isfinite(values) & np.isfinite(slopes).all(axis=1)
     if not np.all(finite):
         raise InputError(
-            f"{setup.places[int(np.argmin(finite))]}: the model gives no finite number at these conditions"
+            f"{setup.places[int(np.argmin(finite))]}: the model has no finite prediction at these conditions"
         )

@@ -101,7 +101,7 @@ def test_a_point_that_kills_three_workers_alone_is_undetermined_and_tried_again_
         (one,) = found.undetermined
         assert (one.point, one.values) == (5, {"a": 5.0})
         assert one.reason.startswith(
-            "3 workers ended while each worked at this point alone; the last ended by signal 9"
+            "3 workers ended while each worked on this point alone; the last ended by signal 9"
         )
         assert (found.failed, list(found.failures), found.complete) == (0, [], True)
         expected = [math.nan if a == 5.0 else 2.0 * math.sin(a) for a in range(8)]

@@ -72,7 +72,7 @@ def test_a_row_that_was_changed_is_named_and_computed_again_on_request(store, in
     with po.Sweep.load(store()) as whole:
         truth = whole.table
     path = store(SPOILT[name])
-    words = r"sweep\.db' is damaged: 1 of its rows differ from their checksums, the first that of point [046]; .*retry"
+    words = r"sweep\.db' is damaged: 1 of its rows differ from their checksums, the first one at point [046]; .*retry"
     with pytest.raises(po.InputError, match=words):
         po.Sweep.load(path)
     with pytest.raises(po.InputError, match=words):
@@ -94,7 +94,7 @@ DAMAGED = {
     "a count that is none": (("UPDATE meta SET value = 'x' WHERE key = 'count'",), "count: Input should be a valid"),
     "claims": (("INSERT INTO claims VALUES (3, 'x', 'y', 0.0)",), "its table of claims"),
     "notes": (("INSERT INTO notes VALUES ('x', 'y', 'z', 1)",), "its table of notes"),
-    "layout": (("UPDATE meta SET value = '1' WHERE key = 'layout'",), "has layout 1, and this version reads 2"),
+    "layout": (("UPDATE meta SET value = '1' WHERE key = 'layout'",), "has layout 1, but this version reads layout 2"),
     "no claims": (("DROP TABLE claims",), "is a database, but not the store"),
 }
 
@@ -239,7 +239,7 @@ def test_the_command_tells_what_is_undetermined_with_status_1(made, tmp_path, ca
     store, first = made(tmp_path)
     change(store, "DELETE FROM points WHERE point = 1")
     opened = Store(store)
-    reasons = {0: "3 workers ended while each worked at this point alone"}
+    reasons = {0: "3 workers ended while each worked on this point alone"}
     opened.keep(np.array([1]), np.array([[2e4]]), Done(1, reasons=reasons), without="undetermined")
     opened.finish()
     opened.close()

@@ -44,7 +44,7 @@ def test_the_same_bits_whatever_the_executor_the_workers_and_the_size_of_tasks(i
     with ThreadPoolExecutor(3) as threads:
         np.testing.assert_array_equal(po.sweep(swept.waves, OVER, executor=threads, workers=3).table, first)
     np.testing.assert_array_equal(po.sweep(swept.waves, OVER, workers=2).table, first)
-    monkeypatch.setattr(engine, "_WANTED", 0.0)
+    monkeypatch.setattr(engine, "_TASK_SECONDS", 0.0)
     np.testing.assert_array_equal(po.sweep(swept.waves, OVER, executor=inline).table, first)
 
 
@@ -134,7 +134,7 @@ def test_a_store_of_another_question_is_refused_and_the_difference_named(inline,
         (swept.failing, {"a": [1.0, 2.0], "b": [1.0, 2.0]}, {}, "function: waves there, failing here"),
         (swept.waves, {"a": po.Range(1.0, 2.0), "b": po.Range(1.0, 2.0)}, {"samples": 4}, "samples: absent there, 4"),
     ):
-        with pytest.raises(po.InputError, match="belongs to another question") as refused:
+        with pytest.raises(po.InputError, match="belongs to another sweep") as refused:
             po.sweep(function, over, executor=inline, store=store, **more)
         assert re.search(expected, str(refused.value))
 
@@ -161,14 +161,14 @@ def test_a_file_that_is_no_store_is_refused(inline, tmp_path):
 
 def test_a_store_that_is_empty_spoilt_or_closed_is_refused(inline, tmp_path):
     (tmp_path / "empty.db").touch()
-    with pytest.raises(po.InputError, match="is empty, and not the store of a sweep"):
+    with pytest.raises(po.InputError, match="is empty, not the store of a sweep"):
         po.Sweep.load(tmp_path / "empty.db")
     assert (tmp_path / "empty.db").stat().st_size == 0
     with contextlib.closing(sqlite3.connect(tmp_path / "sweep.db")) as another_run:
         another_run.execute("PRAGMA journal_mode = WAL")  # its tables follow
         assert (tmp_path / "sweep.db").stat().st_size > 0
         result = po.sweep(swept.waves, OVER, executor=inline, store=tmp_path / "sweep.db")
-    with pytest.raises(po.InputError, match=r"is the store of a sweep: po\.Sweep\.load reads it"):
+    with pytest.raises(po.InputError, match=r"is the store of a sweep: .*po\.Sweep\.load"):
         po.load(tmp_path / "sweep.db")
     result.close()
     for read in (len, lambda closed: closed.table, lambda closed: closed.to_csv(tmp_path / "a.csv")):
@@ -185,8 +185,8 @@ def test_a_store_that_is_empty_spoilt_or_closed_is_refused(inline, tmp_path):
         ({"units": "m"}, "units = 'm' must be a dictionary"),
         ({"workers": "2"}, "workers = '2' must be 1 or more"),
         ({"workers": 1.5}, "workers = 1.5 must be 1 or more"),
-        ({"executor": "processes"}, "executor = 'processes' must be one of concurrent.futures"),
-        ({"what_to_sweep": 3}, "3 cannot be swept: give a problem, or a function"),
+        ({"executor": "processes"}, "executor = 'processes' must be an executor"),
+        ({"what_to_sweep": 3}, "3 cannot be swept: use a problem, or a function"),
     ],
 )
 def test_arguments_of_another_kind_are_refused(inline, changed, words):
@@ -252,7 +252,7 @@ def test_a_worker_gives_back_what_it_has_when_its_time_is_up():
     assert work("any", swept.waves, ("a", "b"), values, 0.0).points == 1
     assert work("any", swept.waves, ("a", "b"), values, math.inf).points == 3
     # So a finished point is never unstored for a second.
-    assert engine._BUDGET + engine._GLANCE < 1.0
+    assert engine._BUDGET + engine._WAIT < 1.0
 
 
 UNGUARDED = """

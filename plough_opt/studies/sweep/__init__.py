@@ -1,4 +1,4 @@
-"""Sweeps: a function, a simulation or a whole optimisation at every point of a grid or a sample, resumable.
+"""Resumable sweeps: a function, a simulation or a whole optimisation at every point of a grid or a sample.
 
-Workers import this package for its module `work` alone: what only the sweep itself needs is not imported here.
+This package imports nothing here, because workers need only its module `work`.
 """

@@ -1,7 +1,6 @@
-"""An executor for a dask cluster that notices when workers die, and when none are left.
+"""An executor for a dask cluster that reports dead workers and an empty cluster.
 
-With dask's own executor a future never ends if its task fails while the result is fetched, and nothing is reported if
-no worker is left.
+With dask's own executor a future never ends if fetching its result fails, and nothing is reported if no worker is left.
 """
 
 from __future__ import annotations
@@ -17,9 +16,9 @@ from plough_opt.studies.sweep.pool import STORED, WorkerDied
 if TYPE_CHECKING:
     import distributed
 
-# How long [s] a cluster may be without workers, which may be restarting.
+# Time [s] for which a cluster may be without workers, which may be restarting.
 _PATIENCE: Final = 40.0
-# Time [s] between two checks for workers, and limit on that of the answer.
+# Time [s] between two checks for workers, and time limit of the scheduler's answer.
 _CHECK_EVERY: Final = 3.0
 
 
@@ -27,16 +26,16 @@ class Cluster(Executor):
     """The executor of a dask client."""
 
     def __init__(self, client: distributed.Client, options: dict[str, Any]) -> None:
-        """Take a client, and the options of its executor."""
+        """Take a client and the options of its executor."""
         self._client, self._options = client, options
         self._checked = self._seen = time.monotonic()
 
     @classmethod
     def of(cls, executor: Executor) -> Cluster | None:
-        """Return the cluster behind an executor, if it is one of dask's."""
+        """Return the cluster behind an executor of dask, or None for other executors."""
         if type(executor).__module__ != "distributed.cfexecutor":
             return None
-        # Neither has a public name.
+        # dask has no public names for these.
         return cls(executor._client, executor._kwargs)  # type: ignore[attr-defined]
 
     def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
@@ -49,10 +48,10 @@ class Cluster(Executor):
         return future
 
     def check(self) -> None:
-        """Check now and then whether there are workers.
+        """Check whether there are workers, if the last check is not too recent.
 
         Raises:
-            InputError: there have been none for long, or the scheduler does not answer.
+            InputError: there have been no workers, or no answers from the scheduler, for a long time.
         """
         if time.monotonic() - self._checked < _CHECK_EVERY:
             return
@@ -69,7 +68,7 @@ class Cluster(Executor):
 
 
 async def _carry(task: distributed.Future[Any], future: Future[Any]) -> None:
-    """Give a future the result or the error of a task."""
+    """Pass the result or the error of a task to a future."""
     error: BaseException
     try:
         result = await task
@@ -77,7 +76,7 @@ async def _carry(task: distributed.Future[Any], future: Future[Any]) -> None:
         error = InputError(f"the cluster's scheduler is gone, or has dropped a task; {STORED}")
     except Exception as reason:
         error = reason
-        if type(reason).__name__ == "KilledWorker":  # workers died of it, more of them than dask allows
+        if type(reason).__name__ == "KilledWorker":  # it killed more workers than dask allows
             allowed: int = reason.allowed_failures  # type: ignore[attr-defined]
             error = WorkerDied("dask does not say how", allowed + 1)
     else:

@@ -1,7 +1,8 @@
-"""The SQLite file of a sweep: opened to write or, on any medium, to read; its tables, and checks of their content.
+"""The SQLite file of a sweep: access to it, its tables, and checks of their content.
 
-Points are claimed in ranges. Every point below ``next`` is either stored or lies in a range of ``claims``, whose owner
-renews its lease while it runs. Every row of ``points`` has a checksum of its content.
+Runs claim points in ranges. Every point below ``next`` is either stored or within a range of ``claims``, whose owner
+renews its lease while it runs. Every row of ``points`` has a checksum of its content. A store can be read from any
+medium, even a read-only one.
 """
 
 import contextlib
@@ -20,15 +21,15 @@ from pydantic import BaseModel, Field, Json, ValidationError
 from plough_opt.core.errors import InputError
 
 LAYOUT: Final = 2
-"""Number of the layout of a store."""
+"""Version of the tables of a store."""
 
 State = Literal["computed", "failed", "undetermined"]
-"""State of a point: with results; without them for a known reason; or without them because its workers died."""
+"""State of a point: with results, without them for a known reason, or without them because its workers died."""
 
 FIXED: Final = ("point", "state", "reason", "checksum")
-"""Columns of every table of points."""
+"""Columns that every table of points has."""
 
-# Names in tables besides quantities and results.
+# Names that quantities and results cannot have, because tables use them.
 _RESERVED: Final = (*FIXED, "failed", "reasons", "undetermined")
 _TABLES: Final = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
@@ -36,24 +37,24 @@ CREATE TABLE claims (first INTEGER PRIMARY KEY, last INTEGER NOT NULL, owner TEX
 CREATE INDEX oldest ON claims (expires);
 CREATE TABLE notes (kind TEXT PRIMARY KEY, text TEXT NOT NULL, first INTEGER NOT NULL, points INTEGER NOT NULL);
 """
-# Conditions on rows that a sweep never writes.
+# Table -> condition that only rows fulfil which a sweep never writes.
 _WRONG: Final = {
     "claims": "typeof(first) != 'integer' OR typeof(last) != 'integer' OR typeof(owner) != 'text' OR first < 0"
     " OR typeof(expires) != 'real' OR last <= first",
     "notes": "typeof(text) != 'text' OR typeof(first) != 'integer' OR typeof(points) != 'integer'",
 }
-# How long [s] to wait for another run's transaction.
+# Time [s] to wait for the transaction of another run.
 _BUSY: Final = 60.0
 
 
 class About(BaseModel):
-    """The sweep in a store.
+    """Description of the sweep in a store.
 
     Attributes:
         names: the quantities that are swept.
-        results: names of the results, empty until a point has some.
+        results: names of the results, empty until the first point has some.
         units: name -> unit, of quantities and results that have one.
-        question: everything that the results depend on.
+        question: everything that the results depend on, as texts.
         count: number of points of the whole sweep.
         next: first point that is not claimed yet.
     """
@@ -72,17 +73,17 @@ class About(BaseModel):
 
 
 class Database:
-    """An SQLite file, open.
+    """An open SQLite file.
 
     Attributes:
-        path: of the file, or None for one that is deleted when it is closed.
+        path: of the file; None for a temporary file, which is deleted when it is closed.
     """
 
     def __init__(self, path: str | Path | None, write: bool) -> None:
-        """Open a file; a missing one is made if it is to be written.
+        """Open a file. If it is opened to write, a missing one is created.
 
         Raises:
-            InputError: a file that cannot be made or read.
+            InputError: the file cannot be created or read.
         """
         self.path = None if path is None else Path(path)
         self._folder: tempfile.TemporaryDirectory[str] | None = None
@@ -96,21 +97,21 @@ class Database:
             self._folder.cleanup()
 
     def run(self, statement: str, *values: object) -> list[tuple[Any, ...]]:
-        """Execute a statement; return all its rows.
+        """Execute a statement and return all its rows.
 
         Raises:
-            InputError: the file cannot be used, or is damaged.
+            InputError: the file cannot be used or is damaged.
         """
         with self._naming_errors():
             return self._connection.execute(statement, values).fetchall()
 
     def run_many(self, statement: str, rows: Iterator[tuple[object, ...]]) -> int:
-        """Execute a statement for each row; return the number of rows that it changed."""
+        """Execute a statement for each row of values and return the number of rows that it changed."""
         with self._naming_errors():
             return int(self._connection.executemany(statement, rows).rowcount)
 
     def stream(self, statement: str) -> Iterator[tuple[Any, ...]]:
-        """Yield the rows of a query, of which only a few are in memory at once."""
+        """Yield the rows of a query, with only a few of them in memory at once."""
         with self._naming_errors():
             yield from self._connection.execute(statement)
 
@@ -120,21 +121,21 @@ class Database:
 
     @contextlib.contextmanager
     def transaction(self) -> Iterator[None]:
-        """Commit everything done inside, or nothing if it fails; other processes wait."""
-        if self._connection.in_transaction:  # Ctrl-C came just before the last one was under way, or committed
+        """Commit everything done inside, or nothing if that raises; meanwhile other processes wait."""
+        if self._connection.in_transaction:  # Ctrl-C interrupted the last one before its first statement or its commit
             self.run("ROLLBACK")
         self.run("BEGIN IMMEDIATE")
         try:
             yield
         except BaseException:
-            # A full disk may have ended the transaction already.
+            # A full disk may already have ended the transaction.
             with contextlib.suppress(InputError):
                 self.run("ROLLBACK")
             raise
         self.run("COMMIT")
 
     def write_ahead(self) -> None:
-        """Allow others to read while one writes; several runs may call this at the same moment."""
+        """Let others read while one run writes; several runs may call this at the same moment."""
         with self._naming_errors():
             for trial in range(100):
                 try:
@@ -144,18 +145,18 @@ class Database:
                     if "locked" not in str(error) or trial == 99:
                         raise
                     time.sleep(0.05)
-        # If the process dies nothing is lost; a power cut may lose the last transactions, but damages nothing.
+        # Nothing is lost if the process dies. A power cut may lose the last transactions but damages nothing.
         self.run("PRAGMA synchronous = NORMAL")
 
     def make_whole(self) -> None:
-        """Move everything into the one file, which can then be read from any medium, unless others have it open."""
+        """Move the log into the file, which can then be read from any medium, unless others have it open."""
         with contextlib.suppress(sqlite3.Error):
             self._connection.execute("PRAGMA busy_timeout = 0")
             self._connection.execute("PRAGMA journal_mode = DELETE")
 
     @contextlib.contextmanager
     def _naming_errors(self) -> Iterator[None]:
-        """Raise errors inside as InputError with the name of the file."""
+        """Turn errors inside into InputError with the name of the file."""
         try:
             yield
         except (sqlite3.Error, OverflowError) as error:
@@ -166,12 +167,12 @@ class Database:
     def _to_write(self) -> sqlite3.Connection:
         if self.path is not None:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-        # With an empty name SQLite makes a temporary file that is deleted with the connection.
-        # The store may be closed by any thread, that in which a result is collected as garbage.
+        # For an empty name SQLite creates a temporary file that is deleted with the connection. Garbage collection may
+        # close the store in any thread.
         return sqlite3.connect(self.path or "", timeout=_BUSY, isolation_level=None, check_same_thread=False)
 
     def _to_read(self) -> sqlite3.Connection:
-        """Open without writing anything, so that the medium may be read-only."""
+        """Open the file without writing anything, because the medium may be read-only."""
         assert self.path is not None
         here = self.path.resolve()
         try:
@@ -180,7 +181,7 @@ class Database:
             log = here.with_name(f"{here.name}-wal")
             if not log.exists() or not log.stat().st_size:
                 return _reader(here, "immutable=1")
-        # A killed run has left a log beside the file, and SQLite must write to merge the two.
+        # A killed run left a log beside the file. SQLite must write to merge the two, so it works on copies.
         self._folder = tempfile.TemporaryDirectory()
         for part in (here, log):
             shutil.copy(part, self._folder.name)
@@ -188,7 +189,7 @@ class Database:
 
 
 def _reader(path: Path, mode: str) -> sqlite3.Connection:
-    """Return a connection to a file, after a query that fails if the file cannot be read."""
+    """Return a connection to a file that has proved to be readable by a query."""
     place = f"{path.as_uri()}?{mode}"
     connection = sqlite3.connect(place, uri=True, timeout=_BUSY, isolation_level=None, check_same_thread=False)
     try:
@@ -200,7 +201,7 @@ def _reader(path: Path, mode: str) -> sqlite3.Connection:
 
 
 def create(database: Database, about: About) -> None:
-    """Make the tables of a sweep in an empty file."""
+    """Create the tables of a sweep in an empty file."""
     for statement in filter(str.strip, _TABLES.split(";")):
         database.run(statement)
     columns = ", ".join(f"{quoted(name)} REAL NOT NULL" for name in about.names)
@@ -213,7 +214,7 @@ def create(database: Database, about: About) -> None:
 
 
 def read(database: Database) -> About:
-    """Return the sweep in a file.
+    """Return the description of the sweep in a file.
 
     Raises:
         InputError: the file is not a store of this layout, or its tables are damaged.
@@ -224,7 +225,7 @@ def read(database: Database) -> About:
     meta = dict(database.run("SELECT key, value FROM meta"))
     if (layout := meta.get("layout")) != str(LAYOUT):
         raise InputError(
-            f"the store '{path}' has layout {layout}, and this version reads {LAYOUT}: sweep into another file"
+            f"the store '{path}' has layout {layout}, but this version reads layout {LAYOUT}: sweep into another file"
         )
     try:
         about = About.model_validate(meta)
@@ -247,17 +248,17 @@ def damaged(path: Path | None, how: str) -> InputError:
 
 
 def checksum(point: int, state: str, reason: str | None, numbers: Sequence[object], swept: int) -> int | None:
-    """Return the CRC-32 of a row, or None for a row that a sweep cannot have written.
+    """Return the CRC-32 of a row, or None if a sweep cannot have written the row.
 
-    It covers the number of the point and its quantities and results, 8 bytes each, little-endian; then, as UTF-8, its
-    state, a line feed, and its reason. Rows without results may have been written before the results had names, so
-    their empty columns are left out.
+    It covers the number of the point, its quantities and its results, 8 bytes each, little-endian; then, as UTF-8, its
+    state, a line feed and its reason. The empty columns of a row without results are left out, because the row may have
+    been written before the results had names.
 
     Args:
-        point: its number.
+        point: number of the point.
         state: its state.
-        reason: why it has no results.
-        numbers: quantities and results.
+        reason: why it has no results, or None.
+        numbers: its quantities and results.
         swept: number of quantities among these.
     """
     if state != "computed":
@@ -272,7 +273,7 @@ def checksum(point: int, state: str, reason: str | None, numbers: Sequence[objec
 
 
 def check_columns(names: Sequence[str]) -> None:
-    """Raise InputError if a name is not printable, is given twice, or is reserved for the tables' own columns."""
+    """Raise InputError if a name is not printable, is repeated, or is reserved."""
     for name in names:
         if not isinstance(name, str) or not name.isprintable() or not name.strip():
             raise InputError(f"{name!r} cannot name a quantity or a result: use printable text")
@@ -280,11 +281,11 @@ def check_columns(names: Sequence[str]) -> None:
     for name in names:
         if folded.count(name.casefold()) > 1:
             raise InputError(
-                f"'{name}' cannot name a column: there are two of that name, whatever their case"
-                f" ({', '.join(_RESERVED)} are the tables' own)"
+                f"'{name}' cannot name a column, because another one has this name in upper or lower case"
+                f" ({', '.join(_RESERVED)} are reserved)"
             )
 
 
 def quoted(name: str) -> str:
-    """Return a name as a quoted identifier of SQL."""
+    """Return a name as a quoted SQL identifier."""
     return '"' + name.replace('"', '""') + '"'

@@ -1,4 +1,4 @@
-"""The loop of a sweep: claims points, keeps workers busy, stores results, and continues when workers die."""
+"""The main loop of a sweep: claims points, keeps workers busy, stores results, and continues when workers die."""
 
 from __future__ import annotations
 
@@ -22,29 +22,36 @@ from plough_opt.studies.sweep.store import Store
 from plough_opt.studies.sweep.work import Array, Done, Evaluation, ManyPoints, work
 
 Progress = Callable[[int, int, int], None]
-"""Called with the numbers of points that are stored, of all points, and of those that failed."""
+"""Called with the numbers of stored points, of all points, and of failed ones."""
 
-# Seconds of work that a task should take, and after which a worker returns the points done so far.
-_WANTED, _BUDGET = 0.25, 0.5
-# Points of the first task and of the largest one, for evaluations of single points and of many at once.
-_FIRST, _MOST = (1, 64), (4096, 2048)
+# Duration [s] of a task that the number of its points aims at.
+_TASK_SECONDS = 0.25
+# Time [s] after which a worker returns the points done so far.
+_BUDGET = 0.5
+# Number of points of the first task: of evaluations of single points, and of many points at once.
+_FIRST_SIZE: Final = (1, 64)
+# The same of the largest task.
+_LARGEST_SIZE: Final = (4096, 2048)
+# A task is at most this factor larger than the one before.
 _GROWTH: Final = 4
-# Time [s] between two looks at the clock and at other runs, and between two renewals of the lease.
-_GLANCE, _RENEWAL = 0.25, 3.0
-# How often a task is tried whole after a worker died; then its halves are, and in the end single points, each alone.
-_TRIED_WHOLE: Final = 2
-# Number of workers that may die at a point that is tried alone.
-_TRIED_ALONE: Final = 3
+# Time [s] for which the loop waits for results before it looks at the clock and at other runs.
+_WAIT = 0.25
+# Time [s] between two renewals of the lease.
+_RENEWAL = 3.0
+# Workers that may die at a task before it is halved. Halving ends at single points, which are then tried alone.
+_DEATHS_WHOLE: Final = 2
+# Workers that may die at a point that is tried alone.
+_DEATHS_ALONE: Final = 3
 
 
 @dataclass
 class _Task:
-    """Points to evaluate.
+    """Points that a worker evaluates together.
 
     Attributes:
         numbers: of the points.
         values: of the quantities, a row for each point.
-        deaths: number of workers that died while it was under way.
+        deaths: number of workers that died while they worked on it.
         alone: whether it is a single point to be tried while no other task is under way.
     """
 
@@ -54,7 +61,7 @@ class _Task:
     alone: bool = False
 
     def part(self, which: slice, deaths: int = 0, alone: bool = False) -> _Task:
-        """Return some of the points."""
+        """Return a task of some of the points."""
         return _Task(self.numbers[which], self.values[which], deaths, alone)
 
 
@@ -70,35 +77,35 @@ class Engine:
         workers: int,
         progress: Progress,
     ) -> None:
-        """Take the evaluation, the points, the store, the executor with its number of workers, and a callback."""
+        """Take what to evaluate, where to store it, who works on it, and a callback that shows progress."""
         self._evaluation, self._points, self._store, self._executor = evaluation, points, store, executor
         self._most_under_way = 2 * workers + 2
         self._progress = progress
         self._key = uuid.uuid4().hex
         self._kind = int(isinstance(evaluation, ManyPoints))
-        self._size = _FIRST[self._kind]
+        self._size = _FIRST_SIZE[self._kind]
         self._under_way: dict[Future[Done], _Task] = {}
-        self._again: deque[_Task] = deque()
-        self._alone: deque[_Task] = deque()
+        self._retries: deque[_Task] = deque()
+        self._single_points: deque[_Task] = deque()
         self._stored, self._failed, _ = store.counts()
         self._renewed = time.monotonic()
         self._returned = False
 
     def run(self) -> None:
-        """Evaluate every point that is not stored.
+        """Evaluate every point that is not stored yet.
 
         Raises:
-            InputError: the executor fails, or results have different names.
+            InputError: the executor fails, or the names of results differ between points.
         """
         self._show()
         try:
             while self._fill():
                 if self._under_way:
-                    self._collect(wait(self._under_way, timeout=_GLANCE, return_when=FIRST_COMPLETED).done)
+                    self._collect(wait(self._under_way, timeout=_WAIT, return_when=FIRST_COMPLETED).done)
                     if isinstance(self._executor, Cluster):
                         self._executor.check()
                 else:
-                    time.sleep(_GLANCE)
+                    time.sleep(_WAIT)
                     self._count()
                     self._show()
                 if time.monotonic() - self._renewed > _RENEWAL:
@@ -110,30 +117,30 @@ class Engine:
             self._stop()
 
     def _fill(self) -> bool:
-        """Submit tasks; return whether there is anything to wait for."""
-        while len(self._under_way) < self._most_under_way and (task := self._following()) is not None:
+        """Submit tasks until all workers are busy; return whether there is anything to wait for."""
+        while len(self._under_way) < self._most_under_way and (task := self._next_task()) is not None:
             try:
-                values = task.values, _BUDGET
-                future = self._executor.submit(work, self._key, self._evaluation, self._points.names, *values)
+                arguments = self._key, self._evaluation, self._points.names, task.values, _BUDGET
+                future = self._executor.submit(work, *arguments)
             except BrokenExecutor as error:
                 future = Future()
                 future.set_exception(error)
             self._under_way[future] = task
         return bool(self._under_way) or self._store.waiting()
 
-    def _following(self) -> _Task | None:
+    def _next_task(self) -> _Task | None:
         """Return the next task to submit, or None."""
         if any(task.alone for task in self._under_way.values()):
             return None
-        if self._again:
-            return self._again.popleft()
+        if self._retries:
+            return self._retries.popleft()
         if (numbers := self._store.claim(self._size)) is not None:
             first = int(numbers[0])
             return _Task(numbers, self._points.block(first, int(numbers[-1]) + 1)[numbers - first])
-        return self._alone.popleft() if self._alone and not self._under_way else None
+        return self._single_points.popleft() if self._single_points and not self._under_way else None
 
     def _collect(self, done: set[Future[Done]]) -> None:
-        """Store the results of tasks that have ended, in the order of their points."""
+        """Store the results of finished tasks, in the order of their points."""
         for future in sorted(done, key=lambda future: int(self._under_way[future].numbers[0])):
             task = self._under_way.pop(future)
             error = CancelledError("cancelled") if future.cancelled() else future.exception()
@@ -149,19 +156,19 @@ class Engine:
                 raise InputError(f"the executor failed at a task: {type(error).__name__}: {error}; {STORED}") from error
 
     def _take(self, task: _Task, done: Done) -> None:
-        """Store the points that a worker has done, and put back the others of the task."""
+        """Store the points of a task that a worker has finished, and queue the others again."""
         if done.names and done.names != self._store.about.results:
             self._store.name_results(done.names)
         self._keep(task.part(slice(done.points)), done)
         if done.points < len(task.numbers):
-            self._again.appendleft(task.part(slice(done.points, None)))
+            self._retries.appendleft(task.part(slice(done.points, None)))
         self._returned = True
         each = done.seconds / done.points
-        wanted = int(min(_WANTED / max(each, 1e-9), _GROWTH * self._size))
-        self._size = max(1, min(wanted, _MOST[self._kind]))
+        wanted = int(min(_TASK_SECONDS / max(each, 1e-9), _GROWTH * self._size))
+        self._size = max(1, min(wanted, _LARGEST_SIZE[self._kind]))
 
     def _keep(self, task: _Task, done: Done, without: State = "failed") -> None:
-        """Store finished points."""
+        """Store finished points; those without results get the given state."""
         new = self._store.keep(task.numbers, task.values, done, without)
         self._stored += new
         if without == "failed" and new == len(task.numbers):
@@ -169,34 +176,34 @@ class Engine:
         self._show()
 
     def _try_again(self, task: _Task, deaths: int, how: str) -> None:
-        """Put back a task whose workers died: whole, then in halves, and in the end as points to be tried alone."""
+        """Queue a task whose worker died: first whole, then in halves, and finally as points to be tried alone."""
         task.deaths += deaths
         half = len(task.numbers) // 2
-        if task.alone and task.deaths >= _TRIED_ALONE:
-            reason = f"{task.deaths} workers ended while each worked at this point alone; {how}"
+        if task.alone and task.deaths >= _DEATHS_ALONE:
+            reason = f"{task.deaths} workers ended while each worked on this point alone; {how}"
             self._keep(task, Done(1, reasons={0: reason}), without="undetermined")
             if self._returned and isinstance(self._executor, ProcessPool):
-                # Other tasks have returned: it is the point that kills workers.
+                # Other tasks have returned, so it is the point that kills workers.
                 self._executor.proceed()
         elif task.alone:
-            self._alone.append(task)
-        elif task.deaths < _TRIED_WHOLE:
-            self._again.append(task)
+            self._single_points.append(task)
+        elif task.deaths < _DEATHS_WHOLE:
+            self._retries.append(task)
         elif half:
             parts = (slice(half), slice(half, None))
-            self._again.extend(task.part(which, deaths=_TRIED_WHOLE - 1) for which in parts)
+            self._retries.extend(task.part(which, deaths=_DEATHS_WHOLE - 1) for which in parts)
         else:
-            self._alone.append(task.part(slice(None), alone=True))
+            self._single_points.append(task.part(slice(None), alone=True))
 
     def _count(self) -> None:
-        """Count what other runs have stored too."""
+        """Update the counts, because other runs store points too."""
         self._stored, self._failed, _ = self._store.counts()
 
     def _show(self) -> None:
         self._progress(self._stored, self._points.count, self._failed)
 
     def _stop(self) -> None:
-        """Store the results that are there, and release the other points for the run that resumes the sweep."""
+        """Store the results at hand, and release all other points for the run that resumes the sweep."""
         try:
             for future, task in self._under_way.items():
                 if not future.cancel() and future.done() and future.exception() is None:

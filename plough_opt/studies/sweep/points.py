@@ -1,6 +1,6 @@
-"""The points of a sweep: ranges and lists of values, and the grids and samples that they make.
+"""The points of a sweep: ranges and lists of values, and the grids and samples made of them.
 
-Points are computed by their numbers when they are needed, so that a million of them take no memory.
+Points are computed from their numbers when they are needed, so that a million of them take no memory.
 """
 
 import hashlib
@@ -17,8 +17,8 @@ from plough_opt.core.expressions import is_count
 from plough_opt.studies.sweep.work import Array
 
 MOST_VALUES: Final = 1_000_000
-"""Limit on the values of one quantity of a grid, which are held in memory; the points are not."""
-# As many numbers as SciPy's Sobol sequence of the default 30 bits has.
+"""Limit on the values of one quantity of a grid, which are held in memory, unlike the points."""
+# Length of SciPy's Sobol sequence with the default 30 bits.
 MOST_SAMPLES: Final = 2**30
 
 
@@ -30,11 +30,11 @@ class Range:
         lower: first value, SI.
         upper: last value, above ``lower``.
         count: number of values of a grid, ends included, 2 to a million; None for a sample, which fills the range.
-        log: whether the steps of the logarithm are equal; both ends must then be above 0.
+        log: whether values are equally spaced on a logarithmic scale; both ends must then be above 0.
 
     Raises:
-        InputError: ends that are not finite numbers in ascending order, an invalid count, or a logarithmic range that
-            does not begin above 0.
+        InputError: the ends are not finite numbers in ascending order, count is invalid, or a logarithmic range does
+            not begin above 0.
 
     Example:
         >>> import plough_opt as po
@@ -51,24 +51,26 @@ class Range:
         for end in (self.lower, self.upper):
             plain_number("the end of a range", end)
         for side in ("lower", "upper"):
-            # 1, 1.0 and NumPy's 1.0 are the same sweep in a store.
+            # So that 1, 1.0 and NumPy's 1.0 give the same question in a store.
             object.__setattr__(self, side, float(getattr(self, side)))
         if not self.lower < self.upper:
-            raise InputError(f"the range from {self.lower:g} to {self.upper:g} is empty: its first end must be lower")
+            raise InputError(
+                f"the range from {self.lower:g} to {self.upper:g} is empty: the first end must be the lower one"
+            )
         check_switch("log", self.log)
         if self.log and not self.lower > 0.0:
             raise InputError(f"a logarithmic range must begin above 0, not at {self.lower:g}")
         if self.count is not None and (not is_count(self.count) or self.count < 2):
-            raise InputError(f"the number of values is {shown(self.count)}: it must be a whole number from 2 on")
+            raise InputError(f"the number of values is {shown(self.count)}: it must be a whole number, at least 2")
         if self.count is not None and self.count > MOST_VALUES:
             given = shown(self.count)
-            raise InputError(f"the number of values is {given}: it can be {MOST_VALUES} at most; use a sample")
+            raise InputError(f"the number of values is {given}: it can be at most {MOST_VALUES}; use a sample instead")
 
     def values(self) -> tuple[float, ...]:
-        """Return the values of a grid, the ends exactly."""
+        """Return the values for a grid, with both ends exact."""
         if self.count is None:
             raise InputError(
-                f"the range from {self.lower:g} to {self.upper:g} has no number of values: a grid needs one"
+                f"the range from {self.lower:g} to {self.upper:g} has no number of values, which a grid needs"
             )
         steps = np.geomspace if self.log else np.linspace
         return tuple(steps(self.lower, self.upper, self.count).tolist())
@@ -77,12 +79,12 @@ class Range:
         """Return the value at a fraction of the range, from 0 to 1.
 
         Raises:
-            InputError: a fraction that is not a number.
+            InputError: the fraction is not a number.
         """
         fraction = plain_number("the fraction of a range", fraction)
         if self.log:
             return float(self.lower * (self.upper / self.lower) ** fraction)
-        # In the order in which scipy.stats.qmc.scale computes it.
+        # The same order of operations as in scipy.stats.qmc.scale.
         return fraction * (self.upper - self.lower) + self.lower
 
 
@@ -90,14 +92,14 @@ Axis = Range | tuple[float, ...]
 
 
 def axis_of(name: str, given: object) -> Axis:
-    """Return the checked values of a quantity.
+    """Check and return the values over which a quantity is swept.
 
     Args:
         name: of the quantity.
         given: a `Range` or numbers, SI.
 
     Raises:
-        InputError: another type, fewer than two numbers, the same one twice, or one that is not finite.
+        InputError: the type is another, there are fewer than two numbers, or one is repeated or not finite.
     """
     if isinstance(given, Range):
         return given
@@ -110,24 +112,26 @@ def axis_of(name: str, given: object) -> Axis:
     if bad := [x for x in values if not math.isfinite(x)]:
         raise InputError(f"'{name}' runs over {bad[0]}: every value must be finite")
     if len(values) < 2:
-        raise InputError(f"'{name}' runs over {len(values)} value(s): a sweep needs two or more; fix it instead")
+        raise InputError(
+            f"'{name}' runs over {len(values)} value(s): a sweep needs two or more; set it to a fixed value instead"
+        )
     if len(set(values)) < len(values):
         raise InputError(f"'{name}' runs over the same value twice")
     return values
 
 
 class Grid:
-    """All combinations of values; the last quantity changes fastest."""
+    """All combinations of the values of several quantities; the last quantity changes fastest."""
 
     def __init__(self, axes: Mapping[str, Axis]) -> None:
-        """Take a range with a number of values, or values, for each quantity."""
+        """Take, for each quantity, values or a range with a number of values."""
         self.names = tuple(axes)
         self._values: list[Array] = []
         for name, axis in axes.items():
             if isinstance(axis, Range) and axis.count is None:
                 raise InputError(
                     f"'{name}' runs from {axis.lower:g} to {axis.upper:g} without a number of values: a grid needs one;"
-                    " or set a number of samples"
+                    " add it, or set a number of samples"
                 )
             self._values.append(np.array(axis.values() if isinstance(axis, Range) else axis))
         self.count = math.prod(map(len, self._values))
@@ -135,29 +139,29 @@ class Grid:
             raise InputError(f"the grid has {self.count:.3g} points: use fewer values, or a sample")
 
     def block(self, first: int, last: int) -> Array:
-        """Return points, a row each."""
+        """Return the points from number ``first`` to before ``last``, a row each."""
         places = np.unravel_index(np.arange(first, last), [len(values) for values in self._values])
         return np.column_stack([values[k] for values, k in zip(self._values, places, strict=True)])
 
     def question(self) -> dict[str, str]:
-        """Return the values of each quantity."""
+        """Return the values of each quantity as texts."""
         return {f"over {name}": _short(x) for name, x in zip(self.names, self._values, strict=True)}
 
 
 class Sample:
-    """A scrambled Sobol sample of a box: scipy.stats.qmc.Sobol, scaled to the ranges."""
+    """A scrambled Sobol sample: scipy.stats.qmc.Sobol, scaled to the ranges of several quantities."""
 
     def __init__(self, axes: Mapping[str, Axis], count: int, seed: int) -> None:
         """Take a range for each quantity.
 
         Raises:
-            InputError: values instead of a range, a range with a number of values, or an invalid number of samples or
-                seed.
+            InputError: values are given instead of a range, a range has a number of values, or the number of samples or
+                the seed is invalid.
         """
         if not is_count(count) or not 2 <= count <= MOST_SAMPLES:
             raise InputError(f"{count!r} samples: give a whole number from 2 to {MOST_SAMPLES}, best a power of two")
         if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-            raise InputError(f"the seed {seed!r} must be a whole number from 0 on")
+            raise InputError(f"the seed {seed!r} must be a whole number, at least 0")
         self.names = tuple(axes)
         self.count = count
         self._seed = seed
@@ -168,30 +172,30 @@ class Sample:
                 raise InputError(f"'{name}' runs over single values: a sample needs a range with two ends")
             if axis.count is not None:
                 raise InputError(
-                    f"'{name}' has a number of values, {axis.count}: a sample fills the range; leave it out"
+                    f"'{name}' has a number of values, {axis.count}: leave it out, because a sample fills the range"
                 )
             self._ranges.append(axis)
         self._restart()
 
     def block(self, first: int, last: int) -> Array:
-        """Return points, a row each; ascending blocks are fastest."""
+        """Return the points from number ``first`` to before ``last``, a row each; ascending blocks are fastest."""
         if first < self._position:
             self._restart()
         if first > self._position:
             self._engine.fast_forward(first - self._position)
         parts = [np.empty((0, len(self._ranges)))]
         if first == 0 and last > 1:
-            # SciPy warns if the first draw is not a power of two, though the whole sample may be one.
+            # SciPy warns unless the size of the first draw is a power of two.
             parts.append(self._engine.random(1))
             first = 1
         parts.append(self._engine.random(last - first))
         self._position = last
         unit = np.concatenate(parts)
-        # One by one: NumPy may round powers differently at the end of a block, outside its vector registers.
+        # One value at a time, because NumPy may round the last ones of a block differently (outside vector registers).
         return np.array([[r.at(u) for r, u in zip(self._ranges, row, strict=True)] for row in unit.tolist()])
 
     def question(self) -> dict[str, str]:
-        """Return the ranges, the number of samples and the seed."""
+        """Return the ranges, the number of samples and the seed as texts."""
         ranges = {
             f"over {name}": f"{one.lower!r} to {one.upper!r}{' log' * one.log}"
             for name, one in zip(self.names, self._ranges, strict=True)
@@ -199,25 +203,25 @@ class Sample:
         return {**ranges, "samples": str(self.count), "seed": str(self._seed)}
 
     def _restart(self) -> None:
-        from scipy.stats import qmc  # slow to import, and not needed by a grid
+        from scipy.stats import qmc  # imported only for samples, because that is slow
 
         self._engine = qmc.Sobol(len(self._ranges), scramble=True, seed=self._seed)
         self._position = 0
 
 
 def points_of(axes: Mapping[str, Axis], samples: int | None, seed: int) -> Grid | Sample:
-    """Return the grid of axes, or a sample with a number of points.
+    """Return a grid, or a sample if a number of samples is given.
 
     Raises:
-        InputError: no quantities, or as `Grid` and `Sample` raise.
+        InputError: there are no quantities, or `Grid` or `Sample` raises.
     """
     if not axes:
-        raise InputError("a sweep runs over one quantity or more: over is empty")
+        raise InputError("over is empty: a sweep needs at least one quantity")
     return Grid(axes) if samples is None else Sample(axes, samples, seed)
 
 
 def _short(values: Array) -> str:
-    """Return values as text that identifies them: all of a few, ends and a digest of many."""
+    """Return a text that identifies values: all of them if they are few, otherwise the ends and a digest."""
     if len(values) <= 16:
         return ", ".join(map(repr, values.tolist()))
     first, last = values[[0, -1]].tolist()

@@ -1,7 +1,7 @@
-"""The worker processes of a sweep on this machine, each of which may die without harm to the others.
+"""The worker processes of a sweep on this machine. Any of them may die without affecting the others.
 
-The pool writes to the standard input of a process and reads from its standard output; output of the work itself goes
-to the error stream. A message is a pickle.
+The pool sends pickles to the standard input of a process and receives pickles from its standard output. What the work
+itself prints goes to the error stream.
 """
 
 from __future__ import annotations
@@ -25,31 +25,33 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.process import Sieve, available, load_additions
 from plough_opt.studies.sweep.work import Evaluation
 
-# The pool gives up after this many deaths in a row over this time [s], if no process is older and no task returned.
-_DEATHS, _PATIENCE = 3, 40.0
 STORED: Final = "finished points are stored, and the same sweep continues from there"
-"""The results of a sweep that ends early."""
+"""Advice for a sweep that ends early."""
 
-# Pause before a process that died is replaced [s].
+# The pool gives up after at least this number of deaths in a row ...
+_MOST_DEATHS = 3
+# ... over at least this time [s], if no process is older than that and no task has returned.
+_PATIENCE = 40.0
+# Pause [s] before a dead process is replaced.
 _PAUSE: Final = 0.2
-# What a process says when it can take calls.
+# Message of a process that is ready for calls.
 _READY: Final = "ready"
-# Variables by which MPI's launchers control the processes that they started; they must not reach a child of those.
-_OF_LAUNCHERS: Final = re.compile(r"(PMI|PMIX|OMPI|PRTE|HYDI?|PALS|MPI)_")
-# Variables in which libraries of linear algebra and OpenMP look for their number of threads.
-_THREADS: Final = (
+# Environment variables by which MPI launchers control their processes; children of these must not inherit them.
+_MPI_VARIABLES: Final = re.compile(r"(PMI|PMIX|OMPI|PRTE|HYDI?|PALS|MPI)_")
+# Environment variables with the number of threads for OpenMP and libraries of linear algebra.
+_THREAD_VARIABLES: Final = (
     "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS",
 )  # fmt: skip
 
-# True in a worker while it imports the script that started it, which without a guard would sweep again.
+# True in a worker while it imports the script that started the sweep. Without a guard the script would sweep again.
 _preparing = False
 
 
 class WorkerDied(BrokenExecutor):
-    """The process that worked on a task has ended.
+    """The process that worked on a task has died.
 
     Attributes:
-        deaths: number of processes that ended at the same task.
+        deaths: number of processes that died at the task.
     """
 
     def __init__(self, how: str, deaths: int = 1) -> None:
@@ -58,36 +60,40 @@ class WorkerDied(BrokenExecutor):
 
 
 class ProcessPool(Executor):
-    """Processes that are replaced when they die; the task under way in one that dies fails with `WorkerDied`.
+    """An executor whose processes are replaced when they die; the task of a dead process fails with `WorkerDied`.
 
-    Each process has a thread here that starts it, sends it tasks and waits for their results. Processes are started
-    afresh, not forked: the copy of a process with threads, such as those of NumPy or of a notebook, can hang, and
-    caches of the parent would reach some of its workers and not others.
+    A thread for each process starts it, sends it tasks and waits for their results. Processes are spawned, not forked,
+    because the fork of a process with threads (those of NumPy or of a notebook) can hang, and because caches of the
+    parent would reach some workers and not others.
     """
 
     def __init__(self, workers: int, evaluation: Evaluation) -> None:
-        """Take the number of processes, and the evaluation.
+        """Start the threads.
+
+        Args:
+            workers: number of processes.
+            evaluation: unpickled by each process before it reports that it is ready.
 
         Raises:
             InputError: this process is itself a worker, because its script sweeps when it is imported.
         """
         if _preparing:
             raise InputError(
-                "a script must call sweep under if __name__ == '__main__':, as worker processes import it and would"
-                " sweep too"
+                "a script must call sweep under if __name__ == '__main__':, because worker processes import it and"
+                " would sweep too"
             )
         script = multiprocessing.spawn.get_preparation_data("worker of a sweep")
-        del script["authkey"]  # which refuses to be pickled
-        self._first = script, pickle.dumps(evaluation)
-        # Together one thread for each core: with as many threads in each worker as cores all would be slow.
+        del script["authkey"]  # cannot be pickled
+        self._first_message = script, pickle.dumps(evaluation)
+        # One thread per core for all workers together; more would slow all of them down.
         self._environment = environment(max(1, available() // workers))
         self._calls: queue.SimpleQueue[tuple[Future[Any], bytes] | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
-        self._processes: dict[subprocess.Popen[bytes], float] = {}  # with the times [s] of their starts
+        self._processes: dict[subprocess.Popen[bytes], float] = {}  # process -> time [s] of its start
         self._deaths, self._first_death = 0, 0.0
         self._broken: InputError | None = None
         self._closing = threading.Event()
-        self._threads = [threading.Thread(target=self._keep, daemon=True) for _ in range(workers)]
+        self._threads = [threading.Thread(target=self._keep_alive, daemon=True) for _ in range(workers)]
         for thread in self._threads:
             thread.start()
 
@@ -95,7 +101,7 @@ class ProcessPool(Executor):
         """Submit a call, as any executor does.
 
         Raises:
-            InputError: the pool gave up.
+            InputError: the pool has given up.
         """
         future: Future[Any] = Future()
         call = pickle.dumps((fn, args, kwargs))
@@ -111,7 +117,7 @@ class ProcessPool(Executor):
             self._deaths = 0
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
-        """End the processes at once, without waiting for the tasks under way."""
+        """Kill all processes at once, without waiting for the tasks under way."""
         self._closing.set()
         with self._lock:
             for process in self._processes:
@@ -123,21 +129,21 @@ class ProcessPool(Executor):
         for thread in self._threads if wait else ():
             thread.join()
 
-    def _keep(self) -> None:
-        """Keep one process at work, and replace it when it dies; this is the function of a thread."""
+    def _keep_alive(self) -> None:
+        """Keep one process at work and replace it when it dies; each thread runs this."""
         pause = 0.0
         try:
             while not self._closing.wait(pause):
                 pause = _PAUSE
                 try:
-                    process = self._started()
-                except OSError as error:  # no memory for another, or too many there
-                    self._note_death(f"none can be started ({error})")
+                    process = self._start()
+                except OSError as error:  # too little memory, or too many processes
+                    self._note_death(f"could not be started ({error})")
                     continue
                 if process is None:
                     return
                 try:
-                    _send(process.stdin, self._first)
+                    _send(process.stdin, self._first_message)
                     if (answer := _receive(process.stdout)) != _READY:
                         self._give_up(f"the worker processes could not begin: {answer}")
                         return
@@ -155,8 +161,8 @@ class ProcessPool(Executor):
             self._give_up(f"the worker processes cannot be kept at work: {type(error).__name__}: {error}")
             raise
 
-    def _started(self) -> subprocess.Popen[bytes] | None:
-        """Start a process; None if the pool ends."""
+    def _start(self) -> subprocess.Popen[bytes] | None:
+        """Start a process and return it; return None if the pool is closing."""
         with self._lock:
             if self._closing.is_set() or self._broken is not None:
                 return None
@@ -166,14 +172,14 @@ class ProcessPool(Executor):
             return process
 
     def _execute(self, process: subprocess.Popen[bytes], future: Future[Any], call: bytes) -> None:
-        """Send a task to a process, and give its future the outcome.
+        """Send a task to a process and pass the outcome to its future.
 
         Raises:
             OSError: the process died.
             EOFError: the process died.
         """
         if process.poll() is not None:
-            self._calls.put((future, call))  # it was dead before the task reached it
+            self._calls.put((future, call))  # the process died before the task reached it
             raise EOFError
         if not future.set_running_or_notify_cancel():
             return
@@ -190,7 +196,7 @@ class ProcessPool(Executor):
             future.set_exception(error)
 
     def _note_death(self, how: str) -> None:
-        """Count a death, and give up if processes only die."""
+        """Count a death, and give up if processes keep dying before any task returns."""
         now = time.monotonic()
         with self._lock:
             if self._closing.is_set():
@@ -199,14 +205,14 @@ class ProcessPool(Executor):
             self._deaths += 1
             deaths, seconds = self._deaths, now - self._first_death
             old = any(now - began > _PATIENCE for process, began in self._processes.items() if process.poll() is None)
-        if deaths >= _DEATHS and seconds > _PATIENCE and not old:
+        if deaths >= _MOST_DEATHS and seconds > _PATIENCE and not old:
             self._give_up(
-                f"{deaths} worker processes ended within {seconds:.0f} s before one of them had finished a task, the"
-                f" last {how}: check whether they have enough memory, or what ends them; {STORED}"
+                f"{deaths} worker processes ended within {seconds:.0f} s before one of them finished a task, the last"
+                f" {how}: check whether they have enough memory, or what ends them; {STORED}"
             )
 
     def _give_up(self, reason: str) -> None:
-        """Let all waiting calls fail, and all later ones."""
+        """Make all waiting and all later calls fail."""
         with self._lock:
             self._broken = self._broken or InputError(reason)
         for future in self._waiting():
@@ -214,7 +220,7 @@ class ProcessPool(Executor):
                 future.set_exception(self._broken)
 
     def _waiting(self) -> list[Future[Any]]:
-        """Take out and return the futures of calls that no process has begun."""
+        """Empty the queue and return the futures of its calls."""
         futures = []
         with contextlib.suppress(queue.Empty):
             while True:
@@ -225,16 +231,16 @@ class ProcessPool(Executor):
 
 
 def environment(threads: int) -> dict[str, str]:
-    """Return the environment of a worker: this one's without that of MPI, and with a number of threads if unset."""
-    own = {name: text for name, text in os.environ.items() if not _OF_LAUNCHERS.match(name)}
-    return {**dict.fromkeys(_THREADS, str(threads)), **own}
+    """Return this environment without MPI variables, and with the given number of threads where none is set."""
+    own = {name: text for name, text in os.environ.items() if not _MPI_VARIABLES.match(name)}
+    return {**dict.fromkeys(_THREAD_VARIABLES, str(threads)), **own}
 
 
 def _command() -> list[str]:
-    """Return the command line of a worker, which finds modules where this process does."""
+    """Return the command line of a worker that imports modules from the same places as this process."""
     places = [place or str(Path.cwd()) for place in sys.path if isinstance(place, str)]
     begin = (
-        "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n"  # Ctrl-C is the pool's business
+        "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n"  # the pool handles Ctrl-C
         f"import sys; sys.path[:] = {places!r}\n"
         "from plough_opt.studies.sweep.pool import serve; serve()"
     )
@@ -242,9 +248,9 @@ def _command() -> list[str]:
 
 
 def _end(process: subprocess.Popen[bytes]) -> str:
-    """Wait for the end of a process, which must be near, and return how it ended."""
+    """Wait for a process that is about to end, and return how it ended."""
     for pipe in (process.stdin, process.stdout):
-        with contextlib.suppress(OSError):  # of what could not be sent
+        with contextlib.suppress(OSError):  # the rest of a message could not be sent
             assert pipe is not None
             pipe.close()
     status = process.wait()
@@ -271,15 +277,15 @@ def _receive(file: IO[bytes] | None) -> Any:
     assert file is not None
     try:
         return pickle.load(file)
-    except pickle.UnpicklingError as error:  # which ends within a message
+    except pickle.UnpicklingError as error:  # the writer ended within a message
         raise EOFError from error
 
 
 def serve() -> None:
-    """Execute the pool's calls until it ends; this is the main function of a worker."""
+    """Execute the calls of the pool until it ends; this is the main function of a worker."""
     inlet, outlet = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     if hasattr(os, "register_at_fork"):
-        # A child that outlives this process must not hold its pipe open, by which the pool sees its end.
+        # The pool notices the end of this process by its pipe, which a child that lives longer must not hold open.
         os.register_at_fork(after_in_child=outlet.close)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
@@ -288,7 +294,7 @@ def serve() -> None:
         _prepare(*_receive(inlet))
     except EOFError:
         return
-    except BaseException as error:  # a script may also end itself
+    except BaseException as error:  # SystemExit too, because a script may call sys.exit
         _send(outlet, f"{type(error).__name__}: {error}")
         return
     calls: queue.SimpleQueue[bytes] = queue.SimpleQueue()
@@ -300,7 +306,7 @@ def serve() -> None:
 
 
 def _prepare(script: dict[str, Any], evaluation: bytes) -> None:
-    """Import the main script of the pool's process, and check that the evaluation can be unpickled."""
+    """Import the main script of the pool's process, and check that the evaluation can be unpickled here."""
     global _preparing
     _preparing = True
     load_additions()
@@ -310,7 +316,7 @@ def _prepare(script: dict[str, Any], evaluation: bytes) -> None:
 
 
 def _listen(inlet: IO[bytes], calls: queue.SimpleQueue[bytes]) -> None:
-    """Queue the pool's calls, and end this process with the pool, even if that is killed during a computation here."""
+    """Queue the calls of the pool, and end this process when the pool ends, even during a computation."""
     try:
         while True:
             calls.put(_receive(inlet))
@@ -319,13 +325,13 @@ def _listen(inlet: IO[bytes], calls: queue.SimpleQueue[bytes]) -> None:
 
 
 def _outcome(call: bytes) -> bytes:
-    """Return the result of a call and its error as a pickle; one of the two is None."""
+    """Execute a call and return the pickle of (result, error), one of which is None."""
     try:
         function, arguments, keywords = pickle.loads(call)
         return pickle.dumps((function(*arguments, **keywords), None))
     except BaseException as error:
-        # Not every exception can be pickled.
-        own = error if type(error) is InputError else RuntimeError(f"{type(error).__name__}: {error}")
-        return pickle.dumps((None, own))
+        # Not every exception can be pickled, so others than InputError become texts.
+        picklable = error if type(error) is InputError else RuntimeError(f"{type(error).__name__}: {error}")
+        return pickle.dumps((None, picklable))
     finally:
         sys.stdout.flush()

@@ -1,4 +1,4 @@
-"""The result of a sweep, read from its store on demand; its tables as CSV and NPZ need not fit into memory."""
+"""`Sweep`: the result of a sweep, read from its store on demand, with tables that need not fit into memory."""
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-# Failures that a table and a JSON text quote.
+# Failures that a printed table quotes.
 _QUOTED: Final = 3
+# Failures that a JSON text lists.
 _LISTED: Final = 1000
 # Rows of an array that are written at once.
 _AT_ONCE: Final = 16384
@@ -42,9 +43,9 @@ class Failure:
     """A point without results.
 
     Attributes:
-        point: its number.
+        point: number of the point.
         values: of the quantities there, SI.
-        reason: why.
+        reason: why it has no results.
     """
 
     point: int
@@ -54,10 +55,10 @@ class Failure:
 
 @dataclass(frozen=True)
 class Extreme:
-    """A least or largest result.
+    """The least or largest value of a result.
 
     Attributes:
-        value: of the result.
+        value: the value.
         point: number of the first point that has it.
         values: of the quantities there, SI.
     """
@@ -72,13 +73,13 @@ class Sweep(Readable):
 
     Attributes:
         already: number of points that were stored before this run began.
-        origin: the problem behind it, if known.
-        how: how the points were computed, in a sentence, if known.
-        path: of the store; None if it has no file of its own.
-        names: the quantities that were swept.
+        origin: the problem that was swept, if known.
+        how: sentence on how the points were computed, if known.
+        path: of the store; None if it is a temporary file.
+        names: names of the swept quantities.
         results: names of the results.
         units: name -> SI unit, of quantities and results that have one.
-        question: everything that the results depend on, as text.
+        question: everything that the results depend on, as texts.
 
     Example:
         >>> import plough_opt as po
@@ -96,10 +97,10 @@ class Sweep(Readable):
 
     @classmethod
     def load(cls, path: str | Path) -> Sweep:
-        """Read a store, finished or not.
+        """Read a store, complete or not.
 
         Raises:
-            InputError: no such file, or not a store of this layout.
+            InputError: there is no such file, or it is damaged or not a store of this layout.
         """
         path = path_of("the store", path)
         if not path.is_file():
@@ -107,7 +108,7 @@ class Sweep(Readable):
         store = Store(path, write=False)
         try:
             if store.empty:
-                raise InputError(f"'{path}' is empty, and not the store of a sweep")
+                raise InputError(f"'{path}' is empty, not the store of a sweep")
             store.verify()
             return cls(store, store.counts().stored)
         except BaseException:
@@ -115,7 +116,7 @@ class Sweep(Readable):
             raise
 
     def close(self) -> None:
-        """Close the store; the results are lost if it has no file of its own."""
+        """Close the store; the results are lost if it is a temporary file."""
         self._store.close()
 
     def __enter__(self) -> Sweep:
@@ -134,18 +135,18 @@ class Sweep(Readable):
 
     @property
     def failed(self) -> int:
-        """Number of points that failed: without results for a known reason."""
+        """Number of failed points: those without results for a known reason."""
         return self._store.counts().failed
 
     @property
     def table(self) -> NDArray[np.void]:
-        """A structured array: ``point``, quantities and results, SI; NaN if a point has none."""
+        """A structured array of ``point``, quantities and results, SI; results are NaN at points without any."""
         kind = np.dtype([("point", "i8"), *((name, "f8") for name in self._store.about.columns)])
         # NumPy converts None to NaN.
         return np.fromiter(self._store.rows("point", *self._store.about.columns), dtype=kind)
 
     def column(self, name: str) -> NDArray[np.float64]:
-        """Return a quantity or a result at every point, NaN if it has none."""
+        """Return a quantity or a result at every point, SI; NaN at points without results."""
         if name not in self._store.about.columns:
             raise InputError(f"'{name}' is not a column: there are {', '.join(self._store.about.columns)}")
         return np.array([row[0] for row in self._store.rows(name)], dtype=float)
@@ -157,18 +158,18 @@ class Sweep(Readable):
 
     @property
     def undetermined(self) -> Iterator[Failure]:
-        """The points without results because every worker that tried them died, in order."""
+        """The points without results because all their workers died, in order."""
         return self._without_results("undetermined")
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Warnings about the numbers, each kind once with the numbers of its first point."""
+        """Warnings, each kind once, as worded for its first point, with the number of points that have it."""
         count = len(self)
-        # Points computed again because their rows were lost or damaged were counted twice.
+        # Points that were computed again after their rows were lost or damaged were counted twice.
         return tuple(f"at {min(points, count)} of {count} points: {text}" for text, points in self._store.notes())
 
     def extreme(self, name: str, *, largest: bool = False) -> Extreme | None:
-        """Return the least or the largest value of a result, or None if no point has any."""
+        """Return the least or the largest value of a result, or None if no point has results."""
         if name not in self.results:
             raise InputError(f"'{name}' is not a result: there are {', '.join(self.results)}")
         row: tuple[Any, ...] | None = self._store.extreme(name, largest)
@@ -209,26 +210,26 @@ class Sweep(Readable):
         return self.origin.display(name, self.units.get(name, ""), value).text(value)
 
     def plot(self, target: str | Path | None = None) -> Figure:
-        """Draw every result over the quantity that was swept first, a point each; a second quantity is its colour.
+        """Draw every result against the first swept quantity, a dot for each point; the colour shows the second one.
 
         Args:
             target: file to write (.png, .svg, .pdf), or None.
 
         Raises:
-            InputError: a file name without a known ending, or a place that cannot be written.
+            InputError: the file name has an unknown ending, or the path cannot be written.
         """
         return drawn("plot_sweep", self, target=target)
 
     def shown(self, name: str) -> tuple[NDArray[np.float64], str]:
-        """Return a column in the unit in which it is shown, and its heading."""
+        """Return a column in its display unit, and its heading."""
         values = self.column(name)
         display = self.origin.display(name, self.units.get(name, ""), *values[np.isfinite(values)].tolist())
         return values / display.factor, display.heading(called(name))
 
     def to_json(self) -> str:
-        """Return what the sweep found as JSON text: the range of every result and where it lies, SI; the store has all.
+        """Return a summary as JSON text: the range of every result in SI units, and the points at its ends.
 
-        Points that failed or are undetermined are listed with their reasons, the first thousand of each.
+        The first thousand failed and the first thousand undetermined points are listed with their reasons.
         """
         ranges = {
             name: {"least": vars(least), "largest": vars(largest)}
@@ -247,7 +248,7 @@ class Sweep(Readable):
         return json.dumps(found, indent=2, allow_nan=False)
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return a row for each point: quantities and results, SI, NaN if a point has none.
+        """Return a row for each point: quantities and results in SI units, NaN where there are no results.
 
         Raises:
             InputError: pandas is not installed.
@@ -256,10 +257,10 @@ class Sweep(Readable):
         return data_frame({name: table[name] for name in table.dtype.names or ()}, self.units)
 
     def to_csv(self, path: str | Path) -> Path:
-        """Write a row for each point: its number, quantities and results in SI units, or the reason why it has none.
+        """Write a row for each point: number, quantities, and results in SI units or the reason why there are none.
 
         Raises:
-            InputError: a place that cannot be written.
+            InputError: the path cannot be written.
         """
         columns = self._store.about.columns
 
@@ -268,7 +269,7 @@ class Sweep(Readable):
             table = csv.writer(text, lineterminator="\n")
             headings = (f"{name} [{self.units[name]}]" if self.units.get(name) else name for name in columns)
             table.writerow(["point", *headings, "reason"])
-            # A float's repr has all the digits that it needs, and None is empty.
+            # The csv module writes a float with all its digits, and None as an empty cell.
             for *row, state, reason in self._store.rows("point", *columns, "state", "reason"):
                 table.writerow([*row, f"undetermined: {reason}" if state == "undetermined" else reason])
             text.detach()  # flushes, and leaves the file open for `write_file`
@@ -278,11 +279,11 @@ class Sweep(Readable):
     def to_npz(self, path: str | Path) -> Path:
         """Write an array for each column.
 
-        ``failed`` has the numbers of the points that failed, ``reasons`` why they did, and ``undetermined`` the numbers
-        of undetermined points.
+        ``failed`` holds the numbers of the failed points, ``reasons`` the reasons, and ``undetermined`` the numbers of
+        the undetermined points.
 
         Raises:
-            InputError: a place that cannot be written.
+            InputError: the path cannot be written.
         """
         stored, failed, undetermined = self._store.counts()
         longest = max((len(failure.reason) for failure in self.failures), default=1)
@@ -307,7 +308,7 @@ class Sweep(Readable):
 
 
 def _short(key: str) -> str:
-    """Return a key without its table, which makes a column narrow."""
+    """Return a key without its table, for a narrow column."""
     return key.rpartition(".")[2]
 
 
@@ -319,7 +320,7 @@ def _write_array(
     values: Iterator[Any],
     compression: int = zipfile.ZIP_STORED,
 ) -> None:
-    """Write one array of an archive, of which only a part is in memory at once."""
+    """Write one array of an archive, with only a part of it in memory at once."""
     entry = zipfile.ZipInfo(f"{name}.npy")
     entry.compress_type = compression
     with archive.open(entry, "w", force_zip64=True) as file:

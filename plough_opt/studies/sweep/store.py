@@ -1,6 +1,6 @@
-"""The store of a sweep: an SQLite file that several runs may fill at once and any may resume.
+"""`Store`: the SQLite file of a sweep, which several runs may fill at once and any run may resume.
 
-If a run dies, another takes over the ranges of points that it had claimed.
+If a run dies, another one takes over the ranges of points that it had claimed.
 """
 
 import itertools
@@ -21,19 +21,19 @@ from plough_opt.studies.sweep import database
 from plough_opt.studies.sweep.database import Database, State, quoted
 from plough_opt.studies.sweep.work import Array, Done
 
-# Time [s] after which the run of a claim that was not renewed counts as dead.
+# Time [s] after which a run counts as dead if it has not renewed its lease.
 _LEASE: Final = 30.0
-# Number of claims among which those of dead runs are looked for.
-_LOOKED_AT: Final = 256
-# Limit on a claim of points that are computed again: the rows that a batch simulates at once.
-_MOST_AGAIN: Final = 2048
-# Counts a note, and keeps its text if its point is the first of its kind.
+# Number of claims that are searched for those of dead runs, longest ago renewed first.
+_SEARCHED: Final = 256
+# Most points in a claim of points that are computed again: as many as a batch simulates at once.
+_LARGEST_GAP: Final = 2048
+# Adds to the count of a note, and takes over its text if its point comes before all others of this kind.
 _NOTE: Final = (
     "INSERT INTO notes VALUES (?, ?, ?, ?) ON CONFLICT (kind) DO UPDATE SET"
     " text = CASE WHEN excluded.first < first THEN excluded.text ELSE text END,"
     " first = min(first, excluded.first), points = points + excluded.points"
 )
-# Ends the claim of a point if all points in its range are stored.
+# Deletes the claim that contains a point if all points of its range are stored.
 _END_CLAIM: Final = (
     "DELETE FROM claims WHERE owner = ? AND first <= ? AND last > ? AND last - first ="
     " (SELECT count(*) FROM points WHERE point >= claims.first AND point < claims.last)"
@@ -41,7 +41,7 @@ _END_CLAIM: Final = (
 
 
 class Counts(NamedTuple):
-    """Numbers of points: those stored, and among them those that failed and those that are undetermined."""
+    """Numbers of stored points, and of the failed and the undetermined ones among them."""
 
     stored: int
     failed: int
@@ -49,24 +49,24 @@ class Counts(NamedTuple):
 
 
 class Store(Database):
-    """A store, open.
+    """An open store.
 
     Attributes:
-        empty: whether it had no tables when it was opened, and so has no `about` before `prepare`.
-        about: quantities, results and question of the sweep.
+        empty: whether it had no tables when it was opened. Then it has no `about` before `prepare`.
+        about: description of the sweep.
     """
 
     about: database.About
 
     def __init__(self, path: str | Path | None, write: bool = True) -> None:
-        """Open a file; a missing one is made if it is to be written.
+        """Open a file. If it is opened to write, a missing one is created.
 
         Args:
-            path: of the file, or None for one that is deleted when it is closed.
+            path: of the file; None for a temporary file, which is deleted when it is closed.
             write: whether points are to be stored.
 
         Raises:
-            InputError: a file that cannot be made or read, or that is not a store; nothing in it is changed.
+            InputError: the file cannot be created or read, or is not a store; it is left unchanged.
         """
         super().__init__(path, write)
         self._owner = f"{platform.node()}:{os.getpid()}:{uuid.uuid4().hex}"
@@ -83,15 +83,15 @@ class Store(Database):
     def prepare(self, about: database.About, retry: bool = False) -> None:
         """Enter the sweep, or compare its question with the one in the file; then check every row.
 
-        Points that are neither stored nor under way in another run can be claimed afterwards.
+        Afterwards points can be claimed that are neither stored nor claimed by another live run.
 
         Args:
-            about: the sweep.
-            retry: delete the points that failed, are undetermined or are damaged, so that they are tried again.
+            about: description of the sweep.
+            retry: delete the points that failed, are undetermined or are damaged, so that they are computed again.
 
         Raises:
-            InputError: the store belongs to another question; the message lists the differences. Or damaged rows; or,
-                with retry, another run fills the store.
+            InputError: the store belongs to another question (the message lists the differences), rows are damaged, or
+                another run is filling the store while ``retry`` is set.
         """
         with self.transaction():
             if not self.tables():
@@ -105,22 +105,24 @@ class Store(Database):
             if not retry:
                 self.verify()
             elif not alone:
-                raise InputError(f"another run fills the store '{self.path}': wait for its end to try failures again")
+                raise InputError(
+                    f"another run fills the store '{self.path}': wait for its end before you retry failures"
+                )
             else:
                 self.run("DELETE FROM points WHERE state != 'computed'")
-                for point in list(self._spoilt()):
+                for point in list(self._damaged_points()):
                     self.run("DELETE FROM points WHERE point = ?", point)
             if alone:
                 self.run("DELETE FROM claims")
                 self.run_many("INSERT INTO claims VALUES (?, ?, '', 0.0)", self._gaps(self._next()))
 
     def finish(self) -> None:
-        """Check the number of points, and merge the log into the file, so that it can be read from any medium.
+        """Check that all points are stored, and merge the log into the file, so that any medium can hold it.
 
         Raises:
             InputError: points are missing.
         """
-        self.about = database.read(self)  # another run may have entered names of results
+        self.about = database.read(self)  # another run may have entered the names of results
         stored = self.counts().stored
         if stored != self.about.count:
             raise InputError(
@@ -131,15 +133,15 @@ class Store(Database):
             self.make_whole()
 
     def counts(self) -> Counts:
-        """Return the numbers of points that are stored, that failed, and that are undetermined."""
+        """Return the numbers of stored, failed and undetermined points."""
         row = self.run("SELECT count(*), total(state = 'failed'), total(state = 'undetermined') FROM points")[0]
         return Counts(*map(int, row))
 
     def claim(self, size: int) -> NDArray[np.int64] | None:
-        """Claim a range of points; return the numbers of those that are not stored, or None if none are left.
+        """Claim a range and return the numbers of its points that are not stored; None if no points are left.
 
         Args:
-            size: limit on a range of new points; that of a dead run is claimed as it is.
+            size: limit on the number of points in a new range; the range of a dead run is claimed as it is.
         """
         while True:
             now = time.time()
@@ -148,8 +150,8 @@ class Store(Database):
                 last = min(first + size, self.about.count)
                 if first < self.about.count:
                     self.run("UPDATE meta SET value = ? WHERE key = 'next'", str(last))
-                elif (left := self._left_behind(now)) is not None:
-                    first, last = left
+                elif (abandoned := self._abandoned(now)) is not None:
+                    first, last = abandoned
                 else:
                     return None
                 self.run("INSERT OR REPLACE INTO claims VALUES (?, ?, ?, ?)", first, last, self._owner, now + _LEASE)
@@ -160,11 +162,11 @@ class Store(Database):
                 self.run(_END_CLAIM, self._owner, first, first)
 
     def waiting(self) -> bool:
-        """Return whether another run still works on points."""
+        """Return whether another run has claims."""
         return bool(self.run("SELECT 1 FROM claims WHERE owner != ? LIMIT 1", self._owner))
 
     def renew(self, seconds: float = _LEASE) -> None:
-        """Renew this run's lease on its claims; one of no time lets others claim its unfinished points at once."""
+        """Renew the lease on this run's claims. After a lease of 0 s others may take over the claims at once."""
         expires = time.time() + seconds if seconds else 0.0
         with self.transaction():
             self.run("UPDATE claims SET expires = ? WHERE owner = ?", expires, self._owner)
@@ -173,21 +175,20 @@ class Store(Database):
         """Compare every row with its checksum.
 
         Raises:
-            InputError: some differ.
+            InputError: rows differ from their checksums.
         """
-        spoilt = list(self._spoilt())
-        if spoilt:
+        if spoilt := list(self._damaged_points()):
             raise database.damaged(
                 self.path,
-                f"{len(spoilt)} of its rows differ from their checksums, the first that of point {spoilt[0]}; the same"
+                f"{len(spoilt)} of its rows differ from their checksums, the first one at point {spoilt[0]}; the same"
                 " sweep with --retry (retry=True) computes them again",
             )
 
     def name_results(self, results: Sequence[str]) -> None:
-        """Enter the names of the results once the first point has some.
+        """Enter the names of the results when the first point has some.
 
         Raises:
-            InputError: names that cannot be columns, or that differ from those of earlier points.
+            InputError: a name cannot be a column, or the names differ from those of earlier points.
         """
         with self.transaction():
             self.about = database.read(self)
@@ -204,13 +205,16 @@ class Store(Database):
             )
 
     def keep(self, numbers: NDArray[np.int64], values: Array, done: Done, without: State = "failed") -> int:
-        """Store points, all or none, and end their claim if they are the last of it; return the number of new ones.
+        """Store points, all or none of them, and end their claim if it is complete.
 
         Args:
             numbers: of the points.
             values: of the quantities, a row for each point.
-            done: their results, reasons and notes.
+            done: results, reasons and notes of the points.
             without: state of the points without results.
+
+        Returns:
+            The number of points that were not stored before.
         """
         columns = ", ".join(map(quoted, (*database.FIXED, *self.about.columns)))
         marks = ", ".join("?" * (len(database.FIXED) + len(self.about.columns)))
@@ -224,22 +228,22 @@ class Store(Database):
         return new
 
     def notes(self) -> list[tuple[str, int]]:
-        """Return the warnings, each with the number of its points, in the order of their first points."""
+        """Return (text, number of points) of each warning, in the order of their first points."""
         return [(text, points) for text, points in self.run("SELECT text, points FROM notes ORDER BY first, kind")]
 
     def rows(self, *columns: str, where: State | None = None) -> Iterator[tuple[Any, ...]]:
-        """Yield columns of the points, in order, of which only a few are in memory at once.
+        """Yield the rows of the points, in order, with only a few of them in memory at once.
 
         Args:
-            columns: "point", "reason", or names of quantities and results.
-            where: only points of this state.
+            columns: columns of a row: names of quantities and results, "point", "state", "reason" or "checksum".
+            where: state of the points; None for all.
         """
         chosen = ", ".join(map(quoted, columns))
         condition = f"WHERE state = '{where}'" if where else ""
         return self.stream(f"SELECT {chosen} FROM points {condition} ORDER BY point")
 
     def extreme(self, name: str, largest: bool) -> tuple[Any, ...] | None:
-        """Return the least or largest value of a result, its first point and the quantities there, or None."""
+        """Return (least or largest value of a result, its first point, the quantities there ...), or None."""
         chosen = ", ".join(map(quoted, (name, "point", *self.about.names)))
         order = f"{quoted(name)} {'DESC' if largest else 'ASC'}, point"
         rows = self.run(f"SELECT {chosen} FROM points WHERE state = 'computed' ORDER BY {order} LIMIT 1")
@@ -248,43 +252,43 @@ class Store(Database):
     def _rows(
         self, numbers: NDArray[np.int64], values: Array, done: Done, without: State
     ) -> Iterator[tuple[object, ...]]:
-        """Yield rows as they are stored."""
+        """Yield the rows to store."""
         empty = [None] * len(self.about.results)
-        # SQLite stores the negative zero as zero.
+        # SQLite stores negative zero as zero; adding zero makes the checksum agree.
         for k, (number, row) in enumerate(zip(numbers.tolist(), (values + 0.0).tolist(), strict=True)):
             reason, cells, state = done.reasons.get(k), [*row, *empty], without
             if reason is None and done.results is not None:
                 cells, state = [*row, *done.results[k].tolist()], "computed"
-            # The text of any exception, which may hold surrogates that UTF-8 cannot encode.
+            # Texts of exceptions may hold surrogates, which UTF-8 cannot encode.
             text = None if reason is None else reason.encode("utf-8", "backslashreplace").decode("utf-8")
             yield number, state, text, database.checksum(number, state, text, cells, len(row)), *cells
 
-    def _spoilt(self) -> Iterator[int]:
-        """Yield the points whose rows differ from their checksums, or that do not belong to the sweep."""
+    def _damaged_points(self) -> Iterator[int]:
+        """Yield the points whose rows differ from their checksums or do not belong to the sweep."""
         for point, state, reason, kept, *numbers in self.rows(*database.FIXED, *self.about.columns):
             right = database.checksum(point, state, reason, numbers, len(self.about.names))
             if kept != right or not 0 <= point < self.about.count:
                 yield point
 
     def _gaps(self, end: int) -> Iterator[tuple[int, int]]:
-        """Yield the ranges of points before an end that are not stored."""
+        """Yield the ranges of missing points before an end."""
         first = 0
         for point, *_ in itertools.chain(self.rows("point"), [(end,)]):
-            for start in range(first, point, _MOST_AGAIN):
-                yield start, min(start + _MOST_AGAIN, point)
+            for start in range(first, point, _LARGEST_GAP):
+                yield start, min(start + _LARGEST_GAP, point)
             first = point + 1
 
     def _next(self) -> int:
         return int(self.run("SELECT value FROM meta WHERE key = 'next'")[0][0])
 
-    def _left_behind(self, now: float) -> tuple[int, int] | None:
-        """Return the range of a dead run, if there is one among those that renewed their leases longest ago."""
-        oldest = self.run("SELECT first, last, owner, expires FROM claims ORDER BY expires LIMIT ?", _LOOKED_AT)
-        left = ((first, last) for first, last, owner, expires in oldest if _dead(owner, expires, now))
-        return next(left, None)
+    def _abandoned(self, now: float) -> tuple[int, int] | None:
+        """Return a range that a dead run claimed, if one is found among the claims renewed longest ago."""
+        oldest = self.run("SELECT first, last, owner, expires FROM claims ORDER BY expires LIMIT ?", _SEARCHED)
+        abandoned = ((first, last) for first, last, owner, expires in oldest if _dead(owner, expires, now))
+        return next(abandoned, None)
 
     def _check_question(self, question: dict[str, str]) -> None:
-        """Raise InputError if the store belongs to another question."""
+        """Raise InputError if the store holds a sweep with another question."""
         there = self.about.question
         differences = [
             f"{key}: {there.get(key, 'absent')} there, {question.get(key, 'absent')} here"
@@ -294,13 +298,13 @@ class Store(Database):
         if differences:
             more = f"; and {len(differences) - 4} more" if len(differences) > 4 else ""
             raise InputError(
-                f"the store '{self.path}' belongs to another question ({'; '.join(differences[:4])}{more}): name"
-                " another store, or repeat the same sweep"
+                f"the store '{self.path}' belongs to another sweep ({'; '.join(differences[:4])}{more}): name another"
+                " store, or repeat the same sweep"
             )
 
 
 def _dead(owner: str, expires: float, now: float) -> bool:
-    """Return whether a claim's run is dead: it has ended on this machine, or its lease has."""
+    """Return whether the run that owns a claim is dead: its lease has ended, or its process on this machine has."""
     node, _, rest = owner.partition(":")
     if expires < now:
         return True
@@ -308,8 +312,8 @@ def _dead(owner: str, expires: float, now: float) -> bool:
         return False
     try:
         os.kill(int(rest.partition(":")[0]), 0)
-    except (ValueError, OverflowError):  # a run never writes such an owner
+    except (ValueError, OverflowError):  # no run writes such an owner
         return True
-    except OSError as error:  # a process of another user gives another error
+    except OSError as error:  # another error means that the process exists but belongs to another user
         return isinstance(error, ProcessLookupError)
     return False

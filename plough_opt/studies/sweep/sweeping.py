@@ -1,4 +1,4 @@
-"""`sweep`: a function of named numbers over a grid or a sample."""
+"""`sweep`: evaluates a function of named numbers at every point of a grid or a sample."""
 
 import hashlib
 import inspect
@@ -43,49 +43,50 @@ def sweep(
     question: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
 ) -> Sweep:
-    """Evaluate a function at every point of a grid or a sample, and store what it returns.
+    """Evaluate a function at every point of a grid or a sample, and store the results.
 
-    The numbers are the same, bit for bit on one machine, whatever the executor and the number of workers: a point is
-    computed from its own values alone.
+    On one machine the results do not depend on the executor and the number of workers, not even in the last bit,
+    because each point is computed from its own values alone.
 
     Args:
-        evaluation: called with a dictionary of the quantities at a point; returns named finite numbers, the same names
-            at every point. An error that it raises is the reason of a point that failed. It must be picklable.
-        over: name -> `Range`, or a list of numbers. All SI, if the function's arguments are.
-        samples: number of points of a scrambled Sobol sample of the ranges instead of a grid, best a power of two.
-        seed: of the sample.
-        store: an SQLite file, in which every finished point is stored at once. Points of the same question that it
-            holds are not repeated; several runs may fill it at the same time. None: a file that is deleted with the
-            result.
+        evaluation: function of a dictionary of the quantities at a point. It returns named finite numbers, with the
+            same names at every point. If it raises an error, that is the reason why the point failed. It must be
+            picklable.
+        over: name -> `Range` or list of numbers, in the units that the function expects.
+        samples: number of points of a scrambled Sobol sample of the ranges, best a power of two; None for a grid.
+        seed: seed of the sample.
+        store: SQLite file that receives every finished point at once. Points of the same sweep that it already holds
+            are not computed again, and several runs may fill it at the same time. None for a temporary file, which is
+            deleted with the result.
         executor: any `concurrent.futures.Executor`, such as that of a dask client or of mpi4py; it is left running.
             Default: processes on all cores of this machine, which end with the sweep.
-        workers: number of workers of the executor, so that all have work (default: the cores of this machine).
-        retry: try the points again that failed, are undetermined, or whose rows in the store are damaged.
-        progress: True: a bar on the error stream, if that is a terminal; or a function that is called with the numbers
-            of points that are stored, of all points, and of those that failed.
-        question: everything else that the results depend on, as texts; a store with other ones is refused.
-        units: name -> unit, of quantities and results, for the headings of tables.
+        workers: number of workers of the executor, so that all of them have work (default: cores of this machine).
+        retry: compute the points again that failed, are undetermined, or whose rows in the store are damaged.
+        progress: True for a bar on the error stream (lines, if that is not a terminal), or a function that is called
+            with the numbers of stored points, of all points, and of failed ones.
+        question: everything else that the results depend on, as texts. A store with other texts is refused.
+        units: name -> unit, for quantities and results in the headings of tables.
 
     Raises:
-        InputError: arguments that cannot be swept; a store of another question, or one that is damaged or loses rows; a
-            broken executor, or workers that all die.
-        KeyboardInterrupt: interrupted; the message gives the number of stored points.
+        InputError: the arguments cannot be swept; the store holds another sweep, is damaged or loses rows; the executor
+            is broken, or all workers die.
+        KeyboardInterrupt: the sweep was interrupted; the message says how many points are stored.
     """
     _check_arguments(evaluation, over, executor, workers, units)
     check_switch("retry", retry)
     points = points_of({name: axis_of(name, given) for name, given in over.items()}, samples, seed)
     check_columns(points.names)
-    whole = {**points.question(), **(question or _identity(evaluation)), **_versions()}
+    full_question = {**points.question(), **(question or _identity(evaluation)), **_versions()}
     store = None if store is None else path_of("the store", store)
-    if not retry and store is not None and (finished := _finished(store, whole)) is not None:
+    if not retry and store is not None and (finished := _finished(store, full_question)) is not None:
         return finished
-    kept = Store(store)
+    opened = Store(store)
     try:
         about = About.model_construct(
-            names=points.names, results=(), units=dict(units or {}), question=whole, count=points.count, next=0
+            names=points.names, results=(), units=dict(units or {}), question=full_question, count=points.count, next=0
         )
-        kept.prepare(about, retry)
-        already = kept.counts().stored
+        opened.prepare(about, retry)
+        already = opened.counts().stored
         count = workers or available()
         if already < points.count:
             with ExitStack() as stack:
@@ -96,22 +97,22 @@ def sweep(
                     used: Executor = stack.enter_context(ProcessPool(count, evaluation))
                 else:
                     used = Cluster.of(executor) or executor
-                Engine(evaluation, points, kept, used, count, callback).run()
-        kept.finish()
+                Engine(evaluation, points, opened, used, count, callback).run()
+        opened.finish()
     except KeyboardInterrupt:
-        done = kept.counts().stored
-        kept.close()
-        where = "lost, as they had no store" if store is None else f"in '{store}': the same sweep continues from there"
+        done = opened.counts().stored
+        opened.close()
+        where = "lost without a store" if store is None else f"in '{store}': the same sweep continues from there"
         raise KeyboardInterrupt(f"{done} of {points.count} points are {where}") from None
     except BaseException:
-        kept.close()
+        opened.close()
         raise
-    return Sweep(kept, already)
+    return Sweep(opened, already)
 
 
 @contextmanager
 def bar(console: Console) -> Iterator[Progress]:
-    """Show the progress of a sweep, by a bar on a terminal and else by lines; yield the function that updates it."""
+    """Show the progress of a sweep, as a bar on a terminal or as lines; yield the function that updates it."""
     if not console.is_terminal:
         with heartbeat(lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True)) as note:
             yield lambda stored, count, failed: note(
@@ -125,7 +126,7 @@ def bar(console: Console) -> Iterator[Progress]:
 
         def update(stored: int, count: int, failed: int) -> None:
             if shown.tasks[0].total is None:
-                # Points stored before this run do not count for its speed.
+                # The estimate of the remaining time must not count points that were stored before this run.
                 shown.reset(task, total=count, completed=stored)
             shown.update(task, completed=stored, failures=f"{failed} failed" if failed else "")
 
@@ -133,27 +134,29 @@ def bar(console: Console) -> Iterator[Progress]:
 
 
 def _finished(path: Path, question: Mapping[str, str]) -> Sweep | None:
-    """Return the sweep in a store if it is complete and of the same question; its medium may be read-only."""
+    """Return the sweep in a store if it is complete and has this question; the medium may be read-only."""
     if not path.is_file() or not path.stat().st_size:
         return None
-    kept = Store(path, write=False)
-    # Another run may have made the file, and not yet its tables.
-    if not kept.empty and kept.about.question == dict(question) and kept.counts().stored == kept.about.count:
-        kept.verify()
-        return Sweep(kept, kept.about.count)
-    kept.close()
+    found = Store(path, write=False)
+    # The store may be empty, because another run has created the file and not yet its tables.
+    if not found.empty and found.about.question == dict(question) and found.counts().stored == found.about.count:
+        found.verify()
+        return Sweep(found, found.about.count)
+    found.close()
     return None
 
 
 def _check_arguments(evaluation: object, over: object, executor: object, workers: object, units: object) -> None:
     """Raise InputError if an argument has the wrong type."""
     if not callable(evaluation) and not isinstance(evaluation, ManyPoints):
-        raise InputError(f"{shown(evaluation)} cannot be swept: give a problem, or a function of named numbers")
+        raise InputError(f"{shown(evaluation)} cannot be swept: use a problem, or a function of named numbers")
     for name, given in (("over", over), ("units", {} if units is None else units)):
         if not isinstance(given, Mapping):
-            raise InputError(f"{name} = {shown(given)} must be a dictionary, by the names of the quantities")
+            raise InputError(f"{name} = {shown(given)} must be a dictionary with names as keys")
     if executor is not None and not callable(getattr(executor, "submit", None)):
-        raise InputError(f"executor = {shown(executor)} must be one of concurrent.futures, or have their submit")
+        raise InputError(
+            f"executor = {shown(executor)} must be an executor of concurrent.futures, or have a method submit"
+        )
     if workers is not None and not is_count(workers):
         raise InputError(f"workers = {shown(workers)} must be 1 or more")
     if executor is None:
@@ -166,17 +169,17 @@ def _check_picklable(evaluation: object) -> None:
         pickle.dumps(evaluation)
     except Exception as error:
         raise InputError(
-            f"{shown(evaluation)} cannot be sent to other processes ({error}): use a function of a module, not one"
-            " inside another, or an instance of a class of a module; or an executor that needs no copy"
+            f"{shown(evaluation)} cannot be sent to other processes ({error}): use a function at the top level of a"
+            " module, an instance of a class at the top level, or an executor that works in this process"
         ) from None
 
 
 def _identity(evaluation: Evaluation) -> dict[str, str]:
-    """Return texts that identify a function: its name, and a digest of its source or of its pickle."""
+    """Return texts that identify a function: its name, and a digest of its source or its pickle."""
     written: Any = evaluation if hasattr(evaluation, "__qualname__") else None
     try:
         content = pickle.dumps(evaluation) if written is None else inspect.getsource(written).encode()
-    except Exception:  # of any kind, from the pickle; or there is no source
+    except Exception:  # there is no source, or pickling fails, with any error
         content = b""
     name = getattr(evaluation, "__qualname__", type(evaluation).__qualname__)
     return {"function": name, "text of the function": f"digest {hashlib.sha256(content).hexdigest()[:16]}"}

@@ -1,4 +1,4 @@
-"""The work of a worker: evaluate points until its time is up. No point depends on results of another."""
+"""The work of a worker: it evaluates points, each from its own values alone, until its time is up."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ from plough_opt.core.process import one_of_several
 
 Array = NDArray[np.float64]
 
+# A number in a note, which does not distinguish kinds of notes.
 _NUMBER = re.compile(r"[-+]?[0-9]+\.?[0-9]*(?:e[-+]?[0-9]+)?")
+# Evaluations that a worker keeps, with everything that they have built.
 _MOST_KEPT: Final = 4
 _kept: dict[str, Evaluation] = {}
 
@@ -27,7 +29,7 @@ class WithNotes(dict[str, float]):
     """Results of a point, with notes on them.
 
     Attributes:
-        notes: the sentences; those that differ in their numbers alone are counted as one.
+        notes: sentences; sentences that differ only in numbers count as the same note.
     """
 
     def __init__(self, results: Mapping[str, float], notes: Sequence[str] = ()) -> None:
@@ -37,16 +39,21 @@ class WithNotes(dict[str, float]):
 
 @runtime_checkable
 class ManyPoints(Protocol):
-    """An evaluation of many points at once, which gives each the same numbers as alone."""
+    """An evaluation of many points at once, with the same results for each point as if it were alone."""
 
     @property
     def results(self) -> tuple[str, ...]:
         """Names of the results."""
 
     def many(self, values: Array) -> tuple[Array, dict[int, str], Sequence[tuple[int, int, Sequence[str]]]]:
-        """Return the results, a row for each row of values; place -> the reason why it has none; and notes.
+        """Evaluate points.
 
-        A note is on the first of some points and on how many there are: (place, number, sentences).
+        Args:
+            values: of the quantities, a row for each point.
+
+        Returns:
+            The results, a row for each point; row of a failed point -> reason; and notes, each as (row of the first
+            point that has it, number of points that have it, sentences).
         """
 
 
@@ -58,12 +65,12 @@ class Done:
     """The outcome of a task.
 
     Attributes:
-        points: number of the points done, from the first on.
-        results: a row for each, meaningless for those that failed; None if all failed.
+        points: number of points done, counted from the first.
+        results: a row for each of these, meaningless for failed ones; None if all failed.
         names: of the results.
-        reasons: place -> why a point failed.
-        notes: kind -> text, place of the first point, number of points.
-        seconds: time taken.
+        reasons: row of a failed point -> reason.
+        notes: kind -> (text, row of the first point, number of points).
+        seconds: time taken [s].
     """
 
     points: int
@@ -74,7 +81,7 @@ class Done:
     seconds: float = 0.0
 
     def note(self, place: int, texts: Sequence[str], points: int = 1) -> None:
-        """Count notes on a point."""
+        """Count notes on a point, or on several points of which the first one is given."""
         for text in dict.fromkeys(texts):
             kind = _NUMBER.sub("", text)
             first, start, count = self.notes.get(kind, (text, place, 0))
@@ -85,14 +92,14 @@ def work(key: str, evaluation: Evaluation, names: tuple[str, ...], values: Array
     """Evaluate points.
 
     Args:
-        key: identifies this evaluation; the first one with a key is kept, with everything that it has built.
+        key: identifies the evaluation. A worker keeps the first evaluation with a key, and so what that has built.
         evaluation: the function.
         names: of the quantities.
-        values: a row for each point.
-        budget: seconds after which no further point is begun.
+        values: of the quantities, a row for each point.
+        budget: time [s] after which no further point is begun.
 
     Raises:
-        InputError: points whose results have different names.
+        InputError: the names of results differ between points.
     """
     began = time.perf_counter()
     evaluation = _kept.setdefault(key, evaluation)
@@ -104,7 +111,7 @@ def work(key: str, evaluation: Evaluation, names: tuple[str, ...], values: Array
         else:
             done = _one_by_one(evaluation, names, values, began + budget)
     if done.results is not None:
-        # SQLite stores the negative zero as zero.
+        # Negative zero becomes zero, as SQLite stores it.
         done.results += 0.0
     done.seconds = time.perf_counter() - began
     return done
@@ -163,7 +170,7 @@ def _numbers(results: Mapping[str, float]) -> dict[str, float]:
     """Return the results of an evaluation as named floats.
 
     Raises:
-        InputError: something else.
+        InputError: they are not a dictionary of numbers.
     """
     if not isinstance(results, Mapping):
         raise InputError(f"the function returned {results!r}: return a dictionary of named numbers")

@@ -202,8 +202,6 @@ def test_scenes_without_a_stationary_response_are_refused(changes, words):
 def test_spectra_that_cannot_be_are_refused(arguments, words):
     with pytest.raises(po.InputError, match=words):
         po.Spectrum(*arguments)
-    with pytest.raises(po.DomainError, match=r"RMS of random strength = 1\.2 must be at most 1"):
-        po.RandomStrength(1.2, 0.3)
 
 
 def test_a_share_that_would_stop_is_warned_of():

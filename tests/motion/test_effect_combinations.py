@@ -183,7 +183,7 @@ LOOSE = {
     "inertial_drag": (True, False),
     "contact": (po.StickSlip(), po.StickSlip(1.2)),
 }
-LOOSE_ROWS = [row for row in covering(LOOSE) if not (row["entry"] and row["start"] == "equilibrium")]
+LOOSE_ROWS = [row for row in covering(LOOSE, 2) if not (row["entry"] and row["start"] == "equilibrium")]
 
 
 @pytest.mark.parametrize("effects", LOOSE_ROWS, ids=lambda row: "+".join(f"{k} {v}" for k, v in row.items() if v))

@@ -23,8 +23,8 @@ def quasi_scene(r1_scene):
     return build
 
 
-@pytest.mark.parametrize("duration", [0.07, 0.3, 2.0])
-@pytest.mark.parametrize("wavelength", [0.02, 0.6, 50.0])
+@pytest.mark.parametrize("duration", [0.07, 2.0])
+@pytest.mark.parametrize("wavelength", [0.02, 50.0])
 @pytest.mark.parametrize("rate_term", [None, 0.05])
 def test_wave_in_closed_form(quasi_scene, duration, wavelength, rate_term):
     scene = quasi_scene(strength_wave=po.StrengthWave(0.3, wavelength), rate_term=rate_term)
@@ -108,7 +108,7 @@ def test_numbers_and_symbols_run_alike(quasi_scene, kind, effects):
 
 
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX])
-@pytest.mark.parametrize("outputs", [1, 4, 37])
+@pytest.mark.parametrize("outputs", [1, 37])
 def test_averages_do_not_depend_on_the_outputs(quasi_scene, kind, outputs):
     static = kind.sym("cohesion")
     soil = dataclasses.replace(quasi_scene().soil, cohesion=static)

@@ -153,7 +153,10 @@ class StrengthRecord:
             np.polyfit(self.position - self.position[0], self.value, 1), self.position - self.position[0]
         )
         if np.min(trend) <= 0.0:
-            raise InputError(f"{self.name}: its linear trend falls to 0, so strength relative to it is not defined")
+            raise InputError(
+                f"{self.name}: its linear trend falls to 0, so strength relative to it is not defined: use a"
+                " part of the record in which it stays positive"
+            )
         found: Vector = self.value / trend - 1.0
         return found
 

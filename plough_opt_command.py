@@ -1,4 +1,4 @@
-"""The command `plough-opt`, outside the package so that Ctrl-C during its import prints no traceback."""
+"""Entry point of `plough-opt`, outside the package so that a Ctrl-C during its import prints no traceback."""
 
 import sys
 

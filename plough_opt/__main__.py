@@ -1,4 +1,4 @@
-"""`python -m plough_opt`: the command line."""
+"""Entry point of `python -m plough_opt`, the command line."""
 
 import sys
 

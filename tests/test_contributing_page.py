@@ -104,7 +104,7 @@ def test_effect(workshop, capsys):
     assert rise == pytest.approx(150.0 + 160.0, rel=1e-9)
     for wrong, told in (
         ("[{effect='shenk'}]", "did you mean 'shank'"),
-        ("[{effect='shank', static='150 N'}]", "lacks something"),
+        ("[{effect='shank', static='150 N'}]", "is incomplete"),
         ("[{effect='shank', static='150 m', viscous='1 N*s/m'}]", "'static' = \"150 m\" has the wrong unit"),
         ("[{effect='shank', statik='150 N'}]", "'statik' is not a quantity of Shank: did you mean 'static'"),
         ("[3]", "must be"),
@@ -159,7 +159,7 @@ def test_export_format(workshop, capsys):
     assert main(["export", "tine.toml", "--to", "table", "--output", "a.txt"]) == 2
     assert "end it in .csv" in capsys.readouterr().err
     assert main(["export", "tine.toml", "--to", "table", "--output", "a.csv", "--strut", "speed"]) == 2
-    assert "--strut does not go with --to table" in capsys.readouterr().err
+    assert "--strut cannot be used with --to table" in capsys.readouterr().err
 
 
 def test_integrator(workshop, capsys):

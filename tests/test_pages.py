@@ -203,11 +203,11 @@ def most_outputs():
 
 LIMITS = {
     "Problem files and `--set`": (
-        source._MOST_BYTES, source._LONGEST_LINE, source.MOST_TABLES, source._MOST_BITS, units._LONGEST,
-        overrides._LONGEST, source._MOST_LISTED,
+        source._MAX_BYTES, source._MAX_LINE_LENGTH, source.MOST_TABLES, source._MAX_INTEGER_BITS, units._LONGEST,
+        overrides._MAX_LENGTH, source._MAX_LISTED,
         most_outputs(),
         quantities.MOST_WAVES,
-        own_measures._LONGEST, own_measures._DEEPEST, own_measures._LARGEST_POWER,
+        own_measures._MAX_LENGTH, own_measures._MAX_DEPTH, own_measures._MAX_POWER,
     ),
     "CSV files of measurements and penetrometer readings": (
         csv_rows._MOST_BYTES, csv_rows._LONGEST_LINE, csv_rows._MOST_LISTED,

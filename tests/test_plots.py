@@ -120,8 +120,8 @@ class TestShare:
         figure = plots.plot_share(scene)
         assert isinstance(figure, Figure)
         wedge, cone = figure.axes
-        assert "faces" in wedge.get_title()
-        assert "Cone" in cone.get_title()
+        assert "Faces" in wedge.get_title()
+        assert "cone" in cone.get_title()
         assert wedge.get_aspect() == cone.get_aspect() == 1.0
         assert wedge.get_ylabel() == "[m]"
         assert wedge.get_ylim() == cone.get_ylim()
@@ -156,7 +156,7 @@ class TestOptimum:
         figure = plots.plot_optimum(*optimum)
         assert isinstance(figure, Figure)
         wedge, _, force, deflection, search = figure.axes
-        assert "faces" in wedge.get_title()
+        assert "Faces" in wedge.get_title()
         assert labels(force) == ("time [s]", "force [N]")
         assert labels(deflection) == ("time [s]", "deflection [mm]")
         assert labels(search) == ("mount [kN/m]", "objective")

@@ -1,4 +1,4 @@
-"""Command line: plough-opt init, check, simulate, optimise, tradeoff, sweep, accuracy, soils."""
+"""Command line, its tables and pictures, and reports as HTML pages."""
 
 from plough_opt.app.main import main
 

@@ -1,4 +1,4 @@
-"""`plough-opt calibrate`: a file's unknowns from measurements."""
+"""`plough-opt calibrate`: estimation of unknown quantities from measurements."""
 
 from __future__ import annotations
 
@@ -29,31 +29,40 @@ def add_options(verb: argparse.ArgumentParser) -> None:
         action="append",
         required=True,
         metavar="FILE.csv",
-        help="measurements, with names and units in the header; repeatable, one measured result in each",
+        help="CSV file of one measured result, with names and units in its header; repeatable",
     )
     verb.add_argument(
         "--unknown",
         action="append",
         default=[],
         metavar='KEY="RANGE"',
-        help='what to find, and its bounds: soil.cohesion="1..80 kPa"; repeatable (default: the [variables] of the file'
-        " that are not columns of the data)",
+        help='quantity to estimate, with its bounds: soil.cohesion="1..80 kPa"; repeatable (default: the [variables] of'
+        " the file that are not columns of the data)",
     )
     verb.add_argument(
         "--known",
         action="append",
         default=[],
         metavar='KEY="VALUE"',
-        help='an unknown that was measured by itself too: soil.friction_angle="28 +- 1 deg", one standard deviation',
+        help='separate measurement of an unknown, with one standard deviation: soil.friction_angle="28 +- 1 deg"',
     )
-    verb.add_argument("--loss", choices=_LOSSES, default="squares", help="robust losses give outliers less weight")
-    verb.add_argument("--level", type=float, default=0.95, metavar="P", help="of the intervals (default: 0.95)")
-    verb.add_argument("--folds", type=int, metavar="N", help="of the cross-validation (default: each row by itself)")
-    add_shared(verb, "json", "output", plot="write a picture of the residuals: .png, .svg or .pdf")
+    verb.add_argument(
+        "--loss",
+        choices=_LOSSES,
+        default="squares",
+        help="loss function; all but squares give outliers less weight (default: squares)",
+    )
+    verb.add_argument(
+        "--level", type=float, default=0.95, metavar="P", help="confidence level of the intervals (default: 0.95)"
+    )
+    verb.add_argument(
+        "--folds", type=int, metavar="N", help="number of folds in cross-validation (default: leave one row out)"
+    )
+    add_shared(verb, "json", "output", plot="draw the residuals: .png, .svg or .pdf")
 
 
 def calibrate(options: argparse.Namespace) -> None:
-    """Find a file's unknowns from measurements, and report which of them the data determine."""
+    """Estimate a file's unknowns from measurements, and report which of them the data determine."""
     problem = read(options)
     from plough_opt.studies.calibration import calibrate as run
     from plough_opt.studies.calibration import read_measurements
@@ -77,7 +86,7 @@ def calibrate(options: argparse.Namespace) -> None:
         notify("intervals", 0.5)
         fit.intervals(options.level)
         notify("what to measure next", 0.8)
-        fit.next_measurements()  # which the page shows
+        fit.next_measurements()  # the page shows them; `fit` keeps the result
         text = fit.to_json() if options.json or options.output is not None else ""
         quality = "" if options.json else _quality(fit, options.folds)
         page = fit.page()
@@ -86,15 +95,15 @@ def calibrate(options: argparse.Namespace) -> None:
 
 
 def _refuse_twice(paths: Sequence[str]) -> None:
-    """Refuse data that would count twice, and make the intervals too narrow."""
+    """Raise InputError for a file given twice: its rows would count twice and make the intervals too narrow."""
     places = [Path(path).resolve() for path in paths]
     for path, place in zip(paths, places, strict=True):
         if places.count(place) > 1:
-            raise InputError(f"--data {path} is given twice: its rows would count twice; leave one of the two out")
+            raise InputError(f"--data {path} is given twice, so its rows would count twice: remove one of the two")
 
 
 def _unknowns(written: list[str]) -> dict[str, tuple[str, str]] | None:
-    """Return the bounds that the command line gives, or None."""
+    """Return key -> (lower, upper) as the command line gives them, or None."""
     found: dict[str, tuple[str, str]] = {}
     for text in written:
         key, *bounds = _split("--unknown", text, ("..",), 'soil.cohesion="1..80 kPa"')
@@ -105,21 +114,26 @@ def _unknowns(written: list[str]) -> dict[str, tuple[str, str]] | None:
 
 
 def _note_guesses(problem: Problem, unknown: Mapping[str, object] | None, data: Sequence[Measurements]) -> None:
-    """Say which variables of the file are neither sought nor measured, and so stand at their guesses."""
+    """Log which variables of the file are neither unknown nor measured, and so are fixed at their guesses."""
     columns = {key for m in data for key in m.conditions}
     left = [] if unknown is None else [key for key in problem.variables if key not in unknown and key not in columns]
     if left:
-        LOG.info("note: variables of the file at their guesses: %s", ", ".join(left))
+        LOG.info("note: variables of the file fixed at their guesses: %s", ", ".join(left))
 
 
 def _known(text: str, stated: list[bool]) -> Measurements:
-    """Return an unknown that was measured by itself as a set of one row."""
+    """Return a separate measurement of an unknown as measurements of one row.
+
+    Args:
+        text: the option's text.
+        stated: whether each set of data states its error.
+    """
     from plough_opt.studies.calibration import Measurements
 
     key, *written = _split("--known", text, ("+-", "±"), 'soil.friction_angle="28 +- 1 deg"')
     if not all(stated):
         raise InputError(
-            f"--known {text}: its error is weighed against that of the data, which state none: add a column 'sigma'"
+            f"--known {text}: weighing its error against the data needs their errors: add a column 'sigma' to the data"
         )
     unit = quantities()[key]
     try:
@@ -130,7 +144,7 @@ def _known(text: str, stated: list[bool]) -> Measurements:
 
 
 def _split(option: str, text: str, marks: Sequence[str], example: str) -> tuple[str, str, str]:
-    """Return a key and the two quantities around a mark; a unit that the first lacks is that of the second."""
+    """Return a key and the two quantities around a mark; the first takes the unit of the second if it has none."""
     key, _, written = (part.strip() for part in text.partition("="))
     mark = next((mark for mark in marks if mark in written), marks[0])
     first, _, second = (part.strip() for part in written.strip("\"'").partition(mark))
@@ -142,7 +156,7 @@ def _split(option: str, text: str, marks: Sequence[str], example: str) -> tuple[
 
 
 def _quality(fit: Fit, folds: int | None) -> str:
-    """Return a sentence on cross-validation."""
+    """Return a sentence on the errors in cross-validation, or on why there is none."""
     try:
         found = fit.cross_validation(folds)
     except NotConverged as error:
@@ -152,9 +166,9 @@ def _quality(fit: Fit, folds: int | None) -> str:
             raise
         return f"No cross-validation: {error}."
     units = {row.result: row.unit for row in fit.rows}
-    errors = "; ".join(f"{name} {_text(x, units[name])} (of the fit {_text(found.rms_fitted[name], units[name])})"
+    errors = "; ".join(f"{name} {_text(x, units[name])} (fitted rows {_text(found.rms_fitted[name], units[name])})"
                        for name, x in found.rms.items())  # fmt: skip
-    return f"RMS error of rows that took no part, {found.folds} folds: {errors}."
+    return f"RMS error of rows left out of the fit, {found.folds} folds: {errors}."
 
 
 def _text(value: float, unit: str) -> str:

@@ -1,4 +1,4 @@
-"""The commands: each reads, computes and reports; files are written last, when nothing can fail any more."""
+"""Commands that need one function each; every command writes its files last, when nothing else can fail."""
 
 import argparse
 import dataclasses
@@ -22,32 +22,32 @@ from plough_opt.problem_file.json_schema import file_schema
 from plough_opt.soil.soil import named_soil, soil_names
 
 _AGAINST: Final = {
-    "depth": QuantityOption("m", "0.4 m", "working depth, repeatable (default: the share's height)", several=True),
+    "depth": QuantityOption("m", "0.4 m", "working depth; repeatable (default: the share's height)", several=True),
     "speed": QuantityOption(
-        "m/s", "5 km/h", "speed, repeatable (default: 3, 5, 7, 9 km/h and the tow speed)", True, argument="speeds"
+        "m/s", "5 km/h", "speed; repeatable (default: 3, 5, 7, 9 km/h and the tow speed)", True, argument="speeds"
     ),
     "width": QuantityOption("m", "0.08 m", "width of the tine (default: base diameter of the equivalent cone)"),
     "rake": QuantityOption(
         "rad", "45 deg", "rake angle of the tine (default: the share's chisel angle)", argument="rake_angle"
     ),
-    "adhesion": QuantityOption("Pa", "2 kPa", "adhesion of soil on the tine (default: none)"),
-    "surcharge": QuantityOption("Pa", "1 kPa", "pressure on the soil's surface (default: none)"),
-    "rupture-ratio": QuantityOption("", "2.5", "rupture distance over depth (default: of a plane wedge)"),
-    "texture": QuantityOption(None, "NAME", "fine, medium or coarse, for ASABE D497 (default: all)"),
-    "point": QuantityOption(None, "NAME", "narrow or winged, for ASABE D497 (default: narrow)"),
+    "adhesion": QuantityOption("Pa", "2 kPa", "adhesion of soil on the tine (default: 0)"),
+    "surcharge": QuantityOption("Pa", "1 kPa", "pressure on the soil's surface (default: 0)"),
+    "rupture-ratio": QuantityOption("", "2.5", "rupture distance over depth (default: that of a plane wedge)"),
+    "texture": QuantityOption(None, "NAME", "soil texture for ASABE D497: fine, medium or coarse (default: all)"),
+    "point": QuantityOption(None, "NAME", "point for ASABE D497: narrow or winged (default: narrow)"),
 }
 
 
 def add_init(verb: argparse.ArgumentParser) -> None:
     """Add the options of `init`."""
-    verb.add_argument("file", metavar="FILE", help="file to write; it must not exist")
-    add_shared(verb, json="print what was written as JSON")
+    verb.add_argument("file", metavar="FILE", help="new file to write; it must not exist yet")
+    add_shared(verb, json="print the path of the file as JSON")
 
 
 def init(options: argparse.Namespace) -> None:
-    """Write the template; an existing file is left alone, and no folder is made."""
+    """Write the template to a new file in an existing folder."""
     if not Path(options.file).parent.is_dir():
-        raise InputError(f"'{options.file}' cannot be written: make its folder first, or name another place")
+        raise InputError(f"'{options.file}' cannot be written: create its folder first, or choose another place")
     path = write_new(options.file, "problem file", TEMPLATE)
     if options.json:
         print(json.dumps({"wrote": [str(path)]}))
@@ -72,21 +72,23 @@ def schema(_options: argparse.Namespace) -> None:
 
 
 def completion(options: argparse.Namespace) -> None:
-    """Print a script for a shell that completes commands, options and file names."""
+    """Print a shell script that completes commands, options and file names."""
     print(shtab.complete(options.parser, shell=options.shell))
 
 
 def add_check(verb: argparse.ArgumentParser) -> None:
     """Add the options of a check, and of the comparison with other draft models."""
-    verb.add_argument("--effects", action="store_true", help="print what each effect costs, on or off")
-    verb.add_argument("--against", action="store_true", help="print what other draft models give; next options need it")
+    verb.add_argument("--effects", action="store_true", help="print which effects are on, and the cost of each")
+    verb.add_argument(
+        "--against", action="store_true", help="compare with other draft models; the options below need this one"
+    )
     add_quantities(verb, _AGAINST)
-    add_shared(verb, plot="write a picture of it: .png, .svg or .pdf",
+    add_shared(verb, plot="draw the comparison: .png, .svg or .pdf",
                json="print the scene's quantities as JSON (SI units)")  # fmt: skip
 
 
 def check(options: argparse.Namespace) -> None:
-    """Check a file; print what its scene contains and what its guess is like."""
+    """Check a file, and print the contents of its scene at the guess."""
     for name in (*_AGAINST, "plot"):
         if not options.against and getattr(options, name.replace("-", "_")) is not None:
             raise InputError(f"--{name} belongs to a comparison: add --against")
@@ -98,7 +100,7 @@ def check(options: argparse.Namespace) -> None:
 
         comparison = compare(problem.scene(), **against)
     if options.json and (options.effects or comparison is not None):
-        raise InputError("--json is of the scene alone: leave --effects and --against out")
+        raise InputError("--json prints only the scene: remove --effects and --against")
     if options.json:
         quantities = {key: float(value) for key, value in problem.values().items()}
         notes = (*problem.notes, *problem.cautions, *report.warnings_of(problem))
@@ -114,7 +116,7 @@ def check(options: argparse.Namespace) -> None:
     if comparison is not None:
         if problem.variables:
             guess = ", ".join(f"{key} = {v.display.text(v.guess)}" for key, v in problem.variables.items())
-            line = f"Compared at the file's guess, {guess}; --set gives another design, such as the optimum."
+            line = f"Compared at the file's guess, {guess}; use --set to compare another design, such as the optimum."
             console().print(line, markup=False, soft_wrap=True)
         report.print_comparison(console(), comparison)
         if options.plot is not None:
@@ -143,25 +145,25 @@ def add_optimise(verb: argparse.ArgumentParser) -> None:
         "--search",
         metavar="HOW",
         default="auto",
-        help="auto, thorough (four times as much), near (the guess's basin), a number of designs, a time as"
-        ' "20 s", or keys of variables, with commas (default: auto)',
+        help="effort of the search: auto, thorough (four times the designs), near (only the guess's basin), a number of"
+        ' designs, a time such as "20 s", or the variables to sample, with commas (default: auto)',
     )
     verb.add_argument(
         "--judge",
         choices=("tolerance", "bare"),
         default="tolerance",
-        help="compare optima by their median within the tolerances, or as they are (default: tolerance)",
+        help="rank optima by their median within the tolerances, or by their own objective (default: tolerance)",
     )
     verb.add_argument(
         "--sensitivity",
         action="store_true",
-        help="print by how many per cent the optimum changes per per cent of every quantity and limit",
+        help="print the change of the optimum in per cent for one per cent more of every quantity and limit",
     )
     add_shared(verb, "seed", "json", "plot")
 
 
 def optimise(options: argparse.Namespace) -> None:
-    """Find the best share of a file; of one with an uncertain soil the robust one beside the nominal one."""
+    """Find the best share of a file, or with an uncertain soil the robust and the nominal optimum."""
     problem = read(options)
     if problem.table.uncertain is not None:
         _optimise_robust(problem, options)
@@ -185,8 +187,8 @@ def optimise(options: argparse.Namespace) -> None:
 def _optimise_robust(problem: Problem, options: argparse.Namespace) -> None:
     if options.sensitivity:
         raise InputError(
-            "--sensitivity is of an optimum for one soil: leave it out, for what the results owe to the uncertain"
-            " properties is reported anyway, or leave out the table [uncertain]"
+            "--sensitivity needs one soil: remove it, since the report shows the influence of the uncertain properties"
+            " anyway, or remove the table [uncertain]"
         )
     from plough_opt.problem_file.robust_design import optimise_robust  # scipy.stats is slow to import
 
@@ -196,7 +198,7 @@ def _optimise_robust(problem: Problem, options: argparse.Namespace) -> None:
 
 
 def _search_of(text: str) -> Search:
-    """Return what a text of the command line says of a search: a word, a number of designs, a time, or keys."""
+    """Return the search that a text describes: a word, a number of designs, a time, or keys of variables."""
     if text.strip().isdigit():
         return int(text)
     return tuple(part.strip() for part in text.split(",")) if "," in text else text
@@ -209,7 +211,7 @@ def add_tradeoff(verb: argparse.ArgumentParser) -> None:
 
 
 def tradeoff(options: argparse.Namespace) -> None:
-    """Draw the front of the two or three results that a file trades."""
+    """Compute the front of the two or three results that a file trades."""
     problem = read(options)
     with progress() as notify:
         front = problem.trade_off(options.points, notify)
@@ -220,21 +222,21 @@ def tradeoff(options: argparse.Namespace) -> None:
 
 def add_accuracy(verb: argparse.ArgumentParser) -> None:
     """Add the options of the accuracy study."""
-    verb.add_argument("--error", type=float, default=1e-6, metavar="E", help="relative error wanted (default: 1e-6)")
+    verb.add_argument("--error", type=float, default=1e-6, metavar="E", help="relative error to reach (default: 1e-6)")
     verb.add_argument(
         "--seconds",
         type=float,
         default=1.0,
         metavar="S",
-        help="time one use of a method may take, and a tenth of what a solve may take (default: 1)",
+        help="time limit of one use of a method; a solve may take ten times as long (default: 1)",
     )
     verb.add_argument("--design", action="store_true", help="study the optimum of the design instead of its scene")
-    verb.add_argument("--thin", action="store_true", help="try every other setting only")
-    add_shared(verb, "json", "plot", output="write every figure as JSON")
+    verb.add_argument("--thin", action="store_true", help="try only every other setting")
+    add_shared(verb, "json", "plot", output="write all results as JSON")
 
 
 def accuracy(options: argparse.Namespace) -> None:
-    """Show what accuracy costs in time on a file's scene, with every variable at its guess, or on its design."""
+    """Compare error and time of integration methods on a file's scene at its guess, or on its design."""
     problem = read(options)
     from plough_opt.studies.accuracy.study import study_accuracy, study_design
 
@@ -247,6 +249,6 @@ def accuracy(options: argparse.Namespace) -> None:
         else:
             duration: Any = problem.values().get("scene.duration")
             study = study_accuracy(problem.scene(), duration, allowance=options.seconds, **common)
-    nominal = ("the soil is the nominal one: its uncertainty takes no part",) if problem.table.uncertain else ()
+    nominal = ("the study uses the nominal soil and ignores its uncertainty",) if problem.table.uncertain else ()
     study = dataclasses.replace(study, origin=problem.origin, notes=(*study.notes, *nominal))
     give(options, study.page(), study.to_json, study.plot)

@@ -1,4 +1,4 @@
-"""`plough-opt export`: a file's scene for other tools, and its share as a part."""
+"""`plough-opt export`: export of a file's scene to other tools, and of its share as a part."""
 
 import argparse
 import json
@@ -16,45 +16,46 @@ from plough_opt.motion import Run
 from plough_opt.motion.scene import Scene
 from plough_opt.problem_file import Problem
 
-_LENGTHS: Final = {
+_PART_OPTIONS: Final = {
     "opening": QuantityOption(
-        "rad", "90 deg", "of a part: angle between the share's faces (default: at which the block weighs what the model"
-        " counts)"
+        "rad", "90 deg", "for a part: angle between the share's faces (default: gives the block the mass that the model"
+        " uses)"
     ),
-    "thickness": QuantityOption("m", "10 mm", "of a part: bent from plate (default: a block)"),
+    "thickness": QuantityOption("m", "10 mm", "for a part: thickness of a bent plate (default: a solid block)"),
 }  # fmt: skip
-_OPTIONS: Final = tuple(sorted({option for own in FORMATS.values() for option in own.options}))
+_FORMAT_OPTIONS: Final = tuple(sorted({option for own in FORMATS.values() for option in own.options}))
 
 
 def add_options(verb: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     formats_text = "; ".join(f"{name}: {own}" for name, own in FORMATS.items())
-    add_shared(verb, json="print what was written as JSON")
+    add_shared(verb, json="print the paths of the files as JSON")
     verb.add_argument("--to", required=True, choices=FORMATS, metavar="FORMAT", help=formats_text)
     verb.add_argument("--output", required=True, metavar="PATH", help="file or folder to write")
     verb.add_argument(
-        "--inputs", metavar="NAMES", help="quantities to vary, as share.height,soil.cohesion (default: the variables)"
+        "--inputs", metavar="NAMES", help="inputs, such as share.height,soil.cohesion (default: the variables)"
     )
     verb.add_argument(
         "--outputs",
         metavar="NAMES",
-        help="results, as mean_draft,force_rms (default: what the file minimises, trades and requires)",
+        help="results, such as mean_draft,force_rms (default: those that the file minimises, trades and requires)",
     )
-    verb.add_argument("--description", metavar="FILE.json", help="of casadi: write names, units and bounds here too")
+    verb.add_argument("--description", metavar="FILE.json", help="for casadi: also write names, units and bounds here")
     verb.add_argument("--name", metavar="NAME", help="name of the function or model (default: share)")
-    verb.add_argument("--strut", choices=("speed", "position"), help="of an FMU: its input (default: speed)")
-    verb.add_argument("--sources", action="store_true", help="of an FMU: its C source only, which needs no compiler")
-    add_quantities(verb, _LENGTHS)
-    verb.add_argument("--body", choices=("share", "cone"), help="of a part: which body (default: share)")
+    verb.add_argument("--strut", choices=("speed", "position"), help="for an FMU: whether its"
+                      " input is the strut's speed or position (default: speed)")  # fmt: skip
+    verb.add_argument("--sources", action="store_true", help="for an FMU: only its C source, which needs no compiler")
+    add_quantities(verb, _PART_OPTIONS)
+    verb.add_argument("--body", choices=("share", "cone"), help="for a part: which body (default: share)")
     verb.add_argument(
         "--at",
         choices=("best", "guess"),
-        help="of a part: the best design, or the variables' guesses (default: best where the file minimises)",
+        help="for a part: the best design, or the variables' guesses (default: best, if the file minimises)",
     )
 
 
 def export(options: argparse.Namespace) -> None:
-    """Write a file's scene for another tool; nothing is written if anything fails."""
+    """Write a file's scene for another tool; write nothing if anything fails."""
     chosen = FORMATS[options.to]
     given = _options(options)
     problem = read(options)
@@ -92,46 +93,46 @@ def _component(problem: Problem, options: argparse.Namespace, name: str) -> Comp
 
 
 def _options(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the format's options; refuse others, and a place that cannot be written, before anything is computed."""
+    """Return the format's options; raise InputError for other options and for a path that cannot be written."""
     chosen = FORMATS[options.to]
     chosen.check_place(options.output)
-    for name in _OPTIONS:
+    for name in _FORMAT_OPTIONS:
         if getattr(options, name) and name not in chosen.options:
             others = ", ".join(other for other, own in FORMATS.items() if name in own.options)
-            raise InputError(f"--{name} does not go with --to {options.to}: it belongs to {others}")
+            raise InputError(f"--{name} cannot be used with --to {options.to}, only with {others}")
     if options.description is not None:
         check_file(options.description, ".json", "description")
-    given = {name: getattr(options, name) for name in chosen.options} | given_quantities(options, _LENGTHS)
+    given = {name: getattr(options, name) for name in chosen.options} | given_quantities(options, _PART_OPTIONS)
     if chosen.check is not None:
         chosen.check(given)
     return given
 
 
 def _names(option: str, written: str | None) -> tuple[str, ...]:
-    """Return the names of a list, none where the option is not given."""
+    """Return the names in a comma-separated list; none if the option is not given."""
     if written is None:
         return ()
     names = tuple(part.strip() for part in written.split(","))
     if not all(names):
         raise InputError(
-            f"--{option} '{written}' lacks a name: write them with commas between, as share.height,soil.cohesion"
+            f"--{option} '{written}' has an empty name: separate names by single commas, as share.height,soil.cohesion"
         )
     return names
 
 
 def _best_of(problem: Problem, at: str | None) -> Callable[[], Scene] | None:
-    """Return a function that searches the scene of a file's best design, or None where none is wanted."""
+    """Return a function that finds the scene of the best design, or None to export the scene at the guesses."""
     if at == "guess" or (at is None and not (problem.variables and problem.table.minimise)):
         return None
     return lambda: _best(problem)
 
 
 def _best(problem: Problem) -> Scene:
-    """Return the scene of the best design, of the robust one where the soil is uncertain."""
+    """Return the scene of the best design, or of the robust one if the soil is uncertain."""
     with progress() as notify:
         if problem.table.uncertain is None:
             run = problem.optimise(notify)[1]
-            assert isinstance(run, Run)  # several shares are refused
+            assert isinstance(run, Run)  # `problem.scene()` in `export` refuses several shares
             return run.scene
         from plough_opt.problem_file.robust_design import optimise_robust  # scipy.stats is slow to import
 

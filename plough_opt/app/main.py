@@ -1,7 +1,7 @@
-"""The command `plough-opt`: arguments, exit status, and nothing of the physics.
+"""The command `plough-opt`: its arguments and exit status.
 
-Exit status: 0 solved; 1 the problem has no solution, or none was found; 2 the input is wrong; 130 interrupted: a sweep
-continues when it is started again.
+Exit status: 0 success; 1 the problem has no solution, or none was found; 2 invalid input; 130 interrupted (a sweep
+continues when it is started again).
 """
 
 import argparse
@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from plough_opt.app import calibrate as calibrations
-from plough_opt.app import commands, kept
+from plough_opt.app import commands, saved
 from plough_opt.app import export as exports
 from plough_opt.app import sweep as sweeps
 from plough_opt.app import waves as strengths
@@ -41,12 +41,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            # A title in a script that the terminal cannot show must not make a command fail; in JSON this is an escape.
+            # Escape characters of a title that the terminal cannot encode, instead of failing.
             stream.reconfigure(errors="backslashreplace")
     try:
         with interruptible(), without_notices(), messages(options):
             options.run(options)
-        if sys.stdout is not None:  # which whoever starts the process may have closed
+        if sys.stdout is not None:  # None if the parent process closed it
             sys.stdout.flush()
     except (InputError, DomainError) as error:
         _complain("bad input", error)
@@ -55,10 +55,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _complain("no solution", error)
         return UNSOLVED
     except KeyboardInterrupt as stop:
-        # A sweep says what is stored.
+        # A sweep puts what it has stored into the exception.
         _complain("stopped", stop.args[0] if stop.args else what_was_written())
         return INTERRUPTED
-    except BrokenPipeError:  # whoever read the output has seen enough; nothing is left to flush at exit
+    except BrokenPipeError:  # the reader of the output stopped early, as head does: not an error
         _drop_output()
     except OSError as error:
         _complain("output", error)
@@ -68,16 +68,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _drop_output() -> None:
-    """Leave nothing to be flushed at exit into a stream that takes no more; one that is not a file has nothing."""
+    """Redirect standard output, which accepts no more text, so that the flush at exit does not fail."""
     with contextlib.suppress(AttributeError, OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _complain(kind: str, error: object) -> None:
+    """Print an error on the error stream."""
     Console(stderr=True, highlight=False, soft_wrap=True).print(f"[bold red]{kind}:[/] {escape(printable(str(error)))}")
 
 
 def _parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
     parser = argparse.ArgumentParser(
         prog="plough-opt", description="Design of subsoiler ploughshares: draft, oscillation, constraints."
     )
@@ -87,43 +89,41 @@ def _parser() -> argparse.ArgumentParser:
     verbs = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     only_json = partial(add_shared, json="print JSON instead of a table")
     none, shells = lambda _verb: None, partial(_add_shell, parser=parser)
-    # Name, what runs it, what adds its options, and its line of help.
+    # Name, function that runs the command, function that adds its options, and its line of help.
     for name, run, add, text in (
         ("init", commands.init, commands.add_init, "write a commented problem file to start from"),
         ("soils", commands.soils, only_json, "list the named soils and where their values come from"),
-        ("waves", strengths.waves, strengths.add_options, "find the strength waves that a record along a field holds"),
-        ("show", kept.show, kept.add_show, "print a saved result again, and what made it"),
-        ("compare", kept.compare, kept.add_compare, "set saved designs or runs side by side"),
-        ("schema", commands.schema, none, "print the JSON schema of problem files, by which editors complete and check"
-         " them"),
-        ("completion", commands.completion, shells, "print a script that lets a shell complete this command"),
+        ("waves", strengths.waves, strengths.add_options, "find the strength waves in a record along a field"),
+        ("show", saved.show, saved.add_show, "print a saved result again, and its origin"),
+        ("compare", saved.compare, saved.add_compare, "print saved designs or runs side by side"),
+        ("schema", commands.schema, none, "print the JSON schema of problem files, for completion and checks in an"
+         " editor"),
+        ("completion", commands.completion, shells, "print a script for completion of this command in a shell"),
     ):  # fmt: skip
         verb = verbs.add_parser(name, help=text, parents=[common])
         add(verb)
         verb.set_defaults(run=run)
-    # The same of commands that read a problem file.
+    # The same for commands that read a problem file.
     for name, run, add, text in (
-        ("check", commands.check, commands.add_check, "check a problem file and say what its scene contains"),
+        ("check", commands.check, commands.add_check, "check a problem file, and show what its scene contains"),
         ("simulate", commands.simulate, commands.add_simulate, "simulate the scene with every variable at its guess"),
-        ("optimise", commands.optimise, commands.add_optimise, "find the best share, and say what decided it"),
-        ("tradeoff", commands.tradeoff, commands.add_tradeoff, "trade two or three results against each other: the"
-         " front"),
+        ("optimise", commands.optimise, commands.add_optimise, "find the best share, and the limits that decide it"),
+        ("tradeoff", commands.tradeoff, commands.add_tradeoff, "compute the Pareto front of two or three results"),
         ("sweep", sweeps.sweep, sweeps.add_options, "simulate or optimise at every point of a grid or a sample"),
-        ("calibrate", calibrations.calibrate, calibrations.add_options, "find soil parameters from measured draft"),
+        ("calibrate", calibrations.calibrate, calibrations.add_options, "estimate soil parameters from measured draft"),
         ("export", exports.export, exports.add_options, "write the scene for other tools: C, CasADi, OpenMDAO, FMU"),
-        ("report", pages.report, pages.add_options, "write everything about the best share as one page for a browser"),
-        ("accuracy", commands.accuracy, commands.add_accuracy, "show what accuracy costs in time: which method to"
-         " take"),
+        ("report", pages.report, pages.add_options, "write everything about the best share as one HTML page"),
+        ("accuracy", commands.accuracy, commands.add_accuracy, "compare error and time of integration methods"),
     ):  # fmt: skip
         verb = verbs.add_parser(name, help=text, parents=[common], aliases=["optimize"] if name == "optimise" else [])
         file = verb.add_argument("file", metavar="FILE", help="problem file (TOML)")
-        file.complete = shtab.FILE  # type: ignore[attr-defined]  # by which shtab completes names of files
+        file.complete = shtab.FILE  # type: ignore[attr-defined]  # makes shtab complete file names
         verb.add_argument(
             "--set",
             action="append",
             default=[],
             metavar='KEY="VALUE"',
-            help='change a key of the file, like scene.tow_speed="2.5 m/s"; a variable is fixed by it; repeatable',
+            help='change a key of the file: scene.tow_speed="2.5 m/s"; this fixes a variable; repeatable',
         )
         add(verb)
         verb.set_defaults(run=run)
@@ -131,6 +131,6 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_shell(verb: argparse.ArgumentParser, parser: argparse.ArgumentParser) -> None:
-    """Add the shell of a script, and the command line that it completes."""
-    verb.add_argument("shell", choices=shtab.SUPPORTED_SHELLS, help="the shell")
+    """Add the argument of `completion`, and the parser from which it writes the script."""
+    verb.add_argument("shell", choices=shtab.SUPPORTED_SHELLS, help="your shell")
     verb.set_defaults(parser=parser)

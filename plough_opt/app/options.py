@@ -1,4 +1,4 @@
-"""Options that several commands share, and options that are quantities with units."""
+"""Options that several commands share, and options whose values are quantities with units."""
 
 import argparse
 from collections.abc import Mapping
@@ -11,19 +11,19 @@ from plough_opt.core.units import Unit
 _SHARED: Final[dict[str, dict[str, Any]]] = {
     "json": {"action": "store_true", "help": "print JSON (SI units) instead of a table"},
     "plot": {"metavar": "FILE", "help": "write a picture: .png, .svg or .pdf"},
-    "csv": {"metavar": "FILE", "help": "write a table of all points"},
-    "output": {"metavar": "FILE", "help": "write everything as JSON"},
-    "seed": {"type": int, "default": 0, "metavar": "N", "help": "of the search's samples (default: 0)"},
+    "csv": {"metavar": "FILE", "help": "write a table of all points as CSV"},
+    "output": {"metavar": "FILE", "help": "write the whole result as JSON"},
+    "seed": {"type": int, "default": 0, "metavar": "N", "help": "seed of the search's samples (default: 0)"},
 }
 
 
 def add_shared(verb: argparse.ArgumentParser, *names: str, **helps: str) -> None:
-    """Add options that several commands have.
+    """Add options that several commands share.
 
     Args:
-        verb: the command.
-        names: of the options.
-        helps: option -> its help on this command, where it is another than elsewhere.
+        verb: the parser of the command.
+        names: names of options with their usual help.
+        helps: option -> help text for this command.
     """
     for name in (*names, *helps):
         own = {"help": helps[name]} if name in helps else {}
@@ -32,14 +32,14 @@ def add_shared(verb: argparse.ArgumentParser, *names: str, **helps: str) -> None
 
 @dataclass(frozen=True)
 class QuantityOption:
-    """An option that is a quantity.
+    """An option whose value is a quantity with a unit, or a plain text.
 
     Attributes:
-        unit: its SI unit; None for a text.
-        example: as the help shows it: a quantity with a unit, or what a text is.
-        help: what it is.
+        unit: SI unit; None for a plain text.
+        example: placeholder in the help: a quantity with a unit, or the name of a plain text.
+        help: its help text.
         several: whether it may be given several times.
-        argument: what the value is called in Python, if not like the option.
+        argument: name of the value in Python, if it differs from the option's.
     """
 
     unit: str | None
@@ -50,17 +50,17 @@ class QuantityOption:
 
 
 def add_quantities(verb: argparse.ArgumentParser, known: Mapping[str, QuantityOption]) -> None:
-    """Add options that are quantities, by name."""
+    """Add options whose values are quantities; ``known`` maps names to options."""
     for name, own in known.items():
         example = own.example if own.unit is None else f'"{own.example}"'
         verb.add_argument(f"--{name}", action="append" if own.several else "store", metavar=example, help=own.help)
 
 
 def given_quantities(options: argparse.Namespace, known: Mapping[str, QuantityOption]) -> dict[str, Any]:
-    """Return the options that are given, by argument, in SI units.
+    """Return name in Python -> value in SI, of the quantity options that are given.
 
     Raises:
-        InputError: an option that is not such a quantity.
+        InputError: the value of an option is not a quantity of its unit.
     """
     found: dict[str, Any] = {}
     for name, own in known.items():

@@ -1,4 +1,4 @@
-"""Pictures: the share with its equivalent cone, the response over time, the search for an optimum."""
+"""Pictures of shares, sweeps, batches and optima; those of runs are in `run_picture`."""
 
 import math
 from collections.abc import Sequence
@@ -56,25 +56,28 @@ __all__ = [
     "save",
 ]
 
-# Results of a sweep beside each other, and points in a panel: more hide each other.
-_MOST_PANELS, _MOST_POINTS = 6, 20_000
-# Part of a result's size below which its changes are rounding.
+# Results of a sweep that one picture shows: with more panels none is legible.
+_MOST_PANELS = 6
+# Points in one panel: more would hide each other.
+_MOST_POINTS = 20_000
+# Relative change below which a result counts as constant: smaller changes are rounding.
 _CONSTANT = 1e-6
-# A quantity that is swept over a larger factor than this is drawn over its logarithm.
-_DECADES = 20.0
-# Panels of the search beside each other.
+# A swept quantity whose largest value exceeds the smallest by more than this factor has a logarithmic axis.
+_LOG_RATIO = 20.0
+# Panels of the search in one row.
 _PANELS = 3
-_SURFACE, _STEEL = "#cfd4d8", "#4a5a68"
+# Colours of designs that fail a requirement, and of the share.
+_FAILED, _STEEL = "#cfd4d8", "#4a5a68"
 _FORCE, _ACCENT, _SOIL = COLOURS[0], COLOURS[1], COLOURS[4]
-# Margins [%] beyond which a bar is cut: such a requirement does not matter.
+# Margin [%] at which a bar is cut off: such a requirement does not affect the design.
 _WIDE_MARGIN = 100.0
 
 
 def plot_share(scene: Scene) -> Figure:
-    """Draw the share's faces laid flat beside its equivalent cone in the soil, to one scale.
+    """Draw the share's faces, unfolded, beside its equivalent cone in the soil, to the same scale.
 
     Raises:
-        InputError: no numeric scene.
+        InputError: ``scene`` is not a numeric scene.
     """
     check_kind("the scene", scene, Scene, "a numeric Scene")
     figure = Figure(figsize=(13, 4.4), layout="constrained")
@@ -89,22 +92,22 @@ def plot_share(scene: Scene) -> Figure:
 
 
 def plot_wedge_field(profile: Profile, soil: Soil, speed: float) -> Figure:
-    """Draw the stresses across and along which a thin wedge puts an elastic soil, sigma_yy and sigma_xy.
+    """Draw the stresses sigma_yy and sigma_xy around a thin wedge in an elastic soil.
 
     Args:
         profile: nodes (x, half thickness) [m], or a share, as in `plough_opt.soil.elastic.wedge_stress`.
-        soil: with elastic constants.
-        speed: of the wedge [m/s], up to the shear wave's.
+        soil: a soil with elastic constants.
+        speed: speed of the wedge [m/s], below that of shear waves.
     """
     wedge = body(profile)
     length = float(wedge.places[-1] - wedge.places[0])
     x = float(wedge.places[0]) + length * np.linspace(-0.6, 1.6, 221)
-    y = length * np.linspace(-0.8, 0.8, 162)  # an even number: the nodes lie between two rows
+    y = length * np.linspace(-0.8, 0.8, 162)  # an even number, so that no row hits the singular nodes on the axis
     along, across = np.meshgrid(x, y)
     field = wedge_stress(along, across, profile, soil, speed)
     figure = Figure(figsize=(12, 4.8), layout="constrained")
     for axes, name, values in zip(figure.subplots(1, 2), ("yy", "xy"), (field.yy, field.xy), strict=True):
-        # Stresses are infinite at the nodes: the scale ends where all but the last hundredth of the field does.
+        # Stresses are infinite at the nodes, so the colour scale ends at the 99th percentile.
         largest = float(np.quantile(absolute(as_number(values)), 0.99)) / 1e3
         levels = MaxNLocator(20, symmetric=True).tick_values(-largest, largest)
         filled = axes.contourf(x, y, values / 1e3, levels, cmap="RdBu", extend="both")
@@ -120,15 +123,15 @@ def plot_wedge_field(profile: Profile, soil: Soil, speed: float) -> Figure:
 
 
 def plot_sweep(swept: Sweep) -> Figure:
-    """Draw every result of a sweep over the quantity that was swept first; a second quantity is the colour of a point.
+    """Draw every result of a sweep over the first swept quantity; colours show the second.
 
-    Points are not joined: between two of them there may be a resonance.
+    Points are not connected, because there may be a resonance between them.
     """
     check_kind("the sweep", swept, Sweep, "a Sweep, as po.sweep returns one")
     names = swept.results[:_MOST_PANELS]
     step = max(1, len(swept) // _MOST_POINTS)
     places, heading = swept.shown(swept.names[0])
-    shades, shade = swept.shown(swept.names[1]) if len(swept.names) > 1 else (None, "")
+    shades, shades_label = swept.shown(swept.names[1]) if len(swept.names) > 1 else (None, "")
     rows = -(-max(1, len(names)) // 2)
     figure = Figure(figsize=(10.0, 3.2 * rows), layout="constrained")
     every = figure.subplots(rows, 2, squeeze=False).ravel()
@@ -140,19 +143,19 @@ def plot_sweep(swept: Sweep) -> Figure:
         points = axes.scatter(places[::step], values[::step], c=colours, s=14, cmap="viridis")
         axes.set_xlabel(heading)
         axes.set_ylabel(label)
-        if 0.0 < _DECADES * np.min(places) < np.max(places):
+        if 0.0 < _LOG_RATIO * np.min(places) < np.max(places):
             axes.set_xscale("log")
-        # A result that stays the same would have its rounding magnified.
+        # Show a constant result from 0, so that its rounding is not magnified.
         finite = values[np.isfinite(values)]
         if len(finite) and float(np.max(finite)) > 0.0 and np.ptp(finite) < _CONSTANT * np.max(np.abs(finite)):
             axes.set_ylim(0.0, 1.2 * float(np.max(finite)))
     if shades is not None and names:
-        figure.colorbar(points, ax=every[: len(names)], label=shade)
+        figure.colorbar(points, ax=every[: len(names)], label=shades_label)
     return figure
 
 
 def plot_batch(found: BatchResult) -> Figure:
-    """Draw RMS over mean draft of every design of a batch."""
+    """Draw RMS force over mean draft for every design of a batch."""
     check_kind("the batch", found, BatchResult, "a BatchResult, as po.Batch returns one")
     figure = Figure(figsize=(6.5, 4.5), layout="constrained")
     axes = figure.subplots()
@@ -164,7 +167,7 @@ def plot_batch(found: BatchResult) -> Figure:
 
 
 def plot_machine(machine: Machine) -> Figure:
-    """Draw mount force and deflection of several shares in one frame over time, a colour for each share."""
+    """Draw mount force and deflection over time of several shares in one frame, each in its own colour."""
     check_kind("the machine", machine, Machine, "a Machine of numeric runs")
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
     figure.suptitle(machine.origin.title)
@@ -174,11 +177,11 @@ def plot_machine(machine: Machine) -> Figure:
 
 
 def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
-    """Draw an optimum: the share, its equivalent cone, the response, and what the search saw.
+    """Draw an optimum: the share, its equivalent cone, the response, the margins, and the designs of the search.
 
     Args:
         best: the optimum.
-        run: its numeric run; of several shares the responses, without the shares' shapes.
+        run: its numeric run; for several shares the picture shows their responses instead of their shapes.
     """
     check_kind("the optimum", best, Optimum, "an Optimum, as Design.solve returns one")
     check_kind("the run", run, Run | Machine, "a numeric Run, as po.simulate returns one")
@@ -187,7 +190,7 @@ def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
     rows = -(-len(panels) // _PANELS)
     response = changing(run, best.limits) if isinstance(run, Run) else []
     response = [panel for panel in response if panel.name != "speed"]
-    first = 2 if response else 1  # row of the search
+    first = 2 if response else 1  # first row of the search
     figure = Figure(figsize=(12.5, 0.8 + 3.2 * first + 3.0 * rows), layout="constrained")
     figure.suptitle(subject(run) if isinstance(run, Run) else run.origin.title)
     grid = figure.add_gridspec(first + rows, 12, height_ratios=(*[1.0] * first, *[0.95] * rows))
@@ -215,7 +218,7 @@ def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
 
 
 def draw_margins(axes: Axes, required: Sequence[Limit]) -> None:
-    """Draw how far each requirement is from its limit, in per cent of it."""
+    """Draw the margin of each requirement in per cent of its limit."""
     for k, limit in enumerate(required):
         size = max(abs(limit.value), abs(limit.value + limit.margin)) or 1.0
         percent = 0.0 if limit.active else 100.0 * limit.margin / size
@@ -233,9 +236,9 @@ def draw_margins(axes: Axes, required: Sequence[Limit]) -> None:
 
 
 def draw_wedge(axes: Axes, scene: Scene) -> None:
-    """Draw the two triangular faces of a wedge, laid flat along the edge that they share."""
+    """Draw the two triangular faces of a wedge, unfolded along their common edge."""
     share = scene.share
-    axes.set_title("Share: its faces laid flat")
+    axes.set_title("Faces of the share, unfolded")
     if not isinstance(share, Wedge):
         axes.text(0.5, 0.5, "the share is given as a cone", ha="center", transform=axes.transAxes)
         axes.set_axis_off()
@@ -258,7 +261,7 @@ def draw_wedge(axes: Axes, scene: Scene) -> None:
 
 
 def draw_cone(axes: Axes, scene: Scene) -> None:
-    """Draw the equivalent cone in longitudinal section, with the compaction front around it."""
+    """Draw a longitudinal section of the equivalent cone and of the compacted soil around it."""
     cone = scene.cone
     height, radius = float(cone.height), float(cone.height * cone.slope)
     loosens = not scene.law.lacks("loosened_radius")
@@ -275,26 +278,26 @@ def draw_cone(axes: Axes, scene: Scene) -> None:
                   arrowprops={"arrowstyle": "->", "color": "black"})  # fmt: skip
     axes.text(-0.165 * height, 0.04 * front, "travel", ha="center", va="bottom")
     axes.text(0.6 * height, 0, f"β = {math.degrees(cone.half_angle):.1f}°", color="white", ha="left", va="center")
-    axes.set_title("Cone of equal height and surface")
+    axes.set_title("Equivalent cone (equal height and surface)")
     axes.set_xlabel(f"along the axis [m]\nh = {height:.3f} m, base radius {radius:.3f} m")
     axes.set_ylabel("[m]")
     _pad(axes, height, front, ahead=0.35 * height)
 
 
 def draw_search(axes: Axes, best: Optimum, variable: int) -> None:
-    """Draw the objective of the designs that a search tried over a variable, with the local optima and their spread.
+    """Draw the objective over one variable: the designs of the search, and the local optima with their spread.
 
     Args:
-        axes: where.
-        best: an optimum whose search tried designs.
-        variable: number of the variable.
+        axes: the axes to draw on.
+        best: an optimum with a search.
+        variable: index of the variable.
     """
     search, name = best.search, list(best.variables)[variable]
-    assert search is not None  # the caller has looked
+    assert search is not None  # a precondition
     display = best.display(name)
     values, feasible = search.values[:, variable] / display.factor, search.violation <= FEASIBLE
     for which, color, label in (
-        (np.isfinite(search.objective) & ~feasible, _SURFACE, "tried, fails a requirement"),
+        (np.isfinite(search.objective) & ~feasible, _FAILED, "tried, fails a requirement"),
         (feasible, _FORCE, "tried, meets all requirements"),
     ):
         if np.any(which):
@@ -307,7 +310,7 @@ def draw_search(axes: Axes, best: Optimum, variable: int) -> None:
         named = None if k > 1 else ("best" if k == 0 else "other local optima")
         axes.plot(at, optimum.objective, "o" if k else "*", markersize=6 if k else 13, color=_ACCENT, zorder=3,
                   markeredgecolor="white", label=named)  # fmt: skip
-    if np.min(values) > 0 and np.max(values) / np.min(values) > 20:
+    if np.min(values) > 0 and np.max(values) / np.min(values) > _LOG_RATIO:
         axes.set_xscale("log")
     _show_low_objectives(axes, search.objective[feasible if np.any(feasible) else np.isfinite(search.objective)], best)
     axes.set_xlabel(display.heading(called(name)))
@@ -315,17 +318,17 @@ def draw_search(axes: Axes, best: Optimum, variable: int) -> None:
         axes.set_ylabel("objective")
 
 
-def _show_low_objectives(axes: Axes, seen: NDArray[np.float64], best: Optimum) -> None:
-    """Leave out of sight what is far above the optima, which would press them into a line."""
+def _show_low_objectives(axes: Axes, tried: NDArray[np.float64], best: Optimum) -> None:
+    """Limit the axis to the lower three quarters of the objectives, so that the optima can be told apart."""
     lows = [optimum.objective for optimum in best.local_optima]
-    low = min([*lows, *seen.tolist()])
-    high = max([*lows, float(np.quantile(seen, 0.75)) if len(seen) else low])
+    low = min([*lows, *tried.tolist()])
+    high = max([*lows, float(np.quantile(tried, 0.75)) if len(tried) else low])
     room = 0.08 * (high - low) or 0.1 * abs(low) or 1.0
     axes.set_ylim(low - room, high + room)
 
 
 def _pad(axes: Axes, length: float, half_width: float, ahead: float = 0.0) -> None:
-    """Show lengths to scale, with a margin around the drawing."""
+    """Set equal scales on both axes, with a margin around the drawing."""
     axes.set_aspect("equal")
     axes.locator_params(nbins=4)
     axes.set_xlim(-ahead - 0.06 * length, 1.08 * length)

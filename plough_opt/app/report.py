@@ -1,4 +1,4 @@
-"""Tables on the screen, each value in the unit that the problem file uses."""
+"""Tables that commands print, with each value in the unit that the problem file uses."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from plough_opt.soil.soil import Soil
 if TYPE_CHECKING:
     from plough_opt.studies.crosscheck import Comparison
 
-# Smaller elasticities are the rounding of none.
-_NONE = 1e-9
+# An elasticity below this is rounding.
+_ROUNDING = 1e-9
 
 
 def shown(problem: Problem, key: str, value: float, unit: str) -> str:
-    """Return an SI value in the unit that the file gives the key in, or in a customary one."""
+    """Return an SI value as text in the unit that the file uses for the key, or in a customary one."""
     return problem.origin.display(key, unit, value).text(value)
 
 
 def print_soils(console: Console, soils: Sequence[Soil]) -> None:
-    """Print the named soils, then where their values come from."""
+    """Print the named soils, then the sources of their values."""
     table = Grid.of(
         "Named soils (engineering choices inside published brackets; none measured as a set)",
         "name", "density", "locked density", "ratio b1", "cohesion", "friction angle", "tool friction", "cone index",
@@ -59,23 +59,23 @@ def print_soils(console: Console, soils: Sequence[Soil]) -> None:
     console.print(table)
     for soil in soils:
         console.print(f"[bold]{soil.name}[/]: {soil.source}")
-    console.print("Ambient pressure of all: 101.325 kPa. Soil with open pores: set soil.ambient_pressure.")
+    console.print("All have an ambient pressure of 101.325 kPa. For soil with open pores set soil.ambient_pressure.")
 
 
 def run_page(problem: Problem, run: Run | Machine) -> Page:
-    """Return a numeric run, or those of several shares, with each scene."""
+    """Return the page of a numeric run, or of the runs of several shares, with each scene."""
     page, runs = run.page(), runs_of(run)
     scenes = [_scene_table(part, runs[name].scene, name) for name, part in problem.parts.items()]
     return replace(page, parts=(*scenes, *page.parts, *own_results(problem, run)))
 
 
 def runs_of(run: Run | Machine) -> Mapping[str, Run]:
-    """Return the runs of several shares by name; one by itself under ""."""
+    """Return name of share -> run; a single run has the name ""."""
     return run.runs if isinstance(run, Machine) else {"": run}
 
 
 def own_results(problem: Problem, run: Run | Machine) -> tuple[Grid, ...]:
-    """Return a table of the results that a file computes itself, and of those with a label; none where it has none."""
+    """Return a table of the results that the file defines and of those with a label; empty if there are none."""
     rows = [
         (name, own, [float(own.of(one)) for one in runs_of(run).values()])
         for name, own in measures_of(problem.table).items()
@@ -89,7 +89,7 @@ def own_results(problem: Problem, run: Run | Machine) -> tuple[Grid, ...]:
 
 
 def print_check(console: Console, problem: Problem) -> None:
-    """Print what the scenes of a file contain and how they would be integrated."""
+    """Print the contents of a file's scenes, and the equation of motion that would be integrated."""
     console.print(f"[bold]{escape(problem.title)}[/]: {escape(problem.name)} is valid.")
     for name, part in problem.parts.items():
         console.print(_scene_table(part, part.scene(), name))
@@ -99,24 +99,24 @@ def print_check(console: Console, problem: Problem) -> None:
         console.print(f"{len(problem.variables)} variables, {len(problem.table.require)} requirements: "
                       f"plough-opt {verb} {escape(problem.name)}")  # fmt: skip
     if problem.shares:
-        console.print(f"{len(problem.shares)} shares, designed as one machine: drafts, powers and masses are limited"
-                      " together, all else for each share; the objective is the sum over the shares.",
+        console.print(f"{len(problem.shares)} shares, designed as one machine: limits on drafts, powers and masses"
+                      " apply to their sum, other limits to each share; the objective is the sum over the shares.",
                       soft_wrap=True)  # fmt: skip
     if problem.table.uncertain is not None:
         names = ", ".join(key for key in problem.table.uncertain if key.startswith("soil."))
-        console.print(f"Uncertain: {escape(names)}: optimise designs for them, all else takes the nominal soil.",
-                      soft_wrap=True)  # fmt: skip
+        console.print(f"Uncertain: {escape(names)}. The command optimise designs for these; the others use the nominal"
+                      " soil.", soft_wrap=True)  # fmt: skip
     for warning in warnings_of(problem):
         console.print(f"[yellow]Note:[/] {escape(warning)}.")
 
 
 def warnings_of(problem: Problem) -> tuple[str, ...]:
-    """Return what a reader must know of the scenes of a file, each sentence once."""
+    """Return the warnings of all scenes of a file, each once."""
     return tuple(dict.fromkeys(text for part in problem.parts.values() for text in part.scene().warnings()))
 
 
 def _simulated(problem: Problem, scene: Scene) -> Grid:
-    """Return how a scene would be integrated."""
+    """Return a table of the equation of motion of a scene and of its excitation."""
     rows = []
     if scene.effects.motion:
         equation = equation_of_motion(Structure.of(scene))
@@ -144,14 +144,14 @@ def _simulated(problem: Problem, scene: Scene) -> Grid:
 
 
 def print_effects(console: Console, costs: Sequence[EffectCost]) -> None:
-    """Print what each effect adds to the differential equation and to the operations of a run."""
+    """Print what each effect adds to the equation of motion and to the operations of a run."""
     headings = ("effect", "", "nodes", "states", "events", "operations, with it over without")
     table = Grid.of("What each effect adds to this scene", *headings)
     for cost in costs:
         sizes = [f"{size:+d}" for size in (cost.nodes, cost.states, cost.events)]
-        ratio = "a search" if cost.operations is None else f"{cost.operations:.3g}"
-        found = ("", "", "", "not here, see below") if cost.refused else (*sizes, ratio)
-        table.row(cost.name, "on" if cost.on else "off", *found)
+        ratio = "an iteration" if cost.operations is None else f"{cost.operations:.3g}"
+        cells = ("", "", "", "impossible, see below") if cost.refused else (*sizes, ratio)
+        table.row(cost.name, "on" if cost.on else "off", *cells)
     console.print(table)
     for cost in costs:
         if cost.refused:
@@ -159,13 +159,13 @@ def print_effects(console: Console, costs: Sequence[EffectCost]) -> None:
 
 
 def print_comparison(console: Console, comparison: Comparison) -> None:
-    """Print what other draft models give, what was estimated for them, why they differ and what is not verified."""
+    """Print the drafts of other models, then refusals, assumptions, reasons for differences, and sources."""
     console.print(comparison.table())
     for title, sentences in (
         ("Outside the domain", comparison.refusals),
         ("Assumed", comparison.estimates),
         ("Why they differ", comparison.reasons),
-        ("What is not verified, and sources", comparison.standings),
+        ("Not verified, and sources", comparison.standings),
     ):
         if sentences:
             console.print(f"[bold]{title}[/]")
@@ -174,6 +174,7 @@ def print_comparison(console: Console, comparison: Comparison) -> None:
 
 
 def _scene_table(problem: Problem, scene: Scene, share: str = "") -> Grid:
+    """Return a table of the quantities of a scene."""
     rows = [("soil", scene.soil.name)]
     if not scene.law.lacks("cone_index"):
         rows.append(("cone index", problem.readings or f"{float(cone_index(scene.soil)) / 1e3:.4g} kPa"))
@@ -185,7 +186,7 @@ def _scene_table(problem: Problem, scene: Scene, share: str = "") -> Grid:
     if not scene.law.lacks("added_mass"):
         rows.append(("added mass of soil", f"{float(scene.reaction.added_mass):.4g} kg"))
     if not scene.law.lacks("ambient_pressure"):
-        rows.append(("ambient pressure's part of the static draft", f"{100.0 * float(scene.ambient_share):.0f} %"))
+        rows.append(("part of the static draft due to ambient pressure", f"{100.0 * float(scene.ambient_share):.0f} %"))
     if scene.medium != "plastic":
         rows.append(("law of resistance", scene.law.label))
     title = f"Scene of the share '{share}'" if share else "Scene"
@@ -193,7 +194,7 @@ def _scene_table(problem: Problem, scene: Scene, share: str = "") -> Grid:
 
 
 def sensitivities_of(best: Optimum, notify: Progress) -> tuple[Sensitivity, ...]:
-    """Return all sensitivities of an optimum, or none and a note that says why it has none."""
+    """Return all sensitivities of an optimum; if it has none, log the reason."""
     notify("sensitivities", 1.0)
     try:
         return best.every_sensitivity()
@@ -203,12 +204,12 @@ def sensitivities_of(best: Optimum, notify: Progress) -> tuple[Sensitivity, ...]
 
 
 def with_sensitivities(page: Page, problem: Problem, found: Sequence[Sensitivity]) -> Page:
-    """Return a page with elasticities of the best objective and of the variables, by size, and how far they hold."""
+    """Return a page extended by a table of elasticities and of the range over which the same limits are active."""
     if not found:
         return page
     names = [key.rpartition(".")[2] for key in problem.variables]
     table = Grid.of(
-        "Change in per cent for one per cent more, solved again; the same limits decide from ... to ...",
+        "Change of the optimum in per cent for one per cent more; range in which the same limits stay active",
         "quantity or limit", "value", "objective", *names, "same limits from", "to", fold=("quantity or limit",),
     )  # fmt: skip
     for item in found:
@@ -217,16 +218,16 @@ def with_sensitivities(page: Page, problem: Problem, found: Sequence[Sensitivity
         ends = [_end(problem, key, item, end) for end in (item.valid_from, item.valid_to)]
         table.row(item.name, shown(problem, key, item.value, item.unit), *moves, *ends)
     met = dict.fromkeys(name for item in found for name in item.touching)
-    notes = (f"{name} is just met: the figures are for values that grow" for name in met)
+    notes = (f"{name} is just met: the figures apply to increasing values" for name in met)
     return replace(page, parts=(*page.parts, table), notes=(*page.notes, *notes))
 
 
 def _percent(elasticity: float | None) -> str:
     if elasticity is None:
         return "value 0"
-    return "0" if abs(elasticity) < _NONE else f"{elasticity:+.3g}"
+    return "0" if abs(elasticity) < _ROUNDING else f"{elasticity:+.3g}"
 
 
 def _end(problem: Problem, key: str, item: Sensitivity, end: float | None) -> str:
-    """Return an end of a range; none where it is beyond zero, where no quantity of a file can go."""
+    """Return an end of a range as text; "" if its sign differs from the value's, which a file would not accept."""
     return "" if end is None or end * item.value <= 0.0 else shown(problem, key, end, item.unit)

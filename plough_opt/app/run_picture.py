@@ -1,4 +1,4 @@
-"""Runs over time: forces, deflection and speed of one, in the units of its question, and several side by side."""
+"""Pictures of runs over time and of designs side by side, in the units of the problem file."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -21,26 +21,26 @@ from plough_opt.motion.terms import Structure, parameters, start_speed, strut
 from plough_opt.motion.vocabulary import called
 
 OWN, LIMIT, SOIL, STRUT = COLOURS[0], COLOURS[1], COLOURS[4], COLOURS[6]
-"""Colours of the share's own motion and force, of limits, of the soil, and of the strut, in every picture."""
+"""Colours in every picture: the share's motion and force, limits, the soil, and the strut."""
 SIDE_BY_SIDE: Final = {"mount_force": "N", "deflection": "m"}
-"""Results over time that are drawn of several runs, with their units."""
+"""Results over time that are drawn for several runs -> SI unit."""
 
-# Part of its size by which a value that stays the same changes through rounding.
+# Relative change below which a result counts as constant: smaller changes are rounding.
 _CONSTANT = 1e-6
-# Part of a limit's size that is shown on either side of it: less would magnify rounding.
+# Smallest margin on either side of a limit, relative to its size: a smaller one would magnify rounding.
 _LEAST_ROOM = 0.02
 
 
 @dataclass(frozen=True)
 class Panel:
-    """Results of a run over time that are drawn together, on the screen or on a page.
+    """Results of a run over time that share one pair of axes, in a picture or on a page.
 
     Attributes:
-        name: of what is drawn.
-        unit: in which it is shown.
-        lines: label -> values [SI], colour, and whether the line is dashed; the most important first.
-        limits: words and value [SI] of each limit.
-        mean: name, mean [SI] and RMS about it [SI], where there is one.
+        name: name of the quantity, such as "force".
+        unit: the unit in which it is shown.
+        lines: label -> (values in SI, colour, whether the line is dashed), the most important first.
+        limits: (name, value in SI) of each limit.
+        mean: (name, mean in SI, RMS about the mean in SI), or None.
     """
 
     name: str
@@ -51,12 +51,12 @@ class Panel:
 
     @property
     def changes(self) -> bool:
-        """Whether anything in it changes over time."""
+        """Whether any line changes over time."""
         return any(np.ptp(values) > _CONSTANT * np.max(np.abs(values)) for values, _, _ in self.lines.values())
 
 
 def force_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
-    """Return mount force and soil resistance, with mean draft and RMS, and the limits of both."""
+    """Return mount force and soil resistance over time, with mean draft, its RMS, and limits."""
     draft, deviation = float(run.mean_draft), float(run.force_rms)
     unit = run.origin.common("N", {"mount_force": run.peak_force, "mean_draft": draft})
     lines = {"mount force": (run.mount_force, OWN, False), "soil resistance": (run.soil_resistance, SOIL, False)}
@@ -65,7 +65,7 @@ def force_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
 
 
 def deflection_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
-    """Return the spring's deflection, with its mean and RMS, and the limits of these."""
+    """Return the spring's deflection over time, with its mean, RMS, and limits."""
     mean = ("mean", float(run.mean_deflection), float(run.displacement_rms))
     unit = run.origin.common("m", {"deflection": run.peak_deflection, "mean_deflection": mean[1]})
     lines = {"deflection": (run.deflection, OWN, False)}
@@ -73,7 +73,7 @@ def deflection_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
 
 
 def speed_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
-    """Return the share's speed beside the strut's, and its limits."""
+    """Return the speeds of share and strut over time, with the limits of the share's."""
     structure, p = Structure.of(run.scene), parameters(run.scene)
     strut_speed = start_speed(structure, p) + strut(structure, p, run.time).gain + 0.0 * run.time
     lines = {"share": (run.speed, OWN, False), "strut": (strut_speed, STRUT, True)}
@@ -81,25 +81,25 @@ def speed_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
 
 
 def changing(run: Run, limits: Sequence[Limit] = ()) -> list[Panel]:
-    """Return force, deflection and speed of a run, without those that stay the same."""
+    """Return the panels of a run (force, deflection, speed) that change over time."""
     return [panel for panel in (of(run, limits) for of in (force_of, deflection_of, speed_of)) if panel.changes]
 
 
 def subject(run: Run) -> str:
-    """Return what stands above a picture: the question's title, the soil and the speed."""
+    """Return the heading of a picture: the file's title, the soil and the tow speed."""
     speed = run.origin.display("scene.tow_speed", "m/s").text(float(run.scene.tow_speed), 4)
     return "\n".join(part for part in (run.origin.title, f"{run.scene.soil.name}, {speed}") if part)
 
 
 def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
-    """Draw forces, deflection and speed of a numeric run over time, those that change.
+    """Draw force, deflection and speed of a numeric run over time, except those that are constant.
 
     Args:
-        run: numeric.
-        limits: requirements beside those of the run's question; those on what is drawn are shown.
+        run: a numeric run.
+        limits: limits to show in addition to those of the run's problem file.
 
     Raises:
-        InputError: no run.
+        InputError: ``run`` is not a run.
     """
     check_kind("the run", run, Run, "a numeric Run, as po.simulate returns one")
     panels = changing(run, limits)
@@ -120,7 +120,7 @@ def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
 
 
 def draw_panel(axes: Axes, run: Run, panel: Panel) -> None:
-    """Draw results over time with their mean and a band of the RMS, their limits, and a legend above all lines."""
+    """Draw a panel: lines, mean with a band of ± RMS, limits, and a legend above all lines."""
     unit = panel.unit
     for label, (values, colour, dashed) in reversed(panel.lines.items()):
         style, width = "--" if dashed else "-", 1.4 if colour == OWN else 1.0
@@ -139,7 +139,7 @@ def draw_panel(axes: Axes, run: Run, panel: Panel) -> None:
         axes.axhline(value / unit.factor, color=LIMIT, linewidth=1.6, label=label)
     axes.set(xlabel="time [s]", ylabel=unit.heading(panel.name), xlim=(float(run.time[0]), float(run.time[-1])))
     low, high = axes.get_ylim()
-    # What stays the same would have its rounding magnified.
+    # Widen the range around an almost constant result, so that its rounding is not magnified.
     least = _CONSTANT * max(abs(low), abs(high))
     if high - low < 0.1 * max(abs(low), abs(high)):
         low, high = low - 0.05 * abs(low) - least, high + 0.05 * abs(high) + least
@@ -148,14 +148,14 @@ def draw_panel(axes: Axes, run: Run, panel: Panel) -> None:
 
 
 def limits_of(run: Run, limits: Sequence[Limit], *names: str) -> list[tuple[str, float]]:
-    """Return the limits of some results, by the question or as they are given, each with its name in words."""
+    """Return (name in words, value in SI) of each limit of some results, from the run's file and from ``limits``."""
     given = {limit.name: (limit.low, limit.high) for limit in limits if limit.kind == "requirement"}
     every = {**run.origin.limits, **given}
     return [(called(name), end) for name in names for end in every.get(name, ()) if end is not None]
 
 
 def _shade_modes(axes: Axes, run: Run) -> None:
-    """Shade the times in which a share under stick and slip sticks or has a gap ahead."""
+    """Shade the times when a share under stick and slip sticks, or has a gap ahead of it."""
     for mode, label, color in ((STICK, "sticks", STRUT), (GAP, "gap", LIMIT)):
         inside = np.asarray(run.mode) == mode
         if np.any(inside):
@@ -164,10 +164,10 @@ def _shade_modes(axes: Axes, run: Run) -> None:
 
 
 def plot_designs(designs: Mapping[str, LocalOptimum]) -> Figure:
-    """Draw designs side by side: every variable between its bounds, every requirement beside its limits.
+    """Draw designs side by side: each variable between its bounds, each requirement beside its limits.
 
     Args:
-        designs: name -> a design; the first has the variables and requirements that are drawn.
+        designs: name -> design; the first decides which variables and requirements are drawn.
     """
     first = next(iter(designs.values()))
     figure = Figure(figsize=(8, 0.9 + 0.75 * len(first.limits)), layout="constrained")
@@ -183,13 +183,19 @@ def plot_designs(designs: Mapping[str, LocalOptimum]) -> Figure:
 
 
 def _draw_limit(axes: Axes, limit: Limit, found: Sequence[Limit | None]) -> None:
-    """Draw what designs have of one limited quantity on a line, its limits as bars across."""
+    """Draw the values of one limited quantity in several designs on a line, with its limits as bars across.
+
+    Args:
+        axes: the axes to draw on.
+        limit: the quantity and its limits.
+        found: the same quantity in each design, or None.
+    """
     factor = limit.shown.factor
     ends = [end / factor for end in (limit.low, limit.high) if end is not None]
     values = [None if one is None else one.value / factor for one in found]
     for k, value in enumerate(values):
         if value is not None:
-            # One below the other, so that designs that are alike do not hide each other.
+            # At different heights, so that equal designs do not hide each other.
             height = 0.0 if len(values) == 1 else 0.5 - k / (len(values) - 1)
             axes.plot(value, height, "o", color=COLOURS[k % len(COLOURS)], markersize=7, zorder=3, clip_on=False)
     axes.set_ylim(-1.0, 1.0)
@@ -208,13 +214,13 @@ def _draw_limit(axes: Axes, limit: Limit, found: Sequence[Limit | None]) -> None
 
 
 def draw_side_by_side(axes: Axes, runs: Mapping[str, Run], name: str, origin: Origin) -> None:
-    """Draw a result of several runs over time, each in a colour.
+    """Draw one result of several runs over time, each in its own colour.
 
     Args:
-        axes: where.
+        axes: the axes to draw on.
         runs: name -> numeric run.
-        name: of the result, one of `SIDE_BY_SIDE`.
-        origin: of the runs, which has the unit.
+        name: name of the result, one of `SIDE_BY_SIDE`.
+        origin: origin of the runs, which decides the unit.
     """
     size = max(float(np.max(np.abs(getattr(run, name)))) for run in runs.values())
     unit = origin.common(SIDE_BY_SIDE[name], {name: size})
@@ -230,7 +236,7 @@ def plot_forces(runs: Mapping[str, Run]) -> Figure:
     """Draw the mount forces of several numeric runs over time.
 
     Args:
-        runs: name -> run.
+        runs: name -> numeric run.
     """
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     draw_side_by_side(figure.subplots(), runs, "mount_force", next(iter(runs.values())).origin)

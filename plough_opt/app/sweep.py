@@ -1,4 +1,4 @@
-"""`plough-opt sweep`: a file's scene or design over a grid or a sample."""
+"""`plough-opt sweep`: evaluation of a file's scene or design over a grid or a sample."""
 
 import argparse
 import hashlib
@@ -21,32 +21,34 @@ def add_options(verb: argparse.ArgumentParser) -> None:
         action="append",
         required=True,
         metavar='KEY="RANGE"',
-        help='quantity and what it runs over: soil.cohesion="5..45 kPa:9", scene.stiffness="10..1000 kN/m:7 log",'
-        ' scene.tow_speed="1 m/s, 2 m/s"; repeatable: all combinations',
+        help='quantity and its values: soil.cohesion="5..45 kPa:9", scene.stiffness="10..1000 kN/m:7 log",'
+        ' scene.tow_speed="1 m/s, 2 m/s"; repeatable, for all combinations',
     )
-    verb.add_argument("--samples", type=int, metavar="N", help="a Sobol sample of the ranges; best a power of two")
-    verb.add_argument("--optimise", action="store_true", help="optimise at every point in the place of simulating")
+    verb.add_argument(
+        "--samples", type=int, metavar="N", help="size of a Sobol sample of the ranges, preferably a power of two"
+    )
+    verb.add_argument("--optimise", action="store_true", help="optimise at every point instead of simulating")
     verb.add_argument(
         "--method",
         choices=("auto", "each", "batch"),
         default="auto",
-        help="simulate each point alone, or many at once by po.Batch (default: by their number)",
+        help="simulate each point by itself, or many at once by po.Batch (default: decided by their number)",
     )
     verb.add_argument("--workers", type=int, metavar="N", help="processes on this machine (default: all cores)")
-    verb.add_argument("--scheduler", metavar="ADDRESS", help="the workers of a dask scheduler, like tcp://host:8786")
-    verb.add_argument("--store", metavar="FILE", help="where finished points are kept (default: named after the sweep)")
-    verb.add_argument("--retry", action="store_true", help="try the points again that failed or are undetermined")
+    verb.add_argument("--scheduler", metavar="ADDRESS", help="use the workers of a dask scheduler: tcp://host:8786")
+    verb.add_argument("--store", metavar="FILE", help="database of finished points (default: named after the sweep)")
+    verb.add_argument("--retry", action="store_true", help="repeat points that failed or are undetermined")
     verb.add_argument("--npz", metavar="FILE", help="write an array for each column")
-    every = "write a picture of every result: .png, .svg or .pdf"
+    every = "draw every result: .png, .svg or .pdf"
     add_shared(verb, "json", "csv", seed="seed of the sample (default: 0)", plot=every)
 
 
 def sweep(options: argparse.Namespace) -> None:
-    """Simulate or optimise a file at every point of a grid or a sample; an interrupted sweep goes on."""
+    """Simulate or optimise a file at every point of a grid or a sample; resume an interrupted sweep."""
     if options.workers is not None and options.workers < 1:
-        raise InputError(f"--workers {options.workers}: a sweep takes one or more")
+        raise InputError(f"--workers {options.workers}: a sweep needs at least one")
     if options.scheduler is not None and options.workers is not None:
-        raise InputError("--workers are processes of this machine, --scheduler has its own: leave one of the two out")
+        raise InputError("--workers start on this machine, but --scheduler has its own: remove one of the two")
     over = _over(options)
     problem = read(options)
     what: What = "optimise" if options.optimise else "simulate"
@@ -54,7 +56,7 @@ def sweep(options: argparse.Namespace) -> None:
     store = options.store or _store_of(options.file, plan)
     notes = list(plan.notes)
     if options.samples is not None and options.samples & (options.samples - 1):
-        notes.append(f"{options.samples} samples are not a power of two: a Sobol sample is even at 64, 128, 256, ...")
+        notes.append(f"{options.samples} samples are not a power of two: a Sobol sample is balanced at 64, 128, ...")
     for note in notes:
         LOG.info("note: %s", note)
     with _executor(options.scheduler) as (executor, workers):
@@ -73,11 +75,11 @@ def sweep(options: argparse.Namespace) -> None:
             if getattr(options, name) is not None:
                 wrote(write(getattr(options, name)))
         if found.failed == len(found):
-            raise NotConverged("every point failed; the reasons stand above and in the tables", "failed")
+            raise NotConverged("every point failed; the reasons are listed above and in the tables", "failed")
         if undetermined := len(list(found.undetermined)):
             raise NotConverged(
-                f"{undetermined} of {len(found)} points are undetermined: workers ended while they computed them; the"
-                " same command with --retry tries them again",
+                f"{undetermined} of {len(found)} points are undetermined, because workers ended while computing them;"
+                " run the same command with --retry to repeat them",
                 "undetermined",
             )
     finally:
@@ -85,7 +87,7 @@ def sweep(options: argparse.Namespace) -> None:
 
 
 def _over(options: argparse.Namespace) -> dict[str, object]:
-    """Return quantity -> what it runs over, as text."""
+    """Return quantity -> its values as text."""
     fixed = {text.partition("=")[0].strip() for text in options.set}
     over: dict[str, object] = {}
     for text in options.over:
@@ -95,21 +97,21 @@ def _over(options: argparse.Namespace) -> dict[str, object]:
         if name in over:
             raise InputError(f"--over {text}: '{name}' is swept twice")
         if name in fixed:
-            raise InputError(f"--over {text}: '{name}' is fixed by --set too: leave one of the two out")
+            raise InputError(f"--over {text}: '{name}' is also fixed by --set: remove one of the two")
         quoted = len(written) > 1 and written[0] == written[-1] and written[0] in "\"'"
         over[name] = written[1:-1] if quoted else written
     return over
 
 
 def _store_of(file: str, plan: ProblemSweep) -> Path:
-    """Return a store of its own for every question, so that the same command finds it again."""
+    """Return the default store, whose name depends on the question, so that only the same command finds it again."""
     text = json.dumps([dict(plan.question), {name: repr(axis) for name, axis in plan.axes.items()}, plan.count])
     return Path(f"{Path(file).stem}-{hashlib.sha256(text.encode()).hexdigest()[:8]}.sweep.db")
 
 
 @contextmanager
 def _executor(address: str | None) -> Iterator[tuple[Executor | None, int | None]]:
-    """Yield the executor of a dask scheduler and the number of its workers' threads; nothing without an address."""
+    """Yield the executor of a dask scheduler and the number of its workers' threads; None without an address."""
     if address is None:
         yield None, None
         return
@@ -120,9 +122,9 @@ def _executor(address: str | None) -> Iterator[tuple[Executor | None, int | None
     try:
         client = Client(address, timeout="10s")
     except (OSError, ValueError) as error:
-        raise InputError(f"--scheduler {address}: no dask scheduler answers there ({error})") from None
+        raise InputError(f"--scheduler {address}: no dask scheduler answers at this address ({error})") from None
     with client:
         threads = sum(client.ncores().values())
         if threads == 0:
-            raise InputError(f"--scheduler {address}: it has no workers; start some: dask worker {address}")
+            raise InputError(f"--scheduler {address}: it has no workers; start some with: dask worker {address}")
         yield client.get_executor(pure=False), threads

@@ -1,4 +1,4 @@
-"""Where commands read from and write to: the problem file, the two streams, messages, progress."""
+"""Input and output of commands: the problem file, output files, messages and progress."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ from plough_opt.problem_file import Problem, read_problem
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Messages of commands themselves, which are shown unless -q silences them; those of the library need -v.
+# Messages of the commands are shown unless -q is given; those of the library need -v.
 LOG = logging.getLogger(__name__)
 _LIBRARY = logging.getLogger("plough_opt")
 _LEVELS: Final = (logging.WARNING, logging.INFO, logging.DEBUG)
 
 
 class _ErrorStream(logging.Handler):
-    """Writes each message in a line of its own, with the time since the start where steps are shown."""
+    """Handler that prints each message on its own line, after the time since the start if ``timed``."""
 
     def __init__(self, timed: bool) -> None:
         super().__init__()
         self._timed = timed
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a message; one that the reader's terminal would take for commands is quoted."""
+        """Print a message with control characters escaped."""
         time = f"{record.relativeCreated / 1e3:8.2f} s  " if self._timed else ""
         Console(stderr=True, highlight=False, soft_wrap=True).print(
             f"{time}{printable(record.getMessage())}", markup=False
@@ -51,15 +51,15 @@ class _ErrorStream(logging.Handler):
 def add_how_much(parser: argparse.ArgumentParser) -> None:
     """Add -q and -v."""
     how_much = parser.add_mutually_exclusive_group()
-    how_much.add_argument("-q", "--quiet", action="store_true", help="no progress, notes or names of files written")
+    how_much.add_argument("-q", "--quiet", action="store_true", help="hide progress, notes and names of written files")
     how_much.add_argument(
-        "-v", "--verbose", action="count", default=0, help="each step with its time; twice: every solve and run too"
+        "-v", "--verbose", action="count", default=0, help="show each step with its time; -vv also every solve and run"
     )
 
 
 @contextmanager
 def messages(options: argparse.Namespace) -> Iterator[None]:
-    """Show messages as -q and -v ask for, for the time of one command."""
+    """Show messages during one command, as many as -q and -v request."""
     verbose = min(options.verbose, len(_LEVELS) - 1)
     handler = _ErrorStream(timed=verbose > 0)
     before = _LIBRARY.level, LOG.level
@@ -75,7 +75,7 @@ def messages(options: argparse.Namespace) -> Iterator[None]:
 
 
 def printable(text: str) -> str:
-    """Return a user's text in which what a terminal would take for a command is written as Python writes it."""
+    """Return a user's text with control characters, which a terminal would obey, escaped as in Python."""
     return "".join(repr(character)[1:-1] if unprintable(character) else character for character in text)
 
 
@@ -89,10 +89,10 @@ _OUTPUTS = ("plot", "csv", "npz", "output", "description", "store")
 
 
 def read(options: argparse.Namespace) -> Problem:
-    """Read the problem file; refuse outputs that cannot be written before anything is computed.
+    """Return the problem file, after checking before any computation that all outputs can be written.
 
     Raises:
-        InputError: a mistake in the file, an output that cannot be written, or one that would overwrite what is read.
+        InputError: the file has a mistake, or an output cannot be written or would overwrite an input.
     """
     problem = read_problem(options.file, options.set)
     check_outputs(options)
@@ -102,21 +102,21 @@ def read(options: argparse.Namespace) -> Problem:
 
 
 def _check_matplotlib() -> None:
-    """Refuse a picture where matplotlib cannot be imported, as with a $MPLBACKEND that it does not know."""
+    """Raise InputError if matplotlib cannot be imported, for example because $MPLBACKEND is unknown."""
     try:
         import matplotlib  # noqa: F401
     except ValueError as error:
         raise InputError(
-            f"--plot: matplotlib does not start: {short(str(error), 100)}: mend $MPLBACKEND or matplotlibrc, or leave"
-            " the picture out"
+            f"--plot: matplotlib cannot start: {short(str(error), 100)}: correct $MPLBACKEND or matplotlibrc, or remove"
+            " --plot"
         ) from None
 
 
 def check_outputs(options: argparse.Namespace) -> None:
-    """Refuse outputs that are an input or the same file twice, have no folder to stand in, or are not pictures.
+    """Check the paths of all output files.
 
     Raises:
-        InputError: as said.
+        InputError: an output is an input or another output, cannot be written, or is a picture of an unknown format.
     """
     if getattr(options, "plot", None) is not None:
         _check_matplotlib()
@@ -124,10 +124,10 @@ def check_outputs(options: argparse.Namespace) -> None:
 
         plots.check_format(options.plot)
     if isinstance(options.file, list):
-        taken = {_place(path): "a file that is read" for path in options.file}
+        taken = {_place(path): "an input file" for path in options.file}
     else:
         taken = {_place(options.file): "the problem file"}
-    taken |= {_place(data): "a file of data" for data in getattr(options, "data", ())}
+    taken |= {_place(data): "a data file" for data in getattr(options, "data", ())}
     for name in _OUTPUTS:
         if (written := getattr(options, name, None)) is None:
             continue
@@ -136,19 +136,19 @@ def check_outputs(options: argparse.Namespace) -> None:
             raise InputError(f"--{name} '{written}' is a folder: name a file in it")
         if other := taken.get(place):
             raise InputError(f"--{name} '{written}' is {other}, which it would overwrite: name another file")
-        taken[place] = f"the file of --{name} too"
+        taken[place] = f"also the file of --{name}"
         around = next(folder for folder in (place.parent, *place.parents) if folder.exists())
         if not around.is_dir():
             raise InputError(f"--{name} '{written}' cannot be written: '{around}' is not a folder")
         if name == "store" and place.is_file():
-            continue  # a complete one is only read
-        # A file is replaced by a whole one, so its folder must take a new file too.
+            continue  # a store that is already complete is only read, so it may be write-protected
+        # An existing file is replaced by a new one, so its folder must be writable too.
         if not os.access(around, os.W_OK) or (place.is_file() and not os.access(place, os.W_OK)):
             raise InputError(f"--{name} '{written}' cannot be written: permission denied")
 
 
 def _place(path: str) -> Path:
-    """Return where a path leads, links followed; unlike `Path.resolve` also where they go round in a circle."""
+    """Return the absolute path with links resolved; unlike `Path.resolve`, do not fail on circular links."""
     return Path(os.path.realpath(path))
 
 
@@ -158,7 +158,10 @@ _written: list[Path] = []
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Remember a Ctrl-C, so that `progress` stops too where CasADi took it for an evaluation that failed."""
+    """Record a Ctrl-C, so that `progress` can stop the command even if CasADi swallowed the KeyboardInterrupt.
+
+    CasADi reports an exception in a callback as a failed evaluation, after which a solve would continue.
+    """
     _interrupted.clear()
     _written.clear()
     main, before = threading.current_thread() is threading.main_thread(), signal.getsignal(signal.SIGINT)
@@ -183,26 +186,26 @@ def _stop_if_interrupted() -> None:
 
 
 def what_was_written() -> str:
-    """Say which files an interrupted command left."""
+    """Return a sentence on the files that an interrupted command has written."""
     return "no other file was written" if _written else "no file was written"
 
 
 def console() -> Console:
-    """Return where results go; as wide as its tables need when it is not a terminal."""
+    """Return the console for results; wide enough for all tables if it is not a terminal."""
     terminal = _Console(highlight=False)
     return terminal if terminal.is_terminal else _Console(highlight=False, width=120)
 
 
 class _Console(Console):
-    """A console that leaves a closed pipe to `main`, which knows the exit status."""
+    """A console that lets `main` handle a closed pipe."""
 
     def on_broken_pipe(self) -> None:
-        """Let the error pass."""
+        """Raise BrokenPipeError instead of ending the process."""
         raise BrokenPipeError
 
 
 def print_page(to: Console, page: Page) -> None:
-    """Print what a result shows of itself: its tables, its sentences, and what a reader must know."""
+    """Print the page of a result: its tables, sentences and notes."""
     if page.title:
         to.print(f"[bold]{escape(printable(page.title))}[/]")
     if page.heading:
@@ -221,13 +224,13 @@ def print_page(to: Console, page: Page) -> None:
 def give(
     options: argparse.Namespace, page: Page, to_json: Callable[[], str], plot: Callable[[], Figure] | None = None
 ) -> None:
-    """Print a result as --json asks, and write its picture and its JSON where --plot and --output ask for these.
+    """Print a result as a page, or as JSON with --json; write its picture with --plot and its JSON with --output.
 
     Args:
-        options: of the command.
-        page: what the result shows.
-        to_json: returns it as JSON.
-        plot: returns its picture.
+        options: the options of the command.
+        page: the page of the result.
+        to_json: function that returns the result as JSON.
+        plot: function that returns its picture, if it has one.
     """
     if options.json:
         print(to_json())
@@ -240,14 +243,14 @@ def give(
 
 
 def wrote(path: Path) -> None:
-    """Say which file was written, on the error stream."""
+    """Log the name of a written file."""
     _written.append(path)
     LOG.info("wrote %s", path)
 
 
 @contextmanager
 def progress() -> Iterator[designs.Progress]:
-    """Show on the error stream what is being done, and how long it has taken: a bar on a terminal, else lines."""
+    """Yield a function that shows the present step on the error stream: a bar on a terminal, otherwise lines."""
     stream = Console(stderr=True, highlight=False)
     with ExitStack() as stack:
         show: Callable[[str, float], object]
@@ -271,7 +274,7 @@ def progress() -> Iterator[designs.Progress]:
 
 
 class _StepByStep:
-    """Shows each stage as a message of its own, which -q silences."""
+    """Progress as debug messages, one for each stage."""
 
     def __init__(self) -> None:
         self._last = ""

@@ -1,4 +1,4 @@
-"""`plough-opt waves`: the strength waves that a record along a field holds."""
+"""`plough-opt waves`: the strength waves in a record along a field."""
 
 from __future__ import annotations
 
@@ -18,12 +18,14 @@ if TYPE_CHECKING:
     from plough_opt.soil.strength_record import Rig
 
 _RIG = {
-    "mass": QuantityOption("kg", "20 kg", "mass on the rig that felt the force"),
+    "mass": QuantityOption("kg", "20 kg", "moving mass of the rig that measured the force"),
     "stiffness": QuantityOption("N/m", "50 kN/m", "stiffness of the rig's spring"),
-    "damping": QuantityOption("N*s/m", "400 N*s/m", "damping of the rig"),
-    "tow-speed": QuantityOption("m/s", "5 km/h", "speed along the path, of a rig or of readings over time"),
+    "damping": QuantityOption("N*s/m", "400 N*s/m", "damping of the rig (default: 0)"),
+    "tow-speed": QuantityOption("m/s", "5 km/h", "speed along the path, for a rig or readings over time"),
 }
-_SHARE = {"base-diameter": QuantityOption("m", "0.136 m", "of the share, which averages shorter waves")}
+_SHARE = {
+    "base-diameter": QuantityOption("m", "0.136 m", "base diameter of the share, over which strength is averaged"),
+}
 
 
 def add_options(verb: argparse.ArgumentParser) -> None:
@@ -31,13 +33,15 @@ def add_options(verb: argparse.ArgumentParser) -> None:
     verb.add_argument(
         "file", metavar="FILE.csv", help="record: position [m] or time [s], and cone_index [kPa] or force [kN]"
     )
-    verb.add_argument("--part", type=float, default=0.8, metavar="P", help="of the variance to carry (default: 0.8)")
+    verb.add_argument(
+        "--part", type=float, default=0.8, metavar="P", help="fraction of the variance to represent (default: 0.8)"
+    )
     add_quantities(verb, _SHARE | _RIG)
     add_shared(verb, "json", "plot")
 
 
 def waves(options: argparse.Namespace) -> None:
-    """Find the waves of a record, and print them as a problem file takes them."""
+    """Find the waves in a record, and print them as entries of a problem file."""
     from plough_opt.problem_file.readings import read_strength_record
     from plough_opt.soil.record_waves import strength_waves
 
@@ -54,18 +58,19 @@ def waves(options: argparse.Namespace) -> None:
 
 
 def _rig(given: dict[str, float]) -> Rig | None:
-    """Return the rig that the options describe, if they do."""
+    """Return the rig that the options describe, or None."""
     from plough_opt.soil.strength_record import Rig
 
     if not {"mass", "stiffness", "damping"} & {*given}:
         return None
     if missing := [f"--{name}" for name in _RIG if name != "damping" and name.replace("-", "_") not in given]:
-        raise InputError(f"a rig needs {', '.join(missing)} too; without --damping it has none")
+        raise InputError(f"a rig also needs {', '.join(missing)}: add these options (--damping is 0 by default)")
     return Rig(given["mass"], given["stiffness"], given.get("damping", 0.0), given["tow_speed"])
 
 
 def _print(found: RecordWaves) -> None:
-    table = Grid.of("Strength waves, with 95 % intervals", "amplitude", "wavelength", "phase", "of the variance")
+    """Print the waves as a table and as entries of a problem file."""
+    table = Grid.of("Strength waves, with 95 % intervals", "amplitude", "wavelength", "phase", "part of the variance")
     for one in found.found:
         table.row(
             f"{one.wave.amplitude:.3g} ± {one.amplitude:.1g}",
@@ -76,8 +81,8 @@ def _print(found: RecordWaves) -> None:
     out = console()
     out.print(table)
     out.print(
-        f"Strength varies by {100.0 * math.sqrt(found.variance):.3g} % of its trend (standard deviation); the waves"
-        f" leave out {100.0 * found.left_out:.0f} % of the variance.",
+        f"The strength has a standard deviation of {100.0 * math.sqrt(found.variance):.3g} % of its trend; the waves"
+        f" omit {100.0 * found.left_out:.0f} % of the variance.",
         soft_wrap=True,
     )
     for note in found.notes:
@@ -94,7 +99,7 @@ def _print(found: RecordWaves) -> None:
 
 
 def _plain(found: RecordWaves) -> dict[str, object]:
-    """Return what was found as JSON has it, in SI units."""
+    """Return the waves and the spectrum as plain values for JSON, in SI units."""
     return {
         "waves": [
             {name: [getattr(one.wave, name), getattr(one, name)] for name in ("amplitude", "wavelength", "phase")}

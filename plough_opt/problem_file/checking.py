@@ -1,4 +1,4 @@
-"""Checks of a problem file that its schema cannot make: what needs what, measures, fronts, domains."""
+"""Checks of a problem file beyond its schema: missing and unused quantities, results, fronts, domains of values."""
 
 import dataclasses
 import math
@@ -23,9 +23,15 @@ _FEWEST, _MOST = 5, 1000  # positions on a front
 
 
 def check_complete(source: Source, table: ProblemTable, known: set[str]) -> None:
-    """Note every quantity that is neither given nor a variable, and every one that nothing in the file needs."""
+    """Note every missing quantity, and every quantity that nothing in the file uses.
+
+    Args:
+        source: the file.
+        table: its tables.
+        known: keys of the quantities that are given or are variables.
+    """
     if not known <= {*quantities()}:
-        return  # a misspelt variable is noted already, and would be missing here once more
+        return  # a misspelt variable is noted already; here it would be reported as missing too
     decided = {table.soil.adjusted} if known & {*READINGS} else set()
     if table.soil.name is not None:
         with source.noting(("soil", "name")):
@@ -36,17 +42,16 @@ def check_complete(source: Source, table: ProblemTable, known: set[str]) -> None
         source.note(("soil",), f"{names} {verb} missing: give them in [soil], or the 'name' of a known soil")
     effects = table.effects
     random = [key for key in IN_FILES if IN_FILES[key].owner == RANDOM]
-    excess = dict.fromkeys(decided, "follows from the cone index: leave it out, or let that adjust another property")
+    excess = dict.fromkeys(decided, "follows from the cone index: remove it, or let the cone index adjust another key")
     for key, law in (("effects.contact_width", "smooth"), ("effects.breakaway", "stick_slip")):
         if effects.contact != law:
-            excess[key] = f'belongs to contact = "{law}", which [effects] does not ask for'
+            excess[key] = f'belongs to contact = "{law}", which is not set in [effects]'
     if effects.orbit != "transient":
-        orbit = "is needless: a lasting orbit has a duration of its own, one wavelength: leave it out"
-        excess["scene.duration"] = orbit
+        excess["scene.duration"] = "is not used by a periodic orbit, whose duration is one wavelength: remove it"
     if at(table, RANDOM) is None:
-        excess |= dict.fromkeys(random, f"has no {RANDOM} to belong to: give that in [effects]")
+        excess |= dict.fromkeys(random, f"belongs to {RANDOM}, which is missing: add it to [effects]")
     elif at(table, f"{RANDOM}.record") is not None:
-        excess |= dict.fromkeys(random, "and a record are given: take one")
+        excess |= dict.fromkeys(random, "and a record are both given: remove one")
     for key in sorted({*excess} & known):
         source.note(("variables", key) if key in table.variables else key.split("."), f"'{key}' {excess[key]}")
     if effects.orbit != "harmonic_balance" and "harmonics" in effects.model_fields_set:
@@ -60,7 +65,7 @@ def check_complete(source: Source, table: ProblemTable, known: set[str]) -> None
 
 
 def _wave_keys(source: Source, table: ProblemTable, known: set[str]) -> list[str]:
-    """Return the quantities that the file's strength waves must have; note a wave that misses those before it."""
+    """Return the quantities that the file's strength waves need; note a wave whose predecessor is missing."""
     keys: list[str] = []
     missing = ""
     for name in WAVES:
@@ -68,23 +73,23 @@ def _wave_keys(source: Source, table: ProblemTable, known: set[str]) -> list[str
         given = at(table, name) is not None
         needed = [f"{name}.amplitude", f"{name}.wavelength"]
         if own and not given and not {*needed} <= {*own}:
-            source.note(("variables", own[0]), f"'{own[0]}' has no {name} to belong to: give that in [effects]")
+            source.note(("variables", own[0]), f"'{own[0]}' belongs to {name}, which is missing: add it to [effects]")
         elif not own and not given:
             missing = missing or name
         else:
             keys += needed
             if missing:
-                source.note(name.split("."), f"'{name}' is there without '{missing}': give that one first")
+                source.note(name.split("."), f"'{name}' is given without '{missing}': number the waves from the first")
     return keys
 
 
 def _required(*owners: str) -> list[str]:
-    """Return the quantities that a file must have in some of its tables."""
+    """Return the quantities that a file must give in some of its tables."""
     return [name for name, quantity in IN_FILES.items() if quantity.required and quantity.owner in owners]
 
 
 def check_measures(source: Source, table: ProblemTable, displays: dict[str, Display]) -> None:
-    """Check objective and requirements, and note the units they are written in."""
+    """Check objective and requirements, and record their units in ``displays``."""
     known = measures_of(table)
     terms = [(("minimise", name), {"per": term.per}) for name, term in table.minimise.items()]
     limits = [(("require", name), limit.sides) for name, limit in table.require.items()]
@@ -98,7 +103,7 @@ def check_measures(source: Source, table: ProblemTable, displays: dict[str, Disp
 def _check_measure(
     source: Source, place: Keys, law: ResistanceLaw, sides: Mapping[str, Any], known: Mapping[str, Measure]
 ) -> None:
-    """Check one term of the objective, or one requirement."""
+    """Raise InputError if one term of the objective, or one requirement, is invalid."""
     kind, name = place
     _check_name(known, name, law, "minimised" if kind == "minimise" else "required", everywhere=kind == "require")
     unit = known[name].unit
@@ -115,7 +120,16 @@ def _check_measure(
 def _check_name(
     known: Mapping[str, Measure], name: str, law: ResistanceLaw, verb: str, *more: str, everywhere: bool = False
 ) -> None:
-    """Refuse a name that is not a result which a law gives, or which has a value at every output time."""
+    """Raise InputError unless a name is a result that the law of resistance provides.
+
+    Args:
+        known: name -> each result.
+        name: the name to check.
+        law: the law of resistance.
+        verb: what the file does with the result, for the message.
+        *more: further valid names, for suggestions.
+        everywhere: accept results that have a value at every output time.
+    """
     allowed = [one for one, measure in known.items() if everywhere or not measure.everywhere]
     if name not in allowed:
         raise InputError(f"'{name}' cannot be {verb}: {nearest(name, [*allowed, *more])}")
@@ -123,7 +137,7 @@ def _check_name(
 
 
 def check_front(source: Source, table: ProblemTable) -> None:
-    """Note everything that is wrong in [trade_off]: two or three results, and a number of points."""
+    """Note every mistake in [trade_off], which must have two or three results and may have a number of points."""
     known, front = measures_of(table), table.trade_off or {}
     for name, entry in front.items():
         with source.noting(("trade_off", name)):
@@ -133,12 +147,12 @@ def check_front(source: Source, table: ProblemTable) -> None:
                 raise InputError(f"'trade_off.points' = {entry!r} must be a whole number from {_FEWEST} to {_MOST}")
     count = sum(name != "points" for name in front)
     if table.trade_off is not None and count not in (2, 3) and {*front} <= {*known, "points"}:
-        how = {0: "of nothing", 1: "of one alone"}.get(count, f"of {count} results")
-        more = ": put the others into [require]" if count > 3 else f": give {TRADED}"
-        source.note(("trade_off",), f"a front is drawn of two or three results, not {how}{more}")
+        more = "put the others into [require]" if count > 3 else f"give {TRADED}"
+        source.note(("trade_off",), f"a front needs two or three results, not {count}: {more}")
 
 
 def _check_goal(source: Source, table: ProblemTable, known: Mapping[str, Measure], name: str, entry: Any) -> None:
+    """Raise InputError if one result in [trade_off] is invalid."""
     _check_name(known, name, table.scene.law, "traded", "points")
     if not isinstance(entry, dict):
         raise InputError(f"'trade_off.{name}' must be {{}} or {{ maximise = true }}, not {entry!r}")
@@ -153,7 +167,7 @@ def _check_goal(source: Source, table: ProblemTable, known: Mapping[str, Measure
 
 
 def check_values(source: Source, problem: Problem) -> None:
-    """Refuse values, guesses and bounds outside the model's domain, each with the line that sets it."""
+    """Raise one InputError for all values and bounds outside the model's domain, with the line of each."""
     settings = problem.table.accuracy.model_dump(exclude_none=True)
     for name in settings:
         with source.noting(("accuracy", name)):
@@ -167,7 +181,7 @@ def check_values(source: Source, problem: Problem) -> None:
             with source.noting(("variables", key, side), prefix=f"'{key}' {side} = {written}: "):
                 _check_value(problem, key, getattr(variable, side))
     source.raise_noted()
-    # What is left are effects that exclude each other.
+    # Every value is valid by itself, so a remaining error is due to effects that exclude each other.
     with source.noting(("effects", "motion")):
         problem.scene()
     source.raise_noted()
@@ -182,7 +196,10 @@ def check_values(source: Source, problem: Problem) -> None:
 
 
 def _check_value(problem: Problem, key: str, value: float) -> None:
-    """Refuse a value outside its domain, whatever the others are."""
+    """Raise DomainError if a value is outside its domain.
+
+    All other quantities take typical values and all effects their defaults, so that the message concerns this value.
+    """
     IN_FILES[key].check(value)
     scene = problem.table.scene.model_copy(update={"medium": "plastic"})
     plain = problem.table.model_copy(update={"effects": EffectsFile(), "scene": scene})
@@ -191,6 +208,6 @@ def _check_value(problem: Problem, key: str, value: float) -> None:
 
 
 def _quoted(source: Source, key: str) -> str:
-    """Return a key with what the file says at it."""
+    """Return a key with its value as written, for messages."""
     written = source.written(key)
     return f"'{key}'" if written is None else f"'{key}' = {written}"

@@ -1,4 +1,4 @@
-"""Evaluations of a problem file at a point of a sweep: a simulation, one of very many, or a whole optimisation."""
+"""Evaluations of a problem file at the points of a sweep: simulations one by one, in batches, or optimisations."""
 
 import dataclasses
 import threading
@@ -22,14 +22,14 @@ from plough_opt.problem_file.problem import Problem
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 from plough_opt.studies.sweep.work import Array, WithNotes
 
-# CasADi's graphs are built by one thread at a time.
+# CasADi is not thread-safe while it builds a graph.
 _building = threading.Lock()
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
 class Simulation:
-    """The response of a problem's scene, as `Problem.simulate` finds it."""
+    """Simulation of a problem's scene by `Problem.simulate`."""
 
     problem: Problem
 
@@ -39,14 +39,14 @@ class Simulation:
         return _units(self.problem)
 
     def __call__(self, values: dict[str, float]) -> WithNotes:
-        """Simulate at a point."""
+        """Return the results at a point, with the run's warnings; ``values`` maps quantities to SI values."""
         run = _solved(lambda: self.problem.simulate(values))
         return WithNotes(_of_run(self.problem, run), run.warnings)
 
 
 @dataclass(frozen=True)
 class Optimisation:
-    """The best share of a problem, from the file's guess at every point; a variable that is swept is fixed there."""
+    """Optimisation of a problem, from the file's guess at every point; swept variables are fixed."""
 
     problem: Problem
 
@@ -59,10 +59,10 @@ class Optimisation:
         return {**variables, **margins, **_units(problem)}
 
     def __call__(self, values: dict[str, float]) -> WithNotes:
-        """Optimise at a point."""
+        """Return optimum and results at a point, with all warnings; ``values`` maps quantities to SI values."""
         problem = fixed_at(self.problem, values)
         best, run = _solved(problem.optimise)
-        assert isinstance(run, Run)  # several shares are refused before a sweep begins
+        assert isinstance(run, Run)  # ProblemSweep.of refuses several shares
         numbers = {
             "objective": best.objective,
             **best.variables,
@@ -78,11 +78,11 @@ class Optimisation:
 
 @dataclass
 class SimulationOfMany:
-    """The response of very many designs by `Batch`, to the error that the file wants.
+    """Simulation of many points at once by `Batch`, to the relative error that the file requires.
 
     Attributes:
-        problem: whose scene a batch accepts.
-        names: the quantities that are swept.
+        problem: the problem; `Batch` must accept its scene.
+        names: names of the swept quantities.
     """
 
     problem: Problem
@@ -90,18 +90,18 @@ class SimulationOfMany:
     _built: tuple[Batch, ca.Function] | None = field(default=None, repr=False, compare=False)
 
     def __getstate__(self) -> dict[str, object]:
-        """Leave behind what every process builds itself."""
+        """Return the state without the compiled batch, which every process builds itself."""
         return {"problem": self.problem, "names": self.names, "_built": None}
 
     @property
     def results(self) -> tuple[str, ...]:
-        """Names of the results: those of `Simulation` without peaks, which a batch does not find."""
+        """Names of the results: those of `Simulation` except peaks, which a batch does not compute."""
         specific = ("specific_draft",) if "loosened_radius" in self._of_scene else ()
         return (*_AVERAGES, *self._of_scene, *specific, "error_estimate")
 
     @property
     def _of_scene(self) -> dict[str, Callable[[Scene], Expression]]:
-        """The results without motion that the scene's law of resistance gives."""
+        """Results that need no motion and that the scene's law of resistance provides: name -> function of a scene."""
         law, scene = self.problem.table.scene.law, self.problem.scene()
         known = _OF_SCENE | (_OF_RANDOM if scene.effects.random_strength is not None else {})
         return {name: of for name, of in known.items() if MEASURES[name].given_by(law)}
@@ -113,14 +113,14 @@ class SimulationOfMany:
 
     @property
     def error(self) -> float:
-        """Wanted relative error of mean draft and RMS force."""
+        """Required relative error of mean draft and RMS force."""
         return self.problem.accuracy.error or DEFAULT_ERROR
 
     def build(self) -> tuple[Batch, ca.Function]:
-        """Return the batch, and the results that need no motion as a function of the quantities.
+        """Return the batch, and a function from the quantities to the results that need no motion.
 
         Raises:
-            InputError: a scene that a batch does not follow.
+            InputError: `Batch` cannot simulate the scene.
         """
         with _building:
             if self._built is None:
@@ -133,7 +133,7 @@ class SimulationOfMany:
         return self._built
 
     def many(self, values: Array) -> tuple[Array, dict[int, str], list[tuple[int, int, tuple[str, ...]]]]:
-        """Simulate at points: see `plough_opt.studies.sweep.work.ManyPoints`."""
+        """Return results, failures and notes at many points: see `plough_opt.studies.sweep.work.ManyPoints`."""
         batch, of_scene = self.build()
         found = batch(values)
         averages = [getattr(found, name) for name in _AVERAGES]
@@ -148,7 +148,7 @@ class SimulationOfMany:
         kinds = 2 * (of_name["half_angle"] > PLANE_SECTIONS_LIMIT) + (ambient_share > 0.0)
         notes = []
         for kind in np.unique(kinds[sound]):
-            # Scenes of one kind have the same warnings but for their numbers.
+            # Scenes of one kind have the same warnings with different numbers: report those of the first.
             which = np.flatnonzero(sound & (kinds == kind))
             scene = self.problem.scene(dict(zip(self.names, values[which[0]].tolist(), strict=True)))
             notes.append((int(which[0]), len(which), (*batch.warnings, *scene.warnings())))
@@ -158,7 +158,7 @@ class SimulationOfMany:
 
 
 def fixed_at(problem: Problem, values: Mapping[str, float]) -> Problem:
-    """Return a problem with some quantities fixed, variables or not."""
+    """Return a problem in which some quantities, variables or not, are fixed at given values."""
     left = {key: variable for key, variable in problem.variables.items() if key not in values}
     notes = (f"'{key}' is a variable of the file: it is fixed" for key in problem.variables if key in values)
     fixed = {**problem.fixed, **values}
@@ -166,7 +166,7 @@ def fixed_at(problem: Problem, values: Mapping[str, float]) -> Problem:
 
 
 def _of_run(problem: Problem, run: Run) -> dict[str, float]:
-    """Return what is worth a column of a numeric run."""
+    """Return the results of a numeric run that become columns of a sweep."""
     law, random = run.scene.law, run.scene.effects.random_strength is not None
     known = {name: one for name, one in measures_of(problem.table).items() if not one.everywhere}
     chosen = {name: one for name, one in known.items() if (random or not one.random) and one.given_by(law)}
@@ -179,7 +179,7 @@ def _of_run(problem: Problem, run: Run) -> dict[str, float]:
 
 
 def _solved(compute: Callable[[], _T]) -> _T:
-    """Return what is computed; what CasADi cannot do is a failure of the point."""
+    """Return the result of a computation; raise IntegrationError in place of CasADi's errors, so the point fails."""
     try:
         return compute()
     except PloughError:
@@ -189,7 +189,7 @@ def _solved(compute: Callable[[], _T]) -> _T:
 
 
 def _units(problem: Problem) -> dict[str, str]:
-    """Return the unit of every result that has one."""
+    """Return result -> SI unit."""
     own = {name: one.unit.symbol for name, one in measures_of(problem.table).items()}
     return own | {"peak_force": "N", "peak_deflection": "m"}
 

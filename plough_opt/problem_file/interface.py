@@ -1,4 +1,4 @@
-"""Inputs and outputs of a component that a problem file describes."""
+"""Inputs and outputs of the component that a problem file describes."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -18,16 +18,16 @@ OBJECTIVE = "objective"
 
 
 def input_ports(name: str, keys: Sequence[str], bounds: Mapping[str, Input], values: Mapping[str, float]) -> list[Port]:
-    """Return the inputs of a file.
+    """Return the input ports of a file.
 
     Args:
         name: the file's name.
-        keys: of quantities; none: the variables.
+        keys: keys of quantities; empty for the variables.
         bounds: key of each variable -> its bounds.
-        values: key of every quantity that has a value -> it, of variables the guess.
+        values: key -> value in SI, guesses for variables.
 
     Raises:
-        InputError: nothing to vary, or a key that is unknown or has no value.
+        InputError: there is nothing to vary, or a key is unknown or has no value.
     """
     check_kind("inputs", keys, list | tuple, "a list of keys")
     keys = keys or tuple(bounds)
@@ -35,7 +35,7 @@ def input_ports(name: str, keys: Sequence[str], bounds: Mapping[str, Input], val
         raise InputError(f"{name}: nothing to vary: name inputs, or give the file a [variables] table")
     for key in keys:
         if isinstance(key, str) and key in EVERY and key not in values:
-            raise InputError(f"{name} gives '{key}' no value, so it cannot be an input")
+            raise InputError(f"'{key}' cannot be an input, because {name} gives no value for it: add one")
         check_named("no quantity is named {}", key, values)
     return [port_of(bounds.get(key, Input(key)), EVERY[key], values[key]) for key in keys]
 
@@ -43,16 +43,16 @@ def input_ports(name: str, keys: Sequence[str], bounds: Mapping[str, Input], val
 def wanted_outputs(
     name: str, table: ProblemTable, names: Sequence[str], objective: Callable[[Run], Expression]
 ) -> list[Output]:
-    """Return the outputs of a file, its requirements as their limits.
+    """Return the outputs of a file, with its requirements as limits.
 
     Args:
         name: the file's name.
-        table: what it says.
-        names: of results, or "objective"; none: all that the file minimises, trades and requires.
-        objective: run -> sum of what the file minimises.
+        table: its tables.
+        names: names of results, or "objective"; empty for all results that the file minimises, trades or requires.
+        objective: function from a run to the sum of [minimise].
 
     Raises:
-        InputError: nothing to give.
+        InputError: no results are named, and the file minimises and requires none.
     """
     check_kind("outputs", names, list | tuple, "a list of names")
     every = dict.fromkeys([*table.minimise, *table.goals, *table.require])
@@ -67,7 +67,7 @@ def _output(name: str, table: ProblemTable, objective: Callable[[Run], Expressio
     if name == OBJECTIVE and table.minimise:
         return Output(name, of=objective)
     measure = measures_of(table).get(name)
-    if measure is None:  # which `build` refuses
+    if measure is None:  # `build` raises InputError for unknown names
         return Output(name)
     low, high = table.require.get(name, LimitTable()).ends(measure.unit)
     own = name in table.measures

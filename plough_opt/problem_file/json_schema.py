@@ -1,4 +1,4 @@
-"""The JSON schema of problem files, by which editors complete keys and mark mistakes while a file is written."""
+"""JSON schema of problem files, with which editors complete keys and mark mistakes."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -11,10 +11,10 @@ _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
 def file_schema() -> dict[str, Any]:
-    """Return the JSON schema of a problem file: its tables, keys, units by example, and meanings.
+    """Return the JSON schema of a problem file: its tables and keys, with their meanings.
 
-    The schema holds what each key may be. What keys must be to one another, such as a variable that the file fixes too,
-    only `read_problem` knows.
+    The schema describes each key by itself. Only `read_problem` finds contradictions between keys, such as a variable
+    that also has a fixed value.
 
     Example:
         >>> from plough_opt.problem_file.json_schema import file_schema
@@ -34,10 +34,10 @@ def file_schema() -> dict[str, Any]:
     tables["trade_off"] = {
         "type": "object",
         "properties": dict.fromkeys(single, goal) | {"points": {"type": "integer", "minimum": 5, "maximum": 1000}},
-        "additionalProperties": goal,  # results of the file's own
+        "additionalProperties": goal,  # results defined in [measures]
     }
     tables["uncertain"] = {"type": "object"}
-    # What a share leaves out stands above, a bound of its variables too.
+    # A share inherits what its own table omits, so even the bounds of its variables are optional.
     definitions["VariableOfShare"] = {k: own for k, own in definitions["VariableTable"].items() if k != "required"}
     own = {name: {"$ref": f"#/properties/{name}"} for name in SHARE_TABLES}
     own["variables"] = _of(IN_FILES, "VariableOfShare")
@@ -47,7 +47,7 @@ def file_schema() -> dict[str, Any]:
 
 
 def _without_null(schema: Any) -> Any:
-    """Return a schema without the null that pydantic allows a key that may be left out: TOML has none."""
+    """Return a schema without null, which pydantic allows for optional keys but TOML does not have."""
     if isinstance(schema, list):
         return [_without_null(part) for part in schema]
     if not isinstance(schema, dict):
@@ -63,9 +63,13 @@ def _without_null(schema: Any) -> Any:
 def _of(
     names: Iterable[str], table: str, meanings: dict[str, str] | None = None, *, others: bool = False
 ) -> dict[str, Any]:
-    """Return the schema of a table of tables by name, with ``others`` of other names too.
+    """Return the schema of a table that maps names to tables of one kind.
 
-    Dotted names may stand in tables of their own.
+    Args:
+        names: valid names; a dotted name may also be written as nested tables.
+        table: name of the kind of table among the definitions.
+        meanings: name -> description.
+        others: whether other names are valid too.
     """
     described = {name: {"description": text} for name, text in (meanings or {}).items()}
     properties: dict[str, Any] = {name: {"$ref": f"#/$defs/{table}"} | described.get(name, {}) for name in names}

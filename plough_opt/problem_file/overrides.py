@@ -1,4 +1,4 @@
-"""Changes to a problem file from the command line."""
+"""Overrides of keys in a problem file, such as those of ``--set`` on the command line."""
 
 import tomllib
 from typing import Any, Final
@@ -10,27 +10,28 @@ from plough_opt.problem_file.schema import ProblemTable
 from plough_opt.problem_file.shares import TABLE, choose_share, join_dotted_variables
 from plough_opt.problem_file.source import TOO_DEEP, Source, nested_line, unreadable
 
-# Characters of a change: a table in one line, and more.
-_LONGEST: Final = 2_000
+# Length in characters: an inline table must fit, and no sensible change is longer.
+_MAX_LENGTH: Final = 2_000
+# Characters of a change that messages quote.
 _SHOWN: Final = 120
 
 
 def apply_override(source: Source, text: str) -> str:
-    """Change one key of a parsed file, and return a note if that changed more than the key.
+    """Change one key of a parsed file; return a note if this fixed a variable, else "".
 
     Args:
         source: the file.
-        text: ``key=value``; the value as in the file, with quotes around a quantity or without. Keys of
+        text: ``key=value``; the value as in the file, where quotes around a quantity may be omitted. Keys of
             variables are written as in the file: ``variables.share.height.upper``.
 
     Raises:
-        InputError: no ``=``, or a key that the file cannot have.
+        InputError: there is no ``=``, or the file cannot have such a key.
     """
     check_kind("a change", text, str, "a text such as 'scene.tow_speed=\"2.5 m/s\"'")
-    if len(text) > _LONGEST:
-        raise InputError(f"--set {short(text)}: at most {_LONGEST} characters can be read")
+    if len(text) > _MAX_LENGTH:
+        raise InputError(f"--set {short(text)}: at most {_MAX_LENGTH} characters can be read")
     if "\n" in text:
-        raise InputError(f"--set {short(repr(text))}: a change stands in one line: give --set once for each")
+        raise InputError(f"--set {short(repr(text))}: a change must be one line: give --set once for each change")
     path, _, written = (part.strip() for part in text.partition("="))
     text = short(text, _SHOWN)  # as messages quote it
     if not (path and written):
@@ -46,10 +47,10 @@ def apply_override(source: Source, text: str) -> str:
 
 
 def _change(source: Source, keys: list[str], value: Any, text: str) -> str:
-    """Put a value at a key; return a note if that fixed a variable."""
+    """Set the value of a key; return a note if this fixed a variable, else ""."""
     path, shares = ".".join(keys), source.data.get(TABLE)
     if not all(key.strip() for key in keys):
-        raise InputError(f"'{path}' is not a key: name a table and a key, like scene.tow_speed")
+        raise InputError(f"'{path}' is not a key: give a table and a key, like scene.tow_speed")
     if keys[0] not in ProblemTable.model_fields:
         raise InputError(f"no table is named '{keys[0]}': {nearest(keys[0], ProblemTable.model_fields)}")
     if keys[0] == TABLE and isinstance(shares, dict) and shares and keys[1] not in shares:
@@ -60,23 +61,23 @@ def _change(source: Source, keys: list[str], value: Any, text: str) -> str:
             source.begun[tuple(keys[:depth])] = text
         place = place.setdefault(key, {})
         if not isinstance(place, dict):
-            raise InputError(f"'{path}' is not a key: '{key}' holds a value already")
+            raise InputError(f"'{path}' is not a key: '{key}' is a value, not a table")
     place[keys[-1]] = value
     if wrong := unreadable({path: value}):
         raise InputError(wrong[1])
     source.overridden[tuple(keys)] = text
     share = 2 if keys[0] == TABLE else 0
-    own = source.data[TABLE][keys[1]] if share else source.data  # whose variables these are
+    own = source.data[TABLE][keys[1]] if share else source.data  # the table around [variables]
     if isinstance(own, dict):
         join_dotted_variables(own)
         variables = own.get("variables")
         if isinstance(variables, dict) and variables.pop(".".join(keys[share:]), None) is not None:
-            return f"'{path}' is a variable of the file: it is fixed at {text.partition('=')[2].strip()}"
+            return f"'{path}' is a variable of the file and is now fixed at {text.partition('=')[2].strip()}"
     return ""
 
 
 def _split(path: str) -> list[str]:
-    """Split a dotted path; a variable's own dotted name stays whole, with or without quotes."""
+    """Split a dotted path into keys; the dotted name of a variable remains one key, with or without quotes."""
     before, found, rest = path.partition("variables.")
     around = before.split(".")[:-1]
     if not found or around not in ([], [TABLE, *around[1:2]]):
@@ -91,7 +92,7 @@ def _split(path: str) -> list[str]:
 
 
 def _value(written: str) -> Any:
-    """Return a value as TOML reads it; what is not TOML is text, so that quotes may be left out."""
+    """Return a value as TOML reads it, or the text itself if it is not TOML, so that quotes may be omitted."""
     if nested_line(written) is not None:
         raise InputError(TOO_DEEP)
     try:

@@ -1,4 +1,4 @@
-"""The [measures] table: a file's own results, simple expressions of results and quantities with a unit."""
+"""The table [measures]: results that a file defines as expressions of other results and quantities."""
 
 import ast
 import operator
@@ -19,10 +19,11 @@ from plough_opt.problem_file.schema import ProblemTable
 from plough_opt.problem_file.source import Source
 
 TABLE = "measures"
-# An expression that is longer or more deeply nested belongs into a script.
-_LONGEST: Final = 300
-_DEEPEST: Final = 20
-_LARGEST_POWER: Final = 8.0
+# Longer or more deeply nested expressions belong in a script.
+_MAX_LENGTH: Final = 300
+_MAX_DEPTH: Final = 20
+# Higher powers of SI values overflow soon, and no physical result needs them.
+_MAX_POWER: Final = 8.0
 _OPERATORS: Final[dict[type, Callable[[Any, Any], Any]]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -32,19 +33,19 @@ _OPERATORS: Final[dict[type, Callable[[Any, Any], Any]]] = {
 _FUNCTIONS: Final[dict[str, Callable[..., Expression]]] = {
     name: getattr(expressions, name) for name in ("sqrt", "exp", "log", "absolute", "minimum", "maximum")
 }
-# Functions of pure numbers alone; of the others minimum and maximum keep the unit, and sqrt halves its powers.
-_OF_NUMBERS: Final = ("exp", "log")
+# Functions that require a dimensionless argument.
+_DIMENSIONLESS: Final = ("exp", "log")
 _EXAMPLE: Final = '"tow_power / (2 * loosened_radius)"'
 
 
 @dataclass(frozen=True)
-class _Known:
-    """Values of the names in an expression.
+class _Evaluator:
+    """What names, function calls and powers in an expression evaluate to: numbers, units, or nothing.
 
     Attributes:
-        name: name, such as "mean_draft" or "share.height" -> value.
-        call: name of a function and its arguments -> value.
-        power: base and exponent -> value.
+        name: function from a name, such as "mean_draft" or "share.height", to its value.
+        call: function from the name of a function and its arguments to the value.
+        power: function from base and exponent to the value.
     """
 
     name: Callable[[str], Any]
@@ -54,28 +55,28 @@ class _Known:
 
 @lru_cache(maxsize=128)
 def own_measure(text: str, unit: str) -> Measure:
-    """Return a result that an expression computes from others.
+    """Return a measure that an expression computes from other results and quantities.
 
     Args:
-        text: sums, differences, products, quotients, powers, and the functions sqrt, exp, log, absolute, minimum and
-            maximum of results such as mean_draft and quantities such as share.height.
-        unit: unit of the result, "" for a pure number.
+        text: an expression of results such as mean_draft and quantities such as share.height, with + - * / **, sqrt,
+            exp, log, absolute, minimum and maximum.
+        unit: unit of the result, "" if it is dimensionless.
 
     Raises:
-        InputError: a text that is not such an expression, a name that is unknown, or a unit of another kind.
+        InputError: the text is not such an expression, a name is unknown, or the units do not agree.
     """
-    if len(text) > _LONGEST:
-        raise InputError(f"the expression has {len(text)} characters, and at most {_LONGEST} can be read")
+    if len(text) > _MAX_LENGTH:
+        raise InputError(f"the expression has {len(text)} characters; at most {_MAX_LENGTH} can be read")
     try:
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError):
         raise InputError(f"= {short(repr(text))} cannot be read: write an expression like {_EXAMPLE}") from None
     names = _names(tree)
-    Unit(unit).split(f"1 {unit}")  # refuses a unit that cannot be read
+    Unit(unit).split(f"1 {unit}")  # raises InputError for an unreadable unit
     _check_unit(tree, text, unit)
 
     def of(run: Run) -> Expression:
-        value: Expression = _value(tree, _Known(lambda name: _of_run(run, name), _applied))
+        value: Expression = _value(tree, _Evaluator(lambda name: _of_run(run, name), _applied))
         return value
 
     parts = [MEASURES[name] for name in names if name in MEASURES]
@@ -92,7 +93,7 @@ def _applied(name: str, arguments: list[Any]) -> Expression:
 
 
 def _names(tree: ast.expr) -> set[str]:
-    """Return the names of an expression's results and quantities, each of them known."""
+    """Return the names of results and quantities in an expression; raise InputError if one is unknown."""
     found: set[str] = set()
 
     def note(name: str) -> float:
@@ -102,23 +103,23 @@ def _names(tree: ast.expr) -> set[str]:
         found.add(name)
         return 1.0
 
-    _value(tree, _Known(note, lambda _, arguments: arguments[0], lambda base, _: base))
+    _value(tree, _Evaluator(note, lambda _, arguments: arguments[0], lambda base, _: base))
     return found
 
 
 def display_of_own(unit: str) -> Display:
-    """Return the unit in which a file shows a result of its own."""
+    """Return the display unit of a result that the file defines."""
     return Display(unit, float(registry().Quantity(1.0, unit or "dimensionless").to_base_units().magnitude))
 
 
 def _si(unit: str) -> str:
-    """Return the SI unit of a unit's kind: itself where it is one."""
+    """Return the SI unit of the same dimension, or the unit itself if its factor to SI is 1."""
     base = registry().Quantity(1.0, unit or "dimensionless").to_base_units()
     return unit if base.magnitude == 1.0 else f"{base.units:~C}"
 
 
 def _check_unit(tree: ast.expr, text: str, unit: str) -> None:
-    """Refuse an expression that joins unlike units, or gives another kind than the file says."""
+    """Raise InputError if an expression adds unlike units, or its unit differs in dimension from the stated one."""
     import pint
 
     quantity = registry().Quantity
@@ -128,77 +129,78 @@ def _check_unit(tree: ast.expr, text: str, unit: str) -> None:
         return quantity(1.0, symbol or "dimensionless")
 
     def of_call(name: str, arguments: list[Any]) -> Any:
-        if name in _OF_NUMBERS:
+        if name in _DIMENSIONLESS:
             return arguments[0].to("dimensionless")
         if name == "sqrt":
             return arguments[0] ** 0.5
-        return sum(arguments[1:], arguments[0])  # which asks for one unit
+        return sum(arguments[1:], arguments[0])  # minimum and maximum: raises an error unless the units agree
 
     try:
-        found = quantity(1.0, "dimensionless") * _value(tree, _Known(of_name, of_call))
+        found = quantity(1.0, "dimensionless") * _value(tree, _Evaluator(of_name, of_call))
     except pint.DimensionalityError as error:
-        raise InputError(f"= {short(repr(text))} joins {error.units1} and {error.units2}, which are unlike") from None
+        raise InputError(f"= {short(repr(text))} combines unlike units, {error.units1} and {error.units2}") from None
     except (ZeroDivisionError, OverflowError):
-        found = None  # by the numbers in the place of values, which say nothing of the units
+        found = None  # caused by the placeholder values of 1, so the units remain unchecked
     kind = quantity(1.0, unit or "dimensionless")
     if found is not None and found.dimensionality != kind.dimensionality:
-        raise InputError(f"has the unit {unit or 'of a pure number'}, and its expression gives {found.units:~P}")
+        raise InputError(f"has the unit '{unit}', but its expression gives '{found.units:~P}'")
 
 
-def _value(tree: ast.expr, known: _Known, depth: int = 0) -> Any:
-    """Return an expression's value, whatever its names stand for."""
-    if depth > _DEEPEST:
-        raise InputError(f"the expression is nested more than {_DEEPEST} deep: name its parts as results of their own")
+def _value(tree: ast.expr, evaluator: _Evaluator, depth: int = 0) -> Any:
+    """Return the value of an expression under an evaluator."""
+    if depth > _MAX_DEPTH:
+        raise InputError(f"the expression is nested more than {_MAX_DEPTH} deep: define its parts as separate results")
     match tree:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
             return float(number)
         case ast.Name() | ast.Attribute():
-            return known.name(ast.unparse(tree))
+            return evaluator.name(ast.unparse(tree))
         case ast.UnaryOp(op=ast.USub(), operand=operand):
-            return -_value(operand, known, depth + 1)
+            return -_value(operand, evaluator, depth + 1)
         case ast.BinOp(left=base, op=ast.Pow(), right=power):
-            return known.power(_value(base, known, depth + 1), _power(power))
+            return evaluator.power(_value(base, evaluator, depth + 1), _power(power))
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
-            return _OPERATORS[type(op)](_value(left, known, depth + 1), _value(right, known, depth + 1))
+            return _OPERATORS[type(op)](_value(left, evaluator, depth + 1), _value(right, evaluator, depth + 1))
         case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in _FUNCTIONS:
             if len(arguments) != (2 if name in ("minimum", "maximum") else 1):
                 raise InputError(f"'{ast.unparse(tree)}' has the wrong number of arguments")
-            return known.call(name, [_value(one, known, depth + 1) for one in arguments])
+            return evaluator.call(name, [_value(one, evaluator, depth + 1) for one in arguments])
     functions = ", ".join(_FUNCTIONS)
-    raise InputError(f"'{short(ast.unparse(tree), 60)}' cannot be computed: take + - * / **, and {functions}")
+    raise InputError(f"'{short(ast.unparse(tree), 60)}' cannot be computed: use + - * / **, and {functions}")
 
 
 def _power(tree: ast.expr) -> float:
+    """Return the exponent of a power, which must be a number."""
     sign = 1.0
     if isinstance(tree, ast.UnaryOp) and isinstance(tree.op, ast.USub):
         sign, tree = -1.0, tree.operand
     if not isinstance(tree, ast.Constant) or isinstance(tree.value, bool) or not isinstance(tree.value, int | float):
         raise InputError(f"the power '{ast.unparse(tree)}' must be a number")
-    if tree.value > _LARGEST_POWER:
-        raise InputError(f"the power {tree.value} must be at most {_LARGEST_POWER:g}")
+    if tree.value > _MAX_POWER:
+        raise InputError(f"the power {tree.value} must be at most {_MAX_POWER:g}")
     return sign * float(tree.value)
 
 
 def measures_of(table: ProblemTable) -> Mapping[str, Measure]:
-    """Return the results that a file can name: the toolkit's and its own."""
+    """Return name -> measure of every result that a file can name: those of plough_opt and those it defines."""
     return MEASURES | {name: own_measure(own.value, own.unit) for name, own in table.measures.items()}
 
 
 def check_own(source: Source, table: ProblemTable) -> bool:
-    """Note own results that cannot be computed or whose names are taken; return True if there are none."""
-    sound = 0
+    """Note every invalid result in [measures]; return True if all are valid."""
+    valid = 0
     for name, own in table.measures.items():
         with source.noting((TABLE, name), prefix=f"'{name}' "):
             if name in MEASURES or name in EVERY:
-                raise InputError("is the name of a result or quantity of the toolkit: take another")
+                raise InputError("is the name of a built-in result or quantity: choose another")
             if not name.isidentifier():
-                raise InputError("cannot be a name: take letters, digits and _")
+                raise InputError("cannot be a name: use letters, digits and _")
             own_measure(own.value, own.unit)
-            sound += 1
-    return sound == len(table.measures)
+            valid += 1
+    return valid == len(table.measures)
 
 
 def total_of(measure: Measure, runs: Sequence[Run]) -> Expression:
-    """Return a result of one run, or the sum over several."""
+    """Return the sum of a result over runs."""
     first, *rest = map(measure.of, runs)
     return sum(rest, first)

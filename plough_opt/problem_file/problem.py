@@ -1,4 +1,4 @@
-"""Problem: a file read, checked and turned into a scene or a design."""
+"""A problem file after reading and checking, and the scenes, runs, designs and components made from it."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ _T = TypeVar("_T")
 _READING = "soil.cone_index"
 _SIDES = ("lower", "upper", "guess")
 TRADED = "[trade_off] with two or three results, such as mean_draft = {} and loosened_radius = { maximise = true }"
-"""An example of the table of a front, for messages."""
-_POINTS = 40
+"""An example of a [trade_off] table, for messages."""
+_POINTS = 40  # on a front, if the file gives no number
 
 
 @dataclass(frozen=True)
 class FileVariable:
-    """A variable as the file declares it, SI."""
+    """A variable as the file declares it, in SI."""
 
     lower: float
     upper: float
@@ -53,7 +53,7 @@ class FileVariable:
     tolerance: float | str | None = None
 
     def declared(self, design: Design, name: str, guess: float) -> Expression:
-        """Return the variable of a design, with a guess of its own."""
+        """Declare the variable in a design under a name and with a guess, and return its symbol."""
         return design.variable(name, guess=guess, lower=self.lower, upper=self.upper, unit=self.unit, log=self.log,
                                tolerance=self.tolerance, domain=self.domain, display=self.display)  # fmt: skip
 
@@ -65,18 +65,18 @@ class Problem:
     Attributes:
         name: the file's name.
         table: the file's tables, validated, quantities in SI.
-        fixed: key such as "share.height" -> its value, SI, for every quantity that is not a variable.
+        fixed: key such as "share.height" -> value in SI, of every quantity that is not a variable.
         variables: key -> bounds and guess.
-        displays: key or measure -> the unit in which the file writes it.
-        notes: what overrides changed beyond their own key.
-        over: what is minimised within the tolerances, if not the design's own objective.
-        readings: which penetrometer readings decide the soil, in words.
-        spectrum: of the record that random strength is read from, if it is.
-        text: the whole file.
-        data: name of a file that it reads, as it is written there -> the whole file.
-        overrides: the changes that were made to it, in order.
-        shares: name of a share -> the file as it is for this share alone; none in a file of one. What one of several
-            shares has by itself is under "front.share.height" in ``fixed``, ``variables`` and the table ``require``.
+        displays: key or result -> the unit in which the file writes it.
+        notes: side effects of overrides, such as a variable that an override fixed.
+        over: "worst" or "mean" to minimise the objective over the tolerances, None for the nominal objective.
+        readings: sentence on the penetrometer readings that decide the soil, or "".
+        spectrum: spectrum of the strength record, if the file names one.
+        text: the whole text of the file.
+        data: name of each data file, as the problem file writes it -> its whole text.
+        overrides: the changes made to the file, in order.
+        shares: name of each share -> the problem of this share alone; empty if the file has one unnamed share. An entry
+            of one share alone has a key such as "front.share.height" in ``fixed``, ``variables`` and ``table.require``.
 
     Example:
         >>> import plough_opt as po
@@ -105,7 +105,7 @@ class Problem:
 
     @property
     def cautions(self) -> tuple[str, ...]:
-        """Values that are so unusual in the unit that the file gives them in that another was probably meant."""
+        """Warnings about values so unusual that their unit in the file is probably wrong."""
         if self.shares:
             return tuple(dict.fromkeys(text for part in self.shares.values() for text in part.cautions))
         every = [(key, key, value) for key, value in self.fixed.items()]
@@ -118,37 +118,37 @@ class Problem:
 
     @property
     def parts(self) -> Mapping[str, Problem]:
-        """The file as it is for each of its shares; for itself under "" where it has one share without a name."""
+        """Name of each share -> its problem; the problem itself under "" if the file has one unnamed share."""
         return self.shares or {"": self}
 
     @property
     def origin(self) -> Origin:
-        """Origin of the results of this file."""
+        """Origin of results of this file that involve no random samples."""
         return self.made()
 
     def made(self, seed: int | None = None) -> Origin:
-        """Return what makes a result of this file now.
+        """Return the origin of a result computed now: file, overrides, data, versions and seed.
 
         Args:
-            seed: of the samples that are drawn.
+            seed: seed of the random samples, if any.
         """
         limits = {name: limit.ends(self._measure(name).unit) for name, limit in self.table.require.items()}
         return Origin.now(self.title, self.displays, file=Path(self.name).name, text=self.text, seed=seed,
                           overrides=self.overrides, data=self.data, limits=limits)  # fmt: skip
 
     def _measure(self, name: str) -> Measure:
-        """Return the result of a name such as "front.loosened_radius"."""
+        """Return the measure of a result such as "mean_draft" or "front.loosened_radius"."""
         return measures_of(self.table)[self._split(name)[1]]
 
     @property
     def accuracy(self) -> Accuracy:
-        """Method and setting, or error to reach."""
+        """Integration method and its setting, or the relative error to reach."""
         return Accuracy(**self.table.accuracy.model_dump())
 
     def values(self, changes: Mapping[str, Expression] | None = None) -> dict[str, Expression]:
-        """Return every quantity by key: fixed values, guesses of variables, and changes to either.
+        """Return key -> value in SI of every quantity: fixed values and guesses, updated by changes.
 
-        A change of the property that a cone index decides takes the place of the cone index.
+        A change of the property that the cone index decides replaces the cone index.
         """
         changed = mapping_of("changes", changes, "a quantity's key -> its value")
         found = {**self.fixed, **{key: v.guess for key, v in self.variables.items()}, **changed}
@@ -157,14 +157,17 @@ class Problem:
         return found
 
     def scene(self, changes: Mapping[str, Expression] | None = None) -> Scene:
-        """Return the scene with the variables at their guesses, or with changed values, numbers or symbols.
+        """Return the scene with the variables at their guesses.
+
+        Args:
+            changes: key -> value that replaces the file's, a number or a symbol in SI.
 
         Raises:
             InputError: the file has several shares.
         """
         if self.shares:
             raise InputError(
-                f"{self.name} has several shares, {', '.join(self.shares)}, and this is of one: choose it by --set"
+                f"{self.name} has several shares, {', '.join(self.shares)}, but this needs one: choose it by --set"
                 f" shares={next(iter(self.shares))}, in Python by problem.shares"
             )
         values = self.values(changes)
@@ -189,7 +192,7 @@ class Problem:
         if reading is None:
             return self._soil_of(own)
         del own[EVERY[_READING].key]
-        if table.name is None:  # what the reading decides needs a value to be replaced
+        if table.name is None:  # a Soil needs some value of the property that the cone index replaces
             own.setdefault(EVERY[table.adjusted].key, EVERY[table.adjusted].typical)
         return Soil.from_cone_index(reading, self._soil_of(own), table.adjust)
 
@@ -206,13 +209,13 @@ class Problem:
         return Soil(**(properties | note))
 
     def machine(self, changes: Mapping[str, float] | None = None) -> Machine:
-        """Simulate all shares of a file with several."""
+        """Return the runs of all shares of a file that has several; ``changes`` as in `scene`."""
         values: dict[str, Column] = self.values(changes)
         runs = {name: part.simulate(self._of_share(name, values)) for name, part in self.shares.items()}
         return Machine(runs, self.origin)
 
     def _of_share(self, share: str, values: Mapping[str, _T]) -> dict[str, _T]:
-        """Return what a share has, by its own keys, of values by those of all shares."""
+        """Return the entries that apply to one share, under keys without the share's name."""
         found = {}
         for name, value in values.items():
             whose, key = self._split(name)
@@ -222,25 +225,25 @@ class Problem:
         return found
 
     def _split(self, name: str) -> tuple[str, str]:
-        """Return share and key of a name such as "front.share.height"; no share where all have it."""
+        """Return share and key of a name such as "front.share.height"; the share is "" for a key without one."""
         share, _, key = name.partition(".")
         return (share, key) if share in self.shares else ("", name)
 
     def simulate(self, changes: Mapping[str, float] | None = None) -> Run:
-        """Simulate the scene of `scene`."""
+        """Return the numeric run of `scene`."""
         return replace(self.run_of(self.scene(changes), self.values(changes)), origin=self.origin)
 
     def run_of(self, scene: Scene, values: Mapping[str, Expression]) -> Run:
-        """Simulate a scene for the duration among some values, as the file wants it."""
+        """Return the run of a scene with the file's accuracy and outputs; the duration is taken from ``values``."""
         duration, outputs = values.get("scene.duration"), self.table.scene.outputs
         return simulate(scene, duration, accuracy=self.accuracy, outputs=outputs)
 
     def design(self, *, parameters: bool = False) -> tuple[Design, Run | Machine]:
-        """Return the design and its symbolic run, of several shares those of all.
+        """Return the design and its symbolic run, or the runs of all shares as a `Machine`.
 
         Args:
-            parameters: declare every quantity that is not a variable as a parameter of the design under its key, for
-                sensitivities of the optimum to it.
+            parameters: declare every fixed quantity as a parameter of the design under its key, so that sensitivities
+                of the optimum to it can be computed.
 
         Raises:
             InputError: the file has no variables or nothing to minimise.
@@ -248,13 +251,13 @@ class Problem:
         check_switch("parameters", parameters)
         self._refuse_without_variables()
         if not self.table.minimise:
-            raise InputError(f"{self.name}: nothing to minimise: a [minimise] table is missing")
+            raise InputError(f"{self.name}: nothing to minimise: add a table [minimise]")
         design, runs = self._required(parameters)
         design.minimise(self._objective(*runs.values()), over=self.over)
         return design, Machine(runs) if self.shares else runs[""]
 
     def _objective(self, *runs: Run) -> Expression:
-        """Return the sum of the [minimise] table, over all shares."""
+        """Return the sum of the terms in [minimise] over all shares."""
         objective: Expression = 0.0
         measures = measures_of(self.table)
         for name, term in self.table.minimise.items():
@@ -263,11 +266,11 @@ class Problem:
 
     def _refuse_without_variables(self) -> None:
         if not self.variables:
-            why = "every variable is fixed" if self.notes else "a [variables] table is missing"
+            why = "every variable is fixed" if self.notes else "add a table [variables]"
             raise InputError(f"{self.name}: nothing to choose: {why}")
 
     def _required(self, parameters: bool = False) -> tuple[Design, dict[str, Run]]:
-        """Return the design with its requirements and without an objective, and the symbolic run of each share."""
+        """Return the design with its requirements but no objective, and the symbolic run of each share."""
         design = Design()
         symbols = {name: variable.declared(design, name, variable.guess) for name, variable in self.variables.items()}
         chosen = dict(symbols)
@@ -286,7 +289,12 @@ class Problem:
         return design, runs
 
     def _symbolic(self, symbols: Mapping[str, Expression], chosen: Mapping[str, Expression]) -> Run:
-        """Return the run of the scene with symbols for its quantities, of which some are chosen by the design."""
+        """Return the symbolic run.
+
+        Args:
+            symbols: key -> symbol of each variable and parameter.
+            chosen: key -> symbol of each variable.
+        """
         scene = self.scene(chosen)
         if len(symbols) > len(chosen):
             soil = replace(self.scene(symbols).soil, name=scene.soil.name, source=scene.soil.source)
@@ -304,15 +312,15 @@ class Problem:
         """Return the file's scene as one CasADi Function: see `plough_opt.exchange.component`.
 
         Args:
-            inputs: keys of quantities; default: the file's variables. These have their bounds, others half to twice the
-                file's value.
-            outputs: names of results, or "objective" for the sum of [minimise]; default: all that the file minimises,
-                trades and requires. Requirements are the limits of outputs.
+            inputs: keys of quantities (default: the file's variables). Variables keep their bounds; the bounds of other
+                quantities are half and twice the file's value.
+            outputs: names of results, or "objective" for the sum of [minimise] (default: all results that the file
+                minimises, trades or requires). Requirements become limits of the outputs.
             name: the Function's name.
-            samples: intervals between output times of results at every output time, if not the file's outputs.
+            samples: number of intervals between the output times of results over time (default: the file's outputs).
 
         Raises:
-            InputError: nothing to vary or to give, an unknown name, or a scene that no such Function can hold.
+            InputError: no inputs or outputs, an unknown name, or a scene that such a Function cannot represent.
             DomainError: bounds outside the model's domain.
         """
         values = {**self._numbers(), **{key: v.guess for key, v in self.variables.items()}}
@@ -331,7 +339,7 @@ class Problem:
         )
 
     def _numbers(self) -> dict[str, float]:
-        """Return every quantity that is not a variable, by key, the properties of a named soil included."""
+        """Return key -> value of every quantity that is not a variable, including the properties of a named soil."""
         if self.shares:
             given = {share: {key for key in part.fixed if f"{share}.{key}" in self.fixed}
                      for share, part in self.shares.items()}  # fmt: skip
@@ -352,9 +360,9 @@ class Problem:
         judge: Judge = "tolerance",
         seed: int = 0,
     ) -> tuple[Optimum, Run | Machine]:
-        """Return the optimum and its numeric run, of several shares those of all.
+        """Return the optimum and its numeric run, or the runs of all shares as a `Machine`.
 
-        See `design` for ``parameters``, and `Design.solve` for the rest.
+        See `design` for ``parameters``, and `Design.solve` for the other arguments.
         """
         design, run = self.design(parameters=parameters)
         best = design.solve(search=search, judge=judge, seed=seed, progress=progress)
@@ -366,14 +374,14 @@ class Problem:
         return replace(best, run=found, origin=origin), found
 
     def trade_off(self, points: int | None = None, progress: Progress | None = None) -> TradeOff:
-        """Return the front of the file's [trade_off] table; its [minimise] takes no part.
+        """Return the Pareto front of the results in [trade_off]; [minimise] is ignored.
 
         Args:
-            points: number of positions, if not the file's.
-            progress: called with what is being done and the fraction done.
+            points: number of positions on the front (default: the file's).
+            progress: called with the present step in words and the fraction done.
 
         Raises:
-            InputError: the file has no variables or no [trade_off], or a number of points that cannot be.
+            InputError: the file has no variables or no [trade_off], or the number of points is out of range.
         """
         self._refuse_without_variables()
         if self.table.trade_off is None:

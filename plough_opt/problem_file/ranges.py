@@ -12,36 +12,37 @@ _NUMBER = re.compile(r"\s*[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 
 
 def read_axis(text: str, unit: Unit, *, sampled: bool = False) -> tuple[Axis, Display]:
-    """Return what a text says that a quantity runs over, SI, and the unit in which it says so.
+    """Return the values or the range in SI that a text describes, and the unit in which it is written.
 
-    A unit stands once, at the end, or at every number. A grid is even in the decimal numbers of that unit, so that its
-    values are those that a file would have.
+    The unit is written once, at the end, or with every number. The steps of a grid are exact in decimal numbers of that
+    unit: the values are those that a user would write into a file.
 
     Args:
-        text: ``lower..upper:count`` for a grid, ``lower..upper`` for a sample, both with `` log`` at the end for equal
-            steps of the logarithm; or values, with commas between.
-        unit: of the quantity.
-        sampled: it is for a sample.
+        text: ``lower..upper:count`` for a grid or ``lower..upper`` for a sample, either followed by `` log`` for a
+            logarithmic scale; or values separated by commas.
+        unit: SI unit of the quantity.
+        sampled: whether the text must be the range of a sample.
 
     Raises:
-        InputError: no such text, no quantity, a wrong unit, ends that are not in order, or fewer than two values.
+        InputError: the text has none of these forms, a unit is wrong, the ends are not in order, or there are fewer
+            than two values.
     """
     match = _RANGE.fullmatch(text)
     if match is None and ".." in text:
         raise InputError(f'"{text}" is not a range: {_how(unit)}')
     if match is None and sampled:
-        raise InputError(f'"{text}" has no two ends for a sample to fill: {_how(unit)}')
+        raise InputError(f'"{text}" is not a range, which a sample needs: {_how(unit)}')
     if match is None:
         return _read_list(text, unit)
     if sampled and match["count"] is not None:
-        raise InputError(f'"{text}" has a number of values: a sample fills the range; leave it out')
+        raise InputError(f'"{text}" has a number of values, which a sample does not use: remove it')
     log = match["log"] is not None
     written = match["upper"].strip()
     if match["count"] is None and written.endswith(" log"):
         written, log = written.removesuffix("log").strip(), True
     (lower, low), (upper, high) = (_split(part, written, unit) for part in (match["lower"], written))
     count = None if match["count"] is None else _count(match["count"].strip(), unit)
-    if low != high:  # units differ: in SI, then
+    if low != high:  # the ends have different units, so the steps are even in SI
         lower, upper, low = lower * low, upper * high, 1.0
     try:
         found = Range(lower, upper, count, log)
@@ -59,26 +60,26 @@ def read_axis(text: str, unit: Unit, *, sampled: bool = False) -> tuple[Axis, Di
 def _read_list(text: str, unit: Unit) -> tuple[Axis, Display]:
     parts = [part.strip() for part in text.split(",")]
     if len(parts) < 2:
-        raise InputError(f'"{text}" is one value, which --set gives: {_how(unit)}')
+        raise InputError(f'"{text}" is one value, which --set can fix: {_how(unit)}')
     numbers = [_split(part, parts[-1], unit) for part in parts]
     axis = axis_of(text, [number * factor for number, factor in numbers])
     return axis, display_of(parts[-1] if unit.symbol else 1.0, unit)
 
 
 def _split(part: str, last: str, unit: Unit) -> tuple[float, float]:
-    """Return a number and the factor to SI of its unit, or of that of the last quantity where it has none."""
+    """Return a number and its unit's factor to SI; a number without a unit takes that of the last quantity."""
     part = with_unit(part.strip(), last)
-    unit.parse(part)  # which refuses what is too large
+    unit.parse(part)  # raises InputError for a number that is too large
     return unit.split(part)
 
 
 def with_unit(part: str, last: str) -> str:
-    """Return a written quantity with the unit of the last one where it has none."""
+    """Return a written quantity; append the unit of the last one if it has none."""
     return f"{part} {_unit(last)}" if _NUMBER.fullmatch(part) and _unit(last) else part
 
 
 def _even(lower: float, upper: float, count: int) -> list[float]:
-    """Return evenly spaced decimal numbers, each as it would be written: 0.3 between 0.1 and 0.5."""
+    """Return evenly spaced numbers without binary rounding, such as 0.3 (not 0.30000000000000004) after 0.1 and 0.2."""
     first, last = Fraction(repr(lower)), Fraction(repr(upper))
     return [float(first + (last - first) * Fraction(k, count - 1)) for k in range(count)]
 
@@ -97,7 +98,7 @@ def _count(written: str, unit: Unit) -> int:
 
 
 def _how(unit: Unit) -> str:
-    """Return a clause that says how ranges are written."""
+    """Return a clause that explains how ranges are written."""
     symbol = f" {unit.symbol}" if unit.symbol else ""
     return (
         f'write "1..5{symbol}:9" for nine values, "1..5{symbol}:9 log" for equal factors, "1{symbol}, 3{symbol}" for'

@@ -1,4 +1,4 @@
-"""Reading a problem file: everything that is wrong in it is listed, each mistake with its line."""
+"""Reading of a problem file into a `Problem`; one error lists all mistakes with their lines."""
 
 import copy
 import dataclasses
@@ -34,11 +34,11 @@ def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
 
     Args:
         path: the file.
-        overrides: changes such as ``'scene.tow_speed="2.5 m/s"'``; one that names a variable fixes it.
+        overrides: changes such as ``'scene.tow_speed="2.5 m/s"'``; a change of a variable's value fixes the variable.
 
     Raises:
-        InputError: the file does not exist, is not TOML, or holds something that cannot be; the message gives file,
-            line, key, what was expected and the nearest valid name, for everything that is wrong in a table.
+        InputError: the file does not exist, is not TOML, or has invalid content; for every mistake the message gives
+            file, line, key, what was expected and the nearest valid name.
 
     Example:
         >>> import plough_opt as po
@@ -65,8 +65,8 @@ def _joined(parts: Mapping[str, Problem], own: Mapping[str, set[str]], overrides
     """Return the problem of several shares in one frame.
 
     Args:
-        parts: name of a share -> the file as it is for this share alone.
-        own: name of a share -> quantities and results of which its own table says something.
+        parts: name of each share -> the problem of this share alone.
+        own: name of each share -> quantities and results that its own table sets.
         overrides: changes that were made to the file.
     """
 
@@ -88,7 +88,7 @@ def _joined(parts: Mapping[str, Problem], own: Mapping[str, set[str]], overrides
 
 
 def _read(source: Source, folder: Path, notes: tuple[str, ...], overrides: tuple[str, ...]) -> Problem:
-    """Return what a file says of one share."""
+    """Return the problem of one share; ``folder`` is the one that paths of data files start from."""
     join_dotted_variables(source.data)
     join_dotted(source.data)
     over = _over(source)
@@ -109,13 +109,13 @@ def _read(source: Source, folder: Path, notes: tuple[str, ...], overrides: tuple
 
 
 def check_changed(problem: Problem) -> None:
-    """Refuse a problem whose quantities were changed after it was read, as a file that has them is refused.
+    """Check a problem whose quantities were changed after it was read.
 
     Raises:
         InputError: a quantity that belongs to an effect that is off, or one outside the model's domain.
     """
     if problem.shares:
-        problem.scene()  # which says to choose one
+        problem.scene()  # raises InputError: one share must be chosen
     source = Source("", problem.name)
     check_complete(source, problem.table, {*problem.fixed, *problem.variables})
     source.raise_noted()
@@ -123,18 +123,18 @@ def check_changed(problem: Problem) -> None:
 
 
 def _over(source: Source) -> Over | None:
-    """Take over = "worst" or "mean" out of [minimise], whose other keys are results."""
+    """Remove the key "over" from [minimise], whose other keys are results, and return its value."""
     table, place = source.data.get("minimise"), ("minimise", "over")
     written = table.pop("over", None) if isinstance(table, dict) else None
     if written not in (None, "worst", "mean"):
-        source.note(place, f'over = {short(repr(written))} must be "worst" or "mean", within the tolerances')
+        source.note(place, f'over = {short(repr(written))} must be "worst" or "mean" (within the tolerances)')
     elif written is not None and source.data.get("uncertain") is not None:
-        source.note(place, "over takes the design within its tolerances in one soil: leave it out, or [uncertain]")
+        source.note(place, "over judges a design within its tolerances in one soil: remove it, or [uncertain]")
     return typing.cast("Over | None", written)
 
 
 def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Problem:
-    """Check names and bounds that the schema cannot, and collect the quantities."""
+    """Return the problem, after noting mistakes in names and bounds that the schema cannot find."""
     units = quantities()
     variables: dict[str, FileVariable] = {}
     displays: dict[str, Display] = {}
@@ -149,13 +149,13 @@ def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Pro
         value, written = at(table, key), source.written(key)
         if key in table.variables:
             if written is not None:
-                source.note(("variables", key), f"'{key}' is a variable and has a fixed value too: remove one")
+                source.note(("variables", key), f"'{key}' is a variable and also has a fixed value: remove one")
         elif value is not None:
             fixed[key] = value
             if written is not None:
                 displays[key] = display_of(written, unit)
     check_complete(source, table, {*fixed, *table.variables})
-    if check_own(source, table):  # what names results needs to know them
+    if check_own(source, table):  # the checks below need the names of all results
         displays |= {name: display_of_own(own.unit) for name, own in table.measures.items()}
         check_measures(source, table, displays)
         check_uncertain(source, table)
@@ -164,6 +164,7 @@ def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Pro
 
 
 def _variable(source: Source, key: str, declared: VariableTable) -> FileVariable:
+    """Return a variable with its bounds in SI; raise InputError if they contradict each other."""
     unit = quantities()[key]
     bounds = {
         side: source.parsed(("variables", key, side), unit, written, f"'{key}' {side}")
@@ -187,11 +188,11 @@ def _variable(source: Source, key: str, declared: VariableTable) -> FileVariable
 
 
 def _tolerance(source: Source, key: str, written: str | float | None) -> float | str | None:
-    """Return a half width in SI, or a part of the value in per cent as it is written."""
+    """Return the half width of a tolerance: a number in SI, or a percentage of the value as text."""
     place = ("variables", key, "tolerance")
     if written is None or (isinstance(written, str) and _PER_CENT.fullmatch(written)):
         return written
-    more = ', or as a part of the value like "0.5 %"'
+    more = ', or a percentage of the value like "0.5 %"'
     half = source.parsed(place, quantities()[key], written, f"'{key}' tolerance", more)
     if half < 0.0:
         raise source.error(place, f"'{key}' tolerance = {written} must not be below 0")

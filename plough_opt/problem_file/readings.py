@@ -1,4 +1,4 @@
-"""Readings from CSV files: cone index over depth of a penetrometer, strength along a path, a force on a rig."""
+"""Readings from CSV files: penetrometer profiles over depth, and records of strength or force along a path."""
 
 import math
 from collections.abc import Sequence
@@ -26,20 +26,20 @@ _DOWNWARDS = {"depth": Unit("m"), "cone_index": Unit("Pa"), "insertion": Unit(""
 _ALONG = {"position": Unit("m"), "time": Unit("s"), "cone_index": Unit("Pa"), "force": Unit("N")}
 _INSERTIONS = "'insertion, depth [cm], cone_index [kPa]', or 'depth [cm], cone_index [kPa], cone_index [kPa]'"
 _RECORD = "'position [m], cone_index [kPa]', or 'time [s], force [kN]'"
-# Insertions without which a spread between them is not worth a distribution.
+# With fewer insertions their standard deviation is too uncertain to fit a distribution to.
 _FEWEST = 3
 
 
 @dataclass(frozen=True)
 class Penetrometer:
-    """Cone index over a range of depth, of each insertion.
+    """Cone index of each insertion, averaged over a range of depth.
 
     Attributes:
         name: the file.
         insertions: mean cone index of each insertion over the range of depth [Pa].
 
     Raises:
-        InputError: no insertions, or a cone index that is not above 0.
+        InputError: there are no insertions, or a cone index is not above 0.
 
     Example:
         >>> import plough_opt as po
@@ -59,7 +59,7 @@ class Penetrometer:
             found = np.array([])
         if found.ndim != 1 or not found.size or not np.all((found >= LEAST) & (found <= LARGEST)):
             raise InputError(
-                f"{self.name}: insertions = {shown(self.insertions)} must be cone indices above 0, in Pa, one for each"
+                f"{self.name}: insertions = {shown(self.insertions)} must be cone indices above 0 in Pa, one for each"
                 " insertion"
             )
         object.__setattr__(self, "insertions", found)
@@ -78,24 +78,24 @@ class Penetrometer:
         """
         if len(self.insertions) < _FEWEST:
             raise InputError(
-                f"{self.name} has {len(self.insertions)} insertions, and a spread needs {_FEWEST}: measure at further"
+                f"{self.name} has {len(self.insertions)} insertions, but a spread needs {_FEWEST}: measure at more"
                 " places, or give a distribution"
             )
         return float(np.std(self.insertions, ddof=1))
 
     def distribution(self) -> Any:
-        """Return the lognormal distribution of scipy.stats that has the insertions' mean and spread [Pa].
+        """Return a scipy.stats lognormal distribution with the insertions' mean and spread [Pa].
 
         Raises:
-            InputError: fewer than three insertions, or no difference between them.
+            InputError: there are fewer than three insertions, or all are equal.
         """
         if self.spread == 0.0:
-            raise InputError(f"{self.name}: all insertions have the same mean, so that nothing is uncertain")
+            raise InputError(f"{self.name}: all insertions have the same mean, so nothing is uncertain")
         return lognormal(self.mean, self.spread)
 
 
 def lognormal(mean: float, std: float) -> Any:
-    """Return the lognormal distribution of scipy.stats with a mean and a standard deviation."""
+    """Return a scipy.stats lognormal distribution with a given mean and standard deviation."""
     from scipy import stats  # slow to import, and rarely needed
 
     width = math.sqrt(math.log1p((std / mean) ** 2))
@@ -105,21 +105,22 @@ def lognormal(mean: float, std: float) -> Any:
 def read_penetrometer(path: str | Path, depth: tuple[float, float]) -> Penetrometer:
     """Read a penetrometer's CSV file and average every insertion over a range of depth.
 
-    The first line that is neither empty nor begins with ``#`` names the columns with their units: ``depth``, and
-    ``cone_index``, either once for each insertion, or once with a column ``insertion`` of their numbers (without it
-    there is one insertion). Depths of an insertion rise; between readings the cone index is linear.
+    The first line that is neither empty nor begins with ``#`` names the columns with their units: ``depth`` and
+    ``cone_index``. Several insertions have one column ``cone_index`` each, or share one beside a column ``insertion``
+    with their numbers. Depths must increase within an insertion; between readings the cone index is interpolated
+    linearly.
 
     Args:
         path: the file.
-        depth: from and to [m]; every insertion must reach over it.
+        depth: shallowest and deepest depth [m]; every insertion must cover this range.
 
     Returns:
-        The mean cone index of every insertion; its ``mean`` goes to `Soil.from_cone_index`, its ``distribution()``
-        times ``strength_factor / mean`` to a `SoilDistribution`.
+        The mean cone index of every insertion. Pass its ``mean`` to `Soil.from_cone_index`, or its ``distribution()``,
+        multiplied by ``strength_factor / mean``, to a `SoilDistribution`.
 
     Raises:
-        InputError: no such file, a column or cell that cannot be, each with its line, or an insertion that does not
-            reach over the range.
+        InputError: the file does not exist, a column or cell is invalid (each listed with its line), or an insertion
+            does not cover the range.
 
     Example:
         >>> import plough_opt as po
@@ -130,7 +131,7 @@ def read_penetrometer(path: str | Path, depth: tuple[float, float]) -> Penetrome
     ends = depth if isinstance(depth, Sequence) and not isinstance(depth, str | bytes) else ()
     low, high = (plain_number("depth", end) for end in ends) if len(ends) == 2 else (0.0, 0.0)
     if not 0.0 <= low < high:
-        raise InputError(f"depth = {shown(depth)}: give two depths in metres, the shallower first, from 0 on")
+        raise InputError(f"depth = {shown(depth)} must be two depths in metres from 0 upwards, the shallower first")
     place, headings, rows = readings_of(path, _INSERTIONS)
     columns = _columns(place, headings)
     table = table_of(path, rows, columns, lambda k, value, cell: _check(columns[k][0], value, cell))
@@ -148,9 +149,9 @@ def read_penetrometer(path: str | Path, depth: tuple[float, float]) -> Penetrome
 
 
 def average_readings(source: Source, folder: Path) -> str:
-    """Put the cone index of [soil] penetrometer and depth in the place of these, and return what was done in words.
+    """Replace the keys penetrometer and depth in [soil] by the mean cone index, and return a sentence that says so.
 
-    A distribution "penetrometer" of the cone index becomes the lognormal one of its insertions.
+    A distribution "penetrometer" of the cone index in [uncertain] becomes the lognormal one of the insertions.
     """
     soil = source.data.get("soil")
     if not isinstance(soil, dict) or not {"penetrometer", "depth"} & {*soil}:
@@ -159,12 +160,12 @@ def average_readings(source: Source, folder: Path) -> str:
         if ("soil", "cone_index") in source.overridden:
             return ""
         if "cone_index" in soil:
-            raise InputError("a cone index and a penetrometer's file are given: leave one out")
+            raise InputError("both a cone index and a penetrometer's file are given: remove one")
         written, depth = soil.get("penetrometer"), soil.get("depth")
         if not isinstance(written, str) or not isinstance(depth, str):
             raise InputError('penetrometer = "FILE.csv" and depth = "25..45 cm" belong together: give both')
         between, _ = read_axis(depth, Unit("m"), sampled=True)
-        assert isinstance(between, Range)  # a sample's axis is one
+        assert isinstance(between, Range)  # which read_axis returns for samples
         found = read_penetrometer(folder / written, (between.lower, between.upper))
         source.read_files[written] = (folder / written).read_text(encoding="utf-8")
         soil["cone_index"] = f"{found.mean / 1e6!r} MPa"
@@ -174,20 +175,20 @@ def average_readings(source: Source, folder: Path) -> str:
 
 
 def _spread_in(uncertain: Any, found: Penetrometer) -> None:
-    """Give the [uncertain] table the insertions' mean and spread where it asks for them."""
+    """Put the insertions' mean and spread into [uncertain] if it names the distribution "penetrometer"."""
     entry = uncertain.get("soil.cone_index") if isinstance(uncertain, dict) else None
     if isinstance(entry, dict) and entry.get("distribution") == "penetrometer":
         entry |= {"distribution": "lognormal", "mean": f"{found.mean!r} Pa", "std": f"{found.spread!r} Pa"}
 
 
 def _columns(place: str, headings: Sequence[str]) -> list[tuple[str, float]]:
-    """Return name and factor to SI of every column."""
+    """Return name and conversion factor to SI of every column."""
     found = columns_of(place, headings, _DOWNWARDS)
     names = [name for name, _ in found]
     if names.count("depth") != 1 or "cone_index" not in names or names.count("insertion") > 1:
         raise InputError(f"{place}: one column depth and at least one column cone_index are needed, as {_INSERTIONS}")
     if "insertion" in names and names.count("cone_index") > 1:
-        raise InputError(f"{place}: a column insertion goes with one column cone_index: leave it out")
+        raise InputError(f"{place}: a column insertion goes with a single column cone_index: remove one or the other")
     return found
 
 
@@ -197,7 +198,7 @@ def _check(name: str, value: float, cell: str) -> None:
 
 
 def _curves(names: Sequence[str], table: Vector) -> list[tuple[float, NDArray[np.bool_], int]]:
-    """Return number, rows and column of every insertion."""
+    """Return the label, rows (as a mask) and column of every insertion."""
     columns = [k for k, name in enumerate(names) if name == "cone_index"]
     if "insertion" in names:
         which = table[:, names.index("insertion")]
@@ -209,31 +210,31 @@ def _mean(depth: Vector, pressure: Vector, low: float, high: float) -> float:
     """Return the mean of a curve between two depths [Pa]."""
     if not (depth[0] <= low and high <= depth[-1]):
         raise InputError(
-            f"its readings reach from {100 * depth[0]:.4g} to {100 * depth[-1]:.4g} cm, and the depth asked for from"
-            f" {100 * low:.4g} to {100 * high:.4g} cm: narrow that, or leave this insertion out"
+            f"its readings cover {100 * depth[0]:.4g} to {100 * depth[-1]:.4g} cm, but the depth is {100 * low:.4g} to"
+            f" {100 * high:.4g} cm: narrow the depth, or remove this insertion"
         )
     inner = (depth > low) & (depth < high)
     places = np.r_[low, depth[inner], high]
     mean = float(np.trapezoid(np.interp(places, depth, pressure), places) / (high - low))
     if not mean > 0.0:
-        raise InputError("its mean cone index is 0: no soil resists there")
+        raise InputError("its mean cone index is 0, which no soil has: check the readings")
     return mean
 
 
 def read_strength_record(path: str | Path, rig: Rig | None = None, *, tow_speed: float | None = None) -> StrengthRecord:
-    """Read a record of soil strength from a CSV file.
+    """Return a record of soil strength along a path, read from a CSV file.
 
     The first line that is neither empty nor begins with ``#`` names two columns with their units: ``position`` or
     ``time``, and ``cone_index`` or ``force``.
 
     Args:
         path: the file.
-        rig: the mount on which a force was felt, without which the soil's strength does not follow from a force.
-        tow_speed: of a penetrometer or load cell whose readings are over time [m/s]; default: the rig's.
+        rig: the mount on which a force was measured; needed to deduce the strength of the soil from a force.
+        tow_speed: speed of the instrument, if the readings are over time [m/s] (default: the rig's).
 
     Raises:
-        InputError: no such file, a column or cell that cannot be, each with its line, a force without a rig, or times
-            without a speed.
+        InputError: the file does not exist, a column or cell is invalid (each listed with its line), a force is given
+            without a rig, or times without a speed.
 
     Example:
         >>> import plough_opt as po
@@ -246,26 +247,26 @@ def read_strength_record(path: str | Path, rig: Rig | None = None, *, tow_speed:
     names = [name for name, _ in columns]
     along = [name for name in names if name in ("position", "time")]
     if len(names) != 2 or len(along) != 1:
-        raise InputError(f"{place}: a place and a strength are needed, as {_RECORD}")
+        raise InputError(f"{place}: one column of positions or times and one of strengths are needed, as {_RECORD}")
     table = table_of(path, rows, columns, lambda _k, _value, _cell: None)
     check_rising(path, [line for line, _ in rows], table[:, names.index(along[0])], along[0])
     found = dict(zip(names, table.T, strict=True))
     if "force" in found and rig is None:
         raise InputError(
-            f"{path}: a force is the response of the mount that felt it: give the rig's mass, stiffness, damping and"
-            " tow speed, by which its own oscillation is divided out"
+            f"{path}: a measured force contains the rig's own oscillation: give the rig's mass, stiffness, damping and"
+            " tow speed, so that it can be removed"
         )
     if "cone_index" in found:
         rig = None
     speed = tow_speed if tow_speed is not None else rig.tow_speed if rig is not None else None
     if "time" in found and speed is None:
-        raise InputError(f"{path}: readings over time need the tow speed, for waves are lengths along the path")
+        raise InputError(f"{path}: readings over time need the tow speed, which turns times into positions")
     position = found["position"] if "position" in found else found["time"] * (speed or 1.0)
     return StrengthRecord(position, found["force" if "force" in found else "cone_index"], rig, str(path))
 
 
 def spectrum_of_file(source: Source, folder: Path) -> Spectrum | None:
-    """Return the spectrum of the record that a problem file's random strength names, if it names one."""
+    """Return the spectrum of the record that the table of random strength names, or None."""
     place = tuple(RANDOM.split("."))
     entry = source.written(RANDOM)
     if not isinstance(entry, dict) or not isinstance(entry.get("record"), str):

@@ -1,4 +1,4 @@
-"""A problem file with an uncertain soil as a robust design: solved, set beside the nominal one, verified."""
+"""Robust design of a problem file with an uncertain soil, compared with the nominal design and verified."""
 
 from collections.abc import Mapping
 from functools import cached_property
@@ -19,26 +19,27 @@ from plough_opt.studies.uncertainty import Robust, SoilDistribution, sobol_indic
 from plough_opt.studies.uncertainty.result import RobustOptimum
 from plough_opt.studies.uncertainty.robust import Spreads, Tail, best_robust
 
-# Of a result's standard deviation over the samples: the width over which its measures are rounded off.
-_WIDTH = 0.5
-# Relative spread of a result that the soil does not change.
-_NONE = 1e-9
+# Smoothing width of nonsmooth measures, in standard deviations of the result over the samples.
+_SMOOTHING_WIDTH = 0.5
+# A result whose relative spread is smaller does not depend on the soil: the spread is rounding.
+_ROUNDING = 1e-9
+# Samples for the Sobol indices.
 _INDEX_SAMPLES = 1024
 
 
 def optimise_robust(problem: Problem, progress: Progress) -> RobustOptimum:
-    """Solve a file's nominal and robust design questions, and verify both optima on fresh samples.
+    """Return the robust optimum of a file beside the nominal one, both verified on fresh samples.
 
     Args:
         problem: a file with a table [uncertain].
-        progress: called with the present step in words, and the part done.
+        progress: called with the present step in words and the fraction done.
 
     Raises:
-        InputError: nothing to choose or to minimise, or soils without result.
+        InputError: there are no variables, nothing to minimise, or soils for which the model gives no result.
         InfeasibleDesign: no design meets the requirements.
         NotConverged: no optimum was found.
     """
-    assert problem.table.uncertain is not None  # the caller has looked
+    assert problem.table.uncertain is not None  # a precondition
     table = uncertain_of(problem.table.uncertain)
     field = distribution_of(table, problem.scene().soil)
     design, _ = problem.design()
@@ -56,19 +57,24 @@ def optimise_robust(problem: Problem, progress: Progress) -> RobustOptimum:
 
 
 def _in_words(problem: Problem, varying: set[str]) -> dict[str, tuple[str, str]]:
-    """Return every requirement's limits as the file writes them, and in which soils it keeps them."""
+    """Return result -> (its limits as written, the soils in which they must hold).
+
+    Args:
+        problem: the file.
+        varying: names of the results that vary with the soil.
+    """
     found = {}
     for name, own in problem.table.require.items():
         limits = ", ".join(f"{side.replace('_', ' ')} {written}" for side, written in own.sides.items())
         how = f"{100 * own.probability:g} % of the soils" if own.probability is not None else own.measure
         if name not in varying:
-            how = "the nominal soil" if own.measure == "nominal" else "every soil alike"
+            how = "the nominal soil" if own.measure == "nominal" else "every soil equally"
         found[name] = (limits, how or "every sample")
     return found
 
 
 class _RobustDesign:
-    """The file's design over samples of its soil, built again for every start."""
+    """Builder of the file's design over samples of its soil, for every start of the solver."""
 
     def __init__(self, problem: Problem, table: UncertainTable, field: SoilDistribution) -> None:
         self._problem, self._table, self._field = problem, table, field
@@ -80,28 +86,33 @@ class _RobustDesign:
 
     @cached_property
     def _responses(self) -> Robust:
-        """The numeric results over the samples."""
+        """Results over the samples as functions of the variables."""
         return self._declared({key: v.guess for key, v in self._problem.variables.items()})[1]
 
     def spreads(self, at: Mapping[str, float]) -> dict[str, float]:
-        """Return the spread of every result at a design, for the widths that the file leaves open."""
+        """Return the standard deviation of every result at a design, 0 if it does not depend on the soil."""
         values = self._responses.values(at)
         return {
-            name: float(np.std(own)) if np.ptp(own) > _NONE * np.max(np.abs(own)) else 0.0
+            name: float(np.std(own)) if np.ptp(own) > _ROUNDING * np.max(np.abs(own)) else 0.0
             for name, own in values.items()
         }
 
     def build(self, start: Mapping[str, float], spreads: Spreads) -> tuple[Design, Robust, frozenset[str]]:
-        """Return the design with its guesses at a start, and the results whose spreads set widths."""
+        """Return the design, the results over the samples, and the names of results smoothed by their spread.
+
+        Args:
+            start: guesses of the variables.
+            spreads: result -> its standard deviation, from which smoothing widths follow if the file gives none.
+        """
         self._spreads = spreads
-        self._following: set[str] = set()
+        self._smoothed_by_spread: set[str] = set()
         design, robust, run = self._declared(start)
         tables = self._problem.table
         parts = [self._term(robust, run, name, term) for name, term in tables.minimise.items()]
         design.minimise(sum(parts[1:], parts[0]))
         for name, limit in tables.require.items():
             self._require(design, robust, run, name, limit)
-        return design, robust, frozenset(self._following)
+        return design, robust, frozenset(self._smoothed_by_spread)
 
     def _declared(self, start: Mapping[str, float]) -> tuple[Design, Robust, Run]:
         """Return a design with its variables, the results over the samples, and the run in the nominal soil."""
@@ -128,7 +139,16 @@ class _RobustDesign:
     def _measure(
         self, robust: Robust, run: Run, name: str, chosen: ChosenMeasure, written: object, low_is_bad: bool = False
     ) -> Expression:
-        """Return a measure of a result; where small values are bad, of its lower tail."""
+        """Return a measure of a result, of its lower tail if small values are bad.
+
+        Args:
+            robust: the results over the samples.
+            run: the run in the nominal soil.
+            name: name of the result.
+            chosen: the measure.
+            written: smoothing width as the file writes it, or None.
+            low_is_bad: whether small values are bad.
+        """
         if chosen.kind == "nominal" or not self._spreads.get(name):
             return self._measures[name].of(run)
         if chosen.kind == "expected":
@@ -142,12 +162,14 @@ class _RobustDesign:
         return robust.worst(name, width=width, tail=tail)
 
     def _width(self, name: str, written: object) -> float:
+        """Return the smoothing width of a result in SI: the file's, or one that follows from its spread."""
         if written is not None:
             return self._measures[name].unit.parse(written)
-        self._following.add(name)
-        return _WIDTH * self._spreads[name]
+        self._smoothed_by_spread.add(name)
+        return _SMOOTHING_WIDTH * self._spreads[name]
 
     def _require(self, design: Design, robust: Robust, run: Run, name: str, limit: LimitTable) -> None:
+        """Add one requirement to the design."""
         unit = self._measures[name].unit
         low, high = limit.ends(unit)
         ends: dict[str, Any] = {"at_least": low, "at_most": high, "unit": unit.symbol}
@@ -160,7 +182,7 @@ class _RobustDesign:
         else:
             chosen = measure_of(limit.measure or "nominal")
             if chosen.kind in ("cvar", "worst") and low is not None and high is not None:
-                one = f"a {chosen.kind} is limited from one side: give one limit"
-                raise InputError(f"{self._problem.name}: '{name}': {one}")
+                remedy = f"a {chosen.kind} can have only one limit: give at_least or at_most"
+                raise InputError(f"{self._problem.name}: '{name}': {remedy}")
             value = self._measure(robust, run, name, chosen, limit.width, low_is_bad=low is not None)
             design.require(name, value, **ends)

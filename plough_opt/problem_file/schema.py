@@ -1,4 +1,4 @@
-"""Contents of a problem file, table by table; every quantity is kept in SI."""
+"""Schema of a problem file, table by table; quantities are converted to SI."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -38,12 +38,12 @@ from plough_opt.soil.waves import StrengthWave
 
 Written = StrictStr | StrictFloat
 RANDOM = "effects.random_strength"
-"""The table of random strength."""
+"""Dotted name of the table of random strength."""
 SHARE_TABLES = ("soil", "share", "scene", "effects", "variables", "require")
-"""The tables that may say something else of one share of several."""
+"""Tables that [shares.NAME] may repeat to override entries for one share."""
 
 WAVES = tuple(map(wave_table, range(1, MOST_WAVES + 1)))
-"""The tables of strength waves, in order; all hold the same keys."""
+"""Dotted names of the tables of strength waves, in order; all have the same keys."""
 
 _T = TypeVar("_T", bound="Table")
 _Kind = TypeVar("_Kind")
@@ -52,10 +52,10 @@ _EFFECTS = 'a list of tables with a name, such as [{ effect = "shank", static = 
 
 
 def medium_of(written: object) -> str | ResistanceLaw:
-    """Return what `Scene` takes as its medium: a name, or a law with its own quantities in SI units.
+    """Return the medium of a `Scene`: the name of a law, or a law with its own quantities in SI units.
 
     Raises:
-        InputError: an unknown law or key, or a value that the law does not take; begins with what follows the key.
+        InputError: an unknown law or key, or a value that the law refuses; the message continues after the key's name.
     """
     if isinstance(written, str):
         law_of(written)
@@ -67,10 +67,11 @@ def medium_of(written: object) -> str | ResistanceLaw:
 
 
 def own_effects_of(written: object) -> tuple[OwnResistance, ...]:
-    """Return own effects with their quantities in SI units.
+    """Return user-defined effects with their quantities in SI units.
 
     Raises:
-        InputError: an unknown effect or key, or a value that it does not take; begins with what follows the key.
+        InputError: an unknown effect or key, or a value that the effect refuses; the message continues after the key's
+            name.
     """
     if not isinstance(written, list | tuple) or not all(
         isinstance(one, Mapping) and "effect" in one for one in written
@@ -82,16 +83,16 @@ def own_effects_of(written: object) -> tuple[OwnResistance, ...]:
 
 
 def _made(kind: type[_Kind], key: str, written: Mapping[str, Any]) -> _Kind:
-    """Return an instance of a class with the quantities of a table, but for the key that names the class."""
+    """Return an instance of a class with the quantities of a table; ``key`` is the entry that names the class."""
     given = {name: _value(kind, name, value) for name, value in written.items() if name != key}
     try:
         return kind(**given)
-    except TypeError as error:  # what the class needs and the table lacks
-        raise InputError(f"= {shown(written)} lacks something: {error}") from None
+    except TypeError as error:  # a field without a default is missing in the table
+        raise InputError(f"= {shown(written)} is incomplete: {error}") from None
 
 
 def _value(kind: type, key: str, value: Any) -> Any:
-    """Return the value of one field, which has a unit where its class says so."""
+    """Return the value of one field, converted to SI if the field has a unit."""
     known = {each.name: each for each in dataclasses.fields(kind)}
     if key not in known:
         raise InputError(f"'{key}' is not a quantity of {kind.__name__}: {nearest(key, known)}")
@@ -105,19 +106,19 @@ def _value(kind: type, key: str, value: Any) -> Any:
 
 
 def checked_medium(written: object) -> object:
-    """Return a medium as it is written, which `medium_of` can read."""
+    """Return a medium as written, after checking that `medium_of` can read it."""
     medium_of(written)
     return written
 
 
 def checked_effects(written: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return own effects as they are written, which `own_effects_of` can read."""
+    """Return user-defined effects as written, after checking that `own_effects_of` can read them."""
     own_effects_of(written)
     return written
 
 
 def describe_media(schema: dict[str, Any]) -> None:
-    """Tell editors the names of the resistance laws, and that a table may stand in the place of a name."""
+    """Add the names of the resistance laws to a JSON schema, and allow a table instead of a name."""
     table = {"type": "object", "properties": {"law": {"enum": [*LAWS]}}, "required": ["law"]}
     schema["anyOf"] = [{"enum": [*LAWS]}, table]
 
@@ -129,7 +130,7 @@ class Table(BaseModel):
 
 
 class SoilTable(Table):
-    """The soil: a name, the properties themselves, or a name and what differs from it, or a cone index decides."""
+    """The soil: the name of a known soil, its properties, or both; a cone index may decide one property."""
 
     name: str | None = None
     adjust: Adjust = "strength factor"
@@ -138,12 +139,12 @@ class SoilTable(Table):
 
     @property
     def adjusted(self) -> str:
-        """The quantity that a cone index decides."""
+        """The quantity that the cone index decides."""
         return f"soil.{self.adjust.replace(' ', '_')}"
 
 
 class ShareTable(Table):
-    """The share; what is left out must be a variable."""
+    """The share; any quantity that is missing must be a variable."""
 
 
 class SceneTable(Table):
@@ -159,7 +160,7 @@ class SceneTable(Table):
 
 
 class EffectsTable(Table):
-    """Effects beside the default ones."""
+    """Effects that differ from the defaults."""
 
     motion: StrictBool = Effects.motion
     inertial_drag: StrictBool = Effects.inertial_drag
@@ -177,8 +178,8 @@ class EffectsTable(Table):
         """Return the effects of the file.
 
         Args:
-            values: every quantity of the file by key, numbers or symbols, SI.
-            spectrum: of the record that random strength is read from, if it is.
+            values: key of every quantity in the file -> its value, a number or symbol in SI.
+            spectrum: spectrum of the strength record, if the file names one.
         """
         waves = [
             StrengthWave(values[f"{name}.amplitude"], values[f"{name}.wavelength"], values.get(f"{name}.phase", 0.0))
@@ -211,14 +212,14 @@ class EffectsTable(Table):
 
 
 class RandomStrengthTable(Table):
-    """Random strength: its RMS and correlation length, or a record of it."""
+    """Random strength: its RMS and correlation length, or a file with a measured record."""
 
     record: StrictStr | None = None
     base_diameter: StrictStr | None = None
 
 
 class VariableTable(Table):
-    """Bounds of a variable as they are written; the unit depends on which variable it is."""
+    """Bounds of a variable as written; the name of the variable decides the unit."""
 
     lower: Written
     upper: Written
@@ -228,7 +229,7 @@ class VariableTable(Table):
 
 
 class TermTable(Table):
-    """A term of the objective: the result divided by ``per``, in an uncertain soil a measure of it."""
+    """A term of the objective: a result, or in an uncertain soil a measure of it, divided by ``per``."""
 
     per: Written
     measure: StrictStr | None = None
@@ -236,7 +237,7 @@ class TermTable(Table):
 
 
 class LimitTable(Table):
-    """Limits of a result as they are written, in an uncertain soil of a measure of it or with a probability."""
+    """Limits of a result as written; in an uncertain soil they may apply to a measure or hold with a probability."""
 
     at_least: Written | None = None
     at_most: Written | None = None
@@ -246,25 +247,25 @@ class LimitTable(Table):
 
     @property
     def sides(self) -> dict[str, str | float]:
-        """The limits that are given, by "at_least" and "at_most"."""
+        """Limits that are given: "at_least" or "at_most" -> as written."""
         both = {"at_least": self.at_least, "at_most": self.at_most}
         return {side: written for side, written in both.items() if written is not None}
 
     def ends(self, unit: Unit) -> tuple[float | None, float | None]:
-        """Return both limits in a unit, None where there is none."""
+        """Return the lower and upper limit in SI; None if absent."""
         low, high = (None if side is None else unit.parse(side) for side in (self.at_least, self.at_most))
         return low, high
 
 
 class MeasureTable(Table):
-    """A result of the file's own: an expression of others, and its unit."""
+    """A result that the file defines: an expression of other results, and its unit."""
 
     value: StrictStr
     unit: StrictStr = ""
 
 
 class AccuracyTable(Table):
-    """Integration method and its setting, or an error to reach."""
+    """Integration method and its setting, or the relative error to reach."""
 
     method: StrictStr = "auto"
     error: StrictFloat | None = None
@@ -273,7 +274,7 @@ class AccuracyTable(Table):
 
 
 class ProblemTable(Table):
-    """A whole problem file, the quantities of its tables apart."""
+    """A whole problem file without its quantities, which `ProblemFile` adds."""
 
     title: str = "untitled problem"
     soil: SoilTable
@@ -291,13 +292,16 @@ class ProblemTable(Table):
 
     @property
     def goals(self) -> dict[str, bool]:
-        """Name of each result that is traded -> whether more of it is better."""
+        """Name of each result in [trade_off] -> True if it is maximised."""
         traded = {name: entry for name, entry in (self.trade_off or {}).items() if name != "points"}
         return {name: entry.get("maximise", False) for name, entry in traded.items()}
 
 
 def _with_quantities(name: str, table: type[_T], owner: str = "", **fields: Any) -> type[_T]:
-    """Return a table with a field for each of its quantities; its name here is what other processes find it by."""
+    """Return a table with a field for each quantity that it owns.
+
+    The name must equal the module variable that holds the class, by which other processes unpickle it.
+    """
     for quantity in IN_FILES.values():
         if quantity.owner == owner:
             declared = Field(default=quantity.default, description=quantity.meaning)
@@ -325,21 +329,21 @@ ProblemFile = _with_quantities(
     scene=(SceneFile, ...),
     effects=(EffectsFile, EffectsFile()),
 )
-"""The schema that problem files are read by."""
+"""The complete schema, by which problem files are read."""
 
 
 def valid_keys(path: tuple[str, ...]) -> list[str]:
-    """Return the keys that the table at a path of a problem file may have."""
+    """Return the valid keys of the table at a path of a problem file."""
     table: Any = ProblemFile
     for key in path:
-        # A dictionary holds tables of one kind under any name.
+        # A dictionary maps any name to tables of one class, the last argument of its annotation.
         table = table.model_fields[key].annotation if hasattr(table, "model_fields") else get_args(table)[-1]
         table = get_args(table)[0] if type(None) in get_args(table) else table
     return [*table.model_fields]
 
 
 def at(table: Any, key: str) -> Any:
-    """Return what a dotted key holds, or None."""
+    """Return the value of a dotted key, or None."""
     for part in key.split("."):
         table = getattr(table, part) if table is not None else None
     return table

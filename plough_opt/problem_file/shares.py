@@ -1,4 +1,7 @@
-"""The [shares] table: several shares in one frame, each as the file says but for what its own table says."""
+"""The table [shares]: several shares in one frame, each with a table of entries that differ from the rest of the file.
+
+The tables outside [shares] apply to all shares. A table such as [shares.front] overrides entries for one share.
+"""
 
 import copy
 from collections.abc import Mapping
@@ -10,17 +13,17 @@ from plough_opt.problem_file.schema import SHARE_TABLES, ProblemTable
 from plough_opt.problem_file.source import Source
 
 TABLE: Final = "shares"
-# What the frame has, and so every share alike.
-_OF_FRAME: Final = ("tow_speed", "duration", "outputs")
+# Keys of [scene] that belong to the frame and cannot differ between shares.
+_FRAME_KEYS: Final = ("tow_speed", "duration", "outputs")
 _EXAMPLE: Final = '[shares.front] with soil.cohesion = "15 kPa"'
 _T = TypeVar("_T")
 
 
 def names_of_shares(source: Source) -> tuple[str, ...]:
-    """Return the names of a file's shares, none where it has one share without a name.
+    """Return the names of a file's shares; none if it has one unnamed share.
 
     Raises:
-        InputError: a table that is not a share, or says of a share what the whole frame has.
+        InputError: an entry of [shares] is not a valid table, or sets a quantity of the whole frame.
     """
     shares = source.data.get(TABLE)
     if shares is None or source.share:
@@ -30,34 +33,36 @@ def names_of_shares(source: Source) -> tuple[str, ...]:
     for name, own in shares.items():
         with source.noting((TABLE, name)):
             if not name.isidentifier() or name in ProblemTable.model_fields:
-                raise InputError(f"'{name}' cannot be the name of a share: take letters, digits and _, and no table's")
+                raise InputError(
+                    f"'{name}' cannot be the name of a share: use letters, digits and _, and not the name of a table"
+                )
         for table in own:
             with source.noting((TABLE, name, table)):
                 if table not in SHARE_TABLES:
-                    where = "stands above for all shares" if table in ProblemTable.model_fields else "is not known"
-                    raise InputError(f"'{table}' of a share {where}: {nearest(table, SHARE_TABLES)}")
-        for key in _OF_FRAME:
+                    why = "must be the same for all shares" if table in ProblemTable.model_fields else "is not known"
+                    raise InputError(f"'{table}' of a share {why}: {nearest(table, SHARE_TABLES)}")
+        for key in _FRAME_KEYS:
             with source.noting((TABLE, name, "scene", key)):
                 if any(isinstance(own.get(table), dict) and entry in own[table]
                        for table, entry in (("scene", key), ("variables", f"scene.{key}"))):  # fmt: skip
-                    raise InputError(f"'scene.{key}' is of the frame, and so of every share: give it in [scene]")
+                    raise InputError(f"'scene.{key}' belongs to the frame, not to one share: give it in [scene]")
     with source.noting(("uncertain",)):
         if source.data.get("uncertain") is not None:
-            raise InputError("a design for an uncertain soil has one share: leave out [uncertain], or [shares]")
+            raise InputError("a design for an uncertain soil can have only one share: remove [uncertain] or [shares]")
     source.raise_noted()
     return tuple(shares)
 
 
 def choose_share(source: Source, name: object) -> set[str]:
-    """Make a file one of a single share of its several: what stands above, but for what the share's own table says.
+    """Reduce a file to one of its shares: the common tables, overridden by the table of the share.
 
-    A variable of the share alone takes the place of a value that stands above, and a value that of a variable.
+    A variable in the share's table replaces a common value of the same key, and a value replaces a common variable.
 
     Returns:
-        The quantities and results of which the share's own table says something.
+        The quantities and results that the share's table sets.
 
     Raises:
-        InputError: a file without shares, or without this one.
+        InputError: the file has no shares, or none of this name.
     """
     shares = names_of_shares(source)
     if name not in shares:
@@ -78,7 +83,7 @@ def choose_share(source: Source, name: object) -> set[str]:
 
 
 def join_dotted_variables(data: dict[str, Any]) -> None:
-    """Read share.height = {...} under [variables], without quotes, as "share.height" = {...}."""
+    """Replace unquoted keys such as share.height = {...} under [variables] by "share.height" = {...}."""
     variables = data.get("variables")
     if not isinstance(variables, dict):
         return
@@ -93,7 +98,7 @@ def join_dotted_variables(data: dict[str, Any]) -> None:
 
 
 def _taken(data: Any, key: str) -> Any:
-    """Take a dotted key out of nested tables, and return what stood there, or None."""
+    """Remove a dotted key from nested tables, and return its value, or None."""
     *tables, name = key.split(".")
     for table in tables:
         data = data.get(table) if isinstance(data, dict) else None
@@ -101,7 +106,7 @@ def _taken(data: Any, key: str) -> Any:
 
 
 def _merge(data: dict[str, Any], own: Mapping[str, Any]) -> None:
-    """Put what a share's table says over what stands above, key by key."""
+    """Update the common tables with those of a share, recursively."""
     for key, value in own.items():
         if isinstance(value, dict) and isinstance(data.get(key), dict):
             _merge(data[key], value)
@@ -110,11 +115,11 @@ def _merge(data: dict[str, Any], own: Mapping[str, Any]) -> None:
 
 
 def by_share(parts: Mapping[str, Mapping[str, _T]], own: Mapping[str, set[str]]) -> dict[str, _T]:
-    """Return what shares have: under its own key what all have alike, else under "share.key".
+    """Return the entries of all shares: an entry that all have in common under its key, others under "share.key".
 
     Args:
-        parts: name of a share -> key -> what it has.
-        own: name of a share -> keys of which its own table says something.
+        parts: name of each share -> its entries by key.
+        own: name of each share -> keys that its own table sets.
     """
     found: dict[str, _T] = {}
     for name, part in parts.items():

@@ -1,4 +1,4 @@
-"""The text of a problem file: its limits, what overrides change, and errors that say where each mistake stands."""
+"""Text of a problem file: size limits, parsing, overrides, and errors that name the line of each mistake."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from plough_opt.core.units import Unit
 
 Keys = tuple[str, ...]
 
-# What the schema calls a mistake -> what the file must have there.
-_WORDS = {
+# Type of a pydantic error -> the rest of a sentence that begins with the key.
+_SCHEMA_MESSAGES = {
     **dict.fromkeys(("model_type", "dict_type", "model_attributes_type"), "must be a table of keys, not {written}"),
     "bool_type": "= {written} must be true or false",
     "int_type": "= {written} must be a whole number",
@@ -31,8 +31,8 @@ _WORDS = {
 }
 _QUOTED = re.compile(r"'([^']*)'")
 MOST_TABLES: Final = 8
-"""Tables and lists in one another that a problem file may have; the schema needs four."""
-# What may hide brackets and line ends from a reader of TOML, brackets, and line ends.
+"""Nesting depth of tables and lists that a problem file may have; the schema needs four."""
+# Strings and comments (in which brackets and line ends do not count), brackets, and line ends.
 _TOKEN: Final = re.compile(
     r'"""(?:\\.|[^\\])*?"{3,5}'
     r"|'''.*?'{3,5}"
@@ -42,37 +42,47 @@ _TOKEN: Final = re.compile(
     r"|[\[\]{}\n]",
     re.DOTALL,
 )
-# What a problem file may be: far above any that is written by hand, and read in a second whatever it holds.
-_MOST_BYTES: Final = 100_000
-_LONGEST_LINE: Final = 1_000  # below the digits from which on Python reads no whole number
-_MOST_BITS: Final = 1_024  # of a whole number: those of the largest float
-# Mistakes that are listed; whoever makes more has made one many times.
-_MOST_LISTED: Final = 20
-TOO_DEEP: Final = f"tables or lists stand in one another more than {MOST_TABLES} deep: write them flat"
+# Size limits: far above any file written by hand, and low enough that any content is read within a second.
+_MAX_BYTES: Final = 100_000
+_MAX_LINE_LENGTH: Final = 1_000  # below the 4300 digits beyond which Python refuses to parse an integer
+_MAX_INTEGER_BITS: Final = 1_024  # an integer with more bits exceeds the largest float
+# Longer lists of mistakes usually repeat one mistake.
+_MAX_LISTED: Final = 20
+TOO_DEEP: Final = f"tables or lists are nested more than {MOST_TABLES} deep: write them flat"
 
 
 class Source:
-    """A parsed TOML text that knows its lines."""
+    """A parsed TOML text that knows the line of each key.
+
+    Attributes:
+        name: the name of the file in messages.
+        text: the text, its lines ended by single line feeds.
+        data: the parsed tables, with overrides applied.
+        overridden: path of each key that an override set -> the override as the user wrote it.
+        begun: path of each table that an override created -> that override.
+        share: path of the table of the chosen share, if the file has several.
+        read_files: name of each data file, as the problem file writes it -> its text.
+    """
 
     def __init__(self, text: str, name: str) -> None:
-        """Parse a text; ``name`` is what errors call it.
+        """Parse a text; messages call it ``name``.
 
         Raises:
-            InputError: the text is not TOML, or beyond what a problem file may be; the message gives the line.
+            InputError: the text is not TOML or exceeds a size limit; the message gives the line.
         """
         self.name = name
         self.text = text.replace("\r\n", "\n")
         self.overridden: dict[Keys, str] = {}
-        self.begun: dict[Keys, str] = {}  # tables that an override had to make
-        self.share: Keys = ()  # where the table of the share stands that was chosen from several
-        self.read_files: dict[str, str] = {}  # files of data that were read, as they are written -> their texts
+        self.begun: dict[Keys, str] = {}
+        self.share: Keys = ()
+        self.read_files: dict[str, str] = {}
         self._noted: list[InputError] = []
-        self._unlisted = 0  # mistakes that are counted only
+        self._unlisted = 0  # schema errors beyond the longest list
         for number, line in enumerate(self.text.split("\n"), start=1):
-            if len(line) > _LONGEST_LINE:
+            if len(line) > _MAX_LINE_LENGTH:
                 raise InputError(
-                    f"{name}, line {number}: it has {len(line)} characters, and at most {_LONGEST_LINE} can be read:"
-                    " write it in several lines"
+                    f"{name}, line {number}: the line has {len(line)} characters; at most {_MAX_LINE_LENGTH} can be"
+                    " read: split it into several lines"
                 )
         if (line_too_deep := nested_line(self.text)) is not None:
             raise InputError(f"{name}, line {line_too_deep}: {TOO_DEEP}")
@@ -81,7 +91,7 @@ class Source:
         except tomllib.TOMLDecodeError as error:
             at = re.search(r"at line (\d+)", str(error))
             where = f", line {at[1]}" if at else f", line {len(text.splitlines()) or 1}"
-            raise InputError(f"{name}{where}: not valid TOML: {_in_words(str(error).split(' (at')[0])}") from None
+            raise InputError(f"{name}{where}: not valid TOML: {_with_remedy(str(error).split(' (at')[0])}") from None
         if wrong := unreadable(self.data):
             raise self.error(*wrong)
 
@@ -90,13 +100,13 @@ class Source:
         """Read a file.
 
         Raises:
-            InputError: no such file (the message names the nearest), a folder, or not text.
+            InputError: the file does not exist (the message suggests similar names), is a folder, or is not text.
         """
         try:
             with path.open("rb") as file:
-                content = file.read(_MOST_BYTES + 1)
-            if len(content) > _MOST_BYTES:
-                most = f"{_MOST_BYTES // 1000} kB"
+                content = file.read(_MAX_BYTES + 1)
+            if len(content) > _MAX_BYTES:
+                most = f"{_MAX_BYTES // 1000} kB"
                 raise InputError(f"'{path}' is too long for a problem file: at most {most} can be read")
             return cls(content.decode("utf-8-sig"), str(path))
         except FileNotFoundError:
@@ -111,7 +121,7 @@ class Source:
             raise InputError(f"'{path}' cannot be read: {error.strerror}") from None
 
     def line_of(self, keys: Sequence[str]) -> int | None:
-        """Return the line on which a key, or failing that the table around it, begins."""
+        """Return the line on which a key begins, or else the line of the innermost table around it that is found."""
         tables = ((*self.share,), ()) if self.share else ((),)
         places = (".".join((*table, *keys[:count])) for count in range(len(keys), 0, -1) for table in tables)
         return next((self._line_of[place] for place in places if place in self._line_of), None)
@@ -121,14 +131,14 @@ class Source:
         return lines_of(self.text)
 
     def written(self, key: str) -> object:
-        """Return what the file says at a dotted key, or None."""
+        """Return the value of a dotted key as the file writes it, or None."""
         found: Any = self.data
         for part in key.split("."):
             found = found.get(part) if isinstance(found, dict) else None
         return found
 
     def error(self, keys: Sequence[str], message: str) -> InputError:
-        """Return an error about a key, with its line or the override that set it."""
+        """Return an error about a key that names its line, or the override that set it."""
         for path, text in self.overridden.items():
             path = path[len(self.share) :] if self.share and path[: len(self.share)] == self.share else path
             within_entry = keys[0] in ("variables", "minimise", "require") and len(keys) >= 2
@@ -139,11 +149,11 @@ class Source:
 
     @contextlib.contextmanager
     def noting(self, keys: Sequence[str], prefix: str = "") -> Iterator[None]:
-        """Note a refusal inside, with file and line, for `raise_noted`.
+        """Catch an error raised inside, and note it with file and line for `raise_noted`.
 
         Args:
-            keys: the key to blame.
-            prefix: what to say before the refusal.
+            keys: path of the key that the message names.
+            prefix: text before the message.
         """
         try:
             yield
@@ -155,21 +165,21 @@ class Source:
             self.note(keys, f"{prefix}too large or too small to compute with: check its unit")
 
     def note(self, keys: Sequence[str], message: str) -> None:
-        """Note a mistake of a key, with file and line, for `raise_noted`."""
+        """Note a mistake in a key, with file and line, for `raise_noted`."""
         self._noted.append(self.error(keys, message))
 
     def parsed(self, keys: Keys, unit: Unit, written: object, what: str, more: str = "") -> float:
         """Return a written quantity in SI.
 
         Args:
-            keys: where it stands.
+            keys: path of its key.
             unit: its SI unit.
-            written: what the file says.
-            what: what it is, as messages begin.
-            more: added to the message.
+            written: the value as the file writes it.
+            what: name of the quantity, with which messages begin.
+            more: text added to the end of the message.
 
         Raises:
-            InputError: no quantity of this unit; the message has the line.
+            InputError: the value is not a quantity of this unit; the message has the line.
         """
         try:
             return unit.parse(written)
@@ -177,36 +187,37 @@ class Source:
             raise self.error(keys, f"{what} {error}{more}") from None
 
     def raise_noted(self) -> None:
-        """Raise one error that lists everything noted, in the order of the lines; nothing if nothing was."""
+        """Raise one InputError that lists all noted mistakes in order of their lines, if there are any."""
         if self._noted:
             unique = {str(error): error for error in self._noted}
             ordered = sorted(unique.values(), key=lambda error: getattr(error, "line", 0))
-            rest = len(ordered[_MOST_LISTED:]) + self._unlisted
+            rest = len(ordered[_MAX_LISTED:]) + self._unlisted
             more = [f"... and {rest} more"] if rest else []
-            raise InputError("\n".join([*map(str, ordered[:_MOST_LISTED]), *more]))
+            raise InputError("\n".join([*map(str, ordered[:_MAX_LISTED]), *more]))
 
     def note_schema(self, error: ValidationError, valid: Callable[[Keys], Sequence[str]]) -> None:
-        """Note everything a schema refused, each with its line.
+        """Note every error that the schema found, with its line.
 
         Args:
-            error: what the schema found.
+            error: the errors of the schema.
             valid: path of a table -> its valid keys, for suggestions.
         """
-        # A union reports each alternative that it tried: the first says enough.
+        # A union reports one error for each alternative; the first is enough.
         items = list({_keys(item): item for item in reversed(error.errors())}.values())
         items = sorted(items, key=lambda item: self.line_of(_keys(item)) or 0)
-        self._unlisted += len(items[_MOST_LISTED:])
-        items = items[:_MOST_LISTED]
-        meant = set()
+        self._unlisted += len(items[_MAX_LISTED:])
+        items = items[:_MAX_LISTED]
+        suggested = set()
         for *table, key in (_keys(item) for item in items if item["type"] == "extra_forbidden"):
             close = difflib.get_close_matches(key, valid(tuple(table)), n=2, cutoff=0.55)
-            meant |= {(*table, name) for name in close}
+            suggested |= {(*table, name) for name in close}
         for item in items:
-            # A misspelt key is missing too: say it once.
-            if item["type"] != "missing" or _keys(item) not in meant:
+            # A misspelt key is reported as unknown; do not report the key that it stands for as missing too.
+            if item["type"] != "missing" or _keys(item) not in suggested:
                 self._noted.append(self._explained(item, valid))
 
     def _explained(self, item: Any, valid: Callable[[Keys], Sequence[str]]) -> InputError:
+        """Return one error of the schema in plain words, with what to do about it."""
         keys, kind, written = _keys(item), item["type"], short(repr(item["input"]))
         dotted = ".".join(keys)
         if kind == "extra_forbidden":
@@ -219,36 +230,36 @@ class Source:
         if kind == "literal_error":
             choices = nearest(str(item["input"]), _QUOTED.findall(item["ctx"]["expected"]))
             return self.error(keys, f"'{dotted}' = {written} is unknown: {choices}")
-        if words := _WORDS.get(kind):
+        if words := _SCHEMA_MESSAGES.get(kind):
             return self.error(keys, f"'{dotted}' {words.format(written=written, **item.get('ctx', {}))}")
         message = item["msg"].removeprefix("Value error, ")
         joint = " " if message.startswith(("=", "is not", "has ")) else ": "
         return self.error(keys, f"'{dotted}'{joint}{message[0].lower() + message[1:]}")
 
 
-def _in_words(complaint: str) -> str:
-    """Return a complaint of the TOML reader with what to do about it."""
-    twice = re.search(r"Cannot (?:declare|mutate|redefine)[^(]*\((.*)\)", complaint)
-    if twice is not None:
-        name = ".".join(re.findall(r"'([^']*)'", twice[1]))
-        return f"the table '{short(name)}' stands there twice: join the two"
-    if complaint in ("Cannot overwrite a value",) or complaint.startswith("Duplicate"):
-        return "a key stands there twice: leave one of the two out"
-    return f'{short(complaint, 100)}; write keys as tow_speed = "7.2 km/h", each in a line, texts in quotes'
+def _with_remedy(message: str) -> str:
+    """Return a message of the TOML parser with what to do about it."""
+    repeated = re.search(r"Cannot (?:declare|mutate|redefine)[^(]*\((.*)\)", message)
+    if repeated is not None:
+        name = ".".join(re.findall(r"'([^']*)'", repeated[1]))
+        return f"the table '{short(name)}' appears twice: join the two"
+    if message == "Cannot overwrite a value" or message.startswith("Duplicate"):
+        return "a key appears twice: remove one of the two"
+    return f'{short(message, 100)}; write each key on its own line, as tow_speed = "7.2 km/h", with text in quotes'
 
 
 def unreadable(data: Any) -> tuple[Keys, str] | None:
-    """Return where parsed TOML holds what no message or table can show, and what is wrong there; or None."""
+    """Return the path and description of a parsed value that cannot be printed or computed with, or None."""
     rest: list[tuple[Keys, Any]] = [((), data)]
-    while rest:  # not by recursion, which deep nesting would exhaust
+    while rest:  # a loop, because deep nesting would exhaust recursion
         keys, value = rest.pop()
         if len(keys) > MOST_TABLES:
             return keys[:MOST_TABLES], TOO_DEEP
-        if isinstance(value, int) and value.bit_length() > _MOST_BITS:
+        if isinstance(value, int) and value.bit_length() > _MAX_INTEGER_BITS:
             return keys, f"'{'.'.join(keys)}' is larger than any number that can be computed with: check it"
         for text in (*keys[-1:], value):
             if isinstance(text, str) and (wrong := unprintable(text)) is not None:
-                return keys, f"'{'.'.join(keys)}' holds {wrong}, a character that cannot be printed: take it out"
+                return keys, f"'{'.'.join(keys)}' holds {wrong}, a character that cannot be printed: remove it"
         inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
         rest += [((*keys, str(name)), one) for name, one in inner]
     return None
@@ -261,7 +272,7 @@ def lines_of(text: str) -> dict[str, int]:
         text: valid TOML, its lines ended by single line feeds.
 
     Returns:
-        Keys with the names of the tables around them, joined by dots however the text writes them, and their lines.
+        Full dotted name of each key and table, however the text writes it -> its line.
     """
     found: dict[str, int] = {}
     table: tuple[str, ...] = ()
@@ -290,7 +301,7 @@ def nested_line(text: str) -> int | None:
 
 
 def _statements(text: str) -> Iterator[tuple[int, str]]:
-    """Yield each key with its value, and each heading, with the line on which it begins."""
+    """Yield the line and text of each statement: a key with its value, or a table heading."""
     begin, line, depth, lines = 0, 1, 0, 1
     for token in _TOKEN.finditer(f"{text}\n"):
         mark = token[0]
@@ -310,10 +321,10 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _paths(parsed: Any, before: Sequence[str] = ()) -> Iterator[tuple[str, ...]]:
-    """Yield the names that lead to each value and table, as deep as these may stand in one another."""
+    """Yield the path of each value and table, down to the nesting limit."""
     if len(before) > MOST_TABLES:
         return
-    if isinstance(parsed, list):  # of a heading in double brackets
+    if isinstance(parsed, list):  # an array of tables, from a heading in double brackets
         for one in parsed:
             yield from _paths(one, before)
     elif isinstance(parsed, dict):
@@ -323,15 +334,15 @@ def _paths(parsed: Any, before: Sequence[str] = ()) -> Iterator[tuple[str, ...]]
 
 
 def _nearest_file(path: Path, names: Sequence[str]) -> str:
-    """Return a clause that suggests files beside a path."""
+    """Return a clause that suggests files in the folder of a path."""
     close = difflib.get_close_matches(path.name, names, n=2, cutoff=0.7)
     if not close:
-        return f"in that folder are {', '.join(names)}"
+        return f"that folder contains {', '.join(names)}"
     return f"did you mean {' or '.join(repr(str(path.parent / name)) for name in close)}?"
 
 
 class PlacedError(InputError):
-    """An error that knows its line."""
+    """An error with its line number; 0 for an override."""
 
     def __init__(self, message: str, line: int) -> None:
         super().__init__(message)
@@ -339,5 +350,5 @@ class PlacedError(InputError):
 
 
 def _keys(item: Any) -> Keys:
-    """Return the path of a schema error, without the alternatives that a union tried."""
+    """Return the path of a schema error, without the alternatives of a union that pydantic adds to it."""
     return tuple(str(key) for key in item["loc"] if key not in ("str", "int", "float"))

@@ -1,4 +1,4 @@
-"""`sweep`: a problem file, or a function, over a grid or a sample."""
+"""`sweep`: evaluation of a problem file, or of a function, over a grid or a sample."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ What = Literal["simulate", "optimise"]
 Method = Literal["auto", "each", "batch"]
 
 MANY: Final = 10_000
-"""Number of simulated points from which on a sweep takes `Batch` where the scene is one that it accepts."""
+"""Number of points from which a sweep simulates by `Batch`, if `Batch` accepts the scene."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,12 @@ class ProblemSweep:
     """Plan of a sweep of a problem file.
 
     Attributes:
-        evaluation: what is computed at a point.
-        axes: quantity -> what it runs over, SI.
-        origin: the file, with the units in which the ranges were written.
+        evaluation: the computation at each point.
+        axes: quantity -> its values or range, in SI.
+        origin: title of the file, and the units in which file and ranges are written.
         count: number of points.
-        question: what the results depend on.
-        how: a sentence that says by what they are computed.
+        question: everything that the results depend on, by which a store recognises its own sweep.
+        how: sentence that says how the points are computed.
         notes: what the sweep changes in the file.
     """
 
@@ -62,11 +62,11 @@ class ProblemSweep:
         samples: int | None = None,
         seed: int = 0,
     ) -> ProblemSweep:
-        """Check everything that can be checked before anything is computed; arguments as of `sweep`."""
+        """Return the plan of a sweep after all checks that need no results; arguments as in `sweep`."""
         check_named("what = {} is unknown", what, get_args(What))
         check_named("method = {} is unknown", method, get_args(Method))
         if what == "optimise" and method == "batch":
-            raise InputError("a batch simulates; it does not optimise: leave one of the two out")
+            raise InputError("a batch cannot optimise, only simulate: remove one of the two options")
         axes, displays = _axes(over, samples is not None)
         count = points_of(axes, samples, seed).count
         for end in (0, -1):
@@ -86,7 +86,7 @@ class ProblemSweep:
         return cls(evaluation, axes, origin, count, _question(problem, axes, what, how), how, notes)
 
     def run(self, **rest: Any) -> Sweep:
-        """Evaluate every point; arguments as of `sweep`."""
+        """Return the results at every point; arguments as in `sweep`."""
         units = {**self.evaluation.units, **{name: quantities()[name].symbol for name in self.axes}}
         found = study.sweep(self.evaluation, self.axes, question=self.question, units=units, **rest)
         found.origin, found.how = self.origin, self.how
@@ -108,7 +108,7 @@ def sweep(
     progress: bool | Progress = False,
     units: Mapping[str, str] | None = None,
 ) -> Sweep:
-    """Evaluate a problem, or a function of named numbers, at every point of a grid or a sample, and store the results.
+    """Return the results of a problem, or of a function of named numbers, at every point of a grid or a sample.
 
     For example::
 
@@ -117,35 +117,37 @@ def sweep(
         result = po.sweep(problem, over, store="out/sweep.db")
         result.table["mean_draft"], list(result.failures)
 
-    The numbers are the same, bit for bit on one machine, whatever the executor and the number of workers: a point is
-    computed from its own values alone. Points are stored when they are finished; the same call continues from there.
+    Each point is computed from its own values alone, so the numbers are the same, bit for bit on one machine, for any
+    executor and number of workers. Each point is stored when it is finished; after an interruption the same call
+    continues.
 
     Args:
-        what_to_sweep: a problem, whose quantities are named as in its file and by ``--set``; or a picklable function
-            that takes a dictionary of the quantities at a point and returns named finite numbers. What it raises is the
-            reason of a point that failed.
-        over: name -> what it runs over: `Range`, numbers (SI), or for a problem a text such as "5..45 kPa:9",
-            "10..1000 kN/m:7 log", "5 kPa, 10 kPa", or "5..45 kPa" for a sample. The last one changes fastest.
-        what: of a problem, "simulate" its scene with its variables at their guesses, or "optimise" its design, from the
-            file's guess at every point; a variable that is swept is fixed.
-        method: of simulations, "each" by `simulate`; "batch": by `Batch`, a hundred times as fast, without peaks; or
-            "auto": by `Batch` from 10,000 points on if it follows such a scene.
-        samples: in the place of a grid, a scrambled Sobol sample of so many points of the ranges, best a power of two.
-        seed: of the sample.
-        store: an SQLite file, in which every finished point is at once. If it holds points of the same question these
-            are not repeated; several runs may fill it at the same time. None: a file that goes with the result.
-        executor: any `concurrent.futures.Executor`, such as that of a dask client or of mpi4py; it is left running.
-            Default: processes on all cores of this machine, which end with the sweep.
-        workers: how many the executor has, so that all have work (default: the cores of this machine).
-        retry: try the points again that failed, are undetermined, or whose rows in the store are damaged.
-        progress: True: a bar on the error stream, if that is a terminal; or what is called with the points that are
-            stored, all points, and those that failed.
-        units: of a function, name -> unit, for the headings of tables.
+        what_to_sweep: a problem, whose quantities are named as in its file; or a picklable function that takes a
+            dictionary of the quantities at a point and returns named finite numbers. If it raises an exception, the
+            point fails for that reason.
+        over: name -> values: a `Range`, numbers (SI), or for a problem a text such as "5..45 kPa:9",
+            "10..1000 kN/m:7 log", "5 kPa, 10 kPa", or "5..45 kPa" for a sample. The last name varies fastest.
+        what: for a problem, "simulate" its scene with its variables at their guesses, or "optimise" its design from the
+            file's guess at every point; swept variables are fixed.
+        method: for simulations, "each" for `simulate`; "batch" for `Batch`, a hundred times as fast, without peaks; or
+            "auto" for `Batch` from 10,000 points on, if it accepts the scene.
+        samples: number of points of a scrambled Sobol sample of the ranges, preferably a power of two; None for a grid.
+        seed: seed of the sample.
+        store: an SQLite file that receives every finished point. Points of the same question that it already holds are
+            not repeated, and several processes may fill it together. None for a temporary file that is deleted with the
+            result.
+        executor: any `concurrent.futures.Executor`, such as that of a dask client or of mpi4py, which is left running
+            (default: processes on all cores of this machine, which end with the sweep).
+        workers: number of workers of the executor, so that all have work (default: the cores of this machine).
+        retry: repeat points that failed, are undetermined, or have damaged rows in the store.
+        progress: True for a bar on the error stream, if that is a terminal; or a function called with the numbers of
+            stored points, all points, and failed points.
+        units: for a function, name -> unit, for the headings of tables.
 
     Raises:
-        InputError: something that cannot be swept; a store of another question, or one that is damaged or loses rows; a
-            broken executor, or workers none of which lives long enough.
-        KeyboardInterrupt: interrupted; the message says what is stored.
+        InputError: an invalid quantity, range or argument; a store of another question, or one that is damaged or loses
+            rows; a broken executor, or workers that all end too early.
+        KeyboardInterrupt: the sweep was interrupted; the message says what is stored.
 
     Example:
         >>> import plough_opt as po
@@ -158,15 +160,15 @@ def sweep(
     }  # fmt: skip
     if isinstance(what_to_sweep, Problem):
         if units is not None:
-            raise InputError("units are of a function: a problem file has its own")
+            raise InputError("units are for functions: a problem file has its own, so remove them")
         return ProblemSweep.of(what_to_sweep, over, what, method, samples, seed).run(**rest)
     if not (isinstance(what, str) and isinstance(method, str) and (what, method) == ("simulate", "auto")):
-        raise InputError("what and method are of a problem file: a function says itself what it computes")
+        raise InputError("what and method are for problem files: remove them to sweep a function")
     return study.sweep(what_to_sweep, over, units=units, **rest)
 
 
 def _axes(over: Mapping[str, object], sampled: bool) -> tuple[dict[str, Axis], dict[str, Display]]:
-    """Return what each quantity runs over, and the units of those that are written as texts."""
+    """Return the values or range of each quantity in SI, and the units of those that are given as text."""
     if not isinstance(over, Mapping):
         raise InputError(f"over = {shown(over)} must be a dictionary, like {{'soil.cohesion': '5..45 kPa:9'}}")
     units = quantities()
@@ -192,14 +194,14 @@ def _ends(axis: Axis) -> tuple[float, float]:
 def _evaluation(
     problem: Problem, names: tuple[str, ...], what: What, method: Method, count: int
 ) -> tuple[Simulation | SimulationOfMany | Optimisation, str]:
-    """Return what is computed at a point, and a sentence that says so."""
+    """Return the computation at each point, and a sentence that describes it."""
     if what == "optimise":
         return Optimisation(problem), "each point is a whole optimisation, from the file's guess"
     if method == "batch" or (method == "auto" and count >= MANY):
         many = SimulationOfMany(problem, names)
         try:
             if problem.values().get("scene.duration") is None and "scene.duration" not in names:
-                raise InputError("a batch follows a motion from its start, and a lasting orbit has none")
+                raise InputError("a batch cannot find a periodic orbit: it integrates a motion from its start")
             many.build()
         except InputError:
             if method == "batch":
@@ -210,7 +212,7 @@ def _evaluation(
 
 
 def _question(problem: Problem, axes: Mapping[str, Axis], what: What, how: str) -> dict[str, str]:
-    """Return as texts what results of a problem depend on."""
+    """Return name -> text of every setting and quantity that the results depend on."""
     table = problem.table.model_dump(exclude={"title", "variables", "minimise", "require", "trade_off"})
     found: dict[str, Any] = {"what": what, "computed": how, **_flat(table), **problem.values()}
     if what == "optimise":
@@ -221,7 +223,7 @@ def _question(problem: Problem, axes: Mapping[str, Axis], what: What, how: str) 
 
 
 def _flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """Return nested tables as one, with dotted names."""
+    """Return nested tables as one flat table with dotted names."""
     found: dict[str, Any] = {}
     for name, value in table.items():
         found |= _flat(value, f"{before}{name}.") if isinstance(value, dict) else {f"{before}{name}": value}

@@ -1,4 +1,4 @@
-"""The [uncertain] table: distributions of soil properties, and the measures of results that vary with them."""
+"""The table [uncertain]: distributions of soil properties, and measures of the results that vary with them."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ if TYPE_CHECKING:
 
 TABLE = "uncertain"
 _COUNTS = {"samples": (8, 1024), "fresh": (100, 100_000), "seed": (0, 2**31 - 1)}
-_KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {  # what each needs, and what else it may have
+# Kind of distribution -> (keys that it needs, keys that it may have).
+_KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "normal": (("mean", "std"), ("lower", "upper")),
     "lognormal": (("mean", "std"), ("lower", "upper")),
     "uniform": (("lower", "upper"), ()),
     "triangular": (("lower", "mode", "upper"), ()),
     "beta": (("mean", "std", "lower", "upper"), ()),
 }
-# Properties on which the cone index does not depend.
-_WITHOUT_LEVEL = ("density", "youngs_modulus", "poisson_ratio")
+# Properties that do not affect the cone index.
+_NOT_IN_CONE_INDEX = ("density", "youngs_modulus", "poisson_ratio")
 _NUMBER = r"(?:\d+\.?\d*|\.\d+)"
 _MEASURE = re.compile(
     rf"(?P<plain>nominal|expected|worst)|cvar\s+(?P<level>{_NUMBER})"
@@ -45,11 +46,11 @@ class UncertainTable:
     """The uncertain soil of a file.
 
     Attributes:
-        distributions: property of the soil -> kind and SI values.
+        distributions: property of the soil -> kind and parameters in SI.
         correlation: pair of properties -> correlation of their normal scores.
-        samples: that the optimiser sees.
-        fresh: that verify the optimum.
-        seed: of the samples; fresh ones follow from it too.
+        samples: number of samples that the optimiser uses.
+        fresh: number of samples that verify the optimum.
+        seed: seed of both sets of samples.
     """
 
     distributions: Mapping[str, Mapping[str, Any]]
@@ -64,25 +65,25 @@ MeasureKind: TypeAlias = Literal["nominal", "expected", "worst", "cvar", "mean_p
 
 @dataclass(frozen=True)
 class ChosenMeasure:
-    """The measure of a term or a requirement: its kind, and the level or the factor that belongs to it."""
+    """The measure of a term or requirement: its kind, and the level of a cvar or the factor of a mean_plus."""
 
     kind: MeasureKind
     number: float = 0.0
 
 
 def measure_of(text: str) -> ChosenMeasure:
-    """Return the measure that a file names.
+    """Return the measure that a text describes.
 
     Raises:
-        InputError: an unknown measure, or an invalid level.
+        InputError: the measure is unknown, or its level is invalid.
     """
     match = _MEASURE.fullmatch(text.strip())
     if match is None:
-        raise InputError(f'"{text}" is not a measure: take {_MEASURE_EXAMPLES}')
+        raise InputError(f'"{text}" is not a measure: use {_MEASURE_EXAMPLES}')
     if match["level"] is not None:
         level = float(match["level"])
         if not 0.0 < level < 1.0:
-            raise InputError(f'"{text}": the level of a cvar must lie between 0 and 1, 0.9 being the worst tenth')
+            raise InputError(f'"{text}": the level of a cvar must lie between 0 and 1; 0.9 means the worst tenth')
         return ChosenMeasure("cvar", level)
     if match["factor"] is not None:
         return ChosenMeasure("mean_plus", float(match["sign"] + match["factor"]))
@@ -90,7 +91,7 @@ def measure_of(text: str) -> ChosenMeasure:
 
 
 def uncertain_of(table: Mapping[str, Any]) -> UncertainTable:
-    """Return a checked table."""
+    """Return the table of a file, which must have been checked, in SI."""
     own = {key: value for key, value in table.items() if key not in {*_COUNTS, "correlation"}}
     counts = {key: table[key] for key in _COUNTS if key in table}
     return UncertainTable(
@@ -101,11 +102,11 @@ def uncertain_of(table: Mapping[str, Any]) -> UncertainTable:
 
 
 def distribution_of(table: UncertainTable, soil: Soil) -> SoilDistribution:
-    """Return the distribution around a soil.
+    """Return the distribution around a nominal soil.
 
     Raises:
-        InputError: values that no distribution of the kind has, or correlations that cannot hold together.
-        DomainError: a distribution that reaches out of the model's domain.
+        InputError: parameters are invalid, or correlations are incompatible.
+        DomainError: a distribution extends beyond the model's domain.
     """
     from plough_opt.studies.uncertainty import SoilDistribution  # scipy.stats is slow to import, and rarely needed
 
@@ -120,15 +121,14 @@ def distribution_of(table: UncertainTable, soil: Soil) -> SoilDistribution:
 
 
 def _of_strength_factor(table: UncertainTable, soil: Soil) -> UncertainTable:
-    """Return a distribution of the cone index as that of the strength factor, which is proportional to it."""
+    """Return the table with a distribution of the strength factor in place of the proportional cone index."""
     reading = table.distributions.get("cone_index")
     if reading is None:
         return table
-    others = [name for name in table.distributions if name not in ("cone_index", *_WITHOUT_LEVEL)]
+    others = [name for name in table.distributions if name not in ("cone_index", *_NOT_IN_CONE_INDEX)]
     if others:
         raise InputError(
-            f"the cone index decides the soil's level, which 'soil.{others[0]}' is part of: make only one of them"
-            " uncertain"
+            f"the cone index depends on 'soil.{others[0]}', so the two cannot both be uncertain: remove one"
         )
     per = float(as_number(soil.strength_factor / cone_index(soil)))
     scaled = {key: value if key == "distribution" else value * per for key, value in reading.items()}
@@ -141,18 +141,18 @@ def _of_strength_factor(table: UncertainTable, soil: Soil) -> UncertainTable:
 
 
 def join_dotted(data: dict[str, Any]) -> None:
-    """Read soil.cohesion = {...} under [uncertain], without quotes, as "soil.cohesion" = {...}."""
+    """Replace unquoted keys such as soil.cohesion = {...} under [uncertain] by "soil.cohesion" = {...}."""
     table = data.get(TABLE)
     if isinstance(table, dict) and isinstance(table.get("soil"), dict):
         for name, entry in table.pop("soil").items():
             own = table.get(f"soil.{name}")
-            # A change from the command line stands beside what the file says.
+            # An override from the command line may have added keys to a table under the quoted name.
             both = isinstance(own, dict) and isinstance(entry, dict)
             table[f"soil.{name}"] = dict(own or {}, **entry) if both else entry
 
 
 def check_uncertain(source: Source, table: ProblemTable) -> None:
-    """Note every error in the table, and in the measures of terms and requirements."""
+    """Note every mistake in the table, and in the measures of terms and requirements."""
     if table.uncertain is None:
         _refuse_measures(source, table)
         return
@@ -182,19 +182,19 @@ def check_uncertain(source: Source, table: ProblemTable) -> None:
 
 
 def _check_property(table: ProblemTable, key: str) -> None:
-    """Refuse a property that is a variable, or that follows from a cone index in every sample."""
+    """Raise InputError for a property that is a variable, or that follows from a cone index in every sample."""
     reading = "soil.cone_index"
     if key in table.variables:
-        raise InputError(f"'{key}' is a variable and cannot be uncertain too: remove one")
+        raise InputError(f"'{key}' is a variable, so it cannot be uncertain: remove one")
     read = reading in {*table.variables, *(table.uncertain or ())} or at(table, reading) is not None
     if key == table.soil.adjusted and read:
         raise InputError(f"'{key}' follows from the cone index in every sample: make {reading} uncertain")
     if key == reading and table.soil.adjust != "strength factor":
-        raise InputError(f"'{key}' can be uncertain with adjust = \"strength factor\" only")
+        raise InputError(f"'{key}' can be uncertain only with adjust = \"strength factor\"")
 
 
 def check_joint(source: Source, table: ProblemTable, soil: Callable[[], Soil]) -> None:
-    """Note a distribution that the model cannot take, with its line; the rest of the file is right."""
+    """Note every distribution that the model refuses, with its line; the rest of the file must be valid."""
     if table.uncertain is None:
         return
     own = uncertain_of(table.uncertain)
@@ -246,17 +246,17 @@ def _parsed(key: str, entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _made(name: str, values: Mapping[str, Any]) -> Any:
-    """Return the frozen distribution of scipy.stats.
+    """Return a frozen distribution of scipy.stats.
 
     Raises:
-        InputError: values that no distribution of the kind has.
+        InputError: the parameters are invalid for this kind of distribution.
     """
-    from scipy import stats  # as in `distribution_of`
+    from scipy import stats  # slow to import, and rarely needed
 
     kind = values["distribution"]
     mean, std, lower, upper = (values.get(key, math.nan) for key in ("mean", "std", "lower", "upper"))
     if std <= 0.0:
-        raise InputError(f"'{name}': std must be above 0: what is certain belongs into [soil]")
+        raise InputError(f"'{name}': std must be above 0: give a certain value in [soil]")
     if lower >= upper:
         raise InputError(f"'{name}': lower must be below upper")
     if kind == "normal":
@@ -274,7 +274,7 @@ def _made(name: str, values: Mapping[str, Any]) -> Any:
     middle, relative = (mean - lower) / (upper - lower), (std / (upper - lower)) ** 2
     size = middle * (1.0 - middle) / relative - 1.0
     if not (0.0 < middle < 1.0 and size > 0.0):
-        raise InputError(f"'{name}': no beta distribution between these bounds has this mean and std: lower the std")
+        raise InputError(f"'{name}': a beta distribution between these bounds cannot have this mean and std: lower std")
     return stats.beta(middle * size, (1.0 - middle) * size, lower, upper - lower)
 
 
@@ -297,22 +297,22 @@ def _check_measures(source: Source, table: ProblemTable) -> None:
 def _check_limit(limit: LimitTable, name: str, everywhere: bool) -> None:
     if everywhere and limit.measure != "nominal":
         raise InputError(
-            f"'{name}' has a value at every output time: over samples of the soil limit its mean, or say"
+            f"'{name}' has a value at every output time: limit its mean over samples of the soil, or set"
             ' measure = "nominal"'
         )
     if limit.probability is None:
         return
     if limit.measure is not None:
-        raise InputError(f"'{name}' has a measure and a probability: give one")
+        raise InputError(f"'{name}' has both a measure and a probability: remove one")
     if not 0.0 < limit.probability < 1.0:
-        between = "must lie between 0 and 1; leave it out for every sample"
+        between = "must lie between 0 and 1; remove it to require every sample"
         raise InputError(f"'{name}': the probability {limit.probability:g} {between}")
     if len(limit.sides) == 2:
-        raise InputError(f"'{name}': a probability is of one limit: give at_least or at_most")
+        raise InputError(f"'{name}': a probability applies to one limit: give at_least or at_most")
 
 
 def _refuse_measures(source: Source, table: ProblemTable) -> None:
-    """Note what belongs to an uncertain soil in a file that has none."""
+    """Note keys that need an uncertain soil, in a file without one."""
     for kind in ("minimise", "require"):
         for name, entry in getattr(table, kind).items():
             for key in ("measure", "probability", "width"):

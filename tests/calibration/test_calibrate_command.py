@@ -35,7 +35,7 @@ def test_tables_and_files(cli, tmp_path):
         "95 % interval",
         "What to measure next",
         "are correlated: -0.9",
-        "RMS error of rows that took no part",
+        "RMS error of rows left out of the fit",
     ):
         assert words in done.out.replace("\n", " ")
     assert "an ambient pressure of 101.3 kPa is taken as known" in done.out.replace("\n", " ")
@@ -82,7 +82,7 @@ def test_unknowns_of_the_command_line_and_one_measured_by_itself(cli):
             ("--data", DATA, "--known", "soil.density=1 +- 1 kg/m^3"),
             "unknowns: effects.rate_term, soil.cohesion,",
         ),
-        (("--data", DATA, "--data", DATA.parent / "." / DATA.name), "is given twice: its rows would count twice"),
+        (("--data", DATA, "--data", DATA.parent / "." / DATA.name), "is given twice, so its rows would count twice"),
         (("--data", DATA, *2 * ("--unknown", "soil.cohesion=1..80 kPa")), "'soil.cohesion' is given twice"),
         (("--data", DATA, "--level", "95"), "level = 95.0 must lie between 0 and 1"),
         (("--data", DATA, "--folds", "1"), "folds = 1 must be a whole number from 2 to 24"),

@@ -96,7 +96,7 @@ def test_check_shows_changes_and_notes_what_is_fixed(cli, cotton, reference, tmp
     assert cells(done.out, "effects.damping") == ["1 kN*s/m"]
     assert cells(done.out, "share.height") == ["0.3 m"]
     assert "2 variables" in done.out
-    assert done.err == "note: 'share.height' is a variable of the file: it is fixed at 0.3 m\n"
+    assert done.err == "note: 'share.height' is a variable of the file and is now fixed at 0.3 m\n"
     out = cli("check", cotton, "--set", "effects.formulation=printed").out
     assert "natural frequency" not in out  # a spring that repels does not oscillate
     assert cells(out, "growth under the print's repelling spring")[0].startswith("exp(")
@@ -214,7 +214,7 @@ BAD_INPUT = {
     "set": ("simulate subsoiler.toml --set scene.tow_speed", "--set scene.tow_speed: expected KEY=VALUE"),
     "picture": ("simulate subsoiler.toml --plot run.jpg", "'run.jpg' has no known picture format: end its name in"),
     "no ending": ("optimise subsoiler.toml --plot picture", "'picture' has no known picture format"),
-    "no objective": ("optimise aimless.toml", "aimless.toml: nothing to minimise: a [minimise] table is missing"),
+    "no objective": ("optimise aimless.toml", "aimless.toml: nothing to minimise: add a table [minimise]"),
     "init": ("init subsoiler.toml", "'subsoiler.toml' exists already"),
 }  # fmt: skip
 

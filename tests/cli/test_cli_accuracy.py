@@ -44,7 +44,7 @@ def test_tables_advice_and_files(cli, tmp_path):
     assert "quasi-static averages: relative error against time" in done.out
     (advice,) = (line for line in done.out.splitlines() if line.startswith("quasi-static averages: for 1e-05 take "))
     assert "the default" in advice
-    assert "note: the soil is the nominal one: its uncertainty takes no part" in done.out
+    assert "note: the study uses the nominal soil" in done.out
     assert "casadi " in done.out.splitlines()[-1]
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert f"wrote {picture}" in done.err.replace("\n", "")

@@ -17,7 +17,7 @@ def test_it_prints_drafts_assumptions_reasons_and_marks(cli, cotton):
     assert "0.4 m" in lines[0]
     assert "6.78 (" in lines[0]
     assert "10.4 (" in lines[0]
-    for words in ("Assumed", "Why they differ", "What is not verified", "not verified against the standard's text"):
+    for words in ("Assumed", "Why they differ", "Not verified", "not verified against the standard's text"):
         assert words in done.out
     assert "Outside the domain" not in done.out
 
@@ -28,7 +28,7 @@ def test_without_options_it_says_what_it_estimated_of_which_design_and_what_it_c
     assert "working depth 0.25 m: the share's height, for none was given" in done.out
     assert "Outside the domain" in done.out
     guess = "share.wedge_angle = 25 deg, share.height = 0.25 m, scene.stiffness = 50 kN/m"
-    assert f"at the file's guess, {guess}; --set gives" in done.out
+    assert f"at the file's guess, {guess}; use --set" in done.out
     fixed = ("share.wedge_angle=39.1 deg", "share.height=0.254 m", "scene.stiffness=50.8 kN/m")
     assert "guess" not in cli("check", cotton, "--against", *(f"--set={text}" for text in fixed)).out
     assert "ASABE" not in cli("check", cotton).out

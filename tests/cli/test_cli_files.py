@@ -31,8 +31,8 @@ def own(tmp_path, cotton):
         ("sweep", FRONT, (*SWEEP, "--npz", FRONT), "--npz 'FILE' is the problem file"),
         ("sweep", FRONT, (*SWEEP, "--store", FRONT), "--store 'FILE' is the problem file"),
         ("calibrate", "calibration.toml", ("--output", "calibration.toml"), "--output 'FILE' is the problem file"),
-        ("calibrate", "calibration.toml", ("--output", "synthetic_draft.csv"), "--output 'FILE' is a file of data"),
-        ("tradeoff", FRONT, ("--csv", "x", "--output", "x"), "--output 'x' is the file of --csv too"),
+        ("calibrate", "calibration.toml", ("--output", "synthetic_draft.csv"), "--output 'FILE' is a data file"),
+        ("tradeoff", FRONT, ("--csv", "x", "--output", "x"), "--output 'x' is also the file of --csv"),
     ],
 )
 def test_no_output_overwrites_an_input_or_another_output(cli, own, monkeypatch, verb, name, options, overwritten):
@@ -136,7 +136,7 @@ def test_no_command_to_the_terminal_comes_out_of_a_name(cli, cotton, tmp_path):
 @pytest.mark.parametrize(
     ("variable", "value", "line", "told"),
     [
-        ("MPLBACKEND", "bogus", ("simulate", "--plot", "a.png"), "--plot: matplotlib does not start: "),
+        ("MPLBACKEND", "bogus", ("simulate", "--plot", "a.png"), "--plot: matplotlib cannot start: "),
         (
             "CC",
             "'",

@@ -98,8 +98,8 @@ READING = '"soil.cone_index" = { distribution = "uniform", lower = "1 MPa", uppe
     [
         ("cohesion", COHESION, "'soil.cohesion' follows from the cone index in every sample: make soil.cone_index"),
         ("strength factor", FACTOR, "'soil.strength_factor' follows from the cone index"),
-        ("cohesion", READING, 'can be uncertain with adjust = "strength factor" only'),
-        ("strength factor", f"{COHESION}\n{READING}", "make only one of them uncertain"),
+        ("cohesion", READING, 'only with adjust = "strength factor"'),
+        ("strength factor", f"{COHESION}\n{READING}", "cannot both be uncertain"),
     ],
 )
 def test_what_the_reading_decides_is_not_uncertain_by_itself(refusal, adjust, entries, words):

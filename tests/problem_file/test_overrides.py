@@ -54,8 +54,8 @@ def test_a_variable_given_a_value_is_fixed_with_a_note(read, cotton):
     assert problem.scene().share.height == pytest.approx(0.3)
     assert problem.scene().share.angle == pytest.approx(30 * DEG)
     assert problem.notes == (
-        "'share.height' is a variable of the file: it is fixed at \"30 cm\"",
-        "'share.wedge_angle' is a variable of the file: it is fixed at 30 deg",
+        "'share.height' is a variable of the file and is now fixed at \"30 cm\"",
+        "'share.wedge_angle' is a variable of the file and is now fixed at 30 deg",
     )
 
 
@@ -96,7 +96,7 @@ REFUSED = [
     ("require.half_angle.at_least=20 deg", "contradict each other", "at least 20 deg is above at most 15 deg"),
     ("minimise.tow_powr.per=1 kW", "'tow_powr' cannot be minimised", "'tow_power'"),
     ("scen.tow_speed=2 m/s", "no table is named 'scen'", "did you mean 'scene'?"),
-    ("scene.tow_speed.x=3", "'tow_speed' holds a value already"),
+    ("scene.tow_speed.x=3", "'tow_speed' is a value"),
     ("scene.tow_speed", "expected KEY=VALUE", 'like scene.tow_speed="2.5 m/s"'),
     ("scene.tow_speed=", "expected KEY=VALUE"),
     ("=3", "expected KEY=VALUE"),

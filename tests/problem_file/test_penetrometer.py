@@ -111,13 +111,13 @@ def test_the_insertions_spread_makes_the_design_robust(write):
         ("depth [cm], cone_index [kPa]\n0, 1\n10\n", "line 3: the row has 1 cells"),
         ("depth [cm], cone_index [kPa]\n0, 1\n10, -5\n", "-5 must be at least 0"),
         ("depth [cm], cone_index [kPa]\n0, 1\n60, nan\n", "not a finite number"),
-        ("depth [cm], cone_index [kPa]\n0, 1\n20, 5\n", "insertion 1: its readings reach from 0 to 20 cm"),
+        ("depth [cm], cone_index [kPa]\n0, 1\n20, 5\n", "insertion 1: its readings cover 0 to 20 cm"),
         (
             "depth [cm], cone_index [kPa]\n0, 1\n60, 5\n30, 5\n",
             r"line 4: depths of an insertion must increase, but 0\.3 follows 0\.6",
         ),
         ("depth [cm], cone_index [kPa]\n0, 0\n60, 0\n", "its mean cone index is 0"),
-        ("insertion, depth [cm], cone_index [kPa], cone_index [kPa]\n1, 0, 1, 2\n", "leave it out"),
+        ("insertion, depth [cm], cone_index [kPa], cone_index [kPa]\n1, 0, 1, 2\n", "single column cone_index"),
         ("depth [cm], cone_index [kPa]\n" + "1, 2, 3" * 2000, "line 2: it has 14000 characters"),
     ],
 )
@@ -132,10 +132,10 @@ def test_what_is_wrong_with_a_file_has_its_place(write, text, words):
 def test_what_contradicts_itself_is_refused(write):
     for changes, words in (
         ({"depth": '"45..25 cm"'}, "45"),
-        ({"depth": '"25 cm"'}, "no two ends"),
+        ({"depth": '"25 cm"'}, "not a range"),
         ({"depth": "3"}, "belong together"),
         ({"file": '"none.csv"'}, "there is no file"),
-        ({"more": 'cone_index = "1 MPa"'}, "leave one out"),
+        ({"more": 'cone_index = "1 MPa"'}, "both a cone index and a penetrometer"),
         ({"more": "strength_factor = 2.0"}, "follows from the cone index"),
         ({"more": 'adjust = "cohesian"'}, "'cohesion'"),
     ):
@@ -147,5 +147,5 @@ def test_two_insertions_have_no_spread(write):
     path = write("depth [cm], cone_index [kPa], cone_index [kPa]\n0, 1, 2\n60, 900, 1000\n")
     found = po.read_penetrometer(path.parent / "field.csv", (0.25, 0.45))
     assert math.isfinite(found.mean)
-    with pytest.raises(po.InputError, match="2 insertions, and a spread needs 3"):
+    with pytest.raises(po.InputError, match="2 insertions, but a spread needs 3"):
         found.distribution()

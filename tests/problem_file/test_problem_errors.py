@@ -56,7 +56,7 @@ CONTRADICTIONS = [
     ('at_most = "15 deg"', "", "half_angle", "'half_angle' has no limit: give at_least, at_most"),
     (MEAN, 'mean_draft = { per = "0 N"', "mean_draft = {", "'mean_draft' per = 0 N must be above 0"),
     ("[scene]", "height = '20 cm'\n[scene]", '"share.height"',
-     "'share.height' is a variable and has a fixed value too: remove one"),
+     "'share.height' is a variable and also has a fixed value"),
     ("force_rms  =", "deflection =", "deflection = { per", "'deflection' cannot be minimised", "'mean_deflection'"),
     *(('"share.height" ', f'"{key}" ', f'"{key}" ', f"'{key}' cannot be a variable")
       for key in ("soil.name", "effects.motion", "share", "title")),
@@ -240,7 +240,7 @@ def test_a_text_that_ends_too_early(refusal):
     ("name", "told"),
     [
         ("subsoler.toml", "there is no file '{}/subsoler.toml': did you mean '{}/subsoiler.toml'"),
-        ("rotavator.toml", "in that folder are binary.toml, subsoiler.toml"),
+        ("rotavator.toml", "that folder contains binary.toml, subsoiler.toml"),
         ("empty/subsoiler.toml", "plough-opt init"),
         ("nowhere/subsoiler.toml", "there is no file"),
         (".", "is a folder: name a problem file in it"),

@@ -158,6 +158,6 @@ def test_what_is_wrong_has_its_line(refusal, written, given, words):
 
 def test_what_belongs_to_it_needs_it_and_its_rms_a_damper(refusal, written):
     said = refusal(written("", ("[variables]", f"[variables]\n'{LIKE}.rms' = {{ lower = 0.1, upper = 0.2 }}")))
-    assert f"'{LIKE}.rms' has no {LIKE} to belong to" in said
+    assert f"'{LIKE}.rms' belongs to {LIKE}, which is missing" in said
     said = refusal(written(GIVEN, ('damping = "400 N*s/m"', "inertial_drag = false")))
     assert "the stationary RMS needs some damping" in said

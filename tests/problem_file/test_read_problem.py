@@ -232,9 +232,9 @@ require.loosened_radius.at_least = "10 cm"
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        ('minimise.mean_draft.per = "1 kN"\n', r"nothing to choose: a \[variables\] table is missing"),
+        ('minimise.mean_draft.per = "1 kN"\n', r"nothing to choose: add a table \[variables\]"),
         ('variables."scene.steel_density" = { lower = "7 t/m^3", upper = "8 t/m^3" }\n',
-         r"nothing to minimise: a \[minimise\] table is missing"),
+         r"nothing to minimise: add a table \[minimise\]"),
     ],
 )  # fmt: skip
 def test_a_design_with_nothing_to_choose_or_to_minimise_is_refused(read, more, words):

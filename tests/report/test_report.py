@@ -116,7 +116,7 @@ def test_no_text_leaves_its_place_and_nothing_is_asked_of_a_network(written):
     ("name", "changes", "text"),
     [
         ("draft_against_loosening.toml", (), "add a table [minimise]"),
-        ("uncertain_field.toml", (), "leave out the table [uncertain]"),
+        ("uncertain_field.toml", (), "remove the table [uncertain]"),
         ("cotton_subsoiler.toml", ("-o", "a.txt"), "end it in .html"),
     ],
 )
@@ -231,7 +231,7 @@ def test_the_share_is_turned_by_mouse_keyboard_and_buttons(desk):
     for key in ("ArrowLeft", "ArrowUp", "+"):
         page.keyboard.press(key)
         moved()
-    solid.get_by_role("button", name="turn right").click()
+    solid.get_by_role("button", name="rotate right").click()
     moved()
     before = canvas.evaluate(DRAWN)
     solid.get_by_label("Compacted soil").uncheck()

@@ -85,7 +85,7 @@ def test_the_command_says_that_no_scheduler_answers(monkeypatch, capsys, tmp_pat
     monkeypatch.setattr(distributed, "Client", silent)
     arguments = ["sweep", REFERENCE, "--over", "soil.cohesion=10 kPa, 20 kPa", "--store", str(tmp_path / "sweep.db")]
     assert main([*arguments, "--scheduler", "tcp://nowhere:1"]) == 2
-    assert "no dask scheduler answers there" in capsys.readouterr().err
+    assert "no dask scheduler answers at" in capsys.readouterr().err
 
 
 def test_a_cluster_that_has_no_workers_says_so(monkeypatch):

@@ -73,14 +73,14 @@ def test_a_problem_without_solution(cli, loosening):
 
 WRONG = {
     "misspelt": ("mean_draft = {}\nlosened_radius = {}", "line 27: 'losened_radius' cannot be traded: did you mean"),
-    "one": ("mean_draft = {}", "line 25: a front is drawn of two or three results, not of one alone: give [trade_off]"),
+    "one": ("mean_draft = {}", "line 25: a front needs two or three results, not 1: give [trade_off]"),
     "four": (
         "mean_draft = {}\nforce_rms = {}\ntow_power = {}\nmean_deflection = {}",
-        "not of 4 results: put the others into [require]",
+        "not 4: put the others into [require]",
     ),
     "none": (
         "points = 7",
-        "line 25: a front is drawn of two or three results, not of nothing: give [trade_off]",
+        "line 25: a front needs two or three results, not 0: give [trade_off]",
     ),
     "no table": ("mean_draft = 3\nforce_rms = {}", "line 26: 'trade_off.mean_draft' must be {} or { maximise = true }"),
     "key": (

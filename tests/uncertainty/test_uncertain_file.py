@@ -189,7 +189,7 @@ def test_measures_in_words(text, wanted):
         ('mean = "20 kPa", ', "", 7, "distribution needs mean"),
         ('"lognormal", mean', '"normal", mean', 7, "in a file lower = ... and upper = ..."),
         ('upper = "60 kPa"', 'upper = "1 kPa"', 7, "between its bounds"),
-        ("std = 0.02,", "std = 0.2,", 8, "no beta distribution"),
+        ("std = 0.02,", "std = 0.2,", 8, "beta distribution"),
         ('"soil.density_ratio", 0.3', '"soil.density", 0.3', 9, "soil.density_ratio"),
         ('"soil.density_ratio", 0.3', '"soil.density_ratio", 1.3', 9, "between -1 and 1"),
         ("samples = 8", "samples = 3", 5, "whole number from 8"),
@@ -199,7 +199,7 @@ def test_measures_in_words(text, wanted):
         ('width = "100 N"', 'width = "100 m"', 23, "wrong unit"),
         ('width = "100 N"', 'width = "0 N"', 23, "above 0"),
         ("probability = 0.9", "probability = 1.0", 25, "between 0 and 1"),
-        ("probability = 0.9", 'probability = 0.9, measure = "worst"', 25, "give one"),
+        ("probability = 0.9", 'probability = 0.9, measure = "worst"', 25, "both a measure and a probability"),
         ("probability = 0.9", 'probability = 0.9, at_most = "0.3 m"', 25, "one limit"),
         ("loosened_radius = {", 'deflection = { at_most = "0.1 m" }\nloosened_radius = {', 25, "every output time"),
     ],
@@ -214,7 +214,7 @@ def test_mistakes_are_reported_with_their_line(written, capsys, old, new, line, 
 def test_a_variable_cannot_be_uncertain(written, capsys):
     path = written(("[minimise]", '"soil.cohesion" = { lower = "10 kPa", upper = "30 kPa" }\n[minimise]'))
     assert main(["optimise", path]) == 2
-    assert "cannot be uncertain too" in capsys.readouterr().err
+    assert "so it cannot be uncertain" in capsys.readouterr().err
 
 
 def test_measures_need_an_uncertain_soil(written, capsys):

@@ -1,1 +1,1 @@
-"""A report as one page of HTML that needs nothing beside it."""
+"""Reports as self-contained HTML pages."""

@@ -1,4 +1,4 @@
-"""`plough-opt report`: everything about a file's best share on one page."""
+"""`plough-opt report`: everything about a file's best share on one HTML page."""
 
 import argparse
 import hashlib
@@ -17,16 +17,16 @@ from plough_opt.problem_file import Problem
 def add_options(verb: argparse.ArgumentParser) -> None:
     """Add the options of the command."""
     verb.add_argument("-o", "--output", required=True, metavar="FILE.html", help="page to write")
-    add_shared(verb, "seed", json="print what was written, and what made it, as JSON")
-    verb.add_argument("--no-accuracy", action="store_true", help="leave out the study of what accuracy costs")
+    add_shared(verb, "seed", json="print the path of the page and its provenance as JSON")
+    verb.add_argument("--no-accuracy", action="store_true", help="omit the comparison of integration methods")
 
 
 def report(options: argparse.Namespace) -> None:
-    """Optimise a file, or simulate one without variables, and write the page.
+    """Optimise a file (or simulate it if it has no variables), and write the page.
 
     Raises:
-        InputError: a mistake in the file, an output that cannot be written, or a file that trades results or whose
-            soil is uncertain.
+        InputError: the file has a mistake, has several shares, trades results or has an uncertain soil, or the page
+            cannot be written.
     """
     from plough_opt.app.page.writing import reported, write_page  # the studies are slow to import
 
@@ -44,20 +44,21 @@ def report(options: argparse.Namespace) -> None:
 
 
 def _check(problem: Problem) -> None:
+    """Raise InputError for a file that a report does not cover."""
     if problem.shares:
-        problem.scene()  # which says to choose one
+        problem.scene()  # raises InputError: one share must be chosen
     if problem.table.uncertain is not None:
         raise InputError(
-            f"{problem.name}: a report is about one soil: leave out the table [uncertain], or take plough-opt optimise"
+            f"{problem.name}: a report covers one soil: remove the table [uncertain], or use plough-opt optimise"
         )
     if problem.variables and not problem.table.minimise:
         raise InputError(
-            f"{problem.name}: a report is about one best design: add a table [minimise], or take plough-opt tradeoff"
+            f"{problem.name}: a report covers one best design: add a table [minimise], or use plough-opt tradeoff"
         )
 
 
 def _provenance(options: argparse.Namespace, text: str) -> dict[str, str]:
-    """Return what made a report, in words."""
+    """Return heading -> text of everything that identifies how a report was made."""
     from plough_opt.core.saving import versions
 
     changes = {"changed by --set": "; ".join(options.set)} if options.set else {}

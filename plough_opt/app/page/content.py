@@ -1,4 +1,4 @@
-"""The words and tables of a report: question, answer, requirements, sensitivities, soil, accuracy, provenance."""
+"""Texts and tables of a report, section by section."""
 
 import math
 import re
@@ -16,7 +16,7 @@ from plough_opt.problem_file import Problem
 from plough_opt.soil.geometry import Wedge
 from plough_opt.studies.accuracy.result import AccuracyStudy
 
-# An elasticity, or a margin in SI units, below this is the rounding of none.
+# Elasticities, and margins in SI units, below this are rounding.
 _ROUNDING = 1e-9
 
 
@@ -26,13 +26,13 @@ class Report:
 
     Attributes:
         problem: the file.
-        run: of the best design, or of the file's where it has no variables.
-        best: the optimum, where the file has variables.
-        sensitivities: of the optimum, the largest first.
-        unknown: why there are no sensitivities, or "".
-        study: what accuracy costs on this scene, or None.
-        provenance: what made the report -> its value.
-        text: of the problem file.
+        run: run of the best design, or of the file's scene if it has no variables.
+        best: the optimum, if the file has variables.
+        sensitivities: sensitivities of the optimum, the largest first.
+        unknown: reason why there are no sensitivities, or "".
+        study: comparison of integration methods on this scene, or None.
+        provenance: heading -> text of everything that identifies how the report was made.
+        text: text of the problem file.
     """
 
     problem: Problem
@@ -45,67 +45,67 @@ class Report:
     text: str = ""
 
     def display(self, key: str, unit: str, *values: float) -> Display:
-        """Return the unit in which the file writes a quantity or result, or a customary one for some SI values."""
+        """Return the unit in which the file writes a quantity or result, or a customary one for these SI values."""
         return self.problem.origin.display(key, unit, *values)
 
     def shown(self, key: str, value: float, unit: str, digits: int = 4) -> str:
-        """Return an SI value in that unit."""
+        """Return an SI value as text in the unit of `display`."""
         return nice(self.display(key, unit, value).text(value, digits))
 
     @property
     def results(self) -> dict[str, str]:
-        """The run's averages and peaks in words, one unit for all of a kind."""
+        """Name -> text of the run's averages and peaks, with one unit for each kind of quantity."""
         return {name: nice(value) for name, value in self.run.response().rows}
 
 
 def nice(text: str) -> str:
-    """Return quantities as print has them: powers raised, degrees as a sign, no line between number and unit."""
+    """Return a quantity for display: superscript powers, ° for degrees, no line break between number and unit."""
     text = re.sub(r"\^([23])", lambda power: "²³"["23".index(power[1])], text)
     return re.sub(r" deg\b", "°", text).replace("*", "·").replace(" ", "\u00a0")
 
 
 def answer(report: Report) -> str:
-    """Return the answer in a sentence."""
+    """Return the answer as one sentence."""
     best, problem = report.best, report.problem
     if best is None:
         return f"This share needs a mean draft of {report.results['mean draft']}."
     values = [f"{called(key)} {nice(v.display.text(best.variables[key], 4))}" for key, v in problem.variables.items()]
-    state = {"solved": "Best design", "not unique": "A best design, which is not unique"}
-    return f"{state.get(best.status, 'Best design seen, which derivatives do not confirm')}: {', '.join(values)}."
+    state = {"solved": "Best design", "not unique": "A best design (not unique)"}
+    return f"{state.get(best.status, 'Best design found (not confirmed by derivatives)')}: {', '.join(values)}."
 
 
 def cards(report: Report) -> list[tuple[str, str]]:
-    """Return the figures that stand first."""
+    """Return (name, text) of the main results, which the page shows first."""
     names = ("mean draft", "RMS of the mount force", "tow power", "mean deflection", "loosened radius")
     return [(name, report.results[name]) for name in names if name in report.results]
 
 
 def question(report: Report) -> list[str]:
-    """Return the question, a paragraph each."""
+    """Return the design question, one text for each paragraph."""
     problem, table = report.problem, report.problem.table
     if report.best is None:
-        return ["What does this share need, and how does it move? Nothing in the file is a variable."]
+        return ["What draft does this share need, and how does it move? The file has no variables."]
     terms = [f"{called(name)} in units of {nice(str(term.per))}" for name, term in table.minimise.items()]
-    text = [f"Choose {_listed([called(key) for key in problem.variables])} so that {' plus '.join(terms)} is least."]
+    text = [f"Choose {_listed([called(key) for key in problem.variables])} to minimise {' plus '.join(terms)}."]
     limits = [f"{called(name)} {limits_of(problem, name)}" for name in table.require]
     if limits:
         text.append(f"Required: {_listed(limits)}.")
     if report.best.over:
-        text.append(f"Judged over the tolerances: {report.best.over}.")
+        text.append(f"The objective is its {report.best.over} value over the tolerances.")
     return text
 
 
 def limits_of(problem: Problem, name: str) -> str:
-    """Return a requirement's limits as the file writes them; what a theory in it requires is not in the file."""
+    """Return a requirement's limits as the file writes them; a requirement not in the file comes from the model."""
     own = problem.table.require.get(name)
     if own is None:
-        return "as the theory demands"
+        return "domain of the theory"
     sides = (("at least", own.at_least), ("at most", own.at_most))
     return ", ".join(nice(f"{word} {written}") for word, written in sides if written is not None)
 
 
 def variables(report: Report) -> list[dict[str, str | float | bool]]:
-    """Return each variable with its bounds and its place between them, from 0 to 1."""
+    """Return name, value, bounds and position between the bounds (0 to 1) of each variable."""
     if report.best is None:
         return []
     bounds = {limit.name: limit for limit in report.best.limits if limit.kind == "bound"}
@@ -123,7 +123,7 @@ def variables(report: Report) -> list[dict[str, str | float | bool]]:
 
 
 def requirements(report: Report) -> list[dict[str, str | float | bool]]:
-    """Return each requirement with its value and its margin, in its unit and as a part of the limit."""
+    """Return name, limits, value and margin of each requirement; the margin also as a fraction of the limit."""
     if report.best is None:
         return []
     return [_requirement(report, limit) for limit in report.best.limits if limit.kind == "requirement"]
@@ -145,12 +145,12 @@ def _requirement(report: Report, limit: Limit) -> dict[str, str | float | bool]:
 
 
 def response(report: Report) -> Grid:
-    """Return the averages and peaks of the run."""
+    """Return a table of the averages and peaks of the run."""
     return Grid.pairs("Averages over the run, and peaks", *report.results.items())
 
 
 def share(report: Report) -> Grid:
-    """Return the measures of the share and of its cone."""
+    """Return a table of the dimensions of the share and of its cone."""
     body, cone = report.run.scene.share, report.run.scene.cone
     length, angle = (
         report.display("share.height", "m", float(cone.height)),
@@ -170,11 +170,11 @@ def share(report: Report) -> Grid:
         ("base radius of the cone", length.text(float(cone.height * cone.slope), 4)),
         ("moving mass, frame and share", f"{float(report.run.scene.mass):.4g} kg"),
     ]
-    return Grid.pairs("Measures", *((name, nice(value)) for name, value in rows))
+    return Grid.pairs("Dimensions", *((name, nice(value)) for name, value in rows))
 
 
 def optima(report: Report) -> Grid | None:
-    """Return the local optima, where there are several."""
+    """Return a table of the local optima, if there are several."""
     best = report.best
     if best is None or len(best.local_optima) < 2:
         return None
@@ -187,7 +187,7 @@ def optima(report: Report) -> Grid | None:
 
 
 def scene(report: Report) -> Grid:
-    """Return what is fixed in the scene, effects included."""
+    """Return a table of the fixed quantities and effects of the scene."""
     fixed = [key for key in report.problem.fixed if not key.startswith("soil.")]
     rows = [
         (called(key), report.shown(key, report.problem.fixed[key], EVERY[key].unit if key in EVERY else ""))
@@ -201,7 +201,7 @@ def scene(report: Report) -> Grid:
 
 
 def soil(report: Report) -> Grid:
-    """Return the properties of the soil."""
+    """Return a table of the properties of the soil."""
     own = report.run.scene.soil
     rows = []
     for name, quantity in QUANTITIES.items():
@@ -211,12 +211,12 @@ def soil(report: Report) -> Grid:
     if not report.run.scene.law.lacks("cone_index"):
         rows.append(("cone index of a penetrometer", nice(f"{float(cone_index(own)) / 1e3:.4g} kPa")))
         share = 100.0 * float(report.run.scene.ambient_share)
-        rows.append(("ambient pressure's part of the static draft", f"{share:.0f} %"))
+        rows.append(("static draft due to ambient pressure", f"{share:.0f} %"))
     return Grid.pairs(own.name, *rows)
 
 
 def sensitivities(report: Report) -> list[dict[str, str | float]]:
-    """Return what one per cent more of each quantity or limit changes, the largest first."""
+    """Return the changes for one per cent more of each quantity or limit, the largest first."""
     found = [one for one in report.sensitivities if one.elasticity is not None and abs(one.elasticity) > _ROUNDING]
     largest = max((abs(one.elasticity or 0.0) for one in found), default=1.0)
     return [
@@ -240,7 +240,7 @@ def _moves(one: Sensitivity) -> list[str]:
 
 
 def accuracy(report: Report) -> Grid:
-    """Return how far the numbers can be trusted, and what that cost."""
+    """Return a table of error estimates and computing times."""
     run, best = report.run, report.best
     rows = [
         ("integration", f"{run.accuracy.method}, {len(run.time) - 1} intervals over {run.duration:g} s"),
@@ -249,38 +249,39 @@ def accuracy(report: Report) -> Grid:
     ]
     if best is not None:
         rows += [
-            ("objective, two tight integrations differ by", f"{best.error_estimate:.0e}, relative"),
-            ("the optimiser's own objective differs by", f"{best.gap:.0e}, relative"),
+            ("difference of the objective between two accurate integrations", f"{best.error_estimate:.0e}, relative"),
+            ("difference of the optimiser's own objective", f"{best.gap:.0e}, relative"),
             ("time of the search and the solve", f"{best.seconds:.2g} s"),
         ]
-    return Grid.pairs("Trust and cost", *rows)
+    return Grid.pairs("Errors and computing times", *rows)
 
 
 def notes(report: Report) -> list[str]:
-    """Return what a reader of the numbers must know."""
+    """Return all warnings as sentences."""
     found = [*(report.best.warnings if report.best else ()), *report.run.warnings]
     if report.best is not None:
         for direction in report.best.flat_directions:
             names = _listed([called(name) for name, change in direction.items() if change])
-            found.append(f"the optimum is not unique: nothing changes along {names}; fix one of these")
+            found.append(f"the optimum is not unique: the result does not change along {names}; fix one of these")
         for name in dict.fromkeys(name for one in report.sensitivities for name in one.touching):
-            found.append(f"{called(name)} is just met: sensitivities are for values that grow")
+            found.append(f"{called(name)} is just met: sensitivities apply to increasing values")
     return [f"{text[:1].upper()}{text[1:]}." for text in dict.fromkeys(found)]
 
 
 def searched(report: Report) -> str:
-    """Return what the search did."""
+    """Return a sentence on the search, or ""."""
     return "" if report.best is None or report.best.search is None else _in_words(str(report.best.search))
 
 
 def _in_words(text: str) -> str:
-    """Return a sentence with the keys of quantities as a reader calls them."""
+    """Return a sentence with keys of quantities replaced by their names."""
     for key in sorted(EVERY, key=len, reverse=True):
         text = text.replace(key, EVERY[key].called)
     return text
 
 
 def _place(value: float, lower: float, upper: float, log: bool) -> float:
+    """Return the position of a value between bounds, from 0 to 1."""
     if log:
         value, lower, upper = math.log(value), math.log(lower), math.log(upper)
     return (value - lower) / (upper - lower)

@@ -1,4 +1,4 @@
-"""The numbers behind a report's pictures: charts, the share in three dimensions, the motion."""
+"""Data of a report's pictures: charts, the share in three dimensions, the motion."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any, Final
@@ -18,20 +18,21 @@ from plough_opt.studies.accuracy.contest import Entry
 from plough_opt.studies.accuracy.result import Question
 
 _BLUE, _RED, _GREEN, _, _ORANGE, _SKY, _GREY = COLOURS
-# Sides of a cone's base on the page, of which a screen shows no more.
+# Sides of the polygon that represents a cone's base: a circle at the resolution of a screen.
 _SIDES: Final = 96
-# Digits of a number on the page, and designs of a search that are drawn: a screen shows no more.
+# Significant digits of the data: more than a screen resolves.
 _DIGITS: Final = 6
+# Designs of the search that are drawn: more would hide each other.
 _MOST_DESIGNS: Final = 1500
 
 
 def charts(report: Report) -> list[dict[str, Any]]:
-    """Return forces, deflection and speed over time, those that change."""
+    """Return the charts of force, deflection and speed over time, except those that are constant."""
     return [_chart(report.run, panel) for panel in changing(report.run)]
 
 
 def _chart(run: Run, panel: Panel) -> dict[str, Any]:
-    """Return a chart over time."""
+    """Return the chart of a panel over time."""
     unit = panel.unit
     extremes = [
         f"{label} from {unit.text(float(np.min(values)), 3)} to {unit.text(float(np.max(values)), 3)}"
@@ -62,14 +63,15 @@ def _chart(run: Run, panel: Panel) -> dict[str, Any]:
 
 
 def search(report: Report) -> list[dict[str, Any]]:
-    """Return the objective of the designs that the search tried over each variable, with the local optima."""
+    """Return a chart for each variable: the objective of the designs of the search, with the local optima."""
     best = report.best
     if best is None or best.search is None or not len(best.search.objective):
         return []
     found = best.search
-    # What lies far above the optima would press them into a line; far below them nothing meets the requirements.
-    sound = found.objective[found.violation <= FEASIBLE]
-    high = max(*(one.objective for one in best.local_optima), *(np.quantile(sound, [0.5]) if len(sound) else [0.0]))
+    # Omit designs far above the optima, so that these can be told apart, and infeasible ones far below them.
+    feasible = found.objective[found.violation <= FEASIBLE]
+    median = np.quantile(feasible, [0.5]) if len(feasible) else [0.0]
+    high = max(*(one.objective for one in best.local_optima), *median)
     low = best.objective - 0.25 * (high - best.objective)
     shown = (found.objective <= high) & (found.objective >= low)
     step = max(1, int(np.sum(shown)) // _MOST_DESIGNS)
@@ -98,7 +100,7 @@ def search(report: Report) -> list[dict[str, Any]]:
 
 
 def study(report: Report) -> list[dict[str, Any]]:
-    """Return error against time of every method that can do the scene."""
+    """Return a chart for each question of the accuracy study: error over time of every method."""
     if report.study is None:
         return []
     found = []
@@ -113,22 +115,23 @@ def study(report: Report) -> list[dict[str, Any]]:
             "x": {"label": "time of one use", "unit": "ms", "log": True},
             "y": {"label": "relative error", "unit": "", "log": True},
             "groups": _drawn(
-                _methods("beaten in both", _GREY, 6, rest, question),
+                _methods("worse in both", _GREY, 6, rest, question),
                 _methods("efficient", _BLUE, 8, front, question),
                 _methods("the default", "#000000", 13, default, question),
             ),
-            "lines": [{"label": "wanted", "value": report.study.wanted, "colour": _RED, "dash": "dash"}],
+            "lines": [{"label": "required", "value": report.study.wanted, "colour": _RED, "dash": "dash"}],
         })  # fmt: skip
     return found
 
 
 def _drawn(*groups: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the groups that hold something, so that no legend names what is not there."""
+    """Return the groups that are not empty, so that the legend names only those."""
     return [group for group in groups if group["x"]]
 
 
 def _methods(label: str, colour: str, size: int, entries: Sequence[Entry], question: Question) -> dict[str, Any]:
-    # Errors of the last digit, or of none, are drawn at it.
+    """Return a group of methods as points of error over time."""
+    # A logarithmic axis cannot show an error of 0, so errors below the last digit are drawn at 1e-17.
     errors = [max(entry.errors[question.error], 1e-17) for entry in entries]
     names = [entry.label for entry in entries]
     return _group(label, colour, size, [1e3 * entry.seconds for entry in entries], errors) | {"names": names}
@@ -139,7 +142,7 @@ def _group(label: str, colour: str, size: int, x: Iterable[float], y: Iterable[f
 
 
 def bodies(report: Report) -> list[dict[str, Any]]:
-    """Return the share, its cone and the compacted soil around it as triangles, in metres."""
+    """Return triangle meshes of the share, its cone and the compacted soil around it, in metres."""
     scene = report.run.scene
     cone = scene.cone.mesh(segments=_SIDES)
     found = [_body("cone", "Equivalent cone", _GREY, 1.0, cone, edges=False)]
@@ -167,7 +170,7 @@ def _body(key: str, label: str, colour: str, opacity: float, solid: Solid, *, ed
 
 
 def motion(run: Run) -> dict[str, Any]:
-    """Return how strut and share move over time, or nothing where nothing changes."""
+    """Return the motion of strut and share over time; empty if nothing changes."""
     scene = run.scene
     if not changing(run):
         return {}
@@ -195,10 +198,10 @@ def _sentence(text: str) -> str:
 
 
 def _unit(display: Display) -> str:
-    """Return a unit as an axis shows it."""
+    """Return the symbol of a unit for an axis."""
     return nice(f" {display.symbol}").strip("\u00a0")
 
 
 def _short(values: Iterable[float]) -> list[float]:
-    """Return numbers with as many digits as a picture can show."""
+    """Return numbers rounded to the digits that a picture can show."""
     return [float(f"{value:.{_DIGITS}g}") for value in np.asarray(values, dtype=float).ravel()]

@@ -1,4 +1,4 @@
-"""A report computed and written as HTML: template, scripts and numbers in one file that asks nothing of a network."""
+"""Computing of reports and rendering as HTML: template, scripts and numbers in one file that loads nothing else."""
 
 from importlib.resources import files
 from pathlib import Path
@@ -15,18 +15,18 @@ from plough_opt.problem_file import Problem
 from plough_opt.studies.accuracy.study import study_accuracy
 
 ASSETS: Final = files("plough_opt.app.page") / "assets"
-# Time [s] that one use of a contestant may take: those worth their time take a tenth of it.
+# Time limit [s] of one use of an integration method: every efficient one needs less than a tenth of it.
 _ALLOWANCE: Final = 0.1
 
 
 def reported(problem: Problem, notify: Progress, *, seed: int = 0, accuracy: bool = True) -> Report:
-    """Return what a report says of a problem, without its provenance.
+    """Return the contents of a report without its provenance.
 
     Args:
         problem: the file.
-        notify: called with the present step in words, and the part done.
-        seed: of the search's samples.
-        accuracy: whether to study what accuracy costs.
+        notify: called with the present step in words and the fraction done.
+        seed: seed of the search's samples.
+        accuracy: whether to compare integration methods.
     """
     best, unknown = None, ""
     run: Run | Machine
@@ -41,20 +41,20 @@ def reported(problem: Problem, notify: Progress, *, seed: int = 0, accuracy: boo
     else:
         notify("simulating", 0.0)
         run = problem.simulate()
-    assert isinstance(run, Run)  # several shares are refused
+    assert isinstance(run, Run)  # the command refuses several shares
     study = None
     if accuracy:
-        lasting = run.scene.effects.orbit != "transient"
-        duration: Any = None if lasting else problem.values().get("scene.duration")
+        periodic = run.scene.effects.orbit != "transient"
+        duration: Any = None if periodic else problem.values().get("scene.duration")
         study = study_accuracy(run.scene, duration, allowance=_ALLOWANCE, derivatives=False, thin=True, progress=notify)
     return Report(problem, run, best, sensitivities, unknown, study)
 
 
 def write_page(report: Report, path: str | Path) -> Path:
-    """Write a report as HTML, whole or not at all; return its path.
+    """Write a report as HTML, completely or not at all; return its path.
 
     Raises:
-        InputError: jinja2 is not installed, or a place that cannot be written.
+        InputError: jinja2 is not installed, or the file cannot be written.
     """
     return write_file(path, "report", page(report))
 
@@ -62,7 +62,7 @@ def write_page(report: Report, path: str | Path) -> Path:
 def page(report: Report) -> str:
     """Return a report as HTML.
 
-    Every text of the file and of the results is escaped. A policy in the page forbids it every request.
+    All texts of the file and of the results are escaped. The page's content security policy forbids all requests.
 
     Raises:
         InputError: jinja2 is not installed.
@@ -71,7 +71,7 @@ def page(report: Report) -> str:
 
 
 def motion_page(run: Run, title: str) -> str:
-    """Return the animation of a run as a page of its own.
+    """Return an HTML page with the animation of a run.
 
     Raises:
         InputError: jinja2 is not installed.
@@ -90,7 +90,7 @@ def _rendered(name: str, **values: Any) -> str:
 
 
 def data(report: Report) -> dict[str, Any]:
-    """Return the numbers that the page's scripts draw."""
+    """Return the data that the page's scripts draw."""
     return {
         "charts": series.charts(report),
         "search": series.search(report),
@@ -101,5 +101,5 @@ def data(report: Report) -> dict[str, Any]:
 
 
 def asset(name: str) -> str:
-    """Return the text of a file that is part of the page."""
+    """Return the text of one of the files that make up the page."""
     return (ASSETS / name).read_text(encoding="utf-8")

@@ -52,7 +52,7 @@
     output.textContent = `${now.toFixed(3)} s, deflection ${+shown.toPrecision(3)} ${own.unit.symbol}`;
     slider.value = Math.round(1000 * now / end);
     figure.dataset.time = now.toFixed(4);
-    figure.querySelector("figcaption").textContent = `Motion of the share behind its strut${larger > 1.05 ? `, deflection drawn ${larger.toPrecision(2)} times larger` : ""}`;
+    figure.querySelector("figcaption").textContent = `Motion of the share behind its strut${larger > 1.05 ? `, deflection magnified ${larger.toPrecision(2)} times` : ""}`;
   }
   function step(stamp) {
     if (!playing) return;

@@ -1,4 +1,4 @@
-"""`plough-opt show` and `compare`: results that were kept, as they were printed, and designs side by side."""
+"""`plough-opt show` and `compare`: saved results printed again, and several side by side."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from plough_opt.studies.sweep.result import Sweep
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Results of a run that are set side by side.
+# SI unit -> results of a run that `compare` shows in one common unit.
 _RESULTS = {
     "N": ("mean_draft", "force_rms", "peak_force"),
     "m": ("mean_deflection", "displacement_rms", "peak_deflection"),
@@ -39,8 +39,8 @@ def add_show(verb: argparse.ArgumentParser) -> None:
     """Add the options of `show`."""
     verb.add_argument("file", metavar="FILE", help="a saved result (JSON), or the store of a sweep")
     add_shared(verb, json="print the result as JSON (SI units)")
-    verb.add_argument("--problem", action="store_true", help="print the whole problem in its place, with its data")
-    verb.add_argument("--restore", metavar="FOLDER", help="write the problem and its data, to compute it again")
+    verb.add_argument("--problem", action="store_true", help="print the problem file and its data instead")
+    verb.add_argument("--restore", metavar="FOLDER", help="write the problem file and its data, to compute it again")
 
 
 def add_compare(verb: argparse.ArgumentParser) -> None:
@@ -50,11 +50,11 @@ def add_compare(verb: argparse.ArgumentParser) -> None:
 
 
 def show(options: argparse.Namespace) -> None:
-    """Print a saved result again, and what made it."""
+    """Print a saved result again, and its origin."""
     path = Path(options.file)
     if is_store(path):
         if options.problem or options.restore:
-            raise InputError("the store of a sweep holds its question, not its problem file: --json prints it")
+            raise InputError("the store of a sweep has no problem file, only its settings: --json prints these")
         with Sweep.load(path) as swept:
             give(options, swept.page(), swept.to_json)
         return
@@ -71,52 +71,56 @@ def show(options: argparse.Namespace) -> None:
 
 
 def compare(options: argparse.Namespace) -> None:
-    """Set saved designs, or runs, side by side: what was changed, variables, requirements, results."""
+    """Print saved designs or runs side by side: overrides, variables, requirements and results."""
     if len(options.file) < 2:
-        raise InputError("compare sets two or more saved results side by side: name another file")
+        raise InputError("compare needs two or more saved results: name another file")
     check_outputs(options)
-    found = {_name(path, options.file): load(path) for path in options.file}
-    for name, one in found.items():
+    saved = {_column(path, options.file): load(path) for path in options.file}
+    for name, one in saved.items():
         if not _runs(one) and _design(one) is None:
-            raise InputError(f"'{name}' holds neither a design nor a run: compare what optimise or simulate saved")
-    numbers = {name: _numbers(one) for name, one in found.items()}
-    origins = {name: one.origin for name, one in found.items() if hasattr(one, "origin")}
+            raise InputError(f"'{name}' contains neither a design nor a run: name results of optimise or simulate")
+    numbers = {name: _numbers(one) for name, one in saved.items()}
+    origins = {name: one.origin for name, one in saved.items() if hasattr(one, "origin")}
     changed = {name: " ".join(origin.overrides) or "nothing" for name, origin in origins.items()}
     notes = tuple(f"{name}: {origins[name].file}, changed by --set: {text}" for name, text in changed.items())
-    page = Page(f"{len(found)} results side by side", (_table(found, numbers), *notes))
+    page = Page(f"{len(saved)} results side by side", (_table(saved, numbers), *notes))
     plain = {name: {key: value for key, (value, _) in own.items()} for name, own in numbers.items()}
-    give(options, page, lambda: json.dumps(plain, indent=2, allow_nan=False), lambda: _figure(found))
+    give(options, page, lambda: json.dumps(plain, indent=2, allow_nan=False), lambda: _figure(saved))
 
 
-def _figure(found: Mapping[str, Any]) -> Figure:
+def _figure(saved: Mapping[str, Any]) -> Figure:
+    """Return the picture of all designs, or of all runs if there are no designs."""
     from plough_opt.app import plots
 
-    designs = {name: design for name, one in found.items() if (design := _design(one)) is not None}
+    designs = {name: design for name, one in saved.items() if (design := _design(one)) is not None}
     if designs:
         return plots.plot_designs(designs)
-    runs = {f"{name} {share}".rstrip(): run for name, one in found.items() for share, run in _runs(one).items()}
+    runs = {f"{name} {share}".rstrip(): run for name, one in saved.items() for share, run in _runs(one).items()}
     return plots.plot_forces(runs)
 
 
-def _name(path: str, paths: list[str]) -> str:
-    """Return what a column is called: the file's name, or its path where several have that."""
+def _column(path: str, paths: list[str]) -> str:
+    """Return the heading of a column: the file's name, or its whole path if another file has the same name."""
     return path if sum(Path(other).name == Path(path).name for other in paths) > 1 else Path(path).name
 
 
 def _design(saved: Any) -> LocalOptimum | None:
-    """Return the best design of a result, if it has one."""
+    """Return the best design of a result, or None."""
     best = getattr(saved, "best", saved)
     return best if isinstance(best, LocalOptimum) else None
 
 
 def _runs(saved: Any) -> Mapping[str, Run]:
-    """Return the runs of a result by share; one by itself under ""."""
+    """Return share -> run of a result, with "" for an unnamed share; empty if it has no run."""
     run = saved if isinstance(saved, Run | Machine) else getattr(saved, "run", None)
     return {} if run is None else runs_of(run)
 
 
 def _numbers(saved: Any) -> dict[str, tuple[float, Display | None]]:
-    """Return quantities, objective, variables, requirements and results, SI, with the units that they are shown in."""
+    """Return name -> (value in SI, unit to show it in) of quantities, objective, variables, requirements and results.
+
+    The unit of a quantity is None, because `_table` chooses one for all results.
+    """
     design = _design(saved)
     found: dict[str, tuple[float, Display | None]] = {}
     for share, run in _runs(saved).items():
@@ -136,20 +140,20 @@ def _numbers(saved: Any) -> dict[str, tuple[float, Display | None]]:
     return found
 
 
-def _table(found: Mapping[str, Any], numbers: Mapping[str, Mapping[str, tuple[float, Display | None]]]) -> Grid:
-    """Return a row for each number that differs, or is a result; each row has one unit."""
-    grid = Grid.of("", "", *found)
+def _table(saved: Mapping[str, Any], numbers: Mapping[str, Mapping[str, tuple[float, Display | None]]]) -> Grid:
+    """Return a table with a row for each result and each quantity that differs; each row has one unit."""
+    grid = Grid.of("", "", *saved)
     for key in dict.fromkeys(key for own in numbers.values() for key in own):
         cells = [own.get(key) for own in numbers.values()]
         values = [None if cell is None else cell[0] for cell in cells]
         display = next((cell[1] for cell in reversed(cells) if cell is not None and cell[1] is not None), None)
         if display is None:
             if len(set(values)) == 1:
-                continue  # a quantity that all have alike
+                continue  # a quantity with the same value everywhere
             quantity = EVERY[key if key in EVERY else key.partition(".")[2]]
-            origin = next(iter(_runs(next(iter(found.values()))).values())).origin
+            origin = next(iter(_runs(next(iter(saved.values()))).values())).origin
             display = origin.display(quantity.name, quantity.unit, *(x for x in values if x is not None))
-        decides = [(design := _design(one)) is not None and key in design.active for one in found.values()]
+        decides = [(design := _design(one)) is not None and key in design.active for one in saved.values()]
         texts = [
             "" if x is None else f"{display.text(x, 6)}{' *' * own}" for x, own in zip(values, decides, strict=True)
         ]

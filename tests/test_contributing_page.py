@@ -157,7 +157,7 @@ def test_export_format(workshop, capsys):
     assert values["share.height"] == 0.25
     assert values["mean_draft"] == pytest.approx(po.read_problem("tine.toml").simulate().mean_draft, rel=1e-6)
     assert main(["export", "tine.toml", "--to", "table", "--output", "a.txt"]) == 2
-    assert "end it in .csv" in capsys.readouterr().err
+    assert "end in .csv" in capsys.readouterr().err
     assert main(["export", "tine.toml", "--to", "table", "--output", "a.csv", "--strut", "speed"]) == 2
     assert "--strut cannot be used with --to table" in capsys.readouterr().err
 

@@ -70,7 +70,7 @@ def test_a_file_is_replaced_whole_and_a_folder_never(around_r1, tmp_path):
     write_casadi(around_r1, path)
     assert path.stat().st_size > 10_000
     assert (tmp_path / "r1.json").read_text() == "mine"
-    for name, text in (("r1.txt", "end it in .casadi"), ("folder.casadi", "is a folder")):
+    for name, text in (("r1.txt", "end in .casadi"), ("folder.casadi", "is a folder")):
         (tmp_path / "folder.casadi").mkdir(exist_ok=True)
         with pytest.raises(po.InputError, match=text):
             write_casadi(around_r1, tmp_path / name)

@@ -117,7 +117,7 @@ def test_no_text_leaves_its_place_and_nothing_is_asked_of_a_network(written):
     [
         ("draft_against_loosening.toml", (), "add a table [minimise]"),
         ("uncertain_field.toml", (), "remove the table [uncertain]"),
-        ("cotton_subsoiler.toml", ("-o", "a.txt"), "end it in .html"),
+        ("cotton_subsoiler.toml", ("-o", "a.txt"), "end in .html"),
     ],
 )
 def test_what_is_no_report_is_refused(name, changes, text, tmp_path, monkeypatch, capsys):

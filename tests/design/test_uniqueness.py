@@ -1,5 +1,6 @@
-"""Optima that are not unique: along which directions nothing changes, and that unique ones have none."""
+"""Flat directions of optima that are not unique, and stationary points that are not minima."""
 
+import numpy as np
 import pytest
 from helpers.small_designs import design
 
@@ -51,40 +52,29 @@ def test_along_the_flat_direction_the_half_angle_stays(two_angles):
     assert change(0.1) < 1e-2 * abs(0.1 * direction["wedge angle"])
 
 
-def test_a_variable_that_nothing_depends_on():
-    d, x, _ = design(x=(0.9, 0.0, 1.0), idle=(0.3, 0.0, 2.0))
-    d.minimise(1.0 + (x - 0.25) ** 2)
-    best = d.solve()
-    assert best.status == "not unique"
-    (direction,) = best.flat_directions
-    assert abs(direction["idle"]) == pytest.approx(0.01 * 2.0, rel=1e-9)
-    assert direction["x"] == pytest.approx(0.0, abs=1e-12)
-    assert best.variables["x"] == pytest.approx(0.25, abs=1e-8)
+# Objective, limits of the sum x + y, the best objective, and a basis of the flat directions.
+NOT_UNIQUE = {
+    "idle variable": (lambda x, _: 1.0 + (x - 0.25) ** 2, {"at_most": 3.0}, 1.0, [[0.0, 1.0]]),
+    "total in the objective": (lambda x, y: 1.0 + (x + y - 1.2) ** 2, {"at_most": 3.0}, 1.0, [[1.0, -1.0]]),
+    "total at an active limit": (lambda x, y: x + y, {"at_least": 0.7}, 0.7, [[1.0, -1.0]]),
+    "constant objective": (lambda _x, _y: 1.0, {"at_most": 2.5}, 1.0, [[1.0, 0.0], [0.0, 1.0]]),
+}
 
 
-@pytest.mark.parametrize(
-    ("objective", "limit", "total"),
-    [(lambda total: 1.0 + (total - 1.2) ** 2, {"at_most": 3.0}, 1.2), (lambda total: total, {"at_least": 0.7}, 0.7)],
-    ids=["in the objective", "along an active limit"],
-)
-def test_a_sum_of_which_only_the_total_matters(objective, limit, total):
-    d, x, y = design(x=(0.9, 0.0, 1.0), y=(0.3, 0.0, 1.0))
-    d.minimise(objective(x + y))
-    d.require("sum", x + y, **limit)
-    best = d.solve()
-    assert best.status == "not unique"
-    (direction,) = best.flat_directions
-    assert direction["x"] == pytest.approx(-direction["y"], rel=1e-6)
-    assert best.variables["x"] + best.variables["y"] == pytest.approx(total, abs=1e-8)
-
-
-def test_a_constant_objective_leaves_every_direction_flat():
+@pytest.mark.parametrize("case", NOT_UNIQUE)
+def test_flat_directions_known_by_hand(case):
+    objective, limits, least, basis = NOT_UNIQUE[case]
     d, x, y = design(x=(0.9, 0.0, 1.0), y=(0.3, 0.0, 2.0))
-    d.minimise(1.0)
-    d.require("sum", x + y, at_most=2.5)
+    d.minimise(objective(x, y))
+    d.require("sum", x + y, **limits)
     best = d.solve()
     assert best.status == "not unique"
-    assert len(best.flat_directions) == 2
+    assert best.objective == pytest.approx(least, abs=1e-8)
+    found = np.array([[direction["x"], direction["y"]] for direction in best.flat_directions])
+    assert np.linalg.matrix_rank(found) == len(found) == len(basis)
+    # Each is a step of 1 % of the range of the variable that changes most, within the space of the basis.
+    assert np.max(np.abs(found) / [1.0, 2.0], axis=1) == pytest.approx(0.01, rel=1e-9)
+    assert found @ (np.eye(2) - np.linalg.pinv(basis) @ basis) == pytest.approx(0.0, abs=1e-8)
 
 
 @pytest.mark.parametrize("objective", ["steep", "gentle", "quartic", "corner"])
@@ -103,12 +93,25 @@ def test_a_unique_optimum_has_no_flat_direction(objective):
     assert best.flat_directions == ()
 
 
+# --- stationary points that are not minima ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("search", ["auto", "near"])
 @pytest.mark.parametrize("others", [0, 1])
-def test_a_start_on_top_of_a_hill_is_left(others):
+def test_a_start_on_a_hilltop_or_a_saddle_is_left(others, search):
     d, x = design(x=(0.5, 0.0, 1.0))
     hill = 2.0 - (x - 0.5) ** 2
     for k in range(others):
         hill += (d.variable(f"y{k}", guess=0.5, lower=0.0, upper=1.0) - 0.3) ** 2
     d.minimise(hill)
-    # Both ends of x are 0.25 lower than the top, where the gradient is zero too.
-    assert d.solve().objective == pytest.approx(1.75, rel=1e-8)
+    # Both ends of x are 0.25 lower than the top, where the gradient is zero, too.
+    assert d.solve(search=search).objective == pytest.approx(1.75, rel=1e-8)
+
+
+def test_a_saddle_with_too_little_to_gain_is_an_answer():
+    d, x, y = design(x=(0.5, 0.0, 1.0), y=(0.5, 0.0, 1.0))
+    # The ends of x are lower by 1e-7, which a descent takes for rounding, and there is nothing else to move to.
+    d.minimise(1.0 - 4e-7 * (x - 0.5) ** 2 + (y - 0.5) ** 2)
+    best = d.solve(search="near")
+    assert best.status == "solved"
+    assert best.objective == pytest.approx(1.0, abs=2e-7)

@@ -1,4 +1,4 @@
-"""Requirements that cannot all be met, and designs that need a second attempt."""
+"""Requirements that conflict, feasible designs that are hard to find, and optima that cannot be confirmed."""
 
 import math
 import re
@@ -12,7 +12,7 @@ from plough_opt.design import ipopt
 
 
 def _sqrt_a(soil):
-    """Return the front's radius over the cone's, from a cone of slope 1 and height 1."""
+    """Return the ratio of the front's radius to the cone's, from a cone of slope 1 and height 1."""
     return po.loosened_radius(po.Cone(math.pi / 4, 1.0), soil)
 
 
@@ -32,9 +32,9 @@ def test_the_shortfall_of_an_impossible_radius(build_r1):
 
 
 UNIT = (0.5, 0.0, 1.0, "m")
-# Variables, requirements of them, the conflicts by hand, and what stands against these.
+# Variables, requirements, conflicts by hand, and the limits that block them.
 CONFLICTS = {
-    # Scaled by their limits, the smaller limit is the dearer one to break.
+    # Violations are scaled by the limits, so that the smaller limit costs more.
     "contradiction": (
         {"x": UNIT},
         {"large": (lambda x: 10.0 * x, {"at_least": 8.0}), "small": (lambda x: 10.0 * x, {"at_most": 2.0})},
@@ -55,7 +55,7 @@ CONFLICTS = {
         {"exact": 0.5},
         ["upper bound 1 m of 'x'"],
     ),
-    "who takes part": (
+    "bystander": (
         {"x": UNIT, "y": UNIT},
         {"long": (lambda x, _: x, {"at_least": 2.0}), "easy": (lambda _, y: y, {"at_least": 0.25})},
         {"long": 1.0},
@@ -95,7 +95,7 @@ def test_a_path_that_cannot_be_kept(r1_scene):
     d.require("deflection", run.deflection, at_most=limit, unit="m")
     with pytest.raises(po.InfeasibleDesign) as caught:
         d.solve()
-    # From equilibrium without a wave nothing moves, and the stiffest mount bends least.
+    # Without a wave the share stays at equilibrium, and the stiffest mount deflects least.
     assert caught.value.conflicts == {"deflection": pytest.approx(force / 5e5 - limit, rel=1e-6)}
     assert caught.value.blockers == ["upper bound 500 kN/m of 'stiffness'"]
 
@@ -109,7 +109,7 @@ def test_requirements_that_touch_in_one_point_are_feasible():
     assert best.variables["x"] == pytest.approx(0.4, rel=1e-8)
 
 
-def test_a_start_that_violates_everything_is_no_obstacle(build_r1):
+def test_a_start_may_violate_every_requirement(build_r1):
     problem = build_r1(guess=(59.0, 0.11, 5.1e3))
     best = problem.design.solve()
     assert best.objective == pytest.approx(0.8250057092, rel=2e-10)
@@ -126,7 +126,7 @@ def test_feasible_designs_behind_a_bend_are_found():
     assert best.variables == {"x": pytest.approx(wanted, rel=1e-8), "y": pytest.approx(wanted, rel=1e-8)}
 
 
-# --- not converged ------------------------------------------------------------------------------------------
+# --- unconfirmed --------------------------------------------------------------------------------------------
 
 
 def _unconfirmed(d):
@@ -138,7 +138,7 @@ def _unconfirmed(d):
 
 
 @pytest.mark.parametrize("required", [False, True])
-def test_too_few_iterations_confirm_no_optimum_and_are_not_called_infeasible(monkeypatch, required):
+def test_an_optimum_is_not_confirmed_by_too_few_iterations(monkeypatch, required):
     for options in (ipopt.OPTIONS, ipopt.NEAR, ipopt.FROM_BOTTOM):
         monkeypatch.setitem(options, "ipopt.max_iter", 1)
     d, x, y = design(x=(-1.2, -2.0, 2.0), y=(1.0, -2.0, 2.0))
@@ -148,31 +148,31 @@ def test_too_few_iterations_confirm_no_optimum_and_are_not_called_infeasible(mon
     _unconfirmed(d)
 
 
-def test_an_objective_with_a_kink_never_looks_like_an_optimum():
+def test_a_kink_is_not_confirmed_as_an_optimum():
     d, x = design(x=(0.9, 0.0, 1.0))
     d.minimise(1.0 + ca.fabs(x - 0.3))
     assert _unconfirmed(d).variables["x"] == pytest.approx(0.3, abs=1e-5)
 
 
-def test_more_equalities_than_variables_leave_no_room_to_confirm_an_optimum():
+def test_more_equalities_than_variables_are_not_confirmed():
     d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise(1.0 + x**2)
     d.require("one", x, at_least=0.8, at_most=0.8)
-    d.require("same in other words", x + 1.0, at_least=1.8, at_most=1.8)
+    d.require("equivalent", x + 1.0, at_least=1.8, at_most=1.8)
     assert _unconfirmed(d).variables["x"] == pytest.approx(0.8, abs=1e-6)
 
 
-def test_noise_is_no_optimum():
+def test_noise_is_not_exploited():
     d, x = design(x=(0.1, 0.0, 1.0))
     d.minimise(1.0 + x + 1e-3 * ca.sin(1e7 * x))
-    # The noise is 1e-3, and lowest beside 0: whichever of its dips is found, it is not called more than it is.
+    # The noise is 1e-3, and lowest near 0, whichever of its dips is found.
     best = d.solve()
     assert best.objective == pytest.approx(1.0, abs=2e-3)
     assert best.status in ("solved", "unconfirmed")
 
 
-def test_a_model_that_breaks_between_the_bounds_says_so():
+def test_a_model_that_ends_between_the_bounds_is_not_confirmed():
     d, x = design(x=(0.9, 0.0, 1.0))
     d.minimise(ca.sqrt(x - 0.5) + x)
-    # Below 0.5 there is no value, and at it the slope is infinite.
+    # Below 0.5 the objective is undefined, and at 0.5 its slope is infinite.
     assert _unconfirmed(d).objective == pytest.approx(0.5, abs=5e-2)

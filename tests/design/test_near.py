@@ -1,4 +1,4 @@
-"""`search="near"` on random problems: the optimum of the guess's basin, against walks and samples by other code."""
+"""`search="near"` on random problems, compared with walks downhill and samples by independent code."""
 
 from dataclasses import replace
 
@@ -12,13 +12,15 @@ from scipy.optimize import minimize
 KNOWN = {number: problem for number, (problem, _) in study.problems("search").items()}
 OF_ONE = [number for number, problem in KNOWN.items() if len(problem.variables) == 1]
 OF_SEVERAL = [number for number, problem in KNOWN.items() if 2 <= len(problem.variables) <= 5]
-# Solved by default; all are with the slow tests.
+# Solved by default; the slow tests solve all.
 FEW_OF_ONE, FEW_OF_SEVERAL = OF_ONE[:6], OF_SEVERAL[:4]
 GRID = np.linspace(0.0, 1.0, 4001)
-# A rise on the way down by less than a thousandth is a ripple within a basin, half as much again on a grid.
+# A rise of less than a thousandth on the way down is a ripple within a basin. A grid needs half as much again.
 RIPPLE = 1.5e-3
-# Part of the range in which nothing is better than a local optimum by more than a part of the objective; and tries.
-BESIDE, BETTER, TRIED = 1e-3, 1e-6, 256
+# No sampled design within this fraction of the range is better than the answer by more than a millionth.
+RADIUS = 1e-3
+BETTER = 1e-6
+SAMPLE = 256
 
 
 def _at(problem, y):
@@ -28,7 +30,7 @@ def _at(problem, y):
 
 
 def _near(problem, y):
-    """Return the position of what a near search finds from a guess at a position."""
+    """Return the position that a near search finds from a guess at a position."""
     values = problem.values(y)[0]
     guessed = replace(
         problem, variables=tuple(replace(v, guess=x) for v, x in zip(problem.variables, values, strict=True))
@@ -49,7 +51,7 @@ def _selected(every, few):
 
 
 def _walked(f, feasible, start):
-    """Return the index to which a walk over feasible neighbours leads that only descends."""
+    """Return the index at which a walk downhill over feasible neighbours ends."""
     k = start
     while True:
         beside = [j for j in (k - 1, k + 1) if 0 <= j < len(f) and feasible[j] and f[j] < f[k]]
@@ -59,7 +61,7 @@ def _walked(f, feasible, start):
 
 
 @pytest.mark.parametrize("number", _selected(OF_ONE, FEW_OF_ONE))
-def test_the_basin_of_a_guess_or_of_the_feasible_design_nearest_to_it_is_kept(number):
+def test_the_basin_of_the_guess_or_of_the_nearest_feasible_design_is_kept(number):
     problem = KNOWN[number]
     f, feasible = _at(problem, GRID[:, None])
     for guess in _guesses(number, 3, 1):
@@ -72,7 +74,7 @@ def test_the_basin_of_a_guess_or_of_the_feasible_design_nearest_to_it_is_kept(nu
             assert reached[0] <= own[0] * (1.0 + study.RELATIVE)
         walked = f[_walked(f, feasible, start)]
         assert reached[0] <= walked + study.RELATIVE * abs(walked)
-        # No barrier, nor designs that break a requirement, lie between.
+        # Neither a barrier nor an infeasible design lies between.
         way = np.arange(start, int(np.rint(answer[0] * (len(GRID) - 1))), 1 if answer[0] > GRID[start] else -1)
         assert np.all(feasible[way[1:-1]])
         if len(way):
@@ -105,16 +107,16 @@ def _nearest_feasible(problem, guess):
 
 
 @pytest.mark.parametrize("number", _selected(OF_SEVERAL, FEW_OF_SEVERAL))
-def test_it_is_a_local_optimum_no_worse_than_the_guess_or_the_nearest_feasible_design(number):
+def test_a_local_optimum_no_worse_than_the_guess_or_the_nearest_feasible_design(number):
     problem = KNOWN[number]
     (guess,) = _guesses(number, 1, len(problem.variables))
     begin = guess if _at(problem, guess[None])[1][0] else _nearest_feasible(problem, guess)
     answer = _near(problem, guess)
     (own, reached), (_, kept) = _at(problem, np.array([begin, answer]))
     assert kept
-    # A requirement may be kept to a millionth of its limit, and the nearest design be known to as much.
+    # A requirement may be violated by a millionth of its limit, and the nearest design has the same uncertainty.
     assert reached <= own + 1e-5 * abs(own)
-    around = np.clip(answer + BESIDE * (2.0 * np.random.default_rng(3).random((TRIED, len(answer))) - 1.0), 0.0, 1.0)
+    around = np.clip(answer + RADIUS * (2.0 * np.random.default_rng(3).random((SAMPLE, len(answer))) - 1.0), 0.0, 1.0)
     f, _ = _at(problem, around)
     strictly = evaluate(problem, around).worst <= 0.0
     assert np.min(f[strictly], initial=np.inf) >= reached - BETTER * abs(reached)

@@ -1,4 +1,4 @@
-"""The mean and the worst objective within tolerances: closed forms, and variables solved from the algebra in place."""
+"""The mean and the worst objective within tolerances, variables solved for in closed form, and tolerances in files."""
 
 import math
 import re
@@ -27,17 +27,18 @@ def _parabola(over, *, log=False, tolerance=T):
     return d
 
 
-def _offsets(d, value):
-    """Return the sampled values of a design's only variable within its tolerance, beside a value."""
-    (v,) = d.declared.variables
-    return np.array([v.value(y) for (y,) in boxes([v], np.array([[v.scaled(value)]]))]) - value
+def _offsets(d, *values):
+    """Return the deviations of a design's variables from these values, as sampled within their tolerances."""
+    variables = d.declared.variables
+    box = boxes(variables, np.array([[v.scaled(x) for v, x in zip(variables, values, strict=True)]]))
+    return np.array([[v.value(y) for v, y in zip(variables, row, strict=True)] for row in box]) - values
 
 
 @pytest.mark.parametrize("log", [False, True])
 def test_the_mean_of_a_parabola_is_that_of_its_uniform_box(log):
     d = _parabola("mean", log=log)
     best = d.solve()
-    # The mean of (x - a + u)^2 over |u| < t is (x - a)^2 + t^2/3; 64 even points differ by less than 1 in 64^1.5.
+    # The mean of (x - a + u)^2 over |u| < t is (x - a)^2 + t^2/3; that of 64 even points differs by less than 1/64.
     assert best.objective == pytest.approx(1.0 + T**2 / 3.0, abs=T**2 / 64)
     assert best.variables["x"] == pytest.approx(0.7, abs=T / 64 if not log else T / 10)
     own = _offsets(d, best.variables["x"])
@@ -49,7 +50,7 @@ def test_the_worst_of_a_parabola_lies_at_the_ends_of_its_box():
     d = _parabola("worst")
     best = d.solve()
     own = _offsets(d, 0.7)
-    # Both ends of the sample are as bad: x = a - (least + most)/2, and the worst ((most - least)/2)^2.
+    # Both ends of the sample are equally bad: x = a - (least + most)/2, and the worst is ((most - least)/2)^2.
     assert best.variables["x"] == pytest.approx(0.7 - (own.min() + own.max()) / 2.0, abs=1e-7)
     assert best.objective == pytest.approx(1.0 + (np.ptp(own) / 2.0) ** 2, rel=1e-9)
     # Of 64 even points the outermost lie in the last 64th on either side.
@@ -66,14 +67,10 @@ def test_parameters_move_the_worst():
     assert second.objective == pytest.approx(first.objective, rel=1e-9)
 
 
-def test_a_worst_below_what_a_sample_showed_is_found_all_the_same(monkeypatch):
+def test_a_worst_objective_below_the_first_bounds_is_found(monkeypatch):
     monkeypatch.setattr(boxed, "bounds_on_worst", lambda *_: (4.0, 5.0))
-    assert _parabola("worst").solve().objective == pytest.approx(_worst_by_hand(), rel=1e-9)
-
-
-def _worst_by_hand():
-    own = _offsets(_parabola(None), 0.7)
-    return 1.0 + (np.ptp(own) / 2.0) ** 2
+    worst = 1.0 + (np.ptp(_offsets(_parabola(None), 0.7)) / 2.0) ** 2
+    assert _parabola("worst").solve().objective == pytest.approx(worst, rel=1e-9)
 
 
 @pytest.mark.parametrize("over", ["mean", "worst"])
@@ -87,14 +84,14 @@ def test_requirements_hold_in_the_whole_box(over):
     assert best.spread.kept == 1.0
     assert best.margins["yield"] == pytest.approx(0.0, abs=1e-8)
     assert best.active == ("yield",)
-    # The corner of the box, (x - 0.2) 0.95 y = 3, is the hardest; the sample comes near it and keeps no more.
+    # The hardest corner of the box is (x - 0.2) 0.95 y = 3; the sample comes near it.
     hardest = 0.4 + 2.0 * math.sqrt(2.0 * 3.0 / 0.95)
     mean = best.variables["x"] * 2.0 + best.variables["y"]
     assert 2.0 * math.sqrt(6.0) < mean < hardest
     assert mean == pytest.approx(hardest, rel=0.03)
 
 
-def test_a_narrow_valley_is_left_for_a_broad_one():
+def test_a_broad_valley_is_preferred_to_a_narrow_one():
     d = po.Design()
     x = d.variable("x", guess=0.5, lower=0.0, upper=1.0, tolerance=0.02)
     narrow, broad = ca.exp(-(((x - 0.25) / 0.005) ** 2)), ca.exp(-(((x - 0.75) / 0.1) ** 2))
@@ -122,20 +119,19 @@ def test_runs_under_a_wave_keep_their_limits_in_the_whole_box():
     def at(k):
         return po.simulate(po.Scene(scene.soil, share, k, 28.0, 2.0, effects), 0.5)
 
-    (v,) = d.declared.variables
-    box = [v.value(y) for (y,) in boxes([v], np.array([[v.scaled(best.variables["stiffness"])]]))]
-    runs = [at(k) for k in box]
+    value = best.variables["stiffness"]
+    runs = [at(k) for k in value + _offsets(d, value)[:, 0]]
     assert best.objective == pytest.approx(max(float(run.force_rms) for run in runs) / 1e3, rel=1e-7)
     assert max(float(run.mean_deflection) for run in runs) <= 0.1 + 1e-8
-    # No other stiffness has a lower worst, as far as a fine grid shows.
-    for y in np.linspace(0.0, 1.0, 21):
-        around = [at(v.value(z)) for (z,) in boxes([v], np.array([[y]]))[::8]]
+    # No stiffness of a grid has a lower worst objective.
+    for k in np.geomspace(5e3, 1e5, 21):
+        around = [at(k + offset) for offset in _offsets(d, k)[::8, 0]]
         if all(float(run.mean_deflection) <= 0.1 for run in around):
-            # Eight of the 64 designs come within a per cent of the worst.
+            # The worst of eight of the 64 designs is within one per cent of the worst of all.
             assert max(float(run.force_rms) for run in around) / 1e3 >= 0.99 * best.objective
 
 
-def test_its_sensitivities_and_catalogue_choices_are_of_the_whole_box():
+def test_sensitivities_and_catalogue_choices_account_for_the_whole_box():
     d = po.Design()
     x = d.variable("x", guess=1.0, lower=0.1, upper=10.0, tolerance=0.2)
     y = d.variable("y", guess=2.0, lower=0.1, upper=10.0, tolerance="5 %")
@@ -145,7 +141,7 @@ def test_its_sensitivities_and_catalogue_choices_are_of_the_whole_box():
     best = d.solve()
     by_yield = best.sensitivity("least", check=True)
     assert list(by_yield.variables) == ["x", "y"]
-    # The optimiser stops 1e-10 from optima that are some 1e-3 apart.
+    # The differences come from optima about 1e-3 apart, each accurate to 1e-10.
     assert by_yield.difference < 1e-6
     assert [item.name for item in best.every_sensitivity()] == ["least", "yield at_least"]
     found = best.rounded(x=[1.0, 1.5, 2.0])
@@ -153,33 +149,27 @@ def test_its_sensitivities_and_catalogue_choices_are_of_the_whole_box():
     assert found.spread.kept == 1.0
     by_hand = {}
     for value in (1.0, 1.5, 2.0):
-        # With x held, y is as small as the box lets it be.
-        box = boxes(
-            d.declared.variables,
-            np.array([[v.scaled(z) for v, z in zip(d.declared.variables, (value, 2.0), strict=True)]]),
-        )
-        xs, parts = (
-            np.array([v.value(z) for z in column]) for v, column in zip(d.declared.variables, box.T, strict=True)
-        )
-        smallest = np.max(3.0 / (xs * parts / 2.0))
-        by_hand[value] = np.max(2.0 * xs + parts / 2.0 * smallest)
+        offsets = _offsets(d, value, 2.0)
+        xs, parts = value + offsets[:, 0], 1.0 + offsets[:, 1] / 2.0
+        # With x held, y is as small as the requirement in the box allows.
+        by_hand[value] = np.max(2.0 * xs + parts * np.max(3.0 / (xs * parts)))
     assert found.variables["x"] == min(by_hand, key=by_hand.get)
     assert found.objective == pytest.approx(min(by_hand.values()), rel=1e-8)
     with pytest.raises(po.InputError, match="is not a variable"):
         best.rounded({"worst objective": [5.0]})
 
 
-def test_another_word_is_refused():
+def test_an_unknown_word_is_refused():
     with pytest.raises(po.InputError, match="must be 'worst' or 'mean'"):
         _parabola("best")
 
 
-# --- variables that are solved from the algebra -----------------------------------------------------------
+# --- variables that are solved for in closed form ---------------------------------------------------------
 
 
 @pytest.mark.parametrize("log", [False, True])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_bound_on_a_peak_is_solved_in_place(log, sign):
+def test_a_bound_on_a_peak_is_solved_for(log, sign):
     d, x = design(x=(0.5, 0.0, 1.0))
     peak = d.variable("peak", guess=90.0, lower=0.01, upper=100.0, log=log)
     curves = [3.0 + ca.sin(11.0 * x), 3.0 + ca.cos(7.0 * x)]
@@ -205,7 +195,7 @@ def test_a_bound_on_a_peak_is_solved_in_place(log, sign):
     assert best.search.variables == ("x",)
 
 
-def test_variables_of_runs_and_of_products_are_searched():
+def test_variables_in_products_are_searched():
     d, x, y = design(x=(0.5, 0.1, 1.0), y=(0.5, 0.1, 1.0))
     d.minimise(x + y)
     d.require("product", x * y, at_least=0.1)
@@ -246,7 +236,7 @@ TEXT = (ROOT / "docs" / "tolerances.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```(\w+)\n(.*?)```", TEXT, flags=re.DOTALL)
 
 
-def test_its_variables_are_those_of_a_file(tmp_path):
+def test_the_variables_on_the_page_are_valid(tmp_path):
     (variables,) = (text for language, text in BLOCKS if language == "toml")
     file = (ROOT / "problems" / "cotton_subsoiler.toml").read_text(encoding="utf-8")
     start = file.index("[variables]")

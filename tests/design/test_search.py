@@ -1,4 +1,4 @@
-"""The search for the global optimum: what is searched and recorded, and that nothing better exists."""
+"""The search for the global optimum: its extent, its record, and the integration steps it uses."""
 
 import dataclasses
 import math
@@ -21,7 +21,7 @@ from plough_opt.motion.timeline import Timeline
 
 
 def _averages(scenes, duration, steps):
-    """Return mean and RMS of the mount force of undamped shares, by order 8 outside any design."""
+    """Return mean and RMS of the mount force of undamped shares, by a method of order 8 outside any design."""
     solver = integration(Structure.of(scenes[0]), po.Accuracy("dop853", steps=steps), Timeline(1, steps))
     p = np.array([[float(parameters(scene)[name]) for name in solver.names] + [duration] for scene in scenes])
     _, means, variances = (np.asarray(result) for result in solver.function.map(len(scenes))(p.T))
@@ -31,32 +31,32 @@ def _averages(scenes, duration, steps):
 
 @pytest.fixture
 def waves():
-    """A scalar objective with four basins on [0, 1], the deepest at the left."""
+    """A design whose objective has four basins in x on [0, 1], the deepest at the left."""
     d, x, y = design(x=(0.9, 0.0, 1.0), y=(0.9, -1.0, 1.0))
     d.minimise(3.0 + x + ca.sin(20.0 * x) + (y - 0.25) ** 2)
     return d
 
 
 def _basins():
-    """Return the minima of x + sin(20 x): 20 cos(20 x) = -1 on the rising side."""
+    """Return the minima of x + sin(20 x) inside [0, 1], where 20 cos(20 x) = -1 and the slope rises."""
     first = (math.pi + math.acos(1.0 / 20.0)) / 20.0
     found = [first + 2.0 * math.pi * k / 20.0 for k in range(3)]
     return [x for x in found if x <= 1.0]
 
 
-# --- what is searched ---------------------------------------------------------------------------------------
+# --- extent ------------------------------------------------------------------------------------------------
 
 
 def test_all_basins_of_a_multimodal_objective_are_found(waves):
     best = waves.solve()
     found = [optimum.variables["x"] for optimum in best.local_optima]
-    # The objective's bottom is flat to 1e-10 over 1e-6 at most.
+    # Over 1e-7 the objective changes by about 1e-12, which is the optimiser's accuracy.
     assert found[: len(_basins())] == pytest.approx(_basins(), abs=1e-7)
     assert [o.objective for o in best.local_optima] == sorted(o.objective for o in best.local_optima)
     assert best.name == "optimum 1"
     assert best.search.variables == ("x", "y")
     assert best.search.basins >= len(_basins())
-    # Designs drawn at random come to all of them, the low ones at the left most often.
+    # Designs drawn at random reach all of them.
     assert best.search.basins >= best.search.reached >= len(_basins())
     assert best.search.followed > 100
 
@@ -64,7 +64,7 @@ def test_all_basins_of_a_multimodal_objective_are_found(waves):
 @pytest.mark.parametrize("search", ["near", "local"])
 def test_a_near_search_stays_in_the_basin_of_its_guess(waves, search):
     best = waves.solve(search=search)
-    # The guess lies beyond the last barrier, where the objective falls towards the third basin.
+    # The guess lies beyond the last barrier, where the objective falls towards the third minimum.
     assert best.variables["x"] == pytest.approx(_basins()[2], abs=1e-7)
     assert len(best.local_optima) == 1
     assert (best.search.designs, best.search.variables) == (0, ())
@@ -73,39 +73,39 @@ def test_a_near_search_stays_in_the_basin_of_its_guess(waves, search):
 
 def test_a_near_search_is_never_worse_than_a_feasible_guess():
     d, x = design(x=(0.52, 0.0, 1.0))
-    # From 0.52 a long step downhill ends in the wide, higher basin at 0.9; that of the guess, at 0.5, is narrow.
+    # A long step downhill from 0.52 ends in the broad, higher basin at 0.9. The guess's own basin at 0.5 is narrow.
     d.minimise(2.0 + 4.0 * (x - 0.9) ** 2 - 2.0 * ca.exp(-(((x - 0.5) / 0.05) ** 2)))
     best = d.solve(search="near")
     assert best.variables["x"] == pytest.approx(0.5, abs=0.01)
 
 
-def test_nor_where_runs_are_followed_one_by_one():
+def test_a_near_search_is_never_worse_than_a_guess_whose_run_has_events():
     d, x = design(x=(0.0, 0.0, 1.0))
     share, effects = po.Wedge(po.deg(30), po.deg(15), 0.25), po.Effects(contact=po.StickSlip(), start="towed")
     run = po.simulate(po.Scene(po.named_soil("serozem"), share, 5e4 * (1.0 + x), 45.0, 1.0, effects), 0.1)
-    # The optimiser first moves away from a bound, and so out of the basin that lies at it, which is deeper.
+    # IPOPT first moves away from a bound, and thereby leaves the deeper basin at this bound.
     d.minimise(2.0 + 4.0 * (x - 0.9) ** 2 - 4.0 * ca.exp(-((x / 0.003) ** 2)) + 1e-9 * run.mean_draft)
     assert d.solve(search="near").variables["x"] == pytest.approx(0.0, abs=1e-3)
 
 
-def test_from_an_infeasible_guess_the_nearest_feasible_designs_basin_is_taken(waves):
+def test_from_an_infeasible_guess_a_near_search_takes_the_nearest_feasible_basin(waves):
     x = waves._variables[0].symbol
     waves.require("left of the last barrier", x, at_most=0.7)
     best = waves.solve(search="near")
-    # The nearest feasible design is at 0.7, where the objective falls towards the second basin.
+    # The nearest feasible design is at 0.7, where the objective falls towards the second minimum.
     assert best.variables["x"] == pytest.approx(_basins()[1], abs=1e-7)
 
 
 @pytest.mark.parametrize("search", ["x", ("x",), ["x"]])
-def test_a_named_variable_alone_is_sampled(waves, search):
+def test_only_a_named_variable_is_sampled(waves, search):
     best = waves.solve(search=search)
     assert best.search.variables == ("x",)
     assert np.ptp(best.search.values[:, 0]) == 1.0
-    assert best.search.values[:, 1] == pytest.approx(0.9, rel=1e-15)  # the other variable's guess
+    assert best.search.values[:, 1] == pytest.approx(0.9, rel=1e-15)  # its guess
     assert best.variables["x"] == pytest.approx(_basins()[0], abs=1e-7)
 
 
-def test_a_number_of_designs_and_a_time_are_kept(waves):
+def test_a_number_of_designs_and_a_time_are_respected(waves):
     many = waves.solve(search=30_000).search
     assert 30_000 <= many.designs < 60_000
     began = time.perf_counter()
@@ -121,7 +121,7 @@ def test_an_unknown_name_is_refused_with_the_nearest(build_r1, search):
 
 
 @pytest.mark.parametrize("search", [0, -3, 2.5, True, None])
-def test_what_is_no_search_is_refused(waves, search):
+def test_an_invalid_search_is_refused(waves, search):
     with pytest.raises(po.InputError, match="search = "):
         waves.solve(search=search)
 
@@ -134,10 +134,10 @@ def test_the_same_search_gives_the_same_bits(build_r1, monkeypatch):
     np.testing.assert_array_equal(one.search.objective, other.search.objective)
 
 
-# --- what a search records ----------------------------------------------------------------------------------
+# --- record -------------------------------------------------------------------------------------------------
 
 
-def test_what_a_search_recorded_is_the_objective(r1, r1_soil):
+def test_recorded_objectives_agree_with_separate_integrations(r1, r1_soil):
     search = r1.best.search
     chosen = np.flatnonzero(search.violation == 0.0)[:50]
     wave, scenes = po.StrengthWave(0.3, 0.6), []
@@ -146,12 +146,12 @@ def test_what_a_search_recorded_is_the_objective(r1, r1_soil):
         mass = 20.0 + share.equivalent_cone().solid_mass(7850.0)
         scenes.append(po.Scene(r1_soil, share, stiffness, mass, 2.0, po.Effects(strength_wave=wave)))
     mean, rms = _averages(scenes, 2.0, 1000)
-    # A sample's runs are rough: some 1e-5 of an oscillation.
+    # A sample's runs are rough: their error is about 1e-5 of an oscillation's amplitude.
     assert search.objective[chosen] == pytest.approx((mean + rms) / 1e3, rel=1e-3)
     assert r1.best.objective <= np.min(search.objective[search.violation <= 1e-6]) * (1.0 + 1e-4)
 
 
-def test_how_likely_more_basins_are_follows_from_those_that_were_reached(r1):
+def test_the_expected_number_of_unseen_basins(r1):
     search = r1.best.search
     n, w = search.followed, search.reached
     assert n > w + 2
@@ -163,7 +163,7 @@ def test_how_likely_more_basins_are_follows_from_those_that_were_reached(r1):
     assert "not estimated" in str(few)
 
 
-def test_progress_tells_of_the_sample_and_the_basins(build_r1):
+def test_progress_names_the_sample_and_the_basins(build_r1):
     told = []
     build_r1().design.solve(progress=lambda stage, fraction: told.append((stage, fraction)))
     stages = [stage for stage, _ in told]
@@ -172,9 +172,6 @@ def test_progress_tells_of_the_sample_and_the_basins(build_r1):
     assert any(stage.startswith("optimising basin 1 of") for stage in stages)
     assert stages[-1] == "checking"
     assert all(0.0 <= fraction <= 1.0 for _, fraction in told)
-
-
-# --- that nothing better exists -----------------------------------------------------------------------------
 
 
 def test_cotton_without_a_damper_has_several_optima(cotton):
@@ -202,7 +199,7 @@ def test_steps_are_refined_until_the_objective_is_right(monkeypatch, build_r1):
 
     monkeypatch.setattr(program_module, "build_nlp", counted)
     monkeypatch.setattr(steps_module, "_PHASE_PER_STEP", 2.5)
-    # Derivatives, which would call for more steps at the start already, may be wrong.
+    # The tolerance on derivatives is loose, because they would demand more steps at the start already.
     best = build_r1(wavelength=0.6, accuracy=po.Accuracy(derivatives=0.1)).design.solve()
     assert len(builds) > 1
     assert builds == sorted(builds)
@@ -211,7 +208,7 @@ def test_steps_are_refined_until_the_objective_is_right(monkeypatch, build_r1):
     assert not any("not reached" in warning for warning in best.warnings)
 
 
-def test_steps_that_stay_too_coarse_are_owned_up_to(monkeypatch, build_r1):
+def test_steps_that_stay_too_coarse_are_reported(monkeypatch, build_r1):
     monkeypatch.setattr(steps_module, "_PHASE_PER_STEP", 40.0)
     monkeypatch.setattr(derivatives, "_REFINEMENTS", 0)
     best = build_r1().design.solve(search="local")
@@ -219,7 +216,7 @@ def test_steps_that_stay_too_coarse_are_owned_up_to(monkeypatch, build_r1):
     assert any("was not reached" in warning for warning in best.warnings)
 
 
-def test_a_looser_wanted_error_takes_no_refinement(monkeypatch, build_r1):
+def test_a_looser_wanted_error_needs_no_refinement(monkeypatch, build_r1):
     builds = []
     build_nlp = program_module.build_nlp
     monkeypatch.setattr(
@@ -227,18 +224,18 @@ def test_a_looser_wanted_error_takes_no_refinement(monkeypatch, build_r1):
     )
     monkeypatch.setattr(steps_module, "_PHASE_PER_STEP", 1.5)
     best = build_r1(accuracy=po.Accuracy(error=1e-3)).design.solve(search="local")
-    # The program and a rough one of two fifths of its steps, for the guess and, faster, for the bottom of its basin.
+    # The program and a rough one with two fifths of its steps, for the guess and for the minimum of its basin.
     assert len(builds) <= 4
     assert best.gap <= 1e-3
 
 
-def test_coarse_steps_by_wish_are_reported_honestly(build_r1):
+def test_coarse_steps_that_the_user_chose_show_in_the_gap(build_r1):
     coarse = build_r1(accuracy=po.Accuracy("dop853", steps=20), outputs=20, guess=(25.0, 0.25, 5e3))
     best = coarse.design.solve(search="local")
     scene = best(coarse.scene)
     mean, rms = _averages([scene], 2.0, 1000)
     tight = float((mean + rms)[0]) / 1e3
-    # The objective is of the motion itself, integrated tightly, and the gap shows what the optimiser saw instead.
+    # The objective comes from a tight integration; the gap is its difference from what the optimiser saw.
     assert best.objective == pytest.approx(tight, rel=1e-9)
     mean, rms = _averages([scene], 2.0, 20)
     seen = float((mean + rms)[0]) / 1e3
@@ -247,17 +244,17 @@ def test_coarse_steps_by_wish_are_reported_honestly(build_r1):
     assert best.error_estimate < 1e-10
 
 
-def test_a_goal_reached_exactly_is_no_lack_of_accuracy(r1_scene, r1_wave):
+def test_an_objective_of_zero_needs_no_relative_accuracy(r1_scene, r1_wave):
     d, height = design(height=(0.25, 0.2, 0.4, "m"))
     run = po.simulate(r1_scene(height=height, strength_wave=r1_wave), 0.5, outputs=5)
     d.minimise((run.mean_draft / 600.0 - 1.0) ** 2)
     best = d.solve()
-    # The objective is zero but for rounding: a difference relative to it means nothing.
+    # The objective is zero except for rounding, so that a relative difference is meaningless.
     assert best(run.mean_draft) == pytest.approx(600.0, rel=1e-7)
     assert not any("not reached" in warning for warning in best.warnings)
 
 
-def test_designs_without_a_value_are_passed_over():
+def test_designs_that_cannot_be_evaluated_are_skipped():
     d, x, y = design(x=(0.9, 0.0, 1.0), y=(0.9, 0.0, 1.0))
     d.minimise((ca.log(x - 0.5) + 1.0) ** 2 + (y - 0.5) ** 2)
     best = d.solve()
@@ -266,7 +263,7 @@ def test_designs_without_a_value_are_passed_over():
     assert np.all(np.isinf(best.search.violation[np.isnan(best.search.objective)]))
 
 
-# --- stiff mounts that swing on: few steps keep their amplitude, so that none looks too quiet ---------------
+# --- stiff undamped mounts: even few steps must keep their amplitude -----------------------------------------
 
 
 DURATION = 2.0
@@ -280,7 +277,7 @@ def _scene(stiffness, damping):
 
 @pytest.mark.parametrize("damping", [0.0, 1.0, 50.0])
 def test_a_search_keeps_the_amplitude_of_a_towed_share(damping):
-    # Swings of 400 to 4000 rad in a run; steps in proportion to the phase alone lost up to 20 % of the RMS.
+    # A run covers 400 to 4000 rad. Steps in proportion to the phase alone lost up to 20 % of the RMS.
     scenes = [_scene(float(stiffness), damping) for stiffness in np.geomspace(5e5, 5e7, 3)]
     many = ManyRuns(Structure.of(scenes[0]), 0)
     p = np.array([[*(float(parameters(scene)[name]) for name in many._observed.parameters), DURATION]
@@ -291,7 +288,7 @@ def test_a_search_keeps_the_amplitude_of_a_towed_share(damping):
         assert found == pytest.approx(true, rel=left)
 
 
-def test_the_median_over_tolerances_is_that_of_exact_runs():
+def test_the_spread_over_tolerances_agrees_with_exact_runs():
     d = po.Design()
     stiffness = d.variable("stiffness", guess=1e6, lower=8e5, upper=1.2e6, unit="N/m", log=True)
     d.minimise(po.simulate(_scene(stiffness, 0.0), 0.5).force_rms)
@@ -300,6 +297,6 @@ def test_the_median_over_tolerances_is_that_of_exact_runs():
     y = np.array([[v.scaled(best.variables[v.name]) for v in variables]])
     values = [float(variables[0].unscaled(one)) for one in boxes(variables, y)[:, 0]]
     exact = [po.simulate(_scene(value, 0.0), 0.5).force_rms for value in values]
-    # Twice a search's steps leave some 1e-5.
+    # Twice a search's steps leave an error of about 1e-5.
     assert best.spread.median == pytest.approx(np.median(exact), rel=3e-5)
     assert best.spread.worst == pytest.approx(np.max(exact), rel=3e-5)

@@ -52,11 +52,11 @@ def test_ripples_of_a_basin_are_not_separate_optima():
     assert best.search.polished <= 10
 
 
-def test_a_guess_that_is_the_optimum_already_is_solved():
+def test_a_guess_at_the_optimum_is_solved():
     d, height = design(height=(0.25, 0.15, 0.4, "m"))
     d.minimise(((height - 0.3) ** 2 - 0.0025) ** 2 * 1e4)
     best = d.solve()
-    # Both 0.25 and 0.35 are optima, of zero.
+    # Both 0.25 and 0.35 are optima with an objective of 0.
     assert best.objective == pytest.approx(0.0, abs=1e-15)
 
 
@@ -72,7 +72,7 @@ def _standing(**changed):
     return po.Scene(**given | changed)
 
 
-# Name of a quantity, bounds that reach beyond its domain, and a law of it that no run holds.
+# Name of a quantity, bounds that reach beyond its domain, and a law of it outside any run.
 BEYOND = [
     ("density ratio", 0.1, 1.2, lambda x: po.loosened_radius(po.Cone(0.2, 0.3), _soil(density_ratio=x))),
     ("density ratio", 0.1, 1.2, lambda x: po.added_mass(po.Cone(0.2, 0.3), _soil(density_ratio=x))),
@@ -98,14 +98,14 @@ BEYOND = [
 @pytest.mark.parametrize(
     ("name", "lower", "upper", "law"), BEYOND, ids=[f"{k}-{name}" for k, (name, *_) in enumerate(BEYOND)]
 )
-def test_bounds_beyond_the_domain_are_refused_without_a_run(name, lower, upper, law):
+def test_bounds_beyond_the_domain_of_a_law_are_refused(name, lower, upper, law):
     d, x = design(x=(0.3, lower, upper))
     d.minimise(law(x))
     with pytest.raises(po.DomainError, match=rf"at the (lower|upper) bound of 'x': {name}"):
         d.solve()
 
 
-def test_a_law_of_a_runs_result_is_no_obstacle():
+def test_a_law_may_depend_on_a_runs_result():
     d, height = design(height=(0.3, 0.1, 0.5))
     share = po.Cone(0.2, height)
     scene = po.Scene(_soil(), share, 5e4, 80.0, 1.5, po.Effects(strength_wave=po.StrengthWave(0.3, 0.4)))

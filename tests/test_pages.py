@@ -214,8 +214,8 @@ LIMITS = {
     ),
     "Saved results (`po.load`)": (saving._MOST_BYTES,),
     "Questions": (
-        points.MOST_VALUES, points.MOST_SAMPLES, distribution._MOST_SAMPLES, uncertain._COUNTS["fresh"][1], trade._MOST,
-        effort._MOST_ACCEPTED, MOST_HARMONICS, profile._MOST_PIECES, plan.MOST_OUTPUTS,
+        points.MOST_VALUES, points.MOST_SAMPLES, distribution._MOST_SAMPLES, uncertain._COUNTS["fresh"][1],
+        trade._MOST_POINTS, effort._MOST_ACCEPTED, MOST_HARMONICS, profile._MOST_PIECES, plan.MOST_OUTPUTS,
     ),
     "Motions": (plan.MOST_RINGING, plan.MOST_FORCED, plan.MOST_PANELLED, plan.MOST_SHOT),
 }  # fmt: skip

@@ -213,11 +213,11 @@ LIMITS = {
         csv_rows._MOST_BYTES, csv_rows._LONGEST_LINE, csv_rows._MOST_LISTED,
     ),
     "Saved results (`po.load`)": (saving._MOST_BYTES,),
-    "Questions": (
+    "Studies and runs": (
         points.MOST_VALUES, points.MOST_SAMPLES, distribution._MOST_SAMPLES, uncertain._COUNTS["fresh"][1],
         trade._MOST_POINTS, effort._MOST_ACCEPTED, MOST_HARMONICS, profile._MOST_PIECES, plan.MOST_OUTPUTS,
     ),
-    "Motions": (plan.MOST_RINGING, plan.MOST_FORCED, plan.MOST_PANELLED, plan.MOST_SHOT),
+    "Phase of a motion": (plan.MOST_RINGING, plan.MOST_FORCED, plan.MOST_PANELLED, plan.MOST_SHOT),
 }  # fmt: skip
 
 

@@ -76,7 +76,7 @@ ONE_OF = {
     "motion/test_printed_motion": 3,
     "motion/test_smooth_contact": 3,
     "motion/test_stick_slip": 3,
-    "test_accuracy_study": 2,
+    "accuracy/test_accuracy_study": 2,
     "test_batch": 3,
     "test_batch_compiler": 3,
     "test_density_profile": 2,

@@ -68,7 +68,7 @@ def test_the_methods_of_a_motion_and_of_its_gradients(cli, cotton):
     [
         (("--error", "2"), "wanted error = 2 must be at most 0.1"),
         (("--error", "0"), "wanted error = 0 must be at least"),
-        (("--seconds", "0"), "time allowed to a contestant"),
+        (("--seconds", "0"), "time allowed to a method"),
         (("--plot", "cost.jpg"), "no known picture format"),
     ],
 )

@@ -1,1 +1,1 @@
-"""Cost of accuracy: error against time for every method that can simulate a scene or solve a design."""
+"""Cost of accuracy: error against time of every method that can simulate a scene or solve a design."""

@@ -1,9 +1,10 @@
-"""A contest: methods over their settings, what each costs, how far it is off, and which are worth their time.
+"""Contest of methods: what each setting costs, how far it is off, and which settings are worth their time.
 
-Of every method some settings are tried in any case. Of those that may be the cheapest all settings are halved again and
-again, down to neighbours that differ by a tenth in cost, of which the one misses the wanted error and the other reaches
-it: where that ends depends on the method's errors alone, neither on a clock nor on what else was tried. Then each
-method's coarsest setting is measured in turns, so that what else the machine does meets all alike.
+Each contestant is measured at a few of its settings in any case. Contestants that may be the cheapest are then narrowed
+down by halving, to two neighbouring settings that differ by a tenth in cost, of which only the finer one reaches the
+wanted error. Where that ends depends on the errors alone, not on the clock or on what else was measured. Last, the
+coarsest good setting of each is timed again in turns with the others, so that other work on the machine disturbs all of
+them alike.
 """
 
 import contextlib
@@ -16,47 +17,51 @@ from typing import Any, Final
 
 from plough_opt.core.errors import PloughError
 
-# Ratio of times that a repetition may give to what takes equally long.
-_AS_CHEAP = 1.1
-# Part of an error by which another must differ from it to count as different.
-_TELLING = 0.9
-# How much longer the next finer setting may be expected to take.
-_NEXT: Final = 3.0
-# Methods are narrowed down whose time is within so many times the least, and measured again in turns within this.
-_WORTH: Final = 4.0
+# Times that differ by less than this factor are equal within the noise of repetitions.
+_EQUAL_TIMES: Final = 1.1
+# An error counts as smaller only below this part of another.
+_SMALLER: Final = 0.9
+# Factor by which the next finer setting may be expected to take longer.
+_NEXT_SETTING: Final = 3.0
+# Contestants within this factor of the least time are narrowed down; their coarsest good setting is timed again.
+_WORTH_NARROWING: Final = 4.0
+# Other settings within this factor of the least time are timed again too.
 _CLOSE: Final = 1.6
-# Turns in which the closest are measured again, and the time [s] of one turn of one of them at the least; the fewest
-# turns where they take long, and how many times the allowance of one use all of them may.
+# Turns in which settings are timed again, fewer if they take long.
 _TURNS: Final = 15
-_LEAST_TURN: Final = 3e-3
 _FEWEST_TURNS: Final = 3
+# Least time of one setting in a turn [s]: a shorter use is repeated.
+_LEAST_TURN: Final = 3e-3
+# Time of all turns, in allowances of one use, after which no further turn begins.
 _ALL_TURNS: Final = 2.0
-# Repetitions of which a time is the median.
-_LEAST, _MOST = 3, 15
-# The coarsest number of steps in eighths of a power of two: a 128th of the usual one.
+# Fewest and most repetitions for a median time.
+_LEAST_REPETITIONS, _MOST_REPETITIONS = 3, 15
+# Exponent of the coarsest number of steps, in eighths of a power of two: a 128th of the usual number.
 _COARSEST: Final = -56
 
 Use = Callable[[], object]
+"""One use of a method, which is timed."""
+
 Progress = Callable[[str, float], None]
-"""Called with what is being done, and with the part that is done."""
+"""Called with what is being done and the fraction done."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One method with one setting in a contest.
+    """Result of one method with one setting.
 
     Attributes:
-        family: what kind of choice it is, such as ``"integrator"`` or ``"quadrature"``.
-        method: its name.
-        setting: its setting as text, such as ``"tolerance 1e-08"`` or ``"40 steps"``.
-        seconds: median processor time of one use after a warm-up [s], of what may be the cheapest the least of several
-            turns; infinite of a failure.
-        setup: time to build it, once [s], that of a compiler included.
-        errors: relative errors [-] by what is wrong; empty of a failure.
-        failure: why it has no result, or None.
-        elsewhere: of a solve that ended in another local optimum than the reference's, a clause that says so; its
-            errors are those from that optimum, and it is not ranked.
-        checked: median time of `simulate` by a named integrator, which checks it [s], where that was measured.
+        family: kind of choice, such as ``"integrator"`` or ``"quadrature"``.
+        method: name of the method.
+        setting: setting as text, such as ``"tolerance 1e-08"`` or ``"40 steps"``.
+        seconds: processor time of one use after a warm-up [s]: the median of repetitions or, for what may be the
+            cheapest, the least of several turns; infinite for a failure.
+        setup: time to build the method once, with that of a compiler [s].
+        errors: relative errors by name [-]; empty for a failure.
+        failure: reason why there is no result, or None.
+        elsewhere: for a solve that ended in another local optimum than the reference, a clause that says so. Its
+            errors are relative to that optimum, and it is not ranked.
+        checked: median time of `simulate` with this method, which checks the result [s]; None if not measured.
     """
 
     family: str
@@ -76,51 +81,51 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Track:
-    """A method over its settings.
+class Contestant:
+    """A method and its settings.
 
     Attributes:
-        family: of its entries.
-        method: its name.
-        prepare: setting -> what returns its result, or (what is timed, what returns its result).
-        errors: result -> its errors.
-        rungs: its settings from coarse to fine; neighbours differ by about a tenth in cost.
-        shown: places of those that are tried in any case; None of all, and then of no others.
-        label: setting -> its text.
-        least: setting -> time [s] that it takes at the very least.
-        patience: setting -> how many times the allowance it may take.
-        elsewhere: result -> a clause as of `Entry`.
-        check: setting -> the use of `simulate` by it; None of what has no check, or is one.
+        family: family of its entries.
+        method: name of the method.
+        prepare: setting -> function that returns the result; or two functions, one to time and one for the result.
+        errors: result -> relative errors by name.
+        settings: settings from coarse to fine; neighbours differ by about a tenth in cost.
+        always: places of the settings to measure in any case; None for all of them, without narrowing down.
+        label: setting -> text.
+        least_time: setting -> lower bound of the time of one use [s].
+        patience: setting -> factor on the time allowed for one use.
+        elsewhere: result -> clause, as in `Entry`.
+        check: setting -> use of `simulate` with it; None if the method has no check or checks itself.
     """
 
     family: str
     method: str
     prepare: Callable[[Any], Use | tuple[Use, Callable[[], Any]]]
     errors: Callable[[Any], Mapping[str, float]]
-    rungs: Sequence[Any] = ("",)
-    shown: Sequence[int] | None = None
+    settings: Sequence[Any] = ("",)
+    always: Sequence[int] | None = None
     label: Callable[[Any], str] = str
-    least: Callable[[Any], float] = lambda _: 0.0
+    least_time: Callable[[Any], float] = lambda _: 0.0
     patience: Callable[[Any], float] = lambda _: 1.0
     elsewhere: Callable[[Any], str] = lambda _: ""
     check: Callable[[Any], Use] | None = None
 
 
-def rungs_of(usual: float, factors: Sequence[float], unit: int = 1) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return numbers of steps from coarse to fine in ratios of 2^(1/8), and the places of some multiples of a number.
+def step_counts(usual: float, factors: Sequence[float], unit: int = 1) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return numbers of steps from coarse to fine in ratios of 2^(1/8), and the places of multiples of the usual one.
 
     Args:
-        usual: number of steps.
-        factors: multiples of it that are tried in any case, powers of two.
-        unit: of which every number is a multiple.
+        usual: usual number of steps.
+        factors: the multiples, powers of two.
+        unit: divisor of every number of steps.
     """
 
     def steps(eighths: float) -> int:
         return max(1, math.ceil(usual * math.exp2(eighths / 8.0) / unit - 1e-9)) * unit
 
-    rungs = list(dict.fromkeys(steps(k) for k in range(_COARSEST, 8 * round(math.log2(max(factors))) + 1)))
-    shown = dict.fromkeys(rungs.index(steps(8.0 * math.log2(factor))) for factor in factors)
-    return tuple(rungs), tuple(shown)
+    counts = list(dict.fromkeys(steps(k) for k in range(_COARSEST, 8 * round(math.log2(max(factors))) + 1)))
+    places = dict.fromkeys(counts.index(steps(8.0 * math.log2(factor))) for factor in factors)
+    return tuple(counts), tuple(places)
 
 
 def failure(family: str, method: str, reason: object, setting: str = "") -> Entry:
@@ -129,7 +134,7 @@ def failure(family: str, method: str, reason: object, setting: str = "") -> Entr
 
 
 def measured(
-    tracks: Sequence[Track],
+    contestants: Sequence[Contestant],
     key: str,
     wanted: float,
     allowance: float,
@@ -137,85 +142,93 @@ def measured(
     floor: float = 0.0,
     progress: Progress = lambda _stage, _part: None,
 ) -> list[Entry]:
-    """Return the entries of tracks: what is shown, and what leads to the cheapest setting that reaches an error.
+    """Return the entries of contestants: settings measured in any case, and those that led to the cheapest good one.
 
     Args:
-        tracks: of contestants that are ranked together.
-        key: of `Entry.errors`, by which.
+        contestants: methods that are ranked together.
+        key: key of `Entry.errors` that ranks them.
         wanted: error to reach [-].
-        allowance: time [s] that one use may take.
-        floor: error [-] of the reference itself.
-        progress: called with the method that is next and the part done.
+        allowance: time that one use may take [s].
+        floor: error of the reference itself [-].
+        progress: called with the method that is next and the fraction done.
     """
-    tried = [_Tried(track, key, wanted, allowance) for track in tracks]
-    for k, one in enumerate(tried):
-        progress(f"{one.track.family}: {one.track.method}", k / len(tried))
-        one.try_shown()
-    best = min((one.least for one in tried), default=math.inf)
-    for one in tried:
-        if one.track.shown is not None and one.least <= _WORTH * best < math.inf:
-            one.narrow()
-    _measure_in_turns(tried, allowance)
-    entries = [entry for one in tried for entry in one.entries.values()]
-    for family in dict.fromkeys(track.family for track in tracks):
+    trials = [_Trial(contestant, key, wanted, allowance) for contestant in contestants]
+    for k, trial in enumerate(trials):
+        progress(f"{trial.contestant.family}: {trial.contestant.method}", k / len(trials))
+        trial.measure_always()
+    best = min((trial.least for trial in trials), default=math.inf)
+    for trial in trials:
+        if trial.contestant.always is not None and trial.least <= _WORTH_NARROWING * best < math.inf:
+            trial.narrow()
+    _measure_in_turns(trials, allowance)
+    entries = [entry for trial in trials for entry in trial.entries.values()]
+    for family in dict.fromkeys(contestant.family for contestant in contestants):
         front = efficient([entry for entry in entries if entry.family == family], key, floor)
-        for one in tried:
-            one.check(front)
-    return [one.entries[place] for one in tried for place in sorted(one.entries)]
+        for trial in trials:
+            trial.check(front)
+    return [trial.entries[place] for trial in trials for place in sorted(trial.entries)]
 
 
-class _Tried:
-    """The settings of a track that were tried: place -> entry, and what is timed."""
+class _Trial:
+    """Measurements of one contestant.
 
-    def __init__(self, track: Track, key: str, wanted: float, allowance: float) -> None:
-        self.track = track
+    Attributes:
+        contestant: the contestant.
+        entries: place of a setting -> entry.
+        uses: place of a setting -> what is timed.
+    """
+
+    def __init__(self, contestant: Contestant, key: str, wanted: float, allowance: float) -> None:
+        self.contestant = contestant
         self.entries: dict[int, Entry] = {}
         self.uses: dict[int, Use] = {}
         self._key, self._wanted, self._allowance = key, wanted, allowance
 
-    def try_shown(self) -> None:
-        """Try what is tried in any case, until it takes too long."""
-        track, expected = self.track, 0.0
-        for place in range(len(track.rungs)) if track.shown is None else track.shown:
-            setting = track.rungs[place]
-            expected = max(expected, track.least(setting))
-            allowed = self._allowance * track.patience(setting)
+    def measure_always(self) -> None:
+        """Measure the settings that are measured in any case, until one is expected to take too long."""
+        contestant, expected = self.contestant, 0.0
+        every = range(len(contestant.settings))
+        for place in every if contestant.always is None else contestant.always:
+            setting = contestant.settings[place]
+            expected = max(expected, contestant.least_time(setting))
+            allowed = self._allowance * contestant.patience(setting)
             if expected > allowed:
                 self._fail(place, f"cut off: expected to take {expected:.2g} s, {allowed:.2g} s allowed")
             else:
-                expected = _NEXT * self._try(place)
+                expected = _NEXT_SETTING * self._measure(place)
 
-    def _try(self, place: int) -> float:
-        """Measure a setting; return the time [s] of one use, or of its failure."""
-        track, setting = self.track, self.track.rungs[place]
+    def _measure(self, place: int) -> float:
+        """Measure a setting; return the time of one use [s], or of its failure."""
+        contestant, setting = self.contestant, self.contestant.settings[place]
         started, clock = time.process_time(), time.perf_counter()
         try:
-            prepared = track.prepare(setting)
+            prepared = contestant.prepare(setting)
             use, find = prepared if isinstance(prepared, tuple) else (prepared, prepared)
-            built = time.perf_counter() - clock  # by a compiler, perhaps, which is another process
+            built = time.perf_counter() - clock  # elapsed time, because a compiler is another process
             solving = time.process_time()
             found = find()
             seconds = time.process_time() - solving
-            errors, elsewhere = track.errors(found), track.elsewhere(found)
+            errors, elsewhere = contestant.errors(found), contestant.elsewhere(found)
         except (PloughError, RuntimeError) as error:
             self._fail(place, _reason(error))
             return time.process_time() - started
         first = solving + seconds - started
-        # A repetition may take just longer than a limit that the first just kept.
+        # A repetition may exceed a time limit that the first use just kept.
         with contextlib.suppress(PloughError, RuntimeError):
             seconds = median_time(use, budget=0.1 * self._allowance, warm=True)
-        setup, label = max(built, first - seconds), track.label(setting)
-        self.entries[place] = Entry(track.family, track.method, label, seconds, setup, errors, elsewhere=elsewhere)
-        self.uses[place] = use
+        setup, label = max(built, first - seconds), contestant.label(setting)
+        entry = Entry(contestant.family, contestant.method, label, seconds, setup, errors, elsewhere=elsewhere)
+        self.entries[place], self.uses[place] = entry, use
         return seconds
 
     def _fail(self, place: int, reason: str) -> None:
-        track = self.track
-        self.entries[place] = failure(track.family, track.method, reason, track.label(track.rungs[place]))
+        contestant = self.contestant
+        label = contestant.label(contestant.settings[place])
+        self.entries[place] = failure(contestant.family, contestant.method, reason, label)
 
     @property
     def good(self) -> dict[int, Entry]:
-        """The settings that were tried and reach the error."""
+        """Entries that reach the wanted error, by place."""
         reached = (
             (place, entry) for place, entry in self.entries.items() if cheapest([entry], self._key, self._wanted)
         )
@@ -223,53 +236,53 @@ class _Tried:
 
     @property
     def least(self) -> float:
-        """The least time [s] of a setting that reaches the error; infinite where none does."""
+        """Least time of a setting that reaches the wanted error [s]; infinite if none does."""
         return min((entry.seconds for entry in self.good.values()), default=math.inf)
 
     def narrow(self) -> None:
-        """Halve the settings down to a pair of neighbours of which the finer one alone reaches the error.
+        """Halve the settings down to two neighbours of which only the finer one reaches the wanted error.
 
-        The halving goes over all settings, so that it comes to the same pair whichever of them were tried before; what
-        is finer than one that is known to reach the error is not tried, for it may take long.
+        The halving covers all settings, so that it ends at the same pair whichever of them were measured before.
+        Settings finer than one that is known to be good count as good without being measured, for they may take long.
         """
-        known, bad, good = min(self.good), -1, len(self.track.rungs) - 1
+        known, bad, good = min(self.good), -1, len(self.contestant.settings) - 1
         while good - bad > 1:
             middle = (good + bad) // 2
             if middle >= known:
                 good = middle
                 continue
-            shown = middle in self.entries
-            if not shown:
-                self._try(middle)
+            measured_before = middle in self.entries
+            if not measured_before:
+                self._measure(middle)
             if middle in self.good:
                 good = middle
             else:
                 bad = middle
-                if self.entries[middle].failure is not None and not shown:
-                    del self.entries[middle]  # too coarse to have a result, and not among those shown
+                if self.entries[middle].failure is not None and not measured_before:
+                    del self.entries[middle]  # too coarse to have a result, and not one that is always reported
 
     def check(self, front: Sequence[Entry]) -> None:
-        """Measure `simulate` by the settings that are efficient, which checks them."""
-        check = self.track.check
+        """Time `simulate`, which checks its result, with the settings on an efficient front."""
+        check = self.contestant.check
         for place, entry in self.entries.items():
             if check is not None and entry in front:
                 with contextlib.suppress(PloughError):
-                    seconds = median_time(check(self.track.rungs[place]), budget=0.1 * self._allowance)
+                    seconds = median_time(check(self.contestant.settings[place]), budget=0.1 * self._allowance)
                     self.entries[place] = replace(entry, checked=seconds)
 
 
-def _measure_in_turns(tried: list[_Tried], allowance: float) -> None:
-    """Measure again, one after the other and all of them several times, what may be the cheapest.
+def _measure_in_turns(trials: list[_Trial], allowance: float) -> None:
+    """Time again, in several turns, the settings that may be the cheapest.
 
-    That is of every method that was narrowed down the coarsest setting, however long it seemed to take, and what seemed
-    to take hardly longer than the cheapest. The least time counts: what else the machine does only adds to it.
+    Those are the coarsest good setting of each contestant within `_WORTH_NARROWING` of the best, and every good setting
+    within `_CLOSE`. The least time of each counts, because other work on the machine only adds to it.
     """
-    best = min((one.least for one in tried), default=math.inf)
+    best = min((trial.least for trial in trials), default=math.inf)
     taken: dict[tuple[int, int], list[float]] = {}
-    for number, one in enumerate(tried):
-        good = one.good
+    for number, trial in enumerate(trials):
+        good = trial.good
         for place, entry in good.items():
-            if entry.seconds <= (_WORTH if place == min(good) else _CLOSE) * best:
+            if entry.seconds <= (_WORTH_NARROWING if place == min(good) else _CLOSE) * best:
                 taken[number, place] = []
     if len(taken) < 2:
         return
@@ -278,8 +291,8 @@ def _measure_in_turns(tried: list[_Tried], allowance: float) -> None:
         if turn >= _FEWEST_TURNS and spent > _ALL_TURNS * allowance:
             break
         for (number, place), seconds in taken.items():
-            # By the clock, not by the time that was measured: where that is coarse a short use seems to take none.
-            use, often, started = tried[number].uses[place], 0, time.process_time()
+            # Repeat by the clock rather than by the time measured before: a coarse clock shows 0 for a short use.
+            use, often, started = trials[number].uses[place], 0, time.process_time()
             while not often or time.process_time() - started < _LEAST_TURN:
                 with contextlib.suppress(PloughError, RuntimeError):
                     use()
@@ -287,12 +300,12 @@ def _measure_in_turns(tried: list[_Tried], allowance: float) -> None:
             seconds.append((time.process_time() - started) / often)
             spent += often * seconds[-1]
     for (number, place), seconds in taken.items():
-        entries = tried[number].entries
+        entries = trials[number].entries
         entries[place] = replace(entries[place], seconds=min(seconds))
 
 
 def _reason(error: Exception) -> str:
-    """Return a failure's reason; of CasADi's own, which go over many lines, the last."""
+    """Return the reason of a failure; of a message of CasADi, which has many lines, only the last one."""
     if isinstance(error, PloughError):
         return str(error)
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
@@ -300,19 +313,22 @@ def _reason(error: Exception) -> str:
 
 
 def median_time(action: Use, *, budget: float = 0.5, warm: bool = False) -> float:
-    """Return the median processor time [s] of an action after a warm-up.
+    """Return the median processor time of an action after a warm-up [s].
 
-    Processor time is that of this process: what else the machine does meanwhile is not in it.
+    Processor time is that of this process, so it excludes other work on the machine.
 
     Args:
-        action: what is timed; at least thrice, if it does not take long beside the budget, and at most 15 times.
-        budget: time [s] after which no repetition begins beyond the third, and after ten of which none at all.
-        warm: whether the action was done before: there is no warm-up then.
+        action: what to time, 3 to 15 times, or fewer if the first repetitions take very long.
+        budget: time after which no repetition begins beyond the third [s]; after ten budgets none begins at all.
+        warm: whether the action was done before, so that it needs no warm-up.
     """
     if not warm:
         action()
     seconds: list[float] = []
-    while not seconds or (len(seconds) < _MOST and sum(seconds) < budget * (1.0 if len(seconds) >= _LEAST else 10.0)):
+    while not seconds or (
+        len(seconds) < _MOST_REPETITIONS
+        and sum(seconds) < budget * (1.0 if len(seconds) >= _LEAST_REPETITIONS else 10.0)
+    ):
         started = time.process_time()
         action()
         seconds.append(time.process_time() - started)
@@ -322,12 +338,12 @@ def median_time(action: Use, *, budget: float = 0.5, warm: bool = False) -> floa
 def efficient(entries: Sequence[Entry], error: str, floor: float = 0.0) -> list[Entry]:
     """Return the entries that no other beats in both time and one error, from the fastest to the most exact.
 
-    What takes longer for an error smaller by less than a tenth is beaten too.
+    A slower entry must have an error smaller by at least a tenth.
 
     Args:
-        entries: of one contest; failures are left out.
-        error: the key of `Entry.errors` that counts.
-        floor: error [-] of the reference itself, below which errors do not differ.
+        entries: entries of one contest; failures are left out.
+        error: key of `Entry.errors`.
+        floor: error of the reference itself [-], below which errors do not differ.
     """
     ranked = sorted(
         (entry for entry in entries if entry.failure is None and error in entry.errors),
@@ -337,25 +353,26 @@ def efficient(entries: Sequence[Entry], error: str, floor: float = 0.0) -> list[
     least = math.inf
     for entry in ranked:
         found = max(entry.errors[error], floor)
-        if found < _TELLING * least:
+        if found < _SMALLER * least:
             front.append(entry)
             least = found
     return front
 
 
 def cheapest(entries: Sequence[Entry], error: str, wanted: float) -> Entry | None:
-    """Return the fastest entry whose error [-] is at most the wanted one, or None.
+    """Return the fastest entry whose error is at most the wanted one [-], or None.
 
-    Of entries that take equally long within the noise of a clock it is the first, so that a repetition finds it again.
+    If several are equally fast within the noise of the clock, it is the first of them, so that the choice is
+    repeatable.
     """
     good = [entry for entry in entries if entry.failure is None and entry.errors.get(error, math.inf) <= wanted]
     least = min((entry.seconds for entry in good), default=math.inf)
-    return next((entry for entry in good if entry.seconds <= _AS_CHEAP * least), None)
+    return next((entry for entry in good if entry.seconds <= _EQUAL_TIMES * least), None)
 
 
 def duration_text(seconds: float) -> str:
     """Return a time with its unit."""
-    # A thousandth that rounding makes a little less is one still.
+    # Rounding may make a thousandth a little less, which still is one of the larger unit.
     for least, unit in ((1.0, "s"), (1e-3, "ms")):
         if seconds >= 0.99 * least:
             return f"{seconds / least:.3g} {unit}"

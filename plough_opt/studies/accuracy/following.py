@@ -1,7 +1,7 @@
-"""A motion followed in the widest floats, to all their digits.
+"""Reference motion of a scene, to all digits of the widest floats.
 
-Every smooth piece of the motion is a chain of Chebyshev polynomials (`plough_opt.studies.accuracy.wide`); events end a
-piece where a polynomial has its root. Averages are Gauss-Legendre quadratures of the polynomials.
+Each smooth piece of the motion is a chain of Chebyshev polynomials (`plough_opt.studies.accuracy.wide`). An event ends
+a piece at the root of its polynomial. Averages are Gauss-Legendre quadratures of the polynomials.
 """
 
 from __future__ import annotations
@@ -34,23 +34,26 @@ from plough_opt.studies.accuracy.wide import (
     step,
 )
 
-# Steps of a whole motion, which take minutes, and after how many it is seen whether they will do.
+# Most steps of a whole motion; they take minutes.
 _MOST_STEPS = 400_000
-_WATCHED = 2000
-# Events at one time after which the motion is taken to hang there.
+# Number of steps between two checks whether that will be enough.
+_CHECKED_EVERY = 2000
+# Events at one time after which the motion counts as stuck there.
 _MOST_AT_ONCE = 12
+# Shortest step, in parts of the duration.
 _SHORTEST = 1e-16
-_SHOOTINGS = 20
-# Part of the last miss above which the slope of a shot is found anew.
+# Most iterations of Newton's method for a periodic orbit.
+_MOST_ITERATIONS = 20
+# If an iteration leaves more than this part of the mismatch, the derivative is computed anew.
 _SLOW = 0.1
-# What ends a mode of contact; and what ends it while a share enters that never leaves contact.
+# Names of the events that end each mode of contact, and those that do so while a share enters without leaving contact.
 _ENDS_OF_CONTACT: Final = {SLIP: "stop", STICK: "move", GAP: "recapture"}
 _ENDS_OF_ENTRY: Final = {SLIP: "retreat", GAP: "advance"}
 
 
 @lru_cache(maxsize=8)
 def _graphs(structure: Structure) -> tuple[dict[str, WideGraph], tuple[str, ...]]:
-    """Return rates, events, signals and start of a structure's motion in wide floats, and their parameters' names."""
+    """Return a structure's rates, events, signals and start in wide floats, and the names of their parameters."""
     motion, observed = equation_of_motion(structure), signals(structure)
     p = ca.SX.sym("p", len(observed.parameters))
     known = dict(zip(observed.parameters, ca.vertsplit(p), strict=True))
@@ -69,28 +72,31 @@ def _graphs(structure: Structure) -> tuple[dict[str, WideGraph], tuple[str, ...]
 
 
 class Motion:
-    """The equation of motion of a scene in the widest floats.
+    """Equation of motion of a scene in the widest floats.
 
     Attributes:
         scene: the scene, with wide numbers.
-        structure: what its motion contains.
-        p: its parameters.
-        swing: inverse of the lightest share's angular frequency on its mount [s].
-        scales: sizes of w [m] and w' [m/s], to which rounding is relative.
-        ramp: when the strut's ramp ends, if that is not an event [s]; else 0.
+        structure: terms of its equation of motion.
+        p: parameters by name.
+        swing: inverse of the largest angular frequency of the share on its mount [s].
+        scales: sizes of the deviation w [m] and its rate w' [m/s], to which rounding is relative.
+        ramp: end of the strut's ramp [s]; 0 if there is none, or its end is an event.
         start: state at time 0.
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Take a numeric scene.
+        """Compute the parameters and the start of a scene with numbers.
 
         Raises:
-            InputError: no motion, or one in whose place stands another.
+            InputError: the scene is quasi-static, or approximates its periodic orbit.
         """
         if not scene.effects.motion:
-            raise InputError("a quasi-static scene has no motion to follow")
+            raise InputError("a quasi-static scene has no motion to integrate")
         if scene.effects.orbit not in ("transient", "periodic"):
-            raise InputError("a stand-in for the lasting orbit is not a motion: the reference is the orbit")
+            raise InputError(
+                f"effects.orbit = '{scene.effects.orbit}' is a stand-in for the periodic orbit: use 'periodic' for the"
+                " reference"
+            )
         speed = WIDE(scene.tow_speed)
         self.scene = replace(scene, stiffness=WIDE(scene.stiffness), mass=WIDE(scene.mass), tow_speed=speed)
         self.structure = Structure.of(scene)
@@ -100,8 +106,8 @@ class Motion:
         stiffness = abs(self.p["stiffness"])
         hardness = np.sqrt(stiffness * lightest_mass(self.p))
         self.swing = hardness / stiffness
-        # What rounds: the forces, and from a start that is not steady the speed that the mount must take up; soil that
-        # does not resist at all leaves the rounding of that.
+        # Rounding comes from the forces and, unless the start is steady, from the speed that the mount must take up.
+        # Soil without resistance leaves the rounding of the latter.
         steady = self.structure.start == "equilibrium" and not self.structure.ramp
         least = speed * hardness * (EPS if steady else 1)
         force = start_resistance(self.structure, self.p) + least
@@ -114,11 +120,11 @@ class Motion:
         return self._graph["rates"]([times], states, self._numbers)[0]
 
     def signals(self, times: Wide, states: Wide) -> Wide:
-        """Return what is averaged, a row each."""
+        """Return the signals that are averaged, a row each, at times."""
         return self._graph["signals"]([times], states, self._numbers)[0]
 
     def names(self, state: Wide) -> list[str]:
-        """Return what ends the piece that begins with a state, a name for each kind of event."""
+        """Return the names of the events that can end the piece of motion beginning with a state."""
         if not self.structure.events:
             return []
         ends = _ENDS_OF_CONTACT if self.structure.sticks else _ENDS_OF_ENTRY
@@ -126,7 +132,13 @@ class Motion:
         return [ends[round(float(state[3]))], *("buried" if name == "entered" else str(name) for name in counted)]
 
     def next_event(self, state: Wide, done: Step, end: Wide) -> tuple[Wide, int | None]:
-        """Return when the piece that began with a state ends within a step, and by what; the end and None if not."""
+        """Return time and number of the event that ends a piece of motion in a step; without one, its end and None.
+
+        Args:
+            state: at the start of the piece, which decides the possible events.
+            done: the step.
+            end: of the step, or earlier [s].
+        """
 
         def until(kind: int, times: Wide) -> Wide:
             return self._graph["events"]([times], done.at(times), self._numbers)[0][kind]
@@ -139,20 +151,26 @@ class Motion:
         return end, first
 
     def after(self, kind: int, time: Wide, state: Wide) -> Wide:
-        """Return the state after an event."""
+        """Return the state after an event.
+
+        Args:
+            kind: number of the event.
+            time: of the event [s].
+            state: before the event.
+        """
         columns = self._graph["events"]([np.array([time])], state[:, None], self._numbers)[1]
         return columns.reshape(-1, len(state))[kind]
 
 
 @dataclass(frozen=True)
-class Followed:
-    """A motion that was followed.
+class IntegratedMotion:
+    """Integrated motion.
 
     Attributes:
-        motion: the motion.
+        motion: its equation.
         times: output times [s].
-        states: at these, a row each.
-        events: time and name of each.
+        states: states at the output times, a row each.
+        events: time and name of each event.
         moments: means of the signals, and variances of those with an RMS.
     """
 
@@ -163,29 +181,29 @@ class Followed:
     moments: tuple[Wide, Wide]
 
     def run(self) -> Run:
-        """Return the run."""
+        """Return the run of the scene that has these states and averages."""
         motion, duration = self.motion, self.times[-1]
         known = motion.structure, dict(motion.p)
         fractions = self.times / duration
         return assemble(motion.scene, duration, fractions, self.states, *self.moments, Accuracy(), known)
 
 
-def follow(motion: Motion, duration: Wide, outputs: int, degree: int, first: Wide | None = None) -> Followed:
-    """Follow a motion once, by polynomials of one degree.
+def follow(motion: Motion, duration: Wide, outputs: int, degree: int, first: Wide | None = None) -> IntegratedMotion:
+    """Integrate a motion once.
 
     Args:
-        motion: of a scene.
+        motion: equation of motion.
         duration: simulated time [s].
         outputs: number of equal intervals between output times.
-        degree: of the polynomials.
-        first: state at the start, in the place of the scene's own.
+        degree: degree of the polynomials.
+        first: state at the start; default that of the scene.
 
     Raises:
-        IntegrationError: steps or pauses between events grow too short, or the steps too many.
+        IntegrationError: steps or pauses between events become too short, or too many steps are needed.
     """
     state = motion.start if first is None else first
     times = duration * np.arange(outputs + 1) / WIDE(outputs)
-    # Rounding may put the last output behind the end, where no step reaches it.
+    # Rounding may put the last output behind the end, which no step reaches.
     times[-1] = duration
     states: list[Wide] = []
     integrals: list[tuple[Wide, Wide]] = []
@@ -193,7 +211,7 @@ def follow(motion: Motion, duration: Wide, outputs: int, degree: int, first: Wid
     now, size, at_once, steps = WIDE(0), motion.swing, 0, 0
     while now < duration:
         stop = motion.ramp if now < motion.ramp < duration else duration
-        # The last step takes what would else be left for one of no length.
+        # The last step is a little longer rather than leaving almost nothing for another one.
         whole = stop - now <= size * WIDE(1.001)
         done = step(degree, now, stop - now if whole else size, state, motion.rates, motion.scales)
         if done is None:
@@ -202,14 +220,14 @@ def follow(motion: Motion, duration: Wide, outputs: int, degree: int, first: Wid
                 raise _stopped("stops", now, "the forces are not smooth there")
             continue
         steps += 1
-        if steps % _WATCHED == 0 and now * _MOST_STEPS < steps * duration:
+        if steps % _CHECKED_EVERY == 0 and now * _MOST_STEPS < steps * duration:
             raise _stopped(f"would take more than {_MOST_STEPS} steps", now, "the forces change too fast there")
         end, kind = motion.next_event(state, done, stop if whole else now + size)
         states += list(done.at(times[len(states) : int(np.searchsorted(times, end, "right"))]).T)
         integrals.append(_integrands(motion, done, end))
         at_once = at_once + 1 if kind is not None and end - now <= 4 * EPS * end else 0
         if at_once > _MOST_AT_ONCE:
-            raise _stopped("hangs", now, "events follow each other without end")
+            raise _stopped("hangs", now, "events repeat endlessly")
         names = motion.names(state)
         now, state = end, done.at(np.array([end]))[:, 0]
         if kind is not None:
@@ -217,7 +235,7 @@ def follow(motion: Motion, duration: Wide, outputs: int, degree: int, first: Wid
             state = motion.after(kind, now, state)
         if not whole or done.used > 0.9:
             size = done.size * WIDE(min(2.0, max(0.5, 0.9 / max(done.used, 0.1))))
-    return Followed(motion, times, np.array(states), tuple(events), _moments(motion, integrals))
+    return IntegratedMotion(motion, times, np.array(states), tuple(events), _moments(motion, integrals))
 
 
 def _stopped(what: str, now: Wide, why: str) -> IntegrationError:
@@ -225,7 +243,7 @@ def _stopped(what: str, now: Wide, why: str) -> IntegrationError:
 
 
 def _integrands(motion: Motion, done: Step, end: Wide) -> tuple[Wide, Wide]:
-    """Return Gauss weights [s] of a step up to its end, or to an event, and the signals at their nodes."""
+    """Return Gauss weights for a step up to its end or an event [s], and the signals at their nodes."""
     nodes, weights = gauss(done.coefficients.shape[1] + 1)
     half = (end - done.start) / 2
     inner = done.start + half * (nodes + 1)
@@ -233,18 +251,24 @@ def _integrands(motion: Motion, done: Step, end: Wide) -> tuple[Wide, Wide]:
 
 
 def _moments(motion: Motion, integrals: list[tuple[Wide, Wide]]) -> tuple[Wide, Wide]:
-    """Return means and variances of the signals, in two passes."""
+    """Return means and variances of the signals; two passes avoid cancellation."""
     weights, values = (np.concatenate(parts, axis=-1) for parts in zip(*integrals, strict=True))
     shares = weights / np.sum(weights)
     means = values @ shares
     return means, (values - means[:, None])[: signals(motion.structure).squared] ** 2 @ shares
 
 
-def orbit(motion: Motion, guess: Wide, outputs: int, degree: int) -> Followed:
-    """Return the lasting orbit beside a state, by Newton's method on the motion over one wavelength.
+def orbit(motion: Motion, guess: Wide, outputs: int, degree: int) -> IntegratedMotion:
+    """Return the periodic orbit near a state, by Newton's method on the motion over one period.
+
+    Args:
+        motion: equation of motion.
+        guess: state near the orbit's start.
+        outputs: number of equal intervals between output times.
+        degree: degree of the polynomials.
 
     Raises:
-        IntegrationError: none was found.
+        IntegrationError: no orbit was found.
     """
     period, speed, state = motion.scene.wave_period, motion.scene.tow_speed, guess
     unit = np.array([abs(state[0]) + speed * period / (2 * PI), speed])
@@ -253,23 +277,23 @@ def orbit(motion: Motion, guess: Wide, outputs: int, degree: int) -> Followed:
         return follow(motion, period, 1, degree, first).states[-1]
 
     least, slope = np.inf, np.zeros((2, 2))
-    for shot in range(_SHOOTINGS):
+    for iteration in range(_MOST_ITERATIONS):
         miss = after(state) - state
         size = float(np.max(np.abs(miss) / unit))
         if size <= 2 * EPS or (size < 1e4 * EPS and size >= least):
             return follow(motion, period, outputs, degree, state)
-        if not shot or size > _SLOW * least:
+        if not iteration or size > _SLOW * least:
             nudges = np.diag(WIDE(math.sqrt(EPS)) * unit)
             columns = [(after(state + nudge) - after(state - nudge)) / (2 * np.max(nudge)) for nudge in nudges]
             slope = np.array(columns, float).T
         least = size
-        # The step itself need not have more digits than a double: the next one adds as many.
+        # A step with the digits of a double is enough, because the next step adds as many again.
         state = state - np.linalg.solve(slope - np.eye(2), miss.astype(float))
-    raise IntegrationError("no lasting orbit was found beside that of the run")
+    raise IntegrationError("no periodic orbit was found near that of the simulation")
 
 
-def beside_orbit(scene: Scene) -> Wide:
-    """Return a state beside the lasting orbit; it decides which orbit is found, and none of its digits."""
+def state_near_orbit(scene: Scene) -> Wide:
+    """Return a state near the periodic orbit by simulation; it decides which orbit is found, not its digits."""
     run = simulate(scene, outputs=1)
     first = start_deflection(Structure.of(scene), parameters(scene))
     return np.array([run.deflection[0] - first, float(scene.tow_speed) - run.speed[0]], WIDE)

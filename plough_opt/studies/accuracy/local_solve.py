@@ -1,4 +1,4 @@
-"""One local solve of a design's program by IPOPT, with a choice of derivatives."""
+"""Local solves of a design's program by IPOPT, with a choice of derivatives."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -14,19 +14,20 @@ from plough_opt.design.nlp import Nlp, as_ipopt_wants
 from plough_opt.studies.accuracy.transcription import Question, Transcribed
 
 Derivatives = Literal["exact", "gradient", "central", "forward"]
-"""Exact Hessian; exact gradient with limited-memory BFGS; gradient by differences with limited-memory BFGS."""
+"""Exact Hessian; or limited-memory BFGS with an exact gradient, or one by central or forward differences."""
 
+# Most iterations of IPOPT; a contestant that needs more has failed.
 _MOST_ITERATIONS = 300
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where and how every contestant begins.
+    """Start of every contestant.
 
     Attributes:
         y: scaled variables.
-        near: whether they are nearly optimal already: IPOPT then stays in the basin.
-        limit: time [s] after which IPOPT gives up.
+        near: whether they are nearly optimal, so that IPOPT must stay in the basin.
+        limit: time after which IPOPT gives up [s].
     """
 
     y: Vector
@@ -35,19 +36,19 @@ class Start:
 
 
 Solve = Callable[[], Point]
-"""Returns where IPOPT stopped: the scaled variables alone, and the scaled objective as reported."""
+"""Returns the point where IPOPT stopped, with the scaled variables of the design alone."""
 
 
 def solve_nlp(nlp: Nlp, question: Question, start: Start, derivatives: Derivatives, tolerance: float) -> Solve:
-    """Return the local solve of a program that has its own derivatives, or differences in their place.
+    """Return the local solve of a program with its own derivatives, or with differences.
 
     Args:
         nlp: the program.
-        question: the design's question, for the limits.
+        question: the design's program, for the limits of requirements.
         start: where to begin.
-        derivatives: which to use. Central differences have the cube root of the rounding as their step, forward ones
-            its root.
-        tolerance: of IPOPT.
+        derivatives: derivatives to use. The step of differences is the cube root of the rounding for central ones, and
+            the square root for forward ones.
+        tolerance: IPOPT's tolerance.
     """
     slopes, count = nlp.slopes, len(start.y)
     if derivatives in ("central", "forward"):
@@ -64,7 +65,7 @@ def solve_nlp(nlp: Nlp, question: Question, start: Start, derivatives: Derivativ
 
 
 def _differences(values: ca.Function, variables: int, *, central: bool) -> ca.Function:
-    """Return a program's `Nlp.slopes` by differences in the scaled variables."""
+    """Return a function like `Nlp.slopes` by differences in the scaled variables."""
     y, p = ca.MX.sym("y", variables), ca.MX.sym("p", 0)
     step = np.finfo(float).eps ** (1.0 / 3.0 if central else 0.5)
     f, g = values(y, p)
@@ -81,11 +82,11 @@ def solve_transcribed(
     """Return the local solve of a transcribed program, differentiated by CasADi.
 
     Args:
-        form: the program.
-        start: how to begin; the program holds where.
-        exact: whether to take second derivatives.
-        tolerance: of IPOPT.
-        scalar: whether to expand the graph into scalar operations: slower to build, faster to evaluate.
+        form: the program, with its start.
+        start: options of the start.
+        exact: whether to use second derivatives.
+        tolerance: IPOPT's tolerance.
+        scalar: whether to expand the graph into scalar operations, which is slower to build and faster to evaluate.
     """
     whole = ca.Function("whole", [form.x], [form.f, *form.g])
     kind: Any = ca.SX if scalar else ca.MX
@@ -93,7 +94,8 @@ def solve_transcribed(
     f, *blocks = (whole.expand() if scalar else whole).call([x])
     g, given = ca.vertcat(*blocks), {}
     if len(blocks) > 1:
-        # Block by block, CasADi takes the cheaper mode for each; together, rows and columns without zeros spoil both.
+        # Differentiate block by block, so that CasADi takes the cheaper mode for each. In one block the dense rows and
+        # dense columns would spoil both modes.
         jacobian = ca.vertcat(*(ca.jacobian(block, x) for block in blocks))
         given["jac_g"] = ca.Function("jac_g", [x, none], [ca.densify(g), jacobian], ["x", "p"], ["g", "jac_g_x"])
     return _ipopt({"x": x, "f": f, "g": g}, given, form, start, exact=exact, tol=tolerance)
@@ -102,8 +104,8 @@ def solve_transcribed(
 def _ipopt(
     problem: dict[str, Any], given: dict[str, ca.Function], form: Transcribed, start: Start, *, exact: bool, tol: float
 ) -> Solve:
-    """Return a solve with the toolkit's own settings of IPOPT, but for those given."""
-    # CasADi builds a gradient of its own beside the given one, which compiled code cannot serve.
+    """Return a solve with the IPOPT settings of `Design.solve`, except those given."""
+    # Without "no_nlp_grad" CasADi would build a gradient beside the given one, which compiled code cannot provide.
     options = OPTIONS | {"no_nlp_grad": True, "ipopt.max_wall_time": start.limit} | (NEAR if start.near else FAR)
     options |= {"ipopt.max_iter": _MOST_ITERATIONS, "ipopt.tol": tol, **given}
     if not exact:
@@ -119,7 +121,7 @@ def _ipopt(
         if "WallTime" in point.status:
             reason = f"no optimum after {start.limit:g} s and {point.iterations} iterations"
         else:
-            # The toolkit's remedies follow the reason, behind a colon; here they are no use.
+            # The text after the colon is a remedy for users of a design, which does not apply here.
             reason = f"{REMEDIES.get(point.status, point.status).split(':')[0]}, after {point.iterations} iterations"
         raise NotConverged(reason, point.status)
 
@@ -127,10 +129,10 @@ def _ipopt(
 
 
 def compiled(nlp: Nlp) -> Nlp:
-    """Return a program with values and first derivatives in machine code, as ``solve(compiled=True)`` takes them.
+    """Return a program with values and first derivatives in machine code, as in ``solve(compiled=True)``.
 
     Raises:
-        NotConverged: there is no compiler, or it refuses the code.
+        NotConverged: there is no compiler, or it fails.
     """
     translated = as_machine_code(nlp)
     if translated is None:

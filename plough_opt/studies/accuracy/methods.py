@@ -1,4 +1,4 @@
-"""Contestants that simulate a scene: methods over their settings, values and gradients, and models of the motion."""
+"""Contestants that simulate a scene: integrators for values and gradients, and models that simplify the motion."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -32,37 +32,50 @@ from plough_opt.motion.plan import (
 )
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure
-from plough_opt.studies.accuracy.contest import Entry, Track, Use, failure, measured, rungs_of
+from plough_opt.studies.accuracy.contest import Contestant, Entry, Use, failure, measured, step_counts
 from plough_opt.studies.accuracy.reference import AVERAGES, QUANTITIES, Reference, ReferenceGradient, errors_of
 
-AUTO, COMPILED, BARE = "auto", "auto, compiled", "dop853, compiled"
-"""Names of what chooses and checks by itself, interpreted and in machine code, and of bare steps in machine code."""
+AUTO: Final = "auto"
+"""Name of the default, which chooses its method and checks the result."""
+
+COMPILED: Final = "auto, compiled"
+"""Name of the default in machine code."""
+
+BARE: Final = "dop853, compiled"
+"""Name of steps of order 8 in machine code, without a check."""
 
 MACHINE_CODE: Final = "machine code"
-"""Family of what is compiled."""
+"""Family of compiled contestants."""
 
 ERRORS: Final = (1e-3, 1e-5, 1e-6, 1e-8, 1e-10)
+"""Wanted errors at which "auto" is measured in any case."""
+
 TOLERANCES: Final = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
+"""Relative tolerances at which adaptive methods are measured in any case."""
+
 FACTORS: Final = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)
-"""Settings tried: wanted errors of "auto", relative tolerances, and multiples of the steps taken by default."""
+"""Multiples of the default number of steps at which other methods are measured in any case."""
 
 GRADIENT_TOLERANCES: Final = (1e-6, 1e-9)
+"""Relative tolerances for gradients."""
+
 GRADIENT_FACTORS: Final = (0.5, 1.0, 2.0)
-"""The same of derivatives."""
+"""Multiples of the default number of steps for gradients."""
 
 HARMONICS: Final = (1, 3, 8, 16)
-"""Numbers of harmonics tried."""
+"""Numbers of harmonics at which harmonic balance is measured in any case."""
 
-# Time [s] of one explicit step, by which hopeless ones are left out before they are tried; and how much longer a
-# gradient may be expected to take.
+# Lower bound of the time of one explicit step [s]. Settings that cannot meet the allowance are left out by it.
 _ONE_STEP = 2e-6
-_PHASE_OF_A_STEP = 1.5
+# Largest phase of the fastest oscillation in one stable step of "erk" [rad].
+_STABLE_PHASE = 1.5
+# Factor on the time of a run for its gradient.
 _GRADIENT = 10.0
-# All tolerances that may be tried: one in five to ten is by no more than a tenth dearer than the next.
+# All tolerances that narrowing may try. For methods of usual order neighbours differ by about a tenth in cost.
 _ALL_TOLERANCES: Final = tuple(float(f"{digit}e-{power}") for power in range(2, 13) for digit in (5, 3, 2, 1))
-# Least error that "auto" takes.
+# Smallest error that "auto" accepts.
 _TIGHTEST = 1e-12
-# How many times its allowance the default may take: what the toolkit does by itself is shown even where it takes long.
+# Factor on the time allowed to the default, which is reported even if it takes long.
 _PATIENCE = 20.0
 
 _Number = TypeVar("_Number", int, float)
@@ -71,15 +84,15 @@ Errors = Callable[[Any], Mapping[str, float]]
 
 @dataclass(frozen=True)
 class Task:
-    """The task of all methods.
+    """Task that all methods are measured on.
 
     Attributes:
-        scene: numeric.
-        duration: simulated time [s], of a lasting orbit its own.
-        outputs: number of intervals between output times.
-        allowance: time [s] that one use of a contestant may take.
-        thin: leave out every other setting but the finest; what is advised is the same.
-        wanted: relative error [-] that "auto" aims at too, beside its usual ones.
+        scene: scene with numbers.
+        duration: simulated time; for a periodic orbit its period [s].
+        outputs: number of equal intervals between output times.
+        allowance: time that one use of a method may take [s].
+        thin: whether to leave out every other setting except the finest; the advice stays the same.
+        wanted: relative error at which "auto" is measured in addition to `ERRORS` [-].
     """
 
     scene: Scene
@@ -91,26 +104,26 @@ class Task:
 
     @property
     def given(self) -> float | None:
-        """The duration as `simulate` takes it."""
+        """Duration as `simulate` takes it: None for a periodic orbit."""
         return self.duration if self.scene.effects.orbit == "transient" else None
 
     def some(self, settings: tuple[_Number, ...]) -> tuple[_Number, ...]:
-        """Return the settings, or every other one and the last: a thin study then reaches what a full one does."""
+        """Return the settings; in a thin study every other one and the last, so that it reaches the same errors."""
         if not self.thin:
             return settings
         return settings[::2] if len(settings) % 2 else settings[::2] + settings[-1:]
 
-    def ranked(self, tracks: list[Track], key: str, floor: float = 0.0) -> list[Entry]:
-        """Return the entries of tracks that are ranked by an error."""
-        return measured(tracks, key, self.wanted, self.allowance, floor=floor)
+    def ranked(self, contestants: list[Contestant], key: str, floor: float = 0.0) -> list[Entry]:
+        """Return the entries of contestants that are ranked by one error."""
+        return measured(contestants, key, self.wanted, self.allowance, floor=floor)
 
 
 def prepared(task: Task, accuracy: Accuracy, *, compiled: bool = False) -> tuple[Use, Callable[[], Run]]:
-    """Return one integration by a named method, without the check that `simulate` adds, and the run that it gives.
+    """Return two functions: one integration by a named method, without the check that `simulate` adds; and its run.
 
     Args:
         task: the task.
-        accuracy: the method and its setting.
+        accuracy: the method with its setting.
         compiled: whether to take steps of order 8 in machine code.
     """
     scene, structure, known = task.scene, Structure.of(task.scene), numbers_of(task.scene)
@@ -140,7 +153,7 @@ def prepared(task: Task, accuracy: Accuracy, *, compiled: bool = False) -> tuple
 
 
 def integrators(task: Task, reference: Reference) -> list[Entry]:
-    """Return every method that can integrate the scene over its settings, and steps of order 8 in machine code."""
+    """Return the entries of all methods that can integrate the scene, interpreted and in machine code."""
     able, refused = _by_ability(task.scene)
     families: list[tuple[str, str, dict[str, str], bool]] = [("integrator", AUTO, {m: m for m in able}, False)]
     structure = Structure.of(task.scene)
@@ -151,14 +164,17 @@ def integrators(task: Task, reference: Reference) -> list[Entry]:
     for family, auto, names, compiled in families:
         simulated = partial(_simulated, task, compiled=compiled)
         once = partial(prepared, task, compiled=compiled)
-        tracks = [Track(family, auto, simulated, errors, automatic_settings(task), label=text, patience=_patience)]
-        tracks += [_track(task, family, m, once, errors, name=name, check=simulated) for name, m in names.items()]
-        entries += task.ranked(tracks, "averages", reference.errors["averages"])
+        automatic = automatic_settings(task)
+        contestants = [Contestant(family, auto, simulated, errors, automatic, label=text, patience=_patience)]
+        contestants += [
+            _contestant(task, family, m, once, errors, name=name, check=simulated) for name, m in names.items()
+        ]
+        entries += task.ranked(contestants, "averages", reference.errors["averages"])
     return entries + [failure("integrator", method, reason) for method, reason in refused.items()]
 
 
 def _simulated(task: Task, accuracy: Accuracy, *, compiled: bool) -> Callable[[], Run]:
-    """Return the use of `simulate`, which checks itself."""
+    """Return a use of `simulate`, which checks its result."""
     return partial(simulate, task.scene, task.given, accuracy=accuracy, outputs=task.outputs, compiled=compiled)
 
 
@@ -167,7 +183,7 @@ def _patience(accuracy: Accuracy) -> float:
 
 
 def gradients(task: Task, reference: ReferenceGradient) -> list[Entry]:
-    """Return the derivatives of mean draft and RMS by every method, as CasADi differentiates its run."""
+    """Return the entries of all methods for the gradient of mean draft and RMS, by CasADi's derivatives of the run."""
     at = [float(getattr(task.scene, name)) for name in QUANTITIES]
 
     def prepare(accuracy: Accuracy) -> tuple[Use, Callable[[], Any]]:
@@ -191,13 +207,14 @@ def gradients(task: Task, reference: ReferenceGradient) -> list[Entry]:
         own = zip(("mean draft", "RMS"), wrong, strict=True)
         return {"gradient": float(np.max(wrong)), **{f"gradient of {name}": float(w) for name, w in own}}
 
-    tracks = [Track("derivatives", AUTO, prepare, errors, (Accuracy(),), label=text)]
+    contestants = [Contestant("derivatives", AUTO, prepare, errors, (Accuracy(),), label=text)]
     single = replace(task, outputs=1)
-    tracks += [_track(single, "derivatives", method, prepare, errors) for method in _by_ability(task.scene)[0]]
-    return task.ranked(tracks, "gradient")
+    able, _ = _by_ability(task.scene)
+    contestants += [_contestant(single, "derivatives", method, prepare, errors) for method in able]
+    return task.ranked(contestants, "gradient")
 
 
-def _track(
+def _contestant(
     task: Task,
     family: str,
     method: str,
@@ -206,63 +223,80 @@ def _track(
     *,
     name: str = "",
     check: Callable[[Any], Use] | None = None,
-) -> Track:
-    """Return a named method over its settings."""
+) -> Contestant:
+    """Return a named method with its settings.
+
+    Args:
+        task: the task.
+        family: family of its entries.
+        method: name in `METHODS`.
+        prepare: as of `Contestant`.
+        errors: as of `Contestant`.
+        name: name in reports; default the method's.
+        check: as of `Contestant`.
+    """
     derivatives = family == "derivatives"
-    rungs, shown = settings_of(task, method, gradient=derivatives)
-    least = partial(_least_time, task, slower=_GRADIENT if derivatives else 1.0)
-    return Track(family, name or method, prepare, errors, rungs, shown, text, least=least, check=check)
+    settings, always = settings_of(task, method, gradient=derivatives)
+    least_time = partial(_least_time, task, slower=_GRADIENT if derivatives else 1.0)
+    name = name or method
+    return Contestant(family, name, prepare, errors, settings, always, text, least_time=least_time, check=check)
 
 
 def _least_time(task: Task, accuracy: Accuracy, *, slower: float) -> float:
-    """Return the time [s] that a method needs at the very least, by its number of steps."""
+    """Return a lower bound of the time that a method takes [s], from its number of steps."""
     steps: float = accuracy.steps or 0
     if accuracy.method == "erk":
-        # Stability holds the steps of an explicit method to the fastest oscillation, whether or not it swings.
-        steps = fastest_rate(numbers_of(task.scene)) * task.duration / _PHASE_OF_A_STEP
+        # The fastest oscillation limits the stable step of an explicit method, even where it has died away.
+        steps = fastest_rate(numbers_of(task.scene)) * task.duration / _STABLE_PHASE
     return slower * steps * _ONE_STEP
 
 
 def _by_ability(scene: Scene) -> tuple[list[str], dict[str, str]]:
-    """Return the methods that can do a scene, and of the others why not."""
+    """Return the methods that can integrate a scene, and for each other method the reason why not."""
     orbits, events = scene.effects.orbit != "transient", scene.effects.events
     found = {method: refused(method, orbits=orbits, events=events) for method in (*fixed_step(), *adaptive())}
     return [method for method, why in found.items() if not why], {method: why for method, why in found.items() if why}
 
 
 def refused(method: str, *, orbits: bool, events: bool) -> str:
-    """Return why a method cannot do lasting orbits, or motions with events, or nothing."""
+    """Return the reason why a method cannot find periodic orbits or locate events; empty if it can.
+
+    Args:
+        method: name in `METHODS`.
+        orbits: whether periodic orbits are needed.
+        events: whether motions have events.
+    """
     if orbits and method not in ORDER_8:
-        return "finds no lasting orbit"
+        return "cannot find a periodic orbit"
     if events and not METHODS[method].locates_events:
-        return "finds no events, which stick and slip and the entry of a share have"
+        return "cannot locate events, which stick-slip and entry have"
     return ""
 
 
 def automatic_settings(task: Task) -> list[Accuracy]:
-    """Return the errors that "auto" aims at, the default and the wanted one among them."""
+    """Return the settings of "auto", with the default and the wanted error among them."""
     errors = {*task.some(ERRORS), DEFAULT_ERROR, max(task.wanted, _TIGHTEST)}
     return [Accuracy(error=error) for error in sorted(errors, reverse=True)]
 
 
 def settings_of(task: Task, method: str, *, gradient: bool = False) -> tuple[tuple[Accuracy, ...], tuple[int, ...]]:
-    """Return a method's settings from coarse to fine, and the places of those that are tried in any case.
+    """Return the settings of a method from coarse to fine, and the places of those to measure in any case.
 
-    Those lie around the settings that a scene's own time scales call for.
+    Numbers of steps lie around the number that the time scales of the scene call for.
     """
     if METHODS[method].adaptive:
         chosen = task.some(GRADIENT_TOLERANCES if gradient else TOLERANCES)
         settings = tuple(Accuracy(method, tolerance=tolerance) for tolerance in _ALL_TOLERANCES)
         return settings, tuple(_ALL_TOLERANCES.index(tolerance) for tolerance in chosen)
     usual = with_setting(Accuracy(method), steps_for(phase(numbers_of(task.scene), task.duration)), 1).steps or 1
-    # Steps of order 8 need not end at the outputs.
+    # Only steps of order 8 need not end at the outputs.
     unit = 1 if method in ORDER_8 else task.outputs
-    rungs, shown = rungs_of(usual, task.some(GRADIENT_FACTORS if gradient else FACTORS), unit)
-    return tuple(Accuracy(method, steps=steps) for steps in rungs), shown
+    counts, always = step_counts(usual, task.some(GRADIENT_FACTORS if gradient else FACTORS), unit)
+    return tuple(Accuracy(method, steps=steps) for steps in counts), always
 
 
 def error_text(error: float) -> str:
-    """Return a wanted error as text, with the digits that it has."""
+    """Return an error as text with the fewest digits, from 1 to 3, that give its value."""
     return min((f"{error:.{digits}e}" for digits in range(3)), key=lambda text: (float(text) != error, len(text)))
 
 
@@ -273,11 +307,11 @@ def text(accuracy: Accuracy) -> str:
     return f"{accuracy.steps} steps" if accuracy.steps else f"tolerance {accuracy.tolerance:.0e}"
 
 
-# --- models, which leave something of the motion out ---
+# --- models that simplify the motion ---
 
 
 def lasting_orbit(scene: Scene) -> Scene | None:
-    """Return the scene of the lasting orbit of a scene with one strength wave, or None where it can have none."""
+    """Return the scene of the periodic orbit under a scene's one strength wave, or None if it has none."""
     effects = scene.effects
     if len(effects.waves) != 1 or not effects.motion:
         return None
@@ -288,36 +322,38 @@ def lasting_orbit(scene: Scene) -> Scene | None:
 
 
 def models(task: Task, motion: Reference | None, lasting: Reference | None) -> list[Entry]:
-    """Return the models; errors called "lasting ..." are those from the averages of the lasting orbit.
+    """Return the entries of models; errors named "lasting ..." are relative to the periodic orbit.
 
     Args:
-        task: the scene, and how long.
-        motion: the scene's own motion, or None if there is no reference of it.
-        lasting: the lasting orbit that the scene's motion may tend to, or None.
+        task: the task.
+        motion: reference of the scene's own motion, or None.
+        lasting: reference of the periodic orbit to which the motion may tend, or None.
     """
 
     def errors(found: Run) -> Mapping[str, float]:
         return _errors("", found, motion) | _errors("lasting ", found, lasting)
 
-    tracks, entries = [Track("model", "quasi-static", lambda _: _quasi_static(task), errors)], []
+    contestants, entries = [Contestant("model", "quasi-static", lambda _: _quasi_static(task), errors)], []
     if task.scene.effects.entry:
-        entries = [failure("model", tracks.pop().method, "has a share that is wholly buried, and so no entry")]
+        reason = "its share is wholly buried from the start, so it cannot enter"
+        entries = [failure("model", contestants.pop().method, reason)]
     transient, orbit = task.scene.effects.orbit == "transient", lasting_orbit(task.scene)
     if orbit is not None and not (transient and lasting is None):
         around = replace(task, scene=orbit, duration=float(as_number(orbit.wave_period)))
-        rungs, shown = settings_of(around, "dop853")
+        settings, always = settings_of(around, "dop853")
 
         def stand_in(kind: Any) -> tuple[Use, Callable[[], Run]]:
             scene = replace(orbit, effects=replace(orbit.effects, orbit=kind))
-            return prepared(replace(around, scene=scene), rungs[-1])
+            return prepared(replace(around, scene=scene), settings[-1])
 
         balances = tuple(map(HarmonicBalance, range(1, HARMONICS[-1] + 1)))
         chosen = tuple(count - 1 for count in task.some(HARMONICS))
-        tracks.append(Track("model", "linearised", lambda _: stand_in("linearised"), errors))
-        tracks.append(Track("model", "harmonic balance", stand_in, errors, balances, chosen, _counted))
+        contestants.append(Contestant("model", "linearised", lambda _: stand_in("linearised"), errors))
+        contestants.append(Contestant("model", "harmonic balance", stand_in, errors, balances, chosen, _counted))
         if transient:
-            tracks.append(Track("model", "lasting orbit", partial(prepared, around), errors, rungs, shown, text))
-    return entries + task.ranked(tracks, "lasting averages" if transient else "averages")
+            once = partial(prepared, around)
+            contestants.append(Contestant("model", "lasting orbit", once, errors, settings, always, text))
+    return entries + task.ranked(contestants, "lasting averages" if transient else "averages")
 
 
 def _counted(balance: HarmonicBalance) -> str:
@@ -325,7 +361,7 @@ def _counted(balance: HarmonicBalance) -> str:
 
 
 def _quasi_static(task: Task) -> Callable[[], Run]:
-    """Return the quasi-static limit of a scene, over the same time."""
+    """Return a use of the quasi-static limit of a scene, over the same time."""
     effects = replace(
         task.scene.effects, motion=False, start="equilibrium", damping=None, contact="resisting", orbit="transient"
     )
@@ -336,7 +372,7 @@ def _quasi_static(task: Task) -> Callable[[], Run]:
 
 
 def _errors(prefix: str, found: Run, reference: Reference | None) -> dict[str, float]:
-    """Return the errors from a reference; mount forces are compared where the outputs are the same times."""
+    """Return errors relative to a reference; those of mount forces only if both have the same output times."""
     if reference is None:
         return {}
     truth = reference.run

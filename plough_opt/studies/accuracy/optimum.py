@@ -1,8 +1,7 @@
-"""Cost of the accuracy of an optimum: transcriptions, integrators, derivatives and compiled functions.
+"""Contest for the optimum of a design: transcriptions, integrators, derivatives and compiled functions.
 
-Each method solves the same design locally from the same start. Its error has several faces: of the objective that it
-reports; of the objective in truth, at the design that it found; of the variables; and how far that design breaks a
-requirement in truth.
+Each method solves the same design locally from the same start. It has four errors: of the objective that it reports; of
+the true objective at the design that it found; of the variables; and the true violation of a requirement there.
 """
 
 import math
@@ -25,7 +24,7 @@ from plough_opt.design.program import Program
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.methods import METHODS, is_stepped
 from plough_opt.motion.plan import steps_for
-from plough_opt.studies.accuracy.contest import Entry, Progress, Track, measured
+from plough_opt.studies.accuracy.contest import Contestant, Entry, Progress, measured
 from plough_opt.studies.accuracy.local_solve import (
     Derivatives,
     Solve,
@@ -38,35 +37,44 @@ from plough_opt.studies.accuracy.methods import text
 from plough_opt.studies.accuracy.transcription import Mesh, Points, Question, Transcription, transcribe
 
 REPORTED = "objective as reported"
-TRUE = "objective in truth"
-VARIABLES = "variables"
-REQUIREMENTS = "requirements"
+"""Key of the error of the objective that a method reports."""
 
-# The reference takes this many times the steps of a solve: of order 8, an error smaller by 4^8.
+TRUE = "objective in truth"
+"""Key of the error of the true objective at the design that a method found."""
+
+VARIABLES = "variables"
+"""Key of the error of the scaled variables."""
+
+REQUIREMENTS = "requirements"
+"""Key of the largest true violation of a requirement, relative to its limit."""
+
+# Factor on the number of steps of a solve for the reference. With order 8 the error is smaller by 4^8.
 _FINER = 4.0
-# Scaled points nearer than this are one optimum; a coarse method may be further off and yet lead there.
+# Scaled designs closer than this are the same optimum; a coarse method may end farther away and yet lead to it.
 _SAME = 1e-4
-# Move of each scaled variable, towards the middle, to a start beside the optimum.
-_BESIDE = 0.02
-# Tolerance of IPOPT, the toolkit's own; a method whose derivatives are noisy cannot meet it.
+# Distance of a near start from the optimum in each scaled variable, towards the middle of its range.
+_NEAR_START = 0.02
+# IPOPT's tolerance in `Design.solve`, and one that can be met with noisy derivatives.
 _TIGHT: Final = 1e-10
 _NOISY: Final = 1e-6
-# Phase [rad] of the fastest oscillation in a step of order 8, and tolerance where it has events, of single shooting.
-_SINGLE = 0.8
-_TIGHTER = 1e-10
+# Single shooting: phase of the fastest oscillation in a step of order 8 [rad], or the tolerance if there are events.
+_SINGLE_PHASE = 0.8
+_SINGLE_TOLERANCE = 1e-10
+# Numbers of segments of multiple shooting.
 _SEGMENTS = (4, 16)
-# Points, degree, and phases in an interval, coarse to fine.
+# Collocation: points, degree, and phases in an interval from coarse to fine [rad].
 _MESHES: tuple[tuple[Points, int, tuple[float, ...]], ...] = (
     ("radau", 3, (1.0, 0.5)),
     ("radau", 5, (2.0, 1.0)),
     ("legendre", 4, (1.5, 0.75)),
 )
-# Phases in a step, coarse to fine, and tolerances.
+# Methods with fixed steps: phases in a step from coarse to fine [rad].
 _FIXED: tuple[tuple[str, tuple[float, ...]], ...] = (
     ("dop853", (2.0, 1.2, 0.8, 0.5)),
     ("rk", (0.2, 0.1)),
     ("collocation", (1.0, 0.5)),
 )
+# Adaptive methods: tolerances from coarse to fine.
 _ADAPTIVE: tuple[tuple[str, tuple[float, ...]], ...] = (
     ("erk", (1e-6, 1e-9)),
     ("cvodes", (1e-6, 1e-9)),
@@ -74,34 +82,34 @@ _ADAPTIVE: tuple[tuple[str, tuple[float, ...]], ...] = (
 )
 _HESSIAN, GRADIENT = "exact Hessian, carried along", "exact gradient, L-BFGS"
 _OF_GRAPH = "exact Hessian, of the graph"
+# Derivatives of the program of `Design.solve`, with IPOPT's tolerance.
 _CARRIED: tuple[tuple[str, Derivatives, float], ...] = (
     (_HESSIAN, "exact", _TIGHT),
     (GRADIENT, "gradient", _TIGHT),
     ("central differences, L-BFGS", "central", _NOISY),
     ("forward differences, L-BFGS", "forward", _NOISY),
 )
-_NO_CODE = "finds the lasting orbit by Newton's method, which CasADi does not translate into C"
-# Tolerance of the adaptive method; and phase [rad] in a step of order 8, which takes its place where a lasting orbit is
-# to be found.
+_NO_CODE = "finds the periodic orbit by Newton's method, which CasADi does not translate into C"
+# Gradients of the reference: tolerance of the adaptive method; for a periodic orbit phase in a step of order 8 [rad].
 _TIGHT_TOLERANCE = 1e-12
 _TIGHT_PHASE = 0.1
 _MOST_NEWTON_STEPS = 6
-# Scaled variables further than this from where IPOPT stopped are those of another point.
-_NEAR = 1e-4
-# Singular values below this part of the largest: directions in which the optimum is not unique.
+# Newton's steps stop farther than this from where IPOPT stopped, in scaled variables: they lead to another point.
+_FAR = 1e-4
+# Singular values below this part of the largest belong to directions in which the optimum is not unique.
 _FLAT = 1e-10
 
 
 @dataclass(frozen=True)
 class TightOptimum:
-    """A local optimum found and checked much more tightly than any contestant's.
+    """Local optimum known much more accurately than by any contestant.
 
     Attributes:
         variables: name -> value, SI units.
-        objective: tightly re-integrated.
-        floor: relative error of the objective below which contestants do not differ [-].
+        objective: objective by a tight integration.
+        floor: its relative error, below which contestants do not differ [-].
         y: scaled variables.
-        off: by how much the last of Newton's steps, which is rounding, would move them [-].
+        off: error of the scaled variables: the next of Newton's steps, which is rounding [-].
     """
 
     variables: dict[str, float]
@@ -113,11 +121,11 @@ class TightOptimum:
 
 @dataclass(frozen=True)
 class DesignContest:
-    """Cost of accuracy for a design.
+    """Errors and times of every method for a design.
 
     Attributes:
-        optima: the reference first; then further local optima in which a contestant ended.
-        entries: a row for each contestant; one that ended elsewhere is measured by the optimum there, and says so.
+        optima: the reference, then further local optima in which contestants ended.
+        entries: entry of each contestant. The errors of one that ended elsewhere are relative to the optimum there.
     """
 
     optima: tuple[TightOptimum, ...]
@@ -134,46 +142,45 @@ def design_contest(
     thin: bool = False,
     progress: Progress | None = None,
 ) -> DesignContest:
-    """Solve a design locally by every method, and measure error and time of each.
+    """Return error and time of every method that can solve a design locally.
 
     Args:
-        design: with something to minimise; its parameters have their declared values.
-        wanted: relative error of the objective [-]; what reaches it soonest is measured again.
-        budget: time [s] after which a solve is not repeated more than thrice for its median, as in `median_time`.
-        limit: time [s] after which IPOPT gives up; the row says so.
-        near: start beside the optimum, as a solve with slightly changed parameters would, instead of at the guess.
-        thin: leave out every other setting of a method.
+        design: design with an objective; its parameters have their declared values.
+        wanted: relative error of the objective; the methods that reach it soonest are timed again [-].
+        budget: time after which a solve is repeated at most thrice for its median [s], as in `median_time`.
+        limit: time after which IPOPT gives up [s]; the entry says so.
+        near: whether to start near the optimum, as after a small change of parameters, instead of at the guess.
+        thin: whether to leave out every other setting of a method.
         progress: called with the method that is next and the fraction done.
 
     Raises:
-        InputError: nothing to minimise or to vary.
+        InputError: the design has no objective or no variables.
         InfeasibleDesign: no design meets the requirements.
         NotConverged: the reference was not found.
     """
     judge = _Judge(design)
     best, question = judge.optima[0], judge.question
-    y = best.y + _BESIDE * np.where(best.y < 0.5, 1.0, -1.0) if near else question.program.start()
-    contestants = _Contestants(question, best, Start(y, near, limit))
-    tracks = [
-        Track(
+    y = best.y + _NEAR_START * np.where(best.y < 0.5, 1.0, -1.0) if near else question.program.start()
+    contestants = [
+        Contestant(
             family, name, lambda setting: setting[1](), judge.errors, settings[:: 2 if thin else 1],
             label=lambda setting: setting[0], patience=lambda _: math.inf, elsewhere=judge.elsewhere,
         )
-        for (family, name), settings in contestants.settings().items()
+        for (family, name), settings in _Settings(question, best, Start(y, near, limit)).all().items()
     ]  # fmt: skip
-    entries = measured(tracks, REPORTED, wanted, 10.0 * budget, progress=progress or (lambda _stage, _part: None))
+    entries = measured(contestants, REPORTED, wanted, 10.0 * budget, progress=progress or (lambda _stage, _part: None))
     return DesignContest(tuple(judge.optima), tuple(entries))
 
 
 class _Judge:
-    """Knows the tight optima, and measures a contestant by the one in whose basin it ended.
+    """Judge of contestants, who measures each against the accurate optimum in whose basin it ended.
 
-    IPOPT, which every contestant uses, stops a little inside the limits that decide. From there Newton's method leads
-    onto them; its gradients are those of an integrator that shares nothing with those of contestants.
+    IPOPT, which every contestant uses, stops a little inside the active limits. From there Newton's method leads onto
+    them, with gradients by an integrator that shares nothing with those of the contestants.
     """
 
     def __init__(self, design: Design) -> None:
-        """Find the local optimum to which the guess leads, by the toolkit's steps and then by finer ones."""
+        """Find the optimum to which the guess leads, with the steps of `Design.solve` and then with finer ones."""
         declared = design.declared
         p = self._p = np.array([parameter.value for parameter in declared.parameters])
         program = self._tight = Program(declared)
@@ -189,7 +196,7 @@ class _Judge:
         self._basins: dict[bytes, int] = {}
 
     def errors(self, found: Point) -> Mapping[str, float]:
-        """Return the errors of what a contestant found."""
+        """Return the errors of the point that a contestant found."""
         best, program = self.optima[self._basin(found.y)], self._tight
         values, _ = program.exact_values(found.y, self._p)
         size = max(abs(best.objective), program.objective_scale * 1e-12)
@@ -203,66 +210,65 @@ class _Judge:
         }
 
     def elsewhere(self, found: Point) -> str:
-        """Return a clause that says where a contestant ended, if not in the reference."""
+        """Return a clause on where a contestant ended; empty if in the reference."""
         first, own = self.optima[0], self.optima[self._basin(found.y)]
         return "" if own is first else f"ended in another optimum, {own.objective:.7g} instead of {first.objective:.7g}"
 
     def _basin(self, y: Vector) -> int:
-        """Return the number of the tight optimum to which a design leads; one that is new is added."""
+        """Return the number of the accurate optimum to which a design leads, adding it if it is new."""
         key = y.tobytes()
         if key not in self._basins:
-            number = self._near(y)
+            number = self._known(y)
             if number is None:
                 point = self._tight.solve(y, self._p, SolveOptions(near=True))
                 if not point.solved:
-                    why = "it stopped at a design that leads to no optimum of the tight model"
-                    raise NotConverged(why, point.status)
-                number = self._near(point.y)
+                    raise NotConverged("it stopped at a design that leads to no true optimum", point.status)
+                number = self._known(point.y)
                 if number is None:
                     number = len(self.optima)
                     self.optima.append(self._optimum(point))
             self._basins[key] = number
         return self._basins[key]
 
-    def _near(self, y: Vector) -> int | None:
-        """Return the number of the tight optimum beside a design, or None."""
+    def _known(self, y: Vector) -> int | None:
+        """Return the number of the accurate optimum at a design, or None if there is none yet."""
         return next((k for k, own in enumerate(self.optima) if np.max(np.abs(y - own.y)) < _SAME), None)
 
     def _optimum(self, point: Point) -> TightOptimum:
-        """Return the optimum beside where IPOPT stopped on the tight program."""
+        """Return the accurate optimum near the point where IPOPT stopped on the tight program."""
         program = self._tight
         y, residual, off = self._polished(point)
         found, check = (float(values[0].item()) for values in program.exact_values(y, self._p))
         apart = abs(found - check) / max(abs(found), program.objective_scale * 1e-12)
         variables = zip(program.declared.variables, program.values(y), strict=True)
-        # At an optimum on its limits the objective is off by the residual times the error of the variables.
+        # The error of an objective at its optimum is the residual times the error of the variables.
         floor = max(apart, residual * max(off, residual), float(np.finfo(float).eps))
         return TightOptimum({v.name: float(x) for v, x in variables}, found, floor, y, off)
 
     def _polished(self, point: Point) -> tuple[Vector, float, float]:
-        """Return scaled variables on the limits that decide, what is left of the conditions, and the next step."""
+        """Return scaled variables on the active limits, the residual of the conditions there, and the next step."""
         program, y, n = self._tight, point.y, len(point.y)
         g = np.asarray(program.nlp.values(y, self._p)[1]).ravel()
-        deciding, limits = _deciding(program, point, g)
+        active, limits = _active_limits(program, point, g)
         hessian = symmetric(np.asarray(program.nlp.hess_lag(y, self._p, 1.0, point.lam_g)))
         best = (y, np.inf, np.inf)
         for _ in range(_MOST_NEWTON_STEPS):
             gradient, g, jacobian = (np.asarray(result) for result in self._slopes(y))
-            rows = np.vstack([jacobian, np.eye(n)])[deciding]
-            margins = np.r_[g.ravel(), y][deciding] - limits
+            rows = np.vstack([jacobian, np.eye(n)])[active]
+            margins = np.r_[g.ravel(), y][active] - limits
             move, pulls = newton_step(hessian, gradient.ravel(), rows, margins, _FLAT)
             left = np.r_[gradient.ravel() - rows.T @ pulls, margins]
             residual, step = float(np.max(np.abs(left))), float(np.max(np.abs(move)))
             if step < best[2]:
                 best = (y, residual, step)
             y = y + move
-            if not step < best[2] * 1e3 or np.max(np.abs(y - point.y)) > _NEAR:
+            if not step < best[2] * 1e3 or np.max(np.abs(y - point.y)) > _FAR:
                 break
         return best
 
 
 def _tight_slopes(question: Question, y: Vector) -> ca.Function:
-    """Return y -> the objective's gradient, the requirements and their Jacobian, by steps that suit one design."""
+    """Return y -> (gradient of the objective, requirements, their Jacobian), with steps that suit one design."""
     accuracy = Accuracy("erk", tolerance=_TIGHT_TOLERANCE)
     if question.orbits:
         accuracy = Accuracy("dop853", steps=question.intervals(steps_for(question.phase(y), _TIGHT_PHASE)))
@@ -270,10 +276,10 @@ def _tight_slopes(question: Question, y: Vector) -> ca.Function:
     return ca.Function("slopes", [own.x], [ca.gradient(own.f, own.x), own.g[0], ca.jacobian(own.g[0], own.x)])
 
 
-def _deciding(program: Program, point: Point, g: Vector) -> tuple[Vector, Vector]:
-    """Return rows of requirements and, after them, variables that are on a limit that decides; and these limits.
+def _active_limits(program: Program, point: Point, g: Vector) -> tuple[Vector, Vector]:
+    """Return the numbers of active limits, of requirements and after them of variables, and the limits themselves.
 
-    They are read off where IPOPT stopped: a multiplier is negative at a lower limit.
+    Multipliers where IPOPT stopped tell which limit is active: they are negative at a lower limit.
     """
     low = np.r_[program.low, np.zeros(len(point.y))]
     high = np.r_[program.high, np.ones(len(point.y))]
@@ -289,19 +295,19 @@ def _deciding(program: Program, point: Point, g: Vector) -> tuple[Vector, Vector
 
 
 Setting = tuple[str, Callable[[], Solve]]
-"""A setting as text, and what builds its solve."""
+"""A setting as text, and a function that builds its solve."""
 
 
-class _Contestants:
-    """Settings of every contestant; without a moving run there is nothing to transcribe or to integrate."""
+class _Settings:
+    """Settings of all contestants. A design without a motion has nothing to transcribe or integrate."""
 
     def __init__(self, question: Question, best: TightOptimum, start: Start) -> None:
         self._question, self._start = question, start
         self._total = max(question.phase(y) for y in (best.y, start.y))
         self._found: dict[tuple[str, str], list[Setting]] = {}
 
-    def settings(self) -> dict[tuple[str, str], list[Setting]]:
-        """Return the settings by family and method."""
+    def all(self) -> dict[tuple[str, str], list[Setting]]:
+        """Return all settings by family and method."""
         if self._question.parts.runs:
             self._transcriptions()
             self._integrators()
@@ -312,15 +318,15 @@ class _Contestants:
         self._found.setdefault((family, name), []).append((setting, build))
 
     def _steps(self, angle: float) -> int:
-        """Return how many steps of so many radians a run takes."""
+        """Return the number of steps of a run, each of a phase [rad]."""
         return self._question.intervals(steps_for(self._total, angle))
 
     def _transcriptions(self) -> None:
-        """Add the forms of the program, each with exact derivatives by CasADi."""
-        count = self._steps(_SINGLE)
+        """Add the transcriptions of the program, each with exact derivatives by CasADi."""
+        count = self._steps(_SINGLE_PHASE)
         single, words = Accuracy("dop853", steps=count), f"{count} steps of order 8"
         if self._question.refusal("dop853"):
-            single, words = Accuracy("erk", tolerance=_TIGHTER), f"erk, tolerance {_TIGHTER:.0e}"
+            single, words = Accuracy("erk", tolerance=_SINGLE_TOLERANCE), f"erk, tolerance {_SINGLE_TOLERANCE:.0e}"
         self._add("transcription", "single shooting", words, partial(self._by_casadi, single))
         for segments in dict.fromkeys(map(self._question.intervals, _SEGMENTS)):
             each = math.ceil(count / segments)
@@ -348,14 +354,14 @@ class _Contestants:
             self._add("integrator", accuracy.method, text(accuracy), build)
 
     def _derivatives(self) -> None:
-        """Add choices of derivatives, interpreted and compiled, of the program that `Design.solve` takes."""
+        """Add the choices of derivatives, interpreted and compiled, of the program that `Design.solve` uses."""
         question = self._question
         counts = [count for count in question.steps if count is not None]
         unit = "harmonics" if question.orbits else "steps of order 8"
         words = ", ".join(f"{count} {unit}" for count in dict.fromkeys(counts))
 
         def built(derivatives: Derivatives, tolerance: float, change: Callable[[Nlp], Nlp] = lambda nlp: nlp) -> Solve:
-            # The toolkit's own program: derivatives carried along the steps.
+            # In this program derivatives are carried along the steps of a run.
             nlp = build_nlp(question.parts, question.y, ca.MX.sym("p", 0), list(question.steps))
             return solve_nlp(change(nlp), question, self._start, derivatives, tolerance)
 
@@ -368,7 +374,7 @@ class _Contestants:
         self._add("compiled", f"{GRADIENT}, compiled", words, build)
 
     def _by_casadi(self, form: Transcription, *, exact: bool = True, tolerance: float = _TIGHT) -> Solve:
-        """Return the solve of a transcription; collocation, of many small pieces, as scalar operations."""
+        """Return the solve of a transcription. Collocation, with its many small pieces, is expanded into scalars."""
         own = transcribe(self._question, form, self._start.y)
         scalar = isinstance(form, Mesh) and not form.steps
         return solve_transcribed(own, self._start, exact=exact, tolerance=tolerance, scalar=scalar)

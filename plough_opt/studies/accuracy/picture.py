@@ -1,6 +1,6 @@
-"""Error against time as a picture: one panel for each question, on logarithmic axes.
+"""Pictures of error against time: one panel for each question, on logarithmic axes.
 
-Colours are those of Okabe and Ito (2008), which the colour-blind can tell apart; every method has a marker of its own.
+Colours are those of Okabe and Ito (2008), which colour-blind readers can distinguish. Each method has its own marker.
 """
 
 import math
@@ -32,11 +32,11 @@ _STYLES: Final[dict[str, tuple[str, str]]] = {
 _MODELS: Final = {"quasi-static": "h", "linearised": "<", "harmonic balance": ">", "lasting orbit": "p"}
 _SHAPES: Final = "D^v<>PXhp"
 _FLOOR, _FRONT = "#DDDDDD", "#F0C808"
-# Characters of a name beyond which a legend has one column.
+# Number of characters of a name above which the legend has one column.
 _LONG_NAME: Final = 20
-# Ratio of times at the ends of an axis, and the first digits that are numbered on one that is shorter.
+# Ratio of the times at the ends of an axis -> digits to number on an axis that spans less.
 _DIGITS: Final = {6.0: (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0), 60.0: (1.0, 2.0, 5.0)}
-# Errors below this are drawn at it.
+# Smaller errors are drawn at this one, since 0 has no place on a logarithmic axis.
 _LEAST: Final = 1e-19
 
 
@@ -45,13 +45,13 @@ class Panel:
     """Contents of a panel.
 
     Attributes:
-        title: of the panel.
-        error: key of the error.
-        entries: all that have it.
-        front: the efficient ones, from the fastest on.
+        title: title of the panel.
+        error: key of `Entry.errors`.
+        entries: entries with this error.
+        front: efficient entries, from the fastest to the most exact.
         floor: relative error of the reference itself [-].
-        wanted: relative error that is wanted [-].
-        default: method and setting that the toolkit takes by default.
+        wanted: wanted relative error [-].
+        default: default method and setting.
     """
 
     title: str
@@ -64,14 +64,14 @@ class Panel:
 
 
 def style_of(method: str, number: int) -> dict[str, Any]:
-    """Return colour and marker of a method, or those of a number for one that has none."""
+    """Return colour and marker of a method; for a method without a fixed style, those of a number."""
     if method in _STYLES:
         color, marker = _STYLES[method]
         return {"color": color, "marker": marker, "markersize": 9 if marker == "*" else 5.5}
     if method in _MODELS:
         return {"color": "#444444", "marker": _MODELS[method], "markersize": 7, "markerfacecolor": "white"}
     color, marker = COLOURS[number % len(COLOURS)], _SHAPES[number % len(_SHAPES)]
-    # Hollow, lest it look like one that has a style of its own.
+    # Hollow, so that it does not look like a method with a fixed style.
     return {"color": color, "marker": marker, "markersize": 6, "markerfacecolor": "white"}
 
 
@@ -94,17 +94,17 @@ def draw(axes: Axes, panel: Panel) -> dict[str, Line2D]:
 
 
 class _Times(LogLocator):
-    """Places of the numbers at a logarithmic axis; powers of ten alone would leave a short one a single number."""
+    """Ticks of a logarithmic axis. Powers of ten alone would leave a short axis a single number."""
 
     def tick_values(self, vmin: float, vmax: float) -> Any:
-        """Return the places between two limits, or a little beyond."""
+        """Return the ticks between two limits, or a little beyond."""
         digits = next((own for ratio, own in _DIGITS.items() if vmax < ratio * vmin), (1.0,))
         self.set_params(subs=digits)
         return super().tick_values(vmin, vmax)
 
 
 def _dress(axes: Axes, panel: Panel) -> None:
-    """Set scales, limits and labels, and show the reference's own error and the wanted one."""
+    """Set scales, limits and labels, and draw the reference's own error and the wanted error."""
     axes.set(xscale="log", yscale="log", title=panel.title, xlabel="time of one use", ylabel="relative error")
     errors = [max(e.errors[panel.error], _LEAST) for e in panel.entries]
     low = 10.0 ** math.floor(math.log10(min(panel.floor, *errors)) - 0.7)
@@ -120,7 +120,7 @@ def _dress(axes: Axes, panel: Panel) -> None:
 
 
 def legend(target: Axes | Figure, lines: dict[str, Line2D], **where: Any) -> None:
-    """Explain methods, front, floor, wanted error and default."""
+    """Add a legend for methods, front, wanted error, default, and the reference's own error."""
     handles: list[Any] = [
         *lines.values(),
         Line2D([], [], color=_FRONT, linewidth=6.0, alpha=0.75, label="efficient front"),
@@ -133,7 +133,7 @@ def legend(target: Axes | Figure, lines: dict[str, Line2D], **where: Any) -> Non
 
 
 def figure_of(panels: Sequence[Panel], title: str = "") -> Figure:
-    """Return a figure with a panel for each question, and a legend: in a panel of its own, or below two."""
+    """Return a figure with a panel for each question, and a legend: below two panels, or else in its own panel."""
     columns = 2
     below = len(panels) == columns
     rows = math.ceil((len(panels) + (0 if below else 1)) / columns)

@@ -1,4 +1,4 @@
-"""Contestants that integrate over space or path: density profiles, the quasi-static course, the elastic contact."""
+"""Contestants that integrate over space or path: density profiles, quasi-static averages, the elastic contact."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -20,35 +20,38 @@ from plough_opt.motion.plan import forced_rate, numbers_of, steps_for, timeline_
 from plough_opt.soil import elastic, plastic
 from plough_opt.soil.geometry import Cone
 from plough_opt.soil.soil import Soil
-from plough_opt.studies.accuracy.contest import Entry, Track
+from plough_opt.studies.accuracy.contest import Contestant, Entry
 from plough_opt.studies.accuracy.methods import Task
 from plough_opt.studies.accuracy.reference import errors_of
 from plough_opt.studies.accuracy.wide import EPS, PI, WIDE, Wide, gauss
 
 ORDERS: Final = (2, 4, 8, 16, 32, 64)
-"""Orders of a density profile's quadrature that are tried."""
+"""Orders of the quadrature over a density profile."""
 
 PANELS: Final = ((4, 24), (3, 20))
-"""Panels and points in each of the reference for them, and of what estimates its error."""
+"""Panels, and points in each, of the reference for a density profile; then of the solution that estimates its error."""
 
 POINTS: Final = (1, 2, 4, 10)
-"""Gauss-Legendre points in each panel of a quasi-static course that are tried."""
+"""Gauss-Legendre points in each panel of a quasi-static run."""
 
 FINER: Final = ((17, 3), (13, 2))
-"""Points, and how many times the usual panels, of the reference for them, and of what estimates its error."""
+"""Points, and factor on the panels, of the reference for a quasi-static run; then of the one to estimate its error."""
 
 NODES: Final = (4, 16, 64, 256)
-"""Gauss-Legendre points on the whole face of an elastic contact that are tried."""
+"""Gauss-Legendre points on the whole face of an elastic contact."""
 
+# Steps of Newton's method to the radius of the compaction front.
 _NEWTON: Final = 5
-"""Steps of Newton's method to the front."""
+# Places on the face between which a change of contact is located, and tolerance of the location [m].
+_CONTACT_PLACES: Final = 2001
+_CONTACT_TOLERANCE: Final = 1e-17
 
 Found = tuple[list[Entry], float]
-"""Entries of one kind of quadrature, and the relative error [-] of their reference."""
+"""Entries of one kind of quadrature, and the relative error of their reference [-]."""
 
 
 def density_profile(task: Task) -> Found:
-    """Return orders of a density profile's quadratures, by their errors in F0, Fd and the added mass."""
+    """Return the entries of a density profile's quadrature orders, with errors of F0, Fd and the added mass."""
     scene, profile = task.scene, task.scene.soil.density_profile
     assert profile is not None  # else there is nothing to integrate
 
@@ -66,12 +69,12 @@ def density_profile(task: Task) -> Found:
         return {"reaction": max(apart.values()), **apart}
 
     orders = tuple(dict.fromkeys(sorted((*task.some(ORDERS), profile.order))))
-    track = Track("quadrature", "density profile", reaction, errors, orders, label="order {}".format)
-    return task.ranked([track], "reaction"), max(errors(check)["reaction"], float(EPS))
+    contestant = Contestant("quadrature", "density profile", reaction, errors, orders, label="order {}".format)
+    return task.ranked([contestant], "reaction"), max(errors(check)["reaction"], float(EPS))
 
 
 def quasi_static_course(task: Task) -> Found:
-    """Return points in each panel of a quasi-static course's averages; the reference has other points and panels."""
+    """Return the entries of quadratures for quasi-static averages; the reference has more points and panels."""
     scene, usual = task.scene, usual_panels(task)
 
     def average(setting: tuple[int, int]) -> Callable[[], Run]:
@@ -85,18 +88,20 @@ def quasi_static_course(task: Task) -> Found:
 
     exact, check = (average((points, finer * usual))() for points, finer in FINER)
     settings = [(points, panels) for points in POINTS for panels in dict.fromkeys((task.outputs, usual))]
-    track = Track("quadrature", "quasi-static", average, lambda run: errors_of(run, exact), settings, label=label)
+    contestant = Contestant(
+        "quadrature", "quasi-static", average, lambda run: errors_of(run, exact), settings, label=label
+    )
     floor = max(float(np.finfo(float).eps), *errors_of(check, exact).values())
-    return task.ranked([track], "averages"), floor
+    return task.ranked([contestant], "averages"), floor
 
 
 def usual_panels(task: Task) -> int:
-    """Return the number of panels that `simulate` takes."""
+    """Return the number of panels that `simulate` takes for a quasi-static run."""
     return max(task.outputs, steps_for(forced_rate(numbers_of(task.scene)) * task.duration))
 
 
 def elastic_contact(task: Task) -> Found:
-    """Return the contact force of the elastic medium by its graded quadrature and by plain ones over the whole face."""
+    """Return the entries of quadratures for the elastic contact force: graded, and plain over the whole face."""
     scene = task.scene
     soil = scene.soil if scene.effects.ambient_pressure else replace(scene.soil, ambient_pressure=0.0)
     height, slope, friction, ambient = (
@@ -112,7 +117,7 @@ def elastic_contact(task: Task) -> Found:
         held: NDArray[np.float64] = face * x * np.maximum(pressure(x), -ambient)
         return held
 
-    # By the rule of Takahasi and Mori, which does well where the integrand is singular at the edges.
+    # The rule of Takahasi and Mori suits integrands that are singular at the edges.
     from scipy.integrate import tanhsinh  # slow to import
 
     edges = np.array(_edges(lambda x: pressure(x) + ambient, height))
@@ -126,40 +131,40 @@ def elastic_contact(task: Task) -> Found:
     def errors(found: float) -> Mapping[str, float]:
         return {"contact force": abs(found - exact) / abs(exact)}
 
-    tracks = [
-        Track("quadrature", "whole face", plain, errors, task.some(NODES), label="{} points".format),
-        Track("quadrature", "graded cells",
+    contestants = [
+        Contestant("quadrature", "whole face", plain, errors, task.some(NODES), label="{} points".format),
+        Contestant("quadrature", "graded cells",
               lambda _: lambda: float(elastic.cone_force(scene.cone, soil, scene.tow_speed)), errors),
     ]  # fmt: skip
     floor = max(off / abs(exact), float(np.finfo(float).eps))
-    return task.ranked(tracks, "contact force"), floor
+    return task.ranked(contestants, "contact force"), floor
 
 
 def _edges(total: Callable[[NDArray[np.float64]], NDArray[np.float64]], height: float) -> list[float]:
-    """Return the ends of the face, and the places between at which contact is lost or taken up again."""
+    """Return the ends of the face, and the places between them where contact begins or ends."""
     from scipy.optimize import brentq  # slow to import
 
-    x = height * (1.0 - np.cos(np.linspace(1e-5, math.pi - 1e-5, 2001))) / 2.0
+    x = height * (1.0 - np.cos(np.linspace(1e-5, math.pi - 1e-5, _CONTACT_PLACES))) / 2.0
     values = total(x)
     places = [
-        float(brentq(lambda place: float(total(np.array([place]))[0]), x[k], x[k + 1], xtol=1e-17))
+        float(brentq(lambda place: float(total(np.array([place]))[0]), x[k], x[k + 1], xtol=_CONTACT_TOLERANCE))
         for k in np.flatnonzero(values[:-1] * values[1:] < 0.0)
     ]
     return [0.0, *places, height]
 
 
 def profile_reaction(cone: Cone, soil: Soil, panels: int, count: int) -> SoilReaction:
-    """Return what the soil's density profile adds up to, in the widest floats.
+    """Return the soil's reaction with a density profile in the widest floats, from equations (14) to (24) as printed.
 
-    Equations (14) to (24) are taken as they stand. The quadratures of `soil.plastic` and `laws.forces` are nested Gauss
-    rules in variables of their own. Here psi is an integral of its own for every radius, the front its root, and what
-    remains are integrals over the particles s and over the cone's face x, all by Gauss's rule in several panels.
+    This shares nothing with the nested Gauss rules of `soil.plastic` and `laws.forces`, which have transformed
+    variables. Here psi is integrated separately for each radius, Newton's method finds the front, and the integrals
+    over particles s and over the cone's face x remain, all by Gauss's rule in several panels.
 
     Args:
-        cone: numeric.
-        soil: numeric, with a density profile.
-        panels: of every integral.
-        count: points of Gauss's rule in each panel.
+        cone: cone with numbers.
+        soil: soil with numbers and a density profile.
+        panels: number of panels of every integral.
+        count: number of points in each panel.
 
     Raises:
         InputError: the profile cannot compute in wide floats.
@@ -185,7 +190,7 @@ def profile_reaction(cone: Cone, soil: Soil, panels: int, count: int) -> SoilRea
 
     points, shares = height * parts, height * weights
     radius = points * slope
-    # Newton's method gives radii beside the front's all their digits.
+    # Start from the front in doubles; Newton's method adds the digits of wide floats.
     cavities = (plastic.Cavity(float(r), 0.0, 0.0) for r in radius)
     front = np.array([float(as_number(plastic.front_radius(cavity, soil))) for cavity in cavities], WIDE)
     for _ in range(_NEWTON):
@@ -202,7 +207,7 @@ def profile_reaction(cone: Cone, soil: Soil, panels: int, count: int) -> SoilRea
 
 
 def _panels(end: Wide, panels: int, count: int) -> tuple[Wide, Wide]:
-    """Return Gauss points from 0 to an end, in panels, and their weights."""
+    """Return Gauss points in panels from 0 to an end, and their weights."""
     nodes, weights = gauss(count)
     half = end / panels / 2
     return ((2 * np.arange(panels)[:, None] + nodes + 1) * half).ravel(), np.tile(weights * half, panels)
@@ -214,11 +219,11 @@ def _wall(
     """Return the wall's gauge pressure at rest [Pa], and its coefficients of rho0 R'^2 and rho0 R R''.
 
     Args:
-        soil: numeric.
-        radius: R of the wall, for each point of the face [m].
+        soil: soil with numbers.
+        radius: radius R of the wall at each point of the face [m].
         front: radius of the front there [m].
         jump: 1 - b at the front.
-        particles: where they began s and where they are y, a row for each wall [m]; weights of their integral.
+        particles: initial radii s and present radii y, a row for each point of the face [m]; weights of their integral.
     """
     angle, cohesion, ambient = (
         WIDE(float(as_number(value))) for value in (soil.friction_angle, soil.cohesion, soil.ambient_pressure)

@@ -1,4 +1,4 @@
-"""References that take no part in a contest: a motion in the widest floats, and the gradient of its averages."""
+"""References for the contests, which do not compete: a motion in the widest floats, and gradients of its averages."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -11,32 +11,34 @@ from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.motion import Run
 from plough_opt.motion.plan import fastest_rate, numbers_of
 from plough_opt.motion.scene import Scene
-from plough_opt.studies.accuracy.following import Followed, Motion, beside_orbit, follow, orbit
+from plough_opt.studies.accuracy.following import IntegratedMotion, Motion, follow, orbit, state_near_orbit
 from plough_opt.studies.accuracy.wide import EPS, WIDE, Wide
 
 DEGREE: Final = 24
+"""Degree of the polynomials of a reference."""
+
 CHECK_DEGREE: Final = 18
-"""Degrees of the polynomials of the reference, and of the solution that estimates its error."""
+"""Degree of the polynomials of the solution whose difference estimates the error of a reference."""
 
 QUANTITIES: Final = ("stiffness", "mass", "tow_speed")
-"""Quantities of a scene by which gradients are taken."""
+"""Quantities of a scene that gradients are taken with respect to."""
 
 AVERAGES: Final = ("mean_draft", "force_rms")
 """Averages whose gradients are taken."""
 
-# Weights of f(k) - f(-k), k = 1 to 4, in the derivative at 0, of order 8.
+# Weights of f(k) - f(-k) for k = 1 to 4 in the derivative at 0: central differences of order 8.
 _WEIGHTS: Final = (WIDE(4) / 5, -WIDE(1) / 5, WIDE(4) / 105, -WIDE(1) / 280)
 
 
 def errors_of(found: Any, reference: Any) -> dict[str, float]:
-    """Return the relative errors [-] of averages and mount force.
+    """Return the relative errors of averages and mount forces by name [-].
 
-    Mean draft and RMS count relative to the larger of the two, mount forces relative to the largest of them.
-    ``"averages"`` is the larger of the first two.
+    Errors of mean draft and RMS are relative to the larger of the two, and ``"averages"`` is the larger of both errors.
+    Errors of mount forces are relative to the largest of the forces.
 
     Args:
-        found: a run, or what else has ``mean_draft``, ``force_rms`` and ``mount_force`` [N], the last at the outputs.
-        reference: the like, at the same outputs.
+        found: a run, or another object with ``mean_draft``, ``force_rms`` and, at the outputs, ``mount_force`` [N].
+        reference: the same kind of object with the same output times.
     """
     size = max(abs(reference.mean_draft), reference.force_rms)
     averages = {
@@ -55,13 +57,13 @@ def _over(difference: Any, size: Any) -> float:
 
 @dataclass(frozen=True)
 class Reference:
-    """The motion of a scene in the widest floats.
+    """Motion of a scene in the widest floats.
 
     Attributes:
-        run: its results, as of any run.
-        events: time [s] and name of every event.
-        errors: its own estimated relative errors [-], by the names of `errors_of`: the differences from the same by
-            polynomials of another degree, and so with other steps; at least the rounding of its floats.
+        run: its results, like those of any run.
+        events: time [s] and name of each event.
+        errors: estimates of its own relative errors, by the names of `errors_of` [-]. They are the differences from a
+            solution by polynomials of another degree, and so with other steps; at least the rounding of the floats.
     """
 
     run: Run
@@ -70,46 +72,46 @@ class Reference:
 
     @property
     def error(self) -> float:
-        """The largest of its errors [-]."""
+        """Largest of its errors [-]."""
         return max(self.errors.values())
 
 
 def reference_run(scene: Scene, duration: float | None = None, *, outputs: int = 400) -> Reference:
-    """Follow the motion of a numeric scene in the widest floats; a lasting orbit has its own duration.
+    """Return the motion of a scene in the widest floats.
 
     Args:
-        scene: with a motion; ``orbit`` is ``"transient"`` or ``"periodic"``.
-        duration: simulated time [s].
+        scene: scene with numbers and a motion; ``orbit`` is ``"transient"`` or ``"periodic"``.
+        duration: simulated time [s]; ignored for a periodic orbit, which has its own.
         outputs: number of equal intervals between output times.
 
     Raises:
-        InputError: a scene that has no reference; the message says why.
-        IntegrationError: the motion could not be followed.
+        InputError: the scene has no reference; the message says why.
+        IntegrationError: the motion could not be integrated.
     """
-    followed = _way(scene, duration)
-    found, check = (followed(scene, outputs, degree) for degree in (DEGREE, CHECK_DEGREE))
+    integrate = _integrator(scene, duration)
+    found, check = (integrate(scene, outputs, degree) for degree in (DEGREE, CHECK_DEGREE))
     run = found.run()
     errors = {name: max(float(EPS), error) for name, error in errors_of(check.run(), run).items()}
     return Reference(run, found.events, errors)
 
 
-def _way(scene: Scene, duration: float | None) -> Callable[[Scene, int, int], Followed]:
-    """Return (a scene, outputs, degree) -> its motion, or for scenes that ask for it the lasting orbit."""
+def _integrator(scene: Scene, duration: float | None) -> Callable[[Scene, int, int], IntegratedMotion]:
+    """Return (scene like this one, outputs, degree) -> its motion or, if the scene asks for it, its periodic orbit."""
     if scene.effects.motion and scene.effects.orbit == "periodic":
-        guess = beside_orbit(scene)
+        guess = state_near_orbit(scene)
         return lambda own, outputs, degree: orbit(Motion(own), guess, outputs, degree)
     if scene.effects.orbit == "transient" and duration is None:
-        raise InputError("the duration is missing: how long shall the reference be, in seconds?")
+        raise InputError("the duration is missing: give the simulated time of the reference in seconds")
     return lambda own, outputs, degree: follow(Motion(own), WIDE(duration), outputs, degree)
 
 
 @dataclass(frozen=True)
 class ReferenceGradient:
-    """Logarithmic derivatives x d/dx of `AVERAGES`, a row each [N], by `QUANTITIES`, a column each.
+    """Logarithmic derivatives x d/dx of averages.
 
     Attributes:
-        values: the derivatives.
-        error: their estimated error relative to the largest of them [-].
+        values: derivatives of `AVERAGES`, a row each, by `QUANTITIES`, a column each [N].
+        error: their estimated error, relative to the largest of them [-].
     """
 
     values: Wide
@@ -119,21 +121,21 @@ class ReferenceGradient:
 def reference_gradient(scene: Scene, duration: float | None) -> ReferenceGradient:
     """Return the gradient of mean draft and RMS by central differences of order 8 of the reference motion.
 
-    Differences over two lengths of steps are compared, which gives their error.
+    The error is estimated from differences with two lengths of steps.
 
     Args:
-        scene: numeric.
-        duration: simulated time [s]; None for a lasting orbit.
+        scene: scene with numbers.
+        duration: simulated time [s]; None for a periodic orbit.
 
     Raises:
-        InputError: as `reference_run`.
-        IntegrationError: as `reference_run`, or no steps over which the events stay the same ones.
+        InputError: as for `reference_run`.
+        IntegrationError: as for `reference_run`, or the events change within the steps of the differences.
     """
-    followed = _way(scene, duration)
+    integrate = _integrator(scene, duration)
 
     def averages(name: str, factor: Wide) -> tuple[Wide, list[str]]:
         varied = replace(scene, **{name: WIDE(getattr(scene, name)) * factor})
-        found = followed(varied, 1, DEGREE)
+        found = integrate(varied, 1, DEGREE)
         run = found.run()
         return np.array([getattr(run, average) for average in AVERAGES]), [event for _, event in found.events]
 
@@ -144,16 +146,19 @@ def reference_gradient(scene: Scene, duration: float | None) -> ReferenceGradien
             for k, weight in enumerate(_WEIGHTS, start=1):
                 (up, one), (down, other) = (averages(name, 1 + sign * k * h) for sign in (1, -1))
                 if one != other:
-                    raise IntegrationError("the events of the reference change with its quantities: no gradient")
+                    raise IntegrationError(
+                        "the events change with the quantities of the scene, so there is no gradient"
+                    )
                 column = column + weight * (up - down)
             columns.append(column / h)
         return np.array(columns).T
 
-    # Quantities shift the phase of oscillation and wave; that of an orbit is one turn.
+    # The quantities shift the phase of oscillation and wave, so the step shrinks with the whole phase. An orbit has one
+    # turn.
     phase = 2.0 * math.pi if duration is None else fastest_rate(numbers_of(scene)) * duration
     h = WIDE(2.0 ** -(7 + math.ceil(math.log2(1.0 + phase / 8.0))))
     coarse, fine = differences(h), differences(h / 4)
     size = np.max(np.abs(fine))
-    # Of order 8 the error of the longer steps is 4^8 times that of these.
+    # The error with the longer steps is 4^8 times as large. Divide by 4^4 only, which leaves a margin of as much.
     wrong = np.max(np.abs(fine - coarse)) / (size if size > 0 else 1) / 4.0**4
     return ReferenceGradient(fine, float(max(wrong, 100 * EPS / h)))

@@ -1,4 +1,4 @@
-"""Result of a study: entries, the efficient front, advice in a sentence, tables, pictures and files."""
+"""Result of an accuracy study: entries, efficient fronts, advice in a sentence, tables, pictures and files."""
 
 from __future__ import annotations
 
@@ -19,33 +19,31 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MOTION, LASTING, DERIVATIVES, PROFILE, COURSE, CONTACT, OPTIMUM = (
-    "motion",
-    "lasting orbit",
-    "gradient",
-    "density profile",
-    "quasi-static course",
-    "elastic contact",
-    "optimum",
-)
-"""Names of the references."""
+# Names of the references, which are keys of saved studies.
+MOTION = "motion"
+LASTING = "lasting orbit"
+DERIVATIVES = "gradient"
+PROFILE = "density profile"
+COURSE = "quasi-static course"
+CONTACT = "elastic contact"
+OPTIMUM = "optimum"
 
-# Ratio of times that says nothing.
+# Times that differ by less than this factor are called about equal.
 _NOISE = 1.15
 
 
 @dataclass(frozen=True)
 class Question:
-    """One error by which contestants are ranked.
+    """Error by which contestants are ranked.
 
     Attributes:
         title: what is computed.
         error: key of `Entry.errors`.
-        families: of the entries that take part.
+        families: families of the entries that take part.
         reference: name of the reference, a key of `AccuracyStudy.floors`.
-        columns: of a table: keys of `Entry.errors`, and what stands above them.
-        ranked: what the error is, if it is none of the columns.
-        default: method and setting that the toolkit takes by default.
+        columns: key of `Entry.errors` -> heading, for each column of the table.
+        ranked: description of the error, if it is not one of the columns.
+        default: default method and setting.
     """
 
     title: str
@@ -59,14 +57,14 @@ class Question:
 
 @dataclass(frozen=True)
 class Thoroughness:
-    """Cost of a thorough search: how often one effort finds the best optimum of a design, against its time.
+    """Success and time of one effort of a search.
 
     Attributes:
-        search: as `plough_opt.Design.solve` takes it.
-        designs: tried, the median over the seeds.
-        asked: how many searches with seeds of their own were made.
-        right: how many of them came to the best that any search of the study found.
-        seconds: median time of one [s].
+        search: effort as an argument of `plough_opt.Design.solve`.
+        designs: median number of designs tried.
+        asked: number of searches, each with a different seed.
+        right: number of them that found the best optimum that any search of the study found.
+        seconds: median time of a search [s].
     """
 
     search: str
@@ -78,23 +76,23 @@ class Thoroughness:
 
 @dataclass(frozen=True, repr=False)
 class AccuracyStudy(Saveable):
-    """Error against time of everything that can do a scene.
+    """Error against time of every method that can simulate a scene or solve a design.
 
-    Times are those of this machine at this hour: their ratios say more than they do.
+    Times depend on the machine and its load; their ratios are more reliable.
 
     Attributes:
-        title: of the scene.
-        duration: simulated time [s]; None of a design.
-        wanted: relative error that the advice is about [-].
-        entries: every contestant with every setting; failures with the reason.
-        floors: name of a reference -> its own estimated relative error [-]; of a motion that of its averages, and
-            by the key "motion, trajectory" that of its mount forces, of an optimum that of the objective, and by
-            "optimum, variables" that of the variables.
+        title: title of the scene or design.
+        duration: simulated time [s]; None for a design.
+        wanted: relative error that the advice is for [-].
+        entries: entry of every contestant and setting; failures with their reasons.
+        floors: name of a reference -> estimate of its own relative error [-]. "motion" and "lasting orbit" are those of
+            the averages, "motion, trajectory" and "lasting orbit, trajectory" those of the mount forces; "optimum" is
+            that of the objective, and "optimum, variables" that of the variables.
         notes: sentences on what has no reference.
-        defaults: what is ranked, in the order of `questions`: method and setting that the toolkit takes by default.
-        versions: of packages, and the machine.
-        thoroughness: of a design, what each effort of a search finds, and in what time.
-        origin: what made it.
+        defaults: name of a reference -> default method and setting.
+        versions: versions of packages, and the machine.
+        thoroughness: for a design, success and time of each effort of a search.
+        origin: file or declarations that the study was made from.
 
     Example:
         >>> import plough_opt as po
@@ -120,12 +118,12 @@ class AccuracyStudy(Saveable):
 
     @property
     def questions(self) -> tuple[Question, ...]:
-        """The error by which the methods are ranked."""
+        """Errors by which methods are ranked, those that have entries and a reference."""
         found = (replace(question, default=self.defaults.get(question.reference, ("", ""))) for question in _QUESTIONS)
         return tuple(question for question in found if question.reference in self.floors and self.of(question))
 
     def of(self, question: Question) -> list[Entry]:
-        """Return the entries that answer a question: those of another optimum than the reference's do not."""
+        """Return the entries ranked by an error, without those that ended in another optimum than the reference."""
         return [entry for entry in self._listed(question) if not entry.elsewhere]
 
     def _listed(self, question: Question) -> list[Entry]:
@@ -133,12 +131,12 @@ class AccuracyStudy(Saveable):
 
     @property
     def failures(self) -> list[Entry]:
-        """Contestants without a result."""
+        """Entries without a result."""
         return [entry for entry in self.entries if entry.failure is not None]
 
     @property
     def refusals(self) -> tuple[str, ...]:
-        """A sentence for each reason for which contestants have no result, or are not ranked."""
+        """Sentence for each reason why entries have no result, or are not ranked."""
         labels: dict[str, list[str]] = {}
         for entry in self.entries:
             if entry.failure is not None:
@@ -148,22 +146,22 @@ class AccuracyStudy(Saveable):
         return tuple(sentence.replace("{}", "; ".join(who), 1) for sentence, who in labels.items())
 
     def front(self, question: Question) -> list[Entry]:
-        """Return the entries that no other beats in both time and error, the reference's own error counted as none."""
+        """Return the entries that no other beats in both time and error; errors below the reference's own are equal."""
         return efficient(self.of(question), question.error, self.floors[question.reference])
 
     def advise(self, question: Question) -> str:
-        """Return in a sentence what to take for the wanted error, and what the default does."""
+        """Return a sentence on what to choose for the wanted error, and how the default compares."""
         entries, key = self.of(question), question.error
         best = cheapest(entries, key, self.wanted)
         if best is None:
             nearest = min(entries, key=lambda entry: entry.errors[key])
             advice = (
-                f"nothing tried reaches {error_text(self.wanted)}; nearest comes {nearest.label} with"
+                f"nothing tried reaches {error_text(self.wanted)}; the nearest is {nearest.label} with"
                 f" {nearest.errors[key]:.0e} in {duration_text(nearest.seconds)}"
             )
         else:
             advice = f"for {error_text(self.wanted)} take {best.label}: {_result(best, key)}"
-            # "auto" integrates twice by what stands here once, and is described below.
+            # "auto" integrates twice by methods that stand here once. It is compared separately below.
             twice = () if best.checked is None else (AUTO, COMPILED)
             others = [entry for entry in entries if entry.method not in (best.method, *twice)]
             second = cheapest(others, key, self.wanted)
@@ -172,11 +170,11 @@ class AccuracyStudy(Saveable):
             elif others:
                 advice += ", the only method that reaches it"
             if best.checked is not None:
-                advice += f"; {duration_text(best.checked)} by simulate, which checks it"
-        return f"{question.title}: {advice}{self._defaults_beside(question, best)}."
+                advice += f"; {duration_text(best.checked)} with the check of simulate"
+        return f"{question.title}: {advice}{self._compared_defaults(question, best)}."
 
-    def _defaults_beside(self, question: Question, best: Entry | None) -> str:
-        """Return clauses on what `simulate` takes when it is given the wanted error, and when it is given nothing."""
+    def _compared_defaults(self, question: Question, best: Entry | None) -> str:
+        """Return clauses on `simulate` with the wanted error, and on the default, compared with the best entry."""
         found = {(entry.method, entry.setting): entry for entry in self.of(question)}
         setting = f"error {error_text(self.wanted)}"
         aimed = found.get((AUTO, setting)) or found.get((COMPILED, setting))
@@ -185,37 +183,37 @@ class AccuracyStudy(Saveable):
         if aimed is not None and aimed is not default:
             name = f"Accuracy(error={error_text(self.wanted)})"
             name += ", compiled=True" if aimed.method == COMPILED else ""
-            clauses += f"; that is {name}" if aimed is best else f"; {name} takes {_beside(aimed, best, question)}"
+            clauses += f"; that is {name}" if aimed is best else f"; {name} takes {_compared(aimed, best, question)}"
         if default is not None and default is best:
             return f"{clauses}; that is the default"
         if default is not None:
-            clauses += f"; the default, {default.label}, takes {_beside(default, best, question)}"
+            clauses += f"; the default, {default.label}, takes {_compared(default, best, question)}"
         return clauses
 
     @property
     def advice(self) -> str:
-        """A sentence for each question."""
+        """Sentence of advice for each question."""
         return "\n".join(self.advise(question) for question in self.questions)
 
     def page(self) -> Page:
-        """Return a table for each question, what had no result and why, and the advice."""
+        """Return a report: a table for each question, entries without a result, notes and advice."""
         timed = "one local solve; ≠ ended in another optimum"
         if self.duration is not None:
-            timed = "a named method integrates once, auto is all of simulate, which checks itself"
+            timed = "a named method integrates once, auto is all of simulate with its check"
         parts: list[Part] = [self.table(question) for question in self.questions]
         parts.append(f"Times are medians after a warm-up: {timed}. Set-up is done once.")
         if self.thoroughness:
             efforts = Grid.of("What thoroughness costs", "search", "designs tried", "found the best", "time")
             for row in self.thoroughness:
                 efforts.row(row.search, str(row.designs), f"{row.right} of {row.asked}", f"{row.seconds:.2f} s")
-            parts += [efforts, "Found is the best design that any of these searches came to."]
+            parts += [efforts, "The best is the best design that any of these searches found."]
         parts += [*self.refusals, *(f"note: {note}" for note in self.notes)]
         parts += [self.advise(question) for question in self.questions]
         heading = f"Error against time of {len(self.entries)} contestants, for a wanted error of {self.wanted:.0e}"
         return Page(heading, tuple(parts), (), ", ".join(map(" ".join, self.versions.items())), self.title)
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return a row for each contestant: times [s] and relative errors; NaN where it has none.
+        """Return a row for each entry: times [s] and relative errors [-], NaN where there is none.
 
         Raises:
             InputError: pandas is not installed.
@@ -227,7 +225,7 @@ class AccuracyStudy(Saveable):
         return data_frame(columns, {name: "s" if name in ("seconds", "setup") else "" for name in columns})
 
     def table(self, question: Question) -> Grid:
-        """Return the entries of a question from the fastest to the slowest, the efficient ones marked: 80 wide."""
+        """Return a table of a question's entries, fastest first, efficient ones marked; it fits 80 characters."""
         reference = f"reference: {self.floors[question.reference]:.0e}"
         for name, floor in self.floors.items():
             if name.startswith(f"{question.reference}, "):
@@ -257,10 +255,13 @@ class AccuracyStudy(Saveable):
         return table
 
     def plot(self, target: Axes | str | Path | None = None) -> Figure:
-        """Draw error against time: into axes (the first question), into a file, or into a new figure.
+        """Draw error against time.
+
+        Args:
+            target: file to write (.png, .svg, .pdf), axes for the first question alone, or None.
 
         Raises:
-            InputError: a file of no known picture format, or one that cannot be written.
+            InputError: the file has no known picture format, or cannot be written.
         """
         from matplotlib.axes import Axes
         from matplotlib.figure import Figure
@@ -280,7 +281,7 @@ class AccuracyStudy(Saveable):
         return figure
 
     def panel(self, question: Question) -> Any:
-        """Return what a picture of a question shows."""
+        """Return the contents of a question's panel in a picture."""
         from plough_opt.studies.accuracy.picture import Panel
 
         return Panel(
@@ -301,7 +302,7 @@ class AccuracyStudy(Saveable):
 _FORCES = {"mean draft": "mean\ndraft", "RMS": "RMS", "last force": "last\nforce", "trajectory": "trajec-\ntory"}
 _OF_OPTIMA = {REPORTED: "reported\nvalue", TRUE: "true\nvalue", VARIABLES: "varia-\nbles",
               REQUIREMENTS: "broken\nlimits"}  # fmt: skip
-_VALUE = "the reported value; the true one is integrated tightly anew"
+_VALUE = "the reported value; the true one comes from a tight integration"
 _LARGER = "the larger of mean draft and RMS"
 _QUESTIONS = (
     Question("averages of the motion", "averages", ("integrator", "model"), MOTION, _FORCES, _LARGER),
@@ -323,7 +324,7 @@ _QUESTIONS = (
 
 
 def _times(ratio: float) -> str:
-    """Return a ratio in words; times are too noisy for what is near one."""
+    """Return a ratio of times in words; empty near 1, for times are noisy."""
     if 1.0 / _NOISE < ratio < _NOISE:
         return ""
     return f"{ratio:.0f} times " if ratio >= 9.5 else f"{ratio:.1f} times "
@@ -337,8 +338,8 @@ def _result(entry: Entry, key: str) -> str:
     return f"{duration_text(entry.seconds)}, error {entry.errors[key]:.0e}"
 
 
-def _beside(entry: Entry, best: Entry | None, question: Question) -> str:
-    """Return what an entry takes, and how long that is beside the best, of a named integrator with its check."""
+def _compared(entry: Entry, best: Entry | None, question: Question) -> str:
+    """Return time and error of an entry, and its time relative to the best entry, with the check of the latter."""
     checks = entry.method in (AUTO, COMPILED) and question.reference == MOTION
     text = _result(entry, question.error) + (", checked" if checks else "")
     if best is None:

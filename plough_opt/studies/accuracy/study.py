@@ -1,4 +1,4 @@
-"""Time that accuracy costs, for a scene or a design: the efficient methods, and which one to choose."""
+"""Functions `study_accuracy` and `study_design`: what accuracy costs in time, and which method to choose."""
 
 import platform
 import time
@@ -49,16 +49,16 @@ from plough_opt.studies.accuracy.result import (
 from plough_opt.studies.accuracy.wide import WIDER
 
 OUTPUTS = 40
-"""Default number of intervals between output times: few, so that coarse steps can take part."""
+"""Default number of intervals between output times: few, so that coarse steps can compete."""
 
 ALLOWANCE = 1.0
-"""Default time [s] that one use of a contestant may take."""
+"""Default time that one use of a method may take [s]."""
 
-# From the basin of the guess to four times the default search.
+# Efforts of the searches, from the basin of the guess to four times the default.
 _EFFORTS: Final[tuple[Search, ...]] = ("near", 250, 1000, "auto", "thorough")
-# Seeds of the samples; a thin study takes fewer.
+# Number of seeds for each effort, and in a thin study.
 _SEEDS, _THIN_SEEDS = 8, 3
-# Judged values that differ by less are of the same optimum: they are medians of rough runs.
+# Objectives or medians with a smaller relative difference belong to the same optimum: medians come from rough runs.
 _SAME = 1e-5
 
 _T = TypeVar("_T")
@@ -76,21 +76,22 @@ def study_accuracy(
     title: str = "",
     progress: Progress | None = None,
 ) -> AccuracyStudy:
-    """Measure error against time of every method, model and quadrature that can do a scene.
+    """Return error against time of every method, model and quadrature that can simulate a scene.
 
     Args:
-        scene: numeric. A stand-in for a lasting orbit is measured with all others against that orbit.
-        duration: simulated time [s]; None for a lasting orbit.
-        wanted: relative error that the advice is about [-], from 1e-15 to 0.1.
+        scene: scene with numbers. If it asks for a stand-in for the periodic orbit, all are measured against that
+            orbit.
+        duration: simulated time [s]; None for a periodic orbit.
+        wanted: relative error that the advice is for [-], from 1e-15 to 0.1.
         outputs: number of equal intervals between output times, at which mount forces are compared.
-        allowance: time [s] that one use of a contestant may take; what would take longer is left out and says so.
-        derivatives: whether derivatives of the averages take part.
-        thin: leave out every other setting but the finest; what is advised is the same.
-        title: of the scene, for reports.
-        progress: called with what is being done and with the part that is done.
+        allowance: time that one use of a method may take [s]; slower settings are left out, with an entry that says so.
+        derivatives: whether to measure derivatives of the averages too.
+        thin: whether to leave out every other setting except the finest; the advice stays the same.
+        title: title of the scene, for reports.
+        progress: called with what is being done and the fraction done.
 
     Raises:
-        InputError: symbols in the scene, or a setting outside its range.
+        InputError: the scene holds symbols, or an argument is outside its range.
         DomainError: the duration is not positive.
 
     Example:
@@ -105,16 +106,18 @@ def study_accuracy(
     _check(wanted, title, progress, derivatives=derivatives, thin=thin)
     if holds_casadi(scene):
         scene = map_expressions(scene, lambda value: float(as_number(value)))
-    check_domain("time allowed to a contestant", plain_number("allowance", allowance), "s", above=0.0)
+    check_domain("time allowed to a method", plain_number("allowance", allowance), "s", above=0.0)
     if not is_count(outputs) or outputs > MOST_OUTPUTS:
         raise InputError(f"outputs = {shown(outputs)} must be a whole number from 1 to {MOST_OUTPUTS}")
     if scene.effects.orbit != "transient":
         if duration is not None:
-            raise InputError("a lasting orbit has a duration of its own, one wavelength of the soil: leave it out")
+            raise InputError(
+                "duration must be omitted for a periodic orbit, whose duration is one wavelength of the soil strength"
+            )
         scene = replace(scene, effects=replace(scene.effects, orbit="periodic"))
         duration = float(as_number(scene.wave_period))
     if duration is None:
-        raise InputError("the duration is missing: how long shall the scene be simulated, in seconds?")
+        raise InputError("the duration is missing: give the time to simulate in seconds")
     duration = plain_number("duration", BESIDE["scene.duration"].read(duration))
     task = Task(scene, float(duration), int(outputs), float(allowance), thin, wanted)
     entries, floors, notes = _contests(task, progress or (lambda _stage, _part: None), derivatives=derivatives)
@@ -140,24 +143,24 @@ def study_design(
     title: str = "",
     progress: Progress | None = None,
 ) -> AccuracyStudy:
-    """Measure error of the optimum against time of every transcription, integrator and kind of derivative.
+    """Return error of the optimum against time of every transcription, integrator and kind of derivative.
 
-    Each solves the design locally from the same start, with the declared values of its parameters. Beside them stands
-    what the thoroughness of a search costs: how often searches of growing effort, with seeds of their own, come to the
-    best that any of them finds.
+    Each method solves the design locally from the same start, with the declared values of the parameters. In addition
+    the study reports what a thorough search costs: how often searches of growing effort, with different seeds, find the
+    best optimum that any of them finds.
 
     Args:
-        design: with something to minimise.
-        wanted: relative error of the objective that the advice is about [-], from 1e-15 to 0.1.
-        limit: time [s] after which a solve is given up; its row says so.
-        near: start beside the optimum, as a solve with slightly changed parameters would, instead of at the guess.
-        thin: leave out every other setting of a method.
-        title: of the design, for reports.
-        progress: called with what is being done and with the part that is done.
+        design: design with an objective.
+        wanted: relative error of the objective that the advice is for [-], from 1e-15 to 0.1.
+        limit: time after which a solve is given up [s]; its entry says so.
+        near: whether to start near the optimum, as after a small change of parameters, instead of at the guess.
+        thin: whether to leave out every other setting of a method.
+        title: title of the design, for reports.
+        progress: called with what is being done and the fraction done.
 
     Raises:
-        InputError: nothing to minimise or to vary.
-        DomainError: a setting outside its range.
+        InputError: the design has no objective or no variables.
+        DomainError: an argument is outside its range.
         InfeasibleDesign: no design meets the requirements.
         NotConverged: the reference was not found.
 
@@ -188,10 +191,9 @@ def study_design(
 
 
 def _contests(task: Task, progress: Progress, *, derivatives: bool) -> tuple[list[Entry], dict[str, float], list[str]]:
-    """Measure every contestant that can do the scene, against references that take no part.
+    """Return the entries of all contests for a scene, the errors of their references by name, and notes.
 
-    Returns:
-        Entries, errors of the references by name, and notes on what has no reference.
+    Notes say what has no reference.
     """
     scene, entries, floors, notes = task.scene, list[Entry](), dict[str, float](), list[str]()
 
@@ -199,7 +201,7 @@ def _contests(task: Task, progress: Progress, *, derivatives: bool) -> tuple[lis
         try:
             return find()
         except PloughError as error:
-            notes.append(f"no reference of the {name}: {error}")
+            notes.append(f"no reference for the {name}: {error}")
             return None
 
     def reference(name: str, of: Scene, duration: float | None) -> Reference | None:
@@ -209,7 +211,7 @@ def _contests(task: Task, progress: Progress, *, derivatives: bool) -> tuple[lis
         return run
 
     if scene.effects.motion:
-        progress("following the reference", 0.0)
+        progress("integrating the reference", 0.0)
         own, around = reference(MOTION, scene, task.given), lasting_orbit(scene)
         transient = scene.effects.orbit == "transient"
         lasting = reference(LASTING, around, None) if transient and around is not None else None
@@ -226,7 +228,7 @@ def _contests(task: Task, progress: Progress, *, derivatives: bool) -> tuple[lis
                 floors[DERIVATIVES] = gradient.error
                 entries += gradients(task, gradient)
         if not WIDER:
-            notes.append("this machine has no floats wider than a double: the references are no better")
+            notes.append("this machine has no floats wider than a double, so the references are not more exact")
     quadratures = {
         COURSE: (quasi_static_course, not scene.effects.motion and not isinstance(scene.law, ElasticMedium)),
         CONTACT: (elastic_contact, not scene.effects.motion and isinstance(scene.law, ElasticMedium)),
@@ -242,20 +244,20 @@ def _contests(task: Task, progress: Progress, *, derivatives: bool) -> tuple[lis
 
 
 def _thoroughness(design: Design, *, limit: float, thin: bool, progress: Progress | None) -> tuple[Thoroughness, ...]:
-    """Return what each effort finds of a design, and in what time.
+    """Return success and time of each effort of a search.
 
-    "Right" is the best that any of the searches found: there is no other truth of a design of one's own.
+    A search is right if it finds the best optimum that any of the searches found, since no other truth is known.
 
     Args:
-        design: with something to minimise.
-        limit: time of one search [s] above which an effort is tried with one seed only, and a larger one not at all.
-        thin: take fewer seeds.
-        progress: called with the present step in words, and the part done.
+        design: design with an objective.
+        limit: time of one search [s] above which an effort is tried with one seed only, and larger ones not at all.
+        thin: whether to take fewer seeds.
+        progress: called with what is being done and the fraction done.
 
     Raises:
         InfeasibleDesign: no search found a design that meets the requirements.
     """
-    design.solve(search="near")  # builds what all searches share
+    design.solve(search="near")  # builds the program, which all searches share
     found: dict[Search, list[tuple[Optimum | None, float]]] = {}
     for number, search in enumerate(_EFFORTS):
         if progress is not None:
@@ -266,13 +268,13 @@ def _thoroughness(design: Design, *, limit: float, thin: bool, progress: Progres
         runs += [_solved(design, search, seed) for seed in range(1, seeds)]
         if too_long:
             break
-    best = min(_judged(one) for runs in found.values() for one, _ in runs if one is not None)
+    best = min(_ranked_value(one) for runs in found.values() for one, _ in runs if one is not None)
     return tuple(
         Thoroughness(
             search=f"{search} designs" if isinstance(search, int) else str(search),
             designs=int(median([one.search.designs for one, _ in runs if one and one.search] or [0])),
             asked=len(runs),
-            right=sum(one is not None and _judged(one) <= best + _SAME * abs(best) for one, _ in runs),
+            right=sum(one is not None and _ranked_value(one) <= best + _SAME * abs(best) for one, _ in runs),
             seconds=median(seconds for _, seconds in runs),
         )
         for search, runs in found.items()
@@ -280,7 +282,7 @@ def _thoroughness(design: Design, *, limit: float, thin: bool, progress: Progres
 
 
 def _solved(design: Design, search: Search, seed: int) -> tuple[Optimum | None, float]:
-    """Return what a search finds, or None, and its time [s]."""
+    """Return the optimum that a search finds, or None, and its time [s]."""
     began = time.perf_counter()
     try:
         best = design.solve(search=search, seed=seed)
@@ -289,12 +291,13 @@ def _solved(design: Design, search: Search, seed: int) -> tuple[Optimum | None, 
     return best, time.perf_counter() - began
 
 
-def _judged(best: Optimum) -> float:
+def _ranked_value(best: Optimum) -> float:
+    """Return the value by which `Design.solve` ranks optima: the median over tolerances, or else the objective."""
     return best.objective if best.spread is None else best.spread.median
 
 
 def _defaults(task: Task) -> dict[str, tuple[str, str]]:
-    """Return the default method for each reference."""
+    """Return the default method and setting for each reference."""
     defaults = {
         MOTION: ("auto", f"error {DEFAULT_ERROR:.0e}"),
         DERIVATIVES: ("auto", "default"),
@@ -309,7 +312,7 @@ def _defaults(task: Task) -> dict[str, tuple[str, str]]:
 
 
 def _versions() -> dict[str, str]:
-    """Return versions and machine."""
+    """Return versions of packages, and the machine."""
     return {
         **versions(),
         "scipy": version("scipy"),
@@ -319,10 +322,10 @@ def _versions() -> dict[str, str]:
 
 
 def _check(wanted: float, title: str, progress: Progress | None, **switches: bool) -> None:
-    """Refuse a wanted error out of range, and a title, function or switch of another type."""
+    """Raise InputError or DomainError if an argument has the wrong type or the wanted error is out of range."""
     check_text("title", title)
     if progress is not None:
-        check_callable("progress", progress, "of what is done and the part done")
+        check_callable("progress", progress, "of what is done and the fraction done")
     for name, value in switches.items():
         check_switch(name, value)
     check_domain("wanted error", plain_number("wanted", wanted), at_least=1e-15, at_most=0.1)

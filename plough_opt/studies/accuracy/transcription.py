@@ -1,9 +1,9 @@
-"""A design's program in other forms: every run shot once, shot by segments, or collocated.
+"""Transcriptions of a design: its program with runs by single shooting, multiple shooting or collocation.
 
-The runs that stand in a design's expressions are taken out; in their place come results that are expressions of the
-design's variables alone (single shooting), or of further unknowns that equalities tie to the equation of motion
-(direct multiple shooting, direct collocation). Betts: Practical Methods for Optimal Control and Estimation Using
-Nonlinear Programming, 2nd ed., 2010, chapters 3 and 4.
+Each run in the design's expressions is replaced by results that are expressions of the design's variables alone (single
+shooting), or of further unknowns too, which equalities tie to the equation of motion (direct multiple shooting, direct
+collocation). Betts: Practical Methods for Optimal Control and Estimation Using Nonlinear Programming, 2nd ed., 2010,
+chapters 3 and 4.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from plough_opt.studies.accuracy.methods import refused
 
 Points = Literal["radau", "legendre"]
 
-# Steps of order 8 whose states start the further unknowns; between them they are interpolated.
+# Steps of order 8 in the run that further unknowns start from; states between its steps are interpolated.
 _START_STEPS = 2000
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """States between intervals of the duration are unknowns: direct multiple shooting, or direct collocation.
+    """Mesh over the duration whose states between intervals are unknowns: multiple shooting or collocation.
 
-    Args:
-        intervals: number wanted over the duration; at least one for each output that the design uses.
-        steps: steps of order 8 in each, of multiple shooting; 0 of collocation.
-        degree: of the polynomial of collocation, whose states at all points are unknowns too and satisfy the equation
-            of motion there; order 2 degree - 1 of Radau's points, 2 degree of Legendre's.
+    Attributes:
+        intervals: wanted number of intervals; at least one for each output that the design uses is taken.
+        steps: steps of order 8 in each interval for multiple shooting; 0 for collocation.
+        degree: degree of the polynomial of collocation. Its states at all points are unknowns too and satisfy the
+            equation of motion there. The order is 2 degree - 1 with Radau's points, and 2 degree with Legendre's.
         points: ``"radau"`` or ``"legendre"``.
     """
 
@@ -55,19 +55,20 @@ class Mesh:
 
 
 Transcription = Accuracy | Mesh
-"""Single shooting by a method with its setting: every run is a function of the design's variables. Or a mesh."""
+"""Single shooting with a method of integration, or a mesh."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """A design's scaled program before its runs have a form.
+    """Scaled program of a design before its runs are transcribed.
 
     Attributes:
-        program: the program, which knows scales, bounds and the tight model.
+        program: the program, with scales, bounds and the tight integration.
         p: values of the design's parameters.
         y: symbol of the scaled variables.
-        parts: scaled objective (first) and requirements (second, a column) over y, split around their runs.
-        steps: of each run what `Design.solve` takes: steps of order 8, of a lasting orbit harmonics, None of events.
+        parts: scaled objective and requirements (a column) over y, split around their runs.
+        steps: for each run the steps of order 8 that `Design.solve` takes; harmonics for a periodic orbit; None for
+            events.
     """
 
     program: Program
@@ -78,31 +79,31 @@ class Question:
 
     @classmethod
     def of(cls, program: Program, p: Vector) -> Question:
-        """Take a program that is built, not yet finer, and the values of its parameters."""
+        """Return the question of a program as `Design.solve` builds it, at values of its parameters."""
         y = ca.MX.sym("y", len(program.declared.variables))
         return cls(program, p, y, split(program.scaled(y, ca.MX(ca.DM(p))), [y]), tuple(program.built.steps))
 
     @cached_property
     def full(self) -> ca.Function:
-        """(y, results of the runs) -> objective and requirements."""
+        """Function (y, results of the runs) -> (objective, requirements)."""
         return ca.Function("full", [self.y, *self.parts.results], list(self.parts.expressions))
 
     @property
     def structures(self) -> list[Structure]:
-        """Return what the motion of each run contains."""
+        """Structure of each run's motion."""
         return [run.integration.structure for run in self.parts.runs]
 
     @property
     def orbits(self) -> bool:
-        """Whether any run is a lasting orbit."""
+        """Whether any run is a periodic orbit."""
         return any(structure.orbit != "transient" for structure in self.structures)
 
     def refusal(self, method: str) -> str:
-        """Return why a method of integration cannot do the runs, or nothing."""
+        """Return the reason why a method cannot integrate the runs; empty if it can."""
         return refused(method, orbits=self.orbits, events=any(structure.events for structure in self.structures))
 
     def phase(self, y: Vector) -> float:
-        """Return the phase [rad] of the fastest oscillation of any run at scaled variables."""
+        """Return the phase of the fastest oscillation of any run at scaled variables [rad]."""
         exact = self.program.exact
         found = [0.0]
         for k, run in enumerate(exact.runs):
@@ -111,30 +112,30 @@ class Question:
         return max(found)
 
     def outputs_used(self, run: int) -> int:
-        """Return the number of intervals between the outputs of a run that the design uses: one for averages alone."""
+        """Return the number of intervals between the outputs of a run that the design uses; 1 for averages only."""
         own = self.parts.runs[run]
         return 1 if averages_only(own, self.full, 1 + run) else own.integration.timeline.outputs
 
     def intervals(self, wanted: int) -> int:
-        """Return how many steps, segments or intervals a wanted number becomes, for they end at every output used."""
+        """Return the number of intervals taken for a wanted number, so that intervals end at every output used."""
         outputs = max((self.outputs_used(k) for k in range(len(self.parts.runs))), default=1)
         return len(Timeline(outputs, wanted).nodes) - 1
 
 
 @dataclass(frozen=True)
 class Transcribed:
-    """A nonlinear program: minimise f over x with low <= g <= high and lower <= x <= upper.
+    """Nonlinear program: minimise f over x with low <= g <= high and lower <= x <= upper.
 
     Attributes:
         x: unknowns: the scaled variables, then those that the transcription adds, of order 1.
         f: scaled objective.
-        g: in blocks one below the other: scaled requirements; what ties the further unknowns, zeros: for each run
-            its motion, of which a row depends on few unknowns, and its averages, of which a row depends on all.
+        g: blocks of constraints: the scaled requirements; then for each run the equalities of its motion, whose rows
+            depend on few unknowns, and those of its averages, whose rows depend on all.
         low: lower limits of g.
         high: upper limits of g.
         lower: lower bounds of x.
         upper: upper bounds of x.
-        start: where to start: the design, and the run that belongs to it.
+        start: initial x: a design, and the states of its run.
     """
 
     x: ca.MX
@@ -149,7 +150,14 @@ class Transcribed:
 
 @dataclass(frozen=True)
 class _Lift:
-    """A run's results, stacked, as expressions of the variables and of further unknowns that ties hold at zero."""
+    """Results of a run in a transcription.
+
+    Attributes:
+        results: results of the run, stacked, as expressions of the variables and of further unknowns.
+        unknowns: the further unknowns.
+        ties: blocks of equalities, zero at a solution, that determine the further unknowns.
+        start: initial values of the further unknowns.
+    """
 
     results: ca.MX
     unknowns: ca.MX = field(default_factory=lambda: ca.MX(0, 1))
@@ -158,15 +166,15 @@ class _Lift:
 
 
 def transcribe(question: Question, form: Transcription, first: Vector | None = None) -> Transcribed:
-    """Write a design's program with its runs in one form.
+    """Return a design's program with its runs transcribed.
 
     Args:
         question: the program.
-        form: how its runs enter it.
-        first: scaled variables to start from; default: the guesses.
+        form: transcription of the runs.
+        first: scaled variables to start from; default the guesses.
 
     Raises:
-        InputError: a run with events, or a lasting orbit, in a form that adds unknowns.
+        InputError: a run with events or a periodic orbit is to be put on a mesh.
     """
     first = question.program.start() if first is None else first
     lifts = [
@@ -193,7 +201,7 @@ def transcribe(question: Question, form: Transcription, first: Vector | None = N
 
 
 def _shot_once(run: EmbeddedRun, accuracy: Accuracy, outputs: int) -> _Lift:
-    """Return the results of a run that is integrated from its start to its end; without unknowns."""
+    """Return the results of a run integrated from start to end, which needs no further unknowns."""
     own = run.integration
     accuracy = with_setting(accuracy, 1, outputs)
     timeline = Timeline(outputs, accuracy.steps or MOST_ADAPTIVE, own.timeline.kink)
@@ -202,26 +210,27 @@ def _shot_once(run: EmbeddedRun, accuracy: Accuracy, outputs: int) -> _Lift:
 
 
 def _as_written(run: EmbeddedRun, results: list[ca.MX]) -> ca.MX:
-    """Return results with as many outputs as the run was written with; those that nobody uses are zero."""
+    """Return results padded to the number of outputs that the run was declared with; unused outputs are zero."""
     stacked = ca.vertcat(*results)
     return ca.vertcat(ca.MX.zeros(sum(output.numel() for output in run.outputs) - stacked.numel()), stacked)
 
 
 def _meshed(run: EmbeddedRun, form: Mesh, outputs: int, inputs: ca.DM) -> _Lift:
-    """Lift a run on a mesh: unknowns are the nodes' states but the first, the inner ones, means and variances.
+    """Return the results of a run on a mesh.
 
-    Means and variances, one sum over the whole run each, are unknowns so that the Hessian stays sparse.
+    Unknowns are the states at all nodes except the first and inside the intervals, and means and variances. The latter
+    are sums over the whole run; as unknowns they keep the Hessian sparse.
 
     Args:
         run: the run.
         form: the mesh.
-        outputs: number of its intervals between outputs that the design uses.
-        inputs: numbers of the start design, by which the further unknowns start.
+        outputs: number of intervals between the outputs that the design uses.
+        inputs: inputs of the run at the start design.
     """
     structure = run.integration.structure
     if structure.events or structure.orbit != "transient":
-        what = "events" if structure.events else "a lasting orbit"
-        raise InputError(f"a run with {what} is only shot as a whole: its states are not unknowns of a mesh")
+        what = "events" if structure.events else "a periodic orbit"
+        raise InputError(f"a run with {what} cannot be put on a mesh: use single shooting")
     observed, kink = signals(structure), run.integration.timeline.kink
     path = _Path.of(structure, inputs, kink)
     function, points = _segment(structure, form.steps) if form.steps else _collocated(structure, form)
@@ -256,16 +265,16 @@ def _meshed(run: EmbeddedRun, form: Mesh, outputs: int, inputs: ca.DM) -> _Lift:
 
 
 _Piece: TypeAlias = tuple[ca.Function, Vector]
-"""One interval of a mesh, and where inside it further states are unknowns, as fractions of it.
+"""Function of one interval of a mesh, and the points inside it whose states are unknowns, as fractions of the interval.
 
-The Function goes from (state, states at these points, (start, size) as fractions, parameters with the duration last) to
-(following state, what vanishes at the points, mean of each signal, mean square about that mean of each signal with an
-RMS).
+The function maps (state, states at the points, start and size of the interval as fractions of the duration, parameters
+with the duration last) to (next state, residual of the equation of motion at the points, mean of each signal, mean
+square about that mean of each signal with an RMS).
 """
 
 
 def _segment(structure: Structure, steps: int) -> _Piece:
-    """Return a segment of so many steps of order 8; it has no inner unknowns."""
+    """Return a segment of multiple shooting with a number of steps of order 8; it has no inner points."""
     observed = signals(structure)
     state, inner, span = ca.MX.sym("state", 2), ca.MX.sym("inner", 0), ca.MX.sym("span", 2)
     p = ca.MX.sym("p", len(observed.parameters) + 1)
@@ -281,7 +290,7 @@ def _segment(structure: Structure, steps: int) -> _Piece:
 
 
 def _collocated(structure: Structure, form: Mesh) -> _Piece:
-    """Return an interval of collocation; its inner unknowns are the states at the points, one after another."""
+    """Return an interval of collocation; its inner states follow one another in one column."""
     degree = form.degree
     motion, observed = equation_of_motion(structure), signals(structure)
     nodes = ca.collocation_points(degree, form.points)
@@ -309,15 +318,15 @@ def _collocated(structure: Structure, form: Mesh) -> _Piece:
 
 @dataclass(frozen=True)
 class _Path:
-    """The run of the start design, from which the further unknowns start and take their units.
+    """Run of the start design, which gives the further unknowns their initial values and units.
 
     Attributes:
-        fractions: times, as fractions of the duration.
-        states: states at them, a row for each.
-        means: of the signals.
-        variances: of those with an RMS.
-        units: largest value of each state; 1 of one that stays zero.
-        sizes: size of each signal's mean and spread; 1 of one that stays zero.
+        fractions: times as fractions of the duration.
+        states: states at these times, a row for each state.
+        means: means of the signals.
+        variances: variances of the signals with an RMS.
+        units: largest value of each state; 1 if it is always zero.
+        sizes: root mean square of each signal; 1 if it is always zero.
     """
 
     fractions: Vector
@@ -329,7 +338,7 @@ class _Path:
 
     @classmethod
     def of(cls, structure: Structure, inputs: ca.DM, kink: float | None) -> _Path:
-        """Integrate a run at numbers."""
+        """Return the path of a run with numeric inputs."""
         timeline = Timeline(_START_STEPS, _START_STEPS, kink)
         solver = integration(structure, Accuracy("dop853", steps=_START_STEPS), timeline)
         states, means, variances = (np.asarray(result) for result in solver.function.call([inputs]))
@@ -340,6 +349,6 @@ class _Path:
         return cls(timeline.output_fractions, states, means.ravel(), variances.ravel(), units, sizes)
 
     def at(self, fractions: Vector) -> Vector:
-        """Return the states at times, in their units, one time after another."""
+        """Return the states at some fractions of the duration, in their units, one time after another."""
         rows = [np.interp(fractions, self.fractions, row) for row in self.states]
         return (np.array(rows) / self.units[:, None]).ravel(order="F")

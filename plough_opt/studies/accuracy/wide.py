@@ -1,7 +1,7 @@
-"""Numerics in the machine's widest floats: CasADi's graphs, quadrature, steps of x' = f(t, x), and their events.
+"""Numerics in the widest floats of the machine: CasADi graphs, quadrature, steps of x' = f(t, x), and events.
 
-A step is a Chebyshev polynomial that Picard's iteration finds. Its last coefficients show how accurate it is, and on it
-events are found to all their digits. Clenshaw, Norton: The solution of nonlinear ordinary differential equations in
+A step is a Chebyshev polynomial, found by Picard iteration. Its last coefficients show how accurate it is, and events
+are located on it to all digits. Clenshaw, Norton: The solution of nonlinear ordinary differential equations in
 Chebyshev series, Computer Journal 6 (1963), 88-92.
 """
 
@@ -19,10 +19,10 @@ from numpy.polynomial import chebyshev
 from plough_opt.core.errors import InputError
 
 WIDE: Final = np.longdouble
-"""The widest floats of the machine: 64 bits of mantissa on x86, elsewhere often the 53 of a double."""
+"""Widest float type of the machine: 64 bits of mantissa on x86, elsewhere often the 53 of a double."""
 
 EPS: Final = np.finfo(WIDE).eps
-"""Rounding of `WIDE`."""
+"""Relative spacing of `WIDE` at 1."""
 
 WIDER: Final = bool(np.finfo(WIDE).eps < np.finfo(np.float64).eps)
 """Whether the machine has floats wider than a double."""
@@ -30,25 +30,28 @@ WIDER: Final = bool(np.finfo(WIDE).eps < np.finfo(np.float64).eps)
 PI: Final = WIDE("3.14159265358979323846264338327950288419716939937511")
 
 Wide: TypeAlias = Any
-"""A number of `WIDE`, or an array of them."""
+"""Number or array of `WIDE` floats."""
 
 Rates: TypeAlias = Callable[[Wide, Wide], Wide]
-"""Rates of the states, a row each, from times and states."""
+"""Function (times, states) -> rates of the states, a row each."""
 
-_MOST_SWEEPS = 60
-# Rounding of a sweep, in units of the last place, beyond which it no longer converges.
+# Most Picard iterations of a step.
+_MOST_ITERATIONS = 60
+# Changes of an iteration, in units in the last place: converged; so small that no further progress is rounding;
+# diverged.
 _CONVERGED = 4.0
 _STALLED = 1e4
-_LOST = 1e40
-# A coefficient below this many units is rounding.
+_DIVERGED = 1e40
+# A coefficient below this many units in the last place is rounding.
 _TAIL = 4.0
-# A value below this part of the largest is taken for rounding of zero, and has no sign.
+# Values below this many units in the last place of the largest value have no certain sign.
 _ROUNDING = 1e3
-# Fractions of a step at which signs are looked at, dense towards both ends, 0 left out.
-_LOOKS = (1 - np.cos(PI * np.arange(1, 97) / 96)) / 2
-# An interval that holds an event is cut into so many parts, so often: to one unit of the last place.
-_PARTS, _CUTS = 32, 14
-# Part of the largest value below which the least one may hide a dip below zero between two looks.
+# Fractions of a step at which the sign of an event function is checked: dense towards both ends, without 0.
+_CHECKED = (1 - np.cos(PI * np.arange(1, 97) / 96)) / 2
+# Parts of each subdivision of an interval that holds an event, and most subdivisions: enough for one unit in the last
+# place.
+_PARTS, _SUBDIVISIONS = 32, 14
+# If the least value is below this part of the largest, a dip below zero may hide between two checked places.
 _DIP = 0.05
 
 _OPERATIONS: Final[dict[int, Callable[..., Wide]]] = {
@@ -65,21 +68,30 @@ _OPERATIONS: Final[dict[int, Callable[..., Wide]]] = {
 
 
 WideGraph: TypeAlias = Callable[..., list[Wide]]
-"""Takes for each argument its elements, numbers or arrays over places; returns each result, a row for each element."""
+"""Function with one sequence of elements for each argument, each a number or an array over places.
+
+It returns an array for each result, with a row for each element and a column for each place.
+"""
 
 
 def in_wide_floats(arguments: Sequence[ca.SX], results: Sequence[Any]) -> WideGraph:
-    """Return a graph of scalars as a function that computes in the widest floats.
+    """Return a CasADi graph of scalars as a function that computes in the widest floats.
+
+    Args:
+        arguments: symbols.
+        results: expressions of the symbols.
 
     Raises:
-        InputError: an operation that has no counterpart here, such as a table's.
+        InputError: the graph has an operation without a counterpart here, such as the lookup in a table.
     """
     graph = ca.Function("graph", list(arguments), [ca.densify(ca.SX(result)) for result in results])
     steps = []
     for k in range(graph.n_instructions()):
         kind = graph.instruction_id(k)
         if kind not in _OPERATIONS and kind not in (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT):
-            raise InputError("an own effect holds a function that cannot compute in wide floats")
+            raise InputError(
+                "an effect of your own uses a function that cannot compute in wide floats, such as a table"
+            )
         constant = WIDE(graph.instruction_constant(k)) if kind == ca.OP_CONST else None
         steps.append((kind, graph.instruction_input(k), graph.instruction_output(k), constant))
     rows = [graph.nnz_out(k) for k in range(graph.n_out())]
@@ -105,10 +117,10 @@ def in_wide_floats(arguments: Sequence[ca.SX], results: Sequence[Any]) -> WideGr
 
 @lru_cache(maxsize=8)
 def gauss(count: int) -> tuple[Wide, Wide]:
-    """Return Gauss-Legendre nodes on [-1, 1] and weights, NumPy's sharpened by Newton's method."""
+    """Return Gauss-Legendre nodes on [-1, 1] and weights: NumPy's, refined by Newton's method."""
     x: Wide = np.polynomial.legendre.leggauss(count)[0].astype(WIDE)
     for _ in range(3):
-        # NumPy's own evaluation of the polynomial rounds its factors to doubles.
+        # NumPy's evaluation of the polynomial rounds its factors to doubles.
         before, now = np.ones_like(x), x
         for k in range(2, count + 1):
             before, now = now, ((2 * k - 1) * x * now - (k - 1) * before) / k
@@ -119,10 +131,10 @@ def gauss(count: int) -> tuple[Wide, Wide]:
 
 @dataclass(frozen=True)
 class Basis:
-    """Chebyshev nodes of a degree on [-1, 1], both ends included, and what belongs to them.
+    """Chebyshev nodes of a degree on [-1, 1], with matrices for values at the nodes.
 
     Attributes:
-        nodes: from -1 to 1.
+        nodes: nodes from -1 to 1, both ends included.
         coefficients: matrix from values at the nodes to Chebyshev coefficients.
         integral: matrix from values at the nodes to integrals from -1 to each node.
     """
@@ -145,13 +157,14 @@ class Basis:
 
 @dataclass(frozen=True)
 class Step:
-    """Solution of a step: polynomials over the time from its start.
+    """Solution of a step: Chebyshev polynomials over time.
 
     Attributes:
-        start: time [s].
-        size: length [s].
-        coefficients: of Chebyshev's polynomials, a row for each state.
-        used: part of the second state's coefficients that are above rounding; 1 where all but the last are.
+        start: start of the step [s].
+        size: length of the step [s].
+        coefficients: Chebyshev coefficients, a row for each state.
+        used: number of the second state's coefficients above rounding, divided by the degree; 1 if only the last is
+            not.
     """
 
     start: Wide
@@ -166,19 +179,19 @@ class Step:
 
 
 def step(degree: int, start: Wide, size: Wide, first: Wide, rates: Rates, scales: Wide) -> Step | None:
-    """Return the solution of one step, or None where the step is too long for the degree.
+    """Return the solution of one step, or None if the step is too long for the degree.
 
     Args:
-        degree: of the polynomials.
-        start: of the step [s].
-        size: of the step [s].
+        degree: degree of the polynomials.
+        start: start of the step [s].
+        size: length of the step [s].
         first: states at the start; the second is the rate of the first.
-        rates: of the states.
+        rates: rates of the states.
         scales: sizes of the first two states, to which rounding is relative.
     """
     basis = Basis.of(degree)
     times = start + size * (basis.nodes + 1) / 2
-    # A step that is too long diverges, which is one way to find that out.
+    # A step that is too long may overflow before its divergence is detected.
     with np.errstate(over="ignore", invalid="ignore"):
         states = _solved(size / 2 * basis.integral, times, first, rates, scales)
     if states is None:
@@ -191,17 +204,17 @@ def step(degree: int, start: Wide, size: Wide, first: Wide, rates: Rates, scales
 
 
 def _solved(integral: Wide, times: Wide, first: Wide, rates: Rates, scales: Wide) -> Wide | None:
-    """Return the states at the nodes; None where the iteration does not converge."""
+    """Return the states at the nodes by Picard iteration, or None if it does not converge."""
     states = first[:, None] + np.zeros(len(times), WIDE)
     states[0] += first[1] * (times - times[0])
     last = np.inf
-    for _ in range(_MOST_SWEEPS):
+    for _ in range(_MOST_ITERATIONS):
         new = first[:, None] + rates(times, states) @ integral.T
         new[0] = first[0] + integral @ new[1]
         sizes = np.maximum(scales, np.max(np.abs(new[:2]), axis=1))
         moved = float(np.max(np.max(np.abs(new - states)[:2], axis=1) / sizes) / EPS)
         states = new
-        if not moved < _LOST:
+        if not moved < _DIVERGED:
             return None
         if moved <= _CONVERGED or (moved < _STALLED and moved >= last):
             return states
@@ -213,11 +226,11 @@ def first_end(function: Callable[[Wide], Wide], start: Wide, size: Wide) -> Wide
     """Return the first time in a step after which a smooth function is negative, or None.
 
     Args:
-        function: of an array of times; positive, or zero, at the start.
-        start: of the step [s].
-        size: of the step [s].
+        function: function of an array of times; positive or zero at the start.
+        start: start of the step [s].
+        size: length of the step [s].
     """
-    times = start + size * _LOOKS
+    times = start + size * _CHECKED
     values = function(times)
     largest = np.max(np.abs(values))
     zero = _ROUNDING * EPS * largest
@@ -236,9 +249,9 @@ def first_end(function: Callable[[Wide], Wide], start: Wide, size: Wide) -> Wide
 
 
 def _crossing(function: Callable[[Wide], Wide], low: Wide, high: Wide) -> Wide:
-    """Return where a function that is positive at low and negative at high is zero."""
+    """Return the zero of a function that is positive at low and negative at high."""
     low, high = _narrowed(function, low, high, _change)
-    # A last chord takes the place of the halving that rounding of the time no longer allows.
+    # Rounding of the time allows no further subdivision, so end with a chord.
     one, other = function(np.array([low, high]))
     return low + (high - low) * one / (one - other) if one > other else high
 
@@ -246,8 +259,15 @@ def _crossing(function: Callable[[Wide], Wide], low: Wide, high: Wide) -> Wide:
 def _narrowed(
     function: Callable[[Wide], Wide], low: Wide, high: Wide, choose: Callable[[Wide], tuple[int, int]]
 ) -> tuple[Wide, Wide]:
-    """Return the ends of an interval after cutting it again and again to the part that is chosen by its values."""
-    for _ in range(_CUTS):
+    """Return the ends of an interval after repeated subdivision, of which one part is kept each time.
+
+    Args:
+        function: function of an array of times.
+        low: start of the interval.
+        high: end of the interval.
+        choose: values at the ends of all parts -> places of the two ends to keep.
+    """
+    for _ in range(_SUBDIVISIONS):
         times = low + (high - low) * np.arange(_PARTS + 1) / WIDE(_PARTS)
         first, last = choose(function(times))
         low, high = times[first], times[last]

@@ -6,7 +6,15 @@ import itertools
 import pytest
 
 from plough_opt.studies.accuracy import contest
-from plough_opt.studies.accuracy.contest import Entry, Track, cheapest, efficient, measured, median_time, rungs_of
+from plough_opt.studies.accuracy.contest import (
+    Contestant,
+    Entry,
+    cheapest,
+    efficient,
+    measured,
+    median_time,
+    step_counts,
+)
 from plough_opt.studies.accuracy.methods import FACTORS, Task
 
 
@@ -77,11 +85,11 @@ def clocked(method, counts, order, *, factor=1.0, fixed=False):
         tried.append(steps)
         return (lambda: (method, steps)), lambda: {"error": 0.5 * factor * (40.0 / steps) ** order}
 
-    rungs, shown = rungs_of(40, counts)
+    rungs, shown = step_counts(40, counts)
     label = "{} steps".format
     if fixed:
         rungs, shown = [rungs[place] for place in shown], None
-    return Track("family", method, prepare, lambda found: found, rungs, shown, label), tried
+    return Contestant("family", method, prepare, lambda found: found, rungs, shown, label), tried
 
 
 class TestTracks:
@@ -117,7 +125,7 @@ class TestTracks:
         found = []
         for factors in (FACTORS, (0.125, 0.5, 2.0, 4.0)):
             track, _ = clocked("fast", factors, 4)
-            lucky = dict(zip(track.rungs, itertools.cycle((1.0, 1.0, 1e-2, 1.0, 1.0)), strict=False))
+            lucky = dict(zip(track.settings, itertools.cycle((1.0, 1.0, 1e-2, 1.0, 1.0)), strict=False))
             uneven = dataclasses.replace(
                 track, prepare=lambda steps, lucky=lucky: (lambda: ("fast", steps),
                                              lambda: {"error": lucky[steps] * 0.5 * (40.0 / steps) ** 4})
@@ -128,8 +136,8 @@ class TestTracks:
     def test_what_is_too_slow_is_not_narrowed_down(self):
         (fast, of_fast), (slower, of_slower) = clocked("fast", (0.5, 1, 2, 4), 8), clocked("slower", (0.5, 1, 2, 4), 8)
         measured([fast, slower], "error", 1e-2, 1e3)
-        assert len(of_fast) > len(fast.shown)
-        assert len(of_slower) == len(slower.shown)
+        assert len(of_fast) > len(fast.always)
+        assert len(of_slower) == len(slower.always)
 
     def test_what_may_still_win_is(self):
         # Its coarsest setting that is tried in any case is slower, and far too exact.
@@ -196,7 +204,7 @@ class TestTracks:
         assert [entry.seconds for entry in entries] == pytest.approx([1e-4, 2e-4], rel=0.05)
 
     def test_rungs_lie_a_tenth_apart_and_hold_the_multiples(self):
-        rungs, shown = rungs_of(1000, FACTORS)
+        rungs, shown = step_counts(1000, FACTORS)
         assert [rungs[place] for place in shown] == [125, 250, 500, 1000, 2000, 4000]
         assert all(finer / coarser <= 1.1 for coarser, finer in itertools.pairwise(rungs) if coarser >= 40)
-        assert all(count % 40 == 0 for count in rungs_of(1000, FACTORS, unit=40)[0])
+        assert all(count % 40 == 0 for count in step_counts(1000, FACTORS, unit=40)[0])

@@ -321,7 +321,7 @@ def test_a_share_that_runs_away_has_none():
 def test_events_that_follow_each_other_without_end_are_an_error(monkeypatch):
     share, duration = PRECISE["stick and slip"]
     monkeypatch.setattr(Motion, "next_event", lambda _self, _state, done, _end: (done.start, 0))
-    with pytest.raises(po.IntegrationError, match=r"hangs at t = 0 s: events .* without end"):
+    with pytest.raises(po.IntegrationError, match="hangs at t = 0 s"):
         reference_run(share, duration)
 
 

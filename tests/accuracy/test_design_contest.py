@@ -150,7 +150,7 @@ def test_a_repetition_that_takes_too_long_leaves_the_first_time(bowl, monkeypatc
 def test_an_optimum_elsewhere_is_told_and_measured_by_itself(monkeypatch):
     monkeypatch.setattr(compiler, "find_compiler", lambda: None)
     # Two wells on either side of the middle: contestants start in the one that is not the reference's.
-    monkeypatch.setattr(optimum, "_BESIDE", 0.4)
+    monkeypatch.setattr(optimum, "_NEAR_START", 0.4)
     d = po.Design()
     x = d.variable("x", guess=-0.4, lower=-1.0, upper=1.0)
     d.minimise((x**2 - 0.16) ** 2 - 0.02 * x)
@@ -224,7 +224,7 @@ def test_an_orbit_is_solved_by_harmonics_and_by_shooting(r1_soil, r1_wave, monke
     assert all(entry.failure is None and entry.errors[REPORTED] < 1e-8 for entry in ways)
     assert "harmonics" in ways[1].setting
     refused = {entry.method: entry.failure for entry in entries_of(contest, "integrator") if entry.failure}
-    assert refused["cvodes"] == "finds no lasting orbit"
+    assert refused["cvodes"] == "cannot find a periodic orbit"
     assert all("Newton's method" in entry.failure for entry in entries_of(contest, "compiled"))
 
 
@@ -237,10 +237,10 @@ def test_a_share_that_sticks_is_solved_by_what_finds_events(r1_soil, r1_wave, mo
     assert found == {"erk", "rosenbrock"}
     refused = {entry.method: entry.failure for entry in entries_of(contest, "integrator") if entry.failure}
     assert set(refused) == {"dop853", "rk", "collocation", "cvodes"}
-    assert all(reason.startswith("finds no events") for reason in refused.values())
+    assert all(reason.startswith("cannot locate events") for reason in refused.values())
     meshes = [entry for entry in entries_of(contest, "transcription") if entry.method != "single shooting"]
     assert meshes
-    assert all("events is only shot as a whole" in entry.failure for entry in meshes)
+    assert all("events cannot be put on a mesh" in entry.failure for entry in meshes)
     assert entries_of(contest, "derivatives", "L-BFGS")[0].failure is None
     (single,) = entries_of(contest, "transcription", "single shooting")
     assert single.setting == "erk, tolerance 1e-10"

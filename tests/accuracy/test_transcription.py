@@ -186,5 +186,5 @@ def test_a_run_with_events_is_shot_as_a_whole_only(r1_soil, r1_wave):
     d.minimise(po.simulate(po.Scene(r1_soil, share, k0, 25.0, 2.0, effects), 0.2).mean_draft / 1e3)
     question = question_of(d)
     for form in (shots(4, 5), collocation(4, 3)):
-        with pytest.raises(InputError, match="events is only shot as a whole"):
+        with pytest.raises(InputError, match="events cannot be put on a mesh"):
             transcribe(question, form)

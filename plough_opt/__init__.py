@@ -1,7 +1,7 @@
 """plough_opt: design of subsoiler ploughshares by optimisation with exact derivatives.
 
-SI units and radians throughout. Every physical function takes floats, NumPy arrays where that makes
-sense, or CasADi expressions, and returns the like.
+Units are SI and angles are in radians. Every physical function accepts floats, CasADi expressions and, where that makes
+sense, NumPy arrays, and returns a result of the same type.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -68,7 +68,7 @@ if TYPE_CHECKING:
     from plough_opt.studies.tradeoff import Goal, TradeOff, trade_off
     from plough_opt.studies.uncertainty import Robust, SoilDistribution
 
-# What only files, pictures and batches need is imported when it is first used: pint, pydantic and matplotlib are slow.
+# Names that need pint, pydantic, scipy or matplotlib are imported on first use, because those libraries load slowly.
 _NAMES_LATER = {
     "plough_opt.motion.batch": ("Batch", "BatchResult"),
     "plough_opt.studies.accuracy.result": ("AccuracyStudy",),
@@ -102,7 +102,7 @@ _MODULES_LATER = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import a name of ``_LATER``, or a module, on first use."""
+    """Return a name of ``_LATER`` or a module, imported on first use."""
     import importlib
 
     if name == "__version__":
@@ -117,7 +117,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return the names of the package, those that are imported on first use among them."""
+    """Return the names in the package, including those imported on first use."""
     return sorted({*globals(), *_LATER, *_MODULES_LATER, "__version__"})
 
 

@@ -1,6 +1,6 @@
-"""Scenes for other tools: C, a serialised CasADi Function, OpenMDAO, and an FMU; and shares as parts.
+"""Exports to other tools: scenes as C code, CasADi Functions, OpenMDAO components and FMUs, and shares as solids.
 
-OpenMDAO is imported when its names are used.
+OpenMDAO is imported on first use.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,7 @@ __all__ = ["PloughComponent", "write_c", "write_casadi", "write_fmu", "write_ope
 
 
 def __getattr__(name: str) -> Any:
-    """Import what needs OpenMDAO on first use."""
+    """Return a name that needs OpenMDAO, imported on first use."""
     if name not in __all__:
         raise AttributeError(f"module 'plough_opt.export' has no attribute '{name}'")
     from plough_opt.exchange.export import openmdao

@@ -1,4 +1,4 @@
-"""Mathematics of numbers, arrays and CasADi expressions alike, for effects and objectives of one's own."""
+"""Mathematical functions of numbers, arrays and CasADi expressions, for your own effects and objectives."""
 
 from plough_opt.core.expressions import (
     Expression,

@@ -117,7 +117,7 @@ def test_resistance_law(workshop, capsys):
     workshop("A resistance law")
     script, command = use("A resistance law", capsys)
     assert "a fit per width and depth: fitted from 1 to 3 m/s" in script
-    assert "says nothing of soil that moves with the share" in script
+    assert "does not include soil that moves with the share" in script
     assert "law of resistance" in command or "share.height" in command
     table = "scene.medium={law='per_width', width='12 cm'}"
     assert main(["simulate", "tine.toml", "--set", table]) == 0

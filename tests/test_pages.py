@@ -70,7 +70,7 @@ PAGES = {
     "calibration": Page(
         ("soil.cohesion", "What to measure next"), {"out/residuals.png": 10_000, "out/fit.json": 1_000}
     ),
-    "crosscheck": Page(("McKyes-Ali says nothing of soil that moves with the share",), {"out/drafts.png": 10_000}),
+    "crosscheck": Page(("McKyes-Ali does not include soil that moves with the share",), {"out/drafts.png": 10_000}),
     "embedding": Page(
         # OpenMDAO at the global optimum of R1, and CasADi's Jacobian.
         ("share.height [m] 0.2 to 0.3, value 0.25", "True [0.82500571] [39.1146985", "jac_share")

@@ -106,7 +106,7 @@ def test_a_switch_is_on_or_off(name, value):
 
 @pytest.mark.parametrize("call", [po.resistance_coefficients, po.soil_reaction, po.added_mass, po.loosened_radius])
 def test_forces_are_those_of_a_cone_in_a_soil(call):
-    with pytest.raises(po.InputError, match=r"must be a Cone: take its equivalent_cone\(\)"):
+    with pytest.raises(po.InputError, match=r"must be a Cone: use its equivalent_cone\(\)"):
         call(po.Wedge(0.5, 0.2, 0.25), SOIL)
     with pytest.raises(po.InputError, match=r"the cone = 0\.3 must be a Cone$"):
         call(0.3, SOIL)

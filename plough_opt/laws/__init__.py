@@ -1,4 +1,4 @@
-"""Resistance laws: the plastic gas and others, all instances of one Protocol, by name in `LAWS`."""
+"""Resistance laws: the plastic gas and others, all implementations of one Protocol; `LAWS` lists them by name."""
 
 from plough_opt.laws.asabe import AsabeD497
 from plough_opt.laws.cones import ElasticMedium, SphericalCavity

@@ -1,4 +1,4 @@
-"""Draft of a subsoiler by ASABE D497, from depth, speed and soil texture."""
+"""Draft of a subsoiler by ASABE D497 from depth, speed and soil texture."""
 
 from dataclasses import dataclass, field
 from typing import Final
@@ -8,23 +8,23 @@ from plough_opt.core.expressions import Expression
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
 
 POINTS: Final = {"narrow": (226.0, 0.0, 1.8), "winged": (294.0, 0.0, 2.4)}
-"""Point -> A, B, C of D497's subsoiler rows, for N, km/h and cm; winged: 30 cm wide. Not verified."""
+"""Point -> A, B, C of D497's subsoiler rows, for N, km/h and cm; a winged point is 30 cm wide. Not verified."""
 
 TEXTURES: Final = {"fine": 1.0, "medium": 0.70, "coarse": 0.45}
-"""Soil texture -> factor F: clay, loam, sand. Not verified."""
+"""Soil texture (clay, loam, sand) -> factor F. Not verified."""
 
 _KM_PER_H, _CM = 3.6, 100.0
 
 
 @dataclass(frozen=True)
 class AsabeD497(ResistanceLaw):
-    """`asabe_draft` as a law: F0 and Fd by depth and texture, whatever the soil's properties and the share's angle.
+    """`asabe_draft` as a law: F0 and Fd depend on depth and texture, but not on soil properties or the share's angles.
 
     Args:
         texture: ``"fine"`` (clay), ``"medium"`` (loam) or ``"coarse"`` (sand).
         point: ``"narrow"`` or ``"winged"``.
-        shanks: their number.
-        depth: of tillage [m]; None: the share's height.
+        shanks: number of shanks.
+        depth: tillage depth [m]; default: the share's height.
     """
 
     texture: str = "medium"
@@ -38,7 +38,7 @@ class AsabeD497(ResistanceLaw):
     band = 0.5
 
     def reaction(self, at: ShareInSoil) -> SoilReaction:
-        """Return F0 [N] and Fd [N s^2/m^2]: the subsoiler's rows hold no term with the speed itself."""
+        """Return F0 [N] and Fd [N s^2/m^2]; the subsoiler's rows do not have a term linear in the speed."""
         depth = at.share.height if self.depth is None else self.depth
         static = asabe_draft(depth, 0.0, self.texture, point=self.point, shanks=self.shanks)
         check_domain("speed", at.speed, "m/s", at_least=0.0)
@@ -50,22 +50,22 @@ class AsabeD497(ResistanceLaw):
 def asabe_draft(
     depth: Expression, speed: Expression, texture: str, *, point: str = "narrow", shanks: Expression = 1.0
 ) -> Expression:
-    """Return the draft [N] F (A + B S + C S^2) N T of a subsoiler, S in km/h and T in cm.
+    """Return the draft [N] F (A + B S + C S^2) N T of a subsoiler, with S in km/h and T in cm.
 
-    Source: ASABE D497.7. The form and its units agree with a published worked example of a chisel plough; the
-    coefficients of the subsoiler's rows are not verified against the standard's text. Tool width, rake angle, density
-    and strength of the soil do not enter.
+    Source: ASABE D497.7. The form and its units agree with a published worked example for a chisel plough. The
+    coefficients of the subsoiler's rows are not verified against the standard's text. The draft does not depend on tool
+    width, rake angle, or the soil's density and strength.
 
     Args:
-        depth: T of tillage [m], above 0.
+        depth: tillage depth T [m], above 0.
         speed: S [m/s], at least 0.
         texture: ``"fine"`` (clay), ``"medium"`` (loam) or ``"coarse"`` (sand).
         point: ``"narrow"`` or ``"winged"``.
-        shanks: their number N.
+        shanks: number N of shanks.
 
     Raises:
-        InputError: an unknown texture or point.
-        DomainError: a depth, speed or number of shanks outside its domain.
+        InputError: the texture or the point is unknown.
+        DomainError: depth, speed or number of shanks lies outside its domain.
     """
     check_named("no soil texture of D497 is named {}", texture, TEXTURES)
     check_named("no subsoiler point of D497 is named {}", point, POINTS)
@@ -78,7 +78,15 @@ def asabe_draft(
 def draft_of_row(
     row: tuple[float, float, float], texture: float, depth: Expression, speed: Expression, size: Expression
 ) -> Expression:
-    """Return the draft [N] of any row of D497: coefficients, texture factor, depth [m], speed [m/s], width or tools."""
+    """Return the draft [N] for any row of D497.
+
+    Args:
+        row: A, B and C.
+        texture: factor F.
+        depth: tillage depth [m].
+        speed: [m/s].
+        size: width or number of tools, as the row requires.
+    """
     a, b, c = row
     s = _KM_PER_H * speed
     return texture * (a + b * s + c * s**2) * size * (_CM * depth)

@@ -1,4 +1,4 @@
-"""Other laws of the equivalent cone: the linear elastic medium, and the spherical cavity after Forrestal and Luk."""
+"""Other laws for the equivalent cone: the linear elastic medium, and the spherical cavity after Forrestal and Luk."""
 
 import math
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from plough_opt.soil.soil import Soil, check_soil
 class ElasticMedium(ResistanceLaw):
     """Linear elastic soil around the equivalent cone: `po.elastic.cone_force`, an order of magnitude.
 
-    Holds below the shear wave's speed, for soil with Young's modulus and Poisson's ratio.
+    It holds below the shear wave speed, for soil with Young's modulus and Poisson's ratio.
     """
 
     label = "the elastic medium"
@@ -29,7 +29,7 @@ class ElasticMedium(ResistanceLaw):
         "cone_index": "has no strength",
         "entry": "is solved for steady sliding only",
         "uncertain": "has no strength",
-        # The force is gauge; the pressure only keeps the contact.
+        # The force follows from the gauge pressure; ambient pressure only maintains contact.
         "ambient_pressure": "is computed in gauge pressure",
     }
     scalar = False
@@ -40,20 +40,20 @@ class ElasticMedium(ResistanceLaw):
         return SoilReaction(static=cone_force(at.cone, at.soil, at.speed))
 
     def check(self, at: ShareInSoil) -> None:
-        """Leave the domain to designs, which limit the speed by a requirement."""
+        """Check nothing: designs limit the speed by a requirement."""
 
     def warnings(self, at: ShareInSoil) -> tuple[str, ...]:
-        """Return that the force is an order of magnitude."""
+        """Return a warning that the force is an order of magnitude, and those of the base class."""
         return (
             "the elastic medium's force on a cone is an order of magnitude: strains on its face are of order one,"
-            " and its dependence on the speed is not to be trusted",
+            " and its dependence on speed is not reliable",
             *super().warnings(at),
         )
 
 
 @dataclass(frozen=True)
 class SphericalCavity(ResistanceLaw):
-    """`spherical_cavity_draft` as a law: F0 and Fd on the equivalent cone, without added mass and loosened radius."""
+    """`spherical_cavity_draft` as a law: F0 and Fd of the equivalent cone, without added mass and loosened radius."""
 
     label = "the spherical cavity (Forrestal-Luk)"
     source = "M. J. Forrestal and V. K. Luk, Int. J. Impact Engineering 12 (1992) 427-444"
@@ -69,12 +69,12 @@ class SphericalCavity(ResistanceLaw):
 
 @dataclass(frozen=True)
 class CavityPressure:
-    """Gauge pressure sigma - p_a = static + inertia rho0 V^2 on the wall of a cavity that grows at V.
+    """Gauge pressure sigma - p_a = static + inertia rho0 V^2 on the wall of a cavity whose radius grows at speed V.
 
     Attributes:
         static: tau0 A [Pa].
         inertia: B [-].
-        front_speed: speed of that front over V, measured in the soil at rest [-].
+        front_speed: speed of the compaction front relative to the undisturbed soil, over V [-].
     """
 
     static: Expression
@@ -83,15 +83,15 @@ class CavityPressure:
 
 
 def spherical_cavity(soil: Soil) -> CavityPressure:
-    """Return the pressure's coefficients for a spherical cavity that grows steadily from nothing.
+    """Return the pressure coefficients of a spherical cavity that grows steadily from radius 0.
 
-    Soil locks at rho1 behind the front and obeys sigma_r - sigma_t = lambda p + tau0 with Mohr and Coulomb's
-    lambda = 6 sin(theta)/(3 - sin(theta)) and tau0 = 6 k cos(theta)/(3 - sin(theta)) + lambda p_a. Ahead of the front
-    it is elastic and incompressible, with Young's modulus, or rigid where the soil has none. Source: form of Forrestal
-    and Luk 1992, derived anew; terms of the order of eta tau0/E differ from theirs.
+    Behind the front the soil locks at rho1 and satisfies sigma_r - sigma_t = lambda p + tau0, with the Mohr-Coulomb
+    values lambda = 6 sin(theta)/(3 - sin(theta)) and tau0 = 6 k cos(theta)/(3 - sin(theta)) + lambda p_a. Ahead of the
+    front it is incompressible: elastic if Young's modulus is given, else rigid. Source: the form of Forrestal and Luk
+    1992, derived anew; terms of the order of eta tau0/E differ from theirs.
 
     Raises:
-        DomainError: tau0/2E above 0.05, beyond small strains.
+        DomainError: tau0/2E exceeds 0.05, so that strains are not small.
     """
     check_soil(soil)
     s, eta = sin(soil.friction_angle), 1.0 - soil.density_ratio
@@ -107,7 +107,7 @@ def spherical_cavity(soil: Soil) -> CavityPressure:
     g = cube ** (1.0 / 3.0)
     x = (1.0 + strain) / g
     grown = x ** (2.0 * alpha)
-    # Momentum through the front, and the inertia of the elastic soil ahead of it.
+    # Momentum balance across the front, and inertia of the elastic soil ahead of it.
     jump = g / (1.0 + strain) ** 2 + 3.0 * strain / g**2
     behind = 2.0 / soil.density_ratio * (_power(x, 2.0 * alpha - 1.0) - _power(x, 2.0 * alpha - 4.0))
     return CavityPressure(
@@ -125,19 +125,20 @@ def spherical_cavity_draft(cone: Cone, soil: Soil, speed: Expression) -> Express
 
     Args:
         cone: the share's equivalent cone.
-        soil: its ambient pressure counts; the force is that of the gauge pressure.
+        soil: the soil; its ambient pressure matters, although the force is that of the gauge pressure.
         speed: V [m/s], at least 0.
 
     Raises:
-        InputError: no cone.
-        DomainError: a negative speed, large elastic strains, or a front as fast as elastic waves sqrt(E/rho0).
+        InputError: the cone is not a Cone.
+        DomainError: the speed is negative, elastic strains are large, or the front is as fast as elastic waves,
+            sqrt(E/rho0).
     """
     found = _reaction(cone, soil, speed)
     return found.static + found.drag * speed**2
 
 
 def _reaction(cone: Cone, soil: Soil, speed: Expression) -> SoilReaction:
-    """Return the draft's part at rest, and what the squared speed multiplies; the speed is checked only."""
+    """Return static draft and coefficient of the squared speed; the speed itself is only checked."""
     check_cone(cone)
     check_domain("speed", speed, "m/s", at_least=0.0)
     cavity = spherical_cavity(soil)
@@ -147,7 +148,7 @@ def _reaction(cone: Cone, soil: Soil, speed: Expression) -> SoilReaction:
             "speed of the compaction front over sqrt(E/rho0)",
             cavity.front_speed * speed * along / sqrt(soil.youngs_modulus / soil.density),
             below=1.0,
-            why="the soil ahead would feel no elastic wave",
+            why="elastic waves must run ahead of the front",
         )
     slope = tan(cone.half_angle)
     face = math.pi * cone.height**2 * slope * (slope + soil.tool_friction)

@@ -1,4 +1,4 @@
-"""Resistance of the plastic gas to a moving share: equations (24)-(26), each with the factor pi once, and as a law."""
+"""Resistance of the plastic gas to a moving share: equations (24)-(26) with the factor pi only once, and as a law."""
 
 import math
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.plastic import Cavity, WallPressure, front_radius, wall_pressure
 from plough_opt.soil.soil import CONE_HALF_ANGLE, Soil, check_soil
 
-# Height [m] of a penetrometer's standard cone with a base of 323 mm^2; it counts in a soil with a density profile only.
+# Height [m] of a penetrometer's standard cone, whose base is 323 mm^2; it matters only with a density profile.
 _STANDARD_HEIGHT = math.sqrt(323e-6 / math.pi) / math.tan(CONE_HALF_ANGLE)
 
 
@@ -39,20 +39,20 @@ class ResistanceCoefficients:
 
 @checked_in_designs
 def resistance_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
-    """Return A [Pa], B and C of equation (26); C with the factor 2/3 that the integral (24) gives.
+    """Return A [Pa], B and C of equation (26); C has the factor 2/3 that the integral (24) gives.
 
     A is multiplied by the soil's measured strength factor.
 
-    Holds for a slender cone (half angle up to some 20 degrees, hypothesis of plane sections) wholly in the soil.
+    They hold for a slender cone (half angle up to some 20 degrees, hypothesis of plane sections) entirely in the soil.
 
     Args:
         cone: the share's equivalent cone.
-        soil: the soil. Numbers of both may be floats, arrays or CasADi expressions; of a density profile single
-            numbers or expressions, and the coefficients are then quadratures over the cone's height too.
+        soil: the soil. Numbers in cone and soil may be floats, arrays or CasADi expressions. With a density profile
+            arrays are not possible, and the coefficients are quadratures over the cone's height too.
 
     Raises:
-        InputError: no cone or no soil, or arrays with a density profile.
-        DomainError: a density profile without a compaction front.
+        InputError: cone or soil has the wrong type, or there are arrays beside a density profile.
+        DomainError: the density profile has no compaction front.
 
     Example:
         >>> import plough_opt as po
@@ -70,25 +70,21 @@ def resistance_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
 
 
 def check_cone(cone: Cone) -> None:
-    """Refuse something else in the place of the cone.
-
-    Raises:
-        InputError: a wedge, whose forces are those of its equivalent cone, or anything else.
-    """
+    """Raise InputError if the cone has the wrong type; for a wedge the message points to its equivalent cone."""
     if not isinstance(cone, Cone):
-        remedy = ": take its equivalent_cone()" if isinstance(cone, Wedge) else ""
+        remedy = ": use its equivalent_cone()" if isinstance(cone, Wedge) else ""
         raise InputError(f"the cone = {shown(cone)} must be a Cone{remedy}")
 
 
 def _mean_wall_pressure(cone: Cone, soil: Soil) -> WallPressure:
-    """Return the wall pressure's coefficients, of a density profile their means over the cone's face.
+    """Return the wall pressure coefficients; with a density profile, their means over the cone's face.
 
-    Strength and rate are weighted with x, the inertia with x^2, as they are in the integral (24).
+    Strength and rate are weighted with x and the inertia with x^2, as in the integral (24).
     """
     profile = soil.density_profile
     if profile is None:
         return wall_pressure(soil)
-    # The nodes are a column of their own, which an array would meet element by element.
+    # The nodes form a column, which would combine element by element with an array.
     check_single("the resistance of a soil with a density profile", (cone, soil))
     nodes, weights = (np.array(values) for values in gauss_legendre(profile.order))
     shares = column(nodes, holds_casadi((cone, soil)))
@@ -108,8 +104,8 @@ def _dot(weights: NDArray[np.float64], values: Column) -> Expression:
 def soil_reaction(cone: Cone, soil: Soil) -> SoilReaction:
     """Return F0 [N], Fd [N s^2/m^2] and the added mass [kg] of equations (25)-(27).
 
-    (1 + mu0 cot(beta)) tan^2(beta) is taken as tan(beta) (tan(beta) + mu0), so nothing is singular for a
-    slender cone. Domain, arguments and errors are those of `resistance_coefficients`.
+    (1 + mu0 cot(beta)) tan^2(beta) is computed as tan(beta) (tan(beta) + mu0), which is regular for a slender cone.
+    Domain, arguments and errors are those of `resistance_coefficients`.
 
     Example:
         >>> import plough_opt as po
@@ -131,16 +127,16 @@ def soil_reaction(cone: Cone, soil: Soil) -> SoilReaction:
 
 @checked_in_designs
 def resistance(cone: Cone, soil: Soil, speed: Expression, acceleration: Expression) -> Expression:
-    """Return the total resistance F [N] of equation (25), friction on the face included.
+    """Return the total resistance F [N] of equation (25), including friction on the face.
 
     Args:
         cone: the share's equivalent cone.
-        soil: the soil; its ambient pressure counts, F is the force of the gauge pressure p - p_a.
-        speed: L' of the share [m/s], at least 0.
-        acceleration: L'' [m/s^2].
+        soil: the soil; its ambient pressure matters, although F is the force of the gauge pressure p - p_a.
+        speed: speed L' of the share [m/s], at least 0.
+        acceleration: acceleration L'' [m/s^2].
 
     Raises:
-        DomainError: a speed below 0, which the plastic gas does not follow, or a number that is not finite.
+        DomainError: the speed is negative, or a number is not finite.
         InputError: as `resistance_coefficients`.
 
     Example:
@@ -150,7 +146,7 @@ def resistance(cone: Cone, soil: Soil, speed: Expression, acceleration: Expressi
         >>> bool(fast > slow)
         True
     """
-    check_domain("speed", speed, "m/s", at_least=0.0, why="the plastic gas does not follow a share that retreats")
+    check_domain("speed", speed, "m/s", at_least=0.0, why="the plastic gas does not follow a retreating share")
     check_domain("acceleration", acceleration, "m/s^2")
     f = soil_reaction(cone, soil)
     return f.static + f.drag * speed**2 + f.added_mass * acceleration
@@ -158,7 +154,7 @@ def resistance(cone: Cone, soil: Soil, speed: Expression, acceleration: Expressi
 
 @checked_in_designs
 def added_mass(cone: Cone, soil: Soil) -> Expression:
-    """Return the mass of soil that the share carries along, pi (1 + mu0 cot(beta)) C rho0 h^3 [kg], equation (26).
+    """Return the mass of soil that accelerates with the share, pi (1 + mu0 cot(beta)) C rho0 h^3 [kg], equation (26).
 
     Arguments and errors are those of `resistance_coefficients`.
 
@@ -179,11 +175,12 @@ def loosened_radius(cone: Cone, soil: Soil) -> Expression:
 
     Args:
         cone: the share's equivalent cone.
-        soil: the soil; its density ratio or density profile counts. Floats, arrays or CasADi expressions.
+        soil: the soil; only its density ratio or density profile matters. Numbers may be floats, arrays or CasADi
+            expressions.
 
     Raises:
-        InputError: no cone or no soil.
-        DomainError: a density profile without a compaction front.
+        InputError: cone or soil has the wrong type.
+        DomainError: the density profile has no compaction front.
 
     Example:
         >>> import plough_opt as po
@@ -198,22 +195,22 @@ def loosened_radius(cone: Cone, soil: Soil) -> Expression:
 
 
 def cone_index(soil: Soil) -> Expression:
-    """Return the pressure [Pa] on the base of a penetrometer's 30 degree cone in a soil.
+    """Return the cone index [Pa]: the pressure on the base of a penetrometer's 30 degree cone.
 
-    It is the static part F0/(pi h^2 tan^2 beta) of equation (25) at beta = 15 degrees,
-    (1 + mu0/tan beta) phi (nu p_a + tau0/(1 + mu)) times the soil's strength factor. At the 30 mm/s of a penetrometer
-    the inertia adds some millionths. Of a constant density ratio it does not depend on the size of the cone; in a soil
-    with a density profile it is that of a base of 323 mm^2.
+    It is the static part F0/(pi h^2 tan^2 beta) of equation (25) at beta = 15 degrees, which is
+    (1 + mu0/tan beta) phi (nu p_a + tau0/(1 + mu)) times the soil's strength factor. At a penetrometer's speed of
+    30 mm/s inertia adds a few millionths. For a constant density ratio the cone index does not depend on the cone's
+    size; with a density profile it is that of a base of 323 mm^2.
 
-    Laboratory values of cohesion, friction and density ratio give a level that is often far too low, by up to two
-    orders of magnitude in sand: see docs/soils.md, and `Soil.from_cone_index` for the way back from a reading.
+    Laboratory values of cohesion, friction and density ratio often give far too low a level, by up to two orders of
+    magnitude in sand; see docs/soils.md, and `Soil.from_cone_index` for adjusting a soil to a reading.
 
     Args:
-        soil: the soil; its properties may be floats, NumPy arrays or CasADi expressions, and the result is the like.
+        soil: the soil; its properties may be floats, NumPy arrays or CasADi expressions, and the result has their type.
 
     Raises:
-        InputError: not a soil.
-        DomainError: a density profile without a compaction front.
+        InputError: the soil has the wrong type.
+        DomainError: the density profile has no compaction front.
 
     Example:
         >>> import plough_opt as po
@@ -226,10 +223,10 @@ def cone_index(soil: Soil) -> Expression:
 
 @dataclass(frozen=True)
 class PlasticGas(ResistanceLaw):
-    """Soil that is compacted behind a front and yields: F0, Fd, added mass and loosened radius, for any motion.
+    """Soil that yields and is compacted behind a front: F0, Fd, added mass and loosened radius, for any motion.
 
-    Holds for a slender cone (half angle up to some 20 degrees, hypothesis of plane sections) wholly in the soil; no
-    working depth, free surface or shank enters.
+    It holds for a slender cone (half angle up to some 20 degrees, hypothesis of plane sections) entirely in the soil,
+    and ignores working depth, the free surface and the shank.
     """
 
     label = "the plastic gas"
@@ -245,5 +242,5 @@ class PlasticGas(ResistanceLaw):
         return loosened_radius(at.cone, at.soil)
 
     def warnings(self, at: ShareInSoil) -> tuple[str, ...]:
-        """Return what is to be said of the soil's numbers and of a blunt share."""
+        """Return warnings about the soil's properties, and about a blunt share."""
         return (*at.soil.warnings(), *super().warnings(at))

@@ -1,4 +1,4 @@
-"""Resistance laws: what a scene, and a comparison of draft models, ask of a law, whatever its physics."""
+"""The interface of resistance laws, on which scenes and comparisons of draft models rely."""
 
 import dataclasses
 import math
@@ -14,7 +14,7 @@ from plough_opt.soil.soil import Soil
 
 @dataclass(frozen=True)
 class SoilReaction:
-    """The resistance in the form that moves a share: F = static + drag L'^2 + added_mass L''.
+    """Coefficients of the resistance F = static + drag L'^2 + added_mass L''.
 
     Attributes:
         static: F0 [N].
@@ -37,10 +37,10 @@ class ShareInSoil:
     """Share, soil and speed from which a law computes a resistance.
 
     Attributes:
-        share: the share, a `Wedge` or the `Cone` that was given in its place.
+        share: the share, a `Wedge` or a `Cone`.
         cone: the cone of equal height and surface.
-        soil: the soil, without ambient pressure where a scene takes none.
-        speed: V0 of the strut [m/s].
+        soil: the soil; its ambient pressure is 0 if the scene ignores it.
+        speed: speed V0 of the strut [m/s].
 
     Example:
         >>> import plough_opt as po
@@ -59,28 +59,29 @@ STEADY: Final = dict.fromkeys(
     ("motion", "strength_wave", "random_strength", "tow_ramp", "rate_term", "own"),
     "gives the force of steady sliding only",
 )
-"""The parts that are missing in a law that is not a polynomial of the speed: see `ResistanceLaw.lacking`."""
+"""Entries of `ResistanceLaw.lacking` for a law that is not a polynomial in the speed."""
 
 
 @runtime_checkable
 class ResistanceLaw(Protocol):
-    """A law of the soil's resistance to a share, as a frozen dataclass that inherits from this class.
+    """A law of the soil's resistance to a share: a frozen dataclass that inherits from this class.
 
-    Its fields are what it needs beside share, soil and speed: numbers or expressions, or text. ``reaction`` is all that
-    a law must define; the rest says what else it gives, and in which words. A law with a name in
-    `plough_opt.laws.LAWS` can be named in problem files too.
+    Its fields hold what it needs besides share, soil and speed: numbers, expressions or strings. A law must define only
+    ``label`` and ``reaction``; the other attributes describe what else it provides. A law with a name in
+    `plough_opt.laws.LAWS` can be used in problem files too.
 
     Attributes:
-        label: its name in messages and tables.
-        source: where its equations come from.
-        standing: what of it is not verified, or where it does not hold: a clause.
-        band: part of a force by which its source lets it err either way, which a comparison shows.
-        lacking: what it does not give, and the clause that follows "which": effects that a scene then refuses
-            ("motion", "strength_wave", "random_strength", "tow_ramp", "rate_term", "own", "entry"), results that it
-            then does not have ("added_mass", "loosened_radius", "cone_index"), "ambient_pressure" (not felt), and
-            "uncertain" (soil).
-        scalar: whether a graph of scalar operations (SX) holds it; False where it contains loops or matrices.
-        slender: whether it rests on the hypothesis of plane sections.
+        label: name in messages and tables.
+        source: source of its equations.
+        standing: clause that says which parts are not verified, or where it does not hold.
+        band: fraction of a force by which it may be wrong in either direction according to its source; comparisons show
+            it.
+        lacking: things that it does not provide -> clause that follows "which". They are effects that a scene then
+            refuses ("motion", "strength_wave", "random_strength", "tow_ramp", "rate_term", "own", "entry"), results
+            that are then missing ("added_mass", "loosened_radius", "cone_index"), "ambient_pressure" (has no effect),
+            and "uncertain" (soil).
+        scalar: whether it can be part of a graph of scalar operations (SX); False if it contains loops or matrices.
+        slender: whether it relies on the hypothesis of plane sections.
 
     Example:
         >>> from dataclasses import dataclass
@@ -102,40 +103,36 @@ class ResistanceLaw(Protocol):
     standing: ClassVar[str] = ""
     band: ClassVar[float] = 0.0
     lacking: ClassVar[Mapping[str, str]] = {
-        "added_mass": "says nothing of soil that moves with the share",
-        "loosened_radius": "names no radius to which the soil is loosened",
-        "cone_index": "says nothing of a penetrometer",
-        "entry": "does not say how the resistance grows while the share enters",
-        "ambient_pressure": "does not feel it",
+        "added_mass": "does not include soil that moves with the share",
+        "loosened_radius": "does not give the radius to which soil is loosened",
+        "cone_index": "does not apply to a penetrometer",
+        "entry": "does not describe how the resistance grows while the share enters",
+        "ambient_pressure": "does not depend on it",
     }
     scalar: ClassVar[bool] = True
     slender: ClassVar[bool] = False
 
     def reaction(self, at: ShareInSoil) -> SoilReaction:
-        """Return F0 [N], Fd [N s^2/m^2] and the added mass [kg]; of a law that lacks motion F0 at the tow speed.
+        """Return F0 [N], Fd [N s^2/m^2] and the added mass [kg]; a law that lacks "motion" returns F0 at the tow speed.
 
         Raises:
-            DomainError: a number outside the law's domain.
+            DomainError: a number lies outside the law's domain.
         """
 
     def check(self, at: ShareInSoil) -> None:
-        """Refuse numbers outside the domain, but for limits that a design keeps by itself.
-
-        Raises:
-            DomainError: as said.
-        """
+        """Raise DomainError for numbers outside the domain, except at limits that a design enforces itself."""
         self.reaction(at)
 
-    def loosened_radius(self, at: ShareInSoil) -> Expression:  # noqa: ARG002 - what laws that give it need
+    def loosened_radius(self, at: ShareInSoil) -> Expression:  # noqa: ARG002 - overriding methods use the argument
         """Return the radius to which the soil is loosened at the share's base [m].
 
         Raises:
-            InputError: the law gives none.
+            InputError: the law does not give it.
         """
         raise InputError(self.refusal("loosened_radius"))
 
     def warnings(self, at: ShareInSoil) -> tuple[str, ...]:
-        """Return sentences on the law's limits that a reader of numeric results must know."""
+        """Return sentences on the law's limitations for readers of numeric results."""
         found = [f"{self.label}: {self.standing}"] if self.standing else []
         if self.lacks("added_mass") and not self.lacks("motion"):
             found.append(f"{self.label} {self.lacking['added_mass']}: the share moves with its own mass alone")
@@ -148,12 +145,17 @@ class ResistanceLaw(Protocol):
         return tuple(found)
 
     def lacks(self, what: str) -> bool:
-        """Return whether the law does not give something: see ``lacking``."""
+        """Return whether the law lacks something; see ``lacking``."""
         return what in self.lacking
 
     def refusal(self, what: str, name: str = "") -> str:
-        """Return the sentence with which something is refused that the law lacks, or a name that stands on it."""
-        remedy = "take effects = Effects(motion=False), or" if what == "motion" else "leave it out, or take"
+        """Return the message that refuses something that the law lacks.
+
+        Args:
+            what: key of ``lacking``.
+            name: name of a result that depends on it; default: the key itself.
+        """
+        remedy = "use effects = Effects(motion=False), or" if what == "motion" else "leave it out, or use"
         name = f"'{name}'" if name else what
         return f"{name} has no meaning in {self.label}, which {self.lacking[what]}: {remedy} medium = 'plastic'"
 

@@ -1,9 +1,8 @@
-"""Equations (25)-(27) as the source prints them, errors included, so that the difference can be shown.
+"""Equations (25)-(27) as the source prints them, errors included, to show the difference.
 
-Three errors of the print change what is computed: the factor pi stands in F and again in A, B and C; C has
-1/3 where the integral (24) gives 2/3; and the spring of (27), + k0 (L - V0 t), repels the share from the strut.
-The left side of (27) keeps L'': the printed L' has the wrong unit. Nothing in the toolkit needs this file
-but a scene whose formulation asks for it.
+Three printed errors change the results: the factor pi occurs in F and again in A, B and C; C has 1/3 where the integral
+(24) gives 2/3; and the spring of (27), + k0 (L - V0 t), pushes the share away from the strut. The left side of (27) is
+L'' here, because the printed L' has the wrong unit. Only scenes with such a formulation use this file.
 """
 
 import math
@@ -14,6 +13,7 @@ from plough_opt.core.checks import check_switch, shown
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.laws.law import SoilReaction
 
+# Attribute of `Printed` -> the error in words.
 _IN_WORDS = {
     "pi_twice": "the factor pi twice",
     "one_third": "1/3 for 2/3 in C",
@@ -23,18 +23,18 @@ _IN_WORDS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Printed:
-    """Which errors of the print a scene keeps; by default all, as ``formulation="printed"`` does.
+    """Selection of the printed errors that a scene keeps; by default all, as with ``formulation="printed"``.
 
-    ``Printed(pi_twice=False, one_third=False)`` keeps the repelling spring alone.
+    ``Printed(pi_twice=False, one_third=False)`` keeps only the repelling spring.
 
     Args:
-        pi_twice: pi in F (25) and again in A, B and C (26): F0, Fd and the added mass are pi times too large.
-        one_third: 1/3 in C (26) for 2/3: the added mass is half of what it should be.
-        repelling_spring: + k0 (L - V0 t) in (27): the spring's force on the share is -k0 z at the deflection
-            z = V0 t - L, and the share runs away from the strut like exp(omega t), omega = sqrt(k0/M).
+        pi_twice: pi in F (25) and again in A, B and C (26); F0, Fd and the added mass are pi times too large.
+        one_third: 1/3 in C (26) in place of 2/3; the added mass is half its true value.
+        repelling_spring: + k0 (L - V0 t) in (27); the spring's force on the share is -k0 z at the deflection
+            z = V0 t - L, and the share moves away from the strut like exp(omega t), omega = sqrt(k0/M).
 
     Raises:
-        InputError: a switch that is neither True nor False.
+        InputError: an argument is not a bool.
 
     Example:
         >>> import plough_opt as po
@@ -52,11 +52,11 @@ class Printed:
 
     @property
     def errors(self) -> tuple[str, ...]:
-        """The errors that are kept, in words; empty for the equations as derived."""
+        """Descriptions of the selected errors; empty for the equations as derived."""
         return tuple(text for name, text in _IN_WORDS.items() if getattr(self, name))
 
     def reaction(self, derived: SoilReaction) -> SoilReaction:
-        """Return what the print makes of the derived F0 [N], Fd [N s^2/m^2] and added mass [kg]."""
+        """Return F0 [N], Fd [N s^2/m^2] and added mass [kg] with the selected errors, given the derived values."""
         if not (self.pi_twice or self.one_third):
             return derived
         twice = math.pi if self.pi_twice else 1.0
@@ -68,20 +68,20 @@ class Printed:
 
 
 Formulation: TypeAlias = Literal["derived", "printed"] | Printed
-"""The equations as derived, as printed, or with some of the print's errors."""
+"""The equations as derived, as printed, or with some of the printed errors."""
 
 FORMULATIONS: Final = {
     "derived": Printed(pi_twice=False, one_third=False, repelling_spring=False),
     "printed": Printed(),
 }
-"""The formulations that have a name, and the errors of the print that each keeps."""
+"""Name of a formulation -> the printed errors that it keeps."""
 
 
 def errors_of(formulation: Formulation) -> Printed:
-    """Return which errors of the print a formulation keeps.
+    """Return the printed errors that a formulation keeps.
 
     Raises:
-        InputError: an unknown formulation; the message suggests the nearest.
+        InputError: the formulation is unknown; the message suggests the nearest.
     """
     if isinstance(formulation, Printed):
         return formulation

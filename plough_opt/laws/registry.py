@@ -1,4 +1,4 @@
-"""The laws of resistance that have a name, in problem files and as ``Scene(medium=...)``."""
+"""Resistance laws by name, for problem files and ``Scene(medium=...)``."""
 
 import dataclasses
 from functools import lru_cache
@@ -21,14 +21,14 @@ LAWS: Final[dict[str, type[ResistanceLaw]]] = {
     "swick_perumpral": SwickPerumpral,
     "spherical_cavity": SphericalCavity,
 }
-"""Name -> law, which is made without arguments where the name alone is given."""
+"""Name -> class of the law; if only the name is given, the law is created without arguments."""
 
 
 def law_of(medium: str | ResistanceLaw) -> ResistanceLaw:
-    """Return a law by its name, or as it is given.
+    """Return the law with a name, or a law itself.
 
     Raises:
-        InputError: an unknown name, or something else in the place of a law.
+        InputError: the name is unknown, or the argument is neither a name nor a law.
     """
     if isinstance(medium, str):
         check_named("no resistance law is named {}", medium, LAWS)
@@ -36,12 +36,12 @@ def law_of(medium: str | ResistanceLaw) -> ResistanceLaw:
     if isinstance(medium, type) or not (dataclasses.is_dataclass(medium) and isinstance(medium, ResistanceLaw)):
         names = ", ".join(map(repr, LAWS))
         raise InputError(
-            f"medium = {shown(medium)} must be a ResistanceLaw, as McKyesAli(depth=0.35), or one of {names}"
+            f"medium = {shown(medium)} must be a ResistanceLaw, such as McKyesAli(depth=0.35), or one of {names}"
         )
     return medium
 
 
 @lru_cache(maxsize=32)
 def _made(law: type[ResistanceLaw]) -> ResistanceLaw:
-    """Return a law without numbers of its own, which is one object for all scenes."""
+    """Return a law created without arguments; all scenes share one object."""
     return law()

@@ -1,4 +1,4 @@
-"""Draft of a tine by the wedge of soil that it shears off: McKyes and Ali, Godwin, Swick and Perumpral."""
+"""Draft of a tine from the wedge of soil that it shears off: McKyes and Ali, Godwin, Swick and Perumpral."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -21,9 +21,9 @@ from plough_opt.laws.wedge import (
 from plough_opt.soil.soil import Soil
 
 CRITICAL_RATIO: Final = 6.0
-"""Depth over width beyond which soil would fail sideways at depth; 5 to 6 is said, not verified."""
+"""Depth over width beyond which soil fails sideways at depth; reported as 5 to 6, not verified."""
 
-# Part of the depth by which the soil at the sides takes part in the inertia.
+# The inertia is that of soil in the tine's width plus this fraction of the depth.
 _REACH = 0.6
 
 
@@ -36,33 +36,34 @@ class McKyesAli(TineLaw):
     standing = "factors of the plane wedge as published; the crescents' factors not verified against the paper"
 
     def reaction(self, at: ShareInSoil) -> SoilReaction:
-        """Return F0 [N] and Fd [N s^2/m^2]: see `mckyes_ali_draft`."""
+        """Return F0 [N] and Fd [N s^2/m^2]; see `mckyes_ali_draft`."""
         return _mckyes_ali(at.soil, self.tine(at), at.speed)
 
 
 def mckyes_ali_draft(soil: Soil, tine: Tine, speed: Expression) -> Expression:
     """Return the draft [N] of a narrow tine that shears off a wedge with a crescent at each side.
 
-    H = {gamma d^2 Ng (1 + 2s/3w) + (c Nc + q Nq)(1 + s/w) d + (c_a Nca + rho v^2 Na) d} w sin(alpha + delta) + the
-    adhesion along the face; s = d sqrt(cot beta (cot beta + 2 cot alpha)); beta makes the weight's factor least.
-    Source: McKyes and Ali 1977; the crescents' factors are not verified against the paper. The crescents leave the
-    term with the squared speed alone.
+    H = {gamma d^2 Ng (1 + 2s/3w) + (c Nc + q Nq)(1 + s/w) d + (c_a Nca + rho v^2 Na) d} w sin(alpha + delta), plus the
+    adhesion along the face, with s = d sqrt(cot beta (cot beta + 2 cot alpha)); beta minimises the factor of the
+    weight. The crescents do not affect the term with the squared speed. Source: McKyes and Ali 1977; the crescents'
+    factors are not verified against the paper.
 
     Args:
-        soil: density, cohesion, friction and tool friction enter; its ambient pressure does not.
-        tine: numbers, or scalars of CasADi.
+        soil: soil whose density, cohesion, friction and tool friction are used, but not its ambient pressure.
+        tine: tine with floats or CasADi scalars.
         speed: v [m/s], from 0 to 5.
 
     Raises:
-        DomainError: outside the domain of a wedge, or a rake angle so flat and a tine so narrow that the weight's
-            factor is least at the end of the possible angles, which of MX symbols is a limit that a `Design` keeps.
+        DomainError: an argument is outside the domain of a wedge, or the rake angle is so flat and the tine so narrow
+            that the factor of the weight is least at the end of the possible angles. For MX symbols a `Design` enforces
+            this limit.
     """
     found = _mckyes_ali(soil, tine, speed)
     return found.static + found.drag * speed**2
 
 
 def _mckyes_ali(soil: Soil, tine: Tine, speed: Expression) -> SoilReaction:
-    """Return the draft's part at rest, and what the squared speed multiplies; the speed is checked only."""
+    """Return static draft and coefficient of the squared speed; the speed itself is only checked."""
     angles = wedge_angles(soil, tine, speed)
     beta = rupture_angle(angles, tine.depth / tine.width)
     n = wedge_factors(angles, beta)
@@ -77,10 +78,10 @@ def _mckyes_ali(soil: Soil, tine: Tine, speed: Expression) -> SoilReaction:
 
 
 def rupture_angle(angles: WedgeAngles, ratio: Expression) -> Expression:
-    """Return the beta [rad] at which the weight's factor, crescents included, is least; ratio = d/w.
+    """Return the beta [rad] that minimises the factor of the weight, crescents included; ratio = d/w.
 
     Raises:
-        DomainError: it is least at the end of the possible angles.
+        DomainError: the minimum is at the end of the possible angles.
     """
     return least_angle(_weight_factor, angles, ratio, what="McKyes and Ali")
 
@@ -90,7 +91,7 @@ def _weight_factor(angles: WedgeAngles, beta: Expression, ratio: Expression) -> 
 
 
 def _side(alpha: Expression, beta: Expression, ratio: Expression) -> Expression:
-    """Return the half-width s of a crescent over the tine's width, ratio = d/w."""
+    """Return s/w, the width of a crescent over that of the tine; ratio = d/w."""
     cot = 1.0 / tan(beta)
     return ratio * sqrt(cot * (cot + 2.0 / tan(alpha)))
 
@@ -100,12 +101,12 @@ class UniversalEarthmoving(TineLaw):
     """`godwin_draft` as a law: F0 and Fd of a narrow tine, without added mass and loosened radius.
 
     Args:
-        depth: see `TineLaw`, as all others but the last.
-        width: as said.
-        rake_angle: as said.
-        surcharge: as said.
-        adhesion: as said.
-        rupture_ratio: m, rupture distance on the surface over depth; None: the plane wedge's.
+        depth: see `TineLaw`.
+        width: see `TineLaw`.
+        rake_angle: see `TineLaw`.
+        surcharge: see `TineLaw`.
+        adhesion: see `TineLaw`.
+        rupture_ratio: ratio m of the rupture distance on the surface to the depth; default: that of the plane wedge.
     """
 
     rupture_ratio: Expression | None = field(default=None, metadata={"unit": ""})
@@ -115,45 +116,46 @@ class UniversalEarthmoving(TineLaw):
         "R. J. Godwin and M. J. O'Dogherty, Integrated soil tillage force prediction models, ISTVS 2003;"
         " J. Terramechanics 44 (2007) 3-14"
     )
-    standing = "factors of a plane wedge in the place of Hettiaratchi's charts; the critical depth not verified"
+    standing = "factors of a plane wedge instead of Hettiaratchi's charts; the critical depth not verified"
     scalar = True
 
     def reaction(self, at: ShareInSoil) -> SoilReaction:
-        """Return F0 [N] and Fd [N s^2/m^2]: see `godwin_draft`."""
+        """Return F0 [N] and Fd [N s^2/m^2]; see `godwin_draft`."""
         return _godwin(at.soil, self.tine(at), at.speed, self.rupture_ratio)
 
     def check(self, at: ShareInSoil) -> None:
-        """Refuse what is outside the domain, which no design keeps by itself."""
+        """Raise DomainError for numbers outside the domain, because designs do not enforce it."""
         self.reaction(at)
 
 
 def godwin_draft(soil: Soil, tine: Tine, speed: Expression, *, rupture_ratio: Expression | None = None) -> Expression:
-    """Return the draft [N] by the universal earthmoving equation, crescents at the sides included.
+    """Return the draft [N] by the universal earthmoving equation, including crescents at the sides.
 
     H = {(gamma d^2 Ng + c d Nc + c_a d Nca + q d Nq)(w + d (m - (m - 1)/3)) + rho v^2 Na d (w + 0.6 d)}
-    sin(alpha + delta) + the adhesion along the face. Source: Godwin and O'Dogherty 2003. The charts of Hettiaratchi and
-    Reece for the factors are replaced by the plane wedge with least weight factor, which for rough tools gives more.
+    sin(alpha + delta), plus the adhesion along the face. Source: Godwin and O'Dogherty 2003. The charts of Hettiaratchi
+    and Reece for the factors are replaced by the plane wedge with the least factor of the weight, which gives higher
+    values for rough tools.
 
     Args:
-        soil: density, cohesion, friction and tool friction enter; its ambient pressure does not.
-        tine: numbers, arrays or CasADi expressions.
+        soil: soil whose density, cohesion, friction and tool friction are used, but not its ambient pressure.
+        tine: tine with floats, arrays or CasADi expressions.
         speed: v [m/s], from 0 to 5.
-        rupture_ratio: m, rupture distance on the surface over depth, at least 1; None: the plane wedge's
-            cot(alpha) + cot(beta).
+        rupture_ratio: ratio m of the rupture distance on the surface to the depth, at least 1; default: that of the
+            plane wedge, cot(alpha) + cot(beta).
 
     Raises:
-        DomainError: outside the domain of a wedge, or more than six times as deep as wide.
+        DomainError: an argument is outside the domain of a wedge, or the depth exceeds six widths.
     """
     found = _godwin(soil, tine, speed, rupture_ratio)
     return found.static + found.drag * speed**2
 
 
 def _godwin(soil: Soil, tine: Tine, speed: Expression, rupture_ratio: Expression | None) -> SoilReaction:
-    """Return the draft's part at rest, and what the squared speed multiplies; the speed is checked only."""
+    """Return static draft and coefficient of the squared speed; the speed itself is only checked."""
     angles = wedge_angles(soil, tine, speed)
     check_domain(
         "depth over width", tine.depth / tine.width, at_most=CRITICAL_RATIO,
-        why="below the critical depth the soil fails sideways, which this equation lacks",
+        why="below the critical depth the soil fails sideways, which this equation does not describe",
     )  # fmt: skip
     beta = plane_rupture_angle(angles)
     n = wedge_factors(angles, beta)
@@ -170,7 +172,7 @@ def _godwin(soil: Soil, tine: Tine, speed: Expression, rupture_ratio: Expression
 
 @dataclass(frozen=True)
 class SwickPerumpral(TineLaw):
-    """`swick_perumpral_draft` as a law of steady sliding: the rupture angle depends on the speed."""
+    """`swick_perumpral_draft` as a law for steady sliding, because the rupture angle depends on the speed."""
 
     label = "Swick-Perumpral"
     source = "W. C. Swick and J. V. Perumpral, J. Terramechanics 25 (1988) 43-56"
@@ -183,20 +185,21 @@ class SwickPerumpral(TineLaw):
 
 
 def swick_perumpral_draft(soil: Soil, tine: Tine, speed: Expression) -> Expression:
-    """Return the draft [N] of a plane wedge whose soil is accelerated, without forces at its sides.
+    """Return the draft [N] of a plane wedge of accelerated soil, without forces at its sides.
 
-    H = P sin(alpha + delta) + the adhesion along the face, P/(w d) = gamma d Ng + c Nc + q Nq + c_a Nca + rho v^2 Na,
-    P least over the rupture angle. Source: Swick and Perumpral 1988; the side forces of narrow tines are left out, and
-    that P is minimised is not verified against the paper. For a narrow tine it is therefore a lower value.
+    H = P sin(alpha + delta) plus the adhesion along the face, where
+    P/(w d) = gamma d Ng + c Nc + q Nq + c_a Nca + rho v^2 Na is minimised over the rupture angle. Source: Swick and
+    Perumpral 1988; that P is minimised is not verified against the paper. The side forces of narrow tines are left out,
+    so the result is low for them.
 
     Args:
-        soil: density, cohesion, friction and tool friction enter; its ambient pressure does not.
-        tine: numbers, or scalars of CasADi.
+        soil: soil whose density, cohesion, friction and tool friction are used, but not its ambient pressure.
+        tine: tine with floats or CasADi scalars.
         speed: v [m/s], from 0 to 5.
 
     Raises:
-        DomainError: outside the domain of a wedge, or a force that is least at the end of the possible angles, which of
-            MX symbols is a limit that a `Design` keeps.
+        DomainError: an argument is outside the domain of a wedge, or the force is least at the end of the possible
+            angles. For MX symbols a `Design` enforces this limit.
     """
     angles = wedge_angles(soil, tine, speed)
     loads = (soil.density * GRAVITY * tine.depth, soil.cohesion, tine.surcharge, tine.adhesion, soil.density * speed**2)
@@ -205,7 +208,7 @@ def swick_perumpral_draft(soil: Soil, tine: Tine, speed: Expression) -> Expressi
 
 
 def _pressure(angles: WedgeAngles, beta: Expression, weight: Expression, *loads: Expression) -> Expression:
-    """Return the mean pressure on the face's projection, force over w d [Pa]."""
+    """Return the force over w d, the mean pressure on the projection of the face [Pa]."""
     n = wedge_factors(angles, beta)
     cohesion, surcharge, adhesion, inertia = loads
     still = weight * n.weight + cohesion * n.cohesion + surcharge * n.surcharge + adhesion * n.adhesion

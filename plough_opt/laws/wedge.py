@@ -1,8 +1,8 @@
-"""A tine and the wedge of soil that it shears off, and the rupture plane of least force.
+"""A tine, the wedge of soil that it shears off, and the rupture plane of least force.
 
-With omega = alpha + delta + phi (rake, tool friction, internal friction) and a rupture plane at the angle beta to
-the surface, balance of forces on the wedge gives every factor over sin(omega + beta); the published cotangents are the
-same.
+Let omega = alpha + delta + phi (rake, tool friction, internal friction), and beta the angle of the rupture plane to the
+surface. The balance of forces on the wedge then gives every factor with the denominator sin(omega + beta). The
+published factors, written with cotangents, are equivalent.
 """
 
 import math
@@ -26,13 +26,15 @@ GRAVITY: Final = 9.80665
 """Standard acceleration of gravity [m/s^2]."""
 
 LARGEST_SPEED: Final = 5.0
-"""Speed [m/s] beyond which the term with its square is refused."""
+"""Largest speed [m/s] for which a term with the squared speed is accepted."""
 
+# Points of the grid on which the first minimum of a force is searched.
 _GRID = 64
+# Bisections of the slope's sign, from two grid steps to rounding.
 _HALVINGS = 40
-# The last steps make the derivatives exact: each doubles the order that is right.
+# Newton steps make the derivatives exact: each step doubles the order that is correct.
 _NEWTON_STEPS = 3
-# Of the interval's end, where a force may be infinite.
+# Forces are compared at this fraction of the largest angle, because they may be infinite at the end.
 _INSIDE = 1.0 - 1e-9
 
 
@@ -41,14 +43,14 @@ class Tine:
     """A flat tine that cuts soil up to its surface.
 
     Args:
-        width: w [m], above 0.
-        depth: d of its lower edge below the surface [m], above 0.
-        rake_angle: alpha of its face to the horizontal, ahead [rad], above 0 and at most 90 degrees.
+        width: width w [m], above 0.
+        depth: depth d of its lower edge below the surface [m], above 0.
+        rake_angle: angle alpha of its face to the horizontal, measured ahead [rad], above 0 and at most 90 degrees.
         surcharge: pressure q on the soil's surface [Pa], at least 0.
-        adhesion: c_a of soil on the face [Pa], at least 0.
+        adhesion: adhesion c_a of soil on the face [Pa], at least 0.
 
     Raises:
-        DomainError: a number outside its domain.
+        DomainError: a number lies outside its domain.
     """
 
     width: Expression
@@ -67,14 +69,14 @@ class Tine:
 
 @dataclass(frozen=True)
 class TineLaw(ResistanceLaw):
-    """A law of a tine, which a share is compared with; what is None is estimated from the share.
+    """A law for a tine that stands for the share; dimensions that are not given are estimated from the share.
 
     Args:
-        depth: working depth [m]; None: the share's height.
-        width: of the tine [m]; None: base diameter of the equivalent cone.
-        rake_angle: of the tine [rad], above 0 to 90 degrees; None: the share's chisel angle.
-        surcharge: on the soil's surface [Pa].
-        adhesion: of soil on the tine [Pa].
+        depth: working depth [m]; default: the share's height.
+        width: width of the tine [m]; default: base diameter of the equivalent cone.
+        rake_angle: rake angle of the tine [rad], above 0 and at most 90 degrees; default: the share's chisel angle.
+        surcharge: pressure on the soil's surface [Pa].
+        adhesion: adhesion of soil on the tine [Pa].
     """
 
     depth: Expression | None = field(default=None, metadata={"unit": "m"})
@@ -88,12 +90,12 @@ class TineLaw(ResistanceLaw):
         """Return the tine.
 
         Raises:
-            DomainError: a number outside its domain, or no rake angle for a share given as a cone.
+            DomainError: a number lies outside its domain, or the share is a cone and there is no rake angle.
         """
         rake = self.rake_angle
         if rake is None:
             if not isinstance(at.share, Wedge):
-                raise DomainError("a share given as a cone has no rake angle: give rake_angle")
+                raise DomainError("a share given as a cone does not have a rake angle: give rake_angle")
             rake = at.share.chisel_angle
         return Tine(
             width=2.0 * at.cone.height * at.cone.slope if self.width is None else self.width,
@@ -104,7 +106,7 @@ class TineLaw(ResistanceLaw):
         )
 
     def check(self, at: ShareInSoil) -> None:
-        """Refuse what no wedge of soil can follow; the end of the possible angles is a limit that designs keep."""
+        """Raise DomainError if soil cannot fail as a wedge; designs enforce the end of the possible angles."""
         wedge_angles(at.soil, self.tine(at), at.speed)
 
 
@@ -115,7 +117,7 @@ class WedgeAngles:
     Attributes:
         rake: alpha.
         tool_friction: delta = atan(mu0).
-        friction: phi of the soil.
+        friction: internal friction phi of the soil.
     """
 
     rake: Expression
@@ -140,35 +142,36 @@ class WedgeFactors:
 
 
 def wedge_angles(soil: Soil, tine: Tine, speed: Expression) -> WedgeAngles:
-    """Return the angles; refuse what no wedge of soil can follow.
+    """Return the angles of the wedge.
 
     Raises:
-        InputError: not a soil, or not a tine.
-        DomainError: a soil without friction, angles that sum up to 180 degrees, or a speed outside 0 to 5 m/s.
+        InputError: soil or tine has the wrong type.
+        DomainError: the soil has no friction, the angles sum to 180 degrees or more, or the speed is outside 0 to
+            5 m/s.
     """
     check_soil(soil)
     check_kind("the tine", tine, Tine, "a crosscheck.Tine")
     check_domain(
         "friction angle", soil.friction_angle, "rad", above=0.0,
-        why="the weight alone determines no wedge in soil without friction",
+        why="in soil without friction the weight does not determine a wedge",
     )  # fmt: skip
     check_domain(
         "speed", speed, "m/s", at_least=0.0, at_most=LARGEST_SPEED,
-        why="draft grows less than with the square of the speed above 3 to 5 m/s",
+        why="above 3 to 5 m/s draft grows more slowly than the square of the speed",
     )  # fmt: skip
     angles = WedgeAngles(tine.rake_angle, arctan(soil.tool_friction), soil.friction_angle)
     check_domain(
         "rake angle, tool friction and internal friction together", angles.total, "rad", below=math.pi,
-        why="no wedge of soil then moves up the face",
+        why="the wedge of soil would not move up the face",
     )  # fmt: skip
     return angles
 
 
 def wedge_factors(angles: WedgeAngles, beta: Expression) -> WedgeFactors:
-    """Return the factors of a plane wedge whose rupture plane rises at beta [rad], McKyes's N-factors.
+    """Return McKyes' N-factors of a plane wedge whose rupture plane rises at beta [rad].
 
     Source: E. McKyes, Soil Cutting and Tillage, 1985, as given by A. Wilkinson and A. DeGennaro, J. Terramechanics 44
-    (2007) 133-152. Holds for beta above 0 and below 180 degrees less omega.
+    (2007) 133-152. They hold for beta above 0 and below 180 degrees minus omega.
     """
     alpha, phi = angles.rake, angles.friction
     share = 1.0 / sin(angles.total + beta)
@@ -183,10 +186,10 @@ def wedge_factors(angles: WedgeAngles, beta: Expression) -> WedgeFactors:
 
 
 def plane_rupture_angle(angles: WedgeAngles) -> Expression:
-    """Return the beta [rad] that makes the weight's factor of a plane wedge least: Coulomb's passive wedge.
+    """Return the beta [rad] that minimises the factor of the weight of a plane wedge, Coulomb's passive wedge.
 
-    With u = sin(omega + beta)/sin(beta) the factor is a + b u + c/u; it is least where
-    u^2 = sin(delta + phi) sin(alpha + delta) / (sin(alpha) sin(phi)), from which cot(beta) = (u - cos omega)/sin omega.
+    With u = sin(omega + beta)/sin(beta) the factor is a + b u + c/u. It is least at
+    u^2 = sin(delta + phi) sin(alpha + delta) / (sin(alpha) sin(phi)), and cot(beta) = (u - cos omega)/sin omega.
     """
     alpha, delta, phi = angles.rake, angles.tool_friction, angles.friction
     u = sqrt(sin(delta + phi) * sin(alpha + delta) / (sin(alpha) * sin(phi)))
@@ -194,25 +197,25 @@ def plane_rupture_angle(angles: WedgeAngles) -> Expression:
 
 
 def horizontal(force: Expression, tine: Tine, angles: WedgeAngles) -> Expression:
-    """Return the draft [N] of a force at delta to the face's normal, with the adhesion along the face."""
+    """Return the draft [N] of a force at the angle delta to the face's normal, plus the adhesion along the face."""
     along = tine.adhesion * tine.width * tine.depth / tan(tine.rake_angle)
     return force * sin(angles.rake + angles.tool_friction) + along
 
 
 def least_angle(force: Callable[..., Column], angles: WedgeAngles, *parameters: Expression, what: str) -> Expression:
-    """Return the rupture angle [rad] at which ``force(angles, beta, *parameters)`` is least.
+    """Return the rupture angle [rad] that minimises ``force(angles, beta, *parameters)``.
 
-    It lies above 0 and below 90 degrees, and 180 degrees less omega.
+    It lies between 0 and the smaller of 90 degrees and 180 degrees minus omega.
 
     Args:
-        force: written with `plough_opt.core.expressions`; smooth and finite inside that interval.
-        angles: of the wedge.
+        force: function written with `plough_opt.core.expressions`, smooth and finite inside that interval.
+        angles: angles of the wedge.
         parameters: floats, arrays of one shape, or CasADi scalars.
-        what: name of the model, for the refusal.
+        what: name of the model, for messages.
 
     Raises:
-        DomainError: a numeric force is least at the end of the interval, not inside. Of MX symbols that is a
-            limit that a `Design` keeps by itself; of SX it is unseen.
+        DomainError: a numeric force is least at the end of the interval. For MX symbols a `Design` enforces this limit;
+            for SX symbols it is not checked.
     """
     search = _search(force, len(parameters))
     upper = minimum(math.pi / 2, math.pi - angles.total)
@@ -226,19 +229,19 @@ def least_angle(force: Callable[..., Column], angles: WedgeAngles, *parameters: 
     beta = np.array([float(search(*row)) for row in zip(*(row.ravel() for row in rows), strict=True)])
     beta = beta.reshape(rows[0].shape)
     ends = rows[0] * _INSIDE
-    # Without a valley the angle is NaN, which compares as False.
+    # Without a minimum inside, the angle is NaN and compares as False.
     inside = (beta > 0.0) & (beta < ends) & (force(angles, beta, *parameters) < force(angles, ends, *parameters))
     if not np.all(inside):
         raise DomainError(
             f"the force of {what} is least for a wedge at the end of the possible angles, where its derivation does not"
-            " hold: take a steeper rake angle or a wider tool"
+            " hold: use a steeper rake angle or a wider tool"
         )
     return beta if beta.ndim else float(beta)
 
 
 @lru_cache(maxsize=8)
 def _search(force: Callable[..., Column], count: int) -> ca.Function:
-    """Return (upper, angles, parameters) -> angle: a grid, bisection of the slope's sign, Newton's steps."""
+    """Return a Function (upper, angles, parameters) -> angle: a grid search, bisection of the slope, Newton steps."""
     beta, upper = ca.SX.sym("beta"), ca.SX.sym("upper")
     p = [ca.SX.sym(f"p{k}") for k in range(3 + count)]
     value = force(WedgeAngles(*p[:3]), beta, *p[3:])
@@ -246,7 +249,8 @@ def _search(force: Callable[..., Column], count: int) -> ca.Function:
     f = ca.Function("force", [beta, *p], [value])
     g = ca.Function("slope", [beta, *p], [slope, ca.jacobian(slope, beta)])
     step = upper / (_GRID + 1)
-    # The first valley from the flat planes on: a force may fall again towards the end, where it means nothing.
+    # Find the first minimum from the flattest plane on, because a force may fall again towards the end of the interval,
+    # where it is meaningless.
     best, least, falls = step, ca.SX(math.inf), ca.SX(1.0)
     for k in range(1, _GRID + 1):
         here = f(k * step, *p)
@@ -261,5 +265,5 @@ def _search(force: Callable[..., Column], count: int) -> ca.Function:
     for _ in range(_NEWTON_STEPS):
         first, second = g(found, *p)
         found = found - first / second
-    # Without a valley there is no such angle; a solver that meets NaN takes a shorter step.
+    # Without a minimum inside the angle is undefined; NaN makes a solver shorten its step.
     return ca.Function("least_angle", [upper, *p], [ca.if_else(falls, math.nan, found)])

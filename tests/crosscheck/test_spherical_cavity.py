@@ -136,7 +136,7 @@ def test_refusals():
 
 
 @pytest.mark.parametrize(
-    ("share", "remedy"), [(po.Wedge(0.5, 0.2, 0.25), r": take its equivalent_cone\(\)"), (0.3, "$")]
+    ("share", "remedy"), [(po.Wedge(0.5, 0.2, 0.25), r": use its equivalent_cone\(\)"), (0.3, "$")]
 )
 def test_the_face_is_that_of_a_cone(share, remedy):
     with pytest.raises(po.InputError, match=f"must be a Cone{remedy}"):

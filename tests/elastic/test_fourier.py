@@ -159,7 +159,7 @@ REFUSED = {
     "no length": ({"length": 0.0}, "length of the profile = 0 m"),
     "blunt": ({"profile": lambda x: 0.01 + x}, "tip"),
     "profile not finite": ({"profile": lambda x: math.nan * x}, "profile = nan"),
-    "order of one": ({"order": 1}, "order = 1 must be at least 2"),
+    "order of one": ({"order": 1}, "order = 1 must be a whole number"),
     "symbols": ({"x": ca.SX.sym("x")}, "closed forms"),
 }
 
@@ -177,8 +177,8 @@ def test_what_the_integrals_cannot_do_is_refused(change, sentence):
 @pytest.mark.parametrize(
     ("profile", "length", "count", "sentence"),
     [
-        (PROFILES["straight"], 0.5, 0, "count = 0 must be a whole number from 1 to"),
-        (PROFILES["straight"], 0.5, 2.5, r"count = 2\.5 must be a whole number from 1 to"),
+        (PROFILES["straight"], 0.5, 0, "count = 0 of straight pieces must be"),
+        (PROFILES["straight"], 0.5, 2.5, r"count = 2\.5 of straight pieces must be"),
         (PROFILES["straight"], 0.0, 4, "length of the profile = 0 m"),
         (lambda x: -x, 0.5, 4, "half thickness or radius at x"),
         (lambda x: math.nan * x, 0.5, 4, "= nan m must be finite"),

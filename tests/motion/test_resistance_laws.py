@@ -73,7 +73,7 @@ def test_what_a_law_lacks_is_refused_or_left_out_with_a_sentence():
     own = scene(McKyesAli(width=0.1))
     run = po.simulate(own, 0.2)
     assert own.inertia == own.mass
-    assert any("says nothing of soil that moves with the share" in text for text in run.warnings)
+    assert any("does not include soil that moves with the share" in text for text in run.warnings)
     for value in (lambda: run.specific_draft, lambda: own.loosened_radius, lambda: own.carried_soil):
         with pytest.raises(po.InputError, match="has no meaning in McKyes-Ali, which"):
             value()
@@ -86,7 +86,7 @@ def test_what_a_law_lacks_is_refused_or_left_out_with_a_sentence():
 
 @pytest.mark.parametrize("law", [McKyesAli, 3, None, object()], ids=["class", "number", "none", "object"])
 def test_something_else_in_the_place_of_a_law_is_refused(law):
-    with pytest.raises(po.InputError, match="must be a ResistanceLaw, as McKyesAli"):
+    with pytest.raises(po.InputError, match="must be a ResistanceLaw, such as McKyesAli"):
         scene(law)
 
 
@@ -139,7 +139,7 @@ def test_bounds_beyond_the_law_are_refused_by_the_design():
     design = po.Design()
     speed = design.variable("speed", guess=2.0, lower=1.0, upper=6.0, unit="m/s")
     design.minimise(po.simulate(scene(McKyesAli(width=0.1), tow_speed=speed), 0.5).mean_draft)
-    with pytest.raises(po.DomainError, match=r"upper bound of 'speed'.*draft grows less than with the square"):
+    with pytest.raises(po.DomainError, match=r"upper bound of 'speed'.*draft grows more slowly than the square"):
         design.solve()
 
 

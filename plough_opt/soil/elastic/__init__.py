@@ -1,10 +1,10 @@
 """Linear elastic medium around a share that moves steadily below the shear wave's speed: equations (1)-(4).
 
-The thin wedge (plane strain) and the slender cone (axisymmetry) in closed form for piecewise-linear
-profiles, as floats, arrays or CasADi expressions; the Fourier integrals themselves, for a profile of any
-form, are in `plough_opt.soil.elastic.fourier`.
+The thin wedge (plane strain) and the slender cone (axisymmetry) have closed forms for piecewise-linear profiles, which
+accept floats, arrays or CasADi expressions. `plough_opt.soil.elastic.fourier` evaluates the Fourier integrals
+themselves, for a profile of any shape.
 
-Coordinates move with the body: its tip is at x = 0, the medium streams towards +x. Tension is positive.
+Coordinates move with the body: its tip is at x = 0, and the medium streams towards +x. Tension is positive.
 """
 
 from plough_opt.soil.elastic import fourier

@@ -1,13 +1,13 @@
-"""Slender cone on its axis: equations (3) and (4) and the stresses by Hooke's law, for piecewise-linear profiles.
+"""The slender cone: equations (3) and (4), and the stresses by Hooke's law, for piecewise-linear profiles.
 
-The body acts as a line of sources s = S' on its axis: on a small cylinder around it r u_r = S(x), with
+The body acts as a line of sources s = S' on its axis, so that r u_r = S(x) on a small cylinder around it, with
 S = section_factor R^2. With X = x - xi and rho_k^2 = X^2 + k^2 r^2, for k = alpha and eta, the potentials are::
 
     N_k = 1/2 int s/rho_k dxi,    M_k = -1/(2r) int s (1 + X/rho_k) dxi
 
-the axial displacement is 2 (N_alpha - N_eta)/m - N_alpha + 2 N_eta and the radial one 2 (M_alpha - M_eta)/m - M_alpha.
-Differences over m are formed without cancellation, in closed form, and far from a piece by quadrature. The part S(x)/r
-of the radial displacement is split off, so that no digits are lost beside the axis.
+The axial displacement is 2 (N_alpha - N_eta)/m - N_alpha + 2 N_eta, the radial one 2 (M_alpha - M_eta)/m - M_alpha.
+Differences divided by m are formed without cancellation, in closed form near a piece and by quadrature far from it. The
+part S(x)/r of the radial displacement is split off, so that digits are not lost near the axis.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from plough_opt.soil.soil import Soil
 _Field = TypeVar("_Field")
 
 SECTION_FACTOR = 0.5
-"""S/R^2 that conserves the displaced volume; 1 balances the energy. The slender-body model leaves the choice open."""
+"""S/R^2 that conserves the displaced volume; 1 balances the energy. Slender-body theory leaves the choice open."""
 
 
 @dataclass(frozen=True)
 class ConeDisplacement:
-    """Displacement of the soil around a cone [m]: along its axis, with the stream, and away from it."""
+    """Displacement of the soil around a cone [m]: along the axis, in the direction of the stream, and radial."""
 
     axial: Expression
     radial: Expression
@@ -47,7 +47,7 @@ class ConeStress:
 
 
 def displacement_of(found: Potentials, section: Expression, r: Expression, soil: Medium) -> ConeDisplacement:
-    """Return the displacement that belongs to potentials and to the displaced section S(x)."""
+    """Return the displacement that follows from the potentials and the displaced section S(x)."""
     return ConeDisplacement(
         axial=found.n + 2.0 * soil.eta**2 * found.n_change,
         radial=section / r + found.outward,
@@ -55,7 +55,7 @@ def displacement_of(found: Potentials, section: Expression, r: Expression, soil:
 
 
 def stress_of(found: Potentials, section: Expression, r: Expression, soil: Medium) -> ConeStress:
-    """Return the stresses that belong to potentials and to the displaced section S(x)."""
+    """Return the stresses that follow from the potentials and the displaced section S(x)."""
     mu, hoop = soil.shear_modulus, (section / r + found.outward) / r
     dilatation = soil.stiffening * soil.lateral * found.n_x
     along = found.n_x + 2.0 * soil.eta**2 * found.n_x_change
@@ -77,24 +77,25 @@ def cone_displacement(
     speed: Expression,
     section_factor: Expression = SECTION_FACTOR,
 ) -> ConeDisplacement:
-    """Return the displacement around a slender cone that moves steadily, equations (3) and (4).
+    """Return the displacement around a slender cone in steady motion, equations (3) and (4).
 
-    The print's (4) lacks + S(infinity)/(2r), without which an open body would disturb the soil far ahead. The result is
-    valid away from the body: at its surface the strains are of order one, too large for linear elasticity.
+    The printed (4) lacks + S(infinity)/(2r), without which an open body would disturb the soil far ahead. The result is
+    valid away from the body; at its surface the strains are of order one, too large for linear elasticity.
 
     Args:
-        x: behind the tip [m]; a float, an array, or a CasADi column.
-        r: from the axis [m], above 0, of the same shape.
-        profile: nodes (x, radius) [m] from the tip, where the radius is 0; behind the last the body keeps its radius.
-            A `Wedge` or `Cone` is replaced by its (equivalent) cone.
-        soil: with density, Young's modulus and Poisson's ratio.
+        x: distance behind the tip [m]; a float, an array, or a CasADi column.
+        r: distance from the axis [m], above 0, of the same shape.
+        profile: nodes (x, radius) [m] from the tip, where the radius is 0; it is constant behind the last node. A
+            `Wedge` or `Cone` is replaced by its (equivalent) cone.
+        soil: soil with density, Young's modulus and Poisson's ratio.
         speed: V0 [m/s], from 0 to below `shear_wave_speed`. For an MX expression a `Design` adds this limit as a
             requirement.
         section_factor: S/R^2 [-]: 1/2 conserves the displaced volume, 1 balances the energy; the theory leaves it open.
 
     Raises:
-        DomainError: a speed at or beyond the shear wave's, a point on the axis, or a number outside its domain.
-        InputError: an invalid profile, or a soil without elastic constants.
+        DomainError: the speed is not below the shear wave speed, a point lies on the axis, or a number is outside its
+            domain.
+        InputError: the profile is invalid, or the soil lacks elastic constants.
     """
     return _around(displacement_of, x, r, profile, soil, speed, section_factor)
 
@@ -107,27 +108,27 @@ def cone_stress(
     speed: Expression,
     section_factor: Expression = SECTION_FACTOR,
 ) -> ConeStress:
-    """Return the stresses around a slender cone: arguments, errors and limits as of `cone_displacement`."""
+    """Return the stresses around a slender cone; arguments, errors and limits are those of `cone_displacement`."""
     return _around(stress_of, x, r, profile, soil, speed, section_factor)
 
 
 def cone_pressure(
     x: Expression, profile: Profile, soil: Soil, speed: Expression, section_factor: Expression = SECTION_FACTOR
 ) -> Expression:
-    """Return the pressure -sigma_rr [Pa] that the soil adds to its ambient pressure on the face of a slender cone.
+    """Return the gauge pressure -sigma_rr [Pa] of the soil on the face of a slender cone.
 
-    It is an order of magnitude only: it is near mu for any slender cone, strains on the face are of order one, and its
+    It is an order of magnitude only: it is about mu for any slender cone, strains on the face are of order one, and its
     dependence on the speed is of the order that linear elasticity neglects.
 
     Args:
-        x: behind the tip [m], between the first and the last node, where the radius is above 0.
+        x: distance behind the tip [m], between the first and the last node, where the radius is above 0.
         profile: nodes (x, radius) [m], or a share.
-        soil: with density, Young's modulus and Poisson's ratio.
+        soil: soil with density, Young's modulus and Poisson's ratio.
         speed: V0 [m/s].
         section_factor: as in `cone_displacement`.
 
     Raises:
-        DomainError: as `cone_displacement`, or x beside the body.
+        DomainError: as `cone_displacement`, or x is not on the body.
         InputError: as `cone_displacement`.
     """
     check_domain("section factor", section_factor, above=0.0)
@@ -149,9 +150,9 @@ def face_pressure(
 
 
 def state_of(soil: Soil, speed: Expression) -> Medium:
-    """Return the medium at a speed below the shear wave's, where the cone's logarithms are finite."""
+    """Return the medium at a speed below the shear wave speed, where the cone's logarithms are finite."""
     state = medium(soil, speed)
-    check_domain("speed over shear wave speed", state.mach, below=1.0, why="the cone's potentials end there")
+    check_domain("speed over shear wave speed", state.mach, below=1.0, why="the cone's potentials diverge there")
     return state
 
 
@@ -164,7 +165,7 @@ def _around(
     speed: Expression,
     section_factor: Expression,
 ) -> _Field:
-    """Return a field at a point off the axis, made of the potentials and the displaced section there."""
+    """Return a field at points off the axis, computed from the potentials and the displaced section there."""
     check_domain("r", r, "m", above=0.0, at_least=LEAST, why="the axis itself is singular inside the body")
     check_domain("section factor", section_factor, above=0.0)
     state, cone = state_of(soil, speed), body(profile)
@@ -179,7 +180,7 @@ def _around(
 
 @dataclass(frozen=True)
 class Potentials:
-    """Functions of which the fields of a cone are sums.
+    """Functions whose linear combinations are the fields of a cone.
 
     Attributes:
         n: N_alpha.
@@ -199,29 +200,29 @@ class Potentials:
 
     @classmethod
     def zero(cls) -> Potentials:
-        """Return the potentials of no body."""
+        """Return potentials that are zero."""
         return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def plus(self, other: Potentials, weight: Expression = 1.0) -> Potentials:
-        """Return the sum with other potentials times a weight."""
+        """Return the sum of these potentials and others multiplied by a weight."""
         return Potentials(*(getattr(self, f.name) + weight * getattr(other, f.name) for f in fields(self)))
 
     def where(self, condition: Expression, other: Potentials) -> Potentials:
-        """Return these potentials where a condition holds, and the others elsewhere."""
+        """Return these potentials where a condition holds, and the other ones elsewhere."""
         return Potentials(*(where(condition, getattr(self, f.name), getattr(other, f.name)) for f in fields(self)))
 
 
 class _Point:
-    """A point as seen from a place on the axis: distances and their differences over m, without cancellation.
+    """Distances of a point from a place on the axis, and their differences over m, without cancellation.
 
     Attributes:
-        distance: |X|, on the side of X > 0 at 0, as the section S(x) is: their kinks cancel.
+        distance: |X|. At X = 0 its derivative is that for X > 0, as for the section S(x), so that their kinks cancel.
         fast: rho_alpha.
         slow: rho_eta.
         change: (rho_alpha - rho_eta)/(m r^2).
         inverse_change: (1/rho_alpha - 1/rho_eta)/m.
-        beyond_fast: rho_alpha - |X|, of which nothing is left beside the axis if it is computed so.
-        beyond_slow: rho_eta - |X|.
+        beyond_fast: rho_alpha - |X|, in a form that does not cancel near the axis.
+        beyond_slow: rho_eta - |X|, likewise.
     """
 
     def __init__(self, x: Expression, r: Expression, soil: Ratios) -> None:
@@ -247,7 +248,7 @@ class _Point:
 
 
 def _stiffness(soil: Ratios) -> Expression:
-    """Return 2 (1 - kappa) - alpha^2 = 1 - 2 kappa + kappa m, in which nothing cancels."""
+    """Return 2 (1 - kappa) - alpha^2 = 1 - 2 kappa + kappa m, which does not cancel."""
     return soil.stiffening + soil.kappa * soil.m
 
 
@@ -260,7 +261,15 @@ def sources(segment: Segment, section_factor: Expression) -> tuple[Expression, E
 def potentials(
     offsets: list[Expression], r: Expression, cone: Body, soil: Medium, section_factor: Expression
 ) -> Potentials:
-    """Return the potentials at distances from the nodes and from the axis: in closed form, or far off by quadrature."""
+    """Return the potentials of a cone.
+
+    Args:
+        offsets: distances from the nodes along the axis [m].
+        r: distance from the axis [m].
+        cone: the body.
+        soil: the medium.
+        section_factor: S/R^2 [-].
+    """
     total = Potentials.zero()
     for segment in cone.segments:
         place = (offsets[segment.start], offsets[segment.start + 1], r)
@@ -279,7 +288,17 @@ def _piece(
     slope: Expression,
     *state: Expression,
 ) -> tuple[Expression, ...]:
-    """Return the potentials of one piece, from the distances from its ends and the axis, its source and the medium."""
+    """Return the potentials of one piece: in closed form near it, by quadrature far from it.
+
+    Args:
+        x0: distance from its first node along the axis [m].
+        x1: distance from its second node [m].
+        r: distance from the axis [m].
+        length: length of the piece [m].
+        at_first: source S' at the first node [m].
+        slope: slope of the source [-].
+        state: the numbers of `Ratios`.
+    """
     soil = Ratios(*state)
     first, last = _Point(x0, r, soil), _Point(x1, r, soil)
     far = first.slow + last.slow > FAR * length
@@ -308,13 +327,13 @@ def _near(first: _Point, last: _Point, source: tuple[Expression, Expression]) ->
 
 
 def _logarithm(first: _Point, last: _Point) -> tuple[Expression, Expression]:
-    """Return ln((X0 + rho0)/(X1 + rho1)) for alpha, and its difference to that for eta over m."""
+    """Return ln((X0 + rho0)/(X1 + rho1)) for alpha, and its difference from that for eta divided by m."""
     soil, r = first.soil, first.r
     log = arcsinh(first.x / (soil.alpha * r)) - arcsinh(last.x / (soil.alpha * r))
     shift = (1.0 - soil.kappa) / (soil.alpha * soil.eta)
     z0, z1 = (shift * point.x / (point.fast + point.slow) for point in (first, last))
     root0, root1 = (sqrt(1.0 + (soil.m * z) ** 2) for z in (z0, z1))
-    # On one side of the piece both terms of z0 root1 - z1 root0 are alike: their difference is that of the squares.
+    # Beside the piece the terms of z0 root1 - z1 root0 nearly cancel; use the difference of their squares instead.
     beside = first.x * last.x > 0.0
     crossings = (
         k**2 / where(beside, first.x * last_rho + last.x * first_rho, 1.0)
@@ -328,7 +347,7 @@ def _logarithm(first: _Point, last: _Point) -> tuple[Expression, Expression]:
 
 
 def _far(first: _Point, last: _Point, length: Expression, source: tuple[Expression, Expression]) -> Potentials:
-    """Return the potentials of a piece by Gauss-Legendre over it."""
+    """Return the potentials of a piece by Gauss-Legendre quadrature."""
     at_first, slope = source
     soil, r = first.soil, first.r
     above = (first.x >= 0.0) * (last.x < 0.0)
@@ -339,7 +358,7 @@ def _far(first: _Point, last: _Point, length: Expression, source: tuple[Expressi
         cubed_change = point.inverse_change * cubed
         share = length * weight * (at_first + slope * node * length) / 2.0
         side = where(point.x < 0.0, -1.0, 1.0)
-        # Above the piece the whole u_r, ahead of it and behind what is left of it without S/r.
+        # Above the piece use the whole of u_r; ahead of and behind it, u_r - S/r.
         radial = (
             where(point.x < 0.0, point.beyond_fast, point.fast + point.x) / (r * point.fast)
             - 2.0 * point.x * point.inverse_change / r
@@ -358,13 +377,13 @@ def _far(first: _Point, last: _Point, length: Expression, source: tuple[Expressi
 
 
 def _passed(x0: Expression, x1: Expression, length: Expression, source: tuple[Expression, Expression]) -> Expression:
-    """Return the part of S(x) that a piece contributes, from the distances from its ends."""
+    """Return the contribution of a piece to S(x), given the distances from its ends."""
     over = where(x0 < 0.0, 0.0, where(x1 < 0.0, x0, length))
     return over * (source[0] + source[1] * over / 2.0)
 
 
 def _outward(point: _Point) -> Expression:
-    """Return the kernel of u_r - S/r ahead of a source, with the sign it has behind it."""
+    """Return the kernel of u_r - S/r behind a source; ahead of the source it has the opposite sign."""
     distance, fast, slow = point.distance, point.beyond_fast, point.beyond_slow
     upper = _stiffness(point.soil) * distance * (2.0 * distance + fast)
     upper = upper - point.soil.alpha**2 * slow * (3.0 * distance + fast + slow)

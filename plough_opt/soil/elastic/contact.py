@@ -1,12 +1,12 @@
-"""Contact force of the elastic medium, with friction, and with loss of contact where the soil would be in tension.
+"""Contact force of the elastic medium with friction, and with loss of contact where the soil would be in tension.
 
-Forces are gauge, as in equation (24): they are those of the pressure p - p_a, and the ambient pressure p_a only
-determines where contact is lost. With the weight w dx of a piece of the face::
+Forces follow from the gauge pressure p, as in equation (24); the ambient pressure p_a only determines where contact is
+lost. With the weight w dx of an element of the face::
 
     F = int p w dx - int over {p + p_a < 0} of (p + p_a) w dx
 
-This truncates the solution in which the soil adheres to the face; the true problem, with a crack ahead and a cavity
-behind, is a mixed one that the source's formulas do not cover. The force is an estimate.
+This truncates the solution in which the soil adheres to the face. The true problem, with a crack ahead and a cavity
+behind, is a mixed boundary value problem that the source's formulas do not cover, so the force is an estimate.
 """
 
 import math
@@ -36,10 +36,11 @@ from plough_opt.soil.elastic.medium import Medium, medium
 from plough_opt.soil.elastic.profile import Body, Profile, Segment, body
 from plough_opt.soil.soil import Soil
 
-# Each half of a straight piece is x = node +- (length/2) exp(-tau): in tau the pressure, with its logarithm at the
-# node, is nearly straight, so few cells with few nodes serve.
+# Each half of a straight piece is parametrised as x = node +- (length/2) exp(-tau). The pressure, logarithmic at the
+# node, is nearly linear in tau, so a few cells with a few nodes suffice.
 _CELLS = (0.0, 1.0, 2.5, 5.0, 9.0, 15.0, 24.0, 38.0)
 _ORDER = 12
+# Regula falsi steps for a change of sign in a cell; in these nearly linear cells they reach rounding.
 _ROOT_STEPS = 9
 
 
@@ -51,7 +52,7 @@ class _Half:
         body: the body.
         segment: the piece.
         node: index of the node.
-        towards: 1 where the half lies behind the node, -1 where ahead.
+        towards: 1 if the half lies behind the node, -1 if ahead.
     """
 
     body: Body
@@ -64,12 +65,12 @@ class _Half:
         return self.segment.length / 2.0 * exp(-tau)
 
     def offsets(self, tau: Expression) -> list[Expression]:
-        """Return the distances from all nodes [m]; the one from its own node is accurate to rounding."""
+        """Return the distances from all nodes [m]; the distance from its own node is accurate to rounding."""
         own = self.body.places[self.node]
         return [(own - place) + self.towards * self.distance(tau) for place in self.body.places]
 
     def height(self, tau: Expression) -> Expression:
-        """Return half thickness or radius [m]."""
+        """Return the half thickness or radius [m]."""
         return self.body.heights[self.node] + self.towards * self.segment.slope * self.distance(tau)
 
 
@@ -81,11 +82,11 @@ def _halves(face: Body) -> Iterator[_Half]:
 
 
 Field = Callable[[_Half, Expression], Expression]
-"""Pressure [Pa] or weight at places tau of a half."""
+"""Pressure [Pa] or weight of a half as a function of tau."""
 
 
 def _ends(symbolic: bool) -> tuple[Expression, Expression]:
-    """Return the begin and end of each cell of a half."""
+    """Return the start and end of each cell of a half in tau."""
     cells = np.array(_CELLS)
     return column(cells[:-1], symbolic), column(cells[1:], symbolic)
 
@@ -100,7 +101,7 @@ def _over(half: _Half, first: Expression, last: Expression, integrand: Field) ->
 
 
 def _lost(face: Body, pressure: Field, weight: Field, symbolic: bool) -> Expression:
-    """Return - int p w dx over the part of the face on which an absolute pressure p is negative."""
+    """Return -int p w dx over the part of the face where the absolute pressure p is negative."""
     first, last = _ends(symbolic)
     total: Expression = 0.0
     for half in _halves(face):
@@ -117,10 +118,11 @@ def _lost(face: Body, pressure: Field, weight: Field, symbolic: bool) -> Express
 def _monotonic(
     function: Callable[[Expression], Expression], ends: tuple[Expression, Expression], pieces: int
 ) -> list[tuple[Expression, Expression]]:
-    """Return the parts of each cell in which the pressure of a number of pieces changes its sign once at most.
+    """Return parts of each cell in which the pressure changes sign at most once.
 
-    Between two shoulders the pressure has an extremum, and may change its sign on both sides of it. The place of the
-    extremum only has to separate the two, so that differences are accurate enough as slopes.
+    On a face with several pieces the pressure has an extremum between two shoulders, and may change sign on either side
+    of it. The cell is split there. Finite differences are accurate enough, because the split need only separate the two
+    changes of sign.
     """
     if pieces == 1:
         return [ends]
@@ -139,20 +141,20 @@ def _root(
     ends: tuple[Expression, Expression],
     values: tuple[Expression, Expression],
 ) -> Expression:
-    """Return where a function changes its sign between two places, by regula falsi with halved ends (Illinois)."""
+    """Return where a function changes sign between two ends, by the Illinois variant of regula falsi."""
     low, high = ends
     at_low, at_high = values
     guess = low
     for _ in range(_ROOT_STEPS):
         span = at_high - at_low
-        # Both values are zero once the root is found to all its digits.
+        # Both values are zero once the root is found to all digits.
         open_ = absolute(span) > 0.0
         crossing = where(open_, (low * at_high - high * at_low) / where(open_, span, 1.0), high)
-        # Cells without a change of sign have no root; there the guess must only stay finite.
+        # In cells without a change of sign the guess has no meaning, but must stay finite.
         guess = minimum(maximum(crossing, ends[0]), ends[1])
         found = function(guess)
         same = found * at_high > 0.0
-        # The end that is kept counts half, lest the other never moves.
+        # Halving the value at the retained end makes that end move too.
         low, at_low = where(same, low, high), where(same, at_low / 2.0, at_high)
         high, at_high = guess, found
     return guess
@@ -161,17 +163,17 @@ def _root(
 def wedge_force(profile: Profile, soil: Soil, speed: Expression, *, separation: bool = True) -> Expression:
     """Return the contact force on both faces of a thin wedge, friction included [N per metre of its width].
 
-    Symbols are best MX: of SX every operation of the quadrature is written out, which takes minutes to differentiate.
-    Of a soil that clings to the face the signed drag is zero for every profile (nothing is radiated below the shear
-    wave's speed), and so is the friction of a single straight wedge. What resists is the compressed part of the face
-    once the rest has let go: for a straight wedge of slope t and length l 2 (t + mu0) l A ln(1 + exp(-p_a/A)) with
-    A = mu |K| t/pi.
+    Use MX symbols: an SX graph holds every operation of the quadrature and takes minutes to differentiate. If the soil
+    adhered to the face, the pressure drag would be zero for every profile, because no energy is radiated below the
+    shear wave speed, and so would be the friction of a single straight wedge. The force therefore comes from the
+    compressed part of the face after the rest has separated. For a straight wedge of slope t and length l it is
+    2 (t + mu0) l A ln(1 + exp(-p_a/A)) with A = mu |K| t/pi.
 
     Args:
         profile: nodes (x, half thickness) [m], or a share, as in `wedge_stress`.
-        soil: its elastic constants, density, tool friction and ambient pressure count.
+        soil: soil whose elastic constants, density, tool friction and ambient pressure are used.
         speed: V0 [m/s].
-        separation: whether the soil lets go where it would be pulled.
+        separation: whether the soil separates from the face where it would be in tension.
 
     Raises:
         DomainError: as `wedge_stress`.
@@ -220,22 +222,22 @@ def cone_force(
 ) -> Expression:
     """Return the contact force on a slender cone, friction included [N], equation (24) with the elastic pressure.
 
-    Symbols are best MX, as for `wedge_force`.
+    Use MX symbols, as for `wedge_force`.
 
-    An order of magnitude: frictionless it is near pi mu (t l)^2 for a cone of slope t and length l with the default
-    section factor, and twice that for a factor of 1. Its dependence on the speed is of the order that linear
-    elasticity neglects.
+    The result is an order of magnitude: without friction it is about pi mu (t l)^2 for a cone of slope t and length l
+    with the default section factor, and twice that for a factor of 1. Its dependence on the speed is of the order that
+    linear elasticity neglects.
 
     Args:
         profile: nodes (x, radius) [m], or a share, as in `cone_displacement`; only the first and the last radius
             may be 0.
-        soil: its elastic constants, density, tool friction and ambient pressure count.
-        speed: V0 [m/s], below the shear wave's.
+        soil: soil whose elastic constants, density, tool friction and ambient pressure are used.
+        speed: V0 [m/s], below the shear wave speed.
         section_factor: as in `cone_displacement`.
-        separation: whether contact is lost where the soil would be in tension.
+        separation: whether the soil separates from the face where it would be in tension.
 
     Raises:
-        DomainError: as `cone_displacement`, or a body of radius 0.
+        DomainError: as `cone_displacement`, or the body has radius 0.
         InputError: as `cone_displacement`.
     """
     check_switch("separation", separation)

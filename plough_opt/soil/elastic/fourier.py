@@ -1,7 +1,7 @@
-"""The Fourier integrals of equations (1)-(4), by quadrature, for a profile of any form.
+"""The Fourier integrals of equations (1)-(4) by quadrature, for a profile of any shape.
 
-They are an independent method for the fields of the wedge and the cone, and the one for profiles
-that are not straight. They need numbers; a design uses the closed forms with `knots` on its profile.
+They are independent of the closed forms for the fields of wedge and cone, and also handle curved profiles. They need
+numbers; a design uses the closed forms with `knots` on its profile.
 """
 
 import math
@@ -23,15 +23,17 @@ Array = NDArray[np.float64]
 Curve = Callable[[float], float]
 
 ORDER = 12
-"""Default number of Gauss-Legendre nodes in a panel, which one wave of the integrand crosses."""
+"""Default number of Gauss-Legendre nodes in a panel, which is one wavelength of the integrand wide."""
 
-# exp(-36) is the rounding error of the largest term.
+# The integrals end where the integrand has decayed to exp(-36), the rounding error of the largest term.
 _DECAY = 36.0
+# Most entries of the matrix of nodes in x and in the wave number; larger ones take minutes.
 _MOST_NODES = 40_000_000
-# Panels towards p = 0, where the Bessel functions are logarithmic, each half as wide as the one before.
+# Panels towards p = 0, where the Bessel functions are logarithmic; each is half as wide as the one before.
 _GRADED = 44
-# Below this m the difference of two Bessel functions over m is computed as their mean slope.
+# Below this m the difference of two Bessel functions divided by m is computed as their mean slope.
 _SLOW = 0.2
+# Quadrature nodes for that mean.
 _SLOPE_NODES = 10
 
 
@@ -41,9 +43,9 @@ class _Places:
 
     Attributes:
         medium: the soil at a speed.
-        at: the points as rows (x, distance from the axis) [m].
-        shape: of the points as they were given.
-        length: of the body [m].
+        at: rows (x, distance from the axis) [m], one per point.
+        shape: shape of the arrays in which the user gave the points.
+        length: length of the body [m].
         order: Gauss-Legendre nodes in a panel.
     """
 
@@ -54,18 +56,18 @@ class _Places:
     order: int
 
     def shaped(self, columns: Array) -> list[Expression]:
-        """Return columns over the points in the points' shape, as floats for a single point."""
+        """Return columns of values at the points in the shape of the user's arrays, or floats for a single point."""
         return [column.reshape(self.shape) if self.shape else float(column[0]) for column in columns.T]
 
 
 @dataclass(frozen=True)
 class _Spectrum:
-    """A transform of the profile on the nodes of the quadrature over the wave number.
+    """The Fourier transform of a profile's slope at the quadrature nodes over the wave number.
 
     Attributes:
         p: wave numbers [1/m], above 0.
-        weights: of the quadrature [1/m].
-        transform: of the profile's slope, (2 pi)^-1/2 int h' exp(i p x) dx, or of S'.
+        weights: quadrature weights [1/m].
+        transform: (2 pi)^-1/2 int h' exp(i p x) dx, or the same with S' for h'.
     """
 
     p: Array
@@ -73,7 +75,7 @@ class _Spectrum:
     transform: NDArray[np.complex128]
 
     def at(self, x: float) -> NDArray[np.complex128]:
-        """Return sqrt(2/pi) weight transform exp(-i p x): the part of the integrand that depends on the place."""
+        """Return sqrt(2/pi) weight transform exp(-i p x), the factor of the integrand that depends on x."""
         wave: NDArray[np.complex128] = np.exp(-1j * self.p * x)
         return math.sqrt(2.0 / math.pi) * self.weights * self.transform * wave
 
@@ -81,20 +83,20 @@ class _Spectrum:
 def wedge_stress(
     x: Expression, y: Expression, profile: Curve, length: float, soil: Soil, speed: float, order: int = ORDER
 ) -> wedges.WedgeStress:
-    """Return the stresses around a thin wedge of any profile by J1 and J2, equations (1) and (2) corrected.
+    """Return the stresses around a thin wedge with any profile by J1 and J2, equations (1) and (2) corrected.
 
     Args:
-        x: behind the tip [m]; a float or an array.
-        y: across [m], above 0, of the same shape; the cost grows with 1/y.
-        profile: half thickness [m] at a distance [m] behind the tip, 0 at 0; a smooth function of a number.
-        length: of the profile [m]; behind it the body keeps its thickness.
-        soil: with density, Young's modulus and Poisson's ratio.
-        speed: V0 [m/s], from 0 to below the shear wave's.
-        order: Gauss-Legendre nodes in a panel, which one wave crosses; the error falls exponentially with it.
+        x: distance behind the tip [m]; a float or an array.
+        y: distance from the plane of symmetry [m], above 0, of the same shape; the cost grows with 1/y.
+        profile: smooth function that returns the half thickness [m] at a distance [m] behind the tip; 0 at 0.
+        length: length of the profile [m]; the thickness is constant behind it.
+        soil: soil with density, Young's modulus and Poisson's ratio.
+        speed: V0 [m/s], from 0 to below the shear wave speed.
+        order: Gauss-Legendre nodes in a panel one wavelength wide; the error decreases exponentially with it.
 
     Raises:
-        DomainError: a number outside its domain, or a point so near that the quadrature would be too long.
-        InputError: symbols, or a soil without elastic constants.
+        DomainError: a number is outside its domain, or a point is so near that the quadrature would take too long.
+        InputError: an argument holds symbols, or the soil lacks elastic constants.
     """
     places = _places(x, y, length, soil, speed, order)
     spectrum, state = _spectrum(profile, places, graded=False), places.medium
@@ -103,7 +105,7 @@ def wedge_stress(
     for k, (xk, yk) in enumerate(places.at):
         wave = spectrum.at(xk)
         fast, slow = np.exp(-p * state.alpha * yk), np.exp(-p * state.eta * yk)
-        # exp(-p alpha y) - exp(-p eta y), over m: alpha - eta = m c.
+        # (exp(-p alpha y) - exp(-p eta y))/m, with alpha - eta = m c.
         change = -p * c * yk * slow * expm1_ratio(-p * state.m * c * yk)
         found[k] = [
             -wave.imag @ fast,
@@ -124,21 +126,21 @@ def cone_displacement(
     order: int = ORDER,
     section_factor: float = cones.SECTION_FACTOR,
 ) -> cones.ConeDisplacement:
-    """Return the displacement around a slender body of any profile by equations (3) and (4) corrected.
+    """Return the displacement around a slender body with any profile by equations (3) and (4) corrected.
 
     Args:
-        x: behind the tip [m]; a float or an array.
-        r: from the axis [m], above 0, of the same shape; the cost grows with 1/r.
-        profile: radius [m] at a distance [m] behind the tip, 0 at 0; a smooth function of a number.
-        length: of the profile [m]; behind it the body keeps its radius.
-        soil: with density, Young's modulus and Poisson's ratio.
-        speed: V0 [m/s], from 0 to below the shear wave's.
-        order: Gauss-Legendre nodes in a panel, which one wave crosses.
+        x: distance behind the tip [m]; a float or an array.
+        r: distance from the axis [m], above 0, of the same shape; the cost grows with 1/r.
+        profile: smooth function that returns the radius [m] at a distance [m] behind the tip; 0 at 0.
+        length: length of the profile [m]; the radius is constant behind it.
+        soil: soil with density, Young's modulus and Poisson's ratio.
+        speed: V0 [m/s], from 0 to below the shear wave speed.
+        order: Gauss-Legendre nodes in a panel one wavelength wide.
         section_factor: as in `plough_opt.soil.elastic.cone_displacement`.
 
     Raises:
-        DomainError: a number outside its domain, or a point so near that the quadrature would be too long.
-        InputError: symbols, or a soil without elastic constants.
+        DomainError: a number is outside its domain, or a point is so near that the quadrature would take too long.
+        InputError: an argument holds symbols, or the soil lacks elastic constants.
     """
     return cones.displacement_of(*_cone(_places(x, r, length, soil, speed, order), profile, section_factor))
 
@@ -153,7 +155,7 @@ def cone_stress(
     order: int = ORDER,
     section_factor: float = cones.SECTION_FACTOR,
 ) -> cones.ConeStress:
-    """Return the stresses around a slender body of any profile: arguments and errors as of `cone_displacement`."""
+    """Return the stresses around a slender body with any profile; arguments and errors as for `cone_displacement`."""
     return cones.stress_of(*_cone(_places(x, r, length, soil, speed, order), profile, section_factor))
 
 
@@ -189,8 +191,8 @@ def _cone(
 
 
 def _bessel(z: Array, state: Medium) -> tuple[Array, Array, Array, Array]:
-    """Return K0(alpha z), its difference to K0(eta z) over m, alpha K1(alpha z), and its difference to that of eta."""
-    from scipy.special import k0, k1  # slow to import, and needed for this quadrature only
+    """Return K0(alpha z), (K0(alpha z) - K0(eta z))/m, alpha K1(alpha z), (alpha K1(alpha z) - eta K1(eta z))/m."""
+    from scipy.special import k0, k1  # slow to import, and needed here only
 
     alpha, eta, m = state.alpha, state.eta, state.m
     fast, turned = k0(alpha * z), alpha * k1(alpha * z)
@@ -206,7 +208,7 @@ def _bessel(z: Array, state: Medium) -> tuple[Array, Array, Array, Array]:
 
 
 def _places(x: Expression, distance: Expression, length: float, soil: Soil, speed: float, order: int) -> _Places:
-    """Return the points, checked."""
+    """Check the arguments and return the points."""
     if holds_casadi((x, distance, length, soil, speed)):
         raise InputError("the Fourier integrals need numbers: for symbols use the closed forms, with elastic.knots")
     x, distance = (np.asarray(value) if isinstance(value, list | tuple) else value for value in (x, distance))
@@ -215,15 +217,15 @@ def _places(x: Expression, distance: Expression, length: float, soil: Soil, spee
     check_domain("length of the profile", length, "m", above=0.0)
     check_single("a Fourier integral", (length, soil, speed))
     if not is_count(order) or order < 2:
-        raise InputError(f"order = {order!r} must be at least 2, and whole: the number of nodes in a panel")
+        raise InputError(f"order = {order!r} must be a whole number of nodes in a panel, at least 2")
     state = medium(soil, speed)
-    check_domain("speed over shear wave speed", state.mach, below=1.0, why="at it the integrals do not converge")
+    check_domain("speed over shear wave speed", state.mach, below=1.0, why="at 1 the integrals do not converge")
     across, away = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(distance, dtype=float))
     return _Places(state, np.column_stack([across.ravel(), away.ravel()]), across.shape, length, order)
 
 
 def _spectrum(curve: Curve, places: _Places, *, graded: bool) -> _Spectrum:
-    """Return the transform of a curve's slope on wave numbers that resolve the integrals at all places."""
+    """Return the transform of a curve's slope at wave numbers that resolve the integrals at all points."""
     length, order, nearest = places.length, places.order, float(np.min(places.at[:, 1]))
     last = _DECAY / (float(places.medium.eta) * nearest)
     longest = max(length, *(float(np.max(np.abs(places.at[:, 0] - end))) for end in (0.0, length)))
@@ -239,14 +241,14 @@ def _spectrum(curve: Curve, places: _Places, *, graded: bool) -> _Spectrum:
     end = float(curve(length))
     check_domain("profile", np.append(values, end), "m")
     check_domain("profile at its tip", float(curve(0.0)), "m", at_least=0.0, at_most=0.0, why="a tip is sharp")
-    # By parts, so that the profile's slope is not needed: int h' e = h(l) e(l) - i p int h e.
+    # Integrated by parts, which avoids the profile's slope: int h' e = h(l) e(l) - i p int h e.
     moment = np.concatenate([np.exp(1j * np.outer(part, s)) @ (values * s_weights) for part in _chunks(p, s.size)])
     transform = (end * np.exp(1j * p * length) - 1j * p * moment) / math.sqrt(2.0 * math.pi)
     return _Spectrum(p, weights, transform)
 
 
 def _panels(length: float, width: float, order: int, graded: bool) -> tuple[Array, Array]:
-    """Return Gauss-Legendre nodes and weights from 0 to a length in panels; graded ones become narrower towards 0."""
+    """Return Gauss-Legendre nodes and weights in panels from 0 to a length; graded panels become narrower towards 0."""
     edges = np.linspace(0.0, length, max(math.ceil(length / width), 1) + 1)
     if graded:
         edges = np.concatenate([[0.0], edges[1] * 0.5 ** np.arange(_GRADED, 0, -1), edges[1:]])
@@ -256,5 +258,5 @@ def _panels(length: float, width: float, order: int, graded: bool) -> tuple[Arra
 
 
 def _chunks(p: Array, other: int) -> list[Array]:
-    """Return wave numbers in parts, such that a matrix over each and the other nodes fits into memory."""
+    """Return wave numbers in chunks, so that the matrix of one chunk and the other nodes fits into memory."""
     return np.array_split(p, max(p.size * other // 4_000_000, 1))

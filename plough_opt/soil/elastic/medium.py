@@ -1,4 +1,4 @@
-"""The elastic soil at a speed: wave speeds, and the functions of the speed that all formulas share."""
+"""The elastic soil at a given speed: wave speeds, and functions of the speed that all formulas share."""
 
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -20,10 +20,10 @@ from plough_opt.core.expressions import (
 from plough_opt.core.labels import Limit, attach, checked_in_designs, unlabelled
 from plough_opt.soil.soil import Soil, check_soil
 
-# At the shear wave's speed the fields are finite, but their slope is infinite: the limit in designs is a little lower.
 _Result = TypeVar("_Result")
+# At the shear wave speed the fields are finite but their derivatives are not, so designs stay a little below it.
 _SUBSONIC = Limit("elastic medium: speed over shear wave speed", at_most=0.9999)
-# Each step of Newton's method for the cubic of the Rayleigh speed doubles the digits; the start has three.
+# Newton steps for the cubic of the Rayleigh speed: each doubles the number of correct digits, which is three at first.
 _RAYLEIGH_STEPS = 5
 
 
@@ -40,7 +40,7 @@ def shear_modulus(soil: Soil) -> Expression:
 
 @checked_in_designs
 def shear_wave_speed(soil: Soil) -> Expression:
-    """Return c2 = sqrt(mu/rho) [m/s], below which every function of the elastic medium holds.
+    """Return c2 = sqrt(mu/rho) [m/s], the largest speed for which the elastic medium is solved.
 
     Raises:
         InputError: the soil's Young's modulus or Poisson's ratio is not given.
@@ -60,10 +60,10 @@ def longitudinal_wave_speed(soil: Soil) -> Expression:
 
 @checked_in_designs
 def rayleigh_speed(soil: Soil) -> Expression:
-    """Return the Rayleigh speed c_R [m/s], at which there is no pressure on a wedge.
+    """Return the Rayleigh speed c_R [m/s], at which the pressure on a wedge vanishes.
 
-    It follows from the root of (1 + eta^2)^2 = 4 alpha eta, which is that of the cubic
-    m^3 - 8 m^2 + 8 (3 - 2 kappa) m - 16 (1 - kappa) in m = (c_R/c2)^2.
+    It satisfies (1 + eta^2)^2 = 4 alpha eta, which is equivalent to the cubic
+    m^3 - 8 m^2 + 8 (3 - 2 kappa) m - 16 (1 - kappa) = 0 in m = (c_R/c2)^2.
 
     Raises:
         InputError: the soil's Young's modulus or Poisson's ratio is not given.
@@ -80,7 +80,7 @@ def rayleigh_speed(soil: Soil) -> Expression:
 
 @dataclass(frozen=True)
 class Ratios:
-    """Numbers of an elastic soil at a speed, of which all fields are made.
+    """Dimensionless numbers of an elastic soil at a speed, from which all fields follow.
 
     Attributes:
         m: (V0/c2)^2 [-], from 0 to 1.
@@ -98,7 +98,7 @@ class Ratios:
 
     @property
     def in_order(self) -> tuple[Expression, ...]:
-        """The five numbers, as `Ratios` takes them."""
+        """The five numbers in the order of the constructor's arguments."""
         return self.m, self.kappa, self.stiffening, self.alpha, self.eta
 
     @property
@@ -118,7 +118,7 @@ class Ratios:
 
     @property
     def rayleigh(self) -> Expression:
-        """Return R/m = ((1 + eta^2)^2 - 4 alpha eta)/m, which changes its sign at the Rayleigh speed."""
+        """Return R/m = ((1 + eta^2)^2 - 4 alpha eta)/m, which changes sign at the Rayleigh speed."""
         return 4.0 * self.product - 4.0 + self.m
 
 
@@ -135,7 +135,7 @@ class Medium(Ratios):
     mach: Expression
 
     def limited(self, result: _Result) -> _Result:
-        """Return a result; every expression in it is labelled with the limit on the speed, for designs."""
+        """Return a result whose expressions are labelled with the limit on the speed, for designs."""
         if not is_symbolic(self.mach):
             return result
         labelled: _Result = map_expressions(result, lambda value: attach(value, self.mach, _SUBSONIC, _SUBSONIC))
@@ -147,7 +147,7 @@ def medium(soil: Soil, speed: Expression) -> Medium:
 
     Raises:
         InputError: the soil's Young's modulus or Poisson's ratio is not given.
-        DomainError: a speed below 0 or above the shear wave's.
+        DomainError: the speed is negative or above the shear wave speed.
     """
     with unlabelled():
         modulus, fastest = shear_modulus(soil), shear_wave_speed(soil)
@@ -157,12 +157,12 @@ def medium(soil: Soil, speed: Expression) -> Medium:
         "speed over shear wave speed",
         mach,
         at_most=1.0,
-        why="the elastic medium is solved for speeds up to the shear wave's; see elastic.shear_wave_speed(soil)",
+        why="the elastic medium is solved up to the shear wave speed; see elastic.shear_wave_speed(soil)",
     )
     _, ratio = _constants(soil)
     kappa = _kappa(ratio)
     m = mach**2
-    # Near the shear wave's speed 1 - m cancels; at low speed the derivative of the product does.
+    # Near the shear wave speed 1 - m cancels; at low speed the derivative of the product does.
     eta_squared = where(m < 0.5, 1.0 - m, (fastest - speed) * (fastest + speed) / fastest**2)
     return Medium(
         shear_modulus=modulus,
@@ -181,7 +181,7 @@ def _constants(soil: Soil) -> tuple[Expression, Expression]:
     known: dict[str, Any] = {name: getattr(soil, name) for name in ("youngs_modulus", "poisson_ratio")}
     for name, value in known.items():
         if value is None:
-            raise InputError(f"the elastic medium needs {name}, which {soil.name} does not give: set soil.{name}")
+            raise InputError(f"the elastic medium needs {name}, but {soil.name} does not have it: set soil.{name}")
     return known["youngs_modulus"], known["poisson_ratio"]
 
 
@@ -190,15 +190,19 @@ def _kappa(poisson_ratio: Expression) -> Expression:
     return (1.0 - 2.0 * poisson_ratio) / (2.0 * (1.0 - poisson_ratio))
 
 
-# --- differences over m, which is small at low speed, without cancellation -----------------------------------
+# --- differences divided by m, which is small at low speed, without cancellation -------------------------------------
 
 
 FAR = 1.6
-"""Sum of the distances from both ends of a piece, in its lengths, beyond which a Gauss rule is the more accurate."""
+"""A Gauss rule replaces the closed form if the distances from both ends of a piece sum to more than this many lengths.
+
+It is then the more accurate of the two.
+"""
 
 FAR_NODES = 24
 """Nodes of that rule."""
 
+# Largest argument for which the ratio functions replace the logarithm and the angle.
 _SERIES_BELOW = 0.5
 
 

@@ -1,4 +1,4 @@
-"""Profiles of a body: piecewise-linear nodes, those of a share, and knots on a smooth curve."""
+"""Profiles of a body: piecewise-linear nodes, the profile of a share, and knots on a smooth curve."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -23,9 +23,9 @@ from plough_opt.core.expressions import (
 from plough_opt.soil.geometry import Cone, Wedge
 
 Profile: TypeAlias = Sequence[tuple[Expression, Expression]] | Wedge | Cone
-"""Nodes (x, half thickness or radius) [m], or a share: the straight profile of its (equivalent) cone."""
+"""Nodes (x, half thickness or radius) [m], or a share, whose profile is that of its (equivalent) cone."""
 
-# Limit on the straight pieces of a profile, each of which is a term of every stress.
+# Most straight pieces of a profile; each is a term of every stress.
 _MOST_PIECES: Final = 100_000
 
 
@@ -34,10 +34,10 @@ class Segment:
     """A straight piece of a profile.
 
     Attributes:
-        start: index of its first node; its second is the next.
+        start: index of its first node; the next node is its second.
         length: extent in x [m].
         first: half thickness or radius at its first node [m].
-        slope: of the face [-].
+        slope: slope of the face [-].
     """
 
     start: int
@@ -72,7 +72,7 @@ class Body:
         return [x - place for place in self.places]
 
     def height(self, x: Expression) -> Expression:
-        """Return half thickness or radius at x [m]; behind the last node that of the last node."""
+        """Return the half thickness or radius at x [m]; it is constant behind the last node."""
         total: Expression = 0.0
         for segment, offset in zip(self.segments, self.offsets(x), strict=False):
             total = total + segment.slope * minimum(maximum(offset, 0.0), segment.length)
@@ -80,11 +80,11 @@ class Body:
 
 
 def body(profile: Profile) -> Body:
-    """Return a profile as a body, checked.
+    """Check a profile and return it as a body.
 
     Raises:
-        InputError: not a sequence of pairs, or fewer than two of them.
-        DomainError: nodes that do not ascend in x, a height below 0, or one other than 0 at the first node.
+        InputError: the profile is not a sequence of at least two pairs.
+        DomainError: the nodes do not increase in x, a height is negative, or the height at the first node is not 0.
     """
     if isinstance(profile, Wedge | Cone):
         cone = profile.equivalent_cone() if isinstance(profile, Wedge) else profile
@@ -102,33 +102,31 @@ def body(profile: Profile) -> Body:
             after - before,
             "m",
             above=0.0,
-            why="nodes go from the tip backwards",
+            why="nodes must be listed from the tip backwards",
         )
     return Body(tuple(place for place, _ in pairs), tuple(height for _, height in pairs))
 
 
 def knots(profile: Callable[[float], float], length: float, count: int) -> list[tuple[float, float]]:
-    """Return the nodes of a smooth profile for the closed forms, closer together towards both ends.
+    """Return nodes on a smooth profile for the closed forms, spaced more closely towards both ends.
 
-    Away from the body the error of stresses and displacements falls with the square of the number of
-    pieces; `plough_opt.refine` shows it. On the body the pressure is infinite at every node.
+    Away from the body the error of stresses and displacements decreases with the square of the number of pieces;
+    `plough_opt.refine` shows it. On the body the pressure is infinite at every node.
 
     Args:
-        profile: half thickness or radius [m] at a distance x [m] behind the tip; 0 at 0.
-        length: of the body [m], above 0.
+        profile: function that returns half thickness or radius [m] at a distance x [m] behind the tip; 0 at 0.
+        length: length of the body [m], above 0.
         count: number of straight pieces, at least 1.
 
     Raises:
-        InputError: an invalid number of pieces, or a profile that is not a function of one number.
-        DomainError: a length that is not positive, or a height that is not finite.
+        InputError: the number of pieces is invalid, or the profile is not a function of one number.
+        DomainError: the length is not positive, or a height is not finite.
     """
     length = plain_number("length of the profile", length)
     check_domain("length of the profile", length, "m", above=0.0)
     check_callable("the profile", profile, "of x that returns a number, in metres")
     if not is_count(count) or count > _MOST_PIECES:
-        raise InputError(
-            f"count = {shown(count)} must be a whole number from 1 to {_MOST_PIECES}: the number of straight pieces"
-        )
+        raise InputError(f"count = {shown(count)} of straight pieces must be a whole number from 1 to {_MOST_PIECES}")
     places = [length * math.sin(math.pi * k / (2 * count)) ** 2 for k in range(count)] + [length]
     try:
         heights = [float(profile(place)) for place in places]
@@ -143,7 +141,7 @@ def points(first: Expression, second: Expression, *others: Any) -> tuple[Express
     """Return coordinates; if any argument holds symbols, arrays become columns that can be combined with them.
 
     Raises:
-        DomainError: a coordinate that is not a finite number.
+        DomainError: a coordinate is not a finite number.
     """
     first, second = (np.asarray(value) if isinstance(value, list | tuple) else value for value in (first, second))
     for name, value in (("x", first), ("distance from the axis", second)):
@@ -157,11 +155,11 @@ def points(first: Expression, second: Expression, *others: Any) -> tuple[Express
 
 
 def check_off_nodes(offsets: Sequence[Expression], distance: Expression) -> None:
-    """Raise DomainError for numeric points on a node, where the stresses are infinite."""
+    """Raise DomainError if a numeric point lies on a node, where the stresses are infinite."""
     for k, offset in enumerate(offsets):
         if is_symbolic(offset) or is_symbolic(distance):
             continue
-        # Squares of less are zero in floating point.
+        # The squares of smaller numbers underflow.
         if np.any((np.abs(as_number(offset)) < LEAST) & (np.abs(as_number(distance)) < LEAST)):
             raise DomainError(
                 f"a point lies on node {k + 1} of the profile, where the stresses are infinite: move it off the node"
@@ -169,7 +167,7 @@ def check_off_nodes(offsets: Sequence[Expression], distance: Expression) -> None
 
 
 def _pairs(profile: Any) -> list[tuple[Expression, Expression]]:
-    """Return nodes as pairs."""
+    """Return the nodes of a profile as pairs; raise InputError if they are not at least two pairs."""
     wanted = "a profile is a sequence of nodes (x, half thickness or radius) in metres, a Wedge or a Cone"
     try:
         pairs = [tuple(node) for node in profile]

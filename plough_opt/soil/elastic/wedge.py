@@ -1,12 +1,12 @@
-"""Thin wedge in plane strain: equations (1) and (2), in closed form for a piecewise-linear profile.
+"""The thin wedge in plane strain: equations (1) and (2), in closed form for a piecewise-linear profile.
 
-The face moves the soil aside by its half thickness, v(x, 0) = h(x), and is smooth. With the slope g of each
-straight piece between a and b, X0 = x - a, X1 = x - b, L = b - a, the potentials are::
+The face is frictionless and moves the soil aside by its half thickness, v(x, 0) = h(x). For a straight piece of slope g
+between a and b, with X0 = x - a, X1 = x - b and L = b - a, the potentials are::
 
     Q_k = (g/2 pi) ln((X0^2 + k^2 y^2)/(X1^2 + k^2 y^2)),   P_k = (g/pi) arg(k^2 y^2 + X0 X1, k y L)
 
-for k = alpha and eta, and stresses need Q_alpha, P_alpha and the differences (Q_alpha - Q_eta)/m and
-(P_eta - P_alpha)/m, which lose no digits here at low speed (m -> 0).
+for k = alpha and eta. The stresses need Q_alpha, P_alpha and the differences (Q_alpha - Q_eta)/m and
+(P_eta - P_alpha)/m, which are computed without losing digits at low speed (m -> 0).
 """
 
 import math
@@ -26,7 +26,7 @@ from plough_opt.soil.elastic.medium import (
 from plough_opt.soil.elastic.profile import Body, Profile, body, check_off_nodes, points
 from plough_opt.soil.soil import Soil
 
-# Makes y ln(distance from a node) take its limit 0 on the node itself.
+# Added to squared distances, so that y ln(distance from a node) is 0 on the node itself.
 _TINY = 1e-300
 
 
@@ -52,7 +52,7 @@ class WedgeGradient:
 
 @dataclass(frozen=True)
 class Potentials:
-    """Functions of which the fields of a wedge are sums, for y >= 0.
+    """Functions whose linear combinations are the fields of a wedge, for y >= 0.
 
     Attributes:
         q: Q_alpha.
@@ -68,7 +68,7 @@ class Potentials:
 
 
 def potentials(offsets: list[Expression], y: Expression, wedge: Body, soil: Medium) -> Potentials:
-    """Return the potentials in closed form, at distances from the nodes and at y >= 0."""
+    """Return the potentials at given distances from the nodes and from the plane of symmetry, y >= 0."""
     pieces = []
     for segment in wedge.segments:
         place = offsets[segment.start], offsets[segment.start + 1], y, segment.length
@@ -80,7 +80,7 @@ def potentials(offsets: list[Expression], y: Expression, wedge: Body, soil: Medi
 def _piece(
     x0: Expression, x1: Expression, y: Expression, length: Expression, *state: Expression
 ) -> tuple[Expression, ...]:
-    """Return pi/g times Q_alpha and its difference, P_alpha and its difference, of a piece of slope g."""
+    """Return the four `Potentials` of a piece of slope g, multiplied by pi/g."""
     soil = Ratios(*state)
     m, kappa, alpha, eta, slowing = soil.m, soil.kappa, soil.alpha, soil.eta, soil.slowing
     product = alpha * eta * y**2
@@ -99,7 +99,7 @@ def _piece(
 
 
 def stress_of(found: Potentials, soil: Medium) -> WedgeStress:
-    """Return the stresses that belong to potentials, for y >= 0; equations (1) and (2) in units of rho V0^2 = mu m."""
+    """Return the stresses that follow from the potentials, for y >= 0: (1) and (2) in units of rho V0^2 = mu m."""
     alpha, eta = soil.alpha, soil.eta
     difference = 4.0 * alpha * eta * found.q_change
     # 4 kappa - 4 q1 + m (1 - 2 kappa)
@@ -113,23 +113,23 @@ def stress_of(found: Potentials, soil: Medium) -> WedgeStress:
 
 
 def wedge_stress(x: Expression, y: Expression, profile: Profile, soil: Soil, speed: Expression) -> WedgeStress:
-    """Return the stresses around a thin wedge that moves steadily, equations (1) and (2) corrected.
+    """Return the stresses around a thin wedge in steady motion, equations (1) and (2) corrected.
 
-    Exact within linear elasticity for every speed from 0 to the shear wave's. The print's (2) lacks a factor 2,
-    and both lack the unit rho V0^2.
+    The result is exact within linear elasticity for every speed from 0 to the shear wave speed. The printed (2) lacks a
+    factor 2, and both equations lack the unit rho V0^2.
 
     Args:
-        x: behind the tip [m]; a float, an array, or a CasADi column.
-        y: across [m], of the same shape; y < 0 is the mirror image, and y = 0 the upper face.
-        profile: nodes (x, half thickness) [m] from the tip, where the half thickness is 0; behind the last the
-            body keeps its thickness. A `Wedge` or `Cone` is replaced by a straight profile with the slope
-            tan(beta) of its equivalent cone.
-        soil: with density, Young's modulus and Poisson's ratio.
+        x: distance behind the tip [m]; a float, an array, or a CasADi column.
+        y: distance from the plane of symmetry [m], of the same shape; y < 0 is the mirror image, y = 0 the upper face.
+        profile: nodes (x, half thickness) [m] from the tip, where the half thickness is 0; it is constant behind the
+            last node. A `Wedge` or `Cone` is replaced by a straight profile with the slope tan(beta) of its equivalent
+            cone.
+        soil: soil with density, Young's modulus and Poisson's ratio.
         speed: V0 [m/s], from 0 to `shear_wave_speed`. For an MX expression a `Design` adds this limit as a requirement.
 
     Raises:
-        DomainError: a speed beyond the shear wave's, a point on a node, or a number outside its domain.
-        InputError: an invalid profile, or a soil without elastic constants.
+        DomainError: the speed exceeds the shear wave speed, a point lies on a node, or a number is outside its domain.
+        InputError: the profile is invalid, or the soil lacks elastic constants.
     """
     state = medium(soil, speed)
     found, side = _potentials_at(x, y, profile, state)
@@ -139,9 +139,9 @@ def wedge_stress(x: Expression, y: Expression, profile: Profile, soil: Soil, spe
 
 
 def wedge_gradient(x: Expression, y: Expression, profile: Profile, soil: Soil, speed: Expression) -> WedgeGradient:
-    """Return the gradient of the displacement around a thin wedge: arguments and errors as of `wedge_stress`.
+    """Return the displacement gradient around a thin wedge; arguments and errors are those of `wedge_stress`.
 
-    The displacement ux is determined except for a constant, which has no natural value for an open body.
+    The displacement ux itself is determined only up to a constant, which has no natural value for an open body.
     """
     state = medium(soil, speed)
     found, side = _potentials_at(x, y, profile, state)
@@ -159,9 +159,9 @@ def wedge_gradient(x: Expression, y: Expression, profile: Profile, soil: Soil, s
 
 
 def wedge_displacement(x: Expression, y: Expression, profile: Profile, soil: Soil, speed: Expression) -> Expression:
-    """Return the displacement uy of the soil across a thin wedge [m]: arguments and errors as of `wedge_stress`.
+    """Return the displacement uy around a thin wedge [m]; arguments and errors are those of `wedge_stress`.
 
-    On the face it is the half thickness; far ahead it vanishes.
+    On the face it equals the half thickness; far ahead it vanishes.
     """
     state = medium(soil, speed)
     offsets, y, side, wedge = _place(x, y, profile, state)
@@ -174,19 +174,19 @@ def wedge_displacement(x: Expression, y: Expression, profile: Profile, soil: Soi
 
 
 def wedge_pressure(x: Expression, profile: Profile, soil: Soil, speed: Expression) -> Expression:
-    """Return the pressure -sigma_yy [Pa] that the soil adds to its ambient pressure on the face of a thin wedge.
+    """Return the gauge pressure -sigma_yy [Pa] of the soil on the face of a thin wedge.
 
-    Per straight piece it is mu K (g/pi) ln|X0/X1| with K = -R/(alpha m): infinite at the nodes, tension at the
-    tip, compression at the shoulder; 0 at the Rayleigh speed, beyond which it changes sign.
+    Each straight piece contributes mu K (g/pi) ln|X0/X1| with K = -R/(alpha m). The pressure is infinite at the nodes,
+    negative near the tip and positive near the shoulder. It vanishes at the Rayleigh speed and changes sign beyond it.
 
     Args:
-        x: behind the tip [m], between the first and the last node; a float, an array, or a CasADi column.
+        x: distance behind the tip [m], between the first and the last node; a float, an array, or a CasADi column.
         profile: nodes (x, half thickness) [m], or a share, as in `wedge_stress`.
-        soil: with density, Young's modulus and Poisson's ratio.
+        soil: soil with density, Young's modulus and Poisson's ratio.
         speed: V0 [m/s].
 
     Raises:
-        DomainError: as `wedge_stress`, or x beside the body.
+        DomainError: as `wedge_stress`, or x is not on the body.
         InputError: as `wedge_stress`.
     """
     state, wedge = medium(soil, speed), body(profile)
@@ -216,7 +216,7 @@ def _face_log(x0: Expression, x1: Expression, length: Expression) -> tuple[Expre
 def _place(
     x: Expression, y: Expression, profile: Profile, soil: Medium
 ) -> tuple[list[Expression], Expression, Expression, Body]:
-    """Return distances from the nodes, distance from the axis, the side of it (1 or -1), and the body."""
+    """Return distances from the nodes, |y|, the sign of y (1 or -1), and the body."""
     wedge = body(profile)
     x, y = points(x, y, wedge, soil)
     side = where(y < 0.0, -1.0, 1.0)
@@ -224,7 +224,7 @@ def _place(
 
 
 def _potentials_at(x: Expression, y: Expression, profile: Profile, soil: Medium) -> tuple[Potentials, Expression]:
-    """Return the potentials at a point of either side, and the side."""
+    """Return the potentials at points on either side, and the sign of y."""
     offsets, y, side, wedge = _place(x, y, profile, soil)
     check_off_nodes(offsets, y)
     return potentials(offsets, y, wedge, soil), side
@@ -234,13 +234,13 @@ def _potentials_at(x: Expression, y: Expression, profile: Profile, soil: Medium)
 def _shift(
     x0: Expression, x1: Expression, y: Expression, length: Expression, *state: Expression
 ) -> tuple[Expression, ...]:
-    """Return uy of a piece of slope pi: the integral of uy_x from far ahead."""
+    """Return uy of a piece of slope pi, which is the integral of uy_x from far ahead."""
     soil = Ratios(*state)
     m, kappa, alpha, eta, slowing = soil.m, soil.kappa, soil.alpha, soil.eta, soil.slowing
     product, change = alpha * eta * y**2, length * (x0 + x1)
 
     def turn(x: Expression) -> Expression:
-        """Return the difference of the angles of x + i alpha y and x + i eta y, over m."""
+        """Return the difference of the angles of x + i alpha y and x + i eta y, divided by m."""
         return angle_difference(slowing * y * x, x**2 + product + _TINY, m)
 
     fast0, fast1, slow0, slow1 = (x**2 + (k * y) ** 2 + _TINY for k in (alpha, eta) for x in (x0, x1))

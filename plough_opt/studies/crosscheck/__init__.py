@@ -1,4 +1,4 @@
-"""Other draft models to set beside this one: calculations side by side, of which none validates another."""
+"""Comparison with other draft models: calculations side by side, which do not validate each other."""
 
 from plough_opt.laws.asabe import asabe_draft
 from plough_opt.laws.cones import spherical_cavity_draft

@@ -1,4 +1,4 @@
-"""The result of a comparison: a table, a picture in colours that the colour-blind can tell apart, and words."""
+"""The result of a comparison of draft models, as a table, a picture and sentences."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ KM_PER_H: Final = 3.6
 """Kilometres per hour in a metre per second."""
 
 _MARKERS = "os^vDPX"
-# Spread of drafts beyond which the lower ones could not be told apart on a linear axis.
-_WIDE = 8.0
+# Ratio of the largest to the smallest draft beyond which the axis is logarithmic, to separate the small ones.
+_LARGEST_LINEAR_RATIO = 8.0
 _REFUSED = ": outside its domain"
-# Letters of a title by inch of the picture, beside its legend.
-_LETTERS = 9
+# Characters of a title per inch of the picture's width.
+_CHARACTERS_PER_INCH = 9
 
 
 @dataclass(frozen=True)
@@ -33,13 +33,13 @@ class ModelDraft:
     """Drafts of one model at the speeds of a comparison.
 
     Attributes:
-        model: its name.
-        depth: working depth [m], or None of a model that knows none.
+        model: name of the model.
+        depth: working depth [m], or None for a model without one.
         drafts: draft at each speed [N]; NaN outside the model's domain.
-        refusal: why there are NaNs, or "".
-        source: where its equations come from.
-        standing: what of it is not verified.
-        band: part of a draft by which its source lets it err either way.
+        refusal: reason for NaNs, or "".
+        source: source of its equations.
+        standing: clause that says which parts are not verified.
+        band: fraction of a draft by which it may be wrong in either direction according to its source.
     """
 
     model: str
@@ -52,23 +52,23 @@ class ModelDraft:
 
     @property
     def rise(self) -> float:
-        """Growth of the draft from the lowest to the highest speed, relative [-]; NaN where one has no value."""
+        """Relative growth of the draft from the lowest to the highest speed [-]; NaN if either draft is NaN."""
         return self.drafts[-1] / self.drafts[0] - 1.0 if self.drafts[0] else math.nan
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Drafts of several models at the same speeds, this one's first.
+    """Drafts of several models at the same speeds, beginning with this toolkit's model.
 
-    None of them is a measurement, and that two agree validates neither.
+    They are not measurements, and agreement of two models validates neither.
 
     Attributes:
-        scene: what was compared, in words.
-        speeds: [m/s], rising.
+        scene: description of the scene.
+        speeds: speeds [m/s], increasing.
         own: quasi-static mean draft of the scene by this toolkit's model.
-        others: the other models, those that know a depth once for each depth.
-        estimates: what the scene does not say and how it was estimated; a sentence each.
-        reasons: why the models differ; a sentence each.
+        others: the other models; those with a working depth occur once for each depth.
+        estimates: sentences that say which values the scene does not give, and how they were estimated.
+        reasons: sentences that say why the models differ.
     """
 
     scene: str
@@ -85,22 +85,22 @@ class Comparison:
 
     @property
     def refusals(self) -> tuple[str, ...]:
-        """A sentence for each model that has no value at some speed."""
+        """Sentences about models that do not have a value at every speed."""
         rows = (self.own, *self.others)
         return tuple(dict.fromkeys(f"{row.model}{_at(row)}: {row.refusal}" for row in rows if row.refusal))
 
     @property
     def standings(self) -> tuple[str, ...]:
-        """The parts of each model that are not verified, with its source."""
+        """Parts of each model that are not verified, with its source."""
         return tuple(dict.fromkeys(f"{_family(row)}: {row.standing} ({row.source})" for row in self.others))
 
     def ratios(self, row: ModelDraft) -> tuple[float, ...]:
-        """Return a model's drafts over this toolkit's at the same speeds [-]; NaN where either has none."""
+        """Return the ratios of a model's drafts to this toolkit's at the same speeds [-]; NaN if either is NaN."""
         pairs = zip(row.drafts, self.own.drafts, strict=True)
         return tuple(theirs / ours if ours else math.nan for theirs, ours in pairs)
 
     def table(self) -> Table:
-        """Return drafts in kN and, in brackets, their ratios to this model's."""
+        """Return a table of drafts in kN and, in brackets, their ratios to this model's."""
         from rich.table import Table
 
         table = Table(title="Mean draft in kN, ratio to this model's: calculated, not measured")
@@ -121,10 +121,10 @@ class Comparison:
         return table
 
     def plot(self, path: str | Path | None = None) -> Figure:
-        """Draw draft over speed, a panel for each depth; write it to a file if one is named.
+        """Draw draft over speed, one panel per depth, and write the picture to a file if a path is given.
 
         Raises:
-            InputError: a file of no known picture format, or one that cannot be written.
+            InputError: the file's ending is not a picture format, or the file cannot be written.
         """
         from plough_opt.core.files import save_figure
 
@@ -150,7 +150,7 @@ def _family(row: ModelDraft) -> str:
 def _figure_of(
     own: ModelDraft, others: Sequence[ModelDraft], speeds: Sequence[float], depths: Sequence[float], title: str = ""
 ) -> Figure:
-    """Return the picture; speeds in km/h. A model has one colour and one marker in every panel."""
+    """Return the picture; speeds are in km/h. A model has the same colour and marker in every panel."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -163,7 +163,7 @@ def _figure_of(
         _draw(axes, own, rows, speeds, numbers)
         axes.set_title("" if depth is None else f"working depth {depth:.3g} m")
     drafts = [d for row in (own, *others) for d in row.drafts if math.isfinite(d) and d > 0.0]
-    if drafts and max(drafts) > _WIDE * min(drafts):
+    if drafts and max(drafts) > _LARGEST_LINEAR_RATIO * min(drafts):
         grid[0].set_yscale("log")
         plain = FuncFormatter(lambda value, _: f"{value:g}")
         grid[0].yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -172,7 +172,7 @@ def _figure_of(
     else:
         grid[0].set_ylim(bottom=0.0)
     grid[0].set_ylabel("mean draft [kN]")
-    # A model may have values at one depth alone: its name says so where it has none at all.
+    # A model may have values at one depth only; it is marked as refused only if it has none at any depth.
     found: dict[str, tuple[Artist, str]] = {}
     for axes in grid:
         for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -183,7 +183,10 @@ def _figure_of(
     figure.legend(handles, names, loc="outside right upper", fontsize="small")
     if title:
         figure.suptitle(
-            textwrap.fill(title, int(_LETTERS * figure.get_figwidth())), x=0.01, ha="left", fontsize="medium"
+            textwrap.fill(title, int(_CHARACTERS_PER_INCH * figure.get_figwidth())),
+            x=0.01,
+            ha="left",
+            fontsize="medium",
         )
     return figure
 
@@ -193,7 +196,7 @@ def _draw(axes: Axes, own: ModelDraft, rows: Sequence[ModelDraft], speeds: Seque
     axes.plot(speeds, [draft / 1e3 for draft in own.drafts], color="black", linewidth=2.2, label=own.model)
     for row in rows:
         k = numbers[row.model]
-        # The marker moves on where colours begin anew.
+        # Markers shift by one each time the colours repeat.
         marker = _MARKERS[(k + k // len(COLOURS)) % len(_MARKERS)]
         colour = COLOURS[k % len(COLOURS)]
         axes.plot(speeds, [draft / 1e3 for draft in row.drafts], color=colour, marker=marker,
@@ -207,5 +210,5 @@ def _draw(axes: Axes, own: ModelDraft, rows: Sequence[ModelDraft], speeds: Seque
 
 
 def _named(row: ModelDraft) -> str:
-    """Return a model's name for the legend, which says too where it has no value at all."""
+    """Return a model's name for the legend, marked if it does not have a value at any speed."""
     return row.model + (_REFUSED if all(map(math.isnan, row.drafts)) else "")

@@ -1,4 +1,4 @@
-"""Set other draft models beside a scene: what they need and the scene lacks is given, or estimated and said so."""
+"""Comparison of a scene with other draft models, whose further inputs are given or estimated."""
 
 import dataclasses
 import math
@@ -44,45 +44,45 @@ def compare(
     adhesion: float = 0.0,
     laws: Sequence[ResistanceLaw] = (),
 ) -> Comparison:
-    """Return the drafts of other models beside this one's quasi-static mean draft of a numeric scene.
+    """Return the quasi-static mean draft of a numeric scene by this toolkit's model and by other models.
 
     Args:
-        scene: its soil, share and effects; the mount and its motion do not enter.
-        depth: working depth or depths [m]; estimated by the share's height.
-        width: of the tine [m]; estimated by the base diameter of the equivalent cone.
-        rake_angle: of the tine [rad], above 0 to 90 degrees; estimated by the share's chisel angle.
-        texture: ``"fine"``, ``"medium"`` or ``"coarse"``, for ASABE D497; without it all three are shown.
+        scene: scene whose soil, share and effects are used; its mount and motion are ignored.
+        depth: working depth or depths [m]; default: the share's height.
+        width: width of the tine [m]; default: the base diameter of the equivalent cone.
+        rake_angle: rake angle of the tine [rad], above 0 and at most 90 degrees; default: the share's chisel angle.
+        texture: ``"fine"``, ``"medium"`` or ``"coarse"``, for ASABE D497; default: all three.
         point: ``"narrow"`` or ``"winged"``, for ASABE D497.
-        speeds: [m/s]; without them 3, 5, 7 and 9 km/h and the tow speed.
-        rupture_ratio: m of the universal earthmoving equation, at least 1; estimated by a plane wedge.
-        surcharge: on the soil's surface [Pa].
-        adhesion: of soil on the tine [Pa].
-        laws: further laws of resistance, such as a user's own.
+        speeds: speeds [m/s]; default: 3, 5, 7 and 9 km/h and the tow speed.
+        rupture_ratio: m of the universal earthmoving equation, at least 1; default: that of a plane wedge.
+        surcharge: pressure on the soil's surface [Pa].
+        adhesion: adhesion of soil on the tine [Pa].
+        laws: further resistance laws, such as your own.
 
     Returns:
-        Drafts, ratios, estimates and reasons. What lies outside a model's domain is NaN, with the reason.
+        Drafts, ratios, estimates and reasons. Drafts outside a model's domain are NaN, with the reason.
 
     Raises:
-        InputError: a scene with symbols, or an unknown texture or point.
-        DomainError: an argument that is outside every model's domain.
+        InputError: the scene holds symbols, or texture or point is unknown.
+        DomainError: an argument is outside every model's domain.
     """
     check_kind("the scene", scene, Scene, "a numeric Scene")
     if holds_casadi((scene, depth, width, rake_angle, speeds, rupture_ratio, surcharge, adhesion)):
         raise InputError("a comparison needs numbers: evaluate the scene with best(scene) first")
     for name, value, known in (("texture", texture, TEXTURES), ("point", point, POINTS)):
         if not (value is None and name == "texture"):
-            check_named(f"{name} = {{}} is none of D497", value, known)
+            check_named(f"{name} = {{}} does not exist in D497", value, known)
     check_single("a comparison", [x for x in (width, rake_angle, rupture_ratio, surcharge, adhesion) if x is not None])
     if rupture_ratio is not None:
         check_domain("rupture distance ratio m", rupture_ratio, at_least=1.0)
     check_kind("laws", laws, list | tuple, "a list of resistance laws")
     for law in laws:
-        check_kind("laws: one of them", law, ResistanceLaw, "a resistance law, as McKyesAli(depth=0.35)")
+        check_kind("laws: one of them", law, ResistanceLaw, "a resistance law, such as McKyesAli(depth=0.35)")
     given_speeds: Any = (*_USUAL_SPEEDS, scene.tow_speed) if speeds is None else speeds
     course = tuple(sorted(_several("speed", "m/s", given_speeds, at_least=0.0)))
     depths = _several("working depth", "m", float(scene.share.height) if depth is None else depth, above=0.0)
     wide = 2.0 * float(scene.cone.height * scene.cone.slope) if width is None else width
-    # Refuses once, and not in every row, what no tine can have.
+    # Check the tine here once, so that invalid dimensions raise an error and are not reported in every row.
     Tine(wide, depths[0], math.pi / 2 if rake_angle is None else rake_angle, surcharge, adhesion)
     tine = {"width": wide, "rake_angle": rake_angle, "surcharge": surcharge, "adhesion": adhesion}
     rows = _rows(depths, tine, tuple(TEXTURES) if texture is None else (texture,), point, rupture_ratio)
@@ -114,7 +114,7 @@ def _several(
     above: float = -np.inf,
     at_least: float = -np.inf,
 ) -> tuple[float, ...]:
-    """Return one number or several, each once, inside a domain as of `check_domain`."""
+    """Return one or several numbers without duplicates, checked as by `check_domain`."""
     values = np.atleast_1d(np.asarray(given, dtype=float)).ravel()
     check_domain(what, values, unit, above=above, at_least=at_least)
     if not values.size:
@@ -129,7 +129,7 @@ def _short(law: ResistanceLaw | type[ResistanceLaw]) -> str:
 def _rows(
     depths: Sequence[float], tine: dict[str, Any], textures: Sequence[str], point: str, rupture_ratio: float | None
 ) -> Iterator[tuple[str, float | None, ResistanceLaw]]:
-    """Yield name, working depth [m] and law of each row; the law without a depth last."""
+    """Yield name, working depth [m] and law of each row; the law without a depth is last."""
     for depth in depths:
         for texture in textures:
             yield f"{AsabeD497.label}, {point}, {texture}", depth, AsabeD497(texture, point, depth=depth)
@@ -144,17 +144,17 @@ def _rows(
 
 
 def _own_draft(scene: Scene, speed: float) -> float:
-    """Return the quasi-static mean draft [N] over whole waves of the soil's strength."""
+    """Return the scene's quasi-static mean draft [N] over whole wavelengths of the soil strength."""
     return float(dataclasses.replace(scene, tow_speed=speed).steady_resistance)
 
 
 def _steady(law: ResistanceLaw, at: ShareInSoil, speed: float) -> float:
-    """Return a law's draft [N] of a share that slides steadily at a speed [m/s]."""
+    """Return a law's draft [N] for a share that slides steadily at a speed [m/s]."""
     return float(force_of(law, dataclasses.replace(at, speed=speed)))
 
 
 def _drafts(draft: Callable[[float], float], speeds: Sequence[float]) -> tuple[tuple[float, ...], str]:
-    """Return a model's draft at each speed, NaN outside its domain, and the first reason for that."""
+    """Return a model's draft at each speed, NaN outside its domain, and the first reason for a NaN or ""."""
     drafts, refusal = [], ""
     for speed in speeds:
         try:

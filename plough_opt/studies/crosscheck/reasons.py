@@ -89,7 +89,7 @@ def _of_pressure(scene: Scene) -> Iterable[str]:
         rest = (1.0 - share) * float(scene.reaction.static)
         yield (
             f"ambient pressure ({pressure:.4g} kPa) carries {100 * share:.0f} % of this model's static draft; without"
-            f" it {rest / 1e3:.3g} kN would remain; the spherical cavity includes it too, while the wedge models include"
+            f" it {rest / 1e3:.3g} kN would remain; the spherical cavity includes it too, and the wedge models include"
             " only the weight and the strength of the soil"
         )
 

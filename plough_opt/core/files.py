@@ -133,7 +133,7 @@ def check_file(path: str | Path, ending: str, kind: str) -> Path:
     """
     target = Path(path)
     if target.suffix.lower() != ending:
-        raise InputError(f"'{target}' is not a valid file name for the {kind}: end it in {ending}")
+        raise InputError(f"'{target}' is not a valid file name for the {kind}: it must end in {ending}")
     if target.is_dir():
         raise InputError(f"'{target}' is a folder: name a file in it")
     return target

@@ -7,15 +7,13 @@ import re
 import shutil
 import subprocess
 import sys
-import tomllib
 import xml.etree.ElementTree as ET
-from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 
 import plough_opt as po
-from plough_opt.app import commands, main
+from plough_opt.app import main
 from plough_opt.problem_file import TEMPLATE
 
 BRIEF = ("--set", "scene.duration=0.2 s", "--set", "scene.outputs=20")
@@ -108,10 +106,10 @@ def test_check_shows_changes_and_notes_what_is_fixed(cli, cotton, reference, tmp
     assert cells(cli("check", path).out, "scene.steel_density") == ["7850 kg/m^3"]  # a default has its unit too
 
 
-@pytest.mark.parametrize("name", ["share [old].toml", "[/b].toml"])
-def test_brackets_in_a_file_name_are_shown(cli, cotton, tmp_path, monkeypatch, name):
+def test_brackets_in_a_file_name_are_shown(cli, cotton, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path(name).parent.mkdir(exist_ok=True)
+    name = "[/b].toml"  # rich would take it for the end of a style
+    Path(name).parent.mkdir()
     shutil.copy(cotton, name)
     done = cli("check", name)
     assert done.status == 0
@@ -144,15 +142,14 @@ def test_simulate_prints_the_numbers_of_the_run_and_saves_them(cli, reference, t
     assert saved.mount_force.tolist() == run.mount_force.tolist()
 
 
-@pytest.mark.parametrize(("ending", "beginning"), [("png", b"\x89PNG\r\n\x1a\n"), ("svg", b"<?xml"), ("pdf", b"%PDF-")])
-def test_a_picture_is_written_and_json_stands_alone_on_its_stream(cli, cotton, tmp_path, ending, beginning):
-    path = tmp_path / "pictures" / f"run.{ending}"
+def test_a_picture_is_written_and_json_stands_alone_on_its_stream(cli, cotton, tmp_path):
+    path = tmp_path / "pictures" / "run.pdf"
     done = cli("simulate", cotton, "--json", "--set", "share.height=20 cm", "--plot", path, *BRIEF)
     assert done.status == 0
     assert json.loads(done.out)["kind"] == "run"
     assert "note: " in done.err
     assert done.err.endswith(f"wrote {path}\n")
-    assert path.read_bytes().startswith(beginning)
+    assert path.read_bytes().startswith(b"%PDF-")
 
 
 def test_optimise_prints_the_best_of_three_optima_and_what_decided_it(optimised):
@@ -197,25 +194,13 @@ def test_an_impossible_requirement_is_no_solution_and_the_conflict_is_named(cli,
     assert list(tmp_path.iterdir()) == []
 
 
-def test_with_every_variable_fixed_nothing_is_left_to_choose(cli, cotton):
-    fixed = ("share.height=0.3 m", "share.wedge_angle=30 deg", "scene.stiffness=50 kN/m")
-    done = cli("optimise", cotton, *(f"--set={text}" for text in fixed))
-    assert done.status == 2
-    assert "nothing to choose" in done.err
-
-
 BAD_INPUT = {
     "missing file": ("check subsoler.toml", "there is no file 'subsoler.toml': did you mean 'subsoiler.toml'"),
-    "folder": ("check .", "'.' is a folder: name a problem file in it"),
     "no TOML": ("check broken.toml", "broken.toml, line 2: not valid TOML"),
     "key": ("check wrong.toml", "wrong.toml, line 10: 'scene.tow_sped' is not a known key: did you mean 'tow_speed'?"),
     "unit": ("simulate subsoiler.toml --set scene.tow_speed=2kg", "--set scene.tow_speed=2kg: 'scene.tow_speed' = "),
-    "value": ("simulate subsoiler.toml --set scene.duration=0s", "must be above 0 s"),
-    "set": ("simulate subsoiler.toml --set scene.tow_speed", "--set scene.tow_speed: expected KEY=VALUE"),
     "picture": ("simulate subsoiler.toml --plot run.jpg", "'run.jpg' has no known picture format: end its name in"),
-    "no ending": ("optimise subsoiler.toml --plot picture", "'picture' has no known picture format"),
     "no objective": ("optimise aimless.toml", "aimless.toml: nothing to minimise: add a table [minimise]"),
-    "init": ("init subsoiler.toml", "'subsoiler.toml' exists already"),
 }  # fmt: skip
 
 
@@ -246,8 +231,7 @@ def test_bad_input_is_refused_in_a_sentence_and_nothing_is_written(cli, line, ex
 
 
 @pytest.mark.usefixtures("folder")
-@pytest.mark.parametrize("verb", ["simulate", "optimise"])
-@pytest.mark.parametrize("picture", ["run.jpg", "", "new/run.gif"])
+@pytest.mark.parametrize(("verb", "picture"), [("simulate", "run.jpg"), ("optimise", "new/run.gif"), ("simulate", "")])
 def test_a_picture_that_cannot_be_is_refused_before_anything_is_computed(cli, monkeypatch, verb, picture):
     def compute(*_):
         raise AssertionError("computed")
@@ -257,11 +241,7 @@ def test_a_picture_that_cannot_be_is_refused_before_anything_is_computed(cli, mo
     assert not Path("new").exists()
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [[], ["optimse", "x"], ["check"], ["check", "a", "b"], ["check", "x", "--jason"], ["simulate", "x", "--set"]],
-    ids=["none", "verb", "file", "files", "option", "value"],
-)
+@pytest.mark.parametrize("arguments", [[], ["check"]], ids=["no command", "no file"])
 def test_wrong_usage_is_explained(capsys, arguments):
     with pytest.raises(SystemExit, match="2"):
         main(arguments)
@@ -273,7 +253,7 @@ def test_wrong_usage_is_explained(capsys, arguments):
     [
         (["--help"], ["\n    init ", "\n    check ", "\n    simulate ", "\n    optimise ", "\n    soils "]),
         (["check", "--help"], ['--set KEY="VALUE"']),
-        (["--version"], [f"plough-opt {version('plough_opt')}\n"]),
+        (["--version"], [f"plough-opt {po.__version__}\n"]),
     ],
 )
 def test_help_and_version_go_to_the_standard_stream(capsys, arguments, words):
@@ -281,11 +261,6 @@ def test_help_and_version_go_to_the_standard_stream(capsys, arguments, words):
         main(arguments)
     out = capsys.readouterr().out
     assert [one for one in words if one not in out] == []
-
-
-def test_the_version_is_that_of_the_project():
-    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
-    assert po.__version__ == version("plough_opt") == project["project"]["version"]
 
 
 # What only a process of its own shows: exit status, streams, no traceback.
@@ -296,13 +271,10 @@ def test_the_installed_command_and_the_module_are_the_same(cli):
         assert (done.returncode, done.stdout, done.stderr) == (0, cli("soils").out, "")
 
 
-def test_a_process_shows_no_progress_where_there_is_no_terminal_and_no_traceback(command, reference):
-    done = command("optimise", reference, "--json", "--set", "effects.motion=false")
+def test_a_process_shows_no_progress_where_there_is_no_terminal(command, reference):
+    done = command("optimise", reference, "--json", "--search", "near", "--set", "effects.motion=false")
     assert (done.status, done.err) == (0, "")
     assert json.loads(done.out)["kind"] == "optimum"
-    done = command("check", "nothing.toml")
-    assert (done.status, done.out) == (2, "")
-    assert "Traceback" not in done.err
 
 
 @pytest.mark.parametrize("arguments", [["soils", "--json"], ["check"]], ids=" ".join)
@@ -316,33 +288,12 @@ def test_a_reader_that_has_seen_enough_is_no_error(command, cotton, arguments):
     assert (done.status, done.err) == (0, "")
 
 
-def test_a_title_in_another_script_is_printed_on_any_terminal(command, cotton):
-    done = command("check", cotton, "--set", "title=Плуг", environment={"PYTHONIOENCODING": "ascii"})
-    assert (done.status, done.err) == (0, "")
-
-
-def test_a_share_that_sticks_is_answered_without_casadis_notices(command, reference):
+def test_neither_casadis_notices_nor_a_title_in_another_script_disturb_a_terminal(command, reference):
     stuck = ("--set", 'effects.contact="stick_slip"', "--set", 'effects.start="rest"')
-    done = command("simulate", reference, *BRIEF, *stuck)
+    ascii_only = {"PYTHONIOENCODING": "ascii"}
+    done = command("simulate", reference, *BRIEF, *stuck, "--set", "title=Плуг", environment=ascii_only)
     assert (done.status, done.err) == (0, "")
-
-
-def test_an_interrupted_command_says_so_and_shows_no_traceback(cli, monkeypatch):
-    def interrupt(_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(commands, "soils", interrupt)
-    done = cli("soils")
-    assert done.status == 130
-    assert done.err == "stopped: no file was written\n"
-
-
-def test_an_optimum_without_requirements_has_no_table_of_them(cli, cotton):
-    calibration = cotton.with_name("calibration.toml")
-    done = cli("optimise", calibration, "--set", "minimise.mean_draft.per=1 kN")
-    assert done.status == 0
-    assert "Best design" in done.out
-    assert "Requirements" not in done.out
+    assert "\\u041f" in done.out
 
 
 def test_optimise_may_be_spelt_otherwise(cli, reference):

@@ -61,14 +61,10 @@ def test_the_picture(cli, cotton, tmp_path):
     ("arguments", "words"),
     [
         (("--depth", "0.4 m"), "--depth belongs to a comparison: add --against"),
-        (("--plot", "a.png"), "--plot belongs to a comparison: add --against"),
         (("--against", "--depth", "0.4"), '--depth = "0.4" has no unit: write it like "0.3 m"'),
-        (("--against", "--rake", "45 m"), '--rake = "45 m" has the wrong unit'),
         (("--against", "--width", "-8 cm"), "tool width = -0.08 m must be above 0 m"),
         (("--against", "--texture", "fin"), "did you mean 'fine'?"),
-        (("--against", "--point", "wing"), "did you mean 'winged'?"),
         (("--against", "--rupture-ratio", "0.5"), "rupture distance ratio m = 0.5 must be at least 1"),
-        (("--against", "--plot", "a.txt"), "no known picture format"),
     ],
 )
 def test_wrong_input_is_refused_before_anything_is_printed(cli, cotton, arguments, words):

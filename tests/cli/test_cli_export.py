@@ -116,29 +116,16 @@ def test_parts_have_units_and_bodies(cli, reference, tmp_path):
         (["--output", "a.txt"], "end in .casadi"),
         (["--output", "folder.casadi"], "is a folder"),
         (["--to", "c", "--output", "folder.casadi"], "exists already and is left as it is"),
-        (["--to", "openmdao", "--output", "folder.casadi"], "exists already and is left as it is"),
-        (["--to", "fmu", "--output", "a.casadi"], "end in .fmu"),
         (["--to", "fmu", "--output", "a.fmu", "--inputs", "share.height"], "--inputs cannot be used with --to fmu"),
-        (["--strut", "speed"], "--strut cannot be used with --to casadi"),
-        (["--to", "c", "--output", "c", "--description", "a.json"], "--description cannot be used with --to c"),
         (["--description", "a.txt"], "end in .json"),
         (["--inputs", "share.hight"], "no quantity is named 'share.hight': did you mean 'share.height'"),
         (["--inputs", ""], "--inputs '' has an empty name"),
-        (["--outputs", "mean_draft,"], "--outputs 'mean_draft,' has an empty name"),
         (["--inputs", "effects.damping"], "'effects.damping' cannot be an input"),
-        (["--outputs", "mean_drft"], "no result is named 'mean_drft': did you mean 'mean_draft'"),
         (["--outputs", "peak_force"], "use 'mount_force'"),
         (["--name", "2nd"], "name = '2nd' cannot be the name of a CasADi Function"),
-        (["--to", "stl", "--output", "a.obj"], "end in .stl"),
         (["--to", "gltf", "--output", "a.stl"], "end in .gltf or .glb"),
-        (["--to", "stl", "--output", "a.stl", "--inputs", "share.height"], "--inputs cannot be used with --to stl"),
-        (["--opening", "60 deg"], "--opening cannot be used with --to casadi"),
         (["--to", "stl", "--output", "a.stl", "--opening", "60 mm"], '--opening = "60 mm" has the wrong unit'),
         (["--to", "stl", "--output", "a.stl", "--at", "guess", "--thickness", "1 m"], "leaves nothing of the faces"),
-        (["--to", "dxf", "--output", "a.dxf", "--body", "cone", "--thickness", "1 mm"], "which is solid"),
-        (["--set", "accuracy.method=cvodes"], "method 'cvodes' cannot be part of a component"),
-        (["--set", "effects.contact=stick_slip"], "stick and slip cannot be a component"),
-        (["--set", "variables.share.height.upper=0.6 mm"], "lower"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -170,10 +157,3 @@ def test_a_file_without_variables_or_results_is_told_what_to_name(cli, reference
     done = cli(*line, *(f"--set={text}" for text in fixed))
     assert (done.status, words in done.err) == (2, True), done.err
     assert [path.name for path in tmp_path.iterdir()] == ["p.toml"]
-
-
-def test_components_of_files_in_python(reference):
-    made = po.read_problem(reference).component(outputs=["deflection"], samples=5)
-    assert made.outputs[0].size == 6
-    assert [port.name for port in made.inputs] == ["share.wedge_angle", "share.height", "scene.stiffness"]
-    assert [(port.lower, port.upper, port.value) for port in made.inputs][2] == (5e3, 5e5, 5e4)

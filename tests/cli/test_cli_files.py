@@ -27,10 +27,7 @@ def own(tmp_path, cotton):
     ("verb", "name", "options", "overwritten"),
     [
         ("tradeoff", FRONT, ("--csv", FRONT), "--csv 'FILE' is the problem file"),
-        ("tradeoff", FRONT, ("--output", f"./{FRONT}"), "--output 'FILE' is the problem file"),
-        ("sweep", FRONT, (*SWEEP, "--npz", FRONT), "--npz 'FILE' is the problem file"),
         ("sweep", FRONT, (*SWEEP, "--store", FRONT), "--store 'FILE' is the problem file"),
-        ("calibrate", "calibration.toml", ("--output", "calibration.toml"), "--output 'FILE' is the problem file"),
         ("calibrate", "calibration.toml", ("--output", "synthetic_draft.csv"), "--output 'FILE' is a data file"),
         ("tradeoff", FRONT, ("--csv", "x", "--output", "x"), "--output 'x' is also the file of --csv"),
     ],

@@ -48,10 +48,6 @@ def test_options_that_cannot_be_are_refused_with_those_that_can(capsys, argument
     assert words in capsys.readouterr().err
 
 
-def test_schema_is_printed_as_json(cli):
-    assert json.loads(cli("schema").out)["properties"]["require"]
-
-
 def test_bash_completes_commands_and_options(cli, tmp_path):
     script = tmp_path / "completion.sh"
     script.write_text(cli("completion", "bash").out, encoding="utf-8")
@@ -79,13 +75,6 @@ def test_it_says_what_is_being_done_until_it_is_done():
     assert lines[0] == "working: 0 s so far"
     time.sleep(0.05)
     assert len(lines) == count
-
-
-def test_what_is_soon_done_says_nothing():
-    lines = []
-    with heartbeat(lines.append):
-        pass
-    assert lines == []
 
 
 @pytest.mark.parametrize("error", [BrokenPipeError, ValueError("closed file")])

@@ -64,8 +64,6 @@ def saved(file, tmp_path_factory):
     [
         ("soil.cohesion", "soil.cohesion", "{} Pa"),
         ("soil.ambient_pressure", "soil.ambient_pressure", "{} Pa"),  # of the named soil, not in the file
-        ("scene.tow_speed", "scene.tow_speed", "{} m/s"),
-        ("loosened_radius at_least", "require.loosened_radius.at_least", "{} m"),
         ("half_angle at_most", "require.half_angle.at_most", "{} rad"),
     ],
 )

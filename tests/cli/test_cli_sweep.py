@@ -93,15 +93,10 @@ def test_failures_are_reported(cli, reference, tmp_path, monkeypatch):
 
 WRONG = {
     "name": (("--over", "soil.cohesoin=5..45 kPa:9"), "'soil.cohesoin' cannot be swept: did you mean 'soil.cohesion'"),
-    "no range": (("--over", "soil.cohesion"), "expected KEY=RANGE, like soil.cohesion"),
     "too many": (("--over", "soil.cohesion=5..45 kPa:1000000000000"), "at most 1000000; use a sample"),
-    "samples": (("--over", "soil.cohesion=5..45 kPa", "--samples", "0"), "0 samples: give a whole number from 2"),
     "twice": ((*COHESION, *COHESION), "'soil.cohesion' is swept twice"),
     "fixed": ((*COHESION, "--set", "soil.cohesion=5 kPa"), "'soil.cohesion' is also fixed by --set"),
     "domain": (("--over", "soil.density_ratio=0.5..1.5:3"), "density ratio b1 = 1.5 must be below 1"),
-    "folder": ((*COHESION, "--csv", "/"), "--csv '/' is a folder"),
-    "same file": ((*COHESION, "--csv", "x", "--npz", "x"), "--npz 'x' is also the file of --csv"),
-    "workers": ((*COHESION, "--workers", "0"), "--workers 0: a sweep needs at least one"),
     "both": ((*COHESION, "--workers", "2", "--scheduler", "tcp://x:1"), "remove one of the two"),
     "no store": ((*COHESION, "--store", __file__), "file is not a database"),
 }

@@ -3,19 +3,16 @@
 import pytest
 
 import plough_opt as po
-from plough_opt.problem_file.source import lines_of
 
 
 @pytest.mark.parametrize(
     ("inserted", "line", "told"),
     [
         ("x = " + "[" * 400 + "]" * 400, 10, "more than 8 deep"),
-        ("x = " + "[\n" * 2000 + "]" * 900, 18, "more than 8 deep"),
         (".".join("a" * 400) + " = 1", 10, "more than 8 deep"),
         ("x = " + "1" * 996, 10, "'scene.x' is larger than any number"),
         ("x = " + "1" * 5000, 10, "5004 characters; at most 1000"),
         ('x = "\\u001b[31m"', 10, "'scene.x' holds U+001B, a character that cannot be printed"),
-        ('"\\u0001" = 1', 10, "holds U+0001"),
         ('damping = "1 m^9^9^9"', 10, "'scene.damping' is not a known key"),
     ],
     ids=lambda value: str(value)[:20],
@@ -26,7 +23,7 @@ def test_what_cannot_be_read_is_told_with_its_line(changed, refusal, inserted, l
     assert told in message
 
 
-@pytest.mark.parametrize("written", ["1 m^9^9^9", "1 m**9**9", "1 m^99", "1 m^-99", "1 m^1.25", "1 m^9 ^9", "1 m^9**9"])
+@pytest.mark.parametrize("written", ["1 m^9^9^9", "1 m**9**9", "1 m^-99", "1 m^1.25"])
 def test_powers_of_units_are_one_digit(changed, cotton, refusal, written):
     file, variable = changed(("7.2 km/h", written)), changed(("0.1 m", written))
     for message in (refusal(file), refusal(cotton, f'share.height="{written}"'), refusal(variable)):
@@ -59,31 +56,3 @@ def test_a_change_is_short(cotton, refusal):
     assert "more than 8 deep" in refusal(cotton, f"title={'[' * 900}{']' * 900}")
     assert "'title' holds U+0007" in refusal(cotton, "title=a\x07b")
     assert "holds U+DCFF" in refusal(cotton, "title=a\udcff")
-
-
-def test_lines_of_keys_wherever_toml_lets_them_stand():
-    text = '''# comment with [brackets
-title = """
-[soil]
-name = 1""" # and "more
-[soil]  # [scene]
-name = 'a[b'
-"x.y" = { lower = "1 {m", upper = 2 }
-list = [ # [
-  "]", 1,
-  { inner = 3 },
-]
-[a.b]
-c.d = 1
-
-[[rows]]
-e = 1
-[[rows]]
-f = "\\"]"
-'''
-    found = lines_of(text)
-    wanted = {
-        "title": 2, "soil": 5, "soil.name": 6, "soil.x.y": 7, "soil.x.y.lower": 7, "soil.list": 8, "a": 12, "a.b": 12,
-        "a.b.c": 13, "a.b.c.d": 13, "rows": 15, "rows.e": 16, "rows.f": 18,
-    }  # fmt: skip
-    assert {key: found[key] for key in wanted} == wanted

@@ -10,16 +10,11 @@ CHANGES = [
     ('scene.tow_speed="2.5 m/s"', lambda p: p.scene().tow_speed, 2.5),
     ("scene.tow_speed=2.5 m/s", lambda p: p.scene().tow_speed, 2.5),
     ("scene.tow_speed = 9 km/h", lambda p: p.scene().tow_speed, 2.5),
-    ("effects.strength_wave.amplitude=0.1", lambda p: p.scene().effects.strength_wave.amplitude, 0.1),
     ("effects.strength_wave.amplitude=10 %", lambda p: p.scene().effects.strength_wave.amplitude, 0.1),
     ("effects.strength_wave={amplitude = 0, wavelength = '1 m'}", lambda p: p.fixed[WAVELENGTH], 1.0),
-    ("effects.strength_wave.phase=90 deg", lambda p: p.scene().effects.strength_wave.phase, 90 * DEG),
     ("effects.added_mass=false", lambda p: p.scene().effects.added_mass, False),
     ("effects.start=rest", lambda p: p.scene().effects.start, "rest"),
-    ("effects.tow_ramp=0.5 s", lambda p: p.scene().effects.tow_ramp, 0.5),
-    ("soil.name=hardpan", lambda p: p.scene().soil.name, "hardpan"),
     ("soil.name=heavy clay", lambda p: p.scene().soil.name, "heavy clay"),
-    ("soil.cohesion=25 kPa", lambda p: p.scene().soil.cohesion, 25e3),
     ("scene.outputs=8", lambda p: p.table.scene.outputs, 8),
     ("accuracy.error=1e-6", lambda p: p.accuracy.error, 1e-6),
     ("title=A = B", lambda p: p.title, "A = B"),
@@ -29,7 +24,8 @@ CHANGES = [
     ("variables.scene.stiffness.log=false", lambda p: p.variables["scene.stiffness"].log, False),
     ('require.loosened_radius.at_least="0.1 m"', lambda p: p.table.require["loosened_radius"].at_least, "0.1 m"),
     ("require.mean_draft.at_most=5 kN", lambda p: p.table.require["mean_draft"].at_most, "5 kN"),
-    ("minimise.mean_draft.per=2 kN", lambda p: p.table.minimise["mean_draft"].per, "2 kN"),
+    ("variables.soil.density={ lower = '1.3 t/m^3', upper = '1.5 t/m^3' }", lambda p: p.scene().soil.density, 1400.0),
+    ("scene.tow_speed=5 mph", lambda p: p.displays["scene.tow_speed"].symbol, "mph"),
 ]
 WAVELENGTH = "effects.strength_wave.wavelength"
 
@@ -59,53 +55,29 @@ def test_a_variable_given_a_value_is_fixed_with_a_note(read, cotton):
     )
 
 
-def test_a_new_variable_may_be_set(read, cotton):
-    problem = read(cotton, "variables.soil.density={ lower = '1.3 t/m^3', upper = '1.5 t/m^3' }")
-    assert problem.scene().soil.density == pytest.approx(1400.0)
-
-
-def test_the_unit_of_a_change_is_the_unit_of_its_results(read, cotton):
-    assert read(cotton, "scene.tow_speed=5 mph").displays["scene.tow_speed"].symbol == "mph"
-
-
 REFUSED = [
     ("scene.tow_speed=2.5", "'scene.tow_speed' = 2.5 has no unit", '"7.2 km/h"'),
-    ("scene.tow_speed=2.5 kmh", "unknown unit 'kmh'", "'km/h'"),
     ("scene.tow_sped=2.5 m/s", "'scene.tow_sped' is not a known key", "did you mean 'tow_speed'?"),
     ("share.height=-0.3 m", "share height = -0.3 m", "above 0"),
     ("share.height=1e300 m", "share height = 1e+300 m must be at most 1e+60 m"),
-    ("variables.share.height.upper=1e300 m", "share height = 1e+300 m must be at most 1e+60 m"),
     ("effects.start=rst", "'effects.start' = 'rst' is unknown", "did you mean 'rest'?"),
-    ("effects.start=now", "'effects.start' = 'now' is unknown", "equilibrium, rest, towed"),
     ("effects.motion=no", "'effects.motion' = 'no' must be true or false"),
     ("scene.outputs=2.5", "'scene.outputs' = 2.5 must be a whole number"),
     ("scene.outputs=true", "'scene.outputs' = True must be a whole number"),
     ("scene.outputs=0", "'scene.outputs' = 0 must be at least 1"),
-    ("scene.outputs=1000000", "'scene.outputs' = 1000000 must be at most 100000"),
     ("scene..tow_speed=2 m/s", "'scene..tow_speed' is not a key"),
     ("accuracy.error='1e-6'", "'accuracy.error' = '1e-6' must be a number"),
     ("effects.motion=false", "damping needs motion", "omit it"),
-    ("soil.name=hardpn", "no soil is named 'hardpn'", "did you mean 'hardpan'?"),
-    ("accuracy.method=cvode", "is named 'cvode'", "did you mean 'cvodes'?"),
     ("title=3", "'title' = 3 must be a text in quotes"),
-    ("variables.share.height.uper=0.4 m", "share.height.uper' is not a known key", "did you mean 'upper'?"),
-    ("variables.share.height.upper=0.4", "'share.height' upper = 0.4 has no unit", '"0.3 m"'),
     ("variables.share.height.lower=0.6 m", "contradict each other", "lower 0.6 m is not below upper 0.5 m"),
     ("variables.share.hight.upper=0.4 m", "share.hight", "did you mean 'share.height'"),
-    ("require.losened_radius.at_least=0.1 m", "'losened_radius' cannot be required", "'loosened_radius'"),
     ("require.half_angle.at_least=20 deg", "contradict each other", "at least 20 deg is above at most 15 deg"),
-    ("minimise.tow_powr.per=1 kW", "'tow_powr' cannot be minimised", "'tow_power'"),
     ("scen.tow_speed=2 m/s", "no table is named 'scen'", "did you mean 'scene'?"),
     ("scene.tow_speed.x=3", "'tow_speed' is a value"),
     ("scene.tow_speed", "expected KEY=VALUE", 'like scene.tow_speed="2.5 m/s"'),
-    ("scene.tow_speed=", "expected KEY=VALUE"),
     ("=3", "expected KEY=VALUE"),
-    ("", "expected KEY=VALUE"),
     ("scene=3", "'scene'"),
-    ("variables=3", "'variables'"),
     ("variables.share.height=3", "'variables.share.height'"),
-    ("require.mean_draft.at_most=14", "'mean_draft' at_most = 14.0 has no unit"),
-    ("minimise.mean_draft.per=0 kN", "'mean_draft' per = 0 kN must be above 0"),
     ("variables.scene.tow_speed.upper=3 m/s", "'variables.scene.tow_speed.lower' is missing"),
 ]
 
@@ -125,11 +97,6 @@ def test_a_change_that_cannot_be_is_blamed_and_not_the_file(refusal, cotton, ove
 def test_a_variable_that_is_fixed_and_then_bounded_is_blamed_on_the_bound(refusal, cotton):
     message = refusal(cotton, "share.height=0.3 m", "variables.share.height.upper=0.6 m")
     assert message == "--set variables.share.height.upper=0.6 m: 'variables.share.height.lower' is missing: set it too"
-
-
-def test_the_file_is_blamed_for_its_own_mistakes_beside_a_change(refusal, cotton):
-    message = refusal(cotton.replace("tow_speed", "tow_sped"), "scene.duration=1 s")
-    assert message.startswith("share.toml, line 10: 'scene.tow_sped' is not a known key")
 
 
 @pytest.mark.parametrize(

@@ -104,13 +104,8 @@ def test_the_insertions_spread_makes_the_design_robust(write):
     [
         ("", "there are no readings"),
         ("depth [cm]\n1\n", "line 1: one column depth and at least one column cone_index"),
-        ("depth [cm], cone_index\n1, 2\n", "line 1, column 'cone_index': the unit is missing"),
-        ("depth [cm], pressure [kPa]\n1, 2\n", "line 1, column 'pressure .kPa.': this column is unknown"),
-        ("depth [cm], cone_index [m]\n1, 2\n", "'m' is not a unit of Pa"),
         ("depth [cm], cone_index [kPa]\n0, 1\n10, x\n", "line 3, column 'cone_index': 'x' is not a number"),
-        ("depth [cm], cone_index [kPa]\n0, 1\n10\n", "line 3: the row has 1 cells"),
         ("depth [cm], cone_index [kPa]\n0, 1\n10, -5\n", "-5 must be at least 0"),
-        ("depth [cm], cone_index [kPa]\n0, 1\n60, nan\n", "not a finite number"),
         ("depth [cm], cone_index [kPa]\n0, 1\n20, 5\n", "insertion 1: its readings cover 0 to 20 cm"),
         (
             "depth [cm], cone_index [kPa]\n0, 1\n60, 5\n30, 5\n",
@@ -118,7 +113,6 @@ def test_the_insertions_spread_makes_the_design_robust(write):
         ),
         ("depth [cm], cone_index [kPa]\n0, 0\n60, 0\n", "its mean cone index is 0"),
         ("insertion, depth [cm], cone_index [kPa], cone_index [kPa]\n1, 0, 1, 2\n", "single column cone_index"),
-        ("depth [cm], cone_index [kPa]\n" + "1, 2, 3" * 2000, "line 2: it has 14000 characters"),
     ],
 )
 def test_what_is_wrong_with_a_file_has_its_place(write, text, words):

@@ -15,11 +15,8 @@ WAVE = 'strength_wave = { amplitude = 0.3, wavelength = "0.2 m" }'
 # What stands in the file, what is put there, a fragment of the line to blame, and pieces of the message.
 MISSPELT = [
     (SOIL, f'{SOIL}\ncohesoin = "2 kPa"', "cohesoin", "'soil.cohesoin' is not", "did you mean 'cohesion'"),
-    ("{ amp", "{ phose = 1, amp", "phose", "'effects.strength_wave.phose'", "did you mean 'phase'"),
     (ACCURACY, f"[accuracy]\nmetod = 'rk'\n{ACCURACY}", "metod", "'accuracy.metod'", "mean 'method'?"),
     ('guess = "25', 'gues = "25', "gues =", "'variables.share.wedge_angle.gues'", "mean 'guess'?"),
-    (MEAN, f"{MEAN}, power = 2", "power", "'minimise.mean_draft.power'", "did you mean 'per'?"),
-    ("{ at_least", "{ at_lest = 1, at_least", "lest", "'require.loosened_radius.at_lest'", "'at_least'"),
     ("[minimise]", "[minimize]", "minimize", "'minimize' is not a known key", "did you mean 'minimise'?"),
     ('"share.height" ', '"share.hight" ', "hight", "'share.hight' cannot be a variable", "'share.height'"),
     ("mean_draft = ", "mean_draught = ", "draught", "'mean_draught' cannot be", "'mean_draft'?"),
@@ -28,21 +25,17 @@ MISSPELT = [
     ("damping =", 'formulation = "prnt"\ndamping =', "prnt", "'effects.formulation'", "mean 'printed'?"),
     # What is misspelt and required is one mistake, not two.
     ("[scene]", "[scen]", "[scen]", "did you mean 'scene'"),
-    ('duration = "2 s"', 'durtion = "2 s"', "durtion", "did you mean 'duration'"),
     ("amplitude = 0.3", "amplitud = 0.3", "amplitud ", "did you mean 'amplitude'"),
-    ('lower = "5 deg"', 'lowr = "5 deg"', "lowr", "did you mean 'lower'"),
 ]
 QUANTITIES = [
     (SPEED, '"7.2 kg"', "7.2 kg", "'scene.tow_speed' = \"7.2 kg\" has the wrong unit", "quantity in m/s"),
     (SPEED, "7.2", "tow_speed", "'scene.tow_speed' = 7.2 has no unit", SPEED),
     *((SPEED, wrong, "tow_speed", "'scene.tow_speed' is not a quantity", SPEED)
-      for wrong in ("true", "[\n  7.2,\n\n  8.2,\n]", "{ a = 1 }", "1979-05-27")),
+      for wrong in ("[\n  7.2,\n\n  8.2,\n]", "1979-05-27")),
     ("amplitude = 0.3", "amplitude = inf", "amplitude", "strength_wave.amplitude' = inf", "finite"),
-    ("amplitude = 0.3", "amplitude = nan", "amplitude", "strength_wave.amplitude'", "finite"),
     ("amplitude = 0.3", f"amplitude = 1{'0' * 400}", "amplitude", "larger than any number"),
     ('"5 deg"', '"5 m"', '"5 m"', "'share.wedge_angle' lower = \"5 m\"", "quantity in rad"),
     ('"15 deg" }', '"15 m" }', "half_angle", "'half_angle' at_most = \"15 m\"", "quantity in rad"),
-    ('"0.15 m"', "0.15", "loosened", "'loosened_radius' at_least = 0.15 has no unit"),
     (MEAN, 'mean_draft = { per = "1 kg"', "1 kg", "'mean_draft' per = \"1 kg\"", "quantity in N"),
 ]  # fmt: skip
 CONTRADICTIONS = [
@@ -59,7 +52,7 @@ CONTRADICTIONS = [
      "'share.height' is a variable and also has a fixed value"),
     ("force_rms  =", "deflection =", "deflection = { per", "'deflection' cannot be minimised", "'mean_deflection'"),
     *(('"share.height" ', f'"{key}" ', f'"{key}" ', f"'{key}' cannot be a variable")
-      for key in ("soil.name", "effects.motion", "share", "title")),
+      for key in ("soil.name", "share")),
     (WAVE + "\ndamping = \"400 N*s/m\"\n\n[variables]",
      "[variables]\n'effects.strength_wave.wavelength' = { lower = '0.1 m', upper = '0.3 m' }",
      "wavelength", "effects.strength_wave"),
@@ -68,23 +61,17 @@ MISSING = [
     (f"tow_speed = {SPEED}\n", "", "[scene]", "'tow_speed' is missing: give it in [scene]",
      "make 'scene.tow_speed' a variable"),
     ('chisel_angle = "15 deg"', "", "[share]", "'chisel_angle' is missing", "'share.chisel_angle'"),
-    ('duration = "2 s"\n', "", "[scene]", "'duration' is missing: give it in [scene]"),
     (SOIL, 'density = "1 t/m^3"', "[soil]", "'density_ratio', ", "are missing", "the 'name' of a known soil"),
     ('lower = "5 deg", ', "", "wedge_angle", "'variables.share.wedge_angle.lower' is missing"),
     (', wavelength = "0.2 m"', "", "strength_wave",
      "'wavelength' is missing: give it in [effects.strength_wave]"),
-    (MEAN, "mean_draft = {", "mean_draft = {", "'minimise.mean_draft.per' is missing"),
 ]  # fmt: skip
 DOMAIN = [
     (SOIL, f"{SOIL}\ncohesion = '-2 kPa'", "-2 kPa", "'soil.cohesion' = -2 kPa: ", "at least 0"),
-    (SOIL, f"{SOIL}\ndensity_ratio = 1.2", "1.2", "'soil.density_ratio' = 1.2: ", "density ratio b1 = 1.2", "below 1"),
     ('"60 deg"', '"95 deg"', "95 deg", "'share.wedge_angle' upper = 95 deg: ", "wedge angle", "below"),
     ('"0.1 m"', '"0 m"', '"0 m"', "height", "above 0"),
     ('"20 kg"', '"-20 kg"', "-20 kg", "'scene.frame_mass' = -20 kg: ", "mass", "at least 0"),
-    ('"7850 kg/m^3"', '"-7850 kg/m^3"', "-7850", "density", "at least 0"),
     ('"2 s"', '"0 s"', "0 s", "duration", "above 0"),
-    ('"0.2 m"', '"0 m"', "wavelength", "wavelength", "above 0"),
-    ('"400 N*s/m"', '"-400 N*s/m"', "-400", "damping", "at least 0"),
 ]
 SETTINGS = [
     (ACCURACY, f"[accuracy]\n{written}\n{ACCURACY}", *pieces)
@@ -92,18 +79,12 @@ SETTINGS = [
         ("method = 'cvode'", "cvode", "is named 'cvode': did you mean 'cvodes'?"),
         ("method = 'cvodes'\nsteps = 9", "steps", "'cvodes' has no setting 'steps'"),
         ("error = 2.0", "error", "error = 2 must lie between 1e-12 and 0.1"),
-        ("error = 'small'", "small", "'accuracy.error'"),
-        ("method = 'rk'\nsteps = 1.5", "1.5", "'accuracy.steps'"),
-        ("method = 'rk'\nsteps = true", "steps", "'accuracy.steps'"),
     )
 ]
 # In the words of the file, and not of Python.
 TABLES = [
     (f"[soil]\n{SOIL}", 'soil = "serozem"', "soil = ", "'soil' must be a table of keys"),
     ('{ per = "1 kN" }     #', '"1 kN" #', "mean_draft", "'minimise.mean_draft' must be a table of keys"),
-    ('{ at_most = "15 deg" }', '"15 deg"', "half_angle", "'require.half_angle' must be a table of keys"),
-    ('{ amplitude = 0.3, wavelength = "0.2 m" }', "0.3", "strength_wave", "'effects.strength_wave' must be a table"),
-    ('{ lower = "0.1 m", upper = "0.5 m", guess = "0.25 m" }', '"0.25 m"', "height", "'variables.share.height' must"),
 ]
 
 
@@ -194,17 +175,12 @@ def test_a_key_is_found_in_any_form(changed, blames, places, fragment, piece):
             [],
         ),
         (
-            [(SOIL, f"{SOIL}\ncohesion = '-2 kPa'\ndensity_ratio = 1.2"), (SPEED, '"-1 km/h"')],
-            ["-2 kPa", "1.2", "-1 km/h"],
-            [],
-        ),
-        (
             [(f'tow_speed = {SPEED}\nframe_mass = "20 kg"\n', "")],
             ["[scene]"] * 2,
             ["'tow_speed' is missing", "'frame_mass' is missing"],
         ),
     ],
-    ids=["keys and units", "names, bounds and limits", "values", "missing keys"],
+    ids=["keys and units", "names, bounds and limits", "missing keys"],
 )  # fmt: skip
 def test_all_mistakes_are_listed_in_the_order_of_the_file(changed, refusal, places, blamed, pieces):
     text = changed(*places)
@@ -219,14 +195,11 @@ def test_all_mistakes_are_listed_in_the_order_of_the_file(changed, refusal, plac
     [
         (SPEED, "7.2 km/h", "7.2 km/h"),
         ('"400 N*s/m"', '"400 N*s/m', "400 N*s/m"),
-        ("[effects]", "[effects", "[effects"),
         ('"20 kg"', '"20 kg"\nframe_mass = "2 kg"', '"2 kg"'),
         ("[effects]", "[effects]\n[share] # again", "again"),
-        ("tow_speed =", "tow_speed :", "tow_speed"),
         ("amplitude = 0.3", "amplitude = 0,3", "0,3"),
-        ("true }", "True }", "True }"),
     ],
-    ids=["no quotes", "open quote", "open bracket", "key twice", "table twice", "colon", "comma", "capital"],
+    ids=["no quotes", "open quote", "key twice", "table twice", "comma"],
 )
 def test_what_is_not_toml_is_refused_at_its_line(changed, blames, old, new, blamed):
     blames(changed((old, new)), blamed, ": not valid TOML: ")
@@ -242,10 +215,8 @@ def test_a_text_that_ends_too_early(refusal):
         ("subsoler.toml", "there is no file '{}/subsoler.toml': did you mean '{}/subsoiler.toml'"),
         ("rotavator.toml", "that folder contains binary.toml, subsoiler.toml"),
         ("empty/subsoiler.toml", "plough-opt init"),
-        ("nowhere/subsoiler.toml", "there is no file"),
         (".", "is a folder: name a problem file in it"),
         ("subsoiler.toml/x.toml", "subsoiler.toml/x.toml"),
-        ("subsoiler" * 40, "subsoiler"),
         ("binary.toml", "'{}/binary.toml' cannot be read as text"),
     ],
 )
@@ -261,9 +232,6 @@ def test_a_file_that_cannot_be_read_is_refused_with_the_nearest_name(tmp_path, n
     "code",
     [
         "__import__('pathlib').Path('ran').touch()",
-        "{open('ran', 'w')}",
-        "$(touch ran)",
-        "`touch ran`",
         "!!python/object/apply:os.system ['touch ran']",
         "open('ran', 'w') m/s",
     ],

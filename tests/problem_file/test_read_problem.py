@@ -141,19 +141,6 @@ def test_effects_accuracy_and_outputs_reach_the_simulation(read):
     np.testing.assert_allclose(run.time, np.linspace(0.0, 1.0, 9), atol=1e-15)
 
 
-def test_a_quasi_static_file_has_the_steady_resistance_at_every_time(read):
-    problem = read(MINIMAL + "effects.motion = false\n")
-    scene = problem.scene()
-    steady = po.resistance(scene.cone, scene.soil, 1.0, 0.0)
-    np.testing.assert_allclose(problem.simulate().mount_force, steady, rtol=1e-12)
-
-
-def test_a_file_chooses_the_formulation(read):
-    problem = read(MINIMAL + 'effects.formulation = "printed"\n')
-    assert problem.scene().effects == po.Effects(formulation="printed")
-    assert any("as printed" in text for text in problem.scene().warnings())
-
-
 def test_a_guess_left_out_is_the_middle_of_its_bounds_geometric_on_a_log_scale(read, changed):
     scene = read(changed((', guess = "25 deg"', ""), (', guess = "50 kN/m"', ""))).scene()
     assert scene.share.angle == pytest.approx(32.5 * DEG)
@@ -162,14 +149,9 @@ def test_a_guess_left_out_is_the_middle_of_its_bounds_geometric_on_a_log_scale(r
 
 VARIABLES = [
     ("soil.cohesion", "", ("10 kPa", "30 kPa"), lambda scene: scene.soil.cohesion / 20e3),
-    ("scene.tow_speed", 'tow_speed = "7.2 km/h"\n', ("1 m/s", "3 m/s"), lambda scene: scene.tow_speed / 2.0),
     ("effects.damping", 'damping = "400 N*s/m"\n', ("3 N*s/m", "5 N*s/m"), lambda scene: scene.effects.damping / 4.0),
-    ("share.chisel_angle", 'chisel_angle = "15 deg"\n', ("10 deg", "20 deg"),
-     lambda scene: scene.share.chisel_angle / (15 * DEG)),
     ("scene.steel_density", 'steel_density = "7850 kg/m^3"', ("7.8 t/m^3", "7.9 t/m^3"),
      lambda scene: (scene.mass - 20) / steel_mass(25 * DEG, 15 * DEG, 0.25)),
-    ("effects.strength_wave.wavelength", ', wavelength = "0.2 m"', ("0.1 m", "0.3 m"),
-     lambda scene: scene.effects.strength_wave.wavelength / 0.2),
     ("effects.strength_wave.amplitude", "amplitude = 0.3, ", ("0.1", "0.5"),
      lambda scene: scene.effects.strength_wave.amplitude / 0.3),
     ("scene.duration", 'duration = "2 s"\n', ("1 s", "3 s"), lambda _: 1.0),
@@ -182,12 +164,6 @@ def test_any_quantity_may_be_a_variable(read, changed, key, fixed, ends, value):
     problem = read(changed(variable, *([(fixed, "")] if fixed else [])))
     assert key in problem.variables
     assert value(problem.scene()) == pytest.approx(1.0, rel=1e-12)
-
-
-def test_changes_to_a_scene_are_in_si(subsoiler):
-    scene = subsoiler.scene({"share.height": 0.3, "scene.tow_speed": 1.0})
-    assert (scene.share.height, scene.tow_speed) == (0.3, 1.0)
-    assert scene.mass == pytest.approx(20 + steel_mass(25 * DEG, 15 * DEG, 0.3), rel=1e-12)
 
 
 def test_comments_blank_lines_windows_line_ends_and_a_byte_order_mark_mean_nothing(tmp_path, cotton, subsoiler):

@@ -1,8 +1,8 @@
 """First and second derivatives of every combination of effects, against differences of high order.
 
-All numbers of a scene move together along a random direction, x = x0 (1 + t direction), so that one derivative by t
-judges those by every number. Where an event appears or vanishes a motion has no derivative: the events at both ends
-of the differences tell of that, and another place is taken.
+All quantities of a scene change together along a random direction, x = x0 (1 + t direction), so that one derivative by
+t checks those by every quantity. A motion has no derivative where an event appears or vanishes. If the events differ
+between the two ends of the differences, the test draws another place.
 """
 
 import itertools
@@ -14,9 +14,8 @@ import pytest
 from test_effect_combinations import ALL, COVERING, label, refused
 
 import plough_opt as po
-from plough_opt.design.program import Program
 
-# What every scene has, in SI units; the wave passes some two times, and the mount swings once and a half.
+# Quantities of every scene, SI. About two waves pass, and the mount makes one and a half oscillations.
 NUMBERS = {
     "density": 1400.0,
     "density ratio": 0.8,
@@ -38,14 +37,14 @@ STEP = 3e-4
 # Differences of order 6 over three steps on either side.
 PLACES = STEP * np.array((-3, -2, -1, 1, 2, 3))
 WEIGHTS = np.array((-1, 9, -45, 45, -9, 1)) / (60 * STEP)
-# Events are distinguished on so many intervals, and must lie that many apart and off the outputs.
+# Intervals on which events are told apart, and the fewest of them between two events or an event and an output.
 COURSE, NEAR = 400, 8
-# Part of the largest speed that a share must keep where it is slowest and does not stop.
+# A share that does not stop must keep this part of its largest speed.
 GRAZES = 0.03
 
 
 def numbers_of(effects):
-    """Return the numbers of a combination around which its scenes are drawn, by name."""
+    """Return the quantities, by name, around which the scenes of a combination are drawn."""
     found = dict(NUMBERS)
     if effects.get("strength_wave"):
         found |= {"amplitude": 0.7, "wavelength": 0.1}
@@ -58,18 +57,18 @@ def numbers_of(effects):
     if isinstance(effects.get("contact"), po.StickSlip):
         found["breakaway"] = 1.2
     if effects.get("formulation") == "printed":
-        # Its spring repels: two e-foldings are enough. It starts far ahead, where a short wave turns too fast.
+        # Its spring repels: two e-foldings are enough. The share starts so far ahead that a short wave turns too fast.
         found |= {"stiffness": 2e4, "mass": 500.0} | ({"wavelength": 1.0} if "wavelength" in found else {})
     return found
 
 
 def scene_of(effects, x):
-    """Return the scene of a combination with the numbers x, floats or expressions."""
+    """Return the scene of a combination with the quantities x, floats or expressions."""
     own = {}
     if "amplitude" in x:
         own["strength_wave"] = po.StrengthWave(x["amplitude"], x["wavelength"])
     if effects.get("tow_ramp"):
-        # Ending at an output, where every step ends too, unless it has a number of its own.
+        # The ramp ends at an output, where a step ends too, unless x holds its time.
         own["tow_ramp"] = x.get("ramp time", x["duration"] / OUTPUTS)
     if "damping" in x:
         own["damping"] = x["damping"]
@@ -110,7 +109,7 @@ def results(run):
 
 
 def events(effects, x):
-    """Return the events of a motion in order, between its outputs, or None where two nearly coincide."""
+    """Return the events of a motion in order, with the outputs between them, or None if two nearly coincide."""
     run = simulated(effects, x, po.Accuracy("erk", tolerance=1e-9), COURSE)
     before, here, after = run.speed[:-2], run.speed[1:-1], run.speed[2:]
     turns = (run.mode[1:-1] == 0) & ((here - before) * (after - here) < 0.0)
@@ -118,7 +117,7 @@ def events(effects, x):
         return None
     marks = [np.round(run.mode)]
     if effects.get("entry"):
-        # While it enters, a share that turns back leaves the soil that it has passed.
+        # A share that turns back while it enters leaves the soil that it has passed.
         marks += [np.maximum.accumulate(run.travel) >= x["height"], run.speed < 0.0]
     marks = np.column_stack(marks).astype(int)
     at = np.flatnonzero(np.any(np.diff(marks, axis=0), axis=1))
@@ -129,12 +128,12 @@ def events(effects, x):
 
 
 def along(at, direction, t):
-    """Return the numbers at a place t along a direction."""
+    """Return the quantities at the place t along a direction."""
     return {name: value * (1.0 + t * direction[name]) for name, value in at.items()}
 
 
 def is_clear(effects, at, direction):
-    """Tell whether the events of a motion stay the same, and apart, along the differences in a direction."""
+    """Return whether the events of a motion stay the same, and apart, over the differences along a direction."""
     if not has_events(effects):
         return True
     middle = events(effects, at)
@@ -146,7 +145,7 @@ def drawn(effects):
     """Return a place and a direction along which nothing about the events changes."""
     for attempt in range(40):
         base = numbers_of(effects)
-        # Some shares graze at every swing wherever they are: they are judged before their first.
+        # Some shares nearly stop in every oscillation, so their runs end before the first one.
         base["duration"] *= (1.0, 0.8, 0.65, 0.5)[attempt // 10]
         random = np.random.default_rng([zlib.crc32(title(effects).encode()), attempt])
         at = {name: value * random.uniform(0.92, 1.08) for name, value in base.items()}
@@ -157,7 +156,7 @@ def drawn(effects):
 
 
 def derivatives(effects, at, direction, accuracy):
-    """Return t -> (results, slopes) and (t, weights) -> curvature of the weighted sum, as Functions."""
+    """Return the Functions t -> (results, slopes) and (t, weights) -> curvature of the weighted sum."""
     t, weights = ca.MX.sym("t"), ca.MX.sym("weights", 4)
     found = ca.vertcat(*results(simulated(effects, along(at, direction, t), accuracy)))
     first = ca.Function("first", [t], [found, ca.jacobian(found, t)])
@@ -166,7 +165,7 @@ def derivatives(effects, at, direction, accuracy):
 
 
 def title(effects):
-    """Return a combination's name in the tests' list."""
+    """Return the name of a combination in the list of tests."""
     if "entry" in effects:
         return label(effects)
     return "+".join(f"{name}={effects[name]}" for name in sorted(effects))
@@ -177,14 +176,14 @@ def choices(effects):
 
 
 def meetings(effects):
-    """Return a combination's choices, and the pairs of those that bring events, kinks and waves."""
+    """Return the choices of a combination, and the pairs of those that bring events, kinks and waves."""
     found = choices(effects)
     meet = sorted(choice for choice in found if choice[0] in ("contact", "entry", "tow_ramp", "strength_wave"))
     return found | set(itertools.combinations(meet, 2))
 
 
 def thinned(rows, held=choices):
-    """Return rows that together hold all that any row holds, chosen greedily."""
+    """Return rows, chosen greedily, that together hold everything that any row holds."""
     wanted, chosen = set().union(*map(held, rows)), []
     while wanted:
         best = max(rows, key=lambda row: len(held(row) & wanted))
@@ -216,7 +215,7 @@ PRINTED = products(
 
 
 def cases():
-    """Yield the thinned combinations one by one, and as slow tests all others, two dozen at a time."""
+    """Yield the thinned combinations one by one, and all others as slow tests of 24 each."""
     for rows, first in ((MOVING, THIN), *((rows, thinned(rows)) for rows in (STILL, ORBITS, PRINTED))):
         yield from (pytest.param([row], id=title(row)) for row in first)
         others = [row for row in rows if row not in first]
@@ -227,11 +226,10 @@ def cases():
 @pytest.mark.parametrize("combinations", list(cases()))
 def test_slope_and_curvature_are_those_of_differences(combinations):
     for effects in combinations:
-        check_slope_and_curvature(effects)
+        check_slope_and_curvature(effects, *drawn(effects))
 
 
-def check_slope_and_curvature(effects):
-    at, direction = drawn(effects)
+def check_slope_and_curvature(effects, at, direction):
     first, second = derivatives(effects, at, direction, method_of(effects))
     values, slopes = (np.asarray(result).ravel() for result in first(0.0))
     run = simulated(effects, at, None)
@@ -243,15 +241,15 @@ def check_slope_and_curvature(effects):
     expected = WEIGHTS @ [value for value, _ in beside] / size
     bend = float(WEIGHTS @ [slope @ weights for _, slope in beside])
     if is_smooth(effects):
-        # Tolerance 1e-13 over the step. In a step of integration that meets an end of the smooth step its fifth
-        # derivative jumps: a local error of 1e-13 that is differentiated twice by where in the step that is. It leaves
-        # 1e-9 to 1e-7 of the curvature, and of one combination in five hundred 5e-5.
+        # Tolerance 1e-13 over the step. Where a step of integration meets an end of the smooth contact's step, a fifth
+        # derivative jumps: a local error of 1e-13, differentiated twice by its place in the step. It leaves 1e-9 to
+        # 1e-7 of the curvature, and 5e-5 for one combination in five hundred.
         allowed = 1e-7, (1e-6 if effects in THIN else 1e-4)
     elif has_events(effects):
-        # Tolerance 1e-12 over the step is 3e-9, which unstable motion lets grow some hundredfold.
+        # Tolerance 1e-12 over the step is 3e-9, which unstable motions amplify about a hundred times.
         allowed = 2e-6, 2e-6
     else:
-        # Rounding, some 1e-14 over the step, and what unstable motion makes of it.
+        # Rounding, about 1e-14 over the step, amplified by unstable motions.
         allowed = 1e-9, 1e-9
     assert np.max(np.abs(slopes / size - expected) / np.maximum(1.0, np.abs(expected))) < allowed[0]
     assert abs(float(second(0.0, weights)) - bend) < allowed[1] * max(1.0, abs(bend))
@@ -264,74 +262,14 @@ def check_slope_and_curvature(effects):
             assert np.max(np.abs(one - truth) / np.maximum(size, np.abs(truth))) < 1e-6
 
 
-@pytest.mark.parametrize(
-    "effects",
-    [pytest.param(row, id=title(row), marks=[] if k == 4 else [pytest.mark.slow]) for k, row in enumerate(THIN)],
-)
-def test_a_design_sees_the_same_derivatives(effects):
+def test_slope_and_curvature_of_a_share_that_leaves_a_gap():
+    effects = {**MOVING[0], "contact": po.StickSlip(1.2), "start": "rest", "strength_wave": WAVE[1]}
+    numbers = {"wedge angle": po.deg(25.0), "height": 0.25, "stiffness": 1e4, "tow speed": 2.0, "wavelength": 0.6}
     at, direction = drawn(effects)
-    width = 1e-2
-    d = po.Design()
-    t = d.variable("t", guess=0.0, lower=-width, upper=width)
-    run = simulated(effects, along(at, direction, t), method_of(effects))
-    d.minimise(run.mean_draft)
-    d.require("results", ca.vertcat(*results(run)[1:]), at_most=1e6)
-    program = Program(d.declared)
-    program.build(np.zeros(0))
-    # In the program t goes from 0 to 1 between its bounds, and each result is divided by a size of its own.
-    scales = np.r_[program.objective_scale, np.repeat(program.scales, 3)]
-    first, second = derivatives(effects, at, direction, method_of(effects))
-    value, slopes = (result.full().ravel() for result in first(0.0))
-    _, _, gradient, jacobian = program.nlp.slopes(0.5, [])
-    found = np.r_[gradient.full().ravel(), jacobian.full().ravel()] * scales / (2.0 * width)
-    size = max(abs(value[0]), value[1])
-    assert found == pytest.approx(slopes, rel=1e-9, abs=1e-9 * size)
-    multipliers = np.cos(np.arange(4))
-    bend = float(program.nlp.hess_lag(0.5, [], multipliers[0], multipliers[1:])) / (2.0 * width) ** 2
-    expected = float(second(0.0, multipliers / scales))
-    assert bend == pytest.approx(expected, rel=1e-8, abs=1e-8 * size * np.max(1.0 / scales))
-
-
-# The whole gradient and Hessian, by every number of a scene; and numbers other than those above.
-SLIPS = {**MOVING[0], "contact": po.StickSlip(1.2), "start": "rest"}
-GAP = {"wedge angle": po.deg(25.0), "height": 0.25, "stiffness": 1e4, "tow speed": 2.0, "wavelength": 0.6}
-WHOLE = {
-    "fixed steps": ({**MOVING[0], "start": "towed", "damping": 120.0, "rate_term": 0.08, "tow_ramp": 0.1}, {}),
-    "stick and slip": ({**SLIPS, "damping": 120.0}, {}),
-    "smooth": ({**MOVING[0], "contact": po.Smooth(0.3), "start": "rest"}, {}),
-    "gap": (SLIPS, GAP | {"amplitude": 0.95, "duration": 0.5}),
-    "entry": ({**MOVING[0], "start": "towed", "entry": True, "rate_term": 0.08}, {}),
-    "stick and slip while entering": ({**SLIPS, "entry": True}, {}),
-}
-
-
-@pytest.mark.parametrize(
-    "case", [pytest.param(name, marks=[pytest.mark.slow] if k else []) for k, name in enumerate(WHOLE)]
-)
-def test_gradient_and_hessian_by_every_number(case):
-    effects, numbers = WHOLE[case]
-    effects = {**effects, "strength_wave": WAVE[1]}
-    at = drawn(effects)[0] | numbers
-    if case == "gap":
-        assert 2.0 in simulated(effects, at, None, COURSE).mode
-    x = ca.MX.sym("x", len(at))
-    scaled = {name: value * (1.0 + x[k]) for k, (name, value) in enumerate(at.items())}
-    weights = ca.DM([1.0, 0.7, -0.4, 0.3])
-    accuracy = method_of(effects) if is_smooth(effects) or has_events(effects) else po.Accuracy("dop853", steps=60)
-    total = ca.dot(weights, ca.vertcat(*results(simulated(effects, scaled, accuracy))))
-    hessian, gradient = ca.hessian(total, x)
-    first, second = ca.Function("first", [x], [total, gradient]), ca.Function("second", [x], [hessian])
-    origin = np.zeros(len(at))
-    slopes, curvatures = first(origin)[1].full().ravel(), second(origin).full()
-    allowed = 1e-8, (2e-5 if is_smooth(effects) else 1e-8)
-    for k, name in enumerate(at):
-        unit = np.eye(len(at))[k]
-        assert is_clear(effects, at, dict(zip(at, unit, strict=True)))
-        beside = [[np.asarray(result).ravel() for result in first(t * unit)] for t in PLACES]
-        slope, row = WEIGHTS @ [value[0] for value, _ in beside], WEIGHTS @ [gradient for _, gradient in beside]
-        assert slopes[k] == pytest.approx(slope, rel=0, abs=allowed[0] * np.max(np.abs(slopes))), name
-        assert curvatures[k] == pytest.approx(row, rel=0, abs=allowed[1] * np.max(np.abs(curvatures))), name
-    assert curvatures == pytest.approx(curvatures.T, rel=0, abs=1e-12 * np.max(np.abs(curvatures)))
+    at |= numbers | {"amplitude": 0.95, "duration": 0.5}
+    assert 2.0 in simulated(effects, at, None, COURSE).mode
+    assert is_clear(effects, at, direction)
+    check_slope_and_curvature(effects, at, direction)
 
 
 @pytest.mark.parametrize("law", ["resisting", po.StickSlip(1.2)], ids=["resisting", "stick_slip"])

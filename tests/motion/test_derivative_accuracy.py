@@ -1,4 +1,4 @@
-"""First and second derivatives at default accuracy, against differences of simulators that share no code with it."""
+"""First and second derivatives at default accuracy, against differences of simulators that share no code with them."""
 
 import casadi as ca
 import numpy as np
@@ -8,17 +8,17 @@ from helpers.differences import WEIGHTS
 
 import plough_opt as po
 
-# Weights of the second central difference of order 8 beside the value's.
+# Weights of the second central difference of order 8, and that of its middle value.
 BENDS, MIDDLE = np.array([8 / 5, -1 / 5, 8 / 315, -1 / 560]), -205 / 72
 NAMES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
 WAVE = {"amplitude": 0.5, "wavelength": 0.4}
 PLAIN = {"stiffness": 5e4, "mass": 45.0, "speed": 2.0, "damping": 400.0, "duration": 1.0}
-# Where a smooth kink moves past an end of the run derivatives of high order jump: there steps are shorter.
+# Steps of the differences other than 4e-3.
 STEPS = {"smooth": 2e-2}
 
 
 def scene_of(x, **effects):
-    """Return the numeric scene or symbols."""
+    """Return the scene of numbers or symbols."""
     if "amplitude" in x:
         effects["strength_wave"] = po.StrengthWave(x["amplitude"], x["wavelength"])
     if "ramp" in x:
@@ -52,7 +52,7 @@ CASES = {
 
 
 def symbolic(case, name):
-    """Return results, their slopes and the curvature of a weighted sum, by relative changes of one number."""
+    """Return results with their first and second derivatives by relative changes of one quantity."""
     x, effects, _ = CASES[case]
     t, weights = ca.MX.sym("t"), ca.MX.sym("weights", len(NAMES))
     moved = x | {name: x[name] * (1.0 + t)}
@@ -65,7 +65,7 @@ def symbolic(case, name):
 
 
 def by_differences(case, name, step):
-    """Return the same by differences of order 8 of an independent simulator."""
+    """Return the same by differences of order 8 with an independent simulator."""
     x, effects, follow = CASES[case]
 
     def results(t):
@@ -96,7 +96,7 @@ FEW = [
 def test_derivatives_are_those_of_differences(case, name):
     found, expected = symbolic(case, name), by_differences(case, name, STEPS.get(case, 4e-3))
     size = np.max(np.abs(expected), axis=0)
-    # Of the motion 1e-8 and less is wrong. Differences of rounding, 1e-15, or of steps to 1e-12, leave 1e-10 or 3e-8.
+    # The motion is right to 1e-8. Differences of rounding, 1e-15, leave 1e-10; those of steps to 1e-12 leave 3e-8.
     for order, allowed in enumerate((1e-8, 1e-8, 1e-7)):
         assert np.max(np.abs(found[order] - expected[order]) / size) < allowed, order
 
@@ -116,9 +116,9 @@ def test_second_derivatives_through_events_are_those_of_a_gradient(case):
     ]
     found = [np.asarray(part) for part in ca.Function("ways", [t], ways)(0.0)]
     for other in found[1:]:
-        # The same steps, summed in another order.
+        # The same steps, added up in another order.
         assert other == pytest.approx(found[0], rel=0, abs=1e-9 * np.max(np.abs(found[0])))
-    # The limit that the documents state.
+    # The limit that the documentation states.
     with pytest.raises(
         RuntimeError, match=r"those_of_a_gradient_as_by_casadi_hessian:\n.*\nEvent support not implemented"
     ):
@@ -136,7 +136,7 @@ def test_named_adaptive_methods_find_the_end_of_a_ramp(method):
     found = ca.Function("found", [x], [draft, first, second, run.mean_draft, *expected])(0.301)
     value, slope, bend, *truth = (float(part) for part in found)
     assert value == pytest.approx(truth[0], rel=1e-10)
-    # Without a step that ends there the slope is 1e-5 off.
+    # Without a step that ends there the slope has an error of 1e-5.
     assert slope == pytest.approx(truth[1], rel=1e-7)
     assert bend == pytest.approx(truth[2], rel=1e-5)
 
@@ -157,7 +157,7 @@ def test_a_ramp_that_symbols_make_0_has_the_limit_of_short_ones(case):
     draft = po.simulate(scene, 1.0, outputs=4).mean_draft
     found = ca.Function("found", [x], [draft, ca.gradient(draft, x)])
     there, beside = (np.array([float(part) for part in found(ramp)]) for ramp in (0.0, 1e-7))
-    # In 1e-7 s the strut falls behind by 1e-7 m. Events' times are found to 1e-12 of the run: in the slope by a ramp of
-    # 1e-9 s that leaves a tenth.
+    # In 1e-7 s the strut falls behind by 1e-7 m. Event times have errors of 1e-12 of the run, which are a tenth of the
+    # slope for so short a ramp.
     assert there[0] == pytest.approx(beside[0], rel=2e-7)
     assert there[1] == pytest.approx(beside[1], rel=0.2 if "contact" in SUDDEN[case] or case == "entry" else 1e-3)

@@ -1,11 +1,11 @@
-"""The lasting orbit under a strength wave, against SciPy's integration of equation (27)."""
+"""The periodic orbit under a strength wave, against SciPy's integration of equation (27)."""
 
 import dataclasses
 import math
 
 import numpy as np
 import pytest
-from helpers.orbit_oracle import follow, monodromy, orbit
+from helpers.orbit_oracle import monodromy, orbit
 
 import plough_opt as po
 from plough_opt.core.expressions import cos, sin
@@ -55,7 +55,7 @@ def scene_of(r1_scene):
 
 @pytest.fixture(scope="module")
 def solved(scene_of):
-    """Return, once for each case, the run, and the orbit that SciPy finds from its state."""
+    """Return the run of a case and the orbit that SciPy finds from its start, each computed once."""
     known = {}
 
     def solve(name):
@@ -68,89 +68,41 @@ def solved(scene_of):
     return solve
 
 
-# --- the orbit ---
-
-
 @pytest.mark.parametrize("name", [*CASES, *SLOW])
 def test_orbit_is_the_one_that_scipy_finds_by_shooting(solved, name):
     run, true = solved(name)
     assert run.error_estimate <= 1e-8
-    # SciPy's steps of relative tolerance 1e-12 and the root of its shooting leave some 3e-11.
+    # SciPy's relative tolerance of 1e-12 and the root of the shooting leave about 3e-11.
     size = np.ptp(true.deflection)
     assert run.deflection == pytest.approx(true.deflection, rel=0, abs=2e-10 * size + 1e-14 * np.max(true.deflection))
     assert run.mount_force == pytest.approx(true.force, rel=0, abs=2e-10 * np.max(true.force))
-    # The speed of the share is rounded to 1e-16 of its own.
+    # The speed of the share is rounded to 1e-16 of itself.
     assert run.scene.tow_speed - run.speed == pytest.approx(
         true.rate, rel=0, abs=1e-9 * np.max(np.abs(true.rate)) + 2e-15
     )
-
-
-@pytest.mark.parametrize("name", ["damped", "resonant and damped", "strongest, damped"])
-def test_a_damped_transient_ends_on_it(solved, scene_of, name):
-    run, _ = solved(name)
-    periods = math.ceil(math.log(1e-13) / math.log(max(map(abs, run.floquet)))) + 2
-    start = scene_of(name, orbit="transient")
-    z = start.steady_resistance / start.stiffness
-    early = follow(start, [z, 0.0], periods * run.duration)[:, -1]
-    later = follow(start, early, run.duration, run.time)
-    assert later[0] == pytest.approx(run.deflection, rel=0, abs=1e-10 * np.ptp(run.deflection))
-    # The transient by `simulate`, whose outputs hold the wavelength after it has died.
-    long = po.simulate(start, (periods + 1) * run.duration, outputs=(periods + 1) * OUTPUTS)
-    assert long.mount_force[-OUTPUTS - 1 :] == pytest.approx(run.mount_force, rel=1e-7)
-
-
-def test_in_an_infinitely_stiff_mount_the_share_follows_the_strut(scene_of):
-    wave = {"motion": False, "orbit": "transient"}
-    errors = []
-    for stiffness in (1e6, 1e7):
-        run = po.simulate(scene_of("damped", stiffness=stiffness))
-        rigid = po.simulate(scene_of("damped", stiffness=stiffness, damping=None, **wave), 0.3)
-        errors.append(abs(run.force_rms / rigid.force_rms - 1.0))
-    assert errors[0] < 0.02
-    # First order in the compliance 1/k0.
-    assert math.log10(errors[0] / errors[1]) == pytest.approx(1.0, abs=0.1)
-
-
-# --- the multipliers ---
 
 
 @pytest.mark.parametrize("name", [*CASES, *SLOW])
 def test_multipliers_are_those_of_the_monodromy(solved, name):
     run, true = solved(name)
     found = np.poly(np.array(run.floquet)).real
-    # Of sum and product, which unlike the multipliers themselves are smooth where two meet.
+    # Compare sum and product, which are smooth where two multipliers meet; the multipliers themselves are not.
     phase = run.scene.natural_frequency * run.duration
     expected = [1.0, -np.trace(true.monodromy), np.linalg.det(true.monodromy)]
     assert found == pytest.approx(expected, rel=0, abs=1e-9 * max(1.0, np.max(np.abs(expected)), phase))
 
 
-def test_an_unstable_orbit_carries_a_warning(solved):
-    run, true = solved("soft")
-    largest = max(abs(np.linalg.eigvals(true.monodromy)))
-    assert largest > 1.2
-    (warning,) = [text for text in run.warnings if "unstable" in text]
-    assert f"grows {largest:.4g} times in every wavelength" in warning
-
-
 @pytest.mark.parametrize(("damping", "unstable"), [(35.2, True), (35.3, False)])
-def test_hardly_unstable_is_unstable(scene_of, damping, unstable):
-    # Between these two the largest multiplier passes through one; it is 4e-4 from it at both.
+def test_an_unstable_orbit_carries_a_warning(scene_of, damping, unstable):
+    # Between these two the largest multiplier passes through 1, from which it differs by 4e-4 at both.
     run = po.simulate(scene_of("soft", damping=damping), outputs=1)
     first = np.array([run.deflection[0], run.scene.tow_speed - run.speed[0]])
     excess = max(abs(np.linalg.eigvals(monodromy(run.scene, first)))) - 1.0
     assert max(map(abs, run.floquet)) - 1.0 == pytest.approx(excess, abs=1e-9)
     assert (1e-4 < excess < 1e-3) if unstable else (-1e-3 < excess < -1e-4)
-    assert bool([text for text in run.warnings if "the orbit is unstable" in text]) == unstable
-
-
-def test_only_a_periodic_orbit_of_numbers_has_multipliers(r1_scene):
-    for effects, duration in (({}, 0.3), ({"orbit": "linearised"}, None), ({"orbit": po.HarmonicBalance()}, None)):
-        run = po.simulate(r1_scene(strength_wave=WAVE, damping=400.0, **effects), duration, outputs=4)
-        with pytest.raises(po.InputError, match="only a periodic orbit has Floquet multipliers"):
-            _ = run.floquet
-
-
-# --- a wave of no amplitude ---
+    warnings = [text for text in run.warnings if "the orbit is unstable" in text]
+    assert len(warnings) == unstable
+    assert all(f"grows {1.0 + excess:.4g} times in every wavelength" in text for text in warnings)
 
 
 @pytest.mark.parametrize("choice", ORBITS, ids=str)
@@ -164,23 +116,12 @@ def test_without_amplitude_the_share_slides_steadily(r1_scene, choice, effects):
     assert run.speed == pytest.approx(np.full(9, 2.0), rel=1e-15)
 
 
-def test_multipliers_of_steady_sliding_are_known(r1_scene):
-    run = po.simulate(r1_scene(strength_wave=po.StrengthWave(0.0, 0.6), orbit="periodic", damping=100.0))
-    scene = run.scene
-    decay = (100.0 + 2 * scene.reaction.drag * scene.tow_speed) / (2 * scene.inertia)
-    turn = math.sqrt(scene.natural_frequency**2 - decay**2) * run.duration
-    expected = [math.exp(-decay * run.duration) * np.exp(1j * angle) for angle in (turn, -turn)]
-    assert np.sort_complex(run.floquet) == pytest.approx(np.sort_complex(expected), rel=1e-10)
-
-
-# --- own resistances ---
-
 SLIGHT, LENGTH = 1e-4, 0.2
 
 
 @dataclasses.dataclass(frozen=True)
 class Damper:
-    """A resistance that grows with the speed, and with its square."""
+    """A resistance that grows with the speed and with its square."""
 
     first: float
     second: float = 0.0
@@ -191,7 +132,7 @@ class Damper:
 
 @dataclasses.dataclass(frozen=True)
 class Waves:
-    """Waves of an own resistance along the travel, with a mean that is not the value at the start."""
+    """A resistance that varies along the travel, with a mean other than the value at the start."""
 
     sine: float
     cosine: float
@@ -207,7 +148,7 @@ def with_own(r1_scene, orbit, own, amplitude=SLIGHT):
 
 
 def close(run, exact, within):
-    """Return whether the averages and the mount force of two orbits differ by no more than a part of the RMS."""
+    """Return whether averages and mount force of two orbits differ by at most a part of the RMS."""
     size = within * exact.force_rms
     averages = abs(run.mean_draft - exact.mean_draft), abs(run.force_rms - exact.force_rms)
     return max(*averages, abs(run.mount_force - exact.mount_force).max()) <= size
@@ -226,7 +167,7 @@ def close(run, exact, within):
 def test_the_linear_response_to_a_slight_wave_is_the_orbit(r1_scene, own):
     exact = po.simulate(with_own(r1_scene, "periodic", own))
     linear = po.simulate(with_own(r1_scene, "linearised", own))
-    # What is left out is of second order in the deviation, here some 1e-4 of the forces.
+    # The neglected terms are of second order in the deviation, about 1e-4 of the forces here.
     assert close(linear, exact, 1e-3)
 
 
@@ -234,7 +175,7 @@ def test_an_own_wave_is_as_good_as_the_soils(r1_scene):
     static = float(r1_scene().reaction.static)
     own = with_own(r1_scene, "linearised", (Waves(0.2 * static, 0.0),), amplitude=0.1)
     same = po.simulate(r1_scene(strength_wave=po.StrengthWave(0.3, LENGTH), orbit="linearised"))
-    # To the rounding of the coefficients of 16 samples.
+    # Exact except for rounding of the coefficients from 16 samples.
     assert close(po.simulate(own), same, 1e-12)
 
 
@@ -248,9 +189,6 @@ def test_own_resistances_that_do_not_repeat_with_the_wave_have_no_orbit(r1_scene
     design.minimise(po.simulate(dataclasses.replace(refused, stiffness=stiffness)).force_rms)
     with pytest.raises(po.InputError, match="further on"):
         design.solve()
-
-
-# --- refusals ---
 
 
 @pytest.mark.parametrize(
@@ -290,7 +228,7 @@ def test_runs_that_no_orbit_has_are_refused(r1_scene, choice):
         po.simulate(scene, 0.3)
     with pytest.raises(po.DomainError, match=r"tow speed = 0.*has no orbit"):
         po.simulate(dataclasses.replace(scene, tow_speed=0.0))
-    # Of a stiff mount it would take minutes.
+    # A stiff mount would take minutes.
     stiff = dataclasses.replace(scene, stiffness=1e9, tow_speed=0.5, effects=po.Effects(
         strength_wave=po.StrengthWave(0.3, 4.0), orbit=choice))  # fmt: skip
     with pytest.raises(
@@ -322,5 +260,5 @@ def test_where_no_orbit_is_found_the_message_names_a_remedy(scene_of, damping, c
     scene = dataclasses.replace(scene, effects=dataclasses.replace(scene.effects, damping=damping))
     with pytest.raises(po.IntegrationError, match=r"no periodic orbit of a share .*2 kN/m.*damp.*orbit = 'transient'"):
         po.simulate(scene)
-    # Not beside a page of what CasADi knows of it.
+    # CasADi must not print a page on the root that it did not find.
     assert capfd.readouterr() == ("", "")

@@ -1,4 +1,4 @@
-"""The stand-ins for the lasting orbit: linear response and harmonic balance, against formula and orbit."""
+"""The approximations of the periodic orbit: linear response and harmonic balance, against formula and orbit."""
 
 import functools
 import itertools
@@ -27,7 +27,7 @@ SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in STIFFEST]
 
 @pytest.fixture(scope="module")
 def simulated(r1_scene):
-    """Simulate, once, the lasting motion of a case in one of its forms."""
+    """Simulate the periodic motion of a case, each kind of orbit once."""
 
     @functools.cache
     def simulated(name, choice, amplitude=0.3, wavelength=0.6, accuracy=None):
@@ -45,16 +45,13 @@ def farthest(one, other):
     return np.max(np.abs(one.mount_force - other.mount_force)) / np.max(np.abs(other.mount_force))
 
 
-# --- linear response ---
-
-
 @pytest.mark.parametrize("amplitude", [0.02, 0.3, 1.0])
 @pytest.mark.parametrize("name", [*CASES, *SLOW])
 def test_linear_response_is_that_of_the_textbook(simulated, name, amplitude):
     run = simulated(name, "linearised", amplitude)
     scene, effects, reaction = run.scene, run.scene.effects, run.scene.reaction
     v, kappa, damping = scene.tow_speed, effects.rate_term or 0.0, effects.damping or 0.0
-    # F(L, L') of first order in w about L = V0 t - z_s, L' = V0: forced by the wave, damped by dF/dL'.
+    # F(L, L') to first order in w about L = V0 t - z_s, L' = V0: forced by the wave, damped by dF/dL'.
     omega = 2 * math.pi * v / 0.6
     steady = reaction.static * (1 + kappa * v**2) + reaction.drag * v**2
     friction = damping + 2 * v * (reaction.drag + kappa * reaction.static)
@@ -74,27 +71,12 @@ def test_linear_response_is_that_of_the_textbook(simulated, name, amplitude):
     assert run.tow_power == pytest.approx(steady * v, rel=1e-14)
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_it_tends_to_the_orbit_with_the_square_of_the_amplitude(simulated, name):
-    amplitudes = (0.08, 0.04, 0.02)
-    pairs = [(simulated(name, "linearised", a), simulated(name, "periodic", a)) for a in amplitudes]
-    motions = [np.max(np.abs(linear.deflection - exact.deflection)) for linear, exact in pairs]
-    spreads = [abs(linear.force_rms - exact.force_rms) for linear, exact in pairs]
-    assert math.log2(motions[0] / motions[1]) == pytest.approx(2.0, abs=0.1)
-    assert math.log2(motions[1] / motions[2]) == pytest.approx(2.0, abs=0.05)
-    # The correction of the second order turns twice as fast and has no part in the first harmonic.
-    assert math.log2(spreads[1] / spreads[2]) == pytest.approx(3.0, abs=0.1)
-
-
-# --- harmonic balance ---
-
-
 @pytest.mark.parametrize("amplitude", [0.3, 1.0])
 @pytest.mark.parametrize("name", [name for name in CASES if name != "slow"])
 def test_harmonics_converge_exponentially_to_the_orbit(simulated, name, amplitude):
     exact = simulated(name, "periodic", amplitude)
     errors = [farthest(simulated(name, po.HarmonicBalance(n), amplitude), exact) for n in (1, 3, 5, 7, 16)]
-    # Two harmonics more leave a tenth or less, until steps and root of the orbit itself are left.
+    # Two more harmonics leave a tenth or less, until the error of the orbit itself remains.
     for before, after in itertools.pairwise(errors):
         assert after < max(0.12 * before, 3e-10)
     assert errors[-1] < 3e-10
@@ -113,7 +95,7 @@ def test_no_balanced_harmonic_of_the_force_is_left_over(r1_scene, name, choice):
     soil = reaction.static * (1 + 0.8 * np.sin(2 * np.pi * travel / 0.6)) + reaction.drag * speed**2
     left = np.abs(np.fft.rfft(scene.inertia * bend + scene.stiffness * z + damping * rate - soil)) / 240
     balanced = left[: choice.harmonics + 1]
-    # The projection has 4 n + 12 samples, which leave the force's harmonics beyond them.
+    # The projection uses 4 n + 12 samples, so that only harmonics of the force beyond them remain.
     assert np.max(balanced) < 1e-9 * reaction.static
     assert np.max(left[choice.harmonics + 1 :]) > 1e-6 * reaction.static
 
@@ -123,7 +105,7 @@ def test_no_balanced_harmonic_of_the_force_is_left_over(r1_scene, name, choice):
 def test_averages_are_those_of_the_outputs(simulated, name, choice):
     run = simulated(name, choice, 0.5)
     force, z = run.mount_force[:-1], run.deflection[:-1]
-    # Of a few harmonics the mean over equal intervals is exact.
+    # The mean of a few harmonics over equal intervals is exact.
     assert run.mean_draft == pytest.approx(np.mean(force), rel=1e-13)
     assert run.mean_deflection == pytest.approx(np.mean(z), rel=1e-13)
     assert run.force_rms == pytest.approx(np.std(force), rel=1e-12)
@@ -131,9 +113,6 @@ def test_averages_are_those_of_the_outputs(simulated, name, choice):
     assert run.tow_power == pytest.approx(run.mean_draft * run.scene.tow_speed, rel=1e-15)
     assert run.duration == pytest.approx(0.6 / run.scene.tow_speed, rel=1e-15)
     assert force[0] == pytest.approx(run.mount_force[-1], rel=1e-12)
-
-
-# --- how far they are from the orbit ---
 
 
 @pytest.mark.parametrize("choice", ["linearised", po.HarmonicBalance(1), po.HarmonicBalance(3)])
@@ -153,12 +132,12 @@ def test_error_estimate_is_the_difference_from_the_orbit(simulated, name, choice
     assert run.error_estimate > 0.0
 
 
-def test_a_stand_in_for_an_orbit_that_is_not_found_says_nothing_of_its_error(r1_scene, capfd):
+def test_an_approximation_of_an_orbit_that_is_not_found_has_an_unknown_error(r1_scene, capfd):
     scene = r1_scene(stiffness=1e4, tow_speed=0.3, strength_wave=po.StrengthWave(1.0, 0.2), orbit=po.HarmonicBalance(1))
     run = po.simulate(scene)
     assert run.error_estimate == math.inf
     assert run.force_rms > 0.0
-    # What CasADi says of the root that it did not find is not for the user.
+    # CasADi must not print a page on the root that it did not find.
     assert capfd.readouterr() == ("", "")
 
 

@@ -1,4 +1,4 @@
-"""To which motion a share comes that starts from equilibrium, beside the lasting orbit that was found."""
+"""Where a share that starts from equilibrium ends up, compared with the periodic orbit that was found."""
 
 import casadi as ca
 import numpy as np
@@ -8,7 +8,7 @@ from helpers.orbit_oracle import follow, period
 import plough_opt as po
 from plough_opt.motion import settling
 
-# Of the orbit's multipliers the larger is 0.73, and it never retreats; from equilibrium another motion comes about.
+# The orbit is stable (its larger multiplier is 0.73) and never retreats, but equilibrium leads to another motion.
 TWO_MOTIONS = po.Scene(
     po.Soil(
         density=1285.32,
@@ -28,12 +28,15 @@ WAVE = po.StrengthWave(0.3, 0.2)
 
 
 def settled_on(scene, after, over):
-    """Return the states of a share from equilibrium at the ends of wavelengths, and the RMS of its last ones, by SciPy.
+    """Return the states of a share from equilibrium at the ends of wavelengths, and its last motion, by SciPy.
 
     Args:
-        scene: of an orbit.
-        after: wavelengths that are followed.
-        over: the last wavelengths, over which the mount force is averaged.
+        scene: scene with an orbit.
+        after: number of wavelengths to integrate.
+        over: number of the last wavelengths over which the mount force is averaged.
+
+    Returns:
+        The states, the RMS of the mount force [N], and whether the share retreats.
     """
     each = 60
     equilibrium = (scene.reaction.static + scene.reaction.drag * scene.tow_speed**2) / scene.stiffness
@@ -52,7 +55,7 @@ def test_another_motion_than_the_stable_orbit_is_named():
     assert min(np.max(np.abs(ends[:, -1] - ends[:, -1 - k])) for k in range(1, 6)) > 1e-2
     found = run.settles
     assert (found.orbit, found.period, found.averaged, found.retreats) == (False, 6, 6, retreats)
-    # The mean of 60 samples of each wavelength is exact; the states are within 1e-6 of the limit.
+    # The mean over 60 samples a wavelength is exact; the states are within 1e-6 of the limit.
     assert found.force_rms == pytest.approx(rms, rel=1e-6)
     (warning,) = [text for text in run.warnings if "equilibrium" in text]
     assert warning.startswith("a share that starts from equilibrium comes to a period-6 motion of RMS 423.4 N")
@@ -67,8 +70,7 @@ def test_a_share_that_comes_to_the_orbit(r1_scene, damping, stiffness):
     assert run.settles.force_rms == run.force_rms
     assert not [text for text in run.warnings if "equilibrium" in text]
     assert run.settles.text.startswith("comes to this orbit (after ")
-    # By a run from the start, over as many wavelengths and one more, as near as it says; its own error is beside that
-    # nothing.
+    # A run from the start, one wavelength longer, ends as near to the orbit as stated. Its own error is far smaller.
     count = run.settles.wavelengths
     scene = r1_scene(stiffness=stiffness, strength_wave=WAVE, damping=damping)
     followed = po.simulate(scene, (count + 1) * run.duration, outputs=40 * (count + 1))
@@ -76,7 +78,7 @@ def test_a_share_that_comes_to_the_orbit(r1_scene, damping, stiffness):
     assert away <= 1.5 * run.settles.distance + 1e-9
 
 
-def test_where_nothing_damps_a_share_it_never_settles(r1_scene):
+def test_an_undamped_share_never_settles(r1_scene):
     run = po.simulate(r1_scene(strength_wave=WAVE, inertial_drag=False, orbit="periodic"))
     assert run.settles.orbit is None
     (warning,) = [text for text in run.warnings if "equilibrium" in text]
@@ -84,7 +86,7 @@ def test_where_nothing_damps_a_share_it_never_settles(r1_scene):
     assert "nothing damps a deviation from the orbit" in warning
 
 
-def test_beside_an_unstable_orbit_the_share_is_followed_as_far_as_is_said():
+def test_a_share_near_an_unstable_orbit_is_followed_for_the_stated_time():
     effects = po.Effects(strength_wave=WAVE, damping=20.0, orbit="periodic")
     share = po.Wedge(po.deg(30.0), po.deg(15.0), 0.25)
     run = po.simulate(po.Scene(po.named_soil("serozem"), share, 2e4, 20.0, 2.0, effects))
@@ -97,11 +99,14 @@ def test_beside_an_unstable_orbit_the_share_is_followed_as_far_as_is_said():
         assert found.averaged == 256
 
 
-def test_only_a_periodic_orbit_of_numbers_settles(r1_scene):
-    for effects, duration in (({}, 0.3), ({"orbit": "linearised"}, None)):
-        run = po.simulate(r1_scene(strength_wave=WAVE, **effects), duration)
-        with pytest.raises(po.InputError, match=r"periodic orbit .* to which motion a share settles"):
-            _ = run.settles
-    symbolic = po.simulate(r1_scene(stiffness=ca.MX.sym("k"), strength_wave=WAVE, orbit="periodic"))
-    with pytest.raises(po.InputError, match="a symbolic run has no motion to which a share settles"):
-        _ = symbolic.settles
+def test_only_a_numeric_periodic_orbit_has_multipliers_and_settles(r1_scene):
+    stiffness = ca.MX.sym("stiffness")
+    transient = po.simulate(r1_scene(strength_wave=WAVE), 0.3, outputs=4)
+    linearised = po.simulate(r1_scene(strength_wave=WAVE, orbit="linearised"), outputs=4)
+    symbolic = po.simulate(r1_scene(stiffness=stiffness, strength_wave=WAVE, orbit="periodic"), outputs=4)
+    for name in ("floquet", "settles"):
+        for run in (transient, linearised):
+            with pytest.raises(po.InputError, match="periodic orbit"):
+                getattr(run, name)
+        with pytest.raises(po.InputError, match="a symbolic run has no"):
+            getattr(symbolic, name)

@@ -7,7 +7,7 @@ import numpy as np
 
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import FEASIBLE, FINER, PENALTY, Evaluations, Landscape, concatenated
-from plough_opt.design.optimality import least, lowest_dips
+from plough_opt.design.optimality import lowest_dips, quadratic_program
 
 Box = tuple[Vector, Vector]
 """Lower and upper bounds of scaled variables."""
@@ -258,7 +258,7 @@ class _Nearest(_Descent):
                 np.concatenate([self._program.low[rows] - g[rows], low - y]),
                 np.concatenate([self._program.high[rows] - g[rows], high - y]),
             )
-            found = least(unit, y - self._design, np.vstack([jacobian[rows], unit]), limits)
+            found = quadratic_program(unit, y - self._design, np.vstack([jacobian[rows], unit]), limits)
             if found is None:
                 break
             before, y = y, np.clip(y + found[0], low, high)

@@ -1,4 +1,4 @@
-"""Other forms of a program: in machine code, on the rows that can decide, and with requirements that give way."""
+"""Variants of a program: in machine code, restricted to rows that can be active, and with relaxed requirements."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,15 +11,15 @@ from plough_opt.design.ipopt import Point, SolveOptions, Solver, Vector
 from plough_opt.design.nlp import Nlp, hessian_function
 from plough_opt.design.optimality import lowest_dips
 
-# The reciprocal of what divides often, as the inertia, is taken once.
+# -freciprocal-math takes the reciprocal of a frequent divisor, such as the inertia, only once.
 _FAST = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-freciprocal-math")
 _VARIANTS: tuple[Variant, ...] = ((_FAST, ("-lm",)), (("-O1",), ("-lm",)))
 
 
 def as_machine_code(nlp: Nlp) -> Nlp | None:
-    """Return a program with values and first derivatives in machine code; None without a compiler.
+    """Return a program with values and first derivatives in machine code, or None without a compiler.
 
-    Second derivatives, which few solves need and which take a compiler longest, stay interpreted.
+    Second derivatives stay interpreted: few solves need them, and they take a compiler longest.
     """
     functions = {"own_values": nlp.values, "own_slopes": nlp.slopes}
     generator = ca.CodeGenerator("design.c")
@@ -37,28 +37,32 @@ def _named(function: ca.Function, name: str) -> ca.Function:
     return ca.Function(name, inputs, function.call(inputs))
 
 
-# Dips of a requirement's margin over its rows that are taken, each with its neighbours on both sides, for the lowest
-# output moves with the design.
-_DIPS, _BESIDE = 4, 2
-_OF_ONE = _DIPS * (2 * _BESIDE + 1)
-_ROUNDS = 5
-# Scaled violation of a row that was left out.
+# For a requirement with many rows, the program keeps the rows around this many local minima of its margin.
+_DIPS = 4
+# Rows kept on both sides of each minimum, because the minimum moves with the design.
+_BESIDE = 2
+_MOST_ROWS = _DIPS * (2 * _BESIDE + 1)
+# Choices of rows that are tried until a solution keeps all other rows.
+_MOST_CHOICES = 5
+# Scaled violation above which an omitted row is broken.
 _BROKEN = 1e-10
+# Lowers the score of a chosen row below that of every row that was not chosen; margins are of order 1.
+_CHOSEN = 1e6
 
 
 class ActiveRows:
-    """IPOPT on the rows of requirements that can decide, built once for all choices of rows.
+    """IPOPT on those rows of the requirements that can be active, built once for all choices of rows.
 
-    A deflection that is limited at 401 outputs gives 401 rows, of which two or three decide. The optimiser is given the
-    rows where the curve comes nearest to its limit, and others where its design breaks one that was left out.
+    A deflection that is limited at 401 outputs gives 401 rows, of which two or three are active. The solver gets the
+    rows where the curve comes nearest to its limit. If its solution breaks an omitted row, the rows are chosen anew.
     """
 
     def __init__(self, nlp: Nlp, owner: Sequence[int], limits: tuple[Vector, Vector]) -> None:
-        """Take the program.
+        """Build the program with as many rows as a choice has.
 
         Args:
-            nlp: the program.
-            owner: for each row the number of its requirement.
+            nlp: the program with all rows.
+            owner: for each row, the number of its requirement.
             limits: lower and upper limits of the rows.
         """
         self._nlp, self._owner, self._limits = nlp, np.array(owner), limits
@@ -69,12 +73,12 @@ class ActiveRows:
         """Return the local optimum that IPOPT reaches from a start: see `Solver.solve`."""
         rows = self._nearest(self._margins(start, p), np.empty(0, dtype=int))
         y = start
-        for _ in range(_ROUNDS):
+        for _ in range(_MOST_CHOICES):
             limits = self._limits[0][rows], self._limits[1][rows]
             found = self._solver.solve(y, np.r_[p, rows], lower, upper, options, limits)
-            pulls = np.zeros(len(self._owner))
-            pulls[rows] = found.lam_g
-            point, y = replace(found, lam_g=pulls), found.y
+            lam_g = np.zeros(len(self._owner))
+            lam_g[rows] = found.lam_g
+            point, y = replace(found, lam_g=lam_g), found.y
             margins = self._margins(y, p)
             broken = np.flatnonzero(margins < -_BROKEN)
             if not point.solved or np.all(np.isin(broken, rows)):
@@ -87,29 +91,34 @@ class ActiveRows:
         return np.nan_to_num(np.minimum(g - self._limits[0], self._limits[1] - g), nan=-np.inf)
 
     def _nearest(self, margins: Vector, kept: np.ndarray) -> np.ndarray:
-        """Return the rows to take, by their margins, some of which are kept from before."""
+        """Return the numbers of the rows to solve with.
+
+        Args:
+            margins: margin of every row.
+            kept: rows that must be among them, because they were active before.
+        """
         score = margins.copy()
         for requirement in np.unique(self._owner):
             own = np.flatnonzero(self._owner == requirement)
-            if len(own) <= _OF_ONE:
+            if len(own) <= _MOST_ROWS:
                 score[own] = -np.inf
                 continue
             curve = margins[own]
             for k in lowest_dips(curve, _DIPS):
                 beside = slice(max(0, k - _BESIDE), k + _BESIDE + 1)
-                score[own[beside]] = np.minimum(score[own[beside]], curve[k] - 1e6)
+                score[own[beside]] = np.minimum(score[own[beside]], curve[k] - _CHOSEN)
         score[kept] = -np.inf
         return np.sort(np.argsort(score, kind="stable")[: self._count])
 
 
 def chosen_rows(owner: Sequence[int]) -> int:
-    """Return how many rows are taken of those whose requirements have these numbers."""
+    """Return the number of rows that `ActiveRows` solves with; ``owner`` has the requirement's number of each row."""
     counts = np.unique(np.array(owner, dtype=int), return_counts=True)[1]
-    return int(np.sum(np.minimum(counts, _OF_ONE)))
+    return int(np.sum(np.minimum(counts, _MOST_ROWS)))
 
 
 def _of_rows(nlp: Nlp, count: int) -> Nlp:
-    """Return a program with a choice of another's rows, whose numbers follow its parameters."""
+    """Return a program with ``count`` rows of another; their numbers are further parameters, after its own."""
     y, own = nlp.values.mx_in()
     given = ca.MX.sym("p", own.numel() + count)
     p, which = ca.vertsplit(given, [0, own.numel(), given.numel()])
@@ -120,37 +129,37 @@ def _of_rows(nlp: Nlp, count: int) -> Nlp:
 
     def build_hessian() -> ca.Function:
         lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", count)
-        every = ca.MX(ca.DM.zeros(nlp.values.numel_out(1)))
-        every.set_nz(lam_g, False, which)
-        return hessian_function(y, given, lam_f, lam_g, nlp.hess_lag(y, p, lam_f, every))
+        lam_all = ca.MX(ca.DM.zeros(nlp.values.numel_out(1)))
+        lam_all.set_nz(lam_g, False, which)
+        return hessian_function(y, given, lam_f, lam_g, nlp.hess_lag(y, p, lam_f, lam_all))
 
     f, g = nlp.values(y, p)
     return Nlp(ca.Function("values", [y, given], [f, g[which]]), build_slopes, build_hessian)
 
 
 def relaxed(nlp: Nlp, owner: Sequence[int]) -> Nlp:
-    """Return the program that minimises how far requirements give way.
+    """Return the program that minimises the sum of the requirements' violations.
 
     Args:
         nlp: the program.
-        owner: for each scaled constraint, the number of its requirement; each has one at least.
+        owner: for each row, the number of its requirement; every requirement has at least one row.
 
     Returns:
-        A program in (y, s, t) with s, t >= 0 for each requirement: minimise the sum of s and t subject to
+        A program in x = (y, s, t) with slacks s, t >= 0 of each requirement: minimise the sum of s and t subject to
         low <= g(y) + s - t <= high, with the exact derivatives of ``nlp``.
     """
     count = len(set(owner))
     spread = np.eye(count)[list(owner)]
-    give = ca.sparsify(ca.DM(np.hstack([spread, -spread])))
+    slack_rows = ca.sparsify(ca.DM(np.hstack([spread, -spread])))
     own, p = nlp.values.mx_in()
     x = ca.MX.sym("x", own.numel() + 2 * count)
     y, slack = ca.vertsplit(x, [0, own.numel(), x.numel()])
-    f, loose = ca.sum1(slack), ca.mtimes(give, slack)
+    f, loose = ca.sum1(slack), ca.mtimes(slack_rows, slack)
 
     def build_slopes() -> ca.Function:
         _, g, _, jacobian = nlp.slopes(y, p)
         gradient = ca.DM(np.r_[np.zeros(own.numel()), np.ones(2 * count)])
-        return ca.Function("slopes", [x, p], [f, g + loose, gradient, ca.horzcat(jacobian, give)])
+        return ca.Function("slopes", [x, p], [f, g + loose, gradient, ca.horzcat(jacobian, slack_rows)])
 
     def build_hessian() -> ca.Function:
         lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(owner))
@@ -162,7 +171,13 @@ def relaxed(nlp: Nlp, owner: Sequence[int]) -> Nlp:
 
 
 def first_slack(g: Vector, limits: tuple[Vector, Vector], owner: Sequence[int]) -> Vector:
-    """Return slacks that make a start feasible: the largest violation of each requirement, either way."""
+    """Return the least slacks (s, t) of `relaxed` that make a start feasible.
+
+    Args:
+        g: rows of the requirements at the start.
+        limits: lower and upper limits of the rows.
+        owner: for each row, the number of its requirement.
+    """
     count = len(set(owner))
     slack = np.zeros(2 * count)
     np.maximum.at(slack[:count], owner, limits[0] - g)

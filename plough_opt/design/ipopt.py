@@ -1,4 +1,4 @@
-"""IPOPT on a design's nonlinear program, with the settings that a design needs."""
+"""IPOPT for the nonlinear program of a design, with its settings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.design.nlp import Nlp, as_ipopt_wants
+from plough_opt.design.nlp import Nlp, ipopt_functions
 
 Vector = NDArray[np.float64]
 _LOG = logging.getLogger(__name__)
@@ -27,13 +27,13 @@ REMEDIES = {
     "Search_Direction_Becomes_Too_Small": "the objective is not smooth enough here: take more integration steps",
 }
 
-# Zero keeps bounds exactly: by default IPOPT widens them by 1e-8 and reports an objective below the truth.
 OPTIONS: dict[str, Any] = {
     "print_time": False,
     "error_on_fail": False,
     "show_eval_warnings": False,
     "ipopt.print_level": 0,
     "ipopt.sb": "yes",
+    # Keep bounds exactly: by default IPOPT widens them by 1e-8 and reports an objective below the truth.
     "ipopt.bound_relax_factor": 0.0,
     "ipopt.nlp_scaling_method": "none",
     "ipopt.tol": 1e-10,
@@ -41,24 +41,24 @@ OPTIONS: dict[str, Any] = {
     "ipopt.compl_inf_tol": 1e-10,
     "ipopt.acceptable_iter": 0,
     "ipopt.max_iter": 300,
-    # A design's linear systems are small, dense and of order 1.
+    # The linear systems of a design are small, dense and of order 1: scaling them only takes time.
     "ipopt.mumps_permuting_scaling": 0,
     "ipopt.mumps_scaling": 0,
 }
-# By differences of exact gradients: of few variables it takes fewer iterations than the exact Hessian, which is
-# indefinite over most of a multimodal design, and a fraction of the time of each.
+# Approximates the Hessian by differences of exact gradients. With few variables that takes fewer iterations than the
+# exact Hessian, which is indefinite over most of a multimodal design, and a fraction of the time of each.
 _QUASI_NEWTON: dict[str, Any] = {
     "ipopt.hessian_approximation": "limited-memory",
-    # What it remembers enters the linear system; by default that is solved once for each thing remembered.
+    # Put the remembered gradients into the linear system; by default IPOPT solves that system once for each of them.
     "ipopt.limited_memory_aug_solver": "extended",
-    # Systems this small are solved to rounding, and no step is checked for what its solution leaves over.
+    # Skip checking the residual of each step: systems this small are solved to rounding.
     "ipopt.fast_step_computation": "yes",
 }
-# Iterations after which it no longer converges, but wanders.
-_MOST_WITHOUT_CURVATURE = 100
-# From anywhere: the adaptive barrier takes about half the iterations of the monotone one here.
+# After this many iterations the quasi-Newton method no longer converges.
+_MOST_QUASI_NEWTON_ITERATIONS = 100
+# From any start: the adaptive barrier takes about half the iterations of the monotone one here.
 FAR: dict[str, Any] = {"ipopt.mu_strategy": "adaptive"}
-# From a point that is nearly optimal already: stay in its basin instead of first moving to the middle.
+# From a nearly optimal start: stay in its basin instead of first moving to the middle.
 NEAR: dict[str, Any] = {
     "ipopt.max_iter": 30,
     "ipopt.mu_init": 1e-4,
@@ -67,10 +67,11 @@ NEAR: dict[str, Any] = {
     "ipopt.slack_bound_push": 1e-6,
     "ipopt.slack_bound_frac": 1e-6,
 }
-# From a search's bottom, right to some 1e-6: a barrier that low moves it no further than that from its limits. A higher
-# one drives it along flat valleys first, from which it takes five times as many iterations back.
+# From the bottom of a basin that a search found, right to some 1e-6: a barrier this low pushes the design no further
+# than that from its limits. A higher one first drives it along flat valleys, and the way back takes five times as many
+# iterations.
 FROM_BOTTOM: dict[str, Any] = NEAR | {"ipopt.mu_init": 1e-8, "ipopt.bound_mult_init_method": "mu-based"}
-# From a neighbour's optimum and multipliers, along a front.
+# From the optimum and multipliers of a neighbour along a front.
 _FROM_NEIGHBOUR: dict[str, Any] = {
     "ipopt.max_iter": 40,
     "ipopt.mu_init": 1e-6,
@@ -81,9 +82,9 @@ _FROM_NEIGHBOUR: dict[str, Any] = {
     "ipopt.warm_start_slack_bound_frac": 1e-9,
     "ipopt.warm_start_mult_bound_push": 1e-9,
 }
-_BEGINNINGS = {"neighbour": _FROM_NEIGHBOUR, "far": FAR, "near": NEAR, "bottom": FROM_BOTTOM}
-# Where the objective no longer falls, as along a valley, the last digits of the derivatives are not waited for.
-_ENOUGH: dict[str, Any] = {
+_SETTINGS_BY_START = {"neighbour": _FROM_NEIGHBOUR, "far": FAR, "near": NEAR, "bottom": FROM_BOTTOM}
+# Stops where the objective no longer falls, as along a valley, without waiting for the last digits of the slopes.
+_STOP_EARLY: dict[str, Any] = {
     "ipopt.acceptable_iter": 3,
     "ipopt.acceptable_tol": 1e-5,
     "ipopt.acceptable_obj_change_tol": 1e-10,
@@ -94,12 +95,12 @@ _ENOUGH: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class SolveOptions:
-    """How IPOPT goes about a solve.
+    """Options of a solve by IPOPT.
 
     Attributes:
         near: whether the start is nearly optimal.
-        exact: whether to take exact second derivatives; None: only where it fails without them.
-        enough: whether to stop where the objective no longer falls, and not to wait for the last digits.
+        exact: whether to use exact second derivatives; None: only if the solve fails without them.
+        enough: whether to stop where the objective no longer falls, without waiting for the last digits.
     """
 
     near: bool = False
@@ -112,17 +113,18 @@ FROM_AFAR = SolveOptions()
 
 @dataclass(frozen=True)
 class Point:
-    """Where IPOPT stopped, in scaled variables.
+    """The point where IPOPT stopped, in scaled variables.
 
     Attributes:
         solved: whether it is a local optimum to tolerance.
-        status: IPOPT's word for why it stopped.
+        status: IPOPT's name of the reason why it stopped.
         y: scaled variables.
         f: scaled objective.
         lam_g: multipliers of the requirements.
         lam_y: multipliers of the bounds.
         iterations: number of iterations.
-        curvatures: of the objective in the directions that stay free, and these as columns, where they are known.
+        curvatures: if known, the curvatures of the objective along the directions that the active limits leave free,
+            and these directions as columns.
     """
 
     solved: bool
@@ -136,7 +138,13 @@ class Point:
 
     @classmethod
     def of(cls, result: dict[str, ca.DM], stats: dict[str, Any], enough: bool = False) -> Point:
-        """Take what CasADi's interface to IPOPT returned; ``enough`` as in `SolveOptions`."""
+        """Return the point of a result and the statistics of CasADi's interface to IPOPT.
+
+        Args:
+            result: the solver's outputs by name.
+            stats: its statistics.
+            enough: as in `SolveOptions`: whether an acceptable point counts as solved.
+        """
         y, lam_g, lam_y = (np.asarray(result[name]).ravel() for name in ("x", "lam_g", "lam_x"))
         status = stats["return_status"]
         ends = ("Solve_Succeeded", "Solved_To_Acceptable_Level") if enough else ("Solve_Succeeded",)
@@ -145,33 +153,34 @@ class Point:
 
 
 class LastPoint:
-    """Values and slopes at the last point that IPOPT asked about, for which it asks one by one.
+    """A cache of the values and slopes at the last point that IPOPT evaluated.
 
-    They are computed once: the values with the slopes, unless at the point before no slopes were asked for.
+    IPOPT evaluates objective, requirements and their derivatives one by one. They share one integration: values are
+    computed together with slopes, unless IPOPT rejected the point before without evaluating its slopes.
     """
 
     def __init__(self, nlp: Nlp) -> None:
-        """Take the program."""
+        """Start with an empty cache for a program."""
         self._nlp = nlp
         self._at: list[list[float]] = []
-        self._found: list[ca.DM] = []
-        self._wanted = True
+        self._results: list[ca.DM] = []
+        self._slopes_expected = True
         self.interrupted = False
 
     def __call__(self, at: Sequence[ca.DM], *, sloping: bool) -> list[ca.DM]:
-        """Return the values at a point, (y, p), or the slopes."""
+        """Return `Nlp.values` at a point (y, p), or `Nlp.slopes` with ``sloping``."""
         point = [part.nonzeros() for part in at]
         fresh = point != self._at
-        if fresh or (sloping and len(self._found) == 2):
-            everything = sloping or self._wanted
-            self._found = (self._nlp.slopes if everything else self._nlp.values).call(at)
-            self._at, self._wanted = point, False
-        self._wanted |= sloping
-        return self._found if sloping else self._found[:2]
+        if fresh or (sloping and len(self._results) == 2):
+            with_slopes = sloping or self._slopes_expected
+            self._results = (self._nlp.slopes if with_slopes else self._nlp.values).call(at)
+            self._at, self._slopes_expected = point, False
+        self._slopes_expected |= sloping
+        return self._results if sloping else self._results[:2]
 
 
-class _Remembered(ca.Callback):
-    """Values, or slopes, as a Function that CasADi can call."""
+class _Cached(ca.Callback):
+    """The values, or the slopes, of a `LastPoint` as a Function that CasADi can call."""
 
     def __init__(self, last: LastPoint, function: ca.Function, *, sloping: bool) -> None:
         ca.Callback.__init__(self)
@@ -199,28 +208,28 @@ class _Remembered(ca.Callback):
         try:
             return self._last(at, sloping=self._sloping)
         except KeyboardInterrupt:
-            # CasADi takes any exception for an evaluation that failed, from which IPOPT goes on.
+            # CasADi treats any exception as a failed evaluation, and IPOPT would continue.
             self._last.interrupted = True
             raise
 
 
 class Solver:
-    """IPOPT on one program; built once for starts far and near."""
+    """IPOPT for one program, with a solver for each kind of start, built when first needed."""
 
     def __init__(self, nlp: Nlp, low: Vector, high: Vector) -> None:
-        """Take the program and the limits of its requirements."""
+        """Prepare to solve a program with lower and upper limits of its requirements."""
         self._nlp, self._last = nlp, LastPoint(nlp)
         # CasADi does not keep a Callback alive.
         self._callbacks = (
-            _Remembered(self._last, nlp.values, sloping=False),
-            _Remembered(self._last, nlp.slopes, sloping=True),
+            _Cached(self._last, nlp.values, sloping=False),
+            _Cached(self._last, nlp.slopes, sloping=True),
         )
-        parts = as_ipopt_wants(*self._callbacks)
+        parts = ipopt_functions(*self._callbacks)
         y, p = nlp.values.mx_in()
         self._problem = {"x": y, "p": p, "f": parts["f"](y, p), "g": parts["g"](y, p)}
-        # Multipliers of bounds come from IPOPT itself, and of parameters none are asked for.
-        savings = {"no_nlp_grad": True, "calc_lam_p": False}
-        self._derivatives = {"grad_f": parts["grad_f"], "jac_g": parts["jac_g"], **savings}
+        # IPOPT itself gives the multipliers of bounds, and those of parameters are not needed.
+        fewer_evaluations = {"no_nlp_grad": True, "calc_lam_p": False}
+        self._derivatives = {"grad_f": parts["grad_f"], "jac_g": parts["jac_g"], **fewer_evaluations}
         self._low, self._high = ca.DM(low), ca.DM(high)
         self._solvers: dict[tuple[str, bool, bool], ca.Function] = {}
 
@@ -241,9 +250,9 @@ class Solver:
             p: parameters.
             lower: lower bounds of the scaled variables.
             upper: upper bounds.
-            options: how to go about it.
-            limits: of the requirements, where they are not those that it was built with.
-            neighbour: an optimum near the start, from whose multipliers to begin.
+            options: options of the solve.
+            limits: lower and upper limits of the requirements, if they differ from those of the constructor.
+            neighbour: an optimum near the start, whose multipliers the solve begins with.
         """
         low, high = (self._low, self._high) if limits is None else limits
         given = {"x0": start, "p": p, "lbx": lower, "ubx": upper, "lbg": low, "ubg": high}
@@ -254,14 +263,14 @@ class Solver:
         if not options.exact:
             point = self._attempt(given, begin, False, options.enough)
             if options.near and options.enough and point.status == "Maximum_Iterations_Exceeded":
-                # Along what is flat, steps from a low barrier are short.
+                # Steps from a low barrier are short along a flat valley.
                 point = self._attempt(given, "near", False, options.enough)
             if point.solved or options.exact is False:
                 return point
         return self._attempt(given, begin, True, options.enough)
 
     def requirements(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
-        """Return the scaled requirements and their Jacobian; where IPOPT just stopped they are known."""
+        """Return the scaled requirements and their Jacobian, from the cache if IPOPT just stopped there."""
         _, g, _, jacobian = self._last([ca.DM(y), ca.DM(p)], sloping=True)
         return g.full().ravel(), jacobian.full()
 
@@ -279,11 +288,11 @@ class Solver:
     def _solver(self, begin: str, exact: bool, enough: bool) -> ca.Function:
         kind = begin, exact, enough
         if kind not in self._solvers:
-            options = OPTIONS | self._derivatives | _BEGINNINGS[begin] | (_ENOUGH if enough else {})
+            options = OPTIONS | self._derivatives | _SETTINGS_BY_START[begin] | (_STOP_EARLY if enough else {})
             if exact:
                 options["hess_lag"] = self._nlp.hess_lag
             else:
-                most = min(options["ipopt.max_iter"], _MOST_WITHOUT_CURVATURE)
-                options |= _QUASI_NEWTON | {"ipopt.max_iter": most}
+                most_iterations = min(options["ipopt.max_iter"], _MOST_QUASI_NEWTON_ITERATIONS)
+                options |= _QUASI_NEWTON | {"ipopt.max_iter": most_iterations}
             self._solvers[kind] = ca.nlpsol("design", "ipopt", self._problem, options)
         return self._solvers[kind]

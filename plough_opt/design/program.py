@@ -1,4 +1,4 @@
-"""A design as a scaled program: declarations in, IPOPT's functions out, built once for all solves."""
+"""The scaled program of a design, from its declarations to IPOPT solvers, built once for all solves."""
 
 from __future__ import annotations
 
@@ -22,32 +22,34 @@ from plough_opt.design.split import split
 from plough_opt.design.verify import TightEvaluation, check_bounds, corners, rough_steps, steps_at, values_at_guess
 from plough_opt.motion.accuracy import DEFAULT_ERROR
 
+# An objective or requirement is scaled as if it had at least this size.
 _SMALLEST_SCALE = 1e-12
-# Programs that are kept, of other numbers of steps or scales.
-_MOST_KEPT = 6
-# Designs whose middle values set the scales where the guess has none.
-_SAMPLE, _SAMPLE_SEED = 256, 256
+# Built programs that are cached, for different numbers of steps or scales.
+_MOST_PROGRAMS = 6
+# Size and seed of the sample whose medians set the scales if the guess has no value.
+_SAMPLE = 256
+_SAMPLE_SEED = 256
 
-Kept = TypeVar("Kept")
+Cached = TypeVar("Cached")
 
 
 @dataclass
 class BuiltProgram:
-    """A program that is written for numbers of steps; its parts are made once they are needed.
+    """A program with certain numbers of integration steps; its solvers are built when first needed.
 
     Attributes:
-        steps: for each run their number, or None for the method it was written with.
-        fewer: the same of a rough program.
-        write: numbers of steps -> objective and requirements.
-        owner: for each row of the requirements the number of its requirement.
+        steps: for each run, the number of steps, or None for the method it was written with.
+        rough_steps: the same for the rough program.
+        write: builds the program from numbers of steps.
+        owner: for each row of the requirements, the number of its requirement.
         limits: scaled lower and upper limits of the rows.
-        compiled: whether machine code is wanted.
-        refinement: the factor on the steps that was asked for.
-        checked: parameters and a scaled design, with the error of derivatives that was found there.
+        compiled: whether to translate the program into machine code.
+        refinement: factor on the numbers of steps, as given to `Program.build`.
+        checked: parameters, scaled design and error of derivatives at the last check, if there was one.
     """
 
     steps: list[int | None]
-    fewer: list[int | None]
+    rough_steps: list[int | None]
     write: Callable[[list[int | None]], Nlp]
     owner: Sequence[int]
     limits: tuple[Vector, Vector]
@@ -57,69 +59,72 @@ class BuiltProgram:
 
     @cached_property
     def plain(self) -> Nlp:
-        """Objective and requirements, interpreted."""
+        """The program, interpreted."""
         return self.write(self.steps)
 
     @cached_property
     def nlp(self) -> Nlp:
-        """The same, in machine code where that is wanted and there is a compiler."""
+        """The program, in machine code if ``compiled`` and if there is a compiler."""
         return (as_machine_code(self.plain) if self.compiled else None) or self.plain
 
     @cached_property
     def rough(self) -> Nlp:
-        """The same with two fifths of the steps, by which it shows as well which way the Lagrangian curves."""
-        return self.write(self.fewer)
+        """The program with two fifths of the steps, enough to tell the sign of the Lagrangian's curvatures."""
+        return self.write(self.rough_steps)
 
     @cached_property
     def solver(self) -> Solver:
-        """IPOPT on it."""
+        """IPOPT on the program."""
         return Solver(self.nlp, *self.limits)
 
     @cached_property
     def near_solver(self) -> Solver | ActiveRows:
-        """IPOPT on those of its rows that can decide, from nearly optimal starts."""
+        """IPOPT on the rows that can be active, for nearly optimal starts."""
         few = chosen_rows(self.owner) < len(self.owner)
         return ActiveRows(self.nlp, self.owner, self.limits) if few else self.solver
 
     @cached_property
     def relaxed(self) -> Solver:
-        """IPOPT on the sum of violations."""
+        """IPOPT on the sum of the requirements' violations."""
         return Solver(relaxed(self.nlp, self.owner), *self.limits)
 
 
 class Program:
-    """The scaled program of some declarations: variables between 0 and 1, requirements and objective of order 1.
+    """The scaled program of a design: variables between 0 and 1, objective and requirements of order 1.
 
-    It comes about in three stages. What was declared is known at once; `prepare` sets the scales for values of the
-    parameters; `build` writes the program for numbers of integration steps, after which it can be solved.
+    It is made in three stages. The constructor splits the declared expressions around their runs. `prepare` sets the
+    scales, which depend on the values of the parameters. `build` chooses the numbers of integration steps and writes
+    the program, which can then be solved.
 
     Attributes:
-        declared: what was declared, with the requirements that theories bring at the end.
-        exact: the same expressions, integrated tightly.
-        owner: for each row of the requirements the number of its requirement.
-        objective_scale: what the objective is divided by, after `prepare`.
-        scales: what each requirement is divided by, after `prepare`.
+        declared: the declarations; limits of theories that the expressions use are appended to the requirements.
+        exact: objective and requirements by tight integration.
+        owner: for each row of the requirements, the number of its requirement.
+        compiled: whether to translate the program into machine code.
+        bare: for a design over a tolerance box, the program of the design alone; else None.
+        over: in words, what part of the box is minimised; "" without a box.
+        objective_scale: divisor of the objective, after `prepare`.
+        scales: divisor of each requirement, after `prepare`.
         low: scaled lower limits of the rows, after `prepare`.
         high: scaled upper limits of the rows, after `prepare`.
-        built: the program that was built last.
     """
 
     def __init__(
         self, declared: Declarations, *, compiled: bool = False, bare: Program | None = None, over: str = ""
     ) -> None:
-        """Split the expressions around their runs, and add the requirements that the theories in them bring.
+        """Split the expressions around their runs, and add the limits of the theories that they use as requirements.
 
         Args:
-            declared: what was declared.
+            declared: the declarations.
             compiled: whether to translate the program into machine code.
-            bare: where this asks for the tolerance box around a design: the same question of the design alone.
-            over: in words, what is then minimised.
+            bare: if this program covers the tolerance box around a design, the program of the design alone.
+            over: in words, what part of the box is minimised.
 
         Raises:
-            InputError: an expression holds a symbol that was not declared.
+            InputError: an expression contains a symbol that was not declared, or a run uses the method 'idas'.
         """
         self.declared = declared
-        self._refuse_strangers()
+        self._refuse_undeclared()
         self.exact = TightEvaluation(self.expressions, declared.symbols())
         self._implied = tuple(
             Requirement(limit.name, carried, None, limit.at_most, limit.unit)
@@ -136,13 +141,12 @@ class Program:
         self.scales: list[float] = []
         self._built: BuiltProgram | None = None
         self._prepared: bytes | None = None
-        # The same question is solved by the same program again, whatever was asked in between.
+        # Caches, each by what its entries depend on. Several built programs are kept, so that solving the same question
+        # again gives the same result to the last bit, whatever was solved in between.
         self._programs: dict[Hashable, BuiltProgram] = {}
-        # Values that objective and requirements have at the guess, with the parameters of the last solve.
-        self._at_guess: dict[bytes, list[Vector]] = {}
+        self._values_at_guess: dict[bytes, list[Vector]] = {}
         self._linear: dict[Hashable, list[LinearVariable]] = {}
-        # A report asks several times for the values at its point.
-        self._exact_at: dict[Hashable, tuple[list[Vector], list[Vector]]] = {}
+        self._exact_values: dict[Hashable, tuple[list[Vector], list[Vector]]] = {}
 
     @property
     def expressions(self) -> list[ca.MX]:
@@ -151,36 +155,36 @@ class Program:
 
     @property
     def own_requirements(self) -> tuple[Requirement, ...]:
-        """The requirements that were declared, without those that theories bring."""
+        """The requirements that were declared, without the limits of theories."""
         return self.declared.requirements[: len(self.declared.requirements) - len(self._implied)]
 
-    def _refuse_strangers(self) -> None:
+    def _refuse_undeclared(self) -> None:
         names = ["objective", *(r.name for r in self.declared.requirements)]
         for name, expression in zip(names, self.expressions, strict=True):
             if strangers := self.declared.strangers(expression):
                 raise InputError(
-                    f"'{name}' holds symbols that this design did not declare ({', '.join(strangers)}): make them"
-                    " with design.variable or design.parameter of this design"
+                    f"'{name}' holds symbols that this design did not declare ({', '.join(strangers)}): create them"
+                    " with its design.variable or design.parameter"
                 )
 
     def _refuse_idas(self) -> None:
         if any(run.integration.accuracy.method == "idas" for run in self.exact.runs):
             raise InputError(
-                "method 'idas' has no second derivatives, which a design needs: take 'auto', 'erk' or 'cvodes'"
+                "method 'idas' has no second derivatives, which a design needs: use 'auto', 'erk' or 'cvodes'"
             )
 
     # --- scaling -----------------------------------------------------------------------------------------
 
     def start(self) -> Vector:
-        """Return the guesses, scaled."""
+        """Return the guess, scaled."""
         return np.array([v.scaled(v.guess) for v in self.declared.variables])
 
     def values(self, y: Vector) -> Vector:
-        """Return the variables in their own units."""
+        """Return the variables of a scaled design in their own units."""
         return np.array([v.value(float(x)) for v, x in zip(self.declared.variables, y, strict=True)])
 
     def values_of(self, points: Vector) -> Vector:
-        """Return the same of many designs, a row each."""
+        """Return the variables of many scaled designs in their own units, a row for each design."""
         columns = [
             np.select([y <= 0.0, y >= 1.0], [v.lower, v.upper], np.asarray(v.unscaled(y)))
             for v, y in zip(self.declared.variables, points.T, strict=True)
@@ -188,49 +192,47 @@ class Program:
         return np.column_stack(columns)
 
     def exact_values(self, y: Vector, p: Vector) -> tuple[list[Vector], list[Vector]]:
-        """Return objective and requirements, tightly integrated, and the same by the checking method."""
+        """Return objective and requirements by tight integration, and again by the method that checks it."""
         at = y.tobytes(), p.tobytes()
-        return _kept(self._exact_at, at, 1, lambda: self.exact([*self.values(y), *p]))
+        return _cached(self._exact_values, at, 1, lambda: self.exact([*self.values(y), *p]))
 
     # --- building ----------------------------------------------------------------------------------------
 
     def prepare(self, p: Vector, *, any_guess: bool = False) -> None:
-        """Check the bounds, and scale the program by its guess, or by a sample where the guess has no value.
+        """Check the bounds and set the scales from the values at the guess.
 
         Args:
             p: parameters.
-            any_guess: whether a guess without a value will do.
+            any_guess: whether to scale by a sample of designs if the guess has no value.
 
         Raises:
-            InputError: the objective or a requirement has no value at the guess, nor, if any will do, in a sample.
-            DomainError: bounds that lead out of the model's domain.
+            InputError: the objective or a requirement has no value at the guess nor, with ``any_guess``, in the sample.
+            DomainError: the bounds exceed the model's domain.
         """
         key = p.tobytes()
-        found = self._at_guess.get(key)
-        if found is None:
+        values = self._values_at_guess.get(key)
+        if values is None:
             check_bounds(self.declared, self.exact, p)
             try:
-                found = values_at_guess(self.declared, self.exact, self._implied, p)
-                self._at_guess = {key: found}
+                values = values_at_guess(self.declared, self.exact, self._implied, p)
+                self._values_at_guess = {key: values}
             except InputError as error:
                 if not any_guess:
                     raise
-                found = self._typical(p, error)
-        self._set_scales(found)
+                values = self._typical_values(p, error)
+        self._set_scales(values)
         self._prepared = key
 
     def build(self, p: Vector, refinement: float = 1.0, starts: Sequence[Vector] | None = None) -> None:
-        """Write the program with enough integration steps at some designs, times ``refinement``.
-
-        A program that has enough of them already is kept.
+        """Write the program with as many integration steps as certain designs need.
 
         Args:
             p: parameters.
-            refinement: factor on the steps.
-            starts: scaled designs; by default the guess and that with each variable at each of its bounds.
+            refinement: factor on the numbers of steps.
+            starts: the designs, scaled; by default the guess and the guess with each variable at either of its bounds.
 
         Raises:
-            InputError, DomainError: as `prepare`; or a motion too fast to integrate at one of the designs.
+            InputError, DomainError: as `prepare`, or the motion of one of the designs is too fast to integrate.
         """
         if self._prepared != p.tobytes():
             self.prepare(p)
@@ -240,20 +242,20 @@ class Program:
             starts = [np.array([v.scaled(x) for v, x in zip(variables, values, strict=True)]) for values in ends]
         steps = steps_at(self.exact, [[*self.values(y), *p] for y in starts], refinement)
         key = (*steps, self.objective_scale, *self.scales)
-        self._built = _kept(self._programs, key, _MOST_KEPT, lambda: self._write(steps))
+        self._built = _cached(self._programs, key, _MOST_PROGRAMS, lambda: self._write(steps))
         self._built.refinement = refinement
 
     def _write(self, steps: list[int | None]) -> BuiltProgram:
-        """Return the program with numbers of steps."""
+        """Return the program with certain numbers of steps."""
         write = partial(build_nlp, split(self.scaled(self._y, self._p), [self._y, self._p]), self._y, self._p)
         limits = self.low, self.high
         return BuiltProgram(steps, rough_steps(self.exact, steps), write, self.owner, limits, self.compiled)
 
     def linear_variables(self, p: Vector) -> list[LinearVariable]:
-        """Return the variables that are solved from the algebra: see `plough_opt.design.population`."""
+        """Return the variables that follow from the others by algebra: see `plough_opt.design.population`."""
         declared = self.declared
         symbols = [own.symbol for own in declared.parameters]
-        return _kept(
+        return _cached(
             self._linear, p.tobytes(), 1, lambda: linear_variables(self.expressions, declared.variables, symbols, p)
         )
 
@@ -265,51 +267,56 @@ class Program:
 
     @property
     def nlp(self) -> Nlp:
-        """The built program."""
+        """Objective and requirements of the program that was built last."""
         return self.built.nlp
 
     @cached_property
     def population(self) -> Population:
-        """Objective and requirements, unscaled, of many scaled designs at once."""
+        """Evaluates objective and requirements, unscaled, at many scaled designs at once."""
         raw = [self.declared.objective, ca.vertcat(*(r.expression for r in self.declared.requirements))]
         return Population(split(self._of_scaled(raw, self._y, self._p), [self._y, self._p]), self._y, self._p)
 
     def scaled(self, y: ca.MX, p: ca.MX) -> list[ca.MX]:
-        """Return scaled objective and requirements of scaled variables and of parameters."""
+        """Return scaled objective and requirements as expressions of scaled variables and parameters."""
         rows = [r.expression / scale for r, scale in zip(self.declared.requirements, self.scales, strict=True)]
         return self._of_scaled([self.declared.objective / self.objective_scale, ca.vertcat(*rows)], y, p)
 
     def _of_scaled(self, expressions: list[ca.MX], y: ca.MX, p: ca.MX) -> list[ca.MX]:
-        """Return expressions of the design's symbols as those of scaled variables and of parameters."""
+        """Return expressions with the design's symbols replaced by scaled variables and parameters."""
         declared = self.declared
         unscaled: list[Column] = [v.unscaled(x) for v, x in zip(declared.variables, ca.vertsplit(y), strict=True)]
         replacements = [*unscaled, *(ca.vertsplit(p) if declared.parameters else [])]
         return list(ca.graph_substitute(expressions, declared.symbols(), replacements))
 
     def with_parameters_varied(self) -> Nlp:
-        """Return the built program in (scaled variables, parameters) as one column, and in no parameters."""
+        """Return the program that was built last as one of variables (y, p), so that derivatives by p are available."""
         n = self._y.numel()
         both, none = ca.MX.sym("z", n + self._p.numel()), ca.MX.sym("p", 0)
         parts = split(self.scaled(both[:n], both[n:]), [both, none])
         return build_nlp(parts, both, none, self.built.steps)
 
-    def _set_scales(self, start: list[Vector]) -> None:
-        """Scale the objective by its value at the start, each requirement by its limits, or by its own value."""
-        self.objective_scale = _power_of_four(float(start[0].item()))
+    def _set_scales(self, values: list[Vector]) -> None:
+        """Scale the objective by its value, and each requirement by its limits or, if these are 0, by its value."""
+        self.objective_scale = _power_of_four(float(values[0].item()))
         requirements = self.declared.requirements
         self.scales = [
             r.scale or (_power_of_four(size) if (size := float(np.max(np.abs(value)))) else 1.0)
-            for r, value in zip(requirements, start[1:], strict=True)
+            for r, value in zip(requirements, values[1:], strict=True)
         ]
         self.low = np.array([requirements[k].low / self.scales[k] for k in self.owner])
         self.high = np.array([requirements[k].high / self.scales[k] for k in self.owner])
 
     def scale_by(self, objective: float) -> None:
-        """Scale the objective by the size of a value that a search found, which may be another than the guess's."""
+        """Scale the objective by another of its values, which a search found better than the guess."""
         self.objective_scale = _power_of_four(objective)
 
-    def _typical(self, p: Vector, error: InputError) -> list[Vector]:
-        """Return the middle values of the expressions over a sample, or say why the guess has none."""
+    def _typical_values(self, p: Vector, error: InputError) -> list[Vector]:
+        """Return the medians of the expressions' sizes over a sample.
+
+        Args:
+            p: parameters.
+            error: the reason why the guess has no value, raised if the sample has none either.
+        """
         points = np.random.default_rng(_SAMPLE_SEED).random((_SAMPLE, len(self.declared.variables)))
         with np.errstate(all="ignore"):
             f, g = self.population(points, p)
@@ -324,7 +331,7 @@ class Program:
 
     @property
     def wanted_error(self) -> float | None:
-        """Tightest relative error that an automatic run of this program is to reach; None without such a run."""
+        """Smallest relative error that a run with method 'auto' must reach; None if no run has this method."""
         automatic = [run.integration.accuracy for run in self.exact.runs if run.integration.accuracy.method == "auto"]
         return min((accuracy.error or DEFAULT_ERROR for accuracy in automatic), default=None)
 
@@ -343,8 +350,8 @@ class Program:
         Args:
             start: scaled variables.
             p: parameters.
-            options: how to go about it.
-            box: how far from the start a variable may go.
+            options: options of the solve.
+            box: largest distance of a scaled variable from the start.
             fixed: numbers of variables that are held at the start.
         """
         solver = self.built.near_solver if options.near else self.built.solver
@@ -353,35 +360,43 @@ class Program:
     def solve_relaxed(
         self, start: Vector, p: Vector, box: float = 1.0, fixed: Sequence[int] = (), *, exact: bool | None = None
     ) -> tuple[Point, Vector]:
-        """Return the design near a start at which the requirements give way least, and by how much each does, scaled.
+        """Return the design that breaks the requirements least, found from a start, and the violations.
 
-        Arguments are those of `solve`; where variables are held, or within a box, the start lies near. Of ``exact`` see
-        `plough_opt.design.ipopt.SolveOptions`.
+        Args:
+            start: scaled variables.
+            p: parameters.
+            box: largest distance of a scaled variable from the start.
+            fixed: numbers of variables that are held at the start.
+            exact: whether to use exact second derivatives, as in `SolveOptions`.
+
+        Returns:
+            The point, and the scaled violation of each requirement, of which the sum is least.
         """
         g = np.asarray(self.nlp.values(start, p)[1]).ravel()
         slack = first_slack(g, (self.low, self.high), self.owner)
-        # Where a theory ends nothing gives way: beyond it the model has no value.
+        # Limits of theories are kept: beyond them the model has no value.
         count, n = len(self.declared.requirements), len(start)
-        gives = np.tile(np.arange(count) < len(self.own_requirements), 2)
-        slack[~gives] = 0.0
+        breakable = np.tile(np.arange(count) < len(self.own_requirements), 2)
+        slack[~breakable] = 0.0
         lower, upper = _bounds(start, box, fixed)
-        lower, upper = np.r_[lower, np.zeros(2 * count)], np.r_[upper, np.where(gives, np.inf, 0.0)]
+        lower, upper = np.r_[lower, np.zeros(2 * count)], np.r_[upper, np.where(breakable, np.inf, 0.0)]
+        # With variables held, or within a box, the start is taken to be nearly optimal.
         options = SolveOptions(near=len(fixed) > 0 or box < 1.0, exact=exact)
-        found = self.built.relaxed.solve(np.r_[start, slack], p, lower, upper, options)
-        y, slack = np.clip(found.y[:n], 0.0, 1.0), found.y[n:]
-        return replace(found, y=y, lam_y=found.lam_y[:n]), slack[:count] + slack[count:]
+        point = self.built.relaxed.solve(np.r_[start, slack], p, lower, upper, options)
+        y, slack = np.clip(point.y[:n], 0.0, 1.0), point.y[n:]
+        return replace(point, y=y, lam_y=point.lam_y[:n]), slack[:count] + slack[count:]
 
 
 def _bounds(start: Vector, box: float, fixed: int | Sequence[int]) -> tuple[Vector, Vector]:
-    """Return bounds of the scaled variables within a box around a start, at which some are held."""
+    """Return bounds of the scaled variables: a box around a start, with some variables held at the start."""
     lower, upper = np.maximum(start - box, 0.0), np.minimum(start + box, 1.0)
     held = np.atleast_1d(np.asarray(fixed, dtype=int))
     lower[held] = upper[held] = start[held]
     return lower, upper
 
 
-def _kept(cache: dict[Hashable, Kept], key: Hashable, most: int, make: Callable[[], Kept]) -> Kept:
-    """Return what a cache has at a key, made if need be; the oldest of more than so many are dropped."""
+def _cached(cache: dict[Hashable, Cached], key: Hashable, most: int, make: Callable[[], Cached]) -> Cached:
+    """Return a cache's entry, made if it is missing; the oldest are dropped beyond ``most`` entries."""
     if key not in cache:
         while len(cache) >= most:
             cache.pop(next(iter(cache)))
@@ -390,5 +405,5 @@ def _kept(cache: dict[Hashable, Kept], key: Hashable, most: int, make: Callable[
 
 
 def _power_of_four(value: float) -> float:
-    """Return the power of four nearest to a size: questions that differ a little are scaled alike."""
+    """Return the power of four nearest to a value's size, so that slightly different questions are scaled alike."""
     return float(4.0 ** round(math.log(max(abs(value), _SMALLEST_SCALE), 4.0)))

@@ -308,8 +308,20 @@ def test_limits_that_decide_twice_are_refused():
     d, x = design(x=(1.5, 1.0, 2.0))
     d.minimise(x**2)
     d.require("the same", 2.0 * x, at_least=2.0)
-    with pytest.raises(po.InputError, match=r"the same at_least.*x lower"):
+    with pytest.raises(po.InputError, match=r"the same at_least.*x lower.*not independent"):
         d.solve().sensitivity("x lower")
+
+
+def test_a_limit_that_cannot_move_because_another_holds_the_same_value_has_no_derivative():
+    d, x = design(x=(0.7, 0.0, 1.0))
+    d.minimise(1.0 + x**2)
+    d.require("least", x, at_least=0.5)
+    d.require("most", x, at_most=0.5)
+    best = d.solve()
+    # No design is left if either limit moves into the other.
+    for name in ("least", "most"):
+        with pytest.raises(po.InputError, match="no derivative"):
+            best.sensitivity(name)
 
 
 def test_every_sensitivity_comes_in_order_of_size_and_only_if_it_matters():

@@ -5,7 +5,7 @@ import pytest
 
 import plough_opt as po
 from plough_opt.design import program as program_module
-from plough_opt.design.optimality import least
+from plough_opt.design.optimality import quadratic_program
 from plough_opt.studies.tradeoff import corrector as corrector_module
 
 # --- quadratic programs -------------------------------------------------------------------------------------
@@ -21,7 +21,7 @@ def test_quadratic_programs_meet_their_first_order_conditions():
         # Zero is feasible; some limits are not there.
         low = np.where(rng.random(m + n) < 0.3, -np.inf, -rng.random(m + n))
         high = np.where(rng.random(m + n) < 0.3, np.inf, rng.random(m + n))
-        step, multipliers = least(curvature, gradient, rows, (low, high))
+        step, multipliers = quadratic_program(curvature, gradient, rows, (low, high))
         assert curvature @ step + gradient + rows.T @ multipliers == pytest.approx(np.zeros(n), abs=1e-11)
         values = rows @ step
         assert np.all((values > low - 1e-12) & (values < high + 1e-12))
@@ -32,11 +32,11 @@ def test_quadratic_programs_meet_their_first_order_conditions():
 
 def test_an_equality_and_a_contradiction():
     row = np.ones((1, 2))
-    step, multipliers = least(np.eye(2), np.zeros(2), row, (np.array([3.0]), np.array([3.0])))
+    step, multipliers = quadratic_program(np.eye(2), np.zeros(2), row, (np.array([3.0]), np.array([3.0])))
     assert step == pytest.approx([1.5, 1.5], rel=1e-14)
     assert multipliers == pytest.approx([-1.5], rel=1e-14)
     both = np.ones((2, 2))
-    assert least(np.eye(2), np.zeros(2), both, (np.array([1.0, -np.inf]), np.array([np.inf, 0.5]))) is None
+    assert quadratic_program(np.eye(2), np.zeros(2), both, (np.array([1.0, -np.inf]), np.array([np.inf, 0.5]))) is None
 
 
 # --- warm starts --------------------------------------------------------------------------------------------

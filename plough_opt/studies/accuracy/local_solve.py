@@ -10,7 +10,7 @@ import numpy as np
 from plough_opt.core.errors import NotConverged
 from plough_opt.design.forms import as_machine_code
 from plough_opt.design.ipopt import FAR, NEAR, OPTIONS, REMEDIES, Point, Vector
-from plough_opt.design.nlp import Nlp, as_ipopt_wants
+from plough_opt.design.nlp import Nlp, ipopt_functions
 from plough_opt.studies.accuracy.transcription import Question, Transcribed
 
 Derivatives = Literal["exact", "gradient", "central", "forward"]
@@ -53,7 +53,7 @@ def solve_nlp(nlp: Nlp, question: Question, start: Start, derivatives: Derivativ
     slopes, count = nlp.slopes, len(start.y)
     if derivatives in ("central", "forward"):
         slopes = _differences(nlp.values, count, central=derivatives == "central")
-    own = as_ipopt_wants(nlp.values, slopes)
+    own = ipopt_functions(nlp.values, slopes)
     given = {"grad_f": own["grad_f"], "jac_g": own["jac_g"]}
     if derivatives == "exact":
         given["hess_lag"] = nlp.hess_lag

@@ -67,7 +67,7 @@ class RunGroup:
         """Number of results of each run that the design uses."""
         return self.solver.results - self.first
 
-    # --- functions of one run, mapped over the runs ------------------------------------------------------
+    # Functions of one run, mapped over the runs.
 
     @cached_property
     def results(self) -> ca.Function:
@@ -99,7 +99,7 @@ class RunGroup:
     def curvature(self) -> ca.Function:
         """(Parameters, jets, theta_y, mu) -> theta_y' (mu' o)_theta,theta theta_y, and c = mu' o_theta as a column.
 
-        Runs with events have no second-order jets: CasADi differentiates their weighted sum instead.
+        Runs with events have no second-order jets: their weighted sum is differentiated instead.
         """
         p, jet, theta_y, mu = self._parameters(), self._jet(), self._theta_slopes(), ca.MX.sym("mu", self.size)
         count = len(self.varying)
@@ -112,8 +112,6 @@ class RunGroup:
         results = [ca.mtimes([theta_y.T, by_theta, theta_y]), ca.mtimes(jet[:, 1 : 1 + count].T, mu)]
         return self._mapped([p, jet, theta_y, mu], [ca.densify(result) for result in results])
 
-    # --- between blocks of columns and one column for all runs -------------------------------------------
-
     def run_below_run(self, blocks: ca.MX) -> ca.MX:
         """Return derivatives by y as one matrix with a row for each result, from a block of columns for each run."""
         return ca.vertcat(*ca.horzsplit(blocks, self.variables))
@@ -122,8 +120,6 @@ class RunGroup:
         """Return theta_y as a block of columns for each run, from one matrix with a row for each parameter."""
         count = len(self.varying)
         return ca.horzcat(*(slopes[k * count : (k + 1) * count, :] for k in range(len(self.members))))
-
-    # --- symbols and the map -----------------------------------------------------------------------------
 
     @property
     def _events(self) -> bool:
@@ -145,8 +141,7 @@ class RunGroup:
     def _mapped(self, inputs: list[ca.MX], results: list[ca.MX]) -> ca.Function:
         """Return a Function of all runs from one of a single run.
 
-        The toolkit's own steps run in threads, on as many processors as this process may keep busy; runs by CasADi's
-        integrators and periodic orbits run one after another.
+        Only the toolkit's own steps run in threads, on as many processors as this process may keep busy.
         """
         one, count = ca.Function("one", inputs, results), len(self.members)
         if count == 1:

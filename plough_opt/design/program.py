@@ -80,8 +80,9 @@ class BuiltProgram:
     @cached_property
     def near_solver(self) -> Solver | ActiveRows:
         """IPOPT on the rows that can be active, for nearly optimal starts."""
-        few = chosen_rows(self.owner) < len(self.owner)
-        return ActiveRows(self.nlp, self.owner, self.limits) if few else self.solver
+        if chosen_rows(self.owner) < len(self.owner):
+            return ActiveRows(self.nlp, self.owner, self.limits)
+        return self.solver
 
     @cached_property
     def relaxed(self) -> Solver:
@@ -101,8 +102,8 @@ class Program:
         exact: objective and requirements by tight integration.
         owner: for each row of the requirements, the number of its requirement.
         compiled: whether to translate the program into machine code.
-        bare: for a design over a tolerance box, the program of the design alone; else None.
-        over: in words, what part of the box is minimised; "" without a box.
+        bare: as given to the constructor.
+        over: as given to the constructor.
         objective_scale: divisor of the objective, after `prepare`.
         scales: divisor of each requirement, after `prepare`.
         low: scaled lower limits of the rows, after `prepare`.
@@ -173,8 +174,6 @@ class Program:
                 "method 'idas' has no second derivatives, which a design needs: use 'auto', 'erk' or 'cvodes'"
             )
 
-    # --- scaling -----------------------------------------------------------------------------------------
-
     def start(self) -> Vector:
         """Return the guess, scaled."""
         return np.array([v.scaled(v.guess) for v in self.declared.variables])
@@ -195,8 +194,6 @@ class Program:
         """Return objective and requirements by tight integration, and again by the method that checks it."""
         at = y.tobytes(), p.tobytes()
         return _cached(self._exact_values, at, 1, lambda: self.exact([*self.values(y), *p]))
-
-    # --- building ----------------------------------------------------------------------------------------
 
     def prepare(self, p: Vector, *, any_guess: bool = False) -> None:
         """Check the bounds and set the scales from the values at the guess.
@@ -324,18 +321,13 @@ class Program:
         if not np.any(sound):
             raise error
         rows, owner = np.median(np.abs(g[sound]), axis=0), np.array(self.owner)
-        return [
-            np.median(np.abs(f[sound])),
-            *(rows[owner == k] for k in range(len(self.declared.requirements))),
-        ]
+        return [np.median(np.abs(f[sound])), *(rows[owner == k] for k in range(len(self.declared.requirements)))]
 
     @property
     def wanted_error(self) -> float | None:
         """Smallest relative error that a run with method 'auto' must reach; None if no run has this method."""
         automatic = [run.integration.accuracy for run in self.exact.runs if run.integration.accuracy.method == "auto"]
         return min((accuracy.error or DEFAULT_ERROR for accuracy in automatic), default=None)
-
-    # --- solving -----------------------------------------------------------------------------------------
 
     def solve(
         self,
@@ -362,12 +354,7 @@ class Program:
     ) -> tuple[Point, Vector]:
         """Return the design that breaks the requirements least, found from a start, and the violations.
 
-        Args:
-            start: scaled variables.
-            p: parameters.
-            box: largest distance of a scaled variable from the start.
-            fixed: numbers of variables that are held at the start.
-            exact: whether to use exact second derivatives, as in `SolveOptions`.
+        The arguments are those of `solve`, and ``exact`` is that of `SolveOptions`.
 
         Returns:
             The point, and the scaled violation of each requirement, of which the sum is least.

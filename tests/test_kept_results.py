@@ -3,27 +3,19 @@
 import contextlib
 import hashlib
 import io
-import json
 import platform
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from helpers.strict_json import strict
 
 import plough_opt as po
 from plough_opt.app.main import main
 
 ROOT = Path(__file__).parents[1]
 QUICK = ("--set", "effects.motion=false", "--set", "scene.outputs=10")
-
-
-def strict(text):
-    """Return parsed JSON; refuse what is none, such as NaN."""
-
-    def refuse(constant):
-        raise AssertionError(f"{constant} is not JSON")
-
-    return json.loads(text, parse_constant=refuse)
 
 
 def without_damper(name, folder):
@@ -129,29 +121,19 @@ def test_compare_refuses_one_file_and_what_is_no_design(saved, capsys, tmp_path)
 
 def test_json_of_every_command_is_strict(folder, printed, monkeypatch, tmp_path):
     monkeypatch.chdir(folder)
-    for command, *rest in (("export", "--to", "casadi", "--output", "share.casadi"), ("check",), ("simulate", *QUICK)):
+    for command, *rest in (("export", "--to", "stl", "--output", "share.stl"), ("check",), ("simulate", *QUICK)):
         strict(printed(command, "share.toml", *rest, "--json"))
     monkeypatch.chdir(tmp_path)
     assert strict(printed("init", "new.toml", "--json")) == {"wrote": ["new.toml"]}
     assert {soil["name"] for soil in strict(printed("soils", "--json"))} == set(po.soil_names())
 
 
-def test_a_sweep_is_shown_from_its_store(folder, printed, monkeypatch):
-    monkeypatch.chdir(folder)
-    over = ("--over", "soil.cohesion=5..45 kPa:2", "--workers", "1", "--store", "s.db")
-    assert strict(printed("sweep", "share.toml", *QUICK, *over, "--json"))["complete"]
-    assert "2 points, 0 failed" in printed("show", "s.db")
-    assert strict(printed("show", "s.db", "--json"))["points"] == 2
-
-
-@pytest.mark.slow
-def test_a_front_and_its_units_are_read_back(printed, tmp_path):
-    output = tmp_path / "front.json"
-    path = without_damper("draft_against_loosening", tmp_path)
-    text = printed("tradeoff", path, "--points", "5", *QUICK, "--output", output)
-    shown = printed("show", output)
-    assert text.splitlines()[:12] == shown.splitlines()[:12]
-    assert po.load(output).origin.overrides == ("effects.motion=false", "scene.outputs=10")
+def test_a_sweep_is_shown_from_its_store(printed, tmp_path):
+    store, over = tmp_path / "s.db", {"a": [1.0, 2.0]}
+    with ThreadPoolExecutor(1) as inline, po.sweep(lambda point: {"b": point["a"]}, over, store=store, executor=inline):
+        pass
+    assert "2 points, 0 failed" in printed("show", store)
+    assert strict(printed("show", store, "--json"))["points"] == 2
 
 
 def test_the_problem_is_kept_whole_with_its_data_and_can_be_computed_again(printed, tmp_path, monkeypatch, capsys):

@@ -1,4 +1,4 @@
-"""A right call of every public function, by name: what to call, and its arguments, each of which is given wrongly."""
+"""A valid call of every public function: the function, and its arguments, each of which tests replace by wrong ones."""
 
 import functools
 import inspect
@@ -40,7 +40,7 @@ SAMPLES = (1.0, 2.0, 4.0)
 
 @functools.cache
 def design():
-    """Return a design of one variable and one parameter, with its run's mean draft and its cone's radius."""
+    """Return a design with one variable and one parameter, its mean draft, and a goal for its loosened radius."""
     d = po.Design()
     angle, speed = d.variable("angle", guess=0.5, lower=0.3, upper=0.8, unit="rad"), d.parameter("speed", 2.0)
     scene = po.Scene(SOIL, po.Wedge(angle, 0.26, 0.25), 5e4, 45.0, speed, STEADY)
@@ -123,7 +123,7 @@ FRESH = po.Design()
 
 
 class Inline(Executor):
-    """Does everything at once, in this process: a sweep that is asked wrongly may run, but begins no processes."""
+    """Runs tasks at once in this process, so that a sweep with wrong arguments starts no processes."""
 
     def submit(self, function, /, *arguments, **named):
         done = Future()
@@ -140,7 +140,7 @@ def over(values):
 
 
 def _laws():
-    """Return name -> functions of soil, share and field, with the arguments that have no default."""
+    """Return name -> function of soil, share or medium, with its required arguments."""
     cone, tine = {"cone": CONE, "soil": SOIL}, {"soil": SOIL, "tine": TINE, "speed": 2.0}
     round_place = PLACE | {"section_factor": 0.5}
     on_body = {"profile": NODES, "soil": FIRM, "speed": 2.0}
@@ -179,7 +179,7 @@ def _laws():
 
 
 def _classes():
-    """Return name -> class, with the arguments that have no default or a telling value."""
+    """Return name -> class, with its required arguments and others that matter."""
     return {
         "Accuracy": (po.Accuracy, {"error": 1e-6}),
         "Batch": (po.Batch, {"scene": moving(STIFFNESS), "duration": 1.0, "inputs": [STIFFNESS]}),
@@ -218,7 +218,7 @@ def _classes():
 
 
 def _functions():
-    """Return name -> function, with the arguments that have no default, or one that takes long."""
+    """Return name -> function, with its required arguments and those that keep it fast."""
     fitted_to = {"given": SCENE, "data": measured(), "unknown": {"soil.cohesion": (1e3, 8e4)}, "starts": 1}
     measures = {
         "cvar": (cvar, {"level": 0.5, "width": 0.1}),
@@ -260,7 +260,7 @@ def _functions():
 
 
 def _methods():
-    """Return name -> method of something ready-made, with the arguments that have no default."""
+    """Return name -> method of an existing object, with its required arguments."""
     fit, best, traded, uncertain, samples = fitted(), optimum(), front(), robust(), field().sample(8)
     reach, half = {"name": "reach"}, {"number": 1, "of": 1, "by": 0}
     normal, other_height = po.uncertainty.Marginal(stats.norm(0.0, 1.0)), {"changes": {"share.height": 0.2}}
@@ -325,7 +325,7 @@ def _methods():
 
 
 def _anew(verb):
-    """Return a verb of a design, of one of its own for every call."""
+    """Return a method of `Design` that creates a new design for every call."""
 
     @functools.wraps(getattr(po.Design, verb))
     def call(**arguments):
@@ -335,7 +335,7 @@ def _anew(verb):
 
 
 def _named_arguments(function):
-    """Return the arguments of a function that have a default, with it."""
+    """Return the optional arguments of a function with their defaults."""
     kinds = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
     given = inspect.signature(function).parameters.values()
     return {one.name: one.default for one in given if one.kind in kinds and one.default is not inspect.Parameter.empty}
@@ -343,7 +343,7 @@ def _named_arguments(function):
 
 @functools.cache
 def recipes():
-    """Return name -> function, and all its arguments as they may be given."""
+    """Return name -> function, and valid values of all its arguments."""
     every = _laws() | _classes() | _functions() | _methods()
     return {name: (function, _named_arguments(function) | right) for name, (function, right) in every.items()}
 

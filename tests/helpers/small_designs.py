@@ -1,4 +1,4 @@
-"""Designs of a few variables and no run, for optima that are known by hand."""
+"""Designs with a few variables and no run, whose optima are known by hand."""
 
 import plough_opt as po
 
@@ -7,7 +7,7 @@ def design(**variables):
     """Return a design and the symbols of its variables.
 
     Args:
-        variables: name -> guess, lower and upper bound, and if need be the unit.
+        variables: name -> guess, lower bound, upper bound and optionally the unit.
     """
     d = po.Design()
     symbols = [

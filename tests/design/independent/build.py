@@ -1,4 +1,4 @@
-"""The same problems as designs of the package under test: the only module here that knows it."""
+"""The same problems as designs of the package under test. No other module here imports the package."""
 
 import plough_opt as po
 from independent.problem import PATHS, UNITS, sign_of
@@ -22,12 +22,12 @@ def as_trade_off(problem, names):
 
 
 def verdict_on(problem, truth, **how):
-    """Return the verdict on what a solve, or for several objectives a trade-off, answers, or why there is none.
+    """Return the verdict on the package's answer to a problem, or a text if there is none.
 
     Args:
         problem: the problem.
-        truth: what is known of it.
-        how: to solve.
+        truth: its truth.
+        how: options of `po.Design.solve` or, for several objectives, of `po.trade_off`.
     """
     try:
         if "names" in truth:
@@ -36,19 +36,19 @@ def verdict_on(problem, truth, **how):
         best = as_design(problem)[0].solve(**how)
     except po.InfeasibleDesign as error:
         return judge_shortfall(problem, truth, error.conflicts) if "shortfall" in truth else f"refused: {error}"
-    except Exception as error:  # whatever goes wrong is an answer, too
+    except Exception as error:  # reported like a wrong answer
         return f"{type(error).__name__}: {error}"
     if "shortfall" in truth:
-        return f"solved, though {truth['shortfall']:.2g} is lacking"
+        return f"solved, despite a shortfall of {truth['shortfall']:.2g}"
     verdict = judge(problem, truth, best.variables)
     if verdict.tied and how.get("judge") != "bare":
-        # Preferred for a median that 64 designs cannot tell from the truth's.
+        # With 64 samples its median cannot be distinguished from the truth's.
         return verdict_on(problem, truth, **how, judge="bare")
     return verdict
 
 
 def _built(problem):
-    """Return a problem as a `po.Design`, its run, and what its geometry gives."""
+    """Return a problem as a `po.Design`, its run, and the measures of its geometry."""
     d = po.Design()
     x = dict(problem.fixed)
     for v in problem.variables:

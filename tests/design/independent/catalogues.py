@@ -1,4 +1,4 @@
-"""Random problems some of whose variables come from a catalogue, with the best combination by brute force.
+"""Random problems with catalogues for some variables, and their best combination by brute force.
 
 python tests/design/independent/catalogues.py
 """
@@ -17,9 +17,12 @@ from independent import generate, truth
 from independent.problem import Problem, evaluate
 
 FILE = Path(__file__).with_name("catalogue_problems.json")
-# Designs of each combination's sample, a power of 2; starts that are polished of each, and of how many combinations.
-_SAMPLE, _STARTS, _POLISHED = 12, 6, 12
-_MOST_VARIABLES, _LEAST_COMBINATIONS = 5, 25
+# Sample size of each combination as a power of 2, starts that are polished of each, and combinations polished.
+_SAMPLE = 12
+_STARTS = 6
+_POLISHED = 12
+_MOST_VARIABLES = 5
+_LEAST_COMBINATIONS = 25
 
 
 def problems():
@@ -29,7 +32,7 @@ def problems():
 
 
 def catalogues_of(problem, random):
-    """Return catalogues for one or two of a problem's variables, one variable at least left free."""
+    """Return catalogues for one or two of a problem's variables; at least one variable remains free."""
     count = min(int(random.integers(1, 3)), len(problem.variables) - 1)
     chosen = random.choice(len(problem.variables), size=count, replace=False)
     found = {}
@@ -42,13 +45,13 @@ def catalogues_of(problem, random):
 
 
 def held(problem, values):
-    """Return a problem with some variables, by name, at values."""
+    """Return a problem with some variables, by name, fixed at values."""
     left = tuple(v for v in problem.variables if v.name not in values)
     return replace(problem, variables=left, fixed={**problem.fixed, **values})
 
 
 def truth_of(problem, catalogues):
-    """Return the best objective, its values in the catalogue, and the number of combinations that are feasible."""
+    """Return the best objective and its catalogue values, or None if no combination is feasible."""
     looks = []
     for number, values in enumerate(itertools.product(*catalogues.values())):
         one = held(problem, dict(zip(catalogues, values, strict=True)))
@@ -66,7 +69,7 @@ def truth_of(problem, catalogues):
 
 
 def main():
-    """Write ten problems, and one more."""
+    """Write ten random problems and one with a narrow basin."""
     made = {}
     for seed in range(5000, 5200):
         problem = generate.draw(seed)
@@ -83,7 +86,7 @@ def main():
         print(seed, list(catalogues), len(problem.variables), best, flush=True)
         if len(made) == 10:
             break
-    # Of the free variables only a narrow basin is best, which the lowest designs of a sample do not lead to.
+    # The best basin of the free variables is so narrow that the lowest designs of a sample do not lead to it.
     problem, heights = generate.draw(6002), [0.119, 0.136, 0.14, 0.181, 0.251, 0.283, 0.303, 0.354]
     best = truth_of(problem, {"height": heights})
     made[len(made)] = {"problem": problem.plain(), "catalogues": {"height": heights}, "truth": best}

@@ -1,4 +1,4 @@
-"""Problems that are hardly feasible, and such that are not: one limit moved to where the designs end."""
+"""Problems that are just feasible or just infeasible: one limit is moved to the edge of what designs reach."""
 
 from dataclasses import replace
 
@@ -8,22 +8,22 @@ from independent.generate import draw
 from independent.problem import evaluate
 from independent.truth import Question, optima, sample, truth_of
 
-# Seeds of other problems than those of the search.
+# Seeds that the search problems do not use.
 _FIRST_SEED = 10_000
 _MOST_VARIABLES = 6
-# A limit beyond the best of a sample, in parts of it: where no design reaches it, its least shortfall is where designs
-# end, and else it is moved on.
+# Factor that moves a limit beyond the best value in a sample. If no design reaches that limit, the least shortfall
+# gives the edge; otherwise the limit is moved again.
 _BEYOND = {"at_most": 0.3, "at_least": 3.0}
 SLACKS = (1e-3, 2e-2)
 
 
 def _draw(number, random, least):
-    """Return a random problem with so many requirements, and the number of one of them that can be tightened."""
+    """Return a random problem with at least this many requirements, and the number of one of them."""
     for attempt in range(1000):
         problem = draw(_FIRST_SEED + 1000 * number + attempt)
         if len(problem.limits) >= least and len(problem.variables) <= _MOST_VARIABLES:
             return problem, int(random.integers(len(problem.limits)))
-    raise AssertionError(f"number {number} draws no problem")
+    raise AssertionError(f"no problem found for number {number}")
 
 
 def _tightened(problem, k, limit):
@@ -33,7 +33,7 @@ def _tightened(problem, k, limit):
 
 
 def _end(problem, k):
-    """Return the best value that a requirement's measure has among designs that keep the others, and the designs."""
+    """Return the best value of a requirement's measure among designs that meet the others, and the best designs."""
     r = problem.limits[k]
     y = sample(problem, 12, np.random.default_rng(3))
     found = evaluate(problem, y, phase=1.6)
@@ -46,11 +46,11 @@ def _end(problem, k):
         found = optima(beyond, question=Question((k,)), thrifty=True)
         if found[0].value > 1e-6:
             return limit * (1.0 + sign * found[0].value), [b.y for b in found[:40]]
-    raise AssertionError(f"{problem.name}: '{r.measure}' has no end")
+    raise AssertionError(f"{problem.name}: no edge of '{r.measure}' found")
 
 
 def edge(number):
-    """Return a problem whose designs end 0.1 % or 2 % inside a limit, and its truth."""
+    """Return a problem whose designs meet a limit with a margin of 0.1 % or 2 % at best, and its truth."""
     random = np.random.default_rng([number, 1])
     problem, k = _draw(number, random, 1)
     best, near = _end(problem, k)
@@ -61,7 +61,7 @@ def edge(number):
 
 
 def infeasible(number):
-    """Return a problem without designs that meet its requirements, and the least shortfall."""
+    """Return an infeasible problem and its least shortfall."""
     random = np.random.default_rng([number, 2])
     problem, k = _draw(50_000 + number, random, 1 + number % 2)
     best, near = _end(problem, k)
@@ -70,10 +70,10 @@ def infeasible(number):
     problem = replace(_tightened(problem, k, best / (1.0 + sign * short)), name=f"infeasible {number}")
     found = optima(problem, question=Question(tuple(range(len(problem.limits)))), extra=near)
     values = evaluate(problem, found[0].y, phase=0.5)
-    lacking = {r.measure: float(v) for r, v in zip(problem.limits, values.violations[:, 0], strict=True) if v > 1e-7}
+    shortfalls = {r.measure: float(v) for r, v in zip(problem.limits, values.violations[:, 0], strict=True) if v > 1e-7}
     truth = {
         "shortfall": found[0].value,
-        "lacking": lacking,
+        "lacking": shortfalls,
         "design": list(map(float, problem.values(found[0].y)[0])),
     }
     return {"problem": problem.plain(), "truth": truth}

@@ -1,4 +1,4 @@
-"""The motion of many shares in C, for the millions of designs that a truth takes; needs the system's C compiler.
+"""The motion of many shares in C, for the millions of designs behind a truth; it needs a C compiler.
 
 The method is of order 8 with fixed steps (the weights of SciPy's DOP853), with sixteen designs in the lanes of an inner
 loop; averages are quadratures with the method's own weights, and outputs between steps lie on polynomials of degree 5.
@@ -22,7 +22,7 @@ _POINTER = ctypes.POINTER(ctypes.c_double)
 
 
 def _combination(weights, name, by="l"):
-    """Return C for a weighted sum of earlier stages."""
+    """Return the C expression of a weighted sum of earlier stages."""
     terms = [f"{weight!r}*{name}[{j}][{by}]" for j, weight in enumerate(map(float, weights)) if weight != 0.0]
     return " + ".join(terms) or "0.0"
 
@@ -121,7 +121,7 @@ _TAIL = """
 
 @cache
 def _library():
-    """Translate the steps, once for a machine's temporary folder."""
+    """Compile the steps, once for each temporary folder."""
     tail = _TAIL.replace("SPEEDS", _combination(_B, "at")).replace("RATES", _combination(_B, "acc"))
     source = _HEAD + "".join(_stage(i) for i in range(12)) + tail
     key = hashlib.sha256(f"{source} linked plainly".encode()).hexdigest()[:16]
@@ -134,7 +134,7 @@ def _library():
             subprocess.run(
                 ["cc", "-c", "-O3", "-march=native", "-ffast-math", "-fPIC", "-o", compiled, code], check=True
             )
-            # Linked with -ffast-math, a library would switch off denormal numbers in the whole process.
+            # Linked with -ffast-math, the library would disable denormal numbers in the whole process.
             subprocess.run([*plain, compiled, "-lm"], check=True)
             built.replace(target)
     found = ctypes.CDLL(str(target)).advance
@@ -143,11 +143,12 @@ def _library():
 
 
 def simulate(runs, *, phase=0.5, paths=False):
-    """Return the response of every run; NaN where a share runs away.
+    """Return the response of every run; NaN if a share runs away.
 
     Args:
         runs: a `motion.Motion`.
-        phase: of the summed rates in a step [rad]: 0.5 leaves some 1e-10, of paths 1e-8; 1.4 some 1e-6, of paths 1e-5.
+        phase: phase of the summed rates in a step [rad]. 0.5 leaves relative errors of about 1e-10 (paths: 1e-8), 1.4
+            of about 1e-6 (paths: 1e-5).
         paths: whether to return deflection and mount force at the output times.
     """
     steps, followed = motion.steps_of(runs, phase, paths)

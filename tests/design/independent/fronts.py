@@ -1,4 +1,4 @@
-"""Fronts of two objectives by brute force: a large sample, and more designs about its best ones."""
+"""Fronts of two objectives by brute force: a large sample, and more designs around its best ones."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -12,18 +12,18 @@ from independent.truth import MET, optima, sample
 _FIRST_SEED = 90_000
 _MOST_VARIABLES = 4
 _POWER = 18
-# Rounds of designs about those that are not dominated, and how far from them.
+# Standard deviations of the designs drawn around the undominated ones, one for each round.
 _NEAR = (0.1, 0.03, 0.01, 0.003, 0.001)
 _IN_A_ROUND = 2**14
 _ROUGH = 1.6
 _KEPT = 40
-# A front whose objective changes by less is a point.
+# A front on which an objective changes by a smaller fraction is a point.
 _LEAST_RANGE = 1e-2
 _NEEDLE = 0.05
 
 
 def undominated(objectives):
-    """Return the numbers of the rows of two objectives that no other row dominates, by the first objective."""
+    """Return the numbers of the undominated rows of two objectives, sorted by the first objective."""
     order = np.lexsort((objectives[:, 1], objectives[:, 0]))
     second = objectives[order, 1]
     best = np.concatenate([[np.inf], np.minimum.accumulate(second)[:-1]])
@@ -31,7 +31,7 @@ def undominated(objectives):
 
 
 def objectives_of(problem, names, y, phase=_ROUGH):
-    """Return the objectives of designs to minimise, a row each; infinite where a requirement is not met."""
+    """Return the objectives of designs, a row each, all to be minimised; infinite if a requirement is violated."""
     measures = measure(problem, y, phase)
     found = evaluate(problem, y, phase=phase)
     values = np.array([sign_of(name) * measures[name] for name in names]).T
@@ -40,7 +40,7 @@ def objectives_of(problem, names, y, phase=_ROUGH):
 
 
 def front(number):
-    """Return a problem, two objectives that conflict in it, and designs of their front, needles apart."""
+    """Return a problem, two conflicting objectives, and designs on their front, without needles."""
     pairs = list(combinations(("mean_draft", "force_rms", "displacement_rms", "mean_deflection"), 2))
 
     def describe(problem, random):
@@ -79,7 +79,7 @@ def _front(problem, names, random):
 
 
 def _broad(problem, names, y, values):
-    """Return the numbers of designs that only needles dominate."""
+    """Return the numbers of the designs that only needles dominate."""
     left = np.isfinite(values[:, 0])
     known = {}
     for _ in range(30):
@@ -100,7 +100,7 @@ def _broad(problem, names, y, values):
 
 
 def _thinned(places):
-    """Return the numbers of so many points, evenly along the front, both ends among them."""
+    """Return the numbers of at most _KEPT points, evenly spaced along the front, with both ends."""
     along = np.concatenate([[0.0], np.cumsum(np.max(np.abs(np.diff(places, axis=0)), axis=1))])
     wanted = np.linspace(0.0, along[-1], _KEPT)
     return np.unique([int(np.argmin(np.abs(along - x))) for x in wanted])

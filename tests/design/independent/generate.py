@@ -1,14 +1,14 @@
-"""Random design problems, each from a seed."""
+"""Random design problems from seeds."""
 
 import numpy as np
 from scipy.stats import qmc
 
 from independent.problem import PATHS, QUANTITIES, Limit, Problem, Variable, evaluate, measure
 
-# How often a problem has one to eight variables, and how often a quantity is among them.
+# Probabilities of one to eight variables, and weights with which the quantities are drawn.
 _SIZES = (0.12, 0.15, 0.25, 0.15, 0.12, 0.09, 0.06, 0.06)
 _OFTEN = np.array([3.0, 3.0, 4.0, 1.5, 1.5, 1.5, 1.0, 0.7])
-# Requirements and how often; of one that is met by no more designs than these of the sample, none is added.
+# Measures, sides and probabilities of requirements. A requirement must leave at least 30 designs of the sample.
 _REQUIREMENTS = (
     ("loosened radius", "at_least", 0.6),
     ("half angle", "at_most", 0.45),
@@ -22,24 +22,24 @@ _SAMPLE, _LEAST_LEFT = 1024, 30
 
 
 def draw(seed):
-    """Return the problem of a seed; its limits come from a sample of its designs."""
+    """Return the problem of a seed. Its limits are quantiles of a sample of its designs."""
     for attempt in range(100):
         random = np.random.default_rng([seed, attempt])
         problem = _with_limits(_bare(f"search {seed}", random), random)
         if problem is not None:
             return problem
-    raise AssertionError(f"seed {seed} draws no problem")
+    raise AssertionError(f"no problem found for seed {seed}")
 
 
 def draw_moving(number, first_seed, counts, stream, describe):
-    """Return what is made of the first problem that moves, has so many variables, and limits averages alone.
+    """Return the description of the first problem that moves, has a suitable size and limits averages only.
 
     Args:
-        number: of what is made.
-        first_seed: of number 0.
-        counts: least and largest number of variables.
-        stream: of random numbers.
-        describe: (problem, random numbers) -> what is made of it, or None.
+        number: number of the description.
+        first_seed: first seed for number 0.
+        counts: smallest and largest number of variables.
+        stream: second seed of the random numbers.
+        describe: (problem, random numbers) -> the description, or None if the problem is unsuitable.
     """
     for seed in range(first_seed + 1000 * number, first_seed + 1000 * (number + 1)):
         problem = draw(seed)
@@ -50,7 +50,7 @@ def draw_moving(number, first_seed, counts, stream, describe):
         found = describe(problem, np.random.default_rng([seed, stream]))
         if found is not None:
             return found
-    raise AssertionError(f"number {number} draws nothing")
+    raise AssertionError(f"no problem found for number {number}")
 
 
 def _digits(value, digits=6):
@@ -58,7 +58,7 @@ def _digits(value, digits=6):
 
 
 def _bare(name, random):
-    """Return a problem without requirements and objective."""
+    """Return a random problem without requirements and objective."""
 
     def even(low, high):
         return _digits(random.uniform(low, high))
@@ -114,7 +114,7 @@ def _bare(name, random):
 
 
 def _with_limits(problem, random):
-    """Add requirements that some designs meet, and an objective of order one; None if nothing is left to choose."""
+    """Return the problem with requirements that some designs meet and an objective of order 1, or None."""
     y = qmc.Sobol(len(problem.variables), seed=random).random(_SAMPLE)
     values = measure(problem, y, 1.0, paths=True)
     worst = {name: np.max(v, axis=0) if v.ndim == 2 else v for name, v in values.items()}

@@ -1,9 +1,9 @@
-"""Make the study's problems and their truth anew.
+"""Generate the study's problems and their truths.
 
     nice -n 10 python tests/design/independent/make_truth.py search --count 300 --processes 2
 
-writes `search_problems.json` beside this file. Problems that are there already are kept, so that an interrupted run
-goes on; delete the file to start afresh. It takes some ten seconds for a problem, and a C compiler.
+writes `search_problems.json` beside this file. Existing problems are kept, so that an interrupted run can continue;
+delete the file to start afresh. A problem takes about ten seconds. A C compiler is needed.
 """
 
 import argparse
@@ -13,7 +13,7 @@ import sys
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-# Matrices are small here, and many threads of a library would only wait for each other.
+# The matrices are so small that threads would only wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -37,7 +37,7 @@ KINDS = {
 
 
 def main():
-    """Make what is missing of a kind's file, a problem a line."""
+    """Add the missing problems to a kind's file, one on each line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("kind", choices=sorted(KINDS))
     parser.add_argument("--count", type=int, default=100)

@@ -1,7 +1,7 @@
-"""A share on its mount, for many designs side by side, each with its own number of steps.
+"""The motion of shares on their mounts, for many designs at once, each with its own number of steps.
 
-Everything is written anew from the equations: half angle (7), plastic gas (23), resistance (25)-(26), motion (27).
-What is integrated, by `fast`, is w = z - z_s, the deflection beyond the steady one at tow speed.
+Everything is derived from the equations: half angle (7), plastic gas (23), resistance (25)-(26), motion (27). `fast`
+integrates w = z - z_s, the deflection relative to the steady one at tow speed.
 """
 
 from dataclasses import dataclass
@@ -10,16 +10,16 @@ import numpy as np
 
 OUTPUTS = 400
 
-# Of outputs between two steps, which take a polynomial of degree 5: shorter steps, for errors of the same size.
+# Factor on the step if paths are wanted: their polynomials of degree 5 between steps are less accurate than the steps.
 _FOR_PATHS = 0.6
 _FEWEST = 20
-# A run that needs more is not followed: its results are NaN.
+# A run that needs more steps is not integrated; its results are NaN.
 _MOST = 20_000
 
 
 @dataclass(frozen=True)
 class Share:
-    """Forces of the soil on shares, an array element for each of them."""
+    """Forces of the soil on shares; arrays over the shares."""
 
     half_angle: np.ndarray
     loosened_radius: np.ndarray
@@ -56,7 +56,7 @@ def share(soil, wedge_angle, chisel_angle, height):
 
 @dataclass(frozen=True)
 class Motion:
-    """Runs, each quantity an array over designs.
+    """Runs; each quantity is an array over designs.
 
     Attributes:
         static: F0 [N].
@@ -111,7 +111,7 @@ class Motion:
         return -self.steady, (speed if self.start == "rest" else 0.0 * speed)
 
     def rate(self):
-        """Return the sum of the rates that a step must resolve [1/s]."""
+        """Return the sum of the rates that the steps must resolve [1/s]."""
         own = np.sqrt(self.stiffness / self.inertia)
         decay = (self.damping + 2.0 * self.drag * self.speed) / self.inertia
         wave = np.where(self.amplitude > 0.0, 2.0 * np.pi * self.speed / self.wavelength, 0.0)
@@ -120,7 +120,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Response:
-    """Results of a run, an array over designs; paths have a row for each of 401 output times, or are None."""
+    """Results of runs, arrays over designs. Paths have a row for each of 401 output times, or are None."""
 
     mean_draft: np.ndarray
     force_rms: np.ndarray
@@ -135,7 +135,7 @@ NAMES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_
 
 
 def steps_of(motion, phase, paths):
-    """Return how many steps each run takes, and whether it is followed at all."""
+    """Return each run's number of steps, and whether it is integrated at all."""
     with np.errstate(all="ignore"):
         wanted = np.ceil(motion.rate() * motion.duration / (_FOR_PATHS * phase if paths else phase))
     followed = wanted <= _MOST
@@ -144,13 +144,13 @@ def steps_of(motion, phase, paths):
 
 
 def _rounded(steps):
-    """Return at least so many steps, to four binary digits: many designs then end together."""
+    """Return numbers of steps rounded up to four binary digits, so that many designs end together."""
     unit = 2.0 ** np.maximum(np.floor(np.log2(steps)) - 3.0, 0.0)
     return unit * np.ceil(steps / unit)
 
 
 def averages_of(motion, pull, sums):
-    """Return the averages of `NAMES` from the integrals of w, w^2, f, f^2 and of the towing power."""
+    """Return the averages in the order of `NAMES`, from the integrals of w, w^2, f, f^2 and the towing power."""
     mean_w, square_w, mean_f, square_f, power = sums / motion.duration
     draft = pull + mean_f
     return np.array(
@@ -165,7 +165,7 @@ def averages_of(motion, pull, sums):
 
 
 def split(motion, steps):
-    """Return how many steps a ramp takes, and the sizes of steps in it and behind it: none reaches across its end."""
+    """Return the number of steps in the ramp, and the step sizes in it and after it, so that a step ends with it."""
     inside = np.clip(motion.ramp / motion.duration, 0.0, 1.0)
     before = np.where(inside > 0.0, np.clip(np.round(steps * inside), 1, None), 0).astype(int)
     before = np.where(inside < 1.0, np.minimum(before, steps - 1), steps)

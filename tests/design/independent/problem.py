@@ -1,4 +1,4 @@
-"""A design problem as plain data, and what the independent simulator says of its designs."""
+"""Design problems as plain data, and the evaluation of their designs by the independent simulator."""
 
 from dataclasses import asdict, dataclass, field
 
@@ -21,13 +21,13 @@ UNITS = dict(zip(QUANTITIES, ("rad", "m", "N/m", "m/s", "kg", "N s/m", "s", "rad
 
 
 def sign_of(name):
-    """Return -1 for a measure of which an objective wants more."""
+    """Return -1 for a measure that is maximised, else 1."""
     return -1.0 if name == "loosened radius" else 1.0
 
 
 @dataclass(frozen=True)
 class Variable:
-    """A quantity to choose, between bounds."""
+    """A design variable."""
 
     name: str
     lower: float
@@ -50,14 +50,14 @@ class Variable:
 
 @dataclass(frozen=True)
 class Limit:
-    """A requirement: a measure, of a path at every output time, "at_least" or "at_most" a limit."""
+    """A requirement that a measure is "at_least" or "at_most" a limit; a path is limited at every output time."""
 
     measure: str
     side: str
     limit: float
 
     def violation(self, values):
-        """Return how far values are beyond the limit, in parts of the limit; negative inside."""
+        """Return by what fraction of the limit values exceed it; negative inside."""
         away = (values - self.limit) / abs(self.limit)
         return away if self.side == "at_most" else -away
 
@@ -69,12 +69,12 @@ class Problem:
     Attributes:
         name: kind and seed.
         soil: density, density ratio, cohesion, friction angle, tool friction, ambient pressure.
-        fixed: values of the quantities that are not variables.
+        fixed: values of the other quantities.
         wave: amplitude and wavelength of the strength wave, or None.
         start: "equilibrium", "rest" or "towed".
         duration: of the run [s].
-        steel: whether a solid steel cone moves beside the frame's mass.
-        variables: what may be chosen.
+        steel: whether the mass of a solid steel cone is added to the frame's.
+        variables: the variables.
         limits: the requirements.
         objective: weights of the run's averages in the sum to minimise.
     """
@@ -91,7 +91,7 @@ class Problem:
     objective: dict[str, float] = field(default_factory=dict)
 
     def plain(self):
-        """Return what `of_plain` takes, for JSON."""
+        """Return the problem as JSON data; see `of_plain`."""
         data = asdict(self)
         data["variables"] = [list(asdict(v).values()) for v in self.variables]
         data["limits"] = [list(asdict(r).values()) for r in self.limits]
@@ -99,7 +99,7 @@ class Problem:
 
     @classmethod
     def of_plain(cls, data):
-        """Return a problem from what `plain` gave."""
+        """Return the problem that `plain` wrote."""
         own = dict(data, soil=tuple(data["soil"]), wave=data["wave"] and tuple(data["wave"]))
         own["variables"] = tuple(Variable(*v) for v in data["variables"])
         own["limits"] = tuple(Limit(*r) for r in data["limits"])
@@ -116,12 +116,12 @@ class Problem:
 
 @dataclass(frozen=True)
 class Found:
-    """Results of designs, an array over them.
+    """Results of designs, arrays over them.
 
     Attributes:
-        objective: infinite where a share runs away.
-        violations: for each requirement how far it is beyond its limit, in parts of it; of a path the worst.
-        rows: the same of a path at every output time, by number of the requirement, if asked for.
+        objective: objective; infinite if a share runs away.
+        violations: a row for each requirement, as a fraction of its limit; the largest one of a path.
+        rows: the violations of paths at every output time by number of the requirement, if requested.
     """
 
     objective: np.ndarray
@@ -130,7 +130,7 @@ class Found:
 
     @property
     def worst(self):
-        """Return the largest violation of a design, 0 where all requirements are met."""
+        """Return each design's largest violation, 0 if all requirements are met."""
         return np.max(self.violations, axis=0, initial=0.0)
 
     @property
@@ -140,13 +140,13 @@ class Found:
 
 
 def evaluate(problem, y, *, phase=0.5, rows=False):
-    """Return what designs at positions, a row each, are worth.
+    """Return objective and violations of designs.
 
     Args:
         problem: the problem.
-        y: positions between the bounds.
+        y: positions between the bounds, a row for each design.
         phase: see `fast.simulate`.
-        rows: whether to return paths at every output.
+        rows: whether to return the violations of paths at every output.
     """
     y = np.atleast_2d(y)
     measures = measure(problem, y, phase, paths=any(r.measure in PATHS for r in problem.limits))
@@ -183,7 +183,7 @@ def measure(problem, y, phase=0.5, *, paths=False):
 
 
 def box_sample(problem, y, count=256, half_width=3e-3, seed=0):
-    """Return designs in the tolerance box of one, which the bounds cut; its half width is in parts of the ranges."""
+    """Return designs in the tolerance box of one, clipped at the bounds; half widths are fractions of the ranges."""
     low, high = (np.clip(np.ravel(y) + side * half_width, 0.0, 1.0) for side in (-1.0, 1.0))
     return low + (high - low) * np.random.default_rng(seed).random((count, len(problem.variables)))
 
@@ -191,5 +191,5 @@ def box_sample(problem, y, count=256, half_width=3e-3, seed=0):
 def box_quartiles(problem, y, **options):
     """Return the quartiles of the objective over the tolerance box of a design; the second is the median."""
     values = np.sort(evaluate(problem, box_sample(problem, y), **options).objective)
-    # Between two values, which may be infinite, nothing is interpolated but the median.
+    # Interpolation could meet infinite values, so only the median is interpolated.
     return values[len(values) // 4], float(np.median(values)), values[3 * len(values) // 4]

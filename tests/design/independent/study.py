@@ -1,4 +1,4 @@
-"""The problems of the study with their truth, and whether an answer is right."""
+"""The study's problems with their truths, and the verdict on an answer."""
 
 import json
 from dataclasses import dataclass
@@ -9,12 +9,12 @@ import numpy as np
 from independent.problem import Problem, box_quartiles, evaluate, measure, sign_of
 
 RELATIVE = 1e-6
-"""Part of the objective, and of each limit, to which an answer must agree with the truth."""
+"""Fraction of the objective, and of each limit, to which an answer must agree with the truth."""
 
-# Of a needle, whose box spreads widely, the median of 256 designs is known to a part of itself.
+# Relative uncertainty of a needle's median from 256 designs, which spread widely.
 _OF_A_MEDIAN = 1e-2
-# The package ranks optima by the medians of 64 designs of each box. Two standard errors of the difference between two
-# such medians are 2 sqrt(2) 1.25 sigma/8, and sigma is the quartiles' distance over 1.35.
+# The package ranks optima by the medians of 64 designs. Two standard errors of the difference between two such medians
+# are 2 sqrt(2) 1.25 sigma/8; sigma is the interquartile range divided by 1.35.
 _OF_A_DIFFERENCE = 0.33
 
 
@@ -37,16 +37,16 @@ def problems(kind):
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether an answer is right.
+    """The verdict on an answer.
 
     Attributes:
-        right: whether it meets the requirements and is as good as the truth, or over its tolerance box where that is
-            what counts.
-        excess: its objective's relative excess over the truth.
-        median_excess: the excess of its median over the tolerance box, relative to the truth's.
-        violation: the largest of its violations, in parts of the limits.
-        tied: whether its median over the tolerance box is as good as 64 designs can tell, though it is not right: then
-            the package may prefer it, and must find the truth when it judges by the bare objective.
+        right: whether it meets the requirements, and its objective or its median over the tolerance box is as good as
+            the truth's.
+        excess: relative excess of its objective over the truth's.
+        median_excess: relative excess of its median over the truth's.
+        violation: its largest violation as a fraction of the limit.
+        tied: whether 64 designs cannot distinguish its median from the truth's, though it is not right. The package may
+            then prefer it, but must find the truth if it judges by the bare objective.
     """
 
     right: bool
@@ -61,7 +61,7 @@ def judge(problem, truth, variables):
 
     Args:
         problem: the problem.
-        truth: what `truth.truth_of` found.
+        truth: the result of `truth.truth_of`.
         variables: the answer's variables by name.
     """
     y = problem.positions([[variables[v.name] for v in problem.variables]])
@@ -84,20 +84,19 @@ def _excess(value, wanted):
     return float((value - wanted) / abs(wanted))
 
 
-# IPOPT stops within some 1e-8 of the least sum.
+# Relative tolerance on the least sum of shortfalls; IPOPT stops within about 1e-8 of it.
 _OF_A_SHORTFALL = 1e-5
 
 
 def judge_shortfall(problem, truth, conflicts):
-    """Return the verdict on the shortfalls that a refusal states, in the limits' own units: whether they are the least.
+    """Return the verdict on whether the shortfalls stated in an error are the least possible.
 
-    A smaller sum than the truth's is no better answer: the truth is a design, and what is stated is none that can be
-    evaluated.
+    A smaller sum than the truth's is wrong, too: a design reaches the truth's, but the error gives no design to check.
 
     Args:
         problem: the problem.
-        truth: the least sum of shortfalls, each in parts of its limit.
-        conflicts: name of a requirement -> its shortfall.
+        truth: the least sum of shortfalls, each as a fraction of its limit.
+        conflicts: name of a requirement -> its shortfall, in the unit of its limit.
     """
     limits = {name_of(r): abs(r.limit) for r in problem.limits}
     excess = _excess(sum(short / limits[name] for name, short in conflicts.items()), truth["shortfall"])
@@ -105,35 +104,35 @@ def judge_shortfall(problem, truth, conflicts):
 
 
 def name_of(limit):
-    """Return what a requirement is called in a design."""
+    """Return the name of a requirement in a design."""
     return limit.measure.replace("_", " ")
 
 
 POINTS = {2: 40, 3: 60}
-"""Positions that a front is asked for, by number of its objectives."""
+"""Number of points requested of a front, by number of objectives."""
 
 SPACING = 0.04
-"""Of a range: between neighbours of so many points of a curve lie 2.6 %, if they are evenly spread."""
+"""Largest gap at the end of a curve, as a fraction of the range; 40 evenly spaced points are 2.6 % apart."""
 
 COVERED = 0.15
-"""Of a range: from no part of a surface is the nearest point farther."""
+"""Largest distance of any part of a surface from the nearest point, as a fraction of the range."""
 
 DOMINATED = 1e-3
-"""Of a range: by so much no returned design may be beaten. The brute force lags behind the true front by as much."""
+"""Fraction of the range by which a returned design may be beaten: the error of the brute force itself."""
 
 
 @dataclass(frozen=True)
 class FrontVerdict:
-    """How far a front or a surface is from the one by brute force, in parts of the range of that.
+    """Deviation of a front or surface from the one by brute force, as fractions of the latter's range.
 
     Attributes:
-        missing: by how much the worst-off design of the brute force is better than every returned one.
-        uncovered: the largest distance of a design of the brute force from the nearest returned one.
-        dominated: by how much the worst returned design is worse, in all objectives, than one of the brute force.
-        violation: the largest violation of a returned design, in parts of the limits.
-        not_reached: designs that the search saw beyond the front, and that it says it has not reached.
-        right: whether all of it is found: of a curve no end is missing by more than the spacing of its points, of a
-            surface no part is farther than `COVERED` from a point.
+        missing: the largest amount by which a brute-force design is better than every returned one.
+        uncovered: the largest distance of a brute-force design from the nearest returned one.
+        dominated: the largest amount by which a returned design is worse than a brute-force design in all objectives.
+        violation: the largest violation of a returned design as a fraction of the limit.
+        not_reached: number of designs that the search saw beyond the front and reports as not reached.
+        right: whether all of it is found: no end of a curve is missing by more than `SPACING`, no part of a surface is
+            farther than `COVERED` from a point.
     """
 
     missing: float

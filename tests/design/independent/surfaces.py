@@ -1,4 +1,4 @@
-"""Surfaces of three objectives by brute force: a large sample, and more designs about its best ones."""
+"""Surfaces of three objectives by brute force: a large sample, and more designs around its best ones."""
 
 from bisect import bisect_right
 from dataclasses import replace
@@ -15,33 +15,34 @@ from independent.truth import optima, sample
 _FIRST_SEED = 700_000
 _FEWEST_VARIABLES, _MOST_VARIABLES = 2, 4
 _NAMES = ("mean_draft", "force_rms", "displacement_rms", "mean_deflection", "tow_power", "loosened radius")
-# Fronts of the study with a third objective, by number.
+# By number of the surface: the number of a front of the study, and the third objective added to it.
 _OF_FRONTS = {8: (2, "mean_draft"), 9: (1, "displacement_rms")}
 _POWER = 17
-# Rounds of designs about the best ones, and how far from them.
+# Standard deviations of the designs drawn around the best ones, one for each round.
 _NEAR = (0.1, 0.03, 0.01, 0.003, 0.001, 0.1, 0.03, 0.01, 0.003, 0.001)
 _IN_A_ROUND = 2**15
 _ROUGH, _FINE = 1.6, 0.5
-# Of a range: what is better than others by less is left out, for it stretches a surface along which nothing happens.
+# A design that is better than another by a smaller fraction of the range is left out: such designs would extend the
+# surface into regions without any gain.
 _BETTER = 5e-3
-# Of a range: nor does a design stay that gives so much of one objective away to gain less than that in others. Those
-# that are kept are sparse, and may all be worse than it by more, though one that was left out is as good.
+# A design is also left out if it gives up this fraction of one objective to gain less than _BETTER in the others. This
+# is checked against all undominated designs, because the remaining ones are sparse.
 _GIVEN_AWAY = 0.1
-# Of a range: no best design is farther than this from one that is kept.
+# Largest distance of any best design from the nearest stored one, as a fraction of the range.
 _COVERED = 0.03
-# An objective that changes by less is none.
+# An objective that changes by a smaller fraction counts as constant.
 _LEAST_RANGE = 1e-2
-# A sample with fewer designs that meet the requirements, and a surface of fewer, show no shape.
+# Fewest feasible designs in a sample, and fewest designs of a surface.
 _FEWEST = 30
 _NEEDLE = 0.05
-# Ends of each objective alone.
+# Best designs of each single objective that are added.
 _ENDS = 5
 
 
 def undominated(objectives):
-    """Return the numbers of the rows of three objectives that no other row dominates, equal rows once."""
+    """Return the numbers of the undominated rows of three objectives, equal rows once."""
     kept, second, third = [], [], []
-    # The other two objectives of the rows before, which are as good in the first, make stairs.
+    # The rows so far are at least as good in the first objective; in the other two they form a staircase.
     for k in np.lexsort(objectives.T[::-1]):
         _, b, c = objectives[k]
         at = bisect_right(second, b)
@@ -56,7 +57,7 @@ def undominated(objectives):
 
 
 def best_of(objectives, tolerance):
-    """Return the numbers of designs that no other beats, none better than another kept by less than a tolerance."""
+    """Return the numbers of undominated designs, thinned out: each beats the others somewhere by a tolerance."""
     left = undominated(objectives)
     left = left[np.argsort(objectives[left].sum(axis=1), kind="stable")]
     kept = []
@@ -67,7 +68,7 @@ def best_of(objectives, tolerance):
 
 
 def surface(number):
-    """Return a problem, three objectives that conflict in it, and designs of their surface, needles apart."""
+    """Return a problem, three conflicting objectives, and designs on their surface, without needles."""
     if number in _OF_FRONTS:
         of, third = _OF_FRONTS[number]
         problem, truth = study.problems("front")[of]
@@ -81,9 +82,9 @@ def surface(number):
 
 
 def _described(number, problem, names, random):
-    """Return a problem and its surface as plain data, or None where there is none."""
+    """Return a problem and its surface as JSON data, or None if there is no surface."""
     found = _surface(problem, names, random)
-    # A design has an objective of its own, which takes no part.
+    # `Problem` needs an objective, which is not used.
     plain = replace(problem, name=f"surface {number}", objective={names[0]: 1.0}).plain()
     return found and {"problem": plain, "truth": {"names": names, **found}}
 
@@ -97,12 +98,12 @@ def _surface(problem, names, random):
     size = np.ptp(values[sound[best_of(values[sound] / np.ptp(values[sound], axis=0), _BETTER)]], axis=0)
     if np.any(size < _LEAST_RANGE * np.abs(values[sound]).min(axis=0)):
         return None
-    # A radius is maximised by a negative weight.
+    # A negative weight maximises the radius.
     ends = [b.y for name in names for b in optima(replace(problem, objective={name: sign_of(name)}))[:_ENDS]]
     y, values = np.vstack([y, ends]), np.vstack([values, objectives_of(problem, names, np.array(ends))])
     for spread in _NEAR:
         best = undominated(values)
-        # One for each small cube, so that no part of the surface has more than others.
+        # One from each small cube, so that all parts of the surface are equally dense.
         _, one = np.unique(np.floor(values[best] / (0.2 * _BETTER * size)), axis=0, return_index=True)
         best = y[best[one]]
         more = best[random.integers(len(best), size=_IN_A_ROUND)]
@@ -125,7 +126,7 @@ def _surface(problem, names, random):
 
 
 def _broad(problem, names, y, values, size):
-    """Return the numbers of the best designs, needles apart, which beat none."""
+    """Return the numbers of the best designs, without needles."""
     left = np.flatnonzero(np.all(np.isfinite(values), axis=1))
     known = {}
     while len(left):
@@ -139,7 +140,7 @@ def _broad(problem, names, y, values, size):
 
 
 def _gains_little(problem, names, y, values, size, left, best):
-    """Return which of the best designs gain little over another, no needle, that is much better in some objective."""
+    """Return which best designs gain little over another, not a needle, that is much better in some objective."""
     found = np.zeros(len(best), dtype=bool)
     others = left[undominated(values[left])]
     for j, k in enumerate(best):
@@ -152,7 +153,7 @@ def _gains_little(problem, names, y, values, size, left, best):
 
 
 def _needles(problem, names, y, values, size):
-    """Return which designs are needles."""
+    """Return whether each design is a needle."""
     boxes = np.vstack([box_sample(problem, own, 64) for own in y])
     measures = measure(problem, boxes, _ROUGH)
     medians = [np.median(sign_of(name) * measures[name].reshape(len(y), 64), axis=1) for name in names]
@@ -161,7 +162,7 @@ def _needles(problem, names, y, values, size):
 
 
 def _covering(places):
-    """Return the numbers of rows from which no other is far, those of the least objectives among them."""
+    """Return the numbers of rows that cover all others, with the minimum of each objective."""
     chosen = [int(k) for k in np.argmin(places, axis=0)]
     apart = np.max(np.abs(places[:, None] - places[chosen][None]), axis=2).min(axis=1)
     while np.max(apart) > _COVERED:

@@ -9,29 +9,32 @@ from scipy.stats import qmc
 
 from independent.problem import PATHS, box_quartiles, evaluate
 
-# Rad in a step: of the sample and the evolution some 1e-5, of polishing 1e-7, and of the last polishing 1e-10.
-_ROUGH, _GOOD, _FINE = 1.6, 0.9, 0.5
-# Beyond every objective: designs that violate a requirement, and those that have no value.
-_BEYOND, _NO_VALUE = 1e6, 1e12
-# Violations in parts of a limit that a solver's rounding leaves.
+# Phase per step [rad] in sample and evolution (error about 1e-5), in polishing (1e-7) and the last polishing (1e-10).
+_ROUGH = 1.6
+_GOOD = 0.9
+_FINE = 0.5
+# Values above every objective, for designs that violate a requirement and for those that cannot be evaluated.
+_BEYOND = 1e6
+_NO_VALUE = 1e12
+# Violation that rounding may leave, as a fraction of the limit.
 MET = 1e-9
 _DIFFERENCE = 1e-6
 _ROWS = 80
-# Starts of the same basin polish to one design: apart by less, they are one.
+# Designs closer than this are the same.
 _SAME = 1e-4
 _ROUNDS = 6
 
 
 @dataclass(frozen=True)
 class Best:
-    """A design, positions between the bounds, and what it is worth."""
+    """A design, as a position between the bounds, and its value."""
 
     y: np.ndarray
     value: float
 
 
 def efforts(count, thrifty=False):
-    """Return the sample's size as a power of 2, islands, members of each, generations, and polished starts."""
+    """Return the sample size as a power of 2, islands, population, generations, and polished starts."""
     if count == 1:
         return 13, 1, 20, 20, 60
     if thrifty:
@@ -41,17 +44,17 @@ def efforts(count, thrifty=False):
 
 @dataclass(frozen=True)
 class Question:
-    """The problem that is minimised.
+    """What is minimised: the objective, or the shortfall of some requirements.
 
     Attributes:
-        giving: numbers of requirements of which the shortfall is minimised, while the others are kept; None: the
-            objective is, and all of them are kept.
+        giving: numbers of the requirements whose shortfall is minimised, subject to the others; None for the objective,
+            subject to all of them.
     """
 
     giving: tuple[int, ...] | None = None
 
     def worth(self, found):
-        """Return the value of designs: beyond all others where a requirement that must be kept is not."""
+        """Return the value of designs; it is above all others if a requirement that must be met is violated."""
         kept = np.array([self.giving is None or k not in self.giving for k in range(len(found.violations))], dtype=bool)
         lacking = np.maximum(found.violations, 0.0)
         value = found.objective if self.giving is None else np.sum(lacking[~kept], axis=0)
@@ -61,7 +64,7 @@ class Question:
         return np.nan_to_num(values, nan=_NO_VALUE, posinf=_NO_VALUE)
 
     def roughly(self, problem, y):
-        """Return `worth` by few steps; paths, which take the longest, only of designs that keep all else."""
+        """Return `worth` with few steps; paths, which take longest, are computed only if all else is met."""
         plain = [k for k, r in enumerate(problem.limits) if r.measure not in PATHS]
         values = np.empty(len(y))
         follow = np.ones(len(y), dtype=bool)
@@ -80,19 +83,19 @@ _OBJECTIVE = Question()
 
 
 def sample(problem, power, random):
-    """Return a scrambled Sobol sample, half of it stretched so that bounds and corners are in it."""
+    """Return a scrambled Sobol sample; half of it is stretched and clipped, to include bounds and corners."""
     y = qmc.Sobol(len(problem.variables), seed=random).random(2**power)
     y[::2] = np.clip(0.5 + 1.15 * (y[::2] - 0.5), 0.0, 1.0)
     return y
 
 
 def evolved(problem, question, y, values, random, effort):
-    """Return the designs to which islands of differential evolution lead, and their neighbours on the islands."""
+    """Return the best designs and the final populations of islands of differential evolution."""
     _, islands, members, generations, _ = effort
     order = np.argsort(values, kind="stable")
     found = []
     for k in range(islands):
-        # Good designs and others, of each island its own part of the sample.
+        # Each island starts from its own part of the sample: half its best designs, half others.
         own = order[k::islands]
         others = random.choice(own, size=members - members // 2, replace=False)
         done = differential_evolution(
@@ -108,7 +111,7 @@ def evolved(problem, question, y, values, random, effort):
 
 
 def spread_starts(y, values, count, apart):
-    """Return the best designs that are well apart from each other."""
+    """Return the best designs that are at least this far apart from each other."""
     chosen = []
     for k in np.argsort(values, kind="stable"):
         if values[k] >= _NO_VALUE or len(chosen) == count:
@@ -119,13 +122,13 @@ def spread_starts(y, values, count, apart):
 
 
 def polished(problem, starts, *, question=_OBJECTIVE, reach=1.0, phase=_GOOD):
-    """Return the designs to which SLSQP leads, from each start.
+    """Return SLSQP's solution from each start.
 
     Args:
         problem: the problem.
         starts: positions, a row each.
         question: what is minimised.
-        reach: how far from its start a design may go.
+        reach: largest distance of a solution from its start.
         phase: see `fast.simulate`.
     """
     sizes = [401 if r.measure in PATHS else 1 for r in problem.limits]
@@ -146,7 +149,7 @@ def _polished(look, y, owner, count, question, reach):
             return y
         slack = np.zeros(count)
         np.maximum.at(slack, owner, gaps[:, 0])
-        # Of each requirement the rows nearest to its limit.
+        # The rows of each requirement that are nearest to its limit.
         own = [np.flatnonzero(owner == r) for r in range(count)]
         rows = [rows[np.argsort(-gaps[rows, 0], kind="stable")[:_ROWS]] for rows in own]
         kept = np.sort(np.concatenate(rows)) if rows else np.zeros(0, dtype=int)
@@ -160,7 +163,7 @@ def _polished(look, y, owner, count, question, reach):
 
 
 def _once(look, y, kept, owner, slack, scale, question, away):
-    """Return where SLSQP leads with some rows of the requirements, which give way by slacks if lacking."""
+    """Return SLSQP's solution subject to some rows of the requirements, relaxed by slacks if the question allows."""
     n, own = len(y), owner[kept]
     known = {}
 
@@ -181,7 +184,7 @@ def _once(look, y, kept, owner, slack, scale, question, away):
     low, high = np.maximum(y - away, 0.0), np.minimum(y + away, 1.0)
     options = {"ftol": 1e-13, "maxiter": 60}
     if question.giving is not None:
-        # The requirements' slacks are variables of their own, behind the design's.
+        # The requirements' slacks are further unknowns after the design's variables.
         spread = np.eye(len(slack))[own]
         ones = np.r_[np.zeros(n), np.ones(len(slack))]
         gives = np.isin(np.arange(len(slack)), question.giving)
@@ -207,7 +210,7 @@ def _once(look, y, kept, owner, slack, scale, question, away):
 
 
 def finished(problem, y, question=_OBJECTIVE):
-    """Return designs and where they are polished to with fine steps, from further away and from near."""
+    """Return designs together with their polished versions, with fine steps and ever smaller reach."""
     everything = y
     for reach in (0.1, 0.02, 0.003):
         everything = np.vstack([everything, polished(problem, everything, question=question, reach=reach, phase=_FINE)])
@@ -215,14 +218,14 @@ def finished(problem, y, question=_OBJECTIVE):
 
 
 def optima(problem, seed=0, *, question=_OBJECTIVE, extra=(), thrifty=False):
-    """Return distinct good designs, best first: that keep the requirements that must be kept.
+    """Return distinct good designs that meet the necessary requirements, best first.
 
     Args:
         problem: the problem.
-        seed: of sample and evolution.
+        seed: seed of sample and evolution.
         question: what is minimised.
         extra: further starts, positions.
-        thrifty: whether to take a third of the time.
+        thrifty: whether to spend only a third of the time.
     """
     random = np.random.default_rng([seed, 7])
     effort = efforts(len(problem.variables), thrifty)
@@ -237,7 +240,7 @@ def optima(problem, seed=0, *, question=_OBJECTIVE, extra=(), thrifty=False):
         polished(problem, np.vstack([starts, near]), question=question),
         polished(problem, near, question=question, reach=0.01),
     ]
-    # The evolution's own designs remain in the race.
+    # The best designs of sample and evolution compete with the polished ones.
     everything = np.vstack([*ends, near, everything[np.argsort(values, kind="stable")[:50]]])
     values = question.worth(evaluate(problem, everything, phase=_GOOD))
     order = np.argsort(values, kind="stable")
@@ -251,7 +254,7 @@ def optima(problem, seed=0, *, question=_OBJECTIVE, extra=(), thrifty=False):
 
 
 def truth_of(problem, seed=0, extra=()):
-    """Return the truth on a problem as plain data, or None if no design meets the requirements."""
+    """Return the truth of a problem as JSON data, or None if it is infeasible."""
     found = optima(problem, seed, extra=extra)
     if not found:
         return None

@@ -1,4 +1,4 @@
-"""A share's motion under a strength wave by SciPy, written from equation (27), and its lasting orbit."""
+"""The motion of a share under a strength wave by SciPy, from equation (27), and its periodic orbit."""
 
 from types import SimpleNamespace
 
@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 
 
 def rates(scene):
-    """Return (t, (z, z')) -> (z', z'') of the spring's deflection, all forces written out."""
+    """Return the function (t, (z, z')) -> (z', z'') of the spring's deflection, with all forces written out."""
     reaction, effects, wave = scene.reaction, scene.effects, scene.effects.strength_wave
     inertia, damping, rate_term = scene.mass + reaction.added_mass, effects.damping or 0.0, effects.rate_term or 0.0
     number = 2 * np.pi / wave.wavelength
@@ -25,7 +25,7 @@ def rates(scene):
 def follow(scene, first, duration, times=None, rtol=1e-12):
     """Return the solution from a state (z, z')."""
     size = np.array([abs(first[0]), 1e-3 * scene.tow_speed])
-    # Between its steps SciPy interpolates, for which short steps are taken where outputs are asked for.
+    # SciPy interpolates outputs between its steps, which must then be short.
     longest = np.inf if times is None else times[1] - times[0]
     options = {"method": "DOP853", "rtol": rtol, "atol": 1e-15 * size, "max_step": longest}
     return solve_ivp(rates(scene), (0.0, duration), first, t_eval=times, **options).y
@@ -36,7 +36,7 @@ def period(scene):
 
 
 def monodromy(scene, first):
-    """Return the derivative of the state one period later by the state, by differences of order four."""
+    """Return the derivative of the state after one period by the state, by differences of order 4."""
     steps = np.array([1e-4 * abs(first[0]), 1e-4 * scene.tow_speed])
 
     def after(shift):
@@ -50,7 +50,7 @@ def monodromy(scene, first):
 
 
 def orbit(scene, guess, outputs):
-    """Return the orbit near a state: states at the outputs, and the monodromy."""
+    """Return the orbit near a state: its states and mount force at the outputs, and its monodromy matrix."""
     first = np.array(guess, float)
     for _ in range(10):
         slope = monodromy(scene, first)

@@ -1,4 +1,4 @@
-"""Realisations of random strength: sums of many waves with random phases, as a resistance of the user's own."""
+"""Realisations of random strength: sums of many waves with random phases, as an own effect."""
 
 import math
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ class Drawn:
 
 
 def quantiles(random, parts):
-    """Return the wave numbers below which parts of a spectrum's variance lie."""
+    """Return the wave numbers below which the given parts of a spectrum's variance lie."""
     if isinstance(random, po.RandomStrength):
         return np.tan(parts * math.pi / 2.0) / random.correlation_length
     q, density = random.wave_number, random.density
@@ -35,7 +35,7 @@ def quantiles(random, parts):
 
 
 def realisation(scene, count, seed):
-    """Return a scene whose random strength is drawn: waves of equal variance, one in each of so many equal parts."""
+    """Return the scene with a realisation of its random strength: waves of equal variance, one from each part of it."""
     random, rng = scene.effects.random_strength, np.random.default_rng(seed)
     numbers = quantiles(random, (np.arange(count) + rng.uniform(size=count)) / count)
     size = math.sqrt(2.0 * random.variance / count)

@@ -1,4 +1,4 @@
-"""Functions that the tests sweep: a module, so that worker processes can import them."""
+"""Functions that the tests sweep, in a module that worker processes can import."""
 
 import math
 import os
@@ -10,19 +10,19 @@ from pathlib import Path
 
 
 def waves(values):
-    """Return numbers without a short decimal form."""
+    """Return numbers that have no short decimal form."""
     return {"sine": math.sin(values["a"]) * values["b"], "root": math.sqrt(values["b"]) / 3.0}
 
 
 def failing(values):
-    """Fail in three ways, and return zero with a sign."""
+    """Fail in three ways, and return negative zero."""
     if values["a"] == 1.0:
         raise ValueError("one is not allowed")
     return {"inverse": 1.0 / values["a"], "half": math.inf if values["a"] == 3.0 else -0.0}
 
 
 def failing_at_one(values):
-    """Return `waves`, but not at 1."""
+    """Return `waves`, except at a = 1."""
     if values["a"] == 1.0:
         raise ValueError("one is not allowed")
     return waves(values)
@@ -37,7 +37,7 @@ def two_names(values):
 
 
 def end():
-    """End this process as the system would that needs its memory."""
+    """Kill this process, as the system does when it needs memory."""
     os.kill(os.getpid(), signal.SIGKILL)
 
 
@@ -46,7 +46,7 @@ def kills_always(_values):
 
 
 def fork_and_die(file):
-    """Leave a child behind that has all that this process had open."""
+    """Die and leave behind a child that has all open files of this process."""
     child = os.fork()
     if child == 0:
         time.sleep(60.0)
@@ -56,7 +56,7 @@ def fork_and_die(file):
 
 
 class Unreadable:
-    """Refuse to be read elsewhere."""
+    """Callable that cannot be unpickled."""
 
     def __call__(self, values):
         return values
@@ -70,7 +70,7 @@ class Unreadable:
 
 @dataclass(frozen=True)
 class Deadly:
-    """Kill the process at one point always, until there is a file "cured", and at another the first time."""
+    """Kill the process at a = 5, unless there is a file "cured", and at a = 2 the first time."""
 
     file: Path
 
@@ -86,13 +86,13 @@ class Deadly:
 
 @dataclass(frozen=True)
 class Counted:
-    """`waves`, with a line in a file for every call and a pause."""
+    """`waves`, with a pause and a line in a file for every call."""
 
     file: Path
     pause: float = 0.0
 
     def __call__(self, values):
-        # Short lines appended by one write each do not mix, whichever processes write them.
+        # Short lines that are appended by one write each do not mix, even between processes.
         line = f"{values['a']!r} {values['b']!r}\n".encode()
         descriptor = os.open(self.file, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         os.write(descriptor, line)
@@ -102,20 +102,20 @@ class Counted:
 
 
 def stored(path, columns="point"):
-    """Return columns of the points that a store holds, also while others write to it."""
+    """Return columns of the points in a store, even while others write to it."""
     if not path.exists():
         return []
     connection = sqlite3.connect(path, timeout=60.0)
     try:
         return connection.execute(f"SELECT {columns} FROM points ORDER BY point").fetchall()
-    except sqlite3.OperationalError:  # there is no such table yet
+    except sqlite3.OperationalError:  # the table does not exist yet
         return []
     finally:
         connection.close()
 
 
 def until(enough, process):
-    """Wait until something holds while a process runs."""
+    """Wait until a condition holds; fail if the process ends first."""
     end = time.monotonic() + 60.0
     while not enough():
         assert process.poll() is None, process.communicate()

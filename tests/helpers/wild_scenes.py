@@ -1,4 +1,4 @@
-"""Scenes sampled over the whole domain and all combinations of effects, and a run's errors against the truth."""
+"""Scenes sampled over the whole domain and all combinations of effects, and the errors of their runs."""
 
 import math
 from dataclasses import dataclass
@@ -8,17 +8,17 @@ import numpy as np
 import plough_opt as po
 from plough_opt.motion.plan import numbers_of, phase
 
-# Turns of its fastest oscillation that the reference, in Python and the widest floats, follows within seconds.
+# Largest phase [rad] of the fastest oscillation; the reference, in Python and the widest floats, then takes seconds.
 MOST_PHASE = 1500.0
-# What double precision leaves of forces, deflections and speeds, as a part of the largest in the motion.
+# Rounding of forces, deflections and speeds in double precision, relative to the largest ones of the motion.
 ROUNDING = 1e-13
-# Part of the duration from an event at which a jump may fall on either side of an output.
+# Outputs this close to an event, relative to the duration, may lie on either side of its jump.
 BESIDE = 1e-9
 
 
 @dataclass(frozen=True)
 class Shank:
-    """A resistance of one's own."""
+    """An own effect."""
 
     static: float
     viscous: float
@@ -28,7 +28,7 @@ class Shank:
 
 
 def sampled(seed, most_phase=MOST_PHASE):
-    """Return a scene with a motion, its duration [s] and outputs; None for one that is refused or turns too often."""
+    """Return a scene with a motion, its duration [s] and its outputs; None if it is refused or oscillates too often."""
     random = np.random.default_rng([seed, 20])
 
     def log(low, high):
@@ -77,7 +77,7 @@ def sampled(seed, most_phase=MOST_PHASE):
 
 
 def errors(run, reference):
-    """Return by name the errors of a run's results, each relative to its own scale, beyond the rounding of doubles."""
+    """Return the errors of a run's results by name, relative to the scale of each, without the rounding of doubles."""
     truth = reference.run
     scene = run.scene
     stiffness, speed = scene.stiffness, float(np.max(np.abs(truth.speed))) + scene.tow_speed
@@ -105,7 +105,7 @@ def errors(run, reference):
         ("travel", "z"),
     ):
         wrong = np.abs(getattr(run, name) - getattr(truth, name))
-        # Where the share changes its mode these jump.
+        # These jump where the share changes its mode.
         wrong = wrong * apart if name in ("soil_resistance", "speed") else wrong
         size = float(np.max(np.abs(getattr(truth, name))))
         note(name, np.max(wrong), max(size, peak_z) if name == "travel" else size, kind)
@@ -116,7 +116,7 @@ def errors(run, reference):
     note("force_rms", abs(run.force_rms - truth.force_rms), truth.force_rms, "force")
     note("mean_deflection", abs(run.mean_deflection - truth.mean_deflection), size_z, "z")
     note("displacement_rms", abs(run.displacement_rms - truth.displacement_rms), truth.displacement_rms, "z")
-    # The strut's path is that of share and spring together.
+    # The path of the strut is that of the share plus the deflection.
     towed = float((truth.travel + truth.deflection)[-1] - (truth.travel + truth.deflection)[0]) / run.duration
     power = max(abs(truth.tow_power), size * towed)
     rounding["power"] = rounding["force"] * scene.tow_speed

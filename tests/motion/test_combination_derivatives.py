@@ -48,6 +48,9 @@ def numbers_of(effects):
     found = dict(NUMBERS)
     if effects.get("strength_wave"):
         found |= {"amplitude": 0.7, "wavelength": 0.1}
+    if effects.get("tow_ramp"):
+        # Ends neither at an output nor at the end of a step.
+        found["ramp time"] = 0.061
     if effects.get("damping"):
         found["damping"] = 120.0
     if effects.get("rate_term"):
@@ -67,9 +70,8 @@ def scene_of(effects, x):
     own = {}
     if "amplitude" in x:
         own["strength_wave"] = po.StrengthWave(x["amplitude"], x["wavelength"])
-    if effects.get("tow_ramp"):
-        # The ramp ends at an output, where a step ends too, unless x holds its time.
-        own["tow_ramp"] = x.get("ramp time", x["duration"] / OUTPUTS)
+    if "ramp time" in x:
+        own["tow_ramp"] = x["ramp time"]
     if "damping" in x:
         own["damping"] = x["damping"]
     if "rate term" in x:

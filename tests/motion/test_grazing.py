@@ -110,17 +110,6 @@ def test_a_wave_that_keeps_it_moving_has_that_derivative():
     assert np.linalg.norm(left[0] / size) / np.linalg.norm(left[1] / size) == pytest.approx(2.0, rel=0.05)
 
 
-def test_a_breakaway_ratio_above_one_makes_it_stop_and_has_that_derivative_too():
-    # It sticks for 2 (r - 1) F0/(k0 V0), exactly as long as the oscillation about steady sliding is shortened.
-    derivatives = slopes(lambda breakaway: scene_of(breakaway=breakaway), [1.0])[:, 0]
-    here = np.array(results_of(scene_of()))
-    assert np.max(np.abs(derivatives) / here) < 1e-9
-    assert three_modes.follow(scene_of(breakaway=1.001), duration()).count(0, 1) == 3
-    one, two = (np.abs(np.array(results_of(scene_of(breakaway=1.0 + h))) - here) / h / here for h in (1e-3, 5e-4))
-    assert np.max(one) < 5e-3
-    assert one / two == pytest.approx(2.0, rel=0.05)
-
-
 def test_a_wave_that_makes_it_stop_has_another():
     wavelength = 0.1
     # On the side that stops there is a slope too, but another one: the share waits until the mount pulls enough.

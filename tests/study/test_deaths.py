@@ -1,4 +1,4 @@
-"""Sweeps whose workers are killed at any moment: no point is lost, doubled or called failed that is sound."""
+"""Sweeps whose workers are killed at any moment: no point is lost, repeated or wrongly reported as failed."""
 
 import math
 import os
@@ -23,20 +23,20 @@ by_proc = pytest.mark.skipif(not PROCESSES.is_dir(), reason="finds the workers i
 
 
 def workers_here():
-    """Return the worker processes of this one."""
+    """Return the worker processes of this process."""
     found = []
     for entry in PROCESSES.iterdir():
         try:
             parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
             if parent == os.getpid() and "plough_opt.studies.sweep.pool" in (entry / "cmdline").read_text():
                 found.append(int(entry.name))
-        except (OSError, ValueError, IndexError):  # what is not a process, or gone already
+        except (OSError, ValueError, IndexError):  # not a process, or one that has ended
             continue
     return found
 
 
 class Killer(threading.Thread):
-    """Kills workers of this process, at random moments and in random order, until it is stopped."""
+    """Kills workers of this process at random moments, in random order, until it is stopped."""
 
     def __init__(self, seed, pauses, most):
         super().__init__(daemon=True)
@@ -45,7 +45,7 @@ class Killer(threading.Thread):
 
     def run(self):
         while len(self.killed) < self.most and not self.stopped.wait(self.random.uniform(*self.pauses)):
-            # One that was killed is there until its end has been seen.
+            # A killed worker is listed until the pool has noticed its end.
             if there := sorted(set(workers_here()) - set(self.killed)):
                 self.killed.append(self.random.choice(there))
                 os.kill(self.killed[-1], signal.SIGKILL)
@@ -61,7 +61,7 @@ class Killer(threading.Thread):
 
 @pytest.fixture(scope="module")
 def start():
-    """Return how long a worker takes to begin, here and now [s]."""
+    """Return the time that a worker takes to start on this machine now [s]."""
     began = time.monotonic()
     with ProcessPool(1, swept.waves) as pool:
         pool.submit(math.sqrt, 4.0).result(60.0)
@@ -73,14 +73,12 @@ def start():
     ("seed", "values", "kills"),
     [(1, 60, 6), *(pytest.param(seed, 450, 60, marks=pytest.mark.slow) for seed in range(2, 8))],
 )
-def test_whatever_workers_are_killed_the_table_is_that_of_a_sweep_in_peace(
-    inline, tmp_path, start, seed, values, kills
-):
-    # Some before they have begun, some at work; on the average one lives for three times as long as it takes to begin.
+def test_killed_workers_do_not_change_the_table(inline, tmp_path, start, seed, values, kills):
+    # Some die before they have started, others at work.
     pauses = (0.05 * start, 3.0 * start)
     over = {"a": po.Range(0.0, 1.0, values), "b": [1.0, 2.0]}
-    with po.sweep(swept.waves, over, executor=inline) as peaceful:
-        truth = peaceful.table
+    with po.sweep(swept.waves, over, executor=inline) as undisturbed:
+        truth = undisturbed.table
     counted = swept.Counted(tmp_path / "calls", 0.02)
     with (
         Killer(seed, pauses, kills) as killer,
@@ -95,7 +93,7 @@ def test_whatever_workers_are_killed_the_table_is_that_of_a_sweep_in_peace(
     assert rows == Counter(range(2 * values))
 
 
-def test_a_point_that_kills_three_workers_alone_is_undetermined_and_tried_again_on_request(tmp_path):
+def test_a_point_that_kills_three_workers_is_undetermined_until_a_retry(tmp_path):
     deadly, store = swept.Deadly(tmp_path / "died"), tmp_path / "sweep.db"
     with po.sweep(deadly, {"a": np.arange(8.0)}, workers=1, store=store) as found:
         (one,) = found.undetermined
@@ -111,7 +109,7 @@ def test_a_point_that_kills_three_workers_alone_is_undetermined_and_tried_again_
         )
         with np.load(found.to_npz(tmp_path / "t.npz")) as arrays:
             assert (arrays["undetermined"].tolist(), arrays["failed"].tolist()) == ([5], [])
-    # Alone it killed three, and in company three before it was alone: whole, a half, and by itself among others.
+    # Two deaths of the whole task, three on the way to a single point at most, and three alone.
     assert (tmp_path / "died").read_text().count("5.0") <= 3 + 2 + 3
     (tmp_path / "cured").touch()
     with po.sweep(deadly, {"a": np.arange(8.0)}, workers=1, store=store) as found:
@@ -121,20 +119,20 @@ def test_a_point_that_kills_three_workers_alone_is_undetermined_and_tried_again_
         assert found.column("sine").tolist() == [2.0 * math.sin(a) for a in range(8)]
 
 
-def test_workers_that_all_die_end_the_sweep_with_a_reason(monkeypatch):
+def test_a_sweep_whose_workers_all_die_ends_with_the_reason(monkeypatch):
     assert pools._PATIENCE == 40.0  # as docs/sweeps.md says
     monkeypatch.setattr(pools, "_PATIENCE", 0.5)
     with pytest.raises(po.InputError, match=r"worker processes ended within \d+ s before .* by signal 9 \(Killed\)"):
         po.sweep(swept.kills_always, {"a": np.arange(64.0)}, workers=1)
 
 
-def test_an_evaluation_that_a_worker_cannot_read_is_refused_with_the_reason():
+def test_an_evaluation_that_a_worker_cannot_unpickle_is_refused():
     with pytest.raises(po.InputError, match="the worker processes could not begin: RuntimeError: not here"):
         po.sweep(swept.Unreadable(), {"a": [1.0, 2.0]}, workers=1)
 
 
 @by_proc
-def test_workers_end_with_the_pool_and_what_they_print_is_no_message(capfd):
+def test_workers_end_with_the_pool_and_print_to_the_error_stream(capfd):
     before = set(workers_here())
     with ProcessPool(1, swept.waves) as pool:
         pool.submit(print, "from inside").result(60.0)
@@ -144,21 +142,21 @@ def test_workers_end_with_the_pool_and_what_they_print_is_no_message(capfd):
 
 
 @by_proc
-@pytest.mark.slow  # waits for a second in which nothing comes
-def test_a_process_that_a_dead_worker_left_behind_holds_nothing_up(tmp_path):
+@pytest.mark.slow
+def test_a_child_that_outlives_a_dead_worker_does_not_block_the_pool(tmp_path):
     with ProcessPool(1, swept.waves) as pool, pytest.raises(WorkerDied):
         pool.submit(swept.fork_and_die, str(tmp_path / "child")).result(30.0)
     child = int((tmp_path / "child").read_text())
     os.kill(child, signal.SIGKILL)
 
 
-def test_the_threads_of_all_workers_together_are_as_many_as_the_cores(monkeypatch):
+def test_all_workers_together_have_one_thread_per_core(monkeypatch):
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(pools, "available", lambda: 5)
     with ProcessPool(1, swept.waves) as pool:
         assert pool.submit(os.getenv, "OPENBLAS_NUM_THREADS").result(60.0) == "5"
-    # What somebody has set stays, and a worker in an MPI job is none of its processes.
+    # Numbers set by the user remain, and a worker does not join the MPI job of its parent.
     monkeypatch.setenv("OMP_NUM_THREADS", "3")
     monkeypatch.setenv("PMI_FD", "9")
     found = environment(2)

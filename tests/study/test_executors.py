@@ -1,4 +1,4 @@
-"""The same sweep on a cluster of dask, one of whose workers is killed, and on MPI."""
+"""The same sweep on a dask cluster, one of whose workers is killed, and on MPI."""
 
 import asyncio
 import os
@@ -56,7 +56,7 @@ def test_a_cluster_that_loses_a_worker_midway_gives_the_same_bits(cluster, inlin
     np.testing.assert_array_equal(table, po.sweep(swept.waves, OVER, executor=inline).table)
 
 
-def test_a_cluster_evaluates_a_function_that_no_other_process_can_import(cluster, inline):
+def test_a_cluster_evaluates_a_function_that_cannot_be_imported(cluster, inline):
     found = po.sweep(lambda values: swept.waves(values), OVER, executor=cluster.get_executor(pure=False), workers=2)
     np.testing.assert_array_equal(found.table, po.sweep(swept.waves, OVER, executor=inline).table)
 
@@ -65,7 +65,7 @@ COHESION = {"soil.cohesion": "10 kPa, 20 kPa"}
 REFERENCE = str(Path(__file__).resolve().parents[2] / "problems" / "reference.toml")
 
 
-def test_the_command_finds_the_cluster_and_its_numbers_are_the_same(cluster, inline, capsys, tmp_path):
+def test_the_command_gives_the_same_results_on_a_cluster(cluster, inline, capsys, tmp_path):
     arguments = ["sweep", REFERENCE, "--over", "soil.cohesion=10 kPa, 20 kPa", "--set", "effects.motion=false"]
     status = main([*arguments, "--scheduler", cluster.scheduler.address, "--store", str(tmp_path / "sweep.db")])
     shown = capsys.readouterr()
@@ -76,7 +76,7 @@ def test_the_command_finds_the_cluster_and_its_numbers_are_the_same(cluster, inl
         np.testing.assert_array_equal(found.table, expected.table)
 
 
-def test_the_command_says_that_no_scheduler_answers(monkeypatch, capsys, tmp_path):
+def test_the_command_reports_a_scheduler_that_does_not_answer(monkeypatch, capsys, tmp_path):
     distributed = pytest.importorskip("distributed")
 
     def silent(address, timeout):
@@ -88,7 +88,7 @@ def test_the_command_says_that_no_scheduler_answers(monkeypatch, capsys, tmp_pat
     assert "no dask scheduler answers at" in capsys.readouterr().err
 
 
-def test_a_cluster_that_has_no_workers_says_so(monkeypatch):
+def test_a_cluster_without_workers_ends_the_sweep(monkeypatch):
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(clusters, "_PATIENCE", 0.5)
     monkeypatch.setattr(clusters, "_CHECK_EVERY", 0.5)
@@ -97,13 +97,13 @@ def test_a_cluster_that_has_no_workers_says_so(monkeypatch):
         executor = client.get_executor(pure=False)
         with pytest.raises(po.InputError, match=r"the cluster has had no workers for \d s: start some; finished"):
             po.sweep(swept.waves, OVER, executor=executor, workers=1)
-    # Without that change a minute passes at most, with the last check and its answer.
+    # With the real constants that takes less than a minute, the last check and its answer included.
     monkeypatch.undo()
     assert clusters._PATIENCE + 2.0 * clusters._CHECK_EVERY < 60.0
 
 
 class Fetched:
-    """A task of a cluster whose result cannot be had."""
+    """A task of a cluster whose result cannot be fetched."""
 
     def __init__(self, error):
         self.error = error
@@ -113,7 +113,7 @@ class Fetched:
         raise self.error
 
 
-class KilledWorker(Exception):  # the name and the attribute of dask's
+class KilledWorker(Exception):  # name and attribute as in dask
     allowed_failures = 3
 
 
@@ -126,7 +126,7 @@ class KilledWorker(Exception):  # the name and the attribute of dask's
         (ZeroDivisionError("by zero"), ZeroDivisionError, "by zero"),
     ],
 )
-def test_whatever_hinders_a_result_ends_its_task(error, kind, words):
+def test_a_result_that_cannot_be_fetched_ends_its_task(error, kind, words):
     future = Future()
     asyncio.run(clusters._carry(Fetched(error), future))
     with pytest.raises(kind, match=words) as raised:
@@ -134,7 +134,7 @@ def test_whatever_hinders_a_result_ends_its_task(error, kind, words):
     assert getattr(raised.value, "deaths", 4) == 4
 
 
-@pytest.mark.slow  # every death costs a cluster seconds
+@pytest.mark.slow  # a cluster takes seconds to replace a worker
 def test_a_point_that_kills_the_workers_of_a_cluster_is_undetermined(cluster, tmp_path):
     cluster.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 0))
     executor = cluster.get_executor(pure=False)
@@ -147,13 +147,13 @@ def test_a_point_that_kills_the_workers_of_a_cluster_is_undetermined(cluster, tm
 @pytest.mark.slow
 def test_mpi_gives_the_same_bits(script, counted_text, inline, tmp_path):
     pytest.importorskip("mpi4py.futures", reason="mpi4py is not installed")
-    # Beside this Python where its wheel was installed.
+    # The wheel of MPICH puts it beside this Python.
     launcher = shutil.which("mpiexec", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     if launcher is None:
         pytest.skip("there is no mpiexec")
     store, file = tmp_path / "sweep.db", tmp_path / "calls"
     text = counted_text(store, file, 0.0, 30, "MPIPoolExecutor()")
-    # In the same script then processes of its own, which are none of the MPI job.
+    # A second sweep of the script uses processes of its own, which do not join the MPI job.
     text = f"from mpi4py.futures import MPIPoolExecutor\n{text}    print(len(sweep(counted, over, workers=1)))\n"
     process = script(text, launcher, "-n", "2", sys.executable, "-m", "mpi4py.futures")
     out, error = process.communicate(timeout=120)

@@ -1,4 +1,4 @@
-"""Sweeps that are killed or interrupted, and two at once: real processes on one store."""
+"""Sweeps that are killed or interrupted, and two sweeps at once: real processes on one store."""
 
 import collections
 import time
@@ -25,7 +25,7 @@ def calls(path):
 
 
 def state_of(process):
-    """Return the state and the parent of a process, from the fields of /proc that follow its name."""
+    """Return the state and the parent of a process, from /proc."""
     try:
         fields = (PROCESSES / str(process) / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     except OSError:
@@ -40,7 +40,7 @@ def children_of(parent):
 
 
 @pytest.mark.skipif(not PROCESSES.is_dir(), reason="looks for the workers in /proc")
-def test_a_killed_sweep_resumes_and_repeats_nothing_that_was_stored(script, counted_text, inline, tmp_path):
+def test_a_killed_sweep_resumes_without_repeating_stored_points(script, counted_text, inline, tmp_path):
     store, file = tmp_path / "sweep.db", tmp_path / "calls"
     process = script(counted_text(store, file, 0.02, VALUES))
     swept.until(lambda: len(swept.stored(store)) >= 10, process)
@@ -50,7 +50,7 @@ def test_a_killed_sweep_resumes_and_repeats_nothing_that_was_stored(script, coun
     kept = swept.stored(store, "a, b")
     assert workers
     assert 10 <= len(kept) < 2 * VALUES
-    # Workers end with their parent, so that nothing else evaluates.
+    # Workers end with their parent.
     end = time.monotonic() + 30.0
     while any(state_of(worker)[0] not in "XZ" for worker in workers):
         assert time.monotonic() < end
@@ -63,12 +63,12 @@ def test_a_killed_sweep_resumes_and_repeats_nothing_that_was_stored(script, coun
     evaluated = calls(file)
     assert len(evaluated) == 2 * VALUES
     assert all(evaluated[row] == 1 for row in kept)
-    # What was not stored was under way: six tasks for two workers, each of a quarter of a second of pauses at most.
+    # Points that were computed twice were under way: six tasks for two workers, each of at most 0.25 s of pauses.
     assert sum(evaluated.values()) - 2 * VALUES <= 6 * int(0.25 / 0.02)
     np.testing.assert_array_equal(found, po.sweep(swept.waves, OVER, executor=inline).table)
 
 
-def test_two_runs_at_once_share_the_points_and_both_have_all(script, counted_text, inline, tmp_path):
+def test_two_runs_at_once_share_the_points(script, counted_text, inline, tmp_path):
     store, file = tmp_path / "sweep.db", tmp_path / "calls"
     both = [script(counted_text(store, file, 0.01, VALUES, "ThreadPoolExecutor(1)")) for _ in range(2)]
     for process in both:
@@ -81,7 +81,7 @@ def test_two_runs_at_once_share_the_points_and_both_have_all(script, counted_tex
 
 
 class TestClaims:
-    """Ranges of points that one run works on, and what becomes of them when it dies."""
+    """Ranges of points that runs have claimed, and what happens to them when a run dies."""
 
     @pytest.fixture
     def open_store(self, tmp_path):
@@ -103,13 +103,13 @@ class TestClaims:
         reasons = dict.fromkeys(range(len(numbers)), "no")
         return store.keep(numbers, numbers[:, None] * 1.0, Done(len(numbers), reasons=reasons))
 
-    def test_what_is_stored_twice_is_one_row(self, open_store):
+    def test_a_point_stored_twice_is_one_row(self, open_store):
         one, two = open_store(), open_store()
         assert self.keep(one, 0, 4) == 4
         assert self.keep(two, 2, 6) == 2
         assert two.counts() == (6, 6, 0)
 
-    def test_what_a_run_released_is_taken_over_without_what_it_stored(self, open_store):
+    def test_released_points_are_taken_over_unless_they_are_stored(self, open_store):
         one, two = open_store(), open_store()
         one.claim(10)
         self.keep(one, 2, 5)
@@ -132,7 +132,7 @@ class TestClaims:
         assert one.counts() == (4, 4, 0)
         assert two.claim(4).tolist() == [4, 5, 6, 7, 8, 9]
 
-    def test_a_run_that_is_silent_for_long_is_dead_and_one_that_renews_is_not(self, open_store):
+    def test_a_run_is_dead_unless_it_renews_its_lease(self, open_store):
         one, two = open_store(), open_store()
         one.claim(10)
         one.renew(-1.0)
@@ -141,7 +141,7 @@ class TestClaims:
         one.renew(-1.0)
         assert two.claim(4).tolist() == list(range(10))
 
-    def test_failures_are_not_tried_again_while_another_run_lives(self, open_store):
+    def test_failures_are_not_retried_while_another_run_lives(self, open_store):
         one, two = open_store(), open_store()
         one.claim(10)
         self.keep(one, 0, 4)

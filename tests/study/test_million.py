@@ -1,4 +1,4 @@
-"""A million simulated designs stream through: no more memory than a few thousand take."""
+"""A sweep of a million designs takes no more memory than one of a few thousand."""
 
 import json
 import tracemalloc
@@ -33,7 +33,7 @@ def test_memory_does_not_grow_with_the_points(tmp_path, inline):
         tracemalloc.stop()
     early = max(peak for stored, peak in peaks if stored <= count // 4)
     late = max(peak for stored, peak in peaks if stored > count // 4)
-    # A task's arrays come and go in any order: one more of them at once, 2048 rows of some 20 numbers, is not growth.
+    # Two tasks may overlap: the arrays of a second one, 2048 rows of about 20 numbers, are not growth.
     one_task = 2048 * 20 * 8 * 8
     assert late < early + one_task
     assert written < early + one_task
@@ -61,14 +61,14 @@ if __name__ == "__main__":
 
 @pytest.mark.slow
 def test_a_million_designs_in_flat_memory(script, tmp_path):
-    pytest.importorskip("resource", reason="this system does not tell how much memory a process used")
+    pytest.importorskip("resource", reason="this system does not report the memory of a process")
     process = script(MILLION, stdin=-1)
     out, error = process.communicate(json.dumps([str(COTTON), OVER, str(tmp_path)]), timeout=1800)
     assert process.returncode == 0, error
     count, failed, early, late, computed = json.loads(out)
     assert (count, failed) == (2**20, 0)
     assert "po.Batch" in computed
-    # SQLite's cache of 2 MiB, and what the tables are written through: MiB, of the process that leads the sweep.
+    # MiB in the main process: SQLite's cache of 2 MiB and the buffers of the tables.
     assert late < early + 16.0
     with np.load(tmp_path / "sweep.npz") as arrays:
         assert arrays["mean_draft"].shape == (2**20,)

@@ -1,4 +1,4 @@
-"""Points of grids and samples, against itertools, NumPy and SciPy; what cannot be swept is refused."""
+"""Points of grids and samples, against itertools, NumPy and SciPy; and invalid ranges."""
 
 import itertools
 
@@ -23,7 +23,7 @@ def test_a_grid_of_a_trillion_points_needs_no_memory():
     np.testing.assert_array_equal(grid.block(10**12 - 1, 10**12), [[1.0, 1.0]])
 
 
-# In the order in which sweeps ask: forwards, with holes, and back for what another run left.
+# As sweeps request them: forwards, with gaps, and back for what another run abandoned.
 BLOCKS = ([(0, 64)], [(0, 1), (1, 4), (4, 64)], [(0, 3), (10, 20), (3, 10), (20, 64)])
 
 
@@ -36,7 +36,7 @@ def test_a_sample_is_that_of_scipy(blocks):
         found[first:last] = sample.block(first, last)
     unit = qmc.Sobol(3, scramble=True, seed=5).random(64)
     np.testing.assert_array_equal(found[:, :2], qmc.scale(unit[:, :2], [2.0, -7.0], [3.0, 9.0]))
-    # Powers are rounded otherwise than SciPy's users would: exp(log) of numbers up to e^7 loses that many bits.
+    # exp(log) of numbers up to e^7 loses a few bits, compared with the power that the sample computes.
     np.testing.assert_allclose(found[:, 2], np.exp(qmc.scale(unit[:, 2:], np.log(1e-3), np.log(1e3))[:, 0]), rtol=1e-14)
 
 
@@ -51,12 +51,12 @@ def test_a_sample_is_that_of_scipy(blocks):
         ({"a": po.Range(0.0, 1.0)}, 2.5, "2.5 samples"),
     ],
 )
-def test_what_is_no_grid_and_no_sample_is_refused(over, samples, expected):
+def test_invalid_grids_and_samples_are_refused(over, samples, expected):
     with pytest.raises(po.InputError, match=expected):
         points_of(over, samples, 0)
 
 
-def test_a_seed_is_a_whole_number_from_0_on():
+def test_a_negative_seed_is_refused():
     with pytest.raises(po.InputError, match="seed -1"):
         points_of({"a": po.Range(0.0, 1.0)}, 8, -1)
 

@@ -1,4 +1,4 @@
-"""Sweeps of problem files: the numbers of single simulations and optimisations, whatever their company."""
+"""Sweeps of problem files give the results of single simulations and optimisations, to the last bit."""
 
 import math
 from pathlib import Path
@@ -25,7 +25,7 @@ def problem():
     return po.read_problem(COTTON, BRIEF)
 
 
-def test_the_numbers_are_those_of_the_command_at_every_point(problem, inline):
+def test_every_point_has_the_results_of_a_single_simulation(problem, inline):
     with po.sweep(problem, OVER, executor=inline) as found:
         table = found.table
     assert len(table) == 9
@@ -38,7 +38,7 @@ def test_the_numbers_are_those_of_the_command_at_every_point(problem, inline):
         assert row["moving_mass"] == run.scene.mass
 
 
-def test_warnings_are_kept_once_with_the_number_of_their_points(problem, inline):
+def test_each_warning_is_kept_once_with_the_number_of_its_points(problem, inline):
     with po.sweep(problem, {"share.wedge_angle": "30, 55 deg", "share.height": "0.2, 0.3 m"}, executor=inline) as found:
         notes = found.notes
     assert [note.partition(":")[0] for note in notes] == ["at 4 of 4 points", "at 2 of 4 points"]
@@ -46,8 +46,7 @@ def test_warnings_are_kept_once_with_the_number_of_their_points(problem, inline)
     assert "above 20 deg the hypothesis of plane sections does not hold" in notes[1]
 
 
-def test_no_warm_start_crosses_points(inline):
-    # The optimum after another one, and alone.
+def test_an_optimum_does_not_depend_on_the_point_before(inline):
     problem = po.read_problem(PROBLEMS / "reference.toml", STEADY)
     with po.sweep(problem, {"soil.cohesion": [10e3, 20e3]}, what="optimise", executor=inline) as found:
         forwards = found.table
@@ -59,7 +58,7 @@ def test_no_warm_start_crosses_points(inline):
     assert forwards["margin of loosened_radius"][1] == best.margins["loosened_radius"]
 
 
-def test_a_point_without_a_solution_is_a_row(inline):
+def test_a_point_without_a_solution_is_a_failure(inline):
     problem = po.read_problem(PROBLEMS / "reference.toml", STEADY)
     with po.sweep(problem, {"share.height": [0.12, 0.3]}, what="optimise", executor=inline) as found:
         assert found.results[:2] == ("objective", "share.wedge_angle")
@@ -71,7 +70,7 @@ BOX = {"share.wedge_angle": "25..39 deg", "share.height": "0.18..0.28 m", "scene
 
 
 class TestMany:
-    """Very many designs by `po.Batch`."""
+    """Sweeps by `po.Batch`."""
 
     @pytest.fixture
     def many(self, engine, problem, monkeypatch, tmp_path):
@@ -87,16 +86,16 @@ class TestMany:
         ("engine", "count", "sizes"),
         [
             ("compiled", 101, (1, 2, 3, 13, 64)),
-            # NumPy takes a hundred times as long.
+            # NumPy takes a hundred times longer.
             ("numpy", 11, (1, 4)),
             pytest.param("numpy", 101, (1, 2, 3, 13, 64), marks=pytest.mark.slow),
         ],
     )
-    def test_a_design_has_the_same_bits_in_any_company(self, many, count, sizes):
+    def test_a_design_has_the_same_bits_in_a_batch_of_any_size(self, many, count, sizes):
         rng = np.random.default_rng(3)
         values = rng.uniform((po.deg(25), 0.18, 4e4), (po.deg(39), 0.28, 1e6), (count, 3))
         wrong = [2, 5, 6, count - 2]
-        values[wrong] *= -1.0  # outside the domain, beside designs that are not
+        values[wrong] *= -1.0  # outside the domain
         whole, reasons, _ = many.many(values)
         assert sorted(reasons) == wrong
         for size in sizes:
@@ -104,27 +103,27 @@ class TestMany:
             np.testing.assert_array_equal(np.concatenate([part[0] for part in parts]), whole)
             assert {k * size + j: why for k, part in enumerate(parts) for j, why in part[1].items()} == reasons
 
-    def test_they_are_those_of_single_simulations_to_the_wanted_error(self, problem, inline):
+    def test_results_are_those_of_single_simulations_to_the_wanted_error(self, problem, inline):
         with po.sweep(problem, BOX, samples=16, method="batch", executor=inline) as found:
             table = found.table
             assert found.results == SimulationOfMany(problem, ()).results
         with po.sweep(problem, BOX, samples=16, method="each", executor=inline) as found:
             single = found.table
         for name in ("mean_draft", "force_rms"):
-            # Both to 1e-8 of the larger of mean draft and RMS force.
+            # Both have errors up to 1e-8 of the larger of mean draft and RMS force.
             assert np.max(np.abs(table[name] - single[name]) / single["mean_draft"]) < 2e-8
         for name in ("loosened_radius", "half_angle", "moving_mass", "added_mass", "specific_draft"):
             np.testing.assert_allclose(table[name], single[name], rtol=3e-8)
         assert np.max(table["error_estimate"]) < 1e-8
 
-    def test_they_carry_the_warnings_of_single_simulations(self, problem, inline):
+    def test_warnings_are_those_of_single_simulations(self, problem, inline):
         over = {"share.wedge_angle": "30, 55 deg", "share.height": "0.2, 0.3 m"}
         with po.sweep(problem, over, method="batch", executor=inline) as found:
             many = found.notes
         with po.sweep(problem, over, executor=inline) as found:
             assert many == found.notes
 
-    def test_the_number_of_points_decides_and_what_a_batch_cannot_do_is_simulated_singly(self, problem):
+    def test_a_batch_is_used_for_many_points_of_a_scene_that_it_supports(self, problem):
         axes = {"soil.cohesion": po.Range(1e4, 2e4, 100), "scene.tow_speed": po.Range(1.0, 2.0, 100)}
         assert "po.Batch" in ProblemSweep.of(problem, axes).how
         assert "po.simulate" in ProblemSweep.of(problem, {**axes, "scene.tow_speed": po.Range(1.0, 2.0, 99)}).how
@@ -136,7 +135,7 @@ class TestMany:
 
 
 class TestAxes:
-    """Ranges that texts give a quantity."""
+    """Ranges written as texts."""
 
     @pytest.mark.parametrize(
         ("text", "unit", "expected"),
@@ -153,10 +152,10 @@ class TestAxes:
         ],
     )
     def test_grids_and_lists(self, text, unit, expected):
-        # To the last bit: these are the numbers that a file would have.
+        # To the last bit, as from a file.
         assert read_axis(text, Unit(unit))[0] == expected
 
-    def test_the_numbers_are_those_of_a_file(self):
+    def test_values_are_those_of_a_file(self):
         found = read_axis("1..7 km/h:61", Unit("m/s"))[0]
         assert found == tuple(Unit("m/s").parse(f"{1 + k / 10:.1f} km/h") for k in range(61))
 
@@ -185,7 +184,7 @@ class TestAxes:
             ("5..1e999 kPa:3", False, "must be finite"),
         ],
     )
-    def test_wrong_ones_are_refused(self, text, sampled, expected):
+    def test_invalid_texts_are_refused(self, text, sampled, expected):
         with pytest.raises(po.InputError, match=expected):
             read_axis(text, Unit("Pa"), sampled=sampled)
 
@@ -205,12 +204,12 @@ class TestAxes:
         ({}, {}, "over is empty"),
     ],
 )
-def test_what_cannot_be_swept_is_refused_before_anything_is_computed(problem, inline, over, more, expected):
+def test_invalid_sweeps_are_refused_before_anything_is_computed(problem, inline, over, more, expected):
     with pytest.raises(po.InputError, match=expected):
         po.sweep(problem, over, executor=inline, **more)
 
 
-def test_a_design_whose_variables_are_all_swept_has_nothing_to_choose(problem):
+def test_a_design_whose_variables_are_all_swept_is_refused(problem):
     over = {"share.wedge_angle": [0.4, 0.5], "share.height": [0.2, 0.3], "scene.stiffness": [5e4, 6e4]}
     with pytest.raises(po.InputError, match="nothing to choose: every variable is fixed"):
         po.sweep(problem, over, what="optimise")

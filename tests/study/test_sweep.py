@@ -1,4 +1,4 @@
-"""Sweeps of functions: numbers, failures, tables, and what is stored."""
+"""Sweeps of functions: results, failures, tables and stores."""
 
 import contextlib
 import csv
@@ -24,7 +24,7 @@ def expected_waves():
     ]
 
 
-def test_the_numbers_are_those_of_the_function(inline):
+def test_results_are_those_of_the_function(inline):
     result = po.sweep(swept.waves, OVER, executor=inline)
     assert result.names == ("a", "b")
     assert result.results == ("sine", "root")
@@ -39,7 +39,7 @@ def test_the_numbers_are_those_of_the_function(inline):
     assert best.values == {"a": result.table["a"][best.point], "b": 5.0}
 
 
-def test_the_same_bits_whatever_the_executor_the_workers_and_the_size_of_tasks(inline, monkeypatch):
+def test_results_do_not_depend_on_executor_workers_and_size_of_tasks(inline, monkeypatch):
     first = po.sweep(swept.waves, OVER, executor=inline).table
     with ThreadPoolExecutor(3) as threads:
         np.testing.assert_array_equal(po.sweep(swept.waves, OVER, executor=threads, workers=3).table, first)
@@ -65,7 +65,7 @@ def test_failures_are_rows_with_a_reason(inline):
     assert result.failed == 3
     assert result.column("inverse").tolist()[2] == 0.5
     assert np.isnan(result.table["inverse"]).tolist() == [True, True, False, True]
-    # SQLite knows no negative zero.
+    # SQLite has no negative zero.
     assert math.copysign(1.0, result.column("half")[2]) == 1.0
 
 
@@ -77,7 +77,7 @@ def test_a_sweep_in_which_everything_fails_has_no_results(inline, tmp_path):
     assert result.table.dtype.names == ("point", "a")
 
 
-def test_other_names_at_another_point_stop_the_sweep(inline):
+def test_results_with_other_names_at_another_point_stop_the_sweep(inline):
     with pytest.raises(po.InputError, match=r"results of one point are .*: return the same names"):
         po.sweep(swept.two_names, {"a": [1.0, 2.0]}, executor=inline)
 
@@ -98,35 +98,7 @@ def test_tables(inline, tmp_path):
         result.to_csv("/proc/t.csv")
 
 
-def test_a_store_is_read_back_and_is_plain_sqlite(inline, tmp_path):
-    store = tmp_path / "deep" / "sweep.db"
-    po.sweep(swept.waves, OVER, executor=inline, store=store, units={"a": "rad"}).close()
-    with po.Sweep.load(store) as again:
-        assert again.complete
-        assert again.units == {"a": "rad"}
-        assert again.table[["sine", "root"]].tolist() == expected_waves()
-        assert again.to_csv(tmp_path / "t.csv").read_text().startswith("point,a [rad],b,sine,root,reason\n")
-    connection = sqlite3.connect(store)
-    assert connection.execute("SELECT sine FROM points WHERE point = 7").fetchone()[0] == expected_waves()[7][0]
-    connection.close()
-
-
-def test_failures_are_tried_again_on_request(inline, tmp_path):
-    store = tmp_path / "sweep.db"
-    with po.sweep(swept.failing, {"a": [0.0, 1.0, 2.0]}, executor=inline, store=store) as first:
-        before = first.table
-    shown = []
-    arguments = {"executor": inline, "store": store, "progress": lambda *numbers: shown.append(numbers)}
-    with po.sweep(swept.failing, {"a": [0.0, 1.0, 2.0]}, **arguments) as again:
-        assert (again.already, shown) == (3, [])
-    with po.sweep(swept.failing, {"a": [0.0, 1.0, 2.0]}, retry=True, **arguments) as again:
-        assert again.already == 1
-        assert again.table.tobytes() == before.tobytes()
-    assert shown[0] == (1, 3, 0)
-    assert shown[-1] == (3, 3, 2)
-
-
-def test_a_store_of_another_question_is_refused_and_the_difference_named(inline, tmp_path):
+def test_the_store_of_another_sweep_is_refused_with_the_difference(inline, tmp_path):
     store = tmp_path / "sweep.db"
     po.sweep(swept.waves, {"a": [1.0, 2.0], "b": [1.0, 2.0]}, executor=inline, store=store).close()
     for function, over, more, expected in (
@@ -139,7 +111,7 @@ def test_a_store_of_another_question_is_refused_and_the_difference_named(inline,
         assert re.search(expected, str(refused.value))
 
 
-def test_a_file_that_is_no_store_is_refused(inline, tmp_path):
+def test_a_file_that_is_not_a_store_is_refused(inline, tmp_path):
     text = tmp_path / "text.db"
     text.write_text("this is not a database, however long it may be" * 40)
     with pytest.raises(po.InputError, match="file is not a database"):
@@ -159,7 +131,7 @@ def test_a_file_that_is_no_store_is_refused(inline, tmp_path):
         po.sweep(swept.waves, OVER, executor=inline, store="/proc/sweep.db")
 
 
-def test_a_store_that_is_empty_spoilt_or_closed_is_refused(inline, tmp_path):
+def test_an_empty_or_closed_store_is_refused(inline, tmp_path):
     (tmp_path / "empty.db").touch()
     with pytest.raises(po.InputError, match="is empty, not the store of a sweep"):
         po.Sweep.load(tmp_path / "empty.db")
@@ -189,7 +161,7 @@ def test_a_store_that_is_empty_spoilt_or_closed_is_refused(inline, tmp_path):
         ({"what_to_sweep": 3}, "3 cannot be swept: use a problem, or a function"),
     ],
 )
-def test_arguments_of_another_kind_are_refused(inline, changed, words):
+def test_arguments_of_the_wrong_type_are_refused(inline, changed, words):
     arguments = {"what_to_sweep": swept.waves, "over": OVER, "executor": inline} | changed
     with pytest.raises(po.InputError, match=words):
         po.sweep(arguments.pop("what_to_sweep"), arguments.pop("over"), **arguments)
@@ -208,18 +180,18 @@ def test_a_result_that_is_not_a_number_is_named(inline, given, reason):
     assert [failure.reason for failure in result.failures] == [reason] * 2
 
 
-def test_names_that_no_table_can_have_are_refused(inline):
+def test_invalid_names_of_columns_are_refused(inline):
     for over in ({"a": [1.0, 2.0], "A": [1.0, 2.0]}, {"reason": [1.0, 2.0]}, {"": [1.0, 2.0]}):
         with pytest.raises(po.InputError, match="cannot name"):
             po.sweep(swept.waves, over, executor=inline)
 
 
-def test_what_cannot_be_sent_to_processes_is_refused_before_any_starts():
+def test_a_function_that_cannot_be_pickled_is_refused():
     with pytest.raises(po.InputError, match="cannot be sent to other processes"):
         po.sweep(lambda values: values, OVER)
 
 
-def test_a_broken_executor_of_somebody_else_is_reported_and_what_is_stored_stays(tmp_path):
+def test_a_broken_executor_is_reported_and_stored_points_remain(tmp_path):
     store = tmp_path / "sweep.db"
     expected = r"the executor is broken: .*continues from there with a new one"
     with ProcessPoolExecutor(1) as pool, pytest.raises(po.InputError, match=expected):
@@ -228,30 +200,11 @@ def test_a_broken_executor_of_somebody_else_is_reported_and_what_is_stored_stays
         assert not found.complete
 
 
-class Watched(ThreadPoolExecutor):
-    """Threads that count the tasks under way."""
-
-    under_way, most = (), 0
-
-    def submit(self, function, *arguments):
-        future = super().submit(function, *arguments)
-        self.under_way = [*(task for task in self.under_way if not task.done()), future]
-        self.most = max(self.most, len(self.under_way))
-        return future
-
-
-def test_the_tasks_under_way_are_bounded_by_the_workers_and_not_by_the_points():
-    with Watched(2) as executor:
-        over = {"a": po.Range(0.0, 1.0, 300), "b": po.Range(1.0, 2.0, 100)}
-        assert po.sweep(swept.waves, over, executor=executor, workers=2).complete
-    assert executor.most <= 2 * 2 + 2
-
-
-def test_a_worker_gives_back_what_it_has_when_its_time_is_up():
+def test_a_worker_returns_finished_points_when_its_time_is_up():
     values = np.array([[0.5, 1.0], [0.6, 1.0], [0.7, 1.0]])
     assert work("any", swept.waves, ("a", "b"), values, 0.0).points == 1
     assert work("any", swept.waves, ("a", "b"), values, math.inf).points == 3
-    # So a finished point is never unstored for a second.
+    # So every point is stored within a second.
     assert engine._BUDGET + engine._WAIT < 1.0
 
 
@@ -267,6 +220,6 @@ def test_a_script_without_a_guard_is_refused(script):
     process = script(UNGUARDED)
     error = process.communicate(timeout=60)[1]
     assert process.returncode == 1
-    # Once, by the process that was started: its workers say nothing themselves.
+    # Only by the main process, not by its workers.
     assert error.count("Traceback") == 1
     assert "a script must call sweep under if __name__ == '__main__':" in error.splitlines()[-1]

@@ -13,7 +13,7 @@ def test_default_is_automatic():
     assert po.Accuracy() == po.Accuracy("auto", error=None, steps=None, tolerance=None)
 
 
-# Settings with a value that each takes, and the methods that have it.
+# Setting -> a valid value, and the methods that have it.
 SETTINGS = {
     "error": (1e-6, ("auto",)),
     "derivatives": (1e-4, ("auto",)),
@@ -23,7 +23,7 @@ SETTINGS = {
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_each_method_takes_its_own_setting_and_no_other(method):
+def test_each_method_has_its_own_settings_only(method):
     for name, (value, methods) in SETTINGS.items():
         if method in methods:
             assert getattr(po.Accuracy(method, **{name: value}), name) == value
@@ -40,7 +40,7 @@ def test_the_nearest_method_is_suggested(name, meant):
         po.Accuracy(name)
 
 
-def test_all_methods_are_listed_where_none_is_near():
+def test_all_methods_are_listed_if_none_is_similar():
     with pytest.raises(po.InputError) as caught:
         po.Accuracy("euler-maruyama")
     assert all(method in str(caught.value) for method in METHODS)

@@ -1,4 +1,4 @@
-"""The cost of each effect: the differences of the differential equation itself, and refusals with their reason."""
+"""Cost of each effect: nodes, states and events of the equation, operations of a run, and refusals."""
 
 import math
 from dataclasses import replace
@@ -32,7 +32,7 @@ def nodes(**changes):
     return equation.function.n_nodes() + (0 if equation.events is None else equation.events.n_nodes())
 
 
-# Effects -> the changes that switch them on and off, of which one leaves the scene as it is.
+# Effect -> the changes that switch it on and off; one of the two is empty.
 PAIRS = {
     "inertial drag": ({}, {"inertial_drag": False}),
     "added mass": ({}, {"added_mass": False}),
@@ -45,15 +45,15 @@ PAIRS = {
 }
 
 
-def test_nodes_are_the_difference_that_the_effect_makes(costs):
+def test_nodes_are_those_that_the_effect_adds(costs):
     for name, (on, off) in PAIRS.items():
         assert (costs[name].nodes, costs[name].on) == (nodes(**on) - nodes(**off), not on), name
 
 
-def test_states_and_events_come_with_what_needs_them_alone(costs):
+def test_only_events_add_states(costs):
     found = {name: (cost.states, cost.events) for name, cost in costs.items() if cost.states or cost.events}
     assert found == {"stick and slip": (2, 1), "entry": (3, 2)}
-    # The equation is evaluated at least six times in each of the steps of an explicit method of order 4(5).
+    # An adaptive method with events takes more operations than steps of order 8.
     assert all(costs[name].operations > 1.0 for name in found)
 
 

@@ -1,4 +1,4 @@
-"""Random strength: the stationary RMS against integrals, orbits and simulations that do not share its code."""
+"""Random strength: the stationary RMS against integrals, orbits and simulations of independent code."""
 
 import dataclasses
 import itertools
@@ -14,7 +14,7 @@ import plough_opt as po
 from plough_opt.motion.terms import Structure, parameters, resistance
 
 RANDOM = po.RandomStrength(rms=0.05, correlation_length=0.3)
-# Corners of a measured spectrum, with a stretch of nothing and a peak.
+# A measured spectrum with an empty band and a peak.
 TABLE = po.Spectrum([0.2, 1.0, 3.0, 5.0, 30.0, 31.0, 33.0, 90.0], [4e-4, 9e-4, 0.0, 0.0, 3e-5, 2e-4, 3e-5, 0.0])
 DAMPED = {"damping": 600.0}
 
@@ -25,7 +25,7 @@ def scene(random=RANDOM, **effects):
 
 
 def integrated(own, density, ends):
-    """Return force, displacement and speed RMS by adaptive quadrature of |H|^2 S, with H as it is written down."""
+    """Return force, displacement and speed RMS by adaptive quadrature of |H|^2 S with the transfer function H."""
     reaction, v, k = own.reaction, own.tow_speed, own.stiffness
     kappa, c = own.effects.rate_term or 0.0, own.effects.damping or 0.0
 
@@ -64,7 +64,7 @@ def integrated(own, density, ends):
 @pytest.mark.parametrize("length", [0.01, 20.0])
 def test_the_closed_form_is_the_integral(effects, length):
     own = scene(po.RandomStrength(0.05, length), **effects)
-    # Beyond the last end |H|^2 S falls as q^-6, and (k0 + i w c) H as q^-4: a part of 1e-10 is left out.
+    # Beyond the last end |H|^2 S falls as q^-6, and with k0 + i w c as q^-4: 1e-10 of the integral is omitted.
     ends = [0.0, 0.01, 0.1, 1.0, 10.0, 100.0, 1e3, 1e4, 1e5]
     force, place, speed = integrated(own, own.effects.random_strength.density, ends)
     found = own.stationary_force_rms, own.stationary_displacement_rms
@@ -74,7 +74,7 @@ def test_the_closed_form_is_the_integral(effects, length):
 
 @pytest.mark.parametrize(("damping", "near"), [(600.0, 1e-11), (30.0, 3e-6), (5.0, 2e-4)])
 def test_a_table_is_integrated_through_its_resonance(damping, near):
-    """Down to a thousandth of critical damping, where the resonance is a thousandth of the panel that it stands in."""
+    """Down to 1e-3 of critical damping, where the resonance is 1e-3 as wide as the panel around it."""
     own = scene(TABLE, damping=damping, inertial_drag=False)
     force, place, _ = integrated(own, lambda q: np.interp(q, TABLE.wave_number, TABLE.density), [*TABLE.wave_number])
     assert (own.stationary_force_rms, own.stationary_displacement_rms) == pytest.approx((force, place), rel=near)
@@ -85,7 +85,7 @@ def test_waves_have_the_rms_of_their_linearised_orbit(effects):
     waves = tuple(po.StrengthWave(0.02 + 0.01 * k, 1.2 / (k + 1), 0.7 * k) for k in range(3))
     own = scene(None, strength_wave=waves, **effects)
     orbit = po.simulate(dataclasses.replace(own, effects=dataclasses.replace(own.effects, orbit="linearised")))
-    # Two closed forms of one response, each of some dozen operations.
+    # Two closed forms of the same response.
     assert own.stationary_force_rms == pytest.approx(orbit.force_rms, rel=1e-12)
     assert own.stationary_displacement_rms == pytest.approx(orbit.displacement_rms, rel=1e-12)
     both = scene(RANDOM, strength_wave=waves, **effects)
@@ -93,19 +93,19 @@ def test_waves_have_the_rms_of_their_linearised_orbit(effects):
     assert both.stationary_force_rms == pytest.approx(math.hypot(*apart), rel=1e-14)
 
 
-def test_a_share_without_mount_passes_on_all_of_it():
+def test_a_rigid_share_transmits_the_whole_fluctuation():
     own = scene(motion=False, rate_term=0.05)
     mean = own.reaction.static * (1.0 + 0.05 * own.tow_speed**2)
     assert own.stationary_force_rms == pytest.approx(0.05 * mean, rel=1e-15)
     assert own.stationary_displacement_rms == 0.0
-    # A mount that is stiff and damped tends to it as M V/(2 d lambda).
+    # A stiff, damped mount tends to that like M V/(2 d lambda).
     stiff = dataclasses.replace(scene(damping=1e7), stiffness=1e13)
     assert stiff.stationary_force_rms == pytest.approx(0.05 * stiff.reaction.static, rel=2e-5)
 
 
 @pytest.mark.parametrize("width", [0.5, 2.5])
 def test_a_smooth_contact_is_linearised_too(width):
-    """Force and damping by differences of the equation's resistance."""
+    """Force and damping follow from differences of the equation's resistance."""
     own = scene(contact=po.Smooth(width), rate_term=0.02, damping=50.0)
     structure, p = Structure.of(own), parameters(own)
     ahead, behind = (resistance(structure, p, 0.0, own.tow_speed + dv) for dv in (1e-5, -1e-5))
@@ -114,7 +114,7 @@ def test_a_smooth_contact_is_linearised_too(width):
     d = 50.0 + (ahead - behind) / 2e-5
     plain = dataclasses.replace(own, effects=po.Effects(random_strength=RANDOM, damping=d, inertial_drag=False))
     expected = plain.stationary_displacement_rms * force / plain.reaction.static
-    assert own.stationary_displacement_rms == pytest.approx(expected, rel=1e-8)  # of the differences
+    assert own.stationary_displacement_rms == pytest.approx(expected, rel=1e-8)  # error of the differences
 
 
 @pytest.mark.parametrize("random", [RANDOM, TABLE], ids=["model", "table"])
@@ -131,17 +131,17 @@ def test_expressions_have_the_values_of_numbers_and_exact_slopes(random, kind):
     found, slopes = (np.array(one) for one in f(*values))
     assert found.ravel() == pytest.approx(
         [at(*values).stationary_force_rms, at(*values).stationary_displacement_rms],
-        rel=1e-10,  # roots of symbols are rounded off below 1e-12 of the steady force
+        rel=1e-10,  # symbolic roots are rounded below 1e-12 of the steady force
     )
     for k, value in enumerate(values):
         ends = [f(*np.where(np.arange(4) == k, value * (1.0 + s), values))[0].full().ravel() for s in (1e-5, -1e-5)]
-        assert slopes[:, k] * value == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-7)  # of central differences
+        assert slopes[:, k] * value == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-7)  # their error
 
 
 @pytest.mark.parametrize(("draws", "near"), [(2, 0.06), pytest.param(20, 0.02, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("random", [RANDOM, TABLE], ids=["model", "table"])
-def test_realisations_followed_by_the_real_equation_have_it(random, draws, near):
-    """Sixty waves for some four hundred oscillations: a draw scatters by 3 %, start and mean take half a per cent."""
+def test_simulated_realisations_have_the_stationary_rms(random, draws, near):
+    """Sixty waves over about four hundred oscillations: a draw scatters by 3 %, the start contributes 0.5 %."""
     own = scene(po.RandomStrength(0.02, 0.3) if random is RANDOM else random)
     steps = po.Accuracy("dop853", steps=3000)
     runs = [po.simulate(realisation(own, 60, seed), 40.0, accuracy=steps) for seed in range(draws)]
@@ -155,7 +155,7 @@ def test_the_spectrum_of_a_record_gives_the_response_to_what_was_recorded():
     path = np.arange(0.0, 200.0, 0.04)
     record = po.StrengthRecord(path, 1.5e6 * (1.0 + drawn.force(path, 0.0) / drawn.static))
     found = scene(po.strength_spectrum(record)).stationary_force_rms
-    # Eight segments, and a resonance as wide as a dozen of their wave numbers: a few per cent.
+    # Eight segments, and a resonance as wide as a dozen of their wave numbers, leave a few per cent.
     assert found == pytest.approx(scene(po.RandomStrength(0.15, 0.3)).stationary_force_rms, rel=0.06)
     short = po.strength_spectrum(record, base_diameter=0.5)
     assert short.wave_number[-1] <= 4.0 * math.pi < po.strength_spectrum(record).wave_number[-1]
@@ -199,12 +199,12 @@ def test_scenes_without_a_stationary_response_are_refused(changes, words):
         (("ab", "cd"), "must be numbers"),
     ],
 )
-def test_spectra_that_cannot_be_are_refused(arguments, words):
+def test_invalid_spectra_are_refused(arguments, words):
     with pytest.raises(po.InputError, match=words):
         po.Spectrum(*arguments)
 
 
-def test_a_share_that_would_stop_is_warned_of():
+def test_a_share_that_would_stop_carries_a_warning():
     calm, wild = (scene(po.RandomStrength(rms, 0.3), damping=100.0) for rms in (0.02, 0.9))
     assert not any("stops or retreats" in text for text in calm.warnings())
     assert any("sometimes stops or retreats" in text for text in wild.warnings())
@@ -212,8 +212,8 @@ def test_a_share_that_would_stop_is_warned_of():
     assert 3.0 * wild._stationary.speed_rms > wild.tow_speed
 
 
-def test_a_design_finds_the_least_of_it():
-    """The best stiffness of an exact objective, beside a scan of numbers."""
+def test_a_design_minimises_it():
+    """The optimum of a scan over the stiffness."""
     d = po.Design()
     stiffness = d.variable("stiffness", guess=1e5, lower=2e4, upper=2e6, unit="N/m", log=True)
     own = dataclasses.replace(scene(), stiffness=stiffness)
@@ -227,4 +227,4 @@ def test_a_design_finds_the_least_of_it():
         for one in scanned
     ]
     assert best.objective <= min(cost) * (1.0 + 1e-9)
-    assert best.variables["stiffness"] == pytest.approx(grid[int(np.argmin(cost))], rel=2e-2)  # of the scan's steps
+    assert best.variables["stiffness"] == pytest.approx(grid[int(np.argmin(cost))], rel=2e-2)  # step of the scan

@@ -1,4 +1,4 @@
-"""`refine`: error against time, on quadratures whose errors are known."""
+"""`refine`: errors and times of quadratures whose errors are known."""
 
 import math
 import re
@@ -13,13 +13,13 @@ from plough_opt.core.refinement import Refinement
 
 
 def gauss(function, order):
-    """Integral of a function from 0 to 1."""
+    """Return the integral of a function from 0 to 1."""
     nodes, weights = gauss_legendre(order)
     return math.fsum(w * function(x) for x, w in zip(nodes, weights, strict=True))
 
 
 def midpoints(count):
-    """Integral of exp from 0 to 1 by the midpoint rule."""
+    """Return the integral of exp from 0 to 1 by the midpoint rule."""
     return math.fsum(math.exp((k + 0.5) / count) for k in range(count)) / count
 
 
@@ -36,7 +36,7 @@ def test_errors_are_those_of_the_gauss_rule_of_exp():
 
 
 def test_the_order_of_a_method_is_recovered():
-    # The reference is at twice the largest size, so its own error, a quarter of the last, is taken off.
+    # The reference has twice the largest size, so its own error is a quarter of the last one.
     found = po.refine(midpoints, [4, 8, 16, 32])
     error = found.errors + (abs(midpoints(64) - (math.e - 1.0))) / midpoints(64)
     rates = [math.log2(coarse / fine) for coarse, fine in pairwise(error)]
@@ -45,7 +45,7 @@ def test_the_order_of_a_method_is_recovered():
 
 
 def test_errors_of_arrays_are_the_largest_relative_to_the_largest_value():
-    # Of the reference (2, -20, 2) the entries are off by 1/size, 4/size, 0.
+    # The errors of the elements of (2, -20, 2) are 1/size, 4/size and 0.
     found = po.refine(lambda size: np.array([2.0 + 1.0 / size, -20.0 + 4.0 / size, 2.0]), [4, 1, 2, 2])
     assert found.sizes == (1, 2, 4)
     reference = 20.0 - 4.0 / 8
@@ -83,7 +83,7 @@ def test_the_table_shows_size_error_and_cost():
 
 
 @pytest.mark.parametrize("sizes", [[], [0, 4], [-2], [4, 0], [2.5, 4], ["4"]])
-def test_sizes_that_are_none_are_refused(sizes):
+def test_invalid_sizes_are_refused(sizes):
     with pytest.raises(po.InputError) as caught:
         po.refine(float, sizes)
     assert str(sizes) in str(caught.value)

@@ -54,10 +54,10 @@ def test_numbers_outside_their_domain_are_refused_by_name(r1_scene, name):
             with_quantities(scene, {name: wrong})
 
 
-# --- what a scene knows ---
+# --- properties ---
 
 
-def test_reaction_is_that_of_the_soil_without_what_is_off(r1_scene):
+def test_reaction_omits_effects_that_are_off(r1_scene):
     full = po.soil_reaction(r1_scene().cone, r1_scene().soil)
     dry = po.soil_reaction(r1_scene().cone, dataclasses.replace(r1_scene().soil, ambient_pressure=0.0))
     assert r1_scene().reaction == full
@@ -83,7 +83,7 @@ def test_scales_of_a_scene(r1_scene):
 
 @pytest.mark.parametrize("name", po.soil_names())
 @pytest.mark.parametrize(("pressure", "advised"), [(101325.0, True), (8e3, False)])
-def test_ambient_share_is_what_the_pressure_adds(r1_scene, name, pressure, advised):
+def test_ambient_share_is_the_part_of_the_pressure(r1_scene, name, pressure, advised):
     # It does not depend on the share: A is proportional to nu p_a + tau0/(1 + mu), equation (26).
     soil = dataclasses.replace(po.named_soil(name), ambient_pressure=pressure)
     mu = math.sin(soil.friction_angle)
@@ -103,7 +103,7 @@ def test_without_ambient_pressure_there_is_no_share_and_no_warning(r1_scene, r1_
 
 
 @pytest.mark.parametrize(("half_angle", "warned"), [(15.0, False), (19.99, False), (20.01, True), (35.0, True)])
-def test_a_blunt_share_is_warned_of(r1_scene, half_angle, warned):
+def test_a_blunt_share_carries_a_warning(r1_scene, half_angle, warned):
     scene = dataclasses.replace(r1_scene(ambient_pressure=False), share=po.Cone(po.deg(half_angle), 0.25))
     found = scene.warnings()
     assert bool(found) == warned
@@ -132,7 +132,7 @@ def test_a_scene_of_casadis_numbers_describes_itself(r1_scene, kind):
 
 
 def test_the_speed_term_is_as_small_as_the_readme_says():
-    """Parts of the draft of the cotton problem's best share, over the named soils."""
+    """The percentages of the draft hold for the best share of the cotton problem in all named soils."""
     cone = po.Wedge(po.deg(39.1), po.deg(15), 0.254).equivalent_cone()
     for speed, low, high in ((1.0, 0.15, 0.35), (2.0, 0.65, 1.35), (3.0, 1.5, 3.0)):
         for name in po.soil_names():

@@ -1,4 +1,4 @@
-"""Scenes in the elastic medium: the steady contact force, and nothing that has no meaning there."""
+"""Scenes in the elastic medium: the steady contact force, and refusals of effects without meaning there."""
 
 import dataclasses
 import json
@@ -60,7 +60,7 @@ def test_draft_is_the_contact_force_on_the_equivalent_cone(share):
     assert run.mean_draft == pytest.approx(force, rel=1e-14)
     np.testing.assert_allclose(run.mount_force, force, rtol=1e-14)
     np.testing.assert_allclose(run.deflection, force / 5e5, rtol=1e-14)
-    # Rounding of the average of one value.
+    # Rounding of the average of a constant.
     assert run.force_rms <= 1e-14 * force
     assert run.tow_power == pytest.approx(2.0 * force, rel=1e-14)
 
@@ -74,7 +74,7 @@ def test_scene_carries_no_part_of_the_plastic_gas():
 
 
 def test_ambient_pressure_only_keeps_the_contact():
-    # The face of a cone is pressed everywhere, so contact is never lost and the gauge force stays.
+    # The soil presses on the whole cone, so contact is never lost and the force above ambient pressure stays.
     without = scene(effects=po.Effects(motion=False, ambient_pressure=False))
     assert without.steady_resistance == pytest.approx(scene().steady_resistance, rel=1e-14)
 
@@ -96,12 +96,12 @@ def test_ambient_pressure_only_keeps_the_contact():
         ({"medium": "viscous"}, "no resistance law is named 'viscous'.*elastic.*plastic"),
     ],
 )
-def test_what_has_no_meaning_is_refused(changes, message):
+def test_effects_without_meaning_are_refused(changes, message):
     with pytest.raises(po.InputError, match=message):
         scene(**changes)
 
 
-def test_it_loosens_nothing():
+def test_it_has_no_loosened_section():
     run = po.simulate(scene(), duration=1.0)
     with pytest.raises(po.InputError, match="no compaction front"):
         _ = run.specific_draft
@@ -117,7 +117,7 @@ def test_soil_without_elastic_constants_and_a_speed_beyond_the_shear_wave_are_re
 
 
 def test_symbolic_scene_has_the_force_and_its_derivatives():
-    # Second derivatives are those of the force, in tests/elastic.
+    # Second derivatives are tested in tests/elastic.
     speed, slope = ca.MX.sym("speed"), ca.MX.sym("slope")
     run = po.simulate(scene(share=po.Cone(ca.atan(slope), 0.25), tow_speed=speed), duration=1.0, outputs=3)
     gradient = ca.gradient(run.mean_draft, ca.vertcat(speed, slope))
@@ -130,7 +130,7 @@ def test_symbolic_scene_has_the_force_and_its_derivatives():
     assert float(value) == pytest.approx(force(20.0, 0.2), rel=1e-13)
     slopes = [(force(20 + 20 * step, 0.2) - force(20 - 20 * step, 0.2)) / (40 * step),
               (force(20, 0.2 + step) - force(20, 0.2 - step)) / (2 * step)]  # fmt: skip
-    # Second-order differences of a step of a thousandth.
+    # Central differences with relative steps of 1e-3.
     np.testing.assert_allclose(first.full().ravel(), slopes, rtol=1e-4)
 
 

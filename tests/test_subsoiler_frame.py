@@ -1,4 +1,4 @@
-"""The larger design: its parts against closed forms, its optimum certified, and no better design by brute force."""
+"""The larger design: parts against closed forms, a certified optimum, and no better design by brute force."""
 
 import sys
 from pathlib import Path
@@ -49,7 +49,7 @@ def free(checks, best):
 
 
 def test_moments_are_those_of_textbook_beams(frame):
-    # Load P in the middle of a span 2b: P b / 2 sagging; a load a outside a bracket: -P a over it, and none beyond.
+    # A load P in the middle of a span 2b: sagging P b / 2. At a distance a outside a bracket: -P a at the bracket.
     middle = frame.moments([0.0], [10.0], 2.0)
     assert middle == pytest.approx([-10.0, 0.0, 0.0])
     ends = frame.moments([-3.0, 3.0], [10.0, 10.0], 2.0)
@@ -64,7 +64,7 @@ def test_traction_by_hand(frame):
     assert (gross - net) / weight == pytest.approx(0.06 + 0.05 / 50**0.5, rel=1e-12)
 
 
-def test_the_motion_in_numpy_tends_to_the_toolkits_orbit_with_the_fourth_order(frame, checks):
+def test_the_motion_in_numpy_converges_to_the_orbit_with_order_4(frame, checks):
     scene = po.Scene(frame.soil(0.5), po.Cone(0.26, 0.35), 3e5, 80.0, 1.4, frame.EFFECTS)
     orbit = po.simulate(scene)
     errors = [abs(checks.lasting(scene, 12, steps).force_rms / orbit.force_rms - 1.0) for steps in (32, 64)]
@@ -79,14 +79,14 @@ def test_the_motion_in_numpy_tends_to_the_toolkits_orbit_with_the_fourth_order(f
 def test_the_optimum_is_certified(checks, solved):
     c, m, best = solved
     assert best.status == "solved"
-    # The optimiser's own tolerances are 1e-10, in scaled values.
+    # The tolerances of the optimiser are 1e-10 in scaled values.
     assert checks.least_margin(m, best) > -1e-9
     assert checks.kkt_residual(c, m, best) < 1e-8
     assert best.gap < 1e-8
     assert best.error_estimate < 1e-8
 
 
-def test_the_limits_that_decide_are_those_of_the_text(solved):
+def test_the_active_limits_are_those_of_the_text(solved):
     _, _, best = solved
     assert set(best.active) == {"half angle", "loosened overlap", "oscillation", "stress", "grip", "power"}
 
@@ -94,7 +94,7 @@ def test_the_limits_that_decide_are_those_of_the_text(solved):
 def test_numpy_alone_gives_the_same_fuel(checks, solved):
     _, m, best = solved
     found = checks.evaluate(free(checks, best), len(m.scenes))
-    # Mean drafts by Runge and Kutta's steps are within 1e-7; the oscillation that binds by 3e-5.
+    # By Runge-Kutta steps the error of mean drafts is 1e-7, and that of the active oscillation limit 3e-5.
     assert found.fuel[0] == pytest.approx(best(m.fuel), rel=1e-6)
     assert found.worst[0] < 5e-5
     for name in ("height", "tube", "slip"):
@@ -104,12 +104,12 @@ def test_numpy_alone_gives_the_same_fuel(checks, solved):
 def test_no_design_near_the_optimum_is_better(checks, solved):
     _, m, best = solved
     random = np.random.default_rng(3).uniform(-1.0, 1.0, (len(checks.FREE), 1500))
-    # Nearer ones and further ones; blunter shares break the half angle.
+    # Designs at different distances; blunter shares violate the half angle.
     rows = free(checks, best) * (1.0 + random * np.geomspace(1e-3, 0.2, random.shape[1]))
     found = checks.evaluate(rows, len(m.scenes))
     excess = found.fuel[found.worst <= 1e-9] / best(m.fuel) - 1.0
     assert excess.size > 20
-    # The oscillation's error of 3e-5 is worth less than 1e-6 of the fuel.
+    # The error of 3e-5 in the oscillation changes the fuel by less than 1e-6.
     assert -1e-6 < excess.min() < 0.01
 
 

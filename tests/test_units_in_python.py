@@ -1,4 +1,4 @@
-"""Quantities in Python: texts and pint quantities beside SI numbers, refusals with their remedy, likely slips."""
+"""Quantities in Python: texts and pint quantities as well as SI numbers, refusals with a remedy, likely slips."""
 
 import dataclasses
 import math
@@ -45,7 +45,7 @@ def test_texts_pint_quantities_and_si_numbers_make_the_same_scene():
         effects=po.Effects(strength_wave=po.StrengthWave(0.3, 0.2, math.pi / 2), damping=400.0),
     )
     wanted = numbers.steady_resistance
-    # Factors of units are decimal numbers, whose products round by some 1e-16.
+    # Products of decimal unit factors round by about 1e-16.
     for scene in (texts, quantities):
         assert scene.steady_resistance == pytest.approx(wanted, rel=1e-14)
         assert scene.natural_frequency == pytest.approx(numbers.natural_frequency, rel=1e-14)
@@ -53,7 +53,7 @@ def test_texts_pint_quantities_and_si_numbers_make_the_same_scene():
     assert po.simulate(texts, "0.1 s", outputs=2).duration == 0.1
 
 
-def test_symbols_and_arrays_stay_as_they_are():
+def test_symbols_and_arrays_are_kept():
     k = ca.MX.sym("k")
     assert po.Scene(SOIL, po.Cone(0.2, 0.25), k, 20.0, 2.0).stiffness is k
     heights = np.array([0.2, 0.3])
@@ -71,7 +71,7 @@ def test_symbols_and_arrays_stay_as_they_are():
         (50 * U.kg, 'stiffness = "50 kilogram" has the wrong unit'),
     ],
 )
-def test_what_is_no_such_quantity_is_refused(value, words):
+def test_invalid_quantities_are_refused(value, words):
     with pytest.raises(po.InputError) as caught:
         po.Scene(SOIL, po.Cone(0.2, 0.25), value, 20.0, 2.0)
     assert words in str(caught.value)
@@ -92,17 +92,17 @@ SLIPS = {
 
 
 @pytest.mark.parametrize("name", SLIPS)
-def test_a_number_in_another_unit_is_asked_about_where_it_is_given(name):
+def test_a_number_in_another_unit_warns_at_the_callers_line(name):
     make, value, meant = SLIPS[name]
     with pytest.warns(po.ImplausibleValue, match=f"did you mean {meant.replace('^', '.')}?") as caught:
         make(value)
     assert [warning.filename for warning in caught] == [__file__]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        make(meant)  # what has its unit is meant
+        make(meant)  # a value with its unit is meant
 
 
-def test_what_was_meant_is_asked_about_once_and_not_where_the_toolkit_makes_it_again():
+def test_an_implausible_value_warns_once_and_not_where_the_toolkit_copies_it():
     scene = po.Scene(SOIL, po.Cone(0.2, 0.25), "50 N/m", 20.0, 2.0, po.Effects(motion=False))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -112,13 +112,13 @@ def test_what_was_meant_is_asked_about_once_and_not_where_the_toolkit_makes_it_a
         assert with_quantities(scene, {"scene.stiffness": 60.0}).stiffness == 60.0
 
 
-def test_typical_values_are_plausible_and_slips_lead_back_inside():
+def test_typical_values_are_plausible():
     for quantity in EVERY.values():
         assert quantity.slip(quantity.typical) == "", quantity.name
         assert quantity.plausible[0] < quantity.typical <= quantity.plausible[1]
 
 
-def test_a_design_takes_texts_quantities_and_numbers():
+def test_a_design_accepts_texts_quantities_and_numbers():
     d = po.Design()
     height = d.variable("height", guess="250 mm", lower="100 mm", upper="0.5 m", tolerance="2 mm")
     d.variable("stiffness", guess=50 * U.kN / U.m, lower="10 kN/m", upper=1e6, unit="N/m", log=True)
@@ -147,11 +147,11 @@ def test_plain_numbers_with_a_unit_that_is_not_si_are_refused_with_the_remedy():
         d.parameter("friction", 28, unit="deg")
     with pytest.raises(po.InputError, match="variable 'mixed': lower = \"1 kg\" has the wrong unit"):
         d.variable("mixed", guess="2 m", lower="1 kg", upper="3 m")
-    # A unit that is none of physics is for reports alone.
+    # A unit outside physics only labels reports.
     d.variable("price", guess=2.0, lower=1.0, upper=3.0, unit="EUR")
 
 
-def test_an_implausible_value_of_a_file_is_asked_about(capsys, tmp_path):
+def test_an_implausible_value_in_a_file_is_noted(capsys, tmp_path):
     path = tmp_path / "slip.toml"
     path.write_text(TEMPLATE.replace('tow_speed = "7.2 km/h"', 'tow_speed = "7.2 m/s"'), encoding="utf-8")
     problem = po.read_problem(path)
@@ -163,7 +163,7 @@ def test_an_implausible_value_of_a_file_is_asked_about(capsys, tmp_path):
     assert "ImplausibleValue" not in said
 
 
-def test_durations_bounds_and_limits_take_texts_and_pint():
+def test_durations_bounds_and_limits_accept_texts_and_pint():
     scene = po.Scene(po.named_soil("serozem"), po.Cone("10 deg", "25 cm"), "50 kN/m", "30 kg", "2 m/s")
     stiffness = ca.MX.sym("stiffness")
     varied = dataclasses.replace(scene, stiffness=stiffness, effects=po.Effects(damping=400.0))
@@ -190,6 +190,6 @@ def test_durations_bounds_and_limits_take_texts_and_pint():
         ),
     ],
 )
-def test_bounds_of_another_kind_are_refused(make, said):
+def test_bounds_of_another_unit_are_refused(make, said):
     with pytest.raises(po.InputError, match=said):
         make()

@@ -1,7 +1,7 @@
-"""`Accuracy(error=...)`: the error that was asked for is met, and the estimate of the one made is no smaller than it.
+"""`Accuracy(error=...)`: the wanted error is met, and the estimate is no smaller than the actual error.
 
-The scenes are sampled over soils, shares, mounts, speeds and every effect of a motion; the truth is a reference in the
-widest floats, by another method, of laws written anew.
+The scenes are sampled over soils, shares, mounts, speeds and all effects of a motion. The reference is computed in
+extended precision, by another method and from separately written laws.
 """
 
 import numpy as np
@@ -37,7 +37,7 @@ def sampled(seed):
     contact = pick("resisting", "resisting", smooth, po.StickSlip(pick(1.0, 1.3)))
     stiffness, mass, speed = between(5e3, 1e6), random.uniform(10.0, 60.0), random.uniform(0.3, 3.0)
     effects = po.Effects(
-        # A share that is pushed back under a fixed sign may be driven away by its own drag.
+        # A resistance of constant sign may drive a retreating share away by its own drag.
         contact=contact if start == "equilibrium" or contact != "resisting" else smooth,
         start=start,
         inertial_drag=pick(True, False),
@@ -52,7 +52,7 @@ def sampled(seed):
     return po.Scene(soil, share, stiffness, mass, speed, effects), random.uniform(0.1, 0.6), wanted
 
 
-# A scene whose reference takes half a minute: left to the whole set.
+# Seeds whose reference takes half a minute, for the slow test only.
 LONG = {9}
 
 
@@ -66,7 +66,7 @@ def test_the_wanted_error_is_met(count, capsys):
         try:
             truth = reference_run(scene, duration, outputs=OUTPUTS)
         except po.IntegrationError:
-            # A share that the soil, of a fixed sign, drives away without end.
+            # The soil drives the share away without bound.
             with pytest.raises(po.IntegrationError):
                 po.simulate(scene, duration, accuracy=po.Accuracy(error=wanted), outputs=OUTPUTS)
             refused += 1
@@ -76,7 +76,7 @@ def test_the_wanted_error_is_met(count, capsys):
         made = errors_of(run, truth.run)
         error = max(made["averages"], made["trajectory"])
         methods[run.accuracy.method] = methods.get(run.accuracy.method, 0) + 1
-        # Double precision leaves some 1e-13 of the largest force.
+        # Rounding is about 1e-13 of the largest force.
         met += error <= max(wanted, 1e-13)
         estimated += error <= max(2.0 * run.error_estimate, 1e-13)
         if error > wanted or run.error_estimate > wanted:

@@ -1,4 +1,4 @@
-"""Arguments that are not numbers, or outside a formula's domain, are refused by name and never computed with."""
+"""Arguments of the wrong type or outside a formula's domain are refused by name."""
 
 import dataclasses
 import math
@@ -22,7 +22,7 @@ def _denser(order=16):
     return SOIL.with_density_profile(lambda r, w: 1350.0 * (1.05 + 0.3 * exp(-((r / w) ** 2))), 0.15, order=order)
 
 
-# --- arrays where a formula holds for one number ---
+# --- arrays where a formula needs one number ---
 
 ARRAYS = {
     "angles": lambda n: po.resistance(po.Cone(np.linspace(0.1, 0.2, n), 0.25), _denser(), 2.0, 0.0),
@@ -43,7 +43,7 @@ ARRAYS = {
 
 
 @pytest.mark.parametrize("call", ARRAYS.values(), ids=ARRAYS)
-# As many as the quadratures have nodes, or cells: so many would be met element by element, and give numbers.
+# As many elements as a quadrature has nodes or cells would broadcast against these and give wrong numbers.
 @pytest.mark.parametrize("count", [3, 7, 16])
 def test_arrays_never_meet_the_nodes_of_a_quadrature(call, count):
     with pytest.raises(po.InputError, match="one number per quantity"):
@@ -55,11 +55,11 @@ def test_an_array_of_one_number_is_that_number():
     assert alone == pytest.approx([po.resistance(CONE, _denser(), v, 0.0) for v in (1.0, 2.0)], rel=1e-15)
 
 
-# --- numbers that are none ---
+# --- invalid numbers ---
 
 
 @pytest.mark.parametrize("value", [[0.2], (0.2,), [0.2, 0.3]])
-def test_lists_are_no_numbers(value):
+def test_lists_are_refused(value):
     with pytest.raises(po.DomainError, match=r"half angle = .* must be a number or a NumPy array, in rad"):
         po.Cone(value, 0.25)
     with pytest.raises(po.DomainError, match=r"speed = .* must be a number or a NumPy array"):
@@ -67,19 +67,19 @@ def test_lists_are_no_numbers(value):
 
 
 @pytest.mark.parametrize("kind", [np.int8, np.uint8, np.int16, np.uint16, np.float16])
-def test_numbers_of_few_bytes_are_refused(kind):
-    # A cone of 10 m would have a negative volume of bytes.
+def test_short_number_types_are_refused(kind):
+    # In 8 bits a cone of 10 m would have a negative volume.
     with pytest.raises(po.DomainError, match=f"share height has type {np.dtype(kind)}, .* float"):
         po.Cone(0.2, np.array([1, 10], dtype=kind))
 
 
 @pytest.mark.parametrize("value", ["30 deg", None, [30.0], True, float("nan")])
-def test_degrees_of_what_is_no_number(value):
+def test_degrees_of_invalid_numbers_are_refused(value):
     with pytest.raises(po.DomainError, match=r"angle = .* must be (a number|finite)"):
         po.deg(value)
 
 
-# --- other things in the place of a soil, a share, effects or a switch ---
+# --- wrong types of soil, share, effects and switches ---
 
 
 @pytest.mark.parametrize(
@@ -91,7 +91,7 @@ def test_degrees_of_what_is_no_number(value):
         ({"effects": None}, "scene's effects = None must be an Effects"),
     ],
 )
-def test_a_scene_is_made_of_its_own_parts(change, words):
+def test_a_scene_with_a_part_of_the_wrong_type_is_refused(change, words):
     parts = {"soil": SOIL, "share": CONE, "stiffness": 5e4, "mass": 25.0, "tow_speed": 2.0}
     with pytest.raises(po.InputError, match=words):
         po.Scene(**parts | change)
@@ -99,13 +99,13 @@ def test_a_scene_is_made_of_its_own_parts(change, words):
 
 @pytest.mark.parametrize("name", ["motion", "inertial_drag", "added_mass", "ambient_pressure", "entry"])
 @pytest.mark.parametrize("value", ["off", "no", 0, 1, None])
-def test_a_switch_is_on_or_off(name, value):
+def test_a_switch_must_be_a_bool(name, value):
     with pytest.raises(po.InputError, match=f"{name} = {value!r} must be True or False"):
         po.Effects(**{name: value})
 
 
 @pytest.mark.parametrize("call", [po.resistance_coefficients, po.soil_reaction, po.added_mass, po.loosened_radius])
-def test_forces_are_those_of_a_cone_in_a_soil(call):
+def test_forces_of_the_wrong_types_are_refused(call):
     with pytest.raises(po.InputError, match=r"must be a Cone: use its equivalent_cone\(\)"):
         call(po.Wedge(0.5, 0.2, 0.25), SOIL)
     with pytest.raises(po.InputError, match=r"the cone = 0\.3 must be a Cone$"):
@@ -114,7 +114,7 @@ def test_forces_are_those_of_a_cone_in_a_soil(call):
         call(CONE, "serozem")
 
 
-# --- what leaves the process, or the package ---
+# --- pickled errors ---
 
 
 @pytest.mark.parametrize(
@@ -135,11 +135,11 @@ def test_errors_come_back_from_another_process(error):
     assert vars(copy) == vars(error)
 
 
-def test_type_checkers_are_told_that_there_are_types():
+def test_the_package_is_marked_as_typed():
     assert (files("plough_opt") / "py.typed").is_file()
 
 
-# --- arguments of verbs ---
+# --- arguments of public functions ---
 
 
 def _design():
@@ -163,7 +163,7 @@ SYMBOL = ca.MX.sym("x")
 NO_NUMBER = ("3", None, [1.0], {}, 1j, b"3", object(), np.array([1.0, 2.0]), SYMBOL, True)
 NO_COUNT = ("3", 2.5, 64.0, None, [], 0, -1, 1j, object(), np.array([1.0, 2.0]), SYMBOL, True)
 NO_FINITE = (math.nan, math.inf, 10**400)
-# What only a refusal answers rightly; that nothing wrong gives NaN is shown for every argument in tests/bad_input.
+# Arguments that must be refused. tests/bad_input checks that no argument of any public function gives NaN.
 VERBS = {
     "component samples": (lambda wrong: _component(samples=wrong), NO_COUNT),
     "component inputs": (lambda wrong: _component(inputs=wrong), (None, 3, 1.5, SYMBOL, object(), [3])),
@@ -183,14 +183,14 @@ VERBS = {
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_arguments_of_another_kind_are_refused(verb):
+def test_arguments_of_the_wrong_type_are_refused(verb):
     call, wrongs = VERBS[verb]
     for wrong in wrongs:
         with pytest.raises((po.InputError, po.DomainError)):
             call(wrong)
 
 
-# --- numbers whose powers leave floating point ---
+# --- overflow ---
 
 BEYOND = {
     "whole number": lambda: po.Cone(10**400, 0.25),
@@ -206,12 +206,12 @@ BEYOND = {
 
 
 @pytest.mark.parametrize("call", BEYOND.values(), ids=BEYOND)
-def test_numbers_that_cannot_be_computed_with_are_refused(call):
+def test_numbers_that_would_overflow_are_refused(call):
     with pytest.raises((po.DomainError, po.InputError), match=r"must (be|lie)|at least|node 1|cone indices|within"):
         call()
 
 
-def test_the_largest_numbers_are_computed_with():
+def test_the_largest_numbers_are_accepted():
     assert math.isfinite(po.resistance(CONE, SOIL, 1e60, 0.0))
     assert math.isfinite(po.Cone(0.2, 1e60).volume)
 
@@ -219,7 +219,7 @@ def test_the_largest_numbers_are_computed_with():
 # --- names ---
 
 
-def test_variables_parameters_and_requirements_have_names_of_their_own():
+def test_a_name_is_declared_once():
     kinds = {
         "variable": lambda d: d.variable("x", guess=0.5, lower=0.0, upper=1.0),
         "parameter": lambda d: d.parameter("x", 1.0),
@@ -240,8 +240,8 @@ def test_an_input_is_given_once():
         made(**{"share.height": 0.2, "share_height": 0.3})
 
 
-def test_a_requirement_may_have_the_name_of_the_fronts_own():
-    """Its margins and its violation are those of any other."""
+def test_a_requirement_may_have_the_name_of_a_fronts_own_one():
+    """Its margins are those of any other requirement."""
     d, scene = _design()
     d.require("position on the front", scene.cone.half_angle, at_most=0.3, unit="rad")
     draft = po.simulate(scene, 1.0).mean_draft

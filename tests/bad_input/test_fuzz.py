@@ -1,6 +1,6 @@
 """Thousands of wrong inputs: each is answered by a message with its place and a remedy, never by a traceback.
 
-Warnings are errors in these tests, so that a warning is not an answer either. Every case is seeded by its number.
+A warning counts as a failure. Every case is seeded by its number.
 """
 
 import contextlib
@@ -44,12 +44,13 @@ PLACE = re.compile(
 )
 REMEDY = re.compile(
     r"did you mean|valid names|\b(write|must|give|take|use|leave|omit|remove|name|add|lower|raise|join|merge|set|check"
-    r"|belongs?|outside its bounds|contradict|expected|known|needs?|needed|make|least|cannot be|say|choose)\b"
+    r"|belongs?|outside its bounds|contradict|expected|known|needs?|needed|make|least|cannot be|say|choose"
+    r"|number|replace|shorten|split)\b"
 )
 
 
 def judge(status, message):
-    """Refuse an answer that is neither a success nor a message that helps."""
+    """Assert that an answer is a success, or a message with place and remedy."""
     assert status in (0, 2), message
     if status == 2:
         assert PLACE.search(message), message
@@ -67,7 +68,7 @@ def answered(verb, *arguments):
 
 
 def refused(read, path):
-    """Return the status and the message with which a file is read in Python."""
+    """Return status and message of reading a file in Python."""
     try:
         read(path)
     except po.InputError as error:
@@ -76,7 +77,7 @@ def refused(read, path):
 
 
 def run(count, answer, folder):
-    """Answer seeded cases, a good part of which must be refused."""
+    """Judge the answers to seeded cases, of which at least a quarter must be refusals."""
     refusals = 0
     for number in range(count):
         status, message = answer(random.Random(number), folder / "case")
@@ -89,7 +90,7 @@ def run(count, answer, folder):
 
 
 def thinned(few, many):
-    """Run few cases by default, and many in the slow tests."""
+    """Parametrise by the number of cases: few by default, many in the slow tests."""
     return pytest.mark.parametrize("count", [few, pytest.param(many, marks=pytest.mark.slow)])
 
 
@@ -168,7 +169,7 @@ SAVED = [
 
 
 def numbers_in(data, path=()):
-    """Yield the place of every number inside JSON."""
+    """Yield the path of every number inside JSON."""
     for key, value in data.items() if isinstance(data, dict) else enumerate(data):
         if isinstance(value, dict | list):
             yield from numbers_in(value, (*path, key))
@@ -183,7 +184,7 @@ def printed_by(verb, name, *options):
     return out.getvalue()
 
 
-# What may be infinite: what data do not determine, a motion that cannot be predicted, a design without a value.
+# Fields that may be infinite: undetermined parameters, unpredictable motions, designs without a value.
 UNBOUNDED = {"error_estimate", "standard_error", "sigma", "interval", "errors", "search"}
 
 
@@ -192,11 +193,11 @@ UNBOUNDED = {"error_estimate", "standard_error", "sigma", "interval", "errors", 
     [pytest.param(one, marks=() if one is RUN else pytest.mark.slow) for one in SAVED],
     ids=lambda command: " ".join(command[:2]),
 )
-def test_a_text_is_no_number_of_a_saved_result(command, tmp_path):
+def test_texts_instead_of_numbers_in_saved_results_are_refused(command, tmp_path):
     text = printed_by(*command)
     path, kinds = tmp_path / "saved.json", {}
     path.write_text(text, encoding="utf-8")
-    # What stands there for other readers alone is not read back.
+    # Other parts are for other readers and are not loaded.
     read = {one.name for one in dataclasses.fields(po.load(path))} | {"schema", "shown"}
     for place in (place for place in numbers_in(json.loads(text)) if place[0] in read):
         kinds.setdefault(tuple("#" if isinstance(key, int) else key for key in place), place)

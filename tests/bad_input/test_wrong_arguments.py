@@ -1,6 +1,6 @@
-"""Every argument of every public function, given wrongly: an error that says what is wrong, or an answer without NaN.
+"""Wrong values for every argument of every public function: a clear error, or an answer without NaN.
 
-Warnings are errors in these tests, so that a warning is not an answer either.
+A warning counts as a failure.
 """
 
 import random
@@ -13,24 +13,24 @@ from helpers.recipes import WRONG, recipes
 
 import plough_opt as po
 
-# Functions of the user's that would have to be called with what is wrong, and what is right though it looks wrong.
+# Cases that are valid although they look wrong, or that cannot be checked.
 LEFT_OUT = {
-    # Returns what holds no expression as it is.
+    # Values without expressions are returned unchanged.
     *(("Optimum()", "item", wrong) for wrong in WRONG),
-    # Processes of its own, which tests of sweeps begin.
+    # Starts processes; tested with sweeps.
     ("sweep", "executor", "None"),
-    # Whole numbers of more digits than Python writes, for a name or a number of samples.
+    # Whole numbers with more digits than Python prints.
     ("Output", "name", "vaster"),
     ("sweep", "samples", "vaster"),
-    # An expression of SX beside a scene of MX.
+    # An SX expression with an MX scene.
     ("Batch", "duration", "SX"),
-    # Expressions that take minutes to build: of SX the force's quadratures are written out.
+    # Takes minutes to build: SX expands the quadratures of the force.
     *(("elastic.cone_force", argument, "SX") for argument in ("speed", "section_factor")),
 }
 
 
 def cases():
-    """Return all names of functions, arguments and wrong values, in a shuffled order that repeats."""
+    """Return all triples of function, argument and wrong value in a reproducible random order."""
     found = [
         (name, argument, wrong)
         for name, (_, arguments) in recipes().items()
@@ -43,11 +43,11 @@ def cases():
 
 
 def complaint(name, argument, wrong):
-    """Return what is wrong with the answer to one case, or None."""
+    """Return the defect of the answer to one case, or None."""
     function, arguments = recipes()[name]
     try:
         with warnings.catch_warnings():
-            # Half a pascal of cohesion may be meant.
+            # An implausible value may be intended.
             warnings.simplefilter("ignore", po.ImplausibleValue)
             answer = function(**arguments | {argument: WRONG[wrong]})
     except po.PloughError as error:
@@ -65,13 +65,13 @@ def complaint(name, argument, wrong):
 
 
 @pytest.mark.parametrize("count", [300, pytest.param(None, marks=pytest.mark.slow)], ids=["some", "all"])
-def test_wrong_arguments_are_told(count, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # where a sweep may put its store
+def test_wrong_arguments_are_refused(count, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # a sweep may write its store here
     told = {case: said for case in cases()[:count] if (said := complaint(*case))}
     assert told == {}
 
 
-def test_right_arguments_are_taken():
+def test_valid_arguments_are_accepted():
     missing = ("load", "read_measurements", "read_penetrometer", "read_strength_record", "Sweep.load")  # files
     elsewhere = ("trade_off", "calibrate", "sweep", "study_accuracy", "study_design", "uncertainty.verify")
     for name, (function, arguments) in recipes().items():
@@ -83,7 +83,7 @@ def test_right_arguments_are_taken():
 
 
 def test_every_public_name_has_a_recipe():
-    """But for errors, and results that the package alone makes."""
+    """Errors, and results that only the package creates, need none."""
     results = {
         "AccuracyStudy", "BatchResult", "Component", "Design", "DomainError", "Fit", "ImplausibleValue",
         "InfeasibleDesign", "InputError", "IntegrationError", "LocalOptimum", "NotConverged", "Optimum",

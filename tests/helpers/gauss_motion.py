@@ -1,6 +1,6 @@
-"""Motion of a share in its spring's deflection z by Gauss collocation of order 16, exact to rounding if smooth.
+"""Motion of a share in the deflection z by Gauss collocation of order 16, exact to rounding where it is smooth.
 
-For scenes without events. The averages are quadratures over the same nodes, and an RMS is a second pass about the mean.
+For scenes without events. Averages are quadratures over the same nodes, with a second pass for deviations.
 """
 
 import itertools
@@ -21,7 +21,7 @@ def _tableau():
     def lagrange(j, x):
         return np.prod([(x - c[m]) / (c[j] - c[m]) for m in range(STAGES) if m != j], axis=0)
 
-    # The integral of a polynomial of degree 7 from 0 to c_i is exact by the rule itself.
+    # The rule integrates polynomials of degree 7 from 0 to c_i exactly.
     return np.array([[ci * (b @ lagrange(j, ci * c)) for j in range(STAGES)] for ci in c]), b, c
 
 
@@ -30,7 +30,7 @@ A, B, C = _tableau()
 
 @dataclass(frozen=True)
 class Motion:
-    """End of a motion, and its averages."""
+    """State at the end of a motion, and averages."""
 
     deflection: float
     speed: float
@@ -78,7 +78,7 @@ def _start(scene):
 
 
 def follow(scene, duration, steps=60, kinks=()):
-    """Return the `Motion` of a numeric scene; steps end at the end of the tow ramp and at further kinks."""
+    """Return the `Motion` of a numeric scene; steps end at the end of the tow ramp and at given kinks."""
     k, c, inertia = scene.stiffness, scene.effects.damping or 0.0, scene.inertia
 
     def rates(t, z, rate):

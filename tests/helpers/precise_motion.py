@@ -1,7 +1,6 @@
-"""Motion of a share by mpmath's Taylor method with 28 digits, piece by piece between events given from outside.
+"""Motion of a share by mpmath's Taylor method with 28 digits, piece by piece between given events.
 
-What ends a piece is not searched for here: the caller says when and what, and is told by how much the event function
-misses zero there.
+The caller gives times and kinds of the events. The result states by how much each event function misses zero.
 """
 
 import math
@@ -13,12 +12,12 @@ import plough_opt as po
 mp = mpmath.mp.clone()
 mp.dps = 28
 
-# Part of its width by which the step of a smooth contact is left late: there it is 0 or 1 to 1e-18.
+# A piece crosses the end of the smooth contact's step by this fraction of the width, where the step is 0 or 1 to 1e-18.
 LATE = mp.mpf(1e-4)
 
 
 class PreciseShare:
-    """The forces of a numeric scene, in the travel L and the speed L', from the model's equations."""
+    """Forces of a numeric scene as functions of travel L and speed L', from the model's equations."""
 
     def __init__(self, scene):
         effects, reaction = scene.effects, scene.reaction
@@ -30,7 +29,7 @@ class PreciseShare:
         self.static, self.drag, self.added = (number(x) for x in (reaction.static, reaction.drag, reaction.added_mass))
         self.rate, self.ramp, self.v0 = (number(x) for x in (effects.rate_term, effects.tow_ramp, scene.tow_speed))
         wave = effects.strength_wave
-        # The equation has 2 pi as a double: its rounding, times the radians of a motion, is none of the integration's.
+        # The equation holds 2 pi as a double, whose rounding is not an error of the integration.
         turn = mp.mpf(2.0 * math.pi)
         self.wave = (number(wave.amplitude), turn / number(wave.wavelength)) if wave else (mp.zero, mp.zero)
         contact = effects.contact
@@ -38,10 +37,10 @@ class PreciseShare:
         self.breakaway = number(contact.breakaway) if isinstance(contact, po.StickSlip) else None
         self.height, self.entry, self.start = number(scene.cone.height), effects.entry, effects.start
         self.own = effects.own
-        self.full = True  # where the smooth contact resists fully: rounding must not choose the side of a kink
+        self.full = True  # smooth contact resists fully; None: partly; False: not at all
 
     def strut(self, t):
-        """Return path and speed."""
+        """Return path and speed of the strut."""
         if t >= self.ramp:
             return self.v0 * (t - self.ramp / 2), self.v0
         u = t / self.ramp
@@ -58,7 +57,7 @@ class PreciseShare:
         return 630 * (u**5 / 5 - 4 * u**6 / 6 + 6 * u**7 / 7 - 4 * u**8 / 8 + u**9 / 9)
 
     def soil(self, travel, speed, depth):
-        """Return the soil's force at a buried part of the height."""
+        """Return the soil's force with a fraction of the height in the soil."""
         epsilon, wave_number = self.wave
         static = self.static * (1 + self.rate * speed**2) * (1 + epsilon * mp.sin(wave_number * travel))
         own = sum((effect.force(travel, speed) for effect in self.own), mp.zero)
@@ -81,7 +80,7 @@ class PreciseShare:
 
 
 def follow(scene, events, duration):
-    """Return travel, speed and mount force at the end, and what each event misses, relative to the scene's sizes."""
+    """Return travel, speed and mount force at the end, and the relative residual of each event function."""
     share = PreciseShare(scene)
     (travel, speed), now, misses = share.first(), mp.zero, []
     following, furthest, mode = share.entry, travel, "slip"
@@ -129,7 +128,7 @@ def follow(scene, events, duration):
 
 
 def _piece(share, span, state, mode, burial):
-    """Integrate a smooth piece."""
+    """Return the state at the end of a smooth piece."""
     start, end = span
     if mode == "stick" or end == start:
         return state

@@ -1,4 +1,4 @@
-"""Equations (25) and (26) of the source to the letter: with pi twice, with 1/3, dividing by nu and by b1."""
+"""Equations (25) and (26) exactly as printed in the source: with pi twice, 1/3, and divisions by nu and b1."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Runs in machine code: the numbers of the interpreted ones, for every combination of effects."""
+"""Runs in machine code give the results of interpreted ones, for every combination of effects."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from plough_opt.core.expressions import Expression
 from plough_opt.motion.compiled_steps import compiled_steps
 
 ARRAYS = ("time", "travel", "speed", "deflection", "mount_force", "soil_resistance")
-# Each with the average beside whose size it is rounded.
+# Average -> the average that sets the scale of its rounding.
 AVERAGES = {
     "mean_draft": "mean_draft",
     "force_rms": "mean_draft",
@@ -20,8 +20,8 @@ AVERAGES = {
     "displacement_rms": "mean_deflection",
     "tow_power": "tow_power",
 }
-# The operations are the same, in the same order, and nothing is fused: on most machines no bit differs. What remains
-# is a compiler's own sine, rounded otherwise in its last digit, over some hundred steps.
+# The operations are the same, in the same order and not fused, so on most machines every bit agrees. A compiler's own
+# sine may round its last digit differently, over a few hundred steps.
 ROUNDED = 1e-12
 
 
@@ -44,7 +44,7 @@ def assert_same(found, expected):
         least = ROUNDED * abs(getattr(expected, beside))
         assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=ROUNDED, abs=least), name
     assert found.accuracy == expected.accuracy
-    # A difference of two runs that agree to eight digits keeps half of what those have.
+    # The difference of two runs that agree to eight digits has about eight digits left.
     assert found.error_estimate == pytest.approx(expected.error_estimate, rel=1e-3, abs=ROUNDED)
 
 
@@ -89,7 +89,7 @@ def test_threads_do_not_share_states(r1_scene, r1_wave):
         assert np.array_equal(run.mount_force, po.simulate(scene, 1.0, compiled=True).mount_force)
 
 
-def test_without_a_compiler_it_is_interpreted_and_says_so(r1_scene, r1_wave, monkeypatch, tmp_path):
+def test_without_a_compiler_a_run_is_interpreted_with_a_warning(r1_scene, r1_wave, monkeypatch, tmp_path):
     scene = r1_scene(strength_wave=r1_wave)
     expected = po.simulate(scene, 1.0)
     monkeypatch.setenv("CC", "no_such_compiler")
@@ -111,7 +111,7 @@ def test_without_a_compiler_it_is_interpreted_and_says_so(r1_scene, r1_wave, mon
         ({"strength_wave": po.StrengthWave(0.3, 0.6), "orbit": "periodic"}, "a periodic orbit"),
     ],
 )
-def test_what_is_not_compiled_says_so(r1_scene, effects, what):
+def test_runs_that_cannot_be_compiled_carry_a_note(r1_scene, effects, what):
     scene = r1_scene(**effects)
     duration = None if "orbit" in effects else 0.2
     found = po.simulate(scene, duration, outputs=20, compiled=True)

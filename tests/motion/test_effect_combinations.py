@@ -1,9 +1,8 @@
-"""Every effect beside every other: what runs is right, what is off is absent, and what is refused says why.
+"""Combinations of all effects: correct motion, balance of energy, no trace of effects that are off, and refusals.
 
-Beside the motion there are books of energy, in every scene of a covering array and where a share leaves its soil
-behind and takes it up again: tow work = change of m L'^2/2, of m alone, + change of k0 z^2/2 + the damper's work
-+ work on the soil, which is that of F with its C L'' term and the loss at recapture. Tow work and changes are the
-run's; the rest is a solver's of its own.
+The balance is: tow work = change of m L'^2/2 (of m alone) + change of k0 z^2/2 + work of the damper + work on the soil,
+which includes the C L'' term and the loss at recapture. Tow work and changes come from the run, the rest from an
+independent solver.
 """
 
 import dataclasses
@@ -31,7 +30,7 @@ FACTORS = {
     "damping": (None, 120.0),
     "rate_term": (None, 0.08),
 }
-# Refused by themselves, so combined apart from the rest.
+# Mostly refused, so combined only in the test of refusals.
 FURTHER = {
     "motion": (True, False),
     "orbit": ("transient", "periodic"),
@@ -49,7 +48,7 @@ OWN = {
 
 
 def covering(factors, strength=3):
-    """Return combinations that hold every choice of any three factors together, by greedy choice among samples."""
+    """Return a covering array: every choice of any ``strength`` factors occurs, by greedy choice among samples."""
     names, random = list(factors), np.random.default_rng(0)
     wanted = {
         (chosen, values)
@@ -58,7 +57,7 @@ def covering(factors, strength=3):
     }
     rows = []
     while wanted:
-        # One of those that are missing is set; the rest is the best of some samples.
+        # One missing choice is fixed; the other factors are those of the best sample.
         chosen, values = min(wanted)
         best, covered = None, set()
         for _ in range(8):
@@ -78,7 +77,7 @@ def is_on(effects, name):
 
 
 def refused(effects):
-    """Tell whether effects exclude each other, as the documentation says."""
+    """Return whether effects exclude each other according to the documentation."""
     contact, still = effects["contact"] != "resisting", not effects.get("motion", True)
     orbit, printed = effects.get("orbit") == "periodic", effects.get("formulation") == "printed"
     started = effects["start"] != "equilibrium"
@@ -101,7 +100,7 @@ def label(effects):
 
 
 def cases():
-    """Yield the covering combinations one by one, and as slow tests all others, two dozen at a time."""
+    """Yield the covering array one by one and, as slow tests, all other combinations in groups of 24."""
     yield from (pytest.param([row], id=label(row)) for row in COVERING)
     others = [row for row in ALL if row not in COVERING]
     for first in range(0, len(others), 24):
@@ -132,14 +131,14 @@ def test_effects_are_built_or_refused_with_a_reason():
 
 
 def changes(scene, motion):
-    """Return how much kinetic energy of m and energy of the spring have grown [J]."""
+    """Return the growth of the kinetic energy of m and of the energy of the spring [J]."""
     speed, deflection = motion.speed, motion.deflection
     kinetic = scene.mass * (speed[-1] ** 2 - speed[0] ** 2) / 2.0
     return kinetic, scene.stiffness * (deflection[-1] ** 2 - deflection[0] ** 2) / 2.0
 
 
 def imbalance(scene, motion, books, duration):
-    """Return what the balance of energy lacks, as a part of its largest term."""
+    """Return the error of the energy balance relative to its largest term."""
     kinetic, elastic = changes(scene, motion)
     tow = motion.tow_power * duration
     terms = [tow, kinetic, elastic, books.damper_work, books.soil_work]
@@ -159,21 +158,21 @@ def check_run(r1_soil, effects):
             po.Effects(**effects)
         return
     scene = scene_of(r1_soil, effects)
-    # A share that is pushed back through a wave feels a resistance that changes within millimetres.
+    # The resistance to a share that is pushed back through a wave changes within millimetres.
     run, expected = three_modes.agreed(scene, 0.5, resistance=10.0)
-    # The books themselves balance to what SciPy leaves of 1e-12.
+    # The reference balances up to SciPy's error of about 1e-12.
     assert abs(imbalance(scene, expected, expected, 0.5)) < 5e-12
     assert abs(imbalance(scene, run, expected, 0.5)) < BALANCE
     if effects["contact"] != "resisting":
-        # Soil that only resists takes energy and never gives, but for that of the soil carried along.
+        # Soil that only resists absorbs energy, except for that of the soil carried along.
         carried = scene.reaction.added_mass * np.max(expected.speed) ** 2 / 2.0
         assert expected.soil_work > -carried
 
 
-# The default promises 1e-8 of force and displacement and integrates a hundred times tighter; the averages among it.
+# The default promises an error of 1e-8 and usually reaches a tenth of it.
 BALANCE = 2e-9
-# Weak soil, of which the share carries a third of its own mass, and a wave near the natural frequency: under it a share
-# leaves its soil behind and comes back, at 1 per cent of the work on it.
+# Weak soil, of which the share carries a third of its own mass, and a wave near the natural frequency: the share leaves
+# the soil behind and recaptures it, which takes 1 % of the work on the soil.
 LOOSE = {
     "start": ("equilibrium", "rest", "towed"),
     "entry": (False, True),
@@ -197,13 +196,13 @@ def test_energy_is_in_balance_where_soil_is_left_behind_and_taken_up_again(r1_so
     assert abs(imbalance(scene, run, books, 1.5)) < BALANCE
     kinetic, _ = changes(scene, run)
     if abs(kinetic) > 1e-3 * books.soil_work:
-        # With m + m_a in the place of m it does not hold: the energy of carried soil is work on the soil.
+        # With m + m_a instead of m the balance fails: the energy of carried soil is work on the soil.
         heavier = dataclasses.replace(scene, mass=scene.inertia)
         assert abs(imbalance(heavier, run, books, 1.5)) > 1e5 * BALANCE
 
 
 @pytest.mark.parametrize("effects", [pytest.param(row, id=label(row)) for row in COVERING if not refused(row)])
-def test_what_is_off_is_not_in_the_equation(r1_soil, effects):
+def test_effects_that_are_off_are_not_in_the_equation(r1_soil, effects):
     scene = scene_of(r1_soil, effects)
     structure, known = Structure.of(scene), parameters(scene)
     equation = equation_of_motion(structure)
@@ -225,7 +224,7 @@ def test_the_bare_equation_is_a_spring_and_a_mass(r1_scene):
     assert bare.names == ("inertia", "stiffness")
     # w, w', k0, M and the product, quotient and sign of -k0 w/M.
     assert bare.function.n_nodes() == 7 < damped.function.n_nodes()
-    # Scenes alike share one graph.
+    # Scenes of equal structure share one graph.
     other = r1_scene(35.0, 0.2, 1e5, inertial_drag=False, added_mass=False, ambient_pressure=False)
     assert equation_of_motion(Structure.of(other)) is bare
 
@@ -243,20 +242,20 @@ STARTS = [("equilibrium", False), ("rest", True), ("towed", False), ("towed", Tr
 @pytest.mark.parametrize("name", ZEROS)
 def test_zero_strength_equals_off(r1_soil, name, contact):
     zero, others = ZEROS[name]
-    # Each start, and entry, beside each law and each effect in turn.
+    # Combine starts and entry with laws and effects in turn.
     start, entry = STARTS[(3 * list(ZEROS).index(name) + FACTORS["contact"].index(contact)) % len(STARTS)]
     common = {"start": start, "contact": contact, "entry": entry, **others}
     runs = (po.simulate(scene_of(r1_soil, common, **more), 0.4, outputs=8) for more in ({name: zero}, {}))
     with_zero, without = runs
     size = largest(without.mount_force) + 1e-9
-    # The tolerance's steps may fall otherwise by the last bit; both keep 1e-8.
+    # Adaptive steps may differ by the last bit; both runs keep 1e-8.
     assert with_zero.mount_force == pytest.approx(without.mount_force, rel=0, abs=1e-8 * size)
     assert with_zero.mean_draft == pytest.approx(without.mean_draft, rel=0, abs=1e-8 * size)
     assert with_zero.force_rms == pytest.approx(without.force_rms, rel=0, abs=1e-8 * size)
     assert list(np.round(with_zero.mode)) == list(np.round(without.mode))
 
 
-def test_a_share_that_never_stops_needs_no_law(r1_soil):
+def test_contact_laws_agree_for_a_share_that_never_stops(r1_soil):
     calm = {**ALL[0], "damping": 300.0, "strength_wave": po.StrengthWave(0.02, 0.25)}
     runs = [po.simulate(scene_of(r1_soil, calm, contact=law), 0.5) for law in FACTORS["contact"]]
     assert min(runs[0].speed) > 0.1

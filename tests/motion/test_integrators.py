@@ -1,4 +1,4 @@
-"""One equation, seven methods: they agree, keep their orders and differentiate alike."""
+"""One equation by seven methods: results, derivatives, and the causes of failures."""
 
 import functools
 
@@ -23,7 +23,7 @@ SCENES = {
     },
     "bare": {"inertial_drag": False, "added_mass": False, "ambient_pressure": False},
 }
-# Settings tight enough for 1e-9. The kink at a tow ramp's end costs the low orders of collocation most.
+# Settings for an error of 1e-9. The kink at a tow ramp's end costs collocation most of its order.
 TIGHT = [
     po.Accuracy("cvodes", tolerance=1e-12),
     po.Accuracy("idas", tolerance=1e-12),
@@ -48,7 +48,7 @@ def test_all_methods_agree(r1_scene, name, accuracy):
     order_8 = po.simulate(scene, 1.0, accuracy=po.Accuracy("dop853", steps=2000), outputs=20)
     for attribute in (*ARRAYS, *AVERAGES):
         size = np.max(np.abs(getattr(order_8, attribute)))
-        # Tolerances of 1e-12 accumulate over some seven oscillations.
+        # Errors of 1e-12 accumulate over about seven oscillations.
         assert getattr(found, attribute) == pytest.approx(getattr(order_8, attribute), rel=0, abs=1e-9 * size), (
             attribute
         )
@@ -59,7 +59,7 @@ def test_all_methods_agree(r1_scene, name, accuracy):
 
 @functools.cache
 def derivatives(r1_scene, name, accuracy):
-    """Return mean and RMS with their first and second derivatives by height and stiffness, in parts of both."""
+    """Return mean and RMS with first and second derivatives by relative changes of height and stiffness."""
     x = ca.MX.sym("x", 2)
     scene = r1_scene(25.0, 0.25 * x[0], 5e4 * x[1], **SCENES[name])
     run = po.simulate(scene, 0.5, accuracy=accuracy, outputs=5)
@@ -77,7 +77,7 @@ def derivatives(r1_scene, name, accuracy):
         (po.Accuracy("idas", tolerance=1e-11), 1e-8),
         (po.Accuracy("erk", tolerance=1e-11), 1e-9),
         (po.Accuracy("rosenbrock", tolerance=1e-11), 1e-9),
-        # Order 5 and 4 with these steps; the kink at the ramp's end brings collocation to order 3.
+        # The kink at the ramp's end reduces collocation to order 3.
         (po.Accuracy("collocation", steps=800), 1e-7),
         (po.Accuracy("rk", steps=3200), 1e-7),
     ],
@@ -86,7 +86,7 @@ def derivatives(r1_scene, name, accuracy):
 def test_all_methods_have_the_same_derivatives(r1_scene, name, accuracy, allowed):
     expected = derivatives(r1_scene, name, po.Accuracy("dop853", steps=400))
     for found, truth in zip(derivatives(r1_scene, name, accuracy), expected, strict=False):
-        # Second derivatives, where they are taken, have lost a digit.
+        # Second derivatives lose a digit.
         digits = allowed if found.shape[0] == 2 else max(allowed, 1e-8)
         assert found == pytest.approx(truth, rel=0, abs=digits * np.max(np.abs(truth)))
 
@@ -111,7 +111,7 @@ def test_failure_names_scene_time_and_cause_and_its_advice_works(r1_scene):
         assert words in message
     steps = int(message.rsplit("use steps=", 1)[1])
     run = po.simulate(scene, 50.0, accuracy=po.Accuracy("dop853", steps=steps), outputs=2)
-    # Phase errors grow with the time of oscillation; the estimate says so.
+    # Phase errors accumulate over the oscillations, so the error is above that of a single one.
     assert run.error_estimate < 1e-6
 
 

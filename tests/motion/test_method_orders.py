@@ -95,9 +95,6 @@ def assert_orders(errors, steps, orders, band):
     )
 
 
-# --- the reference ---
-
-
 # --- smooth scenes, and scenes with the kink at the end of a tow ramp ---
 
 
@@ -118,7 +115,7 @@ def truth_of(r1_scene):
 
 
 def leaves_at_once(effects):
-    """Tell whether the mount force has a slope at the start."""
+    """Return whether the mount force has a slope at the start."""
     return effects.get("start") == "rest" and "tow_ramp" not in effects
 
 
@@ -129,8 +126,8 @@ def test_orders(truth_of, method, name):
     steps, bands = [first * 2**k for k in range(4)], RAMPED_BANDS if name in RAMPED else BANDS
     orders = [ORDERS[method]] * 3
     if method == "rk" and leaves_at_once(SCENES[name]):
-        # The spread is taken about a running mean, which in the first step is the integral so far over the time so
-        # far. Euler's first stage has that integral wrong by h^2, so the mean by h: its square counts for one step.
+        # The deviation is taken from a running mean, an integral divided by the elapsed time. In the first step Euler's
+        # stage leaves h^2 in that integral and so h in the mean, whose square counts for one step.
         orders[-1] = 3
     assert_orders(measured(*truth_of(name, longest), method, steps), steps, orders, bands[method])
 

@@ -1,4 +1,4 @@
-"""Resistances of a user's own class: equal to the built-in terms that they imitate, at rest too, with derivatives."""
+"""Resistances of a user's own class: equal to built-in terms, under stick and slip, with derivatives, in designs."""
 
 from dataclasses import dataclass, replace
 
@@ -27,7 +27,7 @@ class Shank:
 
 @dataclass(frozen=True)
 class Resting(Shank):
-    """The same with a resistance of its own at rest."""
+    """The same, with a different resistance at rest."""
 
     resting: Expression = 0.0
 
@@ -42,7 +42,7 @@ class Silent:
 
 @dataclass(frozen=True)
 class Constant(po.ResistanceLaw):
-    """A static resistance, whatever the share."""
+    """Static resistance that is independent of the share."""
 
     newtons: Expression
     label = "a constant resistance"
@@ -58,13 +58,13 @@ def scene(*own, **effects):
 
 
 def sticking(newtons, *own, **effects):
-    """Return a scene of a constant resistance and own ones under stick and slip."""
+    """Return a scene with a constant resistance and own ones under stick and slip."""
     given = {"contact": SLIP, "start": "rest"} | effects
     return replace(scene(), stiffness=2e4, mass=25.0, tow_speed=0.3, medium=Constant(newtons),
                    effects=po.Effects(own=own, **given))  # fmt: skip
 
 
-# --- built-in terms imitated ---
+# --- equal to built-in terms ---
 
 
 def test_own_quadratic_drag_is_the_inertial_drag():
@@ -95,7 +95,7 @@ def test_own_resistances_are_added_to_the_draft(effects):
 
 
 def test_share_of_the_resistance_may_be_an_own_effect():
-    """A constant resistance, and the same in two parts that both hold 1.3 times as much at rest."""
+    """A constant resistance acts like two parts of it that both hold 1.3 times as much at rest."""
     whole = po.simulate(sticking(1500.0), 1.5)
     parts = po.simulate(sticking(1100.0, Resting(400.0, resting=1.3 * 400.0)), 1.5)
     assert np.ptp(whole.mode) == 1.0
@@ -121,7 +121,7 @@ def test_derivatives_go_through_the_moments_at_which_it_moves():
     both = ca.Function("f", [x], [run.mean_draft, ca.gradient(run.mean_draft, x)])
     step = 0.05
     difference = (float(both(600.0 + step)[0]) - float(both(600.0 - step)[0])) / (2.0 * step)
-    # Differences of second order, over integrations to 1e-10.
+    # Central differences of integrations to 1e-10.
     assert float(both(600.0)[1]) == pytest.approx(difference, rel=1e-4)
 
 
@@ -140,7 +140,7 @@ class Wrong(Shank):
     ],
     ids=["silent", "weaker than slip", "no number"],
 )
-def test_what_it_is_at_rest_must_be_said(own, words):
+def test_a_valid_force_at_rest_is_required(own, words):
     with pytest.raises(po.InputError, match=words):
         po.simulate(sticking(1000.0, own), 0.5)
 
@@ -157,7 +157,7 @@ def test_derivatives_by_its_quantities():
     hessian, gradient = ca.hessian(rms(viscous), viscous)
     found = [float(x) for x in ca.Function("f", [viscous], [rms(viscous), gradient, hessian])(300.0)]
     values = np.array([rms(300.0 + 5.0 * step) for step in (-2.0, -1.0, 0.0, 1.0, 2.0)])
-    # An expression rounds its RMS off below 1e-12 of the steady force.
+    # A symbolic RMS is rounded below 1e-12 of the steady force.
     assert found[0] == pytest.approx(values[2], rel=1e-11)
     # Differences of fourth order over 5 N s/m.
     assert found[1] == pytest.approx(values @ [1, -8, 0, 8, -1] / 60.0, rel=1e-7)
@@ -193,19 +193,19 @@ def test_a_design_varies_and_rebuilds_it():
         ((Silent(1.0),), "must be a frozen dataclass with a method force"),
     ],
 )
-def test_anything_but_a_resistance_is_refused(own, message):
+def test_invalid_own_effects_are_refused(own, message):
     with pytest.raises(po.InputError, match=message):
         po.Effects(own=own)
 
 
-def test_the_elastic_medium_refuses_it():
+def test_the_elastic_medium_refuses_own_effects():
     with pytest.raises(po.InputError, match="own has no meaning in the elastic medium"):
         replace(scene(Shank(1.0), motion=False), medium="elastic")
 
 
 @dataclass(frozen=True)
 class Looked:
-    """A resistance by a table over the travel, or by whatever a field holds."""
+    """Resistance that calls its field, such as a lookup table."""
 
     table: object
 
@@ -218,7 +218,7 @@ def _table(value):
 
 
 class Named:
-    """Prints alike whatever it holds."""
+    """Object whose repr does not depend on its value."""
 
     def __init__(self, value):
         self.value = value
@@ -232,23 +232,23 @@ class Named:
     [_table(100.0), np.zeros(5000), Named(3.0), (1.0, [np.zeros(2)]), {"x": ca.DM([1.0, 2.0])}, ca.MX.sym("x", 3)],
     ids=lambda field: type(field).__name__,
 )
-def test_fields_that_may_print_alike_are_refused(field):
+def test_fields_without_a_distinct_repr_are_refused(field):
     with pytest.raises(po.InputError, match=r"own effect Looked holds a .*compared by their repr"):
         po.Effects(own=(Looked(field),))
 
 
 @pytest.mark.parametrize("field", [3.0, "text", None, (1.0, 2.0), {"a": 1.0}, ca.SX.sym("x"), np.float64(2.0)])
-def test_fields_that_print_what_they_are_pass(field):
+def test_fields_with_a_complete_repr_are_accepted(field):
     assert po.Effects(own=(Looked(field),)).own[0].table is field
 
 
 def test_tables_behind_functions_are_kept_apart():
-    # The second is not taken for the first, nor one that is gone for one that has its place in memory.
+    # Different tables must not share a graph, even if a new one has the memory address of a deleted one.
     for value in (100.0, 500.0, 100.0):
         table = _table(value)
         drafts = [
             po.simulate(scene(own, start="towed"), 0.5, outputs=4).mean_draft
             for own in (Shank(viscous=value), Looked(lambda travel, table=table: table(travel)))
         ]
-        # Either run is good to 1e-8.
+        # Each run has an error of up to 1e-8.
         assert drafts[1] == pytest.approx(drafts[0], rel=1e-7)

@@ -1,4 +1,4 @@
-"""The quasi-static limit against closed forms, quadrature and the stiff mount."""
+"""The quasi-static limit against closed forms and adaptive quadrature."""
 
 import dataclasses
 import math
@@ -36,7 +36,7 @@ def test_wave_in_closed_form(quasi_scene, duration, wavelength, rate_term):
     mean = (1 - math.cos(phase)) / phase
     square = 0.5 - math.sin(2 * phase) / (4 * phase)
     rms = 0.3 * static * math.sqrt(square - mean**2)
-    # Gauss-Legendre of degree 19 on panels of at most half a radian is exact; rounding is left.
+    # Gauss-Legendre of degree 19 on panels of at most half a radian is exact up to rounding.
     assert run.mean_draft == pytest.approx(static * (1 + 0.3 * mean) + drag, rel=1e-13)
     assert run.force_rms == pytest.approx(rms, rel=0, abs=1e-13 * run.mean_draft)
     assert run.mean_deflection == pytest.approx(run.mean_draft / scene.stiffness, rel=1e-15)
@@ -83,7 +83,7 @@ def test_tow_ramp_by_adaptive_quadrature(quasi_scene, ramp, duration, rate_term)
 
 def test_without_a_wave_nothing_varies(quasi_scene):
     run = po.simulate(quasi_scene(), 2.0)
-    # The weights of 400 panels sum to one within some last bits.
+    # The weights of 400 panels sum to one up to rounding.
     assert run.force_rms == pytest.approx(0.0, abs=1e-14 * run.mean_draft)
     assert run.mean_draft == pytest.approx(run.scene.steady_resistance, rel=1e-14)
 
@@ -122,5 +122,5 @@ def test_averages_do_not_depend_on_the_outputs(quasi_scene, kind, outputs):
     run = po.simulate(scene, 2.0, outputs=outputs)
     found = ca.Function("averages", [static], [run.mean_draft, run.force_rms])(15e3)
     numbers = po.simulate(quasi_scene(strength_wave=po.StrengthWave(0.5, 0.013), tow_ramp=0.1), 2.0)
-    # Three hundred waves: a panel of 4 Gauss points for half a radian of the fastest leaves some 1e-12.
+    # Three hundred waves: panels of half a radian with 4 Gauss points leave about 1e-12.
     assert [float(x) for x in found] == pytest.approx([numbers.mean_draft, numbers.force_rms], rel=1e-9)

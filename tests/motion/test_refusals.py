@@ -1,6 +1,6 @@
-"""Refusals of a simulation, and the cause that each names; and stiff own resistances, which it does not refuse.
+"""Refusals of a simulation with the cause that each names, and stiff own resistances, which it accepts.
 
-Motions that cannot be followed are refused soon, and the message says when they end and why.
+A motion that cannot be integrated is refused soon, and the message says when it ends and why.
 """
 
 import dataclasses
@@ -23,7 +23,7 @@ WAVE = po.StrengthWave(0.3, 0.2)
 
 @dataclass(frozen=True)
 class Own:
-    """A resistance that a function of travel and speed gives."""
+    """Resistance given by a function of travel and speed."""
 
     law: Callable
 
@@ -46,12 +46,12 @@ def refusal(scene, duration, **keywords):
 
 
 def end_of_time(message):
-    """Return the time beyond which a message says that nothing could be integrated."""
+    """Return the time beyond which the motion could not be integrated, according to a message."""
     return float(message.split("beyond t = ")[1].split(" s of")[0])
 
 
 def escape(scene, duration):
-    """Return when a share that the soil drives away is a million times faster than it was towed, by SciPy."""
+    """Return, by SciPy, the time at which a share retreats a million times faster than it is towed."""
     k, m, v0, reaction = scene.stiffness, scene.inertia, scene.tow_speed, scene.reaction
     rate = scene.effects.rate_term or 0.0
 
@@ -70,13 +70,13 @@ def escape(scene, duration):
 @pytest.mark.parametrize("rate_term", [None, 0.1])
 @pytest.mark.parametrize("start", ["rest", "towed"])
 @pytest.mark.parametrize("mass", [0.07, 45.0])
-def test_a_share_that_the_soil_drives_away(mass, start, rate_term):
+def test_a_share_driven_away_by_the_soil(mass, start, rate_term):
     scene = po.Scene(STRONG, SHARE, 1e3, mass, 1.0, po.Effects(start=start, rate_term=rate_term))
     message = refusal(scene, 0.5)
     assert "the share retreats there at" in message
     assert "without bound in finite time" in message
     assert "oscillat" not in message
-    # Found to 1 part in 5,000 by a tolerance of 1e-4, and given by four digits.
+    # Bisected to 1 part in 5,000 with a tolerance of 1e-4, and printed with four digits.
     assert end_of_time(message) == pytest.approx(escape(scene, 0.5), rel=2e-3)
 
 
@@ -87,11 +87,11 @@ def test_a_share_driven_away_while_it_enters():
 
 
 @pytest.mark.parametrize("start", ["equilibrium", "rest", "towed"])
-def test_waves_that_a_repelling_spring_drives_a_share_through(start):
+def test_countless_waves_passed_under_a_repelling_spring(start):
     effects = po.Effects(formulation="printed", strength_wave=WAVE, inertial_drag=False, start=start)
     scene = po.Scene(SOIL, SHARE, 5e4, 45.0, 1.5, effects)
     assert "the strut and the soil change it" in refusal(scene, 1.5)
-    # For a shorter time it is followed: by exp(33 t) of some centimetres.
+    # A shorter run is accepted: the travel grows like exp(33 t) from a few centimetres.
     assert po.simulate(scene, 0.2).error_estimate < 1e-6
 
 
@@ -100,14 +100,14 @@ def test_waves_that_a_repelling_spring_drives_a_share_through(start):
     [{}, {"start": "towed", "entry": True}, {"contact": po.Smooth(0.2), "start": "rest"}, {"motion": False}],
     ids=["resisting", "entry", "smooth", "quasi-static"],
 )
-def test_an_own_effect_without_a_value_is_named(effects):
+def test_an_own_effect_that_becomes_nan_is_named(effects):
     scene = po.Scene(SOIL, SHARE, 5e4, 45.0, 1.5, po.Effects(own=(ROOTED,), **effects))
     message = refusal(scene, 1.0)
     assert "the own effect Own returns nan N at a travel of 0.3" in message
     assert "must return a finite resistance" in message
 
 
-def test_an_own_effect_that_is_never_a_number_is_named():
+def test_an_own_effect_that_is_always_nan_is_named():
     scene = po.Scene(SOIL, SHARE, 5e4, 45.0, 1.5, po.Effects(own=(NEVER,)))
     assert "the own effect Own returns nan N at a travel of 0 m" in refusal(scene, 1.0)
 
@@ -124,7 +124,7 @@ def test_a_duration_is_one_number(r1_scene, duration):
         po.simulate(r1_scene(), duration)
 
 
-def test_what_is_no_scene_or_accuracy(r1_scene, r1_soil):
+def test_arguments_of_the_wrong_type(r1_scene, r1_soil):
     with pytest.raises(po.InputError, match="must be a Scene"):
         po.simulate(r1_soil, 1.0)
     with pytest.raises(po.InputError, match="must be an Accuracy"):
@@ -134,7 +134,7 @@ def test_what_is_no_scene_or_accuracy(r1_scene, r1_soil):
 
 
 @pytest.mark.parametrize("force", [None, ca.DM([1.0, 2.0]), "12 N"], ids=str)
-def test_an_own_force_that_is_none(r1_scene, force):
+def test_an_own_force_of_the_wrong_type(r1_scene, force):
     with pytest.raises(po.InputError, match=r"Own\.force returned"):
         po.simulate(r1_scene(own=(Own(lambda *_: force),)), 1.0)
 
@@ -160,7 +160,7 @@ def test_a_strong_own_damper(r1_scene, method):
     last = (scene.reaction.static + damping * scene.tow_speed) / scene.stiffness
     of_fast = (scene.tow_speed + slow * last) / (fast - slow)
     exact = last + of_fast * np.exp(fast * run.time) - (last + of_fast) * np.exp(slow * run.time)
-    # The error that a run is to keep by default, and what the tolerance 1e-10 of a named method leaves.
+    # The default error, which a named method's tolerance of 1e-10 reaches too.
     np.testing.assert_allclose(run.deflection, exact, rtol=0.0, atol=1e-8 * np.max(exact))
     assert run.error_estimate < 1e-8
 
@@ -180,7 +180,7 @@ def test_a_stiff_own_spring(r1_scene):
     assert run.error_estimate < 1e-8
 
 
-def test_runs_are_compared_as_objects(r1_scene):
+def test_runs_are_compared_by_identity(r1_scene):
     run = po.simulate(r1_scene(), 0.1)
     assert run in [run]
     assert run != po.simulate(r1_scene(), 0.1)

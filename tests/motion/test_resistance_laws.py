@@ -1,4 +1,4 @@
-"""Scenes under any law of resistance: the same motion as by an independent integrator, in designs and batches too."""
+"""Scenes under any law of resistance: motion, drafts, batches, designs and problem files."""
 
 import dataclasses
 from pathlib import Path
@@ -55,7 +55,7 @@ def test_motion_is_that_of_an_independent_integrator(law):
 @pytest.mark.parametrize("law", DRAFTS, ids=lambda law: law.label)
 def test_steady_resistance_is_the_draft_of_the_formula(law):
     for speed in (0.0, 1.0, 3.0):
-        # The formula is split into a part at rest and one with the squared speed.
+        # The law splits the formula into a static part and one with the squared speed.
         assert scene(law, tow_speed=speed).steady_resistance == pytest.approx(DRAFTS[law](speed), rel=1e-14)
 
 
@@ -69,7 +69,7 @@ def test_law_of_steady_sliding_gives_its_draft_and_no_motion():
             scene(law, effects=effects)
 
 
-def test_what_a_law_lacks_is_refused_or_left_out_with_a_sentence():
+def test_effects_that_a_law_lacks_are_refused_or_omitted_with_a_warning():
     own = scene(McKyesAli(width=0.1))
     run = po.simulate(own, 0.2)
     assert own.inertia == own.mass
@@ -85,12 +85,12 @@ def test_what_a_law_lacks_is_refused_or_left_out_with_a_sentence():
 
 
 @pytest.mark.parametrize("law", [McKyesAli, 3, None, object()], ids=["class", "number", "none", "object"])
-def test_something_else_in_the_place_of_a_law_is_refused(law):
+def test_a_medium_of_the_wrong_type_is_refused(law):
     with pytest.raises(po.InputError, match="must be a ResistanceLaw, such as McKyesAli"):
         scene(law)
 
 
-def test_plastic_gas_by_name_and_as_a_law_are_one():
+def test_plastic_gas_by_name_and_as_a_law_are_the_same():
     by_name, as_law = (po.simulate(scene(medium), 0.5) for medium in ("plastic", po.laws.PlasticGas()))
     assert by_name.mean_draft == as_law.mean_draft
     np.testing.assert_array_equal(by_name.mount_force, as_law.mount_force)
@@ -106,17 +106,17 @@ def symbolic(x):
 AT = np.array([po.deg(42.0), 0.27, 4e5])
 
 
-def test_batch_is_the_single_runs():
+def test_batch_agrees_with_single_runs():
     x = [ca.MX.sym(name) for name in ("rake", "depth", "stiffness")]
     law = McKyesAli(width=0.1, rake_angle=x[0], depth=x[1])
     values = np.array([AT, AT * [1.1, 0.9, 1.5]])
     found = po.Batch(scene(law, stiffness=x[2]), 0.5, x)(values)
     singles = [symbolic(row.tolist()).mean_draft for row in values]
-    # The batch's own relative error is 1e-8 of mean draft or RMS.
+    # The relative error of a batch is 1e-8 of mean draft or RMS.
     np.testing.assert_allclose(found.mean_draft, singles, rtol=2e-8)
 
 
-def test_design_finds_the_best_rake_angle_of_a_search_by_values():
+def test_design_finds_the_rake_angle_of_a_scalar_search():
     def cost(draft, rake):
         return draft / 1e3 + 3.0 / rake
 
@@ -131,7 +131,7 @@ def test_design_finds_the_best_rake_angle_of_a_search_by_values():
     )  # fmt: skip
     assert po.deg(31) < found.x < po.deg(59)
     assert best.objective == pytest.approx(found.fun, rel=1e-9)
-    # A parabola's bottom is found to the root of the values' error.
+    # The minimum of a parabola is known to the square root of the error of its values.
     assert best.variables["rake angle"] == pytest.approx(found.x, rel=1e-4)
 
 
@@ -144,7 +144,7 @@ def test_bounds_beyond_the_law_are_refused_by_the_design():
 
 
 def read(medium):
-    """Return a problem whose medium is given, and which requires nothing of the plastic gas alone."""
+    """Return a problem with a medium, without requirements that only the plastic gas meets."""
     path = Path(__file__).parents[2] / "problems" / "cotton_subsoiler.toml"
     return po.read_problem(path, ["require={}", f"scene.medium={medium}"])
 
@@ -171,7 +171,7 @@ def test_problem_file_refuses_anything_else(medium, message):
 
 
 def limited(largest):
-    """Return a law's class; another one of the same name, as a notebook defines it when a cell is run again."""
+    """Return a new class of the same name, as a notebook does when a cell is run again."""
 
     @dataclasses.dataclass(frozen=True)
     class Limited(ResistanceLaw):
@@ -186,7 +186,7 @@ def limited(largest):
     return Limited
 
 
-def test_a_class_that_is_defined_anew_is_another_law():
+def test_a_redefined_class_is_another_law():
     def solve(kind):
         design = po.Design()
         force = design.variable("force", guess=2e3, lower=1e3, upper=5e3, unit="N")

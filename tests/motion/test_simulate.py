@@ -1,4 +1,4 @@
-"""Results of `simulate` against answers from elsewhere."""
+"""Results of `simulate` against published numbers, exact solutions and symbolic runs."""
 
 import math
 
@@ -15,7 +15,7 @@ ARRAYS = ("time", "travel", "speed", "deflection", "mount_force", "soil_resistan
 
 
 def close_to(expected, allowed):
-    """Equal to a fraction of the largest value."""
+    """Return a value that is equal up to a fraction of the largest element."""
     return pytest.approx(expected, rel=0, abs=allowed * np.max(np.abs(expected)))
 
 
@@ -36,19 +36,16 @@ def test_reference_values_to_every_digit(r1_scene, angle, height, stiffness, mea
     scene = r1_scene(angle, height, stiffness, strength_wave=WAVE)
     for accuracy in (FINE, po.Accuracy(error=1e-12)):
         run = po.simulate(scene, 2.0, accuracy=accuracy)
-        # Half a unit of the last digit given, and rounding.
+        # Half a unit of the last published digit, and rounding.
         assert run.mean_draft == pytest.approx(mean, rel=0, abs=0.51e-9)
         assert run.force_rms == pytest.approx(rms, rel=0, abs=0.51e-9)
-
-
-# --- an independent solver ---
 
 
 # --- exact solutions ---
 
 
 def sum_of_exponentials(amplitudes, exponents, duration):
-    """Return mean and RMS over the duration of the real part of sum a exp(lambda t), in closed form."""
+    """Return mean and RMS of the real part of sum a exp(lambda t) over the duration, in closed form."""
 
     def average(exponent):
         return np.expm1(exponent * duration) / (exponent * duration) if abs(exponent) > 0 else 1.0
@@ -125,7 +122,7 @@ def test_the_smallest_oscillation_keeps_its_digits(r1_scene):
 
 # --- numbers and symbols ---
 
-# Each a factor away from what it is in the scene below.
+# Factors on the numbers of the scene below.
 NAMES = ("angle", "height", "stiffness", "speed", "rate", "damping", "amplitude", "wavelength", "ramp", "duration")
 FACTORS = np.array([1.1, 0.9, 1.2, 0.95, 1.05, 0.9, 1.15, 1.1, 0.8, 1.2])
 
@@ -153,8 +150,8 @@ def test_numbers_and_symbols_run_alike(r1_scene, kind, effects):
     found = ca.Function("run", [x], [getattr(symbolic, name) for name in names]).call([ca.DM(FACTORS)])
     for name, value in zip(names, found, strict=True):
         expected = getattr(numeric, name)
-        # The same operations in another order. Of SX no step ends at a ramp whose end is a symbol: there the method
-        # is of order 3, with steps of a millisecond.
+        # The same operations in another order. With SX no step ends at the symbolic end of a ramp, so the method has
+        # order 3 there, with steps of a millisecond.
         allowed = 1e-8 if kind is ca.SX and not effects else 5e-12
         assert value.full().ravel() == pytest.approx(expected, rel=0, abs=allowed * np.max(np.abs(expected))), name
 
@@ -167,7 +164,7 @@ def test_constant_expressions_are_numbers(r1_scene):
     assert isinstance(wrapped.mount_force, np.ndarray)
 
 
-def test_a_symbolic_run_says_what_it_cannot_have(r1_scene):
+def test_a_symbolic_run_refuses_what_it_lacks(r1_scene):
     run = po.simulate(r1_scene(stiffness=ca.MX.sym("stiffness"), strength_wave=WAVE), 1.0, outputs=5)
     for name, what in (("error_estimate", "error estimate"), ("seconds", "computing time")):
         with pytest.raises(po.InputError, match=f"no {what}: simulate the scene with numbers"):
@@ -190,7 +187,7 @@ def test_outputs_and_what_follows_from_them(r1_scene):
     assert run.specific_draft == pytest.approx(run.mean_draft / (math.pi * radius**2), rel=1e-15)
 
 
-def test_outputs_do_not_change_what_is_averaged(r1_scene):
+def test_averages_do_not_depend_on_the_outputs(r1_scene):
     scene = r1_scene(strength_wave=WAVE, damping=250.0)
     few, many = (po.simulate(scene, 1.0, accuracy=FINE, outputs=outputs) for outputs in (1, 400))
     assert len(few.time) == 2
@@ -200,12 +197,12 @@ def test_outputs_do_not_change_what_is_averaged(r1_scene):
 
 
 @pytest.mark.parametrize("ramp", [None, 0.33, 0.02, 0.98])
-def test_a_run_between_few_steps_is_that_of_many(r1_scene, ramp):
+def test_outputs_between_few_steps_are_as_exact_as_the_steps(r1_scene, ramp):
     scene = r1_scene(strength_wave=WAVE, tow_ramp=ramp, damping=100.0, start="rest")
     fine, half_a_radian, a_radian = (
         po.simulate(scene, 1.0, accuracy=po.Accuracy("dop853", steps=steps), outputs=1000) for steps in (4000, 90, 45)
     )
-    # What such steps leave at their ends, and no more between them: of equal steps throughout it is 100 times that.
+    # The error of such steps at their ends. Without halved outermost steps it would be 100 times larger between.
     for few, left in ((half_a_radian, 5e-9), (a_radian, 2e-6)):
         for name in ("deflection", "mount_force", "speed", "soil_resistance"):
             there, here = getattr(fine, name), getattr(few, name)
@@ -230,9 +227,9 @@ def test_a_duration_must_be_positive(r1_scene, duration):
         po.simulate(r1_scene(), duration)
 
 
-def test_a_run_prints_as_a_line(r1_scene):
+def test_a_run_prints_in_one_line(r1_scene):
     run = po.simulate(r1_scene(strength_wave=WAVE), 2.0)
-    # Mean and RMS of R1 at its start.
+    # Mean and RMS of the first case of R1.
     text = "<Run: 2 s in 400 intervals by dop853, mean draft 531.047 N, RMS 145.439 N, error estimate "
     assert repr(run).startswith(text)
     assert float(repr(run)[len(text) : -1]) == pytest.approx(run.error_estimate, rel=0.05)

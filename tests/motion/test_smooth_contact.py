@@ -1,4 +1,4 @@
-"""The smooth one-sided contact: its limit of no width, an independent solver, and what it warns of."""
+"""The smooth one-sided contact: its limit of zero width, an independent solver, and its warnings."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def test_the_error_falls_with_the_width_where_no_gap_opens(r1_soil, effects):
         )
         for w in widths
     ]
-    # A share that should stick creeps at a fraction of the width: an error of first order.
+    # Instead of sticking the share creeps at a fraction of the width, an error of first order.
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert errors[-1] < 1e-2 * largest(exact.mount_force)
     assert orders == pytest.approx(1.0, abs=0.12)
@@ -61,12 +61,12 @@ def test_the_error_falls_with_the_width_where_no_gap_opens(r1_soil, effects):
 )
 def test_an_independent_solver_agrees(r1_soil, width, effects):
     scene = scene_of(r1_soil, po.Smooth(width), **effects)
-    # A narrow step makes both equations stiff.
+    # A narrow step makes the equation stiff in both programs.
     three_modes.agreed(scene, 1.0, allowed=5e-8, resistance=20.0)
 
 
 @pytest.mark.parametrize("speed", [0.02, 0.05, 0.2])
-def test_a_steady_start_is_that_of_the_step(r1_soil, speed):
+def test_a_steady_start_has_the_resistance_of_the_step(r1_soil, speed):
     scene = scene_of(r1_soil, po.Smooth(0.1), speed=speed)
     u = min(speed / 0.1, 1.0)
     share = u**5 * (126.0 - 420.0 * u + 540.0 * u**2 - 315.0 * u**3 + 70.0 * u**4)
@@ -85,13 +85,13 @@ def test_a_share_that_retreats_carries_a_warning(r1_soil):
     assert "the smooth contact ignores the gap" in warning
     back = run.speed < 0.0
     assert np.any(back)
-    # What a retreating share feels is the added mass alone.
+    # Only the added mass acts on a retreating share.
     force = scene_of(r1_soil, po.Smooth(0.05)).reaction.added_mass / run.scene.inertia * run.mount_force
     assert run.soil_resistance[back] == pytest.approx(force[back], rel=1e-9, abs=1e-6)
 
 
 @pytest.mark.parametrize("width", [1e-4, 1e-7])
-def test_a_very_small_width_ends_and_its_error_is_told(r1_soil, width):
+def test_a_very_small_width_terminates_with_an_honest_error(r1_soil, width):
     scene = scene_of(r1_soil, po.Smooth(width), start="rest", speed=0.2)
     exact = po.simulate(scene_of(r1_soil, po.StickSlip(), start="rest", speed=0.2), 1.0)
     run = po.simulate(scene, 1.0)

@@ -1,4 +1,4 @@
-"""Stick, slip and gap: against a solver of our own, exact cycles, and the books of energy."""
+"""Stick, slip and gap: an independent event-driven solver, hard starts, refusals and a design."""
 
 import dataclasses
 import math
@@ -84,36 +84,23 @@ def scene_of(soil, name, **changes):
     return po.Scene(soil, share, stiffness, mass, speed, effects), duration
 
 
-@pytest.fixture(scope="module")
-def solved(r1_soil):
-    """Return scene, run and reference of a name, each solved once."""
-    known = {}
-
-    def solve(name):
-        if name not in known:
-            scene, duration = scene_of(r1_soil, name)
-            known[name] = scene, *three_modes.agreed(scene, duration, outputs=40)
-        return known[name]
-
-    return solve
-
-
 def largest(values):
     return float(np.max(np.abs(values)))
 
 
-# --- against a solver of our own ---
+# --- an independent solver ---
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_an_independent_solver_agrees(solved, name):
-    scene, run, expected = solved(name)
-    # Events are found to some 1e-12 of the duration.
+def test_an_independent_solver_agrees(r1_soil, name):
+    scene, duration = scene_of(r1_soil, name)
+    run, expected = three_modes.agreed(scene, duration, outputs=40)
+    # Events are located to about 1e-12 of the duration.
     far = ~expected.near_a_change(1e-7 * run.duration)
     assert np.count_nonzero(far) >= 35
     assert largest(run.opening - expected.opening) < 2e-8 * largest(expected.deflection)
     assert largest((run.speed - expected.speed)[far]) < 1e-7 * largest(expected.speed) + 1e-12 * scene.tow_speed
-    # What each mode means holds exactly.
+    # The definition of each mode holds exactly.
     gap, stick = run.mode == GAP, run.mode == STICK
     assert np.all(run.speed[stick] == 0.0)
     assert np.all(run.soil_resistance[stick] == run.mount_force[stick])
@@ -121,18 +108,18 @@ def test_an_independent_solver_agrees(solved, name):
     assert np.all((run.opening > 0.0) == gap)
 
 
-# --- what the three modes mean ---
+# --- hard starts ---
 
 
 @pytest.mark.parametrize("density_ratio", [1e-3, 1e-6, 0.1])
 @pytest.mark.parametrize("stiffness", [5e4, 1e7])
-def test_a_share_breaks_loose_however_soon(r1_soil, density_ratio, stiffness):
+def test_a_share_breaks_loose_soon_after_the_start(r1_soil, density_ratio, stiffness):
     effects = po.Effects(start="rest", contact=law(), damping=200.0, inertial_drag=False)
     loose = dataclasses.replace(r1_soil, density_ratio=density_ratio)
     scene = po.Scene(loose, SHARP, stiffness, 20.0, 2.0, effects)
     run = po.simulate(scene, 0.5)
     assert run.mode[-1] == SLIP
-    # The swing about steady sliding that follows from standstill at the static force.
+    # Amplitude of the oscillation about steady sliding that begins at rest under the static force.
     swing = scene.tow_speed * math.sqrt(scene.stiffness * scene.inertia)
     damper = 200.0 * 2.0 * scene.tow_speed
     assert np.max(run.mount_force) < scene.reaction.static + swing + damper
@@ -140,8 +127,8 @@ def test_a_share_breaks_loose_however_soon(r1_soil, density_ratio, stiffness):
     assert abs(run.mount_force[-1] - scene.reaction.static) < decay * (swing + scene.reaction.static)
 
 
-def test_a_share_that_barely_moves_yet_has_not_stopped(r1_soil):
-    # In the first milliseconds of a ramp the share's speed is the rounding of a difference: no event may come of it.
+def test_a_share_that_hardly_moves_has_not_stopped(r1_soil):
+    # In the first milliseconds of a ramp the share's speed is a rounded difference, which must not trigger an event.
     strong = dataclasses.replace(r1_soil, cohesion=4e4, ambient_pressure=3e5)
     effects = po.Effects(contact=law(2.5), start="towed", entry=True, tow_ramp=0.07, added_mass=False)
     scene = po.Scene(strong, po.Wedge(po.deg(4.0), po.deg(15.0), 0.05), 260.0, 13.0, 0.2, effects)
@@ -150,7 +137,7 @@ def test_a_share_that_barely_moves_yet_has_not_stopped(r1_soil):
         assert run.error_estimate < 1e-8
 
 
-def test_a_strut_that_stands_still_leaves_the_share_where_it_is(r1_soil):
+def test_a_standing_strut_does_not_move_the_share(r1_soil):
     for start in ("rest", "towed", "equilibrium"):
         scene = po.Scene(r1_soil, SHARP, 2e4, 24.0, 0.0, po.Effects(contact=law(1.5), start=start))
         run = po.simulate(scene, 1.0, outputs=10)
@@ -174,7 +161,7 @@ SLIPS, SMOOTH = "contact = 'stick_slip'", "contact = 'smooth'"
         (["entry = true", "start = 'rest'"], "resisting", True),
     ],
 )
-def test_a_problem_file_has_the_same_words(changes, contact, entry):
+def test_a_problem_file_names_contact_and_entry(changes, contact, entry):
     effects = po.read_problem(COTTON, [f"effects.{change}" for change in changes]).scene().effects
     assert (effects.contact, effects.entry) == (contact, entry)
 
@@ -189,7 +176,7 @@ def test_a_problem_file_has_the_same_words(changes, contact, entry):
         (["contact = 'sticky'"], "did you mean 'stick_slip'"),
     ],
 )
-def test_a_problem_file_that_makes_no_law_is_refused(changes, said):
+def test_a_problem_file_with_an_incomplete_contact_is_refused(changes, said):
     with pytest.raises(po.PloughError, match=said):
         po.read_problem(COTTON, [f"effects.{change}" for change in changes]).scene()
 
@@ -197,7 +184,7 @@ def test_a_problem_file_that_makes_no_law_is_refused(changes, said):
 @pytest.mark.parametrize("method", ["dop853", "cvodes", "idas", "collocation", "rk"])
 @pytest.mark.parametrize("effects", [{"contact": law()}, {"entry": True}], ids=["contact", "entry"])
 @pytest.mark.parametrize("speed", [1.0, ca.MX.sym("speed")], ids=["number", "symbol"])
-def test_methods_that_find_no_events_are_refused(r1_soil, method, effects, speed):
+def test_methods_that_cannot_locate_events_are_refused(r1_soil, method, effects, speed):
     scene = po.Scene(r1_soil, SHARP, 2e4, 24.0, speed, po.Effects(start="rest", **effects))
     with pytest.raises(po.InputError, match=f"'{method}' cannot locate.*'erk' or 'rosenbrock'"):
         po.simulate(scene, 1.0, accuracy=po.Accuracy(method))
@@ -210,7 +197,7 @@ def test_methods_that_find_no_events_are_refused(r1_soil, method, effects, speed
         (lambda: po.Effects(contact=po.Smooth(0.1), formulation="printed"), "the print has no contact law"),
     ],
 )
-def test_what_has_no_meaning_is_refused(build, said):
+def test_contacts_without_meaning_are_refused(build, said):
     with pytest.raises(po.PloughError, match=said):
         build()
 
@@ -239,12 +226,12 @@ def test_a_design_finds_what_brute_force_finds(r1_soil, contact):
     found = cost(best(k0))
     assert best.status == "solved"
     assert best.objective == pytest.approx(found, rel=1e-7)
-    # No tried stiffness beats the design, and its neighbours on either side are worse.
+    # No sampled stiffness is better than the design, and its neighbours on either side are worse.
     assert found <= min(map(cost, np.geomspace(5e3, 5e4, 30).tolist())) + 1e-7
     assert all(cost(min(max(best(k0) * factor, 5e3), 5e4)) >= found - 1e-9 for factor in (0.995, 1.005))
 
 
-def test_a_tolerance_too_loose_to_see_a_stop_is_refused():
+def test_a_missed_event_is_an_error():
     effects = po.Effects(contact=law(1.3), start="rest", strength_wave=wave(0.7, 0.4))
     scene = po.Scene(po.named_soil("serozem"), SHARP, 1e6, 30.0, 2.0, effects)
     with pytest.raises(po.IntegrationError, match=r"'erk' missed that the share stopped before t = .*: .* tighter"):

@@ -1,4 +1,4 @@
-"""Several strength waves: their sum in every kind of run, beside a solver and series that share no code."""
+"""Several strength waves: their sum in every kind of run, against an independent solver and linear series."""
 
 import math
 
@@ -14,7 +14,7 @@ SHARE = po.Wedge(po.deg(30), po.deg(15), 0.25)
 
 
 def scene(waves=WAVES, **effects):
-    """Return a damped share on serozem under some waves."""
+    """Return a scene of a damped share in serozem under strength waves."""
     own = po.Effects(**{"strength_wave": waves, "damping": 400.0, **effects})
     return po.Scene(po.named_soil("serozem"), SHARE, 5e4, 20.0, 2.0, own)
 
@@ -25,7 +25,7 @@ def test_an_independent_solver_agrees(effects):
 
 
 def test_a_phase_is_a_shift_of_the_path():
-    """A share towed from rest by its spring: the soil of phase phi is that of phase 0, shifted by phi/2 pi waves."""
+    """Soil of phase phi is that of phase 0, shifted by phi/(2 pi) wavelengths."""
     later = po.simulate(scene(po.StrengthWave(0.3, 0.2, 1.0), motion=False, damping=None), 1.0, outputs=400)
     shift = 1.0 / (2 * math.pi) * 0.2
     force = scene().reaction.static * (1 + 0.3 * np.sin(2 * math.pi * (later.travel + shift) / 0.2))
@@ -33,13 +33,13 @@ def test_a_phase_is_a_shift_of_the_path():
     assert later.soil_resistance == pytest.approx(force + drag, rel=1e-13)
 
 
-def test_the_lasting_orbit_is_what_a_long_run_comes_to():
+def test_the_periodic_orbit_is_the_end_of_a_long_run():
     orbit = po.simulate(scene(orbit="periodic"))
-    # 0.2, 0.3 and 0.12 m repeat themselves together after 0.6 m.
+    # The common length of 0.2, 0.3 and 0.12 m is 0.6 m.
     assert orbit.duration == pytest.approx(0.3, rel=1e-15)
     long = po.simulate(scene(), 12.0, outputs=4800)
-    last = long.mount_force[-121:-1]  # 0.3 s of them
-    assert np.std(last) == pytest.approx(orbit.force_rms, rel=1e-5)  # by 120 points
+    last = long.mount_force[-121:-1]  # one period
+    assert np.std(last) == pytest.approx(orbit.force_rms, rel=1e-5)  # error of 120 samples
     balanced = po.simulate(scene(orbit=po.HarmonicBalance(20)))
     assert balanced.force_rms == pytest.approx(orbit.force_rms, rel=1e-6)
 
@@ -51,7 +51,7 @@ def test_small_waves_add_up_in_the_linear_response():
     squares = sum(run.force_rms**2 for run in alone)
     assert together.force_rms == pytest.approx(math.sqrt(squares), rel=1e-12)
     orbit = po.simulate(scene(small, orbit="periodic"))
-    # What is left is of second order in the amplitude.
+    # The difference is of second order in the amplitude.
     assert orbit.force_rms == pytest.approx(together.force_rms, rel=1e-4)
 
 
@@ -68,7 +68,7 @@ def test_derivatives_by_each_number(name):
     slope = float(ca.Function("slope", [x], [ca.jacobian(rms, x)])(value))
     step = 1e-3 * value
     runs = [float(po.simulate(changed(value + k * step), 1.0).force_rms) for k in (-2, -1, 1, 2)]
-    # Differences of order 4 with steps of 1e-3 leave some 1e-9.
+    # Differences of order 4 with steps of 1e-3 have an error of about 1e-9.
     assert slope == pytest.approx((runs[0] - 8 * runs[1] + 8 * runs[2] - runs[3]) / (12 * step), rel=1e-6)
 
 
@@ -80,7 +80,7 @@ def test_derivatives_by_each_number(name):
         ((WAVES[0],) * 9, "9 waves"),
     ],
 )
-def test_what_is_no_sum_of_waves_is_refused(waves, words):
+def test_invalid_strength_waves_are_refused(waves, words):
     with pytest.raises(po.InputError, match=words.replace("(", r"\(").replace(")", r"\)")):
         scene(waves)
 
@@ -89,7 +89,7 @@ def test_strength_stays_above_zero_along_the_path():
     deep = (po.StrengthWave(0.8, 0.2), po.StrengthWave(0.5, 0.3, 0.7))
     with pytest.raises(po.DomainError, match=r"strength by a factor of -0\.156\d at a travel of 0\.15[78]\d m"):
         po.simulate(scene(deep), 1.0)
-    # Before that place nothing is wrong.
+    # A run that ends before that place is valid.
     assert po.simulate(scene(deep, motion=False, damping=None), 0.07).mean_draft > 0.0
     symbol = ca.MX.sym("k")
     made = po.Scene(po.named_soil("serozem"), SHARE, symbol, 20.0, 2.0, po.Effects(strength_wave=deep))

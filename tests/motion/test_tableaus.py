@@ -1,4 +1,4 @@
-"""A Butcher tableau that is added by its name is an integration method like the others."""
+"""A Butcher tableau added by name: its order, derivatives, default steps and refusals."""
 
 import math
 
@@ -36,7 +36,7 @@ def test_error_falls_by_the_order(name):
         abs(po.simulate(scene(), 0.5, accuracy=po.Accuracy(name, steps=n), outputs=4).mean_draft - exact)
         for n in (160, 320)
     ]
-    # The orders of the next term are an eighth of a power at these steps.
+    # The next term of the error changes the order by about an eighth at these steps.
     assert math.log2(errors[0] / errors[1]) == pytest.approx(OWN[name].order, abs=0.25)
 
 
@@ -53,14 +53,14 @@ def test_symbolic_run_has_the_derivatives_of_its_steps(kind):
     run = po.simulate(scene(stiffness=x), 0.5, accuracy=accuracy, outputs=4)
     both = ca.Function("f", [x], [run.force_rms, ca.jacobian(run.force_rms, x)])
     value, slope = map(float, both(5e4))
-    # Rounding of a mean square of deviations.
+    # Up to rounding of a mean square of deviations.
     assert value == pytest.approx(po.simulate(scene(), 0.5, accuracy=accuracy, outputs=4).force_rms, rel=1e-10)
     difference = (float(both(5e4 * 1.0001)[0]) - float(both(5e4 * 0.9999)[0])) / 10.0
-    # Differences of second order by steps of 1e-4.
+    # Central differences with relative steps of 1e-4.
     assert slope == pytest.approx(difference, rel=1e-6)
 
 
-def test_what_it_cannot_do_is_refused():
+def test_events_tolerances_and_unknown_names_are_refused():
     with pytest.raises(po.InputError, match=r"'heun_3' cannot locate.* events"):
         po.simulate(scene(effects=po.Effects(contact=po.StickSlip())), 0.5, accuracy=po.Accuracy("heun_3"))
     with pytest.raises(po.InputError, match="'heun_3' has no setting 'tolerance'"):
@@ -79,7 +79,7 @@ def test_what_it_cannot_do_is_refused():
         ({"stages": ((), (1 / 3,), (0.1, 2 / 3))}, "row .* adds up to .* node 0.66"),
     ],
 )
-def test_tableaus_that_are_none_are_refused(change, message):
+def test_invalid_tableaus_are_refused(change, message):
     given = {"order": 3, "nodes": HEUN.nodes, "weights": HEUN.weights, "stages": HEUN.stages}
     with pytest.raises(po.InputError, match=message):
         Tableau(**given | change)

@@ -32,28 +32,37 @@ TEXTS = {path.stem: path.read_text(encoding="utf-8") for path in sorted((ROOT / 
 
 @dataclass(frozen=True)
 class Page:
-    """Output and files of the code of a page.
+    """Expected output and files of a page's code, and how to shorten its computations by default.
 
     Attributes:
         prints: pieces of the output.
         writes: file -> least size [B].
-        least: a word of the blocks that run by default; all of them run with the slow tests.
-        briefly: a line of the shell -> arguments that are added by default.
-        scripts: Python blocks are files of their own, as those that begin processes must be.
-        holds: whether the variables of the Python blocks are as they should be.
+        least: word in the blocks that run by default; the slow tests run all blocks.
+        shorter: text in Python blocks -> the text that replaces it by default.
+        briefly: function from a shell line to the changes by --set, or other arguments, added by default.
+        scripts: whether each Python block must run as a file in its own process, because it starts processes.
+        holds: function from the variables of the Python blocks to whether they are right.
     """
 
     prints: tuple[str, ...] = ()
     writes: dict[str, int] = field(default_factory=dict)
     least: str = ""
+    shorter: dict[str, str] = field(default_factory=dict)
     briefly: Callable[[str], list[str]] = lambda _: []
     scripts: bool = False
     holds: Callable[[dict], bool] = lambda _: True
 
 
 def few_points(line):
-    key = "effects.orbit=linearised" if "oscillation" in line else "scene.duration=0.1 s"
-    return ["--points", "5", "--set", key]
+    """Return arguments for a small front, of a surface with a fixed mount on a linearised orbit."""
+    if "oscillation" in line:
+        return ["--points", "5", "--set", "effects.orbit=linearised", "--set", "scene.stiffness=100 kN/m"]
+    return ["--points", "5", "--set", "scene.duration=0.1 s"]
+
+
+def short_motion(line):
+    """Return a shorter duration for the exports; the page gives figures of the OpenMDAO component."""
+    return [] if "openmdao" in line else ["--set", "scene.duration=0.1 s"]
 
 
 def tolerances_cost_something(names):
@@ -73,13 +82,15 @@ PAGES = {
     "crosscheck": Page(("McKyes-Ali does not include soil that moves with the share",), {"out/drafts.png": 10_000}),
     "embedding": Page(
         # OpenMDAO at the global optimum of R1, and CasADi's Jacobian.
-        ("share.height [m] 0.2 to 0.3, value 0.25", "True [0.82500571] [39.1146985", "jac_share")
+        ("share.height [m] 0.2 to 0.3, value 0.25", "True [0.82500571] [39.1146985", "jac_share"),
+        shorter={"scene, 2.0": "scene, 0.2", "steps=400": "steps=40", "duration=2.0": "duration=0.2"},
+        briefly=short_motion,
     ),
     "results": Page(
         ("at least 120 mm", "'lower': 0.1", "2 results side by side"), {"both.png": 5_000}, holds=units_are_kept
     ),
     "soils": Page(("5.737", "0.992465")),
-    "sweeps": Page(least="def response", scripts=True),
+    "sweeps": Page(least="def response", shorter={"samples=64": "samples=4, workers=1"}, scripts=True),
     "tolerances": Page(holds=tolerances_cost_something),
     "trade_offs": Page(
         ("Front of", "1 % less draft costs", "half angle", "1 % more tow speed costs"),
@@ -89,6 +100,7 @@ PAGES = {
             "out/deflection.json": 1_000,
             "out/surface.png": 10_000,
         },
+        shorter={"points=12": "points=7"},
         briefly=few_points,
     ),
     "uncertain_soil": Page(("radius, probability of at least 0.15", "variance of draft"), least="import"),
@@ -106,6 +118,8 @@ def test_its_code_runs(name, whole, tmp_path, monkeypatch, capsys):
     for language, text in re.findall(r"```(sh|python)\n(.*?)```", TEXTS[name], flags=re.DOTALL):
         if not whole and page.least not in text:
             continue
+        for old, new in ({} if whole or language == "sh" else page.shorter).items():
+            text = text.replace(old, new)
         if language == "sh":
             for line in text.splitlines():
                 command, _, target = line.partition(" > ")

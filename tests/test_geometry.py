@@ -7,15 +7,9 @@ import numpy as np
 import pytest
 from helpers import high_precision as hp
 from helpers.high_precision import assert_close, assert_derivatives, differentiated
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import plough_opt as po
-from plough_opt.core import expressions as ex
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
-
-# Fixed examples, so that a run can be repeated.
-repeatable = settings(deadline=None, derandomize=True, max_examples=60)
 
 # A dozen roundings of 1.1e-16, squared twice.
 ROUNDING = 1e-14
@@ -91,36 +85,6 @@ def test_degrees():
     assert float(ca.Function("f", [x], [po.deg(x)])(45.0)) == pytest.approx(math.pi / 4, rel=3e-16)
 
 
-angle = st.floats(1e-6, math.radians(89.0))
-chisel = st.floats(0.0, math.radians(80.0))
-height = st.floats(1e-3, 10.0)
-
-
-@repeatable
-@given(angle, chisel, height)
-def test_equivalent_cone_has_equal_height_and_area(wedge_angle, chisel_angle, share_height):
-    share = po.Wedge(wedge_angle, chisel_angle, share_height)
-    cone = share.equivalent_cone()
-    assert cone.height == share_height
-    # Rounding the half angle to a float costs tan(beta)/cos(beta) some eps * beta (1 + sin^2)/(sin cos).
-    beta = cone.half_angle
-    conditioning = beta * (1 + math.sin(beta) ** 2) / (math.sin(beta) * math.cos(beta))
-    assert cone.area == pytest.approx(share.area, rel=1e-15 + 3e-16 * conditioning)
-
-
-def test_arrays_are_taken_element_by_element():
-    angles, chisels, heights = np.array([1e-8, 0.3, 1.5]), np.array([0.0, 0.2, 1.2]), np.array([0.01, 0.3, 2.0])
-    share = po.Wedge(angles, chisels, heights)
-    cone = share.equivalent_cone()
-    one_by_one = [po.Wedge(*map(float, row)) for row in zip(angles, chisels, heights, strict=True)]
-    # Two units in the last place: NumPy may take another tangent for whole registers than for one number.
-    np.testing.assert_allclose(share.area, [w.area for w in one_by_one], rtol=5e-16)
-    for name in ("half_angle", "height", "slope", "area", "volume"):
-        want = [getattr(w.equivalent_cone(), name) for w in one_by_one]
-        np.testing.assert_allclose(getattr(cone, name), want, rtol=5e-15)
-    assert np.shape(po.Wedge(0.3, 0.2, heights).area) == (3,)
-
-
 WEDGE = {"angle": 0.5, "chisel_angle": 0.2, "height": 0.3}
 CONE = {"half_angle": 0.2, "height": 0.3}
 NOT_FINITE = (math.nan, math.inf, -math.inf)
@@ -141,11 +105,3 @@ def test_number_outside_the_domain_is_refused_by_name_and_value(kind, good, argu
                 kind(**(good | {argument: number}))
             assert any(f"{value:.{digits}g}" in str(error.value) for digits in (6, 17))
             assert ("must be finite" in str(error.value)) is not math.isfinite(value)
-
-
-@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
-def test_symbols_pass(symbol):
-    x = symbol.sym("x")
-    cone = po.Wedge(x, -x, 2.0 * x).equivalent_cone()
-    assert ex.is_symbolic(cone.half_angle)
-    assert ex.is_symbolic(po.Cone(x, x).solid_mass(x))

@@ -1,7 +1,7 @@
 """Soils: the named ones, what is refused, what passes."""
 
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -98,12 +98,3 @@ def test_number_outside_the_domain_is_refused_by_name_and_value(argument, name, 
 )
 def test_ends_of_the_domain_are_allowed(argument, value):
     assert getattr(replace(po.named_soil("hardpan"), **{argument: value}), argument) == value
-
-
-@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
-def test_symbols_pass(symbol):
-    firm = po.named_soil("firm sandy loam")
-    for field in fields(po.Soil):
-        if field.name not in ("name", "source"):
-            x = symbol.sym(field.name)
-            assert getattr(replace(firm, **{field.name: -x}), field.name).is_constant() is False

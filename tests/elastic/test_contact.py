@@ -60,23 +60,6 @@ def test_wedge_pressure(body, speed, nu):
         assert pressure == pytest.approx(-po.elastic.wedge_stress(x, 0.0, nodes, soil, V0).yy, rel=4 * EPS)
 
 
-def factor(soil, speed):
-    """Return K of p = mu K (t/pi) ln(x/(l - x)), from the pressure on a wedge of slope t = 0.1."""
-    x, length = 0.4, 0.5
-    pressure = po.elastic.wedge_pressure(x, [(0.0, 0.0), (length, 0.1 * length)], soil, speed)
-    return pressure * math.pi / (MU * 0.1 * math.log(x / (length - x)))
-
-
-@pytest.mark.parametrize("nu", [0.0, 0.25, 0.49])
-def test_pressure_at_rest_at_the_rayleigh_speed_and_at_the_shear_waves(nu):
-    soil, _ = ground(nu=nu)
-    assert factor(soil, 0.0) == pytest.approx(1.0 / (1.0 - nu), rel=8 * EPS)
-    # Beside its zero K falls by about 20 for each c2.
-    assert factor(soil, po.elastic.rayleigh_speed(soil)) == pytest.approx(0.0, abs=100 * EPS)
-    # c2 itself is rounded, and K hangs on the root of the distance from it.
-    assert factor(soil, po.elastic.shear_wave_speed(soil)) == pytest.approx(-math.sqrt(2.0 * (1.0 - nu)), rel=1e-7)
-
-
 # --- force on a wedge ------------------------------------------------------------------------------------------------
 
 
@@ -160,18 +143,6 @@ def test_contact_that_is_lost_or_kept_on_a_short_part_of_a_piece(body):
         assert force == pytest.approx(float(exact), rel=0, abs=4 * EPS * thrust(body, speed)), ambient_pressure
 
 
-@bodies
-def test_ambient_pressure_presses_the_soil_onto_the_face(body):
-    """The force falls with it, to that of the soil that clings: for one straight wedge to zero."""
-    nodes = nodes_of(inputs(0, 0, body))
-    forces = [po.elastic.wedge_force(nodes, *ground(ambient_pressure=p)) for p in (0.0, 1e6, 1e7, 1e9)]
-    clinging = po.elastic.wedge_force(nodes, *ground(ambient_pressure=0.0), separation=False)
-    assert all(a > b for a, b in itertools.pairwise(forces[:3]))
-    assert forces[-1] == pytest.approx(clinging, rel=0, abs=4 * EPS * thrust(body, 0.3))
-    if body == "wedge":
-        assert clinging == 0.0
-
-
 # Hundreds of roundings, and fifty times those of the speed: 95 m/s lies 2 % above the Rayleigh wave's.
 FORCES = 1e-12
 
@@ -224,24 +195,6 @@ def test_cone_pressure(body, speed, nu):
         pressure = po.elastic.cone_pressure(x, nodes, soil, V0)
         assert_accurate([pressure], [-wanted[0, rr]], [size[0, rr] + rounded], [f"p({x})"], 16)
         assert pressure == pytest.approx(-po.elastic.cone_stress(x, float(radius), nodes, soil, V0).rr, rel=1e-12)
-
-
-@pytest.mark.parametrize("nu", [0.0, 0.3, 0.49])
-@pytest.mark.parametrize("speed", [1e-3, 0.3, 0.7, 0.95])
-def test_pressure_on_a_slender_cone_is_near_the_shear_modulus(speed, nu):
-    """To an error of t^4 ln t, away from tip and shoulder, p/mu is an elementary expression of the profile."""
-    (soil, V0), length, x = ground(speed, nu), 0.5, 0.3
-    medium = exact_medium(speed, nu)
-    m, kappa, alpha, eta = medium.m, (medium.c2 / medium.c1) ** 2, medium.alpha, medium.eta
-    for t in (0.1, 0.01, 0.001):
-        nodes, r = [(0.0, 0.0), (length, t * length)], t * x
-        first, last = mp.hypot(x, alpha * r), mp.hypot(x - length, alpha * r)
-        log = mp.log((first + last + length) / (first + last - length))
-        along = (t**2 * log - t**2 * length / last) / 2
-        shear = (2 * eta**2 * mp.log(alpha / eta) + (1 + eta**2) * alpha**2 / 2 - eta**2) / m
-        wanted = 1 + (m * (1 - kappa) - (1 - 2 * kappa)) * along - t**2 * shear
-        found = po.elastic.cone_pressure(x, nodes, soil, V0) / MU
-        assert found == pytest.approx(float(wanted), rel=0, abs=20 * t**4 * (1 - math.log(t)) + 1e-13)
 
 
 BLUNT = ((0.2,), (0.2,))

@@ -86,28 +86,6 @@ def _friction(density_ratio, friction_angle):
     return mu, nu, phi, a
 
 
-def wall_pressure_by_momentum(
-    density, density_ratio, friction_angle, cohesion, ambient_pressure, radius, radius_rate, radius_acceleration
-):
-    """Gauge pressure on the wall, by integrating the soil's acceleration from the wall to the front, (14)-(21)."""
-    mu = mp.sin(friction_angle)
-    nu = 2 * mu / (1 + mu)
-    tau0 = 2 * cohesion * mp.cos(friction_angle)
-    front = radius / mp.sqrt(1 - density_ratio)
-    jump = density * (radius * radius_rate / front) ** 2 / (1 - density_ratio)
-
-    def momentum(s):
-        y = mp.sqrt(density_ratio * s**2 + radius**2)
-        acceleration = (radius_rate**2 + radius * radius_acceleration) / y - (radius * radius_rate) ** 2 / y**3
-        return y ** (nu - 1) * s * acceleration
-
-    shear = (front**nu - radius**nu) / nu if nu else mp.log(front / radius)
-    with mp.workdps(30):
-        carried = density * mp.quad(momentum, [0, front])
-    pressure = (front**nu * (ambient_pressure + jump) + carried + tau0 / (1 + mu) * shear) / radius**nu
-    return pressure - ambient_pressure
-
-
 def coefficients(v):
     """A, B and C of equation (26)."""
     tan = mp.tan(half_angle(v["wedge_angle"], v["chisel_angle"]))
@@ -131,23 +109,6 @@ def resistance_terms(v):
 def resistance(*values):
     """Equation (25) [N], arguments in the order of `NAMES`."""
     return mp.fsum(resistance_terms(dict(zip(NAMES, values, strict=True))))
-
-
-def resistance_by_integration(v):
-    """Equation (24) [N]: pressure (23) and friction integrated over the cone."""
-    beta = half_angle(v["wedge_angle"], v["chisel_angle"])
-    b1, theta = v["density_ratio"], v["friction_angle"]
-    static = strength(b1, theta, v["cohesion"], v["ambient_pressure"])
-    of_rate, of_inertia = rate(b1, theta), inertia(b1, theta)
-
-    def traction(x):
-        radius, radius_rate, radius_acceleration = (s * mp.tan(beta) for s in (x, v["speed"], v["acceleration"]))
-        motion = of_rate * radius_rate**2 + of_inertia * radius * radius_acceleration
-        return (static + v["density"] * motion) * radius * mp.sqrt(1 + mp.tan(beta) ** 2)
-
-    with mp.workdps(40):
-        integral = mp.quad(traction, [0, v["height"]])
-    return 2 * mp.pi * (mp.sin(beta) + v["tool_friction"] * mp.cos(beta)) * integral
 
 
 def in_order(values):

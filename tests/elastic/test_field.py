@@ -158,6 +158,17 @@ def test_gradient_and_hessian_of_matrix_expressions(case):
     check_gradient_and_hessian(ca.MX, *case)
 
 
+@pytest.mark.parametrize("body", ["diamond", *slow(["wedge", "ogive", "tapered"])])
+def test_second_derivatives_above_every_node(body):
+    """The field of a cone is analytic there, though its parts, the displaced section and the rest, are not."""
+    field = FIELDS["cone"]
+    for node in (0.0, *BODIES[body][0]):
+        values = inputs(node, 0.07, body, 0.7)
+        wanted, size = precise(precise_cone, values, (0, 1))
+        found = differentiated(cone, ca.SX, len(values), (0, 1))(values)
+        assert_derivatives(found, wanted, size, field.names, field.derivatives)
+
+
 @fields
 @pytest.mark.parametrize("symbol", [ca.SX, *slow([ca.MX])])
 def test_at_rest_derivatives_are_finite_and_even_in_speed(kind, symbol):

@@ -51,6 +51,9 @@ def test_knots_converge_with_the_square_of_their_number(field, profile):
     for count in (16, 32, 64):
         nodes = po.elastic.knots(PROFILES[profile], LENGTH, count)
         errors.append(relative(as_columns(getattr(po.elastic, field)(x, y, nodes, soil, V0)), smooth))
+        pieces = np.diff([place for place, _ in nodes])
+        assert pieces[0] == pytest.approx(pieces[-1], rel=1e-12)
+        assert max(pieces) > 10.0 * pieces[0]  # closer together towards both ends
     rates = [math.log2(a / b) for a, b in itertools.pairwise(errors)]
     assert rates == pytest.approx([2.0, 2.0], abs=0.02)
     assert errors[-1] < 2e-3

@@ -1,4 +1,4 @@
-"""The declarations of a design: variables, parameters, requirements; checked when they are declared."""
+"""Variables, parameters and requirements of a design, checked when they are declared."""
 
 import math
 import re
@@ -16,9 +16,9 @@ from plough_opt.core.errors import InputError, nearest, short
 from plough_opt.core.expressions import Expression, absolute, exp, log, maximum, minimum
 from plough_opt.core.units import Display, customary, in_words
 
-# Characters of an expression that a saved result quotes: a whole one fills pages.
-_LONGEST = 400
-# The domain of a quantity of which no end is known.
+# A saved result quotes at most this many characters of an expression: a whole one fills pages.
+_MOST_CHARACTERS = 400
+# The domain of a quantity without known limits.
 EVERYWHERE = (-math.inf, math.inf)
 
 
@@ -34,9 +34,9 @@ class Variable:
     unit: str
     log: bool
     tolerance: float | str | None = None
-    auxiliary: bool = False  # made by the program, and in no report
+    auxiliary: bool = False  # added by the program and left out of reports
     domain: tuple[float, float] = EVERYWHERE
-    display: Display | None = None  # in which reports give it, where one was asked for
+    display: Display | None = None  # unit in reports, if the user chose one
 
     def __post_init__(self) -> None:
         numbers = (self.guess, self.lower, self.upper)
@@ -55,31 +55,31 @@ class Variable:
             raise InputError(f"{text}: its guess {guess} lies outside its bounds {low} to {high}")
         if self.log and self.lower <= 0.0:
             raise InputError(f"{text}: a log-scaled variable needs a lower bound above 0, not {self.lower:g}")
-        self._half_width(self.guess)  # refuses what is not a tolerance
+        self._half_width(self.guess)  # raises InputError if the tolerance is not valid
 
     @property
     def shown(self) -> Display:
-        """The unit in which reports give it."""
+        """The unit in reports."""
         return self.display or customary(self.unit, self.lower, self.upper)
 
     def scaled(self, value: Expression) -> Expression:
-        """Return a value as its position between the bounds, 0 to 1."""
+        """Return the scaled variable, 0 to 1 between the bounds, from a value."""
         if self.log:
             return log(value / self.lower) / math.log(self.upper / self.lower)
         return (value - self.lower) / (self.upper - self.lower)
 
     def unscaled(self, y: Expression) -> Expression:
-        """Return the value at a position between the bounds."""
+        """Return the value from the scaled variable."""
         if self.log:
             return self.lower * exp(y * math.log(self.upper / self.lower))
         return self.lower + (self.upper - self.lower) * y
 
     def slope(self, y: float) -> float:
-        """Return the derivative of the value by its position between the bounds."""
+        """Return d value / d scaled variable."""
         return float(self.unscaled(y)) * math.log(self.upper / self.lower) if self.log else self.upper - self.lower
 
     def value(self, y: float) -> float:
-        """Return the value at a position; exactly the bound at 0 and 1."""
+        """Return the value from the scaled variable, and exactly the bound at or beyond 0 and 1."""
         if y <= 0.0:
             return self.lower
         if y >= 1.0:
@@ -87,44 +87,49 @@ class Variable:
         return float(self.unscaled(y))
 
     def tolerance_interval(self, y: Expression) -> tuple[Expression, Expression]:
-        """Return the ends of the tolerance around a scaled value, scaled, and clipped at the bounds."""
+        """Return the ends of the tolerance interval around a scaled variable, scaled and clipped at the bounds."""
         if self.tolerance is None:
-            return maximum(y - _TOLERANCE, 0.0), minimum(y + _TOLERANCE, 1.0)
+            return maximum(y - _DEFAULT_TOLERANCE, 0.0), minimum(y + _DEFAULT_TOLERANCE, 1.0)
         value = self.unscaled(y)
         half = self._half_width(value)
         return self.scaled(maximum(value - half, self.lower)), self.scaled(minimum(value + half, self.upper))
 
     def within_tolerance(self, value: Expression, part: float) -> Expression:
-        """Return a value within the tolerance of another: at 0 of the scaled interval its lower end, at 1 its upper."""
+        """Return a value within the tolerance interval of another, at a part from 0 (lower end) to 1 (upper end)."""
         low, high = self.tolerance_interval(self.scaled(value))
         return self.unscaled(low + (high - low) * part)
 
     def _half_width(self, value: Expression) -> Expression:
-        """Return the tolerance at a value, in the variable's unit, where one was declared."""
+        """Return the declared tolerance at a value, in the variable's unit; 0 if none was declared.
+
+        Raises:
+            InputError: the tolerance is neither a half width nor a percentage.
+        """
         given = self.tolerance
         number = _PER_CENT.fullmatch(given) if isinstance(given, str) else None
         if number is not None:
             given, part = float(number[1]), absolute(value) / 100.0
         else:
             part = 1.0
-        given = float(given) if isinstance(given, np.floating) else given  # of few bytes it is compared with its like
-        sound = isinstance(given, int | float | np.number) and not isinstance(given, bool)
-        if self.tolerance is not None and not (sound and 0.0 <= cast(float, given) <= sys.float_info.max):
+        # A NumPy float of few bytes could not be compared with the largest float.
+        given = float(given) if isinstance(given, np.floating) else given
+        is_number = isinstance(given, int | float | np.number) and not isinstance(given, bool)
+        if self.tolerance is not None and not (is_number and 0.0 <= cast(float, given) <= sys.float_info.max):
             raise InputError(
                 f"variable '{self.name}': tolerance = {shown(self.tolerance)} must be a half width in"
-                f" {self.unit or '1'}, not below 0, or a part of the value such as '0.5 %'"
+                f" {self.unit or '1'}, not below 0, or a percentage of the value such as '0.5 %'"
             )
         return float(given or 0.0) * part
 
 
-# Half width of the tolerance where none is declared: a part of the range, of the logarithm's if scaled so.
-_TOLERANCE = 0.003
+# Half width of the tolerance interval if none is declared, as a part of the range of the scaled variable.
+_DEFAULT_TOLERANCE = 0.003
 _PER_CENT = re.compile(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*%\s*")
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A quantity that is fixed within a solve and may differ between solves."""
+    """A quantity with a fixed value in each solve, which may differ between solves."""
 
     name: str
     symbol: ca.MX
@@ -140,15 +145,15 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Requirement:
-    """A named limit on an expression; a column of values is limited in every entry."""
+    """A named limit on an expression; every entry of a column must keep it."""
 
     name: str
     expression: ca.MX
     at_least: float | None
     at_most: float | None
     unit: str
-    auxiliary: bool = False  # made by the program, and in no report
-    display: Display | None = None  # in which reports give it, where one was asked for
+    auxiliary: bool = False  # added by the program and left out of reports
+    display: Display | None = None  # unit in reports, if the user chose one
 
     def __post_init__(self) -> None:
         text = f"requirement '{self.name}'"
@@ -164,22 +169,22 @@ class Requirement:
 
     @property
     def scale(self) -> float:
-        """Size of the limits, by which the optimiser divides the expression; 0 for limits of zero."""
+        """Size of the larger limit, by which the optimiser divides the expression; 0 for limits of zero."""
         return max(abs(limit) for limit in (self.at_least, self.at_most) if limit is not None)
 
     @property
     def low(self) -> float:
-        """Lower limit, minus infinity where there is none."""
+        """Lower limit; minus infinity if there is none."""
         return -math.inf if self.at_least is None else self.at_least
 
     @property
     def high(self) -> float:
-        """Upper limit, infinity where there is none."""
+        """Upper limit; infinity if there is none."""
         return math.inf if self.at_most is None else self.at_most
 
     @property
     def shown(self) -> Display:
-        """The unit in which reports give it."""
+        """The unit in reports."""
         return self.display or customary(self.unit, *(x for x in (self.at_least, self.at_most) if x is not None))
 
     def limits_text(self) -> str:
@@ -192,13 +197,13 @@ class Requirement:
         return " and ".join(parts)
 
     def margin(self, values: NDArray[np.float64]) -> float:
-        """Return the distance of the worst value from its limit, positive inside."""
+        """Return the distance of the worst value from its limit, positive inside the limits."""
         return float(min(np.min(values - self.low), np.min(self.high - values)))
 
 
 @dataclass(frozen=True)
 class Declarations:
-    """Everything that was declared, in the order of declaration."""
+    """All declarations of a design, in the order in which they were made."""
 
     variables: tuple[Variable, ...]
     parameters: tuple[Parameter, ...]
@@ -206,17 +211,17 @@ class Declarations:
     requirements: tuple[Requirement, ...]
 
     def symbols(self) -> list[ca.MX]:
-        """Return the variables' and the parameters' symbols as two columns' worth of inputs."""
+        """Return the symbols of the variables, followed by those of the parameters."""
         return [*(v.symbol for v in self.variables), *(p.symbol for p in self.parameters)]
 
     def parameter_values(self, changed: Mapping[str, float]) -> NDArray[np.float64]:
-        """Return the parameters' values.
+        """Return the values of all parameters.
 
         Args:
-            changed: those that differ from the declared ones, by name.
+            changed: name -> value of the parameters that differ from their declaration.
 
         Raises:
-            InputError: a name that is not a parameter, or a value that is not a finite number.
+            InputError: a name is not a parameter, or a value is not a finite number.
         """
         names = [p.name for p in self.parameters]
         for name in changed:
@@ -225,12 +230,12 @@ class Declarations:
         return np.array([plain_number(f"parameter '{p.name}'", changed.get(p.name, p.value)) for p in self.parameters])
 
     def plain(self, values: Mapping[str, float]) -> dict[str, dict[str, str | float | None]]:
-        """Return everything as plain data, to be kept with a result.
+        """Return all declarations but auxiliary ones as plain data, to be saved with a result.
 
         Args:
-            values: of the parameters by name; one without is left out, as are those that a program made for itself.
+            values: name -> value of the parameters; others are left out.
         """
-        found: dict[str, dict[str, str | float | None]] = {
+        plain: dict[str, dict[str, str | float | None]] = {
             v.name: {
                 "kind": "variable", "guess": v.guess, "lower": v.lower, "upper": v.upper, "unit": v.unit,
                 "scale": "log" if v.log else "linear", "tolerance": v.tolerance,
@@ -240,21 +245,21 @@ class Declarations:
         }  # fmt: skip
         for p in self.parameters:
             if p.name in values:
-                found[p.name] = {"kind": "parameter", "value": float(values[p.name]), "unit": p.unit}
+                plain[p.name] = {"kind": "parameter", "value": float(values[p.name]), "unit": p.unit}
         for r in self.requirements:
             if r.auxiliary:
                 continue
-            found[r.name] = {"kind": "requirement", "at_least": r.at_least, "at_most": r.at_most, "unit": r.unit,
-                             "expression": short(str(r.expression), _LONGEST)}  # fmt: skip
-        return found | {"objective": {"kind": "objective", "expression": short(str(self.objective), _LONGEST)}}
+            plain[r.name] = {"kind": "requirement", "at_least": r.at_least, "at_most": r.at_most, "unit": r.unit,
+                             "expression": short(str(r.expression), _MOST_CHARACTERS)}  # fmt: skip
+        return plain | {"objective": {"kind": "objective", "expression": short(str(self.objective), _MOST_CHARACTERS)}}
 
     def strangers(self, expression: ca.MX) -> list[str]:
-        """Return the names of an expression's symbols that were not declared here, namesakes included."""
+        """Return the names of an expression's symbols that were not declared here, even if the name was."""
         known = {hash(symbol) for symbol in self.symbols()}
         return sorted({s.name() for s in ca.symvar(expression) if hash(s) not in known})
 
     def describe(self, values: NDArray[np.float64]) -> str:
-        """Return the variables at values in words."""
+        """Return the variables with certain values in words."""
         return ", ".join(
             f"{v.name} = {in_words(float(x), v.unit)}" for v, x in zip(self.variables, values, strict=True)
         )

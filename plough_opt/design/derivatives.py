@@ -1,4 +1,8 @@
-"""Enough integration steps for a program: for objective and limits at its optima, and for derivatives at the best."""
+"""Refinement of a program's integration steps until objective, limits and derivatives are accurate enough.
+
+Objective and limits are compared with tight integration at every optimum, derivatives with those of finer steps at the
+best one.
+"""
 
 import contextlib
 import math
@@ -17,20 +21,25 @@ from plough_opt.motion.plan import summed_rate
 from plough_opt.motion.runge_kutta import pairs
 
 SMALL = 0.25
-"""Part of the program's scale below which an objective is next to nothing, and errors are relative to the scale."""
+"""Objectives below this part of the program's scale count as small: their errors are relative to the scale."""
 
-# Times that more steps are taken, while each brings what is missed down to this part at least.
-_REFINEMENTS, _FALLS = 4, 0.5
-# Above this gap a design by a method with its own setting carries a warning.
+_MOST_REFINEMENTS = 4
+# A refinement must reduce the excess of the error to this part of the last one; otherwise more steps do not help.
+_PROGRESS = 0.5
+# A program whose method has a fixed setting gets a warning above this relative gap.
 _COARSE = 1e-6
-# Steps to an error are more by this power of how far it was missed, and at once by no more than this factor.
-_ORDER, _COARSER_BY = 0.125, 3.0
-# Relative change of a parameter by which derivatives are taken as differences: by so much of the run's phase [rad], and
-# no more than the second. What differences miss is a hundredth of an error, and rounding 1e-12 of the derivatives.
-_OF_PHASE, _MOST_CHANGE = 0.3, 0.03
-# Scaled designs nearer than this have the same error.
-_NEAR = 1e-3
-# Runs of a structure that are compared, of however many there are.
+# An error e times too large takes e to this power times as many steps: the method has order 8.
+_STEPS_EXPONENT = 0.125
+# Largest factor on the number of steps in one refinement.
+_MOST_STEPS_FACTOR = 3.0
+# Differences that replace derivatives change each parameter by a relative step: the first number divided by the run's
+# phase [rad], and at most the second. They then miss a hundredth of the error that they measure, and rounding is 1e-12
+# of the derivatives.
+_CHANGE_TIMES_PHASE = 0.3
+_MOST_CHANGE = 0.03
+# Within this distance of a scaled design the error of derivatives is not measured again.
+_SAME_ERROR = 1e-3
+# Of the runs in a group, at most this many are compared.
 _MOST_RUNS = 8
 
 
@@ -40,19 +49,24 @@ def error_of_derivatives(program: Program, y: Vector, p: Vector) -> float:
 
 
 def _error(own: RunGroup, theta: Vector) -> float:
-    """Return the largest error of the derivatives of alike runs, from their parameters, a column for each."""
-    many = _side_by_side(own)
-    found = math.nan
+    """Return the largest error of the derivatives of a group's runs.
+
+    Args:
+        own: the group.
+        theta: all parameters of its runs, a column for each run.
+    """
+    many = _compiled_runs(own)
+    error = math.nan
     if many is not None:
         chosen = np.unique(np.linspace(0, theta.shape[1] - 1, _MOST_RUNS).round().astype(int))
-        found = max(error_by_differences(own, p, many) for p in theta.T[chosen])
-    return derivative_error(own.solver, own.first, own.varying, theta) if math.isnan(found) else found
+        error = max(_error_by_differences(own, p, many) for p in theta.T[chosen])
+    return derivative_error(own.solver, own.first, own.varying, theta) if math.isnan(error) else error
 
 
-def _side_by_side(own: RunGroup) -> ManyRuns | None:
-    """Return what follows very many of alike runs by their own steps in machine code, if anything does.
+def _compiled_runs(own: RunGroup) -> ManyRuns | None:
+    """Return machine code that integrates many runs of a group by the group's own steps, or None if there is none.
 
-    Equal steps are all the same to both where nothing is read between them and none ends at a kink.
+    The machine code takes the same steps only if the design reads nothing between steps and no step ends at a kink.
     """
     solver = own.solver
     structure = solver.structure
@@ -67,56 +81,58 @@ def _side_by_side(own: RunGroup) -> ManyRuns | None:
     return many if many.compiled else None
 
 
-def error_by_differences(own: RunGroup, p: Vector, many: ManyRuns) -> float:
-    """Return what `derivative_error` does of one run, its derivatives as differences of runs; NaN without a value.
+def _error_by_differences(own: RunGroup, p: Vector, many: ManyRuns) -> float:
+    """Return `derivative_error` of one run with differences in place of derivatives; NaN if a run has no value.
 
-    Differences of runs of equal steps are those of the steps' own derivatives, so that what they miss of these is
-    nearly the same for few steps as for more.
+    The truncation error of the differences is nearly the same for few steps and for many, so it cancels when the two
+    are compared.
 
     Args:
-        own: the run's kind; of it no more than averages is asked for.
-        p: its parameters, the duration last.
-        many: follows runs of its structure.
+        own: the run's group; the design uses nothing but its averages.
+        p: parameters of the run, the duration last.
+        many: integrates runs of its structure.
     """
     count = len(own.varying)
     phase = float(summed_rate(dict(zip(own.solver.names, map(float, p), strict=False)))) * float(p[-1])
-    step = min(_MOST_CHANGE, _OF_PHASE / max(phase, _OF_PHASE))
+    step = min(_MOST_CHANGE, _CHANGE_TIMES_PHASE / max(phase, _CHANGE_TIMES_PHASE))
     first, second = np.array(pairs(count)).T
     directions = np.zeros((1 + 2 * len(first), count))
     for part, sign in ((slice(1, None, 2), 1.0), (slice(2, None, 2), -1.0)):
         np.put_along_axis(directions[part], np.column_stack([first, second]), sign, axis=1)
     given = np.repeat(p[None], len(directions), axis=0)
     given[:, list(own.varying)] *= 1.0 + step * directions
-    used, better = (
+    used, finer = (
         _jet(many(given, count=len(solver.timeline.nodes) - 1), (first, second), step, own.first)
         for solver in (own.solver, finer_than(own.solver))
     )
-    if not (np.all(np.isfinite(used)) and np.all(np.isfinite(better))):
+    if not (np.all(np.isfinite(used)) and np.all(np.isfinite(finer))):
         return math.nan
-    return difference_of_jets(own.solver, p, used, better, own.first)
+    return difference_of_jets(own.solver, p, used, finer, own.first)
 
 
-def _jet(results: Vector, both: tuple[np.ndarray, np.ndarray], step: float, missing: int) -> Vector:
-    """Return value, first and second derivatives of results, columns as those of `plough_opt.motion.derivatives`.
+def _jet(results: Vector, pair: tuple[np.ndarray, np.ndarray], step: float, missing: int) -> Vector:
+    """Return values, first and second derivatives of results, with columns as in `plough_opt.motion.derivatives`.
 
     Args:
-        results: at a place, then upwards and downwards along the sum of each pair of parameters, a row each.
-        both: the pairs, the first and the second of each; those of a parameter with itself are along it alone.
-        step: the change of each.
-        missing: rows of zeros that come before those of the results.
+        results: a row for the unchanged parameters, then for each pair a row with both changed upwards and one with
+            both changed downwards.
+        pair: first and second parameter of each pair; a parameter paired with itself changes alone.
+        step: size of the changes.
+        missing: number of rows of zeros that precede the results.
     """
     value, up, down = results[0], results[1::2], results[2::2]
-    alone = np.flatnonzero(both[0] == both[1])
+    alone = np.flatnonzero(pair[0] == pair[1])
     slopes = (up[alone] - down[alone]) / (2.0 * step)
-    bends = (up - 2.0 * value + down) / step**2
-    apart = (both[0] != both[1])[:, None]
-    mixed = np.where(apart, 0.5 * (bends - bends[alone[both[0]]] - bends[alone[both[1]]]), bends)
-    jet = np.vstack([value, slopes, mixed]).T
+    along = (up - 2.0 * value + down) / step**2
+    different = (pair[0] != pair[1])[:, None]
+    # The curvature along a + b is that along a, plus that along b, plus twice the mixed derivative.
+    second = np.where(different, 0.5 * (along - along[alone[pair[0]]] - along[alone[pair[1]]]), along)
+    jet = np.vstack([value, slopes, second]).T
     return np.vstack([np.zeros((missing, jet.shape[1])), jet])
 
 
 def build_surely(program: Program, p: Vector, starts: Sequence[Vector]) -> None:
-    """Write the program for designs, with so many steps that derivatives at the first of them reach the wanted error.
+    """Build a program for certain designs, with enough steps for accurate derivatives at the first of them.
 
     Args:
         program: prepared.
@@ -127,26 +143,26 @@ def build_surely(program: Program, p: Vector, starts: Sequence[Vector]) -> None:
         InputError, DomainError: as `Program.build`.
     """
     program.build(p, starts=starts)
-    error, wanted = _known_error(program, starts[0], p), _wanted(program)
+    error, wanted = _known_error(program, starts[0], p), _wanted_of_derivatives(program)
     if error > wanted:
         with contextlib.suppress(DomainError):  # too many steps
-            program.build(p, _times(error / wanted), starts)
+            program.build(p, _steps_factor(error / wanted), starts)
 
 
-def _wanted(program: Program) -> float:
-    """Return the wanted error of a program's derivatives."""
+def _wanted_of_derivatives(program: Program) -> float:
+    """Return the error that a program's derivatives should reach."""
     return min((run.integration.accuracy.wanted_derivatives for run in program.exact.runs), default=math.inf)
 
 
-def _times(missed: float) -> float:
-    """Return by what factor more steps there are to be where an error is so many times what it should be."""
-    return min(_COARSER_BY, 1.1 * missed**_ORDER) if missed < math.inf else _COARSER_BY
+def _steps_factor(excess: float) -> float:
+    """Return the factor on the number of steps that reduces an error by the factor ``excess``, with a margin."""
+    return min(_MOST_STEPS_FACTOR, 1.1 * excess**_STEPS_EXPONENT) if excess < math.inf else _MOST_STEPS_FACTOR
 
 
 def _known_error(program: Program, y: Vector, p: Vector) -> float:
-    """Return `error_of_derivatives`, or what that was beside the design at the last check."""
+    """Return `error_of_derivatives`, from the last check if that was at nearly the same design."""
     checked = program.built.checked
-    if checked is None or not np.array_equal(checked[0], p) or np.max(np.abs(checked[1] - y)) >= _NEAR:
+    if checked is None or not np.array_equal(checked[0], p) or np.max(np.abs(checked[1] - y)) >= _SAME_ERROR:
         checked = program.built.checked = p, y, error_of_derivatives(program, y, p)
     return checked[2]
 
@@ -154,72 +170,76 @@ def _known_error(program: Program, y: Vector, p: Vector) -> float:
 def with_enough_steps(
     program: Program, p: Vector, points: list[Point], progress: Callable[[str, float], None]
 ) -> tuple[list[Point], tuple[str, ...]]:
-    """Take more steps until objective and limits of points, and derivatives at the best, are right, or say so.
+    """Refine the steps, and solve again, until the points are accurate or more steps do not help.
 
-    Objective and limits are to be those of the tight integration, derivatives those of finer steps. Kinks, across which
-    derivatives lose more than values, call for more steps than the objective does.
+    Across kinks derivatives lose more accuracy than values do, so they may need more steps than the objective.
 
     Args:
         program: built.
         p: parameters.
-        points: optima, the best first.
-        progress: called with what is being done.
+        points: optima, best first.
+        progress: called with the current activity and the fraction done.
 
     Returns:
-        The points, and what a reader must know where an error is not reached.
+        The points, and a warning for each error that is still too large.
     """
     wanted, factor, last = program.wanted_error, program.built.refinement, math.inf
-    for number in range(_REFINEMENTS + 1):
-        off, unsure = _off(program, p, points), _derivatives_off(program, p, points[0])
-        missed = max(off / (wanted or math.inf), unsure / _wanted(program))
+    for number in range(_MOST_REFINEMENTS + 1):
+        value_error, slope_error = _value_error(program, p, points), _slope_error(program, p, points[0])
+        excess = max(value_error / (wanted or math.inf), slope_error / _wanted_of_derivatives(program))
         # A motion may be too sensitive for any number of steps.
-        if missed <= 1.0 or missed > _FALLS * last or number == _REFINEMENTS:
+        if excess <= 1.0 or excess > _PROGRESS * last or number == _MOST_REFINEMENTS:
             break
         before = program.built
-        progress(f"refining: error {max(off, unsure):.1e}", number / _REFINEMENTS)
-        factor *= _times(missed)
+        progress(f"refining: error {max(value_error, slope_error):.1e}", number / _MOST_REFINEMENTS)
+        factor *= _steps_factor(excess)
         try:
             program.build(p, factor, [point.y for point in points])
         except DomainError:  # too many steps
             break
-        # So few more may be no more, as numbers of steps are rounded.
-        last = math.inf if program.built is before else missed
+        # Numbers of steps are rounded: a factor near 1 may leave the program as it was.
+        last = math.inf if program.built is before else excess
         if program.built is not before:
             points = [solved_again(program, p, point) for point in points]
-    return points, tuple(_shortcomings(program, off, unsure))
+    return points, tuple(_warnings(program, value_error, slope_error))
 
 
-def _off(program: Program, p: Vector, points: Sequence[Point]) -> float:
-    """Return the largest relative gap of points' objectives, or of a limit that the tight run breaks by more."""
-    return max(max(gap_of(program, p, point), broken_by(program, p, point)) for point in points)
+def _value_error(program: Program, p: Vector, points: Sequence[Point]) -> float:
+    """Return the largest relative error of the objective at any point, or violation of a limit if that is larger."""
+    return max(max(gap_of(program, p, point), _violation(program, p, point)) for point in points)
 
 
-def _derivatives_off(program: Program, p: Vector, best: Point) -> float:
-    """Return the error of derivatives at the best point; none of one that IPOPT could not follow to an optimum."""
+def _slope_error(program: Program, p: Vector, best: Point) -> float:
+    """Return the error of derivatives at the best point, or 0 if IPOPT did not converge to an optimum from there."""
     return 0.0 if best.status == AS_FOUND else _known_error(program, best.y, p)
 
 
-def _shortcomings(program: Program, off: float, unsure: float) -> Iterator[str]:
-    wanted, sure = program.wanted_error, _wanted(program)
-    if wanted is None and off > _COARSE:
-        yield f"the optimiser's objective is off by a relative {off:.1e}: take more steps or a tighter tolerance"
-    if wanted is not None and off > wanted:
-        yield f"the wanted relative error {wanted:.1e} of objective and limits was not reached: it is {off:.1e}"
-    if unsure > sure:
+def _warnings(program: Program, value_error: float, slope_error: float) -> Iterator[str]:
+    """Yield a warning for each of the two errors that is larger than wanted."""
+    wanted, wanted_of_derivatives = program.wanted_error, _wanted_of_derivatives(program)
+    if wanted is None and value_error > _COARSE:
         yield (
-            f"the wanted error {sure:.1e} of the motion's derivatives was not reached: it is {unsure:.1e}; the"
-            " certificate and the sensitivities rest on them: take a tighter tolerance, or more steps"
+            f"the optimiser's objective has a relative error of {value_error:.1e}: use more steps or a tighter"
+            " tolerance"
+        )
+    if wanted is not None and value_error > wanted:
+        yield f"the wanted relative error {wanted:.1e} of objective and limits was not reached: it is {value_error:.1e}"
+    if slope_error > wanted_of_derivatives:
+        yield (
+            f"the wanted error {wanted_of_derivatives:.1e} of the motion's derivatives was not reached: it is"
+            f" {slope_error:.1e}; the certificate and the sensitivities depend on them: use a tighter tolerance or more"
+            " steps"
         )
 
 
 def gap_of(program: Program, p: Vector, point: Point) -> float:
-    """Return the relative difference of the optimiser's objective at a point from the tightly integrated one."""
+    """Return the relative difference between the optimiser's objective at a point and the tightly integrated one."""
     exact = float(program.exact_values(point.y, p)[0][0].item())
     return abs(point.f * program.objective_scale - exact) / max(abs(exact), SMALL * program.objective_scale)
 
 
-def broken_by(program: Program, p: Vector, point: Point) -> float:
-    """Return by what part of its size the most broken requirement is beyond its limit in the tight integration."""
+def _violation(program: Program, p: Vector, point: Point) -> float:
+    """Return the largest scaled violation of a requirement at a point by tight integration."""
     values = zip(program.exact_values(point.y, p)[0][1:], program.scales, strict=True)
     g = np.concatenate([np.ravel(value) / scale for value, scale in values] or [np.empty(0)])
     return float(np.max(np.maximum(program.low - g, g - program.high), initial=0.0))

@@ -1,4 +1,4 @@
-"""Questions to a solved design: values of expressions, and how it changes with a parameter or a limit."""
+"""Sensitivities of a solved design to parameters and limits, and values of expressions at its optimum."""
 
 import math
 from collections.abc import Mapping
@@ -18,34 +18,35 @@ from plough_opt.design.ipopt import Point, SolveOptions, Solver, Vector
 from plough_opt.design.program import Program
 from plough_opt.design.verify import TightEvaluation
 
-# Of the value asked for: differences leave its square, and the optimiser's 1e-10 divided by it.
+# Relative change of the value for which a check solves again: the differences have errors of its square, and of the
+# optimiser's 1e-10 divided by it.
 _CHECK_STEP = 2e-4
-# An elasticity below this is the rounding of none.
+# Elasticities below this are shown as 0 %.
 _ROUNDING = 1e-9
-# Two one-sided derivatives nearer than this are one.
+# One-sided derivatives with a smaller relative difference count as equal.
 _SAME = 1e-9
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """How the best objective and the best variables change with a parameter or a limit, the design solved again.
+    """Derivatives of the best objective and the best variables with respect to a parameter or a limit.
 
     Attributes:
-        name: as asked for.
-        value: of the parameter or limit, in ``unit``.
+        name: name of the parameter or limit, as given.
+        value: its value, in ``unit``.
         unit: SI unit.
         objective: d objective / d value.
-        variables: name -> d variable / d value; where ``touching`` is not empty, for a value that grows.
-        elasticity: per cent of the objective per per cent of the value; None where the objective is 0.
-        elasticities: the same of the variables.
-        valid_from: value down to which, to first order, the same limits decide, or end of the model's domain, where
-            that is declared and nearer; None: all the way.
-        valid_to: value up to which they do, or the domain's other end.
-        then: what begins or ceases to decide below ``valid_from`` and above ``valid_to``, in words.
+        variables: name -> d variable / d value; for a growing value if ``touching`` is not empty.
+        elasticity: per cent of the objective per per cent of the value; None if the objective is 0.
+        elasticities: name -> the same for each variable.
+        valid_from: lower end of the range within which, to first order, the same limits decide, or of the model's
+            declared domain if that is nearer; None if there is no end.
+        valid_to: upper end of that range.
+        then: in words, what begins or ceases to decide below ``valid_from`` and above ``valid_to``.
         touching: limits that just touch the optimum, so that the variables move differently up and down.
-        falling: name -> d variable / d value for a value that falls.
-        difference: with ``check``: largest difference from solving again beside the value, as change of the
-            objective, relative, or of a variable, of its range, per relative change of the value.
+        falling: name -> d variable / d value for a falling value.
+        difference: with ``check``, the largest difference from finite differences of optima solved again, of the
+            objective relative to its size and of each variable relative to its range, per relative change of the value.
     """
 
     name: str
@@ -63,7 +64,7 @@ class Sensitivity:
     difference: float | None = None
 
     def __str__(self) -> str:
-        """Say it in words."""
+        """Return the elasticities, the range in which they hold and the result of a check, in words."""
         moves = [_percent("the objective", self.elasticity, self.objective, self.unit)]
         moves += [_percent(n, self.elasticities[n], self.variables[n], self.unit) for n in self.variables]
         text = f"{self.name} = {in_words(self.value, self.unit)}; one per cent more changes {', '.join(moves)}"
@@ -77,7 +78,7 @@ class Sensitivity:
             met = ", ".join(self.touching)
             text += f" This is for a value that grows: {met} is just met, and decides on one side only."
         if self.difference is not None:
-            text += f" Solving again beside it differs by {self.difference:.1e}."
+            text += f" Solving again beside this value differs by {self.difference:.1e}."
         return text
 
 
@@ -89,7 +90,7 @@ def _percent(name: str, elasticity: float | None, derivative: float, unit: str) 
 
 @dataclass(frozen=True)
 class _Target:
-    """A parameter by its number, or a limit by the name of its sides."""
+    """A parameter, given by its number, or a limit, given by the name of its sides."""
 
     value: float
     unit: str
@@ -98,7 +99,7 @@ class _Target:
     domain: tuple[float, float] = EVERYWHERE
 
     def within(self, end: float, then: str) -> tuple[float | None, str]:
-        """Return how far a range goes, and what is there: no further than the model."""
+        """Return the end of a range, clipped at the model's domain, and what happens there; None without an end."""
         if not math.isfinite(end):
             return None, then
         inside = min(max(end, self.domain[0]), self.domain[1])
@@ -106,41 +107,48 @@ class _Target:
 
 
 class Solved:
-    """A program with its optimum: values of expressions there, and sensitivities.
+    """A program with its optimum, which evaluates expressions and sensitivities there.
 
     Attributes:
-        program: built.
-        p: its parameters.
+        program: the program, built.
+        p: parameters.
         point: the optimum.
-        values: of the variables, in their units.
+        values: values of the variables, in their units.
     """
 
     def __init__(
         self, program: Program, p: Vector, point: Point, fixed: Mapping[int, float] = MappingProxyType({})
     ) -> None:
-        """Take an optimum of a built program, with some of its variables, by number, held at values."""
+        """Store an optimum of a built program.
+
+        Args:
+            program: the program.
+            p: parameters.
+            point: the optimum.
+            fixed: number -> value of the variables that are held.
+        """
         self.program, self.p, self.point = program, p, point
         self._fixed = tuple(fixed)
         self.values = program.values(point.y)
         self.values[list(self._fixed)] = list(fixed.values())
 
     def evaluate(self, expression: ca.MX) -> Vector:
-        """Return an expression of the design's symbols at the optimum, its runs integrated tightly.
+        """Return the value of an expression of the design's symbols at the optimum, its runs integrated tightly.
 
         Raises:
-            InputError: it holds symbols that are not of this design.
+            InputError: the expression holds symbols that do not belong to this design.
         """
         if isinstance(expression, ca.SX):
-            raise InputError("an SX expression cannot be of this design, whose variables are MX")
+            raise InputError("an SX expression cannot belong to this design, whose variables are MX")
         declared, expression = self.program.declared, ca.MX(expression)
         if strangers := declared.strangers(expression):
-            raise InputError(f"the expression holds symbols that are not of this design: {', '.join(strangers)}")
+            raise InputError(f"the expression holds symbols that do not belong to this design: {', '.join(strangers)}")
         evaluation = TightEvaluation([expression], declared.symbols(), beside=self.program.exact)
         return np.squeeze(evaluation.values([*self.values, *self.p])[0])
 
     @cached_property
     def _active(self) -> ActiveSet:
-        """The data that all sensitivities share."""
+        """The active set, which all sensitivities share."""
         return ActiveSet(self.program, self.p, self.point, self._fixed)
 
     def sensitivity(self, name: str, *, check: bool = False) -> Sensitivity:
@@ -174,15 +182,20 @@ class Solved:
         )
 
     def every(self) -> tuple[Sensitivity, ...]:
-        """Return those to all parameters that matter and all limits that decide, the largest elasticity first."""
+        """Return the sensitivities to all parameters that matter and all limits that decide, largest first."""
         matters = self._active.parameters_that_matter
         names = [p.name for p, matter in zip(self.program.declared.parameters, matters, strict=True) if matter]
         names += [name for name in self._active.deciding_names if name in self._limits]
-        return tuple(sorted(map(self.sensitivity, names), key=lambda found: -abs(found.elasticity or 0.0)))
+        return tuple(sorted(map(self.sensitivity, names), key=lambda one: -abs(one.elasticity or 0.0)))
 
-    # --- what can be asked -------------------------------------------------------------------------------
+    # --- parameters and limits by name -------------------------------------------------------------------
 
     def _target(self, name: str) -> _Target:
+        """Return the parameter or limit with a name.
+
+        Raises:
+            InputError: there is none; the message lists all names.
+        """
         check_kind("the name", name, str, "that of a parameter or a limit")
         for k, (parameter, value) in enumerate(zip(self.program.declared.parameters, self.p, strict=True)):
             if parameter.name == name:
@@ -195,13 +208,13 @@ class Solved:
         end = "" if hint.endswith("?") else "."
         raise InputError(
             f"{shown(name)} is neither a parameter nor a limit of this design: {hint}{end} Parameters:"
-            f" {', '.join(parameters) or 'none'}; limits: {', '.join(self._limits)}. A quantity that was given as a"
-            " number is not a part of the design: declare it with design.parameter"
+            f" {', '.join(parameters) or 'none'}; limits: {', '.join(self._limits)}. To get the sensitivity to a"
+            " quantity that was given as a number, declare it with design.parameter"
         )
 
     @cached_property
     def _limits(self) -> dict[str, _Target]:
-        """Limits that can be asked for: those of a requirement by its name too, where it has just one."""
+        """Limits by the names that users may give: a requirement's own name will do if it has just one limit."""
         sides = [side for side in sides_of(self.program, self.point, self._fixed) if not side.hidden]
         found = {side.name: _Target(side.limit, side.unit, side=side.name, domain=side.domain) for side in sides}
         names: dict[str, set[str]] = {}
@@ -212,33 +225,33 @@ class Solved:
     # --- units -------------------------------------------------------------------------------------------
 
     def _in_units(self, dy: Vector) -> dict[str, float]:
-        """Return derivatives of the scaled variables as derivatives of the variables."""
+        """Return derivatives of the variables in their units from those of the scaled variables."""
         return {
             v.name: float(d) * v.slope(float(y))
             for v, d, y in zip(self.program.declared.variables, dy, self._active.y, strict=True)
         }
 
     def _unscaled(self, y: Vector) -> list[float]:
-        """Return the variables, beyond their bounds too where these have moved."""
+        """Return the variables in their units, also beyond their declared bounds, which a check may move."""
         return [float(v.unscaled(float(x))) for v, x in zip(self.program.declared.variables, y, strict=True)]
 
     # --- solving again -----------------------------------------------------------------------------------
 
     def _difference(self, target: _Target, objective: float, up: Move, down: Move) -> float:
-        """Return how far differences of optima beside the value are from the derivatives, per relative change."""
+        """Return `Sensitivity.difference`, from solving again with a smaller and with a larger value."""
         size = abs(target.value) or 1.0
         ranges = [v.upper - v.lower for v in self.program.declared.variables]
         here = np.r_[self._active.f * self.program.objective_scale, self._unscaled(self._active.y)]
         scales = np.r_[max(abs(here[0]), self.program.objective_scale), ranges]
-        found = []
+        errors, steps = [], []
         for move, sign in ((up, 1.0), (down, -1.0)):
             step = min(_CHECK_STEP * size, 0.5 * move.until)
             expected = np.r_[objective, list(self._in_units(move.y).values())]
-            found.append(
-                (((self._solved_at(target, sign * step) - here) / (sign * step) - expected) * size / scales, step)
-            )
-        (rising, up_step), (falling, down_step) = found
-        # The curvature cancels where both differences belong to the same limits.
+            slope = (self._solved_at(target, sign * step) - here) / (sign * step)
+            errors.append((slope - expected) * size / scales)
+            steps.append(step)
+        (rising, falling), (up_step, down_step) = errors, steps
+        # If the same limits decide on both sides, the mean is free of the curvature.
         mean = (rising * down_step + falling * up_step) / (up_step + down_step)
         same = np.allclose(up.y, down.y, rtol=1e-9, atol=0.0)
         return float(np.max(np.abs(mean if same else np.r_[rising, falling])))
@@ -267,7 +280,7 @@ class Solved:
         solver = Solver(program.nlp, low, high)
         point = solver.solve(np.clip(self._active.y, lower, upper), p, lower, upper, SolveOptions(near=True))
         if not point.solved:
-            raise NotConverged(f"beside the value the design cannot be solved: {point.status}", point.status)
+            raise NotConverged(f"the check could not solve the design beside the value: {point.status}", point.status)
         return np.array([point.f * program.objective_scale, *self._unscaled(point.y)])
 
 

@@ -1,4 +1,4 @@
-"""From a program to its certified optimum: local solve, global search, refinement, report."""
+"""The solve of a program: global search or local solve, refinement, certificate and report."""
 
 import time
 from dataclasses import dataclass
@@ -32,16 +32,23 @@ from plough_opt.design.sampling import lines_through
 from plough_opt.design.sensitivity import Solved
 from plough_opt.design.tolerance import Judge, ranked, ranking_criterion
 
-# Basins that are optimised, the best first.
-_MOST_POLISHED = 8
-# The same where each takes longer, of more variables than so many, with the part by which their judged values may be
-# above the best.
-_MOST_OF_MANY, _FEW_VARIABLES, _CAN_WIN = 3, 3, 0.15
-# Two scaled optima nearer than this are one.
+# With up to this many variables a solve by IPOPT is quick.
+_FEW_VARIABLES = 3
+# Basins that IPOPT optimises in each round of the search: with few variables, and with more.
+_MOST_POLISHED_OF_FEW = 8
+_MOST_POLISHED_OF_MANY = 3
+# With more variables, basins are optimised only if their criterion is within this part of the best.
+_CAN_WIN = 0.15
+# Optima count as the same if no scaled variable differs by this much.
 _SAME = 1e-4
-# Positions along each variable alone through the lowest optimum, with finer steps, by what part another is lower, how
-# many of these are optimised, and how often.
-_ALONG, _FINER_LINES, _LOWER, _MOST_BETTER, _MOST_LINES = 256, 2.0, 1e-8, 2, 4
+# Positions on the line along each variable through the lowest optimum, and the factor on the steps of runs there.
+_LINE_POSITIONS = 256
+_LINE_REFINEMENT = 2.0
+# A position counts as lower than the optimum by at least this part.
+_LOWER = 1e-8
+# Lower positions that are optimised after each look along the lines, and the number of looks.
+_MOST_LOWER = 2
+_MOST_LOOKS = 4
 
 
 @dataclass(frozen=True)
@@ -50,11 +57,11 @@ class Request:
 
     Attributes:
         p: values of all parameters.
-        search: what to search, or how thoroughly.
-        judge: by what optima are compared.
-        seed: of the samples.
-        progress: called with what is being done.
-        started: when it began [s].
+        search: extent of the search.
+        judge: criterion by which optima are compared.
+        seed: seed of the samples.
+        progress: called with the current activity and the fraction done.
+        started: time at which the solve began [s].
     """
 
     p: Vector
@@ -70,7 +77,7 @@ def solve_program(program: Program, request: Request) -> Optimum:
 
     Raises:
         InfeasibleDesign: no design was found that meets the requirements.
-        NotConverged: no design has a value, or IPOPT made none of those that were found an optimum.
+        NotConverged: no design has a value, or IPOPT reached no optimum from any design that was found.
     """
     vary = searched(request.search, program.declared.variables)
     request.progress("preparing the model", 0.0)
@@ -79,17 +86,21 @@ def solve_program(program: Program, request: Request) -> Optimum:
 
 
 class _Solve:
-    """A solve of a program that is prepared."""
+    """A solve of a prepared program."""
 
     def __init__(self, program: Program, request: Request) -> None:
         self._program, self._request, self._p, self._progress = program, request, request.p, request.progress
         self._landscape = Landscape(program, request.p)
-        self._judged = ranking_criterion(self._landscape, request.judge)
+        self._criterion = ranking_criterion(self._landscape, request.judge)
 
     def solved(self, vary: tuple[int, ...]) -> Optimum:
-        """Return the best optimum, after a search over variables by number, or without any in the guess's basin."""
+        """Return the best optimum.
+
+        Args:
+            vary: numbers of the variables to search over; if empty, the optimum of the guess's basin is returned.
+        """
         program, p, landscape = self._program, self._p, self._landscape
-        # What the algebra gives for a design is not searched.
+        # Variables that follow from the others by algebra need no search.
         given = {variable.number for variable in landscape.eliminated}
         vary = tuple(k for k in vary if k not in given) or vary
         explored: Explored | None = None
@@ -99,7 +110,7 @@ class _Solve:
             self._progress("solving from the guess", 0.0)
             points = [near_optimum(landscape, program.start())]
         order = ranked(landscape, self._request.judge, np.array([point.y for point in points]))
-        points, missed = with_enough_steps(program, p, [points[k] for k in order], self._progress)
+        points, accuracy_warnings = with_enough_steps(program, p, [points[k] for k in order], self._progress)
         self._progress("checking", 0.0)
         best = converged_tightly(program, p, points[0])
         best = minimum_from(program, p, best, partial(lower_from, landscape) if landscape.vectorised else None)
@@ -115,17 +126,17 @@ class _Solve:
             local_optima=optima,
             search=self._record(vary, explored, len(points)),
             seconds=time.perf_counter() - self._request.started,
-            warnings=(*missed, *remarks(explored, best, optima[0]), *warnings),
+            warnings=(*accuracy_warnings, *remarks(explored, best, optima[0]), *warnings),
             solved=solved,
             rounder=partial(rounded, solved, self._request.judge, optima[0].objective),
         )
 
     def _search(self, vary: tuple[int, ...]) -> tuple[Explored, list[Point]]:
-        """Return what a search over some variables saw, and the local optima of the basins that can be best."""
+        """Search over some variables; return the record and the local optima of the basins that can be best."""
         program, landscape, request = self._program, self._landscape, self._request
         start, required = program.start(), bool(program.declared.requirements)
         effort = effort_of(request.search, len(vary), program.population.runs, landscape.vectorised)
-        explored = Explorer(landscape, start, vary, self._judged, effort, self._progress, request.seed).explore()
+        explored = Explorer(landscape, start, vary, self._criterion, effort, self._progress, request.seed).explore()
         if not len(explored.minima.f) and explored.least_violating is None:
             raise NotConverged(
                 f"none of {landscape.designs_tried} designs between the bounds has a value: tighten the bounds, or"
@@ -133,35 +144,41 @@ class _Solve:
                 "no value",
             )
         size = len(vary), effort.rounds
-        bottoms, points = explored.minima, []
-        if np.any(bottoms.feasible) or not required:
-            points = self._optima(bottoms, *size)
+        minima, points = explored.minima, []
+        if np.any(minima.feasible) or not required:
+            points = self._optima(minima, *size)
         if not points and required:
             self._progress("looking for a design that meets the requirements", 0.0)
             y = feasible_from(landscape, explored, start)
-            bottoms = descend(landscape, y)
-            points = self._optima(bottoms, *size)
+            minima = descend(landscape, y)
+            points = self._optima(minima, *size)
             if not points and (met := point_as_found(program, self._p, y)).solved:
                 points = [met]
         if not points:
-            place = program.declared.describe(program.values(bottoms.points[0]))
+            best_seen = program.declared.describe(program.values(minima.points[0]))
             raise NotConverged(
-                f"no optimum was found; the best design that was seen is {place}: check the bounds, or search more"
+                f"no optimum was found; the best design that was tried is {best_seen}: check the bounds, or search more"
                 " thoroughly",
                 "no optimum",
             )
         return explored, points
 
-    def _optima(self, bottoms: Evaluations, variables: int, rounds: int) -> list[Point]:
-        """Return the local optima of the bottoms that can be best, of a search over so many variables and rounds."""
+    def _optima(self, minima: Evaluations, variables: int, rounds: int) -> list[Point]:
+        """Return the local optima of those basins that can be best.
+
+        Args:
+            minima: the best design of each basin.
+            variables: number of variables that were searched.
+            rounds: rounds of the search, each of which pays for further basins.
+        """
         program, landscape, p = self._program, self._landscape, self._p
-        program.scale_by(float(bottoms.f[np.argmin(bottoms.merit)]) * landscape.objective_scale)
-        chosen = _that_can_win(self._judged(bottoms.points), variables <= _FEW_VARIABLES, rounds)
-        build_surely(program, p, list(bottoms.points[chosen]))
+        program.scale_by(float(minima.f[np.argmin(minima.merit)]) * landscape.objective_scale)
+        chosen = _basins_that_can_win(self._criterion(minima.points), variables <= _FEW_VARIABLES, rounds)
+        build_surely(program, p, list(minima.points[chosen]))
         points: list[Point] = []
         for number, k in enumerate(chosen):
             self._progress(f"optimising basin {number + 1} of {len(chosen)}", number / len(chosen))
-            point = polished(program, p, bottoms.points[k])
+            point = polished(program, p, minima.points[k])
             if point.solved and not any(np.max(np.abs(point.y - other.y)) < _SAME for other in points):
                 points.append(point)
         if points and landscape.vectorised:
@@ -169,25 +186,32 @@ class _Solve:
         return points
 
     def _add_along_each_variable(self, points: list[Point]) -> None:
-        """Add the optima to which steps of one variable alone lead from the lowest: ripples of a flat valley."""
+        """Add lower optima that a change of one variable alone reaches from the lowest, such as ripples of a valley."""
         landscape = self._landscape
-        for _ in range(_MOST_LINES):
+        for _ in range(_MOST_LOOKS):
             best = min(points, key=lambda point: point.f)
-            lines = lines_through(best.y, _ALONG)
-            seen, own = landscape(lines, finer=_FINER_LINES), landscape(best.y[None], finer=_FINER_LINES)
-            merit = np.where(seen.feasible, seen.merit, np.inf).reshape(-1, _ALONG)
-            lowest = np.arange(len(merit)) * _ALONG + np.argmin(merit, axis=1)
+            lines = lines_through(best.y, _LINE_POSITIONS)
+            tried = landscape(lines, finer=_LINE_REFINEMENT)
+            own = landscape(best.y[None], finer=_LINE_REFINEMENT)
+            merit = np.where(tried.feasible, tried.merit, np.inf).reshape(-1, _LINE_POSITIONS)
+            lowest = np.arange(len(merit)) * _LINE_POSITIONS + np.argmin(merit, axis=1)
             level = own.merit[0] - _LOWER * abs(own.merit[0])
-            better = [k for k in lowest[np.argsort(seen.merit[lowest], kind="stable")] if merit.flat[k] < level]
-            ends = [descend(landscape, lines[k]).points[0] for k in better[:_MOST_BETTER]]
-            found = [polished(self._program, self._p, end) for end in ends]
-            lower = [point for point in found if point.solved and point.f < best.f - _LOWER * abs(best.f)]
-            if not lower:
+            lower = [k for k in lowest[np.argsort(tried.merit[lowest], kind="stable")] if merit.flat[k] < level]
+            ends = [descend(landscape, lines[k]).points[0] for k in lower[:_MOST_LOWER]]
+            optima = [polished(self._program, self._p, end) for end in ends]
+            better = [point for point in optima if point.solved and point.f < best.f - _LOWER * abs(best.f)]
+            if not better:
                 return
-            points.append(min(lower, key=lambda point: point.f))
+            points.append(min(better, key=lambda point: point.f))
 
     def _record(self, vary: tuple[int, ...], explored: Explored | None, polished: int) -> SearchRecord:
-        """Return the record of a search, or of none."""
+        """Return the record of a search, empty without one.
+
+        Args:
+            vary: numbers of the variables that were searched.
+            explored: result of the search, or None.
+            polished: number of basins that IPOPT optimised.
+        """
         program, landscape, request = self._program, self._landscape, self._request
         variables = program.declared.variables
         own, none = [k for k, v in enumerate(variables) if not v.auxiliary], np.empty(0)
@@ -209,17 +233,17 @@ class _Solve:
         )
 
 
-def _that_can_win(judged: Vector, few: bool, rounds: int) -> list[int]:
-    """Return which bottoms to optimise: the best, and of many variables only those that are little worse."""
-    order = np.argsort(judged, kind="stable")
-    if few:
-        return [int(k) for k in order[: _MOST_POLISHED * rounds]]
-    limit = judged[order[0]] + _CAN_WIN * abs(judged[order[0]])
-    return [int(k) for k in order if judged[k] <= limit][: _MOST_OF_MANY * rounds]
+def _basins_that_can_win(criterion: Vector, few_variables: bool, rounds: int) -> list[int]:
+    """Return the numbers of the basins to optimise, best first."""
+    order = np.argsort(criterion, kind="stable")
+    if few_variables:
+        return [int(k) for k in order[: _MOST_POLISHED_OF_FEW * rounds]]
+    limit = criterion[order[0]] + _CAN_WIN * abs(criterion[order[0]])
+    return [int(k) for k in order if criterion[k] <= limit][: _MOST_POLISHED_OF_MANY * rounds]
 
 
 def _in_units(program: Program, point: Point, direction: Vector) -> dict[str, float]:
-    """Return a scaled direction as changes of the variables, for a step of 1 % of the range of the one that leads."""
+    """Return a scaled direction as changes of the variables, the largest of them 1 % of its variable's range."""
     step = 0.01 * direction / np.max(np.abs(direction))
     change = program.values(np.clip(point.y + step, 0.0, 1.0)) - program.values(point.y)
     return {v.name: float(x) for v, x in zip(program.declared.variables, change, strict=True)}

@@ -340,4 +340,4 @@ def test_every_sensitivity_comes_in_order_of_size_and_only_if_it_matters():
 def test_in_words():
     text = str(_cost_against_yield().solve().sensitivity("yield", check=True))
     assert text.startswith("yield = 3; one per cent more changes the objective by +0.5 %, x by +0.5 %, y by +0.5 %.")
-    assert "Solving again beside it differs by" in text
+    assert "Solving again beside this value differs by" in text

@@ -26,26 +26,26 @@ Array = NDArray[np.float64]
 class Search:
     """A record of a search.
 
-    How likely further basins are follows from N uniform designs that were followed to their basins, of which there are
-    w, by the Bayesian rule of Boender and Rinnooy Kan, "Bayesian stopping rules for multistart global optimization
-    methods", Mathematical Programming 37 (1987): w (w + 1)/(N - w - 2) basins are expected unseen, in the part
-    w (w + 1)/(N (N - 1)) of the volume of all designs. Following is rough, so both are approximate.
+    It estimates how many basins were missed, with the Bayesian rule of Boender and Rinnooy Kan, "Bayesian stopping
+    rules for multistart global optimization methods", Mathematical Programming 37 (1987): if descents from N uniformly
+    random designs end in w different basins, w (w + 1)/(N - w - 2) further basins are expected, with a share
+    w (w + 1)/(N (N - 1)) of the volume of all designs. The descents are rough, so both numbers are approximate.
 
     Attributes:
-        asked: what was asked for, as `Design.solve` takes it.
+        asked: extent of the search, as given to `Design.solve`.
         variables: names of the variables that were searched.
-        designs: number of designs tried; 0 where only the basin of the guess was asked for.
+        designs: number of designs tried; 0 if only the basin of the guess was solved.
         one_by_one: whether runs were integrated one by one, which leaves time for few designs.
-        basins: basins found.
-        polished: how many of them the optimiser went to the bottom of.
-        followed: uniform designs that were followed, N.
-        reached: basins that they led to, w.
-        seed: of the sample.
+        basins: number of basins found.
+        polished: number of basins that were optimised.
+        followed: number of random designs from which a descent began, N.
+        reached: number of basins in which these descents ended, w.
+        seed: seed of the sample.
         seconds: time that the search took [s].
-        values: of the sample: a row for each design, a column for each variable of the design, SI units.
-        objective: of the sample: objective, NaN where a design has no value.
-        violation: of the sample: sum of what each requirement is violated by at its worst, in its limits' size;
-            infinite where a design has no value.
+        values: sample: a row for each design, a column for each variable, in SI units.
+        objective: sample: objective of each design, NaN if it has no value.
+        violation: sample: sum of the largest violation of each requirement, in parts of its limit's size; infinite if a
+            design has no value.
     """
 
     asked: str
@@ -64,39 +64,39 @@ class Search:
 
     @property
     def unseen_basins(self) -> float | None:
-        """Basins that are expected unseen, or None where too few designs were followed to say."""
+        """Expected number of basins not found; None after too few descents for an estimate."""
         n, w = self.followed, self.reached
         return w * (w + 1) / (n - w - 2) if n > w + 2 else None
 
     @property
     def unseen_volume(self) -> float | None:
-        """Part of the designs that are expected to lead to unseen basins, or None where too few were followed."""
+        """Expected share of designs that lead to basins not found; None after too few descents for an estimate."""
         n, w = self.followed, self.reached
         return w * (w + 1) / (n * (n - 1)) if n > w + 2 else None
 
     def __str__(self) -> str:
-        """Return in a few sentences what was done and what was not looked at."""
+        """Return in a few sentences what was searched and what may have been missed."""
         if not self.designs:
-            return "Only the basin of the guess was looked at."
+            return "Only the basin of the guess was searched."
         over = ", ".join(self.variables)
         text = f"{self.designs} designs tried over {over}: {self.basins} basin{'s' if self.basins != 1 else ''} found"
         if self.polished < self.basins:
             text += f", of which the {self.polished} that could be best were optimised"
         if self.unseen_basins is None:
             why = (
-                f"{self.followed} designs drawn at random led to {self.reached} of them"
+                f"{self.followed} random designs, which led to {self.reached} of them, are too few"
                 if self.followed
-                else "no design drawn at random was followed to its basin"
+                else "no random design was followed to its basin"
             )
-            return f"{text}. How many more there may be is not estimated: {why}."
+            return f"{text}. The number of further basins cannot be estimated: {why}."
         return (
-            f"{text}. {self.followed} designs drawn at random led to {self.reached} of them, by which about"
+            f"{text}. {self.followed} random designs led to {self.reached} of them, so about"
             f" {self.unseen_basins:.2g} more are expected, in {100.0 * (self.unseen_volume or 0.0):.2g} % of the volume"
             " (approximate, by the rule of Boender and Rinnooy Kan)."
         )
 
 
-# Parts of a limit's size below which a margin is the optimiser's last rounding.
+# A margin below this part of the limit's size is the optimiser's rounding.
 _NO_MARGIN = 1e-9
 
 
@@ -110,12 +110,12 @@ class Limit:
         value: worst value of the limited expression, in ``unit``.
         limits: the limits in words.
         margin: distance of the worst value from its limit, positive inside, in ``unit``.
-        multiplier: fall of the objective per unit by which the limit is loosened.
-        active: whether the limit decides the design: no margin to speak of, and a multiplier.
-        unit: unit.
-        display: unit in which value, limits and margin are written.
+        multiplier: decrease of the objective per unit by which the limit is loosened.
+        active: whether the limit decides the design: it has a multiplier and no appreciable margin.
+        unit: SI unit.
+        display: unit in reports.
         low: lower limit, in ``unit``, or None.
-        high: upper limit, or None.
+        high: upper limit, in ``unit``, or None.
     """
 
     name: str
@@ -132,34 +132,34 @@ class Limit:
 
     @property
     def shown(self) -> Display:
-        """The unit in which value, limits and margin are written."""
+        """The unit of value, limits and margin in reports."""
         return self.display or customary(self.unit, self.value)
 
     @property
     def rounded(self) -> float:
-        """The value, in ``unit``; of a limit that decides the limit itself, without the optimiser's last rounding."""
+        """The value, in ``unit``; if the limit is active, the limit itself, without the optimiser's rounding."""
         ends = [end for end in (self.low, self.high) if end is not None]
         return min(ends, key=lambda end: abs(end - self.value)) if self.active and ends else self.value
 
     def margin_text(self) -> str:
-        """Return the margin with its unit; 0 of a limit that decides, whose margin is the optimiser's last rounding."""
-        none = self.active or abs(self.margin) < _NO_MARGIN * max(1.0, abs(self.value))
-        return self.shown.text(0.0 if none else self.margin)
+        """Return the margin with its unit; 0 if it is only the optimiser's rounding."""
+        rounding = self.active or abs(self.margin) < _NO_MARGIN * max(1.0, abs(self.value))
+        return self.shown.text(0.0 if rounding else self.margin)
 
 
 @dataclass(frozen=True, repr=False)
 class LocalOptimum(Saveable):
-    """One local optimum.
+    """A local optimum.
 
     Attributes:
-        name: distinct from the others: its branch under a strength wave, and its place in the order.
-        objective: objective of the tightly integrated model.
+        name: distinct name: the branch under a strength wave, and the place in the order.
+        objective: objective by tight integration.
         variables: name -> value, SI units.
         limits: every requirement and every variable's bounds.
-        gap: relative difference of the optimiser's own objective from the tightly integrated one.
-        error_estimate: relative difference of two tight integrations of the objective, by different methods.
-        iterations: of IPOPT.
-        spread: objective and margins within the tolerances; None of runs with events and orbits, which take too long.
+        gap: relative difference between the optimiser's objective and the tightly integrated one.
+        error_estimate: relative difference between two tight integrations of the objective by different methods.
+        iterations: number of IPOPT's iterations.
+        spread: objective and margins within the tolerances; None for runs with events and orbits, which take too long.
 
     Example:
         >>> import plough_opt as po
@@ -183,11 +183,11 @@ class LocalOptimum(Saveable):
     kind = "local optimum"
 
     def page(self) -> Page:
-        """Return the design as tables: variables with their bounds, requirements with their margins."""
+        """Return the design as tables: variables with their bounds, and requirements with their margins."""
         return Page(f"{self.name}: objective {self.objective:.9g}", self.design_tables())
 
     def design_tables(self) -> tuple[Grid, ...]:
-        """Return a table of the variables, and where there are any one of the requirements."""
+        """Return a table of the variables and, if there are requirements, a table of these."""
         bounds = Grid.of("", "variable", "best", "bounds", "", mark="")
         required = Grid.of("Requirements", "requirement", "limits", "value", "margin", "", mark="")
         for one in self.limits:
@@ -199,12 +199,12 @@ class LocalOptimum(Saveable):
         return (bounds, required) if required.rows else (bounds,)
 
     def display(self, name: str) -> Display:
-        """Return the unit in which a variable is written."""
+        """Return the unit of a variable in reports."""
         own = (one.shown for one in self.limits if one.kind == "bound" and one.name == name)
         return next(own, Display("", 1.0))
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return a row for each variable and each requirement, SI; ``attrs["units"]`` has the unit of each by name.
+        """Return a table with a row for each variable and requirement in SI; ``attrs["units"]`` has the units by name.
 
         Raises:
             InputError: pandas is not installed.
@@ -215,13 +215,13 @@ class LocalOptimum(Saveable):
         return frame
 
     def plot(self, target: str | Path | None = None) -> Figure:
-        """Draw where the variables lie between their bounds.
+        """Draw the variables between their bounds.
 
         Args:
             target: file to write (.png, .svg, .pdf), or None.
 
         Raises:
-            InputError: a file name without a known ending, or a place that cannot be written.
+            InputError: the file name has no known ending, or the file cannot be written.
         """
         return drawn("plot_designs", {self.name: self}, target=target)
 
@@ -232,5 +232,5 @@ class LocalOptimum(Saveable):
 
     @property
     def active(self) -> tuple[str, ...]:
-        """Names of the requirements and variables whose limits decide the design."""
+        """Names of the requirements and variables with an active limit."""
         return tuple(limit.name for limit in self.limits if limit.active)

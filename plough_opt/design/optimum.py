@@ -1,4 +1,4 @@
-"""Optimum: the best design found, what decided it, and how far it can be trusted."""
+"""Optimum: the best design found, the limits that decide it, and how far to trust it."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-# Per cent of an objective below which a cost is the rounding of none.
+# A cost below this percentage of the objective is rounding.
 _ROUNDING = 1e-9
-_LEFT_BEHIND = "this optimum was kept without its design: evaluate expressions before, or solve again"
+_WITHOUT_DESIGN = "this optimum was kept without its design: evaluate expressions before saving it, or solve again"
 
 
 @dataclass(frozen=True, repr=False)
 class Optimum(LocalOptimum):
-    """The best local optimum found; called with any object of the design it gives it back with numbers.
+    """The best local optimum found. Called with any object of the design, it returns the object with numbers.
 
-    ``best(share)``, ``best(scene)``, ``best(run.mean_draft)``: expressions become numbers, the runs
-    inside them integrated tightly anew; ``best(run)`` simulates the scene with its numbers.
+    ``best(share)``, ``best(scene)`` and ``best(run.mean_draft)`` replace expressions by their values, with the runs
+    inside them integrated tightly; ``best(run)`` simulates the scene at the optimum.
 
     Attributes:
-        over: in words, what the objective is of where it is not the design's own: see `Design.minimise`.
-        status: "solved"; "not unique" where ``flat_directions`` lead to designs that are as good; or "unconfirmed"
-            where derivatives do not confirm the best design that was seen, as on a kink: see ``warnings``.
-        flat_directions: directions, as changes of the variables, along which objective and requirements stay.
-        local_optima: all distinct local optima that were found, best first, this one included.
-        search: what was looked at, and what was not.
+        over: in words, the part of the tolerance box that the objective covers; "" without one (see `Design.minimise`).
+        status: "solved"; "not unique" if ``flat_directions`` lead to equally good designs; or "unconfirmed" if
+            derivatives do not confirm that the best design found is an optimum, as on a kink (see ``warnings``).
+        flat_directions: directions, as changes of the variables, along which objective and requirements do not change.
+        local_optima: all distinct local optima that were found, best first, including this one.
+        search: record of the search.
         seconds: time that the solve took [s].
-        warnings: what a reader of the numbers must know.
-        sensitivities: those to every parameter and limit, where they were asked for before the optimum was saved.
-        run: the numeric run at this design, or those of several shares, where a problem file has the question.
-        origin: what made it.
+        warnings: doubts and limits that a reader of the numbers must know.
+        sensitivities: sensitivities to parameters and limits, if they were computed before the optimum was saved.
+        run: for a problem file, the numeric run at this design, or the runs of several shares.
+        origin: the question that this optimum answers.
 
     Example:
         >>> import plough_opt as po
@@ -79,19 +79,18 @@ class Optimum(LocalOptimum):
     unsaved = frozenset({"solved", "rounder"})
 
     def __call__(self, item: Any) -> Any:
-        """Return an expression, or any object with expressions nested in it, with numbers in their place.
+        """Return an expression, or an object with expressions nested in it, with numbers in their place.
 
-        A single value becomes a float, a column an array. A run is simulated with numbers, checked, on its own or
-        nested in something else.
+        A single value becomes a float, a column an array. A run, alone or nested, is simulated and checked.
 
         Raises:
-            InputError: an expression holds symbols that are not of this design.
+            InputError: an expression holds symbols that do not belong to this design.
             DomainError: the numbers lie outside the model's domain.
         """
         return map_expressions(item, self._with_numbers, _is_run_or_expression)
 
     def page(self) -> Page:
-        """Return the best design as tables, its response, the other optima, what was searched and what to know."""
+        """Return the best design as tables, with its response, the other optima, the search and the warnings."""
         parts: list[Part] = [*self.design_tables()]
         if self.run is not None:
             parts.insert(1, self.run.response())
@@ -120,7 +119,7 @@ class Optimum(LocalOptimum):
         return grid
 
     def _free(self, direction: Mapping[str, float]) -> str:
-        """Say along which changes of the variables nothing changes."""
+        """Return a sentence about a flat direction."""
         moves = ", ".join(
             f"{name} {'+' if change > 0 else '-'}{self.display(name).text(abs(change), 3)}"
             for name, change in direction.items()
@@ -129,7 +128,7 @@ class Optimum(LocalOptimum):
         return f"The optimum is not unique: nothing changes along {moves}: fix one of these."
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return a row for each local optimum, the best first: objective and variables, SI.
+        """Return a table with a row for each local optimum, best first: objective and variables in SI units.
 
         Raises:
             InputError: pandas is not installed.
@@ -143,17 +142,17 @@ class Optimum(LocalOptimum):
         return data_frame(columns, {one.name: one.unit for one in self.limits if one.kind == "bound"})
 
     def also_saved(self) -> dict[str, Any]:
-        """Return the best design once more, by itself."""
+        """Return the best design alone, as further content of a saved file."""
         return {"best": to_plain(self.local_optima[0], LocalOptimum)} if self.local_optima else {}
 
     def plot(self, target: str | Path | None = None) -> Figure:
-        """Draw share and response, where the optimum has its run, and what the search saw; else the variables.
+        """Draw share, response and search if the optimum has its run; else the variables between their bounds.
 
         Args:
             target: file to write (.png, .svg, .pdf), or None.
 
         Raises:
-            InputError: a file name without a known ending, or a place that cannot be written.
+            InputError: the file name has no known ending, or the file cannot be written.
         """
         if self.run is None:
             return super().plot(target)
@@ -162,18 +161,19 @@ class Optimum(LocalOptimum):
     def sensitivity(self, name: str, *, check: bool = False) -> Sensitivity:
         """Return how the best objective and the best variables change with a parameter or a limit.
 
-        Derivatives of the optimum itself, the design solved again: of the objective by the multipliers, of the
-        variables by the linearised optimality conditions with the limits that decide, from exact second derivatives.
+        These are derivatives of the optimum, as if the design were solved again. The multipliers give that of the
+        objective; the linearised optimality conditions with the active limits give those of the variables, from exact
+        second derivatives.
 
         Args:
             name: a parameter, such as "cohesion"; a bound, such as "stiffness lower"; or a requirement's limit, such as
-                "loosened radius at_least", for which the requirement's name will do where it has one limit.
-            check: solve again on both sides of the value and say by how much the derivatives differ.
+                "loosened radius at_least". The requirement's name will do if it has only one limit.
+            check: solve again on both sides of the value and report how much the derivatives differ.
 
         Raises:
-            InputError: no such parameter or limit, or an optimum that has no derivative: it is not unique, it does
-                not curve, or its limits decide more than once.
-            NotConverged: the optimum is not determined well enough, or could not be solved again.
+            InputError: there is no such parameter or limit, or the optimum has no derivative: it is not unique, it does
+                not curve, or its active limits are not independent.
+            NotConverged: the active limits cannot be determined, or the check could not solve the design again.
         """
         if self.solved is None and not check:
             for one in self.sensitivities:
@@ -182,7 +182,7 @@ class Optimum(LocalOptimum):
         return self._unique().sensitivity(name, check=check)
 
     def every_sensitivity(self) -> tuple[Sensitivity, ...]:
-        """Return the sensitivities to all parameters that matter and all limits that decide, the largest first.
+        """Return the sensitivities to all parameters that matter and all active limits, largest elasticity first.
 
         Raises:
             InputError, NotConverged: as `sensitivity`.
@@ -192,40 +192,41 @@ class Optimum(LocalOptimum):
     def rounded(
         self, catalogues: Mapping[str, float | Sequence[float]] | None = None, /, **more: float | Sequence[float]
     ) -> Rounded:
-        """Return the best design with some variables in values that can be bought or made.
+        """Return the best design with some variables restricted to values that can be bought or made.
 
-        Fewer than 100,000 combinations of all values between the bounds are looked at one by one, with the other
-        variables as here and at a sample of them; in the 20 that promise most these are optimised. Of more
-        combinations, and of scenes with events, the values just below and just above this optimum's are tried, the
-        rest optimised from here; `Rounded.combinations`, `Rounded.screened` and its text say so. The best that meets
-        all requirements is returned, judged as optima are, with what the rounding costs and what was tried.
+        Fewer than 100,000 combinations of catalogue values are all evaluated, with the other variables as here and at a
+        sample; for the 20 most promising combinations the other variables are optimised. With more combinations, and
+        for scenes with events, only the values just below and just above this optimum's are tried, and the other
+        variables are optimised from here. `Rounded.combinations`, `Rounded.screened` and the printed text report this.
+        The result is the best combination that meets all requirements, compared as optima are, with the cost of the
+        rounding and everything that was tried.
 
         Args:
-            catalogues: variable's name -> the values it may take, or the step of which it may take multiples:
+            catalogues: variable's name -> allowed values, or a step of which all multiples are allowed:
                 ``best.rounded({"stiffness": [4e4, 5e4, 6.3e4], "wedge angle": po.deg(1)})``.
             more: the same by keyword, with underscores for spaces: ``wedge_angle=po.deg(1)``.
 
         Raises:
-            InputError: no such variable, or a catalogue without a value between the variable's bounds.
-            InfeasibleDesign: no combination meets the requirements; it says for each which fail, and by how much.
+            InputError: there is no such variable, or a catalogue has no value between the variable's bounds.
+            InfeasibleDesign: no combination meets the requirements; the error lists the violations of each.
         """
         if self.rounder is None:
-            raise InputError("this optimum is rounded already" if isinstance(self, Rounded) else _LEFT_BEHIND)
+            raise InputError("this optimum is rounded already" if isinstance(self, Rounded) else _WITHOUT_DESIGN)
         return self.rounder({**mapping_of("catalogues", catalogues, "a variable's name -> its values"), **more})
 
     def _unique(self) -> Solved:
         if self.flat_directions:
             along = "; ".join(", ".join(name for name, change in d.items() if change) for d in self.flat_directions)
-            raise InputError(f"the optimum is not unique, and has no sensitivity: fix one of {along}")
+            raise InputError(f"the optimum is not unique and so has no sensitivities: fix one of {along}")
         return self._with_design()
 
     def _with_design(self) -> Solved:
         if self.solved is None:
-            raise InputError(_LEFT_BEHIND)
+            raise InputError(_WITHOUT_DESIGN)
         return self.solved
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave the design's graph, which cannot be pickled, behind."""
+        """Return the state without the design's graph, which cannot be pickled."""
         return {**self.__dict__, **dict.fromkeys(self.unsaved)}
 
     def _with_numbers(self, item: Any) -> Any:
@@ -238,13 +239,13 @@ class Optimum(LocalOptimum):
 
 @dataclass(frozen=True)
 class Choice:
-    """One combination of catalogue values that was tried.
+    """A combination of catalogue values that was tried.
 
     Attributes:
         values: name of the variable -> value.
-        objective: best objective with these values, or None where none meets the requirements.
-        conflicts: name of the requirement that fails -> by how much at best, in its unit.
-        spread: objective and margins within the tolerances; None where it fails or that takes too long.
+        objective: best objective with these values; None if no design with them meets the requirements.
+        conflicts: name of the requirement that fails -> least violation, in its unit.
+        spread: objective and margins within the tolerances; None if the combination fails or this takes too long.
     """
 
     values: dict[str, float]
@@ -260,9 +261,9 @@ class Rounded(Optimum):
     Attributes:
         fixed: names of these variables.
         unrounded: objective of the optimum that was rounded.
-        tried: every combination in which the rest was optimised, the best first, those that fail last.
-        combinations: number of combinations of the values between the bounds.
-        screened: how many of them were looked at: all, or the neighbours of the optimum.
+        tried: combinations for which the other variables were optimised, best first and infeasible ones last.
+        combinations: number of combinations of catalogue values between the bounds.
+        screened: number of combinations that were evaluated: all, or the neighbours of the optimum.
     """
 
     fixed: tuple[str, ...] = ()
@@ -279,34 +280,34 @@ class Rounded(Optimum):
 
     @property
     def cost_percent(self) -> float:
-        """Increase of the objective by the rounding, in per cent of it; NaN where it is 0."""
+        """Increase of the objective by the rounding, in per cent of the unrounded one; NaN if that is 0."""
         return 100.0 * self.cost / abs(self.unrounded) if self.unrounded else math.nan
 
     @property
     def infeasible(self) -> tuple[Choice, ...]:
-        """The combinations that meet the requirements with no values of the other variables."""
+        """The combinations with which no values of the other variables meet the requirements."""
         return tuple(choice for choice in self.tried if choice.objective is None)
 
     def __str__(self) -> str:
-        """Say what was chosen, what it costs, how many combinations were looked at, and what is infeasible."""
+        """Return in words the values chosen, their cost, the number of combinations tried, and infeasible ones."""
         units = {limit.name: limit.unit for limit in self.limits}
         side = "below" if self.cost < 0.0 else "above"
         cost = "as" if abs(self.cost_percent) < _ROUNDING else f"{abs(self.cost_percent):.3g} % {side}"
         text = (
             f"{values_in_words(self.variables, units)}: objective {self.objective:.9g},"
-            f" {cost} that of the optimum; {self._looked_at()}"
+            f" {cost} that of the optimum; {self._extent_of_search()}"
         )
         for choice in self.infeasible:
             fails = ", ".join(f"'{name}' fails by {in_words(x, units[name])}" for name, x in choice.conflicts.items())
             text += f"; {values_in_words(choice.values, units)} is infeasible: {fails or 'not solved'}"
         return text
 
-    def _looked_at(self) -> str:
-        """Say how many combinations were looked at."""
+    def _extent_of_search(self) -> str:
+        """Return in words how many combinations were evaluated and optimised."""
         if self.screened < self.combinations:
             return f"of {self.combinations} combinations only the {self.screened} beside the optimum were tried"
         if len(self.tried) < self.screened:
-            return f"of {self.screened} combinations, all looked at, {len(self.tried)} were optimised"
+            return f"all {self.screened} combinations were evaluated and {len(self.tried)} of them optimised"
         return f"all {self.combinations} combinations were optimised" if self.combinations > 1 else "the only one"
 
 

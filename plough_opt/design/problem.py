@@ -1,4 +1,4 @@
-"""Design: variables, parameters, an objective and named requirements, solved by IPOPT."""
+"""Design: variables, parameters, an objective and named requirements, and their solve."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -40,8 +40,8 @@ Written: TypeAlias = Any
 class Design:
     """A design question: choose variables to minimise an objective subject to requirements.
 
-    Declare variables and parameters, build share, scene and run from them exactly as from numbers, then say
-    what to minimise and to require, and solve::
+    Declare variables and parameters, build share, scene and run from them just as from numbers, state the objective and
+    the requirements, and solve::
 
         d = Design()
         height = d.variable("height", guess=0.25, lower=0.10, upper=0.50, unit="m")
@@ -86,22 +86,21 @@ class Design:
         """Declare a quantity to choose, and return its CasADi symbol.
 
         Args:
-            name: what to call it in reports.
-            guess: where to start, between the bounds: in ``unit``, or with a unit of its own: a text such as "50 kN/m"
-                or a pint quantity.
+            name: name in reports.
+            guess: start value, between the bounds: a number in ``unit``, a text such as "50 kN/m", or a pint quantity.
             lower: lower bound, likewise.
-            upper: upper bound.
-            unit: SI unit of the symbol, for reports; it need not be given where the numbers have units of their own.
-            log: scale it by its logarithm: for a quantity whose bounds lie decades apart.
-            tolerance: half width, in ``unit``, within which a workshop makes it, or a part of the value as "0.5 %". The
-                optimum is judged over it. Default: 0.3 % of the range between the bounds, of the logarithm's with
-                ``log``.
-            domain: ends of the model's domain, in ``unit``: sensitivities hold no further than that.
-            display: unit in which reports give it, if not a customary one.
+            upper: upper bound, likewise.
+            unit: SI unit of the symbol, for reports; not needed if the numbers have units.
+            log: scale the variable by its logarithm, for bounds that are decades apart.
+            tolerance: half width, in ``unit``, to which a workshop makes it, or a percentage of the value such as
+                "0.5 %". Optima are judged within it. Default: 0.3 % of the range between the bounds, or of the range of
+                the logarithm with ``log``.
+            domain: ends of the model's domain, in ``unit``; sensitivities are valid only within it.
+            display: unit in reports, if not the customary one.
 
         Raises:
-            InputError: no name, or one declared before, a value that is not a number, plain numbers with a
-                unit that is not SI, or bounds that contradict each other or the guess.
+            InputError: the name is missing or was declared before, a value is not a number, ``unit`` is not an SI unit
+                although numbers are plain, or the bounds contradict each other or the guess.
         """
         self._refuse_again(name)
         what = f"variable '{name}'"
@@ -118,17 +117,17 @@ class Design:
     def parameter(
         self, name: str, value: Written, *, unit: str = "", domain: tuple[float, float] = EVERYWHERE
     ) -> ca.MX:
-        """Declare a quantity that is fixed within a solve and may differ between solves; return its symbol.
+        """Declare a quantity with a fixed value in each solve, and return its CasADi symbol.
 
         Args:
-            name: what to call it in reports.
-            value: its value, where a solve says nothing else: in ``unit``, or with a unit of its own.
+            name: name in reports.
+            value: value by default: a number in ``unit``, a text such as "50 kN/m", or a pint quantity.
             unit: SI unit, for reports.
-            domain: ends of the model's domain, in ``unit``: sensitivities hold no further than that.
+            domain: ends of the model's domain, in ``unit``; sensitivities are valid only within it.
 
         Raises:
-            InputError: a value that is not finite or lies outside the domain, a plain number with a unit that is not
-                SI, or a name declared before.
+            InputError: the value is not finite or lies outside the domain, ``unit`` is not an SI unit although the
+                value is a plain number, or the name was declared before.
         """
         self._refuse_again(name)
         (at,), unit, _ = _read(f"parameter '{name}'", name, unit, (value,), None)
@@ -139,16 +138,17 @@ class Design:
         return symbol
 
     def minimise(self, objective: Expression, *, over: Over | None = None) -> None:
-        """Say what to minimise: a scalar expression of the variables, best of order 1 when summed from parts.
+        """Set the objective to minimise.
 
         Args:
-            objective: the expression.
-            over: ``"worst"`` or ``"mean"``: minimise its largest value, or its mean, within the tolerances of the
-                variables, and keep all requirements there. Of the box a fixed sample is taken: 64 designs where each
-                has one run, fewer of several and of runs with events, 8 at least; the optimum says how many.
+            objective: scalar expression of the variables. In a sum of parts each should be of order 1.
+            over: ``"worst"`` or ``"mean"``: minimise the largest value, or the mean, within the tolerances of the
+                variables, and keep all requirements throughout that box. The box is represented by a fixed sample: 64
+                designs if each has one run, fewer with several runs or runs with events, and at least 8. The optimum
+                reports how many.
 
         Raises:
-            InputError: not a scalar CasADi expression, or another word.
+            InputError: the objective is not a scalar CasADi expression or number, or ``over`` is another word.
         """
         if over is not None:
             check_choice("over", over, ("worst", "mean"), ", within the tolerances, or None")
@@ -171,16 +171,16 @@ class Design:
         """Require an expression to stay within limits; a column, such as a run's deflection, in every entry.
 
         Args:
-            name: what to call it in reports.
+            name: name in reports.
             expression: scalar or column of the variables.
-            at_least: lower limit in ``unit``, or with a unit of its own, such as "120 mm"; or None.
+            at_least: lower limit: a number in ``unit``, a text such as "120 mm", a pint quantity, or None.
             at_most: upper limit, likewise.
-            unit: SI unit of expression and limits, for reports; not needed where the limits have units of their own.
-            display: unit in which reports give them, if not a customary one.
+            unit: SI unit of expression and limits, for reports; not needed if the limits have units.
+            display: unit in reports, if not the customary one.
 
         Raises:
-            InputError: no limit, or one that is not a number, plain limits with a unit that is not SI, limits that
-                contradict each other, no name, or one used before.
+            InputError: there is no limit, a limit is not a number, ``unit`` is not an SI unit although limits are plain
+                numbers, the limits contradict each other, or the name is missing or was declared before.
         """
         self._refuse_again(name)
         (least, most), unit, display = _read(f"requirement '{name}'", name, unit, (at_least, at_most), display, _SIDES)
@@ -202,55 +202,64 @@ class Design:
         """Find the best design; the model is built once and kept for further solves.
 
         Args:
-            parameters: values of parameters that differ from the declared ones, by name.
-            search: ``"auto"``: over all variables, by a sample, evolution and descents, after which IPOPT optimises
-                what can be best; ``"thorough"``: four times as much of it; ``"near"`` or ``"local"``: the optimum of
-                the guess's basin, never worse than a guess that meets the requirements, and from any other that of the
-                nearest design that does; names of variables: over these alone, the others beginning at the guess; a
-                number of designs to try, or a text such as ``"20 s"``. The same search gives the same answer, bit for
-                bit, on any number of threads of a machine, one of a number of seconds excepted.
-            judge: ``"tolerance"``: optima are compared by the median of their objective within the tolerances of the
-                variables, so that one which no workshop can hit is not called best; ``"bare"``: by the objective.
-            seed: of the samples; another one searches by others.
-            compiled: translate the model into machine code first, by the system's C compiler. That takes seconds, once
-                for a model (it is kept in the user's cache folder), and each solve a fraction of its time: for
-                repeated solves. Without a compiler the model is interpreted, and a warning says so.
-            progress: called with what is being done and the fraction done.
+            parameters: name -> value of the parameters that differ from their declaration.
+            search: extent of the search.
+
+                * ``"auto"``: all variables, by a sample, evolution and descents; IPOPT then optimises the basins that
+                  can be best.
+                * ``"thorough"``: the same with four times the effort.
+                * ``"near"`` or ``"local"``: the optimum in the basin of the guess, never worse than a guess that meets
+                  the requirements. From any other guess it starts at the nearest design that meets them.
+                * names of variables: these alone, with the others starting at the guess.
+                * a number of designs to try, or a time such as ``"20 s"``.
+
+                The same search gives the same answer, bit for bit, on any number of threads of a machine, except for a
+                search limited by time.
+            judge: criterion by which optima are compared. ``"tolerance"``: the median of the objective within the
+                tolerances of the variables, so that an optimum too narrow for any workshop is not chosen; ``"bare"``:
+                the objective.
+            seed: seed of the samples.
+            compiled: translate the model into machine code first, with the system's C compiler. That takes some seconds
+                once (the code is kept in the user's cache folder), and each solve then takes a fraction of its time, so
+                it pays for repeated solves. Without a compiler the model is interpreted, with a warning.
+            progress: called with the current activity and the fraction done.
 
         Returns:
             The best optimum found, re-integrated tightly, with all local optima.
 
         Raises:
-            InputError: nothing to minimise or to vary, an unknown name, or a model without a value at the start.
-            InfeasibleDesign: no design meets the requirements; it names those that conflict, and by how much.
-            NotConverged: the optimiser stopped without an optimum; it says why and what to do.
+            InputError: there is nothing to minimise or to vary, a name is unknown, or the model has no value at the
+                start.
+            InfeasibleDesign: no design meets the requirements; the error names the conflicting ones and their
+                violations.
+            NotConverged: the optimiser stopped without an optimum; the error says why and what to do.
         """
         started = time.perf_counter()
         check_choice("judge", judge, ("tolerance", "bare"))
         check_switch("compiled", compiled)
         if progress is not None:
-            check_callable("progress", progress, "of what is done and the fraction done")
+            check_callable("progress", progress, "of the current activity and the fraction done")
         if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-            raise InputError(f"seed = {shown(seed)} must be a whole number, not below 0")
+            raise InputError(f"seed = {shown(seed)} must be a whole number of at least 0")
         declared = self.declared
         values = declared.parameter_values(mapping_of("parameters", parameters, "name -> value"))
         if self._program is None or self._program.compiled != compiled:
             self._program, self._boxed = Program(declared, compiled=compiled), None
         request = Request(values, search, judge, seed, progress or silent, started)
         if self._over is None:
-            found = solve_program(self._program, request)
+            best = solve_program(self._program, request)
         else:
             self._boxed = self._boxed or ToleranceBoxSolver(self._program, self._over)
-            found = self._boxed.solve(request)
+            best = self._boxed.solve(request)
         own = {p.name: float(value) for p, value in zip(self._parameters, values, strict=True)}
-        return replace(found, origin=Origin.now(declarations=declared.plain(own), seed=seed))
+        return replace(best, origin=Origin.now(declarations=declared.plain(own), seed=seed))
 
     @property
     def declared(self) -> Declarations:
-        """All that was declared.
+        """All declarations.
 
         Raises:
-            InputError: nothing to minimise or to vary.
+            InputError: there is nothing to minimise or to vary.
         """
         if self._objective is None:
             raise InputError("nothing to minimise: call design.minimise(...) before design.solve()")
@@ -262,7 +271,7 @@ class Design:
         _check_name(name)
         taken = [*(v.name for v in self._variables), *(p.name for p in self._parameters)]
         if name in [*taken, *(r.name for r in self._requirements)]:
-            raise InputError(f"'{name}' is declared already: give each variable, parameter and limit a name of its own")
+            raise InputError(f"'{name}' is declared already: give every variable, parameter and requirement a new name")
 
 
 _SIDES = (": at_least", ": at_most")
@@ -277,7 +286,16 @@ def _read(
     display: Display | None,
     sides: Sequence[str] = ("",),
 ) -> tuple[list[Any], str, Display | None]:
-    """Return numbers in SI, their unit, and the unit in which reports give them."""
+    """Return values as numbers in SI, their unit, and the unit in reports.
+
+    Args:
+        what: what is declared, for messages.
+        name: its name.
+        unit: SI unit of plain numbers.
+        values: numbers or quantities; None is allowed for the sides of a requirement.
+        display: unit in reports, or None for the unit of the values.
+        sides: for each value, its argument, for messages.
+    """
     check_text(f"unit of '{name}'", unit)
     check_kind(f"display of '{name}'", display, Display | None, "None or a Display, as Display('cm', 0.01)")
     unit, written = unit_of(what, unit, *values)
@@ -299,13 +317,13 @@ def _ends(name: str, domain: Any) -> tuple[float, float]:
 
 
 def _check_name(name: Any) -> None:
-    """Refuse what reports could not call anything by."""
+    """Raise InputError if a name is not a printable text."""
     if not isinstance(name, str) or not name.strip() or unprintable(name, allowed=""):
         raise InputError(f"name = {shown(name)} must be a text that says what it is, as 'share height'")
 
 
 def _expression(what: str, value: Column) -> ca.MX:
-    """Return a value as a column of a design's expressions."""
+    """Return an expression, a number or an array as one column of type MX."""
     if isinstance(value, ca.SX):
         raise InputError(f"{what} is an SX expression: build it from this design's own variables, which are MX")
     if is_casadi(value):

@@ -68,7 +68,7 @@ def test_a_near_search_stays_in_the_basin_of_its_guess(waves, search):
     assert best.variables["x"] == pytest.approx(_basins()[2], abs=1e-7)
     assert len(best.local_optima) == 1
     assert (best.search.designs, best.search.variables) == (0, ())
-    assert str(best.search) == "Only the basin of the guess was looked at."
+    assert str(best.search) == "Only the basin of the guess was searched."
 
 
 def test_a_near_search_is_never_worse_than_a_feasible_guess():
@@ -160,7 +160,7 @@ def test_the_expected_number_of_unseen_basins(r1):
     assert "Boender" in str(search)
     few = dataclasses.replace(search, followed=w + 2)
     assert few.unseen_basins is None
-    assert "not estimated" in str(few)
+    assert "cannot be estimated" in str(few)
 
 
 def test_progress_names_the_sample_and_the_basins(build_r1):

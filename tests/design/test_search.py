@@ -210,7 +210,7 @@ def test_steps_are_refined_until_the_objective_is_right(monkeypatch, build_r1):
 
 def test_steps_that_stay_too_coarse_are_reported(monkeypatch, build_r1):
     monkeypatch.setattr(steps_module, "_PHASE_PER_STEP", 40.0)
-    monkeypatch.setattr(derivatives, "_REFINEMENTS", 0)
+    monkeypatch.setattr(derivatives, "_MOST_REFINEMENTS", 0)
     best = build_r1().design.solve(search="local")
     assert best.gap > 1e-8
     assert any("was not reached" in warning for warning in best.warnings)

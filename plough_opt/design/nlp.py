@@ -67,7 +67,7 @@ class RunGroup:
         """Number of results of each run that the design uses."""
         return self.solver.results - self.first
 
-    # Functions of one run, mapped over the runs.
+    # Functions of one run, mapped over the runs of the group:
 
     @cached_property
     def results(self) -> ca.Function:
@@ -140,10 +140,7 @@ class RunGroup:
         return jets_of(self.solver, self.varying, order)(p)[self.first :, :]
 
     def _mapped(self, inputs: list[ca.MX], results: list[ca.MX]) -> ca.Function:
-        """Return a Function of all runs from one of a single run.
-
-        Only the toolkit's own steps run in threads, on as many processors as this process may keep busy.
-        """
+        """Return a Function of all runs from one of a single run; only the toolkit's own steps run in threads."""
         one, count = ca.Function("one", inputs, results), len(self.members)
         if count == 1:
             return one

@@ -8,6 +8,7 @@ import sys
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.differences import differences
 from helpers.high_precision import FIRM, derivatives, mp, resistance_terms
 
 import plough_opt as po
@@ -108,31 +109,22 @@ def test_all_derivatives_of_a_draft_are_those_of_120_digits():
     assert found[2].full() * np.outer(scale, scale) / float(value) == pytest.approx(wanted, rel=1e-11, abs=1e-11)
 
 
-def _differences(function, x, step):
-    """Return derivatives by central differences of order 8."""
-    weights = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
-    columns = []
-    for k, size in enumerate(np.abs(x) * step):
-        shifted = [
-            [np.array(x) + sign * (j + 1) * size * (np.arange(len(x)) == k) for sign in (1, -1)] for j in range(4)
-        ]
-        columns.append(sum(w * (function(a) - function(b)) for w, (a, b) in zip(weights, shifted, strict=True)) / size)
-    return np.stack(columns, axis=-1)
-
-
 def test_first_and_second_derivatives_of_a_motion_are_those_of_differences(r1):
-    x = ca.MX.sym("x", 3)
-    stacked = ca.vertcat(*r1.call(ca.vertsplit(x)))
-    slopes = ca.Function("slopes", [x], [ca.densify(ca.jacobian(stacked, x))])
-    curvatures = ca.Function("curvatures", [x], [ca.densify(ca.jacobian(ca.vec(slopes(x)), x))])
     at = np.array([0.5, 0.3, 3e4])
-    scale, size = np.abs(at), np.array([r1(*at)]).T
-    first = _differences(lambda y: np.array([r1.call(list(y))]).ravel(), at, 2e-3) * scale / size
-    assert r1.slopes(*at).full() * scale / size == pytest.approx(slopes(at).full() * scale / size, rel=1e-14, abs=1e-15)
-    # Differences of values with a rounding of 1e-14 over steps of 2e-3.
-    assert slopes(at).full() * scale / size == pytest.approx(first, rel=1e-10, abs=1e-11)
-    second = _differences(lambda y: slopes(y).full(), at, 2e-3) * scale / size[:, :, None]
-    found = curvatures(at).full().reshape(3, 5, 3).transpose(1, 0, 2) * scale / size[:, :, None]
+    size = np.array([r1(*at)]).T
+
+    def values(part):
+        return np.array([r1.call(list(part * at))]).ravel()
+
+    def slopes(part):
+        return r1.slopes(*(part * at)).full() * at / size
+
+    x, one = ca.MX.sym("x", 3), np.ones(3)
+    curvatures = ca.Function("curvatures", [x], [ca.densify(ca.jacobian(ca.vec(r1.slopes(*ca.vertsplit(x))), x))])
+    # Differences of values with a rounding of 1e-14 over steps of 2e-3 of each input.
+    assert slopes(one) == pytest.approx(differences(values, one, 2e-3) / size, rel=1e-10, abs=1e-11)
+    found = curvatures(at).full().reshape(3, 5, 3).transpose(1, 0, 2) * at / size[:, :, None] * at[:, None]
+    second = differences(slopes, one, 2e-3).reshape(5, 3, 3)
     assert found == pytest.approx(second, rel=1e-9, abs=1e-9 * np.abs(second).max())
 
 
@@ -175,49 +167,22 @@ def test_inputs_by_name_have_the_scenes_values_where_left_out(r1):
     assert r1.call({"scene_stiffness": 4e4})["mean_draft"] == found["mean_draft"]
 
 
-def _objective(outputs):
-    return outputs[0] / 1e3 + outputs[1] / 1e3
-
-
-def _limits(outputs):
-    """Return what must not be negative."""
-    return ca.vertcat(outputs[2] / 0.12 - 1.0, 1.0 - outputs[3] / 0.15, 1.0 - outputs[4] / po.deg(15))
-
-
 IPOPT = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10, "bound_relax_factor": 0.0}}
 
 
-LOW, HIGH = np.array([po.deg(30), 0.15, 3e4]), np.array([po.deg(50), 0.3, 4.5e4])
-
-
-@pytest.fixture(scope="module")
-def around(r1_scene, r1_wave):
-    """R1 around its optimum with a mount of medium stiffness."""
-    inputs = [po.Input(name, *bounds) for name, *bounds in zip(BOUNDS, LOW, HIGH, strict=True)]
+def test_a_design_takes_a_component_and_finds_the_optimum_of_r1(r1_scene, r1_wave):
+    """The optimum with a mount of medium stiffness, between narrow bounds."""
+    d, bounds = po.Design(), ((po.deg(30), po.deg(50)), (0.15, 0.3), (3e4, 4.5e4))
+    inputs = [po.Input(name, *own) for name, own in zip(BOUNDS, bounds, strict=True)]
     scene = r1_scene(37.0, 0.22, 4e4, strength_wave=r1_wave)
-    return po.component(scene, 2.0, inputs=inputs, outputs=RESULTS, steel_density=STEEL)
-
-
-def test_ones_own_opti_finds_the_optimum_of_r1(around):
-    opti = ca.Opti()
-    y = opti.variable(3)
-    outputs = around(*(LOW[k] + (HIGH - LOW)[k] * y[k] for k in range(3)))
-    opti.minimize(_objective(outputs))
-    opti.subject_to(_limits(outputs) >= 0)
-    opti.subject_to(opti.bounded(0, y, 1))
-    opti.set_initial(y, 0.5)
-    opti.solver("ipopt", IPOPT)
-    solution = opti.solve()
-    assert solution.value(opti.f) == pytest.approx(OBJECTIVE, rel=1e-9)
-    assert LOW + (HIGH - LOW) * solution.value(y) == pytest.approx(OPTIMUM, rel=1e-7)
-
-
-def test_a_design_takes_a_component_too(around):
-    d = po.Design()
-    variables = [d.variable(p.name, guess=p.value, lower=p.lower, upper=p.upper, unit=p.unit) for p in around.inputs]
-    outputs = around(*variables)
-    d.minimise(_objective(outputs))
-    d.require("limits", _limits(outputs), at_least=0.0)
+    around = po.component(scene, 2.0, inputs=inputs, outputs=RESULTS, steel_density=STEEL)
+    draft, rms, radius, deflection, half_angle = around(
+        *(d.variable(p.name, guess=p.value, lower=p.lower, upper=p.upper, unit=p.unit) for p in around.inputs)
+    )
+    d.minimise(draft / 1e3 + rms / 1e3)
+    d.require("radius", radius, at_least=0.12)
+    d.require("deflection", deflection, at_most=0.15)
+    d.require("half angle", half_angle, at_most=po.deg(15))
     best = d.solve(search="near")
     assert best.objective == pytest.approx(OBJECTIVE, rel=1e-9)
     assert [*best.variables.values()] == pytest.approx(OPTIMUM, rel=1e-7)
@@ -238,20 +203,6 @@ def test_nlpsol_finds_the_optimum_of_r1_in_sx(r1_scene, r1_wave):
     found = solver(x0=3.6, lbx=3.0, ubx=4.5)
     assert float(found["f"]) == pytest.approx(OBJECTIVE, rel=1e-9)
     assert 1e4 * float(found["x"]) == pytest.approx(OPTIMUM[2], rel=1e-7)
-
-
-def test_shares_soils_scenes_and_runs_are_expressions_of_ones_own_graph(r1, r1_soil, r1_wave):
-    """Without a component: the physics itself in somebody's Opti, and the same values as the component's."""
-    opti = ca.Opti()
-    x = [opti.parameter() for _ in range(3)]
-    share = po.Wedge(x[0], po.deg(15), x[1])
-    cone = share.equivalent_cone()
-    scene = po.Scene(r1_soil, share, x[2], 20.0 + cone.solid_mass(STEEL), 2.0, po.Effects(strength_wave=r1_wave))
-    run = po.simulate(scene, 2.0, accuracy=po.Accuracy("dop853", steps=400), outputs=1)
-    results = [run.mean_draft, run.force_rms, po.loosened_radius(cone, r1_soil), run.mean_deflection, cone.half_angle]
-    for parameter, value in zip(x, START, strict=True):
-        opti.set_value(parameter, value)
-    assert [opti.value(value) for value in results] == pytest.approx(r1(*START), rel=1e-12)
 
 
 def test_limits_of_an_output_that_contradict_each_other_are_refused():

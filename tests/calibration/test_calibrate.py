@@ -7,7 +7,6 @@ import pytest
 from helpers.known_soil import steady_scene
 
 import plough_opt as po
-from plough_opt.motion.scene_quantities import with_quantities
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 
@@ -59,28 +58,29 @@ def test_wrong_questions_are_refused(measured, unknown, keywords, words):
     assert words in str(refusal.value)
 
 
-def test_data_that_do_not_fit_are_refused():
-    unknown = {"soil.cohesion": (1e3, 80e3), "soil.tool_friction": (0.1, 1.0)}
-    scene = steady_scene()
-    few = po.Measurements("mean_draft", [1e3, 2e3], {"scene.tow_speed": [1.0, 2.0]}, name="few")
-    with pytest.raises(po.InputError, match=r"few: 2 rows are too few for 2 unknowns .* at least 3 are needed"):
-        po.calibrate(scene, few, unknown)
-    stated = po.Measurements("mean_draft", [1e3, 2e3], {"scene.tow_speed": [1.0, 2.0]}, sigma=10.0)
-    with pytest.raises(po.InputError, match="few: no sigma is stated, but other sets state theirs"):
-        po.calibrate(scene, [stated, few], unknown)
-    beyond = po.Measurements("mean_draft", [1e3] * 3, {"share.wedge_angle": [0.5, 2.0, 0.6]}, name="beyond")
-    with pytest.raises(po.InputError, match="beyond, row 2: wedge angle = 2 rad must be below"):
-        po.calibrate(scene, beyond, unknown)
-    alone = po.Measurements("soil.density_ratio", [0.8] * 3, name="alone")
-    with pytest.raises(po.InputError, match=r"alone: 'soil.density_ratio' was measured"):
-        po.calibrate(scene, alone, unknown)
-    with pytest.raises(po.InputError, match="the data must be Measurements"):
-        po.calibrate(scene, [[1.0, 2.0]], unknown)
-    with pytest.raises(po.InputError, match="must be a Problem, a Scene, or a function"):
-        po.calibrate(3.0, few, unknown)
-    cone = po.Scene(scene.soil, po.Cone(0.3, 0.25), 5e4, 25.0, 2.0, po.Effects(motion=False))
-    with pytest.raises(po.InputError, match=r"the scene has no 'share.wedge_angle'"):
-        po.calibrate(cone, po.Measurements("mean_draft", [1e3] * 3, {"share.wedge_angle": [0.5, 0.6, 0.7]}), unknown)
+SPEEDS = {"scene.tow_speed": [1.0, 2.0]}
+FEW = po.Measurements("mean_draft", [1e3, 2e3], SPEEDS, name="few")
+STATED = po.Measurements("mean_draft", [1e3, 2e3], SPEEDS, sigma=10.0)
+ANGLES = po.Measurements("mean_draft", [1e3] * 3, {"share.wedge_angle": [0.5, 2.0, 0.6]}, name="beyond")
+CONE = po.Scene(steady_scene().soil, po.Cone(0.3, 0.25), 5e4, 25.0, 2.0, po.Effects(motion=False))
+
+
+@pytest.mark.parametrize(
+    ("scene", "data", "words"),
+    [
+        (steady_scene(), FEW, r"few: 2 rows are too few for 2 unknowns .* at least 3 are needed"),
+        (steady_scene(), [STATED, FEW], "few: no sigma is stated"),
+        (steady_scene(), ANGLES, "beyond, row 2: wedge angle = 2 rad must be below"),
+        (steady_scene(), po.Measurements("soil.density_ratio", [0.8] * 3), "'soil.density_ratio' was measured"),
+        (steady_scene(), po.Measurements("mean_draft", [0.0] * 3, name="zeros"), "zeros: every measured value is 0"),
+        (steady_scene(), [[1.0, 2.0]], "the data must be Measurements"),
+        (3.0, FEW, "must be a Problem, a Scene, or a function"),
+        (CONE, ANGLES, "the scene has no 'share.wedge_angle'"),
+    ],
+)
+def test_data_that_do_not_fit_are_refused(scene, data, words):
+    with pytest.raises(po.InputError, match=words):
+        po.calibrate(scene, data, {"soil.cohesion": (1e3, 80e3), "soil.tool_friction": (0.1, 1.0)})
 
 
 def test_other_values_in_the_place_of_the_measured_ones(measured, three, fitted):
@@ -139,27 +139,7 @@ def test_the_elastic_medium_gives_its_modulus():
     assert relative == pytest.approx(0.02 / 2**0.5, rel=0.01)
 
 
-@pytest.mark.slow
-def test_the_mass_of_a_scene_is_found_by_the_name_that_components_have():
-    wave = po.Effects(strength_wave=po.StrengthWave(0.3, 0.2), damping=400.0)
-    share = po.Wedge(po.deg(30), po.deg(15), 0.25)
-    scene = po.Scene(po.named_soil("serozem"), share, 5e4, 45.0, 2.0, wave)
-    speeds, heavier = [1.0, 1.5, 2.0, 2.5], with_quantities(scene, {"scene.mass": 60.0})
-    runs = [po.simulate(with_quantities(heavier, {"scene.tow_speed": v}), 1.0) for v in speeds]
-    data = po.Measurements("force_rms", [run.force_rms for run in runs], {"scene.tow_speed": speeds})
-    found = po.calibrate(scene, data, {"scene.mass": ("20 kg", "100 kg")}, duration=1.0)
-    # Exact data: the tolerance of the search is what is left.
-    assert found.values["scene.mass"] == pytest.approx(60.0, rel=1e-8)
-    assert po.component(scene, 1.0, inputs=["scene.mass"], outputs=["force_rms"]).inputs[0].name == "scene.mass"
-
-
 def test_a_files_mass_is_that_of_its_frame(measured):
     problem = po.read_problem(PROBLEMS / "calibration.toml")
     with pytest.raises(po.InputError, match=r"a problem file has no 'scene\.mass': did you mean 'scene\.frame_mass'"):
         po.calibrate(problem, measured, {"scene.mass": (1.0, 100.0)})
-
-
-def test_nothing_but_zeros_is_no_measurement():
-    zeros = po.Measurements("mean_draft", [0.0, -0.0, 0.0], {"scene.tow_speed": [1.0, 2.0, 3.0]}, name="plane")
-    with pytest.raises(po.InputError, match="plane: every measured value is 0"):
-        po.calibrate(steady_scene(), zeros, {"soil.cohesion": (1e3, 80e3)})

@@ -31,15 +31,15 @@ def identifiable(found):
 
 @pytest.mark.parametrize("number", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_intervals_hold_the_truth_as_often_as_they_say(script, number):
-    """A thin version: sixty trials tell a coverage of 95 % from one below some 82 %."""
-    found = script.CASES[number].run(60)
-    # Of right intervals, this many or fewer of sixty cover once in two thousand; all sixty is not a rare event (5 %).
-    least = stats.binom.ppf(5e-4, 60, 0.95) / 60
+    """A thin version: twenty trials tell a coverage of 95 % from one below some 70 %."""
+    found = script.CASES[number].run(20)
+    # With correct intervals, this many or fewer of twenty cover in one case of two thousand; all twenty do so often.
+    least = stats.binom.ppf(5e-4, 20, 0.95) / 20
     for own in identifiable(found):
         assert own.rate("profile") >= least
         assert own.rate("linearised") >= least
-        # The mean of sixty fits lies within half a standard deviation of the truth.
-        assert abs(own.bias) < 0.5
+        # The mean of twenty fits lies within 0.8 standard deviations of the truth, 3.6 of its own.
+        assert abs(own.bias) < 0.8
 
 
 @pytest.mark.slow

@@ -62,15 +62,6 @@ def test_exact_data_give_the_truth_back(plane, three):
     assert fit.scatter < 1e-6
 
 
-def test_derivatives_of_predictions(measured, three):
-    problem = po.Calibration(steady_scene(), measured, three).setup.problem
-    y, step = np.array([0.31, 0.42, 0.23]), 1e-6
-    for k, along in enumerate(step * np.eye(3)):
-        # Central differences: step^2 = 1e-12 and rounding 1e-16/step = 1e-10, of curvatures of some ten.
-        by_difference = (problem.predict(y + along) - problem.predict(y - along)) / (2.0 * step)
-        np.testing.assert_allclose(problem.at(y)[1][:, k], by_difference, rtol=1e-7)
-
-
 @pytest.mark.parametrize("loss", LOSSES)
 def test_a_loss_fits_its_weight_and_its_curvature(loss):
     own, step = LOSSES[loss], 1e-5

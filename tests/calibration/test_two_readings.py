@@ -4,7 +4,6 @@ import dataclasses
 import math
 
 import mpmath as mp
-import numpy as np
 import pytest
 
 import plough_opt as po
@@ -60,20 +59,6 @@ def test_the_intervals_are_those_of_error_propagation():
     # What has bounds that are far apart is fitted by its logarithm.
     width = math.log(found["soil.strength_factor"].upper / found["soil.strength_factor"].lower)
     assert width / 2.0 == pytest.approx(1.959964 * math.hypot(1e5 / INDEX, slope * of_ratio), rel=1e-5)
-
-
-@pytest.mark.slow  # by default test_coverage.py stands for it
-def test_the_intervals_hold_the_truth():
-    """Eight insertions and three widths of a soil that is known: of 95 % intervals 95 +- 3 %."""
-    true = dataclasses.replace(BASE, density_ratio=0.85, strength_factor=20.0)
-    index, radius = po.cone_index(true), po.loosened_radius(CONE, true)
-    trials, rng, inside = 500, np.random.default_rng(4), np.zeros(2)
-    for _ in range(trials):
-        indices = index * (1.0 + 0.12 * rng.standard_normal(8))
-        radii = radius * (1.0 + 0.03 * rng.standard_normal(3))
-        found = fitted(indices, radii, (0.12 * index, 0.03 * radius)).intervals()
-        inside += [20.0 in found["soil.strength_factor"], 0.85 in found["soil.density_ratio"]]
-    assert np.all(np.abs(inside / trials - 0.95) <= 0.03), inside / trials
 
 
 def test_a_file_s_cone_index_leaves_the_trench_the_density_ratio(tmp_path):

@@ -7,12 +7,12 @@ WEIGHTS = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])
 STEP = 2e-4
 
 
-def differences(function, y):
+def differences(function, y, step=STEP):
     """Return the derivative of a function of y by central differences of order 8, a column for each entry of y."""
     columns = []
     for k in range(len(y)):
         unit = np.zeros(len(y))
-        unit[k] = STEP
+        unit[k] = step
         pairs = [np.ravel(function(y + m * unit) - function(y - m * unit)) for m in range(1, 5)]
-        columns.append(sum(w * pair for w, pair in zip(WEIGHTS, pairs, strict=True)) / STEP)
+        columns.append(sum(w * pair for w, pair in zip(WEIGHTS, pairs, strict=True)) / step)
     return np.column_stack(columns)

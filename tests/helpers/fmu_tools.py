@@ -40,11 +40,10 @@ def simulated(path, duration, outputs=200, **options):
 
 
 def differences(found, run, names=ARRAYS):
-    """Return the largest difference of each array, over the largest value of it."""
-    return {
-        name: float(np.max(np.abs(found[name] - getattr(run, name))) / np.max(np.abs(getattr(run, name))))
-        for name in names
-    }
+    """Return the largest difference of each array, over its largest value; 0 if both are 0 throughout."""
+    largest = {name: (np.max(np.abs(found[name] - getattr(run, name))), np.max(np.abs(getattr(run, name))))
+               for name in names}  # fmt: skip
+    return {name: float(error / size) if error else 0.0 for name, (error, size) in largest.items()}
 
 
 class Stepped:

@@ -35,25 +35,19 @@ _OWN = {ca.OP_FABS: "v_fabs", ca.OP_SIGN: "v_sign", ca.OP_FMIN: "v_min", ca.OP_F
 _HEAD = """
 #include <math.h>
 #include <stdint.h>
-#include <string.h>
 
-#ifndef REGISTERS
-#define REGISTERS 1
-#endif
 #if defined(__AVX512F__)
-#define WIDTH 8
+#define LANES 8
 #define LETTER e
 #elif defined(__AVX2__)
-#define WIDTH 4
+#define LANES 4
 #define LETTER d
 #else
-#define WIDTH 2
+#define LANES 2
 #define LETTER b
 #endif
-#define LANES (WIDTH * REGISTERS)
 typedef double V __attribute__((vector_size(8 * LANES), aligned(8 * LANES)));
 typedef int64_t M __attribute__((vector_size(8 * LANES), aligned(8 * LANES)));
-typedef double R __attribute__((vector_size(8 * WIDTH)));
 
 static inline V v_pick(M m, V a, V b) { return (V)(((M)a & m) | ((M)b & ~m)); }
 static inline V v_min(V a, V b) { return v_pick((a <= b) | (b != b), a, b); }
@@ -68,17 +62,14 @@ static inline int any(M m) { int64_t all = 0; for (int k = 0; k < LANES; k++) al
   static inline V v_##NAME(V a, V b) { V r; for (int k = 0; k < LANES; k++) r[k] = NAME(a[k], b[k]); return r; }
 #ifdef VECTOR_LIBRARY
 #define JOIN(A, B, C, D) A##B##N##C##D
-#define SYMBOL(LETTER, WIDTH, MANGLED) JOIN(_ZGV, LETTER, WIDTH, MANGLED)
-typedef union { V all; R part[REGISTERS]; } Parts;
+#define SYMBOL(LETTER, LANES, MANGLED) JOIN(_ZGV, LETTER, LANES, MANGLED)
+/* The vector library's names, such as _ZGVdN4v_sin, have a letter for the registers and the number of their lanes. */
 #define LIBRARY(NAME) \\
-  R SYMBOL(LETTER, WIDTH, v_##NAME)(R); \\
-  static inline V v_##NAME(V a) { Parts x = {a}; \\
-    for (int k = 0; k < REGISTERS; k++) x.part[k] = SYMBOL(LETTER, WIDTH, v_##NAME)(x.part[k]); return x.all; }
+  V SYMBOL(LETTER, LANES, v_##NAME)(V); \\
+  static inline V v_##NAME(V a) { return SYMBOL(LETTER, LANES, v_##NAME)(a); }
 #define LIBRARY_OF_TWO(NAME) \\
-  R SYMBOL(LETTER, WIDTH, vv_##NAME)(R, R); \\
-  static inline V v_##NAME(V a, V b) { Parts x = {a}, y = {b}; \\
-    for (int k = 0; k < REGISTERS; k++) x.part[k] = SYMBOL(LETTER, WIDTH, vv_##NAME)(x.part[k], y.part[k]); \\
-    return x.all; }
+  V SYMBOL(LETTER, LANES, vv_##NAME)(V, V); \\
+  static inline V v_##NAME(V a, V b) { return SYMBOL(LETTER, LANES, vv_##NAME)(a, b); }
 #else
 #define LIBRARY(NAME) EACH(NAME)
 #define LIBRARY_OF_TWO(NAME) EACH_OF_TWO(NAME)
@@ -157,7 +148,7 @@ def c_source(kernels: Kernels) -> str:
     Raises:
         InputError: an operation without a vector form.
     """
-    lines = [head(), "int64_t lanes(void) { return LANES; }"]
+    lines = [head()]
     for name, one in kernels.maps.items():
         text = Statements(one, ("x",))
         body = "\n".join([*text.once, *text.each])

@@ -1,4 +1,4 @@
-"""The contest with other tools: one table for all benchmarks of a run."""
+"""Fixtures of the benchmarks: one table for a whole run, one core, and the other tools."""
 
 import importlib
 import os
@@ -26,13 +26,13 @@ def pytest_terminal_summary(config):
 
 @pytest.fixture(scope="session")
 def contest(request):
-    """The table of this run."""
+    """Return the table of this run."""
     return request.config.stash[CONTEST]
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _one_core():
-    """Keep this process, and those that it starts, on one core: what a tool does on several is not its speed."""
+    """Keep this process and its children on one core, so that no tool gains by using several."""
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
     os.environ.setdefault("JAX_PLATFORMS", "cpu")
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -48,7 +48,7 @@ def _one_core():
 
 @pytest.fixture(scope="session")
 def peer(contest):
-    """Import a module of peers/, or note that what it needs is missing and return None."""
+    """Return a function that imports a module of peers/, or returns None and notes what is missing."""
 
     def find(name):
         try:

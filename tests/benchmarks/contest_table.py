@@ -1,4 +1,4 @@
-"""The table of a contest: rows of one run on one machine, each beside our own; and the clocks that fill it."""
+"""The table of a benchmark run, which compares tools with plough_opt, and the clocks that fill it."""
 
 import json
 import math
@@ -17,29 +17,29 @@ import numpy as np
 from plough_opt.core.tables import Grid
 
 HERE = Path(__file__).resolve().parent
-# A clock's own cost and grain are nothing beside this [s].
+# Least time of a measurement [s], far above the cost and the resolution of the clock.
 _LEAST = 0.02
-# Longer calls are repeated less often [s].
+# Calls that take longer than this [s] are repeated less often.
 _PATIENCE = 1.0
-# Above this power of the size a cost grows faster than what is asked for.
+# A cost that grows with a higher power of the size than this is marked in the table.
 _LINEAR = 1.1
 
 
 @dataclass(frozen=True)
 class Spent:
-    """Processor time, and time on the wall, which others on the machine lengthen [s]."""
+    """Processor time and wall time [s]; other processes on the machine lengthen the latter."""
 
     cpu: float
     wall: float
 
     def per(self, count):
-        """Return the share of one of many."""
+        """Return the time of one of ``count`` calls."""
         return Spent(self.cpu / count, self.wall / count)
 
 
 @dataclass(frozen=True)
 class Row:
-    """One tool at one task; `first`: the first call of a fresh process, imports left out."""
+    """One tool at one task; ``first`` is the time of the first call in a fresh process, without imports."""
 
     task: str
     tool: str
@@ -52,7 +52,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Growth:
-    """Cost at several sizes."""
+    """Cost at several sizes of a task."""
 
     what: str
     sizes: tuple[float, ...]
@@ -61,24 +61,24 @@ class Growth:
 
     @property
     def exponent(self):
-        """Slope of the cost over the size, both by their logarithms."""
+        """Power of the size with which the cost grows."""
         return float(np.polyfit(np.log(self.sizes), np.log(self.costs), 1)[0])
 
 
 @dataclass
 class Contest:
-    """Times that a run has measured."""
+    """Everything that a run has measured."""
 
     rows: list[Row] = field(default_factory=list)
     growths: list[Growth] = field(default_factory=list)
     missing: dict[str, str] = field(default_factory=dict)
 
     def add(self, task, tool, spent, **more):
-        """Keep a row; the first of a task that is ours is what the others are compared with."""
+        """Add a row; the others of its task are compared with the first row that has ``ours``."""
         self.rows.append(Row(task, tool, spent, **more))
 
     def ratio(self, row, which="spent"):
-        """Return a row's processor time over our own, or None."""
+        """Return the processor time of a row divided by our own, or None."""
         own = next((getattr(r, which) for r in self.rows if r.task == row.task and r.ours), None)
         mine = getattr(row, which)
         return None if own is None or mine is None else mine.cpu / own.cpu
@@ -125,7 +125,7 @@ class Contest:
 
 
 def seconds(value):
-    """Return a time with a unit that suits it."""
+    """Return a time with a suitable unit."""
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
         if value >= size:
             return f"{value / size:.3g} {unit}"
@@ -141,7 +141,7 @@ def _now():
 
 
 def machine():
-    """Return what the figures were measured on."""
+    """Return a description of this machine."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
@@ -151,9 +151,9 @@ def machine():
 
 
 def race(contestants, rounds=7):
-    """Return the median times of functions that are called in turns, after a warm-up, so that noise hits all alike.
+    """Return the median times of functions, called in turns after a warm-up, so that noise affects all of them alike.
 
-    Those that take seconds are called no more than three times.
+    Functions that take seconds are called at most three times.
     """
     often, turns = {}, {}
     for name, function in contestants.items():
@@ -172,7 +172,7 @@ def race(contestants, rounds=7):
 
 
 def solved_anew(design, **options):
-    """Solve a design that is built, without what its last solve remembers of the optimum that it certified."""
+    """Solve a design again without what it remembers of its last certified optimum."""
     if design._program is not None:
         design._program.exact._tight.cache_clear()
         design._program._exact_at.clear()
@@ -203,7 +203,7 @@ print("spent", time.process_time() - cpu, time.perf_counter() - wall)
 
 
 def fresh(setup, statement, rounds=3):
-    """Return the median time of a statement's first execution in a process of its own, after a setup of imports."""
+    """Return the median time of the first execution of a statement in a new process, after imports."""
     code = _FRESH.format(here=str(HERE), setup=setup, statement=statement)
     found = []
     for _ in range(rounds):

@@ -1,4 +1,4 @@
-"""The disconnected front of oscillation against deflection beside pymoo's NSGA-II. Nothing here asserts a time."""
+"""The disconnected front of oscillation against deflection, compared with pymoo's NSGA-II. No test asserts a time."""
 
 import time
 
@@ -12,7 +12,7 @@ import plough_opt as po
 pytestmark = [pytest.mark.bench, pytest.mark.filterwarnings("ignore")]
 
 PROBLEM = r1.PROBLEM.replace("reference", "force_against_deflection")
-# A fifth of the positions lies in the hole: these leave 50 designs.
+# A fifth of the positions lies in the gap of the front, so 64 positions give 50 designs.
 POINTS, WANTED = 64, 50
 STEPS = 500
 # Deflection [m] and RMS force [N] of the far corner.
@@ -22,7 +22,7 @@ OURS, THEIRS = "plough_opt trade_off", "pymoo NSGA-II, 100 x 100, NumPy RK4"
 
 
 def _simulated(designs):
-    """Return deflection and RMS force of designs to 1e-11."""
+    """Return deflection and RMS force of designs, each to 1e-11."""
     problem = po.read_problem(PROBLEM)
     keys = ("share.wedge_angle", "share.height", "scene.stiffness")
     runs = [po.simulate(problem.scene(dict(zip(keys, x, strict=True))), r1.DURATION, accuracy=po.Accuracy(error=1e-11))
@@ -31,7 +31,7 @@ def _simulated(designs):
 
 
 def _front(problem, *, compiled):
-    """Return the front of the problem file, its program built anew."""
+    """Return the front of the problem file, with the program built anew."""
     d = po.Design()
     symbols = {key: d.variable(key, guess=v.guess, lower=v.lower, upper=v.upper, unit=v.unit, log=v.log)
                for key, v in problem.variables.items()}  # fmt: skip

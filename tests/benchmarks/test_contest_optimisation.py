@@ -1,4 +1,4 @@
-"""Optimisation of R1 and of five shares of it beside SLSQP, to a relative gap of 1e-8. Nothing here asserts a time."""
+"""Optimisation of R1 and of five shares, compared with SLSQP to a relative gap of 1e-8. No test asserts a time."""
 
 import math
 from functools import partial
@@ -14,7 +14,7 @@ pytestmark = [pytest.mark.bench, pytest.mark.filterwarnings("ignore")]
 
 GAP = 1e-8
 TIGHT = po.Accuracy(error=1e-11)
-# Each with the module of peers/ that it needs, what simulates, and whether it is to reach the gap.
+# Tool -> (module of peers/ that it needs, its simulation, whether it must reach the gap).
 TOOLS = {
     "SLSQP, Numba RK4, 1600 steps": ("numba_rk4", "numba_averages(1600)", False),
     "SLSQP, Numba RK4, 3200 steps": ("numba_rk4", "numba_averages(3200)", True),
@@ -29,7 +29,7 @@ TEN = "five shares, ten variables, from the start to a local optimum"
 
 
 def _judged(x, reported):
-    """Return the error of a design's reported objective or its gap, whichever is larger, a note, and the violation."""
+    """Return the larger of a design's gap and the error of its reported objective; a note; and the violation."""
     keys = ("share.wedge_angle", "share.height", "scene.stiffness")
     scene = po.read_problem(r1.PROBLEM).scene(dict(zip(keys, x, strict=True)))
     run = po.simulate(scene, r1.DURATION, accuracy=TIGHT)
@@ -43,7 +43,7 @@ def _judged(x, reported):
 
 @pytest.mark.parametrize("task", list(TASKS))
 def test_r1(task, contest, peer):
-    from peers import slsqp  # slow to import, and needed here only
+    from peers import slsqp  # imported here because that is slow
 
     search = {"local": "local", "best": "auto"}[task]
     rows = {}
@@ -80,7 +80,7 @@ def _find_all_optima(best):
 
 
 def test_ten_variables(r1_wave, contest, peer):
-    """SLSQP's differences cost a simulation of every share for each variable."""
+    """Each difference of SLSQP costs a simulation of every share."""
     from peers import slsqp
 
     tools = {name: _solver_of_five(r1_wave, compiled) for name, compiled in OURS.items()}
@@ -111,7 +111,7 @@ def _five_scenes(wave, angles, heights):
 
 
 def _solver_of_five(wave, compiled):
-    """Return what solves the design of five shares: angles and heights, in a row, and the objective."""
+    """Return a function that solves the design of five shares and returns (angles and heights, objective)."""
     from peers import slsqp
 
     d = po.Design()
@@ -134,7 +134,7 @@ def _solver_of_five(wave, compiled):
 
 
 def _judged_five(wave, x, reported):
-    """Return a design's objective by simulations to 1e-11, the error of the reported one, and the violation."""
+    """Return a design's objective to 1e-11, the error of the reported one, and the violation."""
     from peers import slsqp
 
     angles, heights = np.split(x, 2)

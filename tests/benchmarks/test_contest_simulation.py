@@ -1,4 +1,4 @@
-"""Simulations of R1 beside other tools, all at the same achieved error. Nothing here asserts a time."""
+"""Simulations of R1, compared with other tools at the same error. No test asserts a time."""
 
 import math
 from functools import partial
@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.bench, pytest.mark.filterwarnings("ignore")]
 WANTED = 1e-6
 OUTPUTS, TIGHT = 400, 1e-8
 OURS = "plough_opt simulate"
-# Designs that need like numbers of steps go together: a fixed step then costs each no more than it needs.
+# Groups of designs that need similar numbers of steps, so that tools with fixed steps take few unnecessary ones.
 GROUPS = 8
 
 
@@ -51,20 +51,20 @@ def _error(found, truth):
 
 
 class _FixedSteps:
-    """A tool that takes a given number of steps, on designs in groups."""
+    """A tool with fixed steps, which simulates groups of designs."""
 
     def __init__(self, run, groups, truths):
         self._run, self._groups, self._truths = run, groups, truths
 
     def fewest(self):
-        """Return the fewest steps for each group with which all its designs reach the wanted error."""
+        """Return, for each group, the fewest steps with which all its designs reach the wanted error."""
         return [
             next(n for n in (int(50 * 1.1**k) for k in range(80)) if self.error([n], [group], [truth]) < WANTED)
             for group, truth in zip(self._groups, self._truths, strict=True)
         ]
 
     def error(self, steps, groups=None, truths=None):
-        """Return the largest error."""
+        """Return the largest error of all designs."""
         groups, truths = groups or self._groups, truths or self._truths
         return max(_error(self._forces(p, n), t) for p, n, t in zip(groups, steps, truths, strict=True))
 
@@ -82,7 +82,7 @@ def test_hand_written_r1_is_ours(r1_scene, r1_wave):
     for x in (r1.START, r1.LOWER, r1.UPPER):
         known = parameters(r1_scene(math.degrees(x[0]), x[1], x[2], strength_wave=r1_wave))
         ours = [known[name] for name in ("static", "drag", "inertia", "stiffness")]
-        # Some twenty operations, each rounded.
+        # Rounding of about twenty operations.
         np.testing.assert_allclose(r1.equation(*x)[:4], ours, rtol=2e-14)
 
 
@@ -96,7 +96,7 @@ def test_very_many_designs(r1_soil, r1_scene, r1_wave, where, contest, peer):
     truth = np.array([reference.mean_draft, reference.force_rms])
     for k in range(0, len(values), len(values) // 12):
         run = _simulated(r1_scene, r1_wave, values[k])
-        # The reference's own error, and that of the simulation.
+        # The error of the reference plus that of the simulation.
         assert _error(truth[:, [k]], [[run.mean_draft], [run.force_rms]]) < 2e-10
     found = batch(values)
     error = _error([found.mean_draft, found.force_rms], truth)
@@ -111,7 +111,7 @@ def test_very_many_designs(r1_soil, r1_scene, r1_wave, where, contest, peer):
 
 
 def _fixed_step_peers(values, truth, groups, peer):
-    """Return the contestants that take classical Runge-Kutta steps, as few as their groups of designs allow."""
+    """Return the tools that take classical Runge-Kutta steps, as few as each group of designs allows."""
     p = np.array(r1.equation(*values.T))
     fastest = (p[3] + r1.AMPLITUDE * p[0] * 2.0 * math.pi / r1.WAVELENGTH) / p[2]
     parts = np.array_split(np.argsort(fastest), groups)
@@ -129,7 +129,7 @@ def _fixed_step_peers(values, truth, groups, peer):
         tool = _FixedSteps(run, *arguments)
         steps = steps or tool.fewest()
         error = tool.error(steps)
-        # The same steps; the tools differ only by rounding.
+        # All tools take the same steps and differ only by rounding.
         assert error < WANTED * (1.0 + 1e-3)
         found[name] = (lambda tool=tool, steps=steps: tool.all(steps), len(values), error)
     return found
@@ -172,7 +172,7 @@ def test_one_simulation(r1_scene, r1_wave, contest, peer):
 
 
 def _scipy_rows(p, error, contest):
-    """Return SciPy's integrators, each at the loosest tolerance that reaches the wanted error."""
+    """Return SciPy's integrators, each with the loosest tolerance that reaches the wanted error."""
     from peers import scipy_ivp
 
     rows = {}

@@ -1,4 +1,4 @@
-"""With what power of the size costs grow, by processor time and by memory. Nothing here asserts a time."""
+"""The power of the size with which processor time and memory grow. No test asserts a time."""
 
 import subprocess
 import sys
@@ -51,7 +51,7 @@ print(next(line.split()[1] for line in Path("/proc/self/status").read_text().spl
 
 
 def _add(contest, what, sizes, call, rounds=3):
-    """Measure a function of the size, whose result is called, and keep how its time grows."""
+    """Measure call(size)() for each size and add the growth of its time to the table."""
     spent = race({size: call(size) for size in sizes}, rounds)
     contest.growths.append(Growth(what, tuple(sizes), tuple(spent[size].cpu for size in sizes)))
 
@@ -113,7 +113,7 @@ def test_batch(contest, r1_soil, r1_wave):
 @pytest.mark.parametrize("damping", [None, 250.0, 2000.0])
 @pytest.mark.parametrize("where", ["near the start", "all over the domain"])
 def test_batch_over_its_horizon(contest, r1_soil, r1_wave, where, damping):
-    # All over the domain three undamped motions in a thousand turn chaotic within a minute, and miss the wanted error.
+    # Three in a thousand undamped motions all over the domain become chaotic within a minute and miss the wanted error.
     values = _designs(2048) if where != "near the start" else r1.START * np.linspace(0.999, 1.001, 2048)[:, None]
     horizons = (0.5, 2.0, 8.0, 32.0, 64.0)
     batches = {t: _batch(r1_soil, t, strength_wave=r1_wave, damping=damping) for t in horizons}
@@ -123,9 +123,9 @@ def test_batch_over_its_horizon(contest, r1_soil, r1_wave, where, damping):
 
 
 def _add_memory(contest, what, sizes, codes):
-    """Keep how the memory that a process prints [kB] grows; return it [MiB]."""
+    """Add the growth of the memory that processes print [kB] to the table; return it [MiB]."""
     if not Path("/proc/self/status").exists():
-        contest.missing[what] = "the system does not say how much memory a process takes"
+        contest.missing[what] = "this system does not report the memory of a process"
         return None
     done = [subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True) for code in codes]
     costs = tuple(int(one.stdout) / 1024.0 for one in done)
@@ -140,7 +140,7 @@ def test_memory_of_a_stream(contest):
 
 
 def test_memory_of_different_designs(contest):
-    # From some 150 designs on, the caches are full.
+    # The caches are full after about 150 designs.
     sizes = (250, 500, 1000, 2000)
     codes = [DESIGNS.format(designs=designs) for designs in sizes]
     costs = _add_memory(contest, "Designs solved and dropped, memory at the end, designs", sizes, codes)

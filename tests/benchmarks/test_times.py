@@ -1,4 +1,4 @@
-"""How long reading, building, solving and simulating take. Nothing here asserts a time."""
+"""Times of reading, building, solving and simulating. No test asserts a time."""
 
 import subprocess
 import sys
@@ -21,7 +21,7 @@ NOTHING = np.empty(0)
 
 
 def _forget():
-    """Empty every cache, so that the next simulation builds its graphs as the first one does."""
+    """Empty every cache, so that the next simulation builds its graphs like the first one."""
     for module in (integrators, runge_kutta):
         for member in vars(module).values():
             getattr(member, "cache_clear", lambda: None)()
@@ -97,5 +97,5 @@ def test_stationary_rms_and_its_second_derivatives(benchmark, random):
 
 
 def test_from_readings_to_the_best_share(benchmark):
-    """The whole of problems/field.toml, its search over all variables too."""
+    """Run all of problems/field.toml, including its search over all variables."""
     benchmark.pedantic(lambda: po.read_problem(PROBLEMS / "field.toml").optimise(), rounds=2)

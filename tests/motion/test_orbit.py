@@ -191,24 +191,6 @@ def test_own_resistances_that_do_not_repeat_with_the_wave_have_no_orbit(r1_scene
         design.solve()
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"strength_wave": None}, "an orbit needs a strength_wave"),
-        ({"motion": False}, "an orbit needs motion"),
-        ({"contact": po.Smooth(0.1)}, "an orbit needs contact = 'resisting'"),
-        ({"contact": po.StickSlip()}, "an orbit needs contact = 'resisting'"),
-        ({"start": "towed", "entry": True}, "an orbit has no start: omit start, tow_ramp and entry"),
-        ({"tow_ramp": 0.2}, "an orbit has no start"),
-        ({"formulation": "printed"}, "the print's repelling spring has no periodic orbit: use formulation = 'derived'"),
-    ],
-)
-def test_effects_that_no_orbit_has_are_refused(changes, message):
-    for choice in ORBITS:
-        with pytest.raises(po.InputError, match=message):
-            po.Effects(**({"strength_wave": WAVE, "orbit": choice} | changes))
-
-
 @pytest.mark.parametrize("choice", ["steady", None, 3, po.HarmonicBalance, ["periodic"]])
 def test_an_unknown_orbit_is_refused(choice):
     with pytest.raises(po.InputError, match="must be 'transient', 'periodic' or 'linearised', or HarmonicBalance"):

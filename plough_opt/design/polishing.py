@@ -79,13 +79,13 @@ def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -
                 return None
             step, lam_g, lam_y = found
         point = Point(True, "Solve_Succeeded", y, float(f.item()), lam_g, without_rounding(y, lam_y), number)
-        left = residual(point, at, (program.low, program.high))
-        if left <= _STATIONARY:
+        remaining = residual(point, at, (program.low, program.high))
+        if remaining <= _STATIONARY:
             if np.all((margin == 0.0) | ((program.low <= g) & (g <= program.high))):
                 return point if _multipliers_unique(point.y, at, limits) else None
-        elif left > _REDUCTION * before or np.max(np.abs(step)) > _LONGEST_STEP:
+        elif remaining > _REDUCTION * before or np.max(np.abs(step)) > _LONGEST_STEP:
             return None
-        y, before = np.clip(y + step, 0.0, 1.0), left
+        y, before = np.clip(y + step, 0.0, 1.0), remaining
     return None
 
 
@@ -140,9 +140,9 @@ AS_FOUND = "taken as found"
 
 def polished(program: Program, p: Vector, start: Vector) -> Point:
     """Return the local optimum near a basin minimum of a search, or the start itself if no better design lies near."""
-    most = _most(program, p, start)
+    highest = _highest_accepted(program, p, start)
     near = polished_by_quadratic_programs(program, p, start)
-    if near is not None and np.max(np.abs(near.y - start)) < _NEAR and near.f <= most:
+    if near is not None and np.max(np.abs(near.y - start)) < _NEAR and near.f <= highest:
         return near
     as_found = point_as_found(program, p, start)
     for box, exact in ((1.0, False), (_NEAR, True), (_RIPPLE, True)):
@@ -150,10 +150,10 @@ def polished(program: Program, p: Vector, start: Vector) -> Point:
         if point.status in _STALLED and _violation(program, p, point.y)[1] <= FEASIBLE_ANSWER:
             point = replace(point, solved=True, status=AS_FOUND)
         inside = box == 1.0 or np.max(np.abs(point.y - start)) < box
-        if point.solved and inside and point.f <= most:
+        if point.solved and inside and point.f <= highest:
             return point
     point = program.solve(start, p)
-    if point.solved and point.f <= most:
+    if point.solved and point.f <= highest:
         return point
     if as_found.solved or not program.declared.requirements:
         return as_found
@@ -163,10 +163,10 @@ def polished(program: Program, p: Vector, start: Vector) -> Point:
 
 def solved_again(program: Program, p: Vector, point: Point) -> Point:
     """Return an optimum solved again after its program was rebuilt with other steps; the same basin, updated digits."""
-    most = _most(program, p, point.y)
+    highest = _highest_accepted(program, p, point.y)
     for box, exact in ((_NEAR, False), (_RIPPLE, False), (_RIPPLE, True)):
         again = program.solve(point.y, p, SolveOptions(near=True, exact=exact, enough=True), box)
-        if again.solved and np.max(np.abs(again.y - point.y)) < box and again.f <= most:
+        if again.solved and np.max(np.abs(again.y - point.y)) < box and again.f <= highest:
             return again
     return replace(point, f=_violation(program, p, point.y)[0])
 
@@ -177,7 +177,7 @@ def converged_tightly(program: Program, p: Vector, point: Point) -> Point:
         return point
     again = program.solve(point.y, p, SolveOptions(near=True, exact=False), _NEAR)
     inside = np.max(np.abs(again.y - point.y)) < _NEAR
-    return again if again.solved and inside and again.f <= _most(program, p, point.y) else point
+    return again if again.solved and inside and again.f <= _highest_accepted(program, p, point.y) else point
 
 
 def point_as_found(program: Program, p: Vector, y: Vector) -> Point:
@@ -187,7 +187,7 @@ def point_as_found(program: Program, p: Vector, y: Vector) -> Point:
     return Point(bool(violation <= FEASIBLE_ANSWER), AS_FOUND, y, f, np.zeros(count), np.zeros(len(y)), 0)
 
 
-def _most(program: Program, p: Vector, start: Vector) -> float:
+def _highest_accepted(program: Program, p: Vector, start: Vector) -> float:
     """Return the largest scaled objective at which an optimum counts as no worse than its start."""
     f, violation = _violation(program, p, start)
     return f + _NOT_WORSE * abs(f) + _VIOLATION_WEIGHT * violation if violation <= FEASIBLE else np.inf
@@ -197,8 +197,8 @@ def _violation(program: Program, p: Vector, y: Vector) -> tuple[float, float]:
     """Return the scaled objective, and the largest scaled violation; infinite if the design cannot be evaluated."""
     f, g = (np.asarray(result).ravel() for result in program.nlp.values(y, p))
     worst = np.max(np.maximum(program.low - g, g - program.high), initial=0.0)
-    sound = np.all(np.isfinite(f)) and np.all(np.isfinite(g))
-    return float(f[0]), float(worst) if sound else np.inf
+    valid = np.all(np.isfinite(f)) and np.all(np.isfinite(g))
+    return float(f[0]), float(worst) if valid else np.inf
 
 
 # A direction may be flat if its curvature is below this fraction of the largest; it is flat if the objective changes by

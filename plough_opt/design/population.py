@@ -149,18 +149,18 @@ class Population:
         full = algebra_of(parts, y, p)
         self.runs = len(parts.runs)
         self.vectorised, self._rough = True, rough
-        found: dict[object, list[int]] = {}
+        members_by_key: dict[object, list[int]] = {}
         for k, run in enumerate(parts.runs):
             averages = averages_only(run, full, 2 + k)
             outputs = 0 if averages else run.integration.timeline.outputs
             stepped = run.integration.structure.stepped and (rough or run.integration.accuracy.method == "auto")
             key = (run.integration.structure, outputs) if stepped else k
-            found.setdefault(key, []).append(k)
-        self._groups = [self._group(parts, members, key) for key, members in found.items()]
+            members_by_key.setdefault(key, []).append(k)
+        self._groups = [self._group(parts, members, key) for key, members in members_by_key.items()]
         inputs = [ca.horzcat(*(parts.runs[k].inputs for k in group.members)) for group in self._groups]
         given = ca.Function("inputs", [y, p], [ca.densify(one) for one in inputs])
-        self._inputs = _OfRows(given if holds_maps(given) else given.expand())
-        self._algebra = _OfRows(_of_groups(full, parts, self._groups))
+        self._inputs = _RowFunction(given if holds_maps(given) else given.expand())
+        self._algebra = _RowFunction(_algebra_of_groups(full, parts, self._groups))
         self._rows = self._algebra.function.numel_out(1)
 
     def _group(self, parts: Split, members: list[int], key: object) -> _Group:
@@ -212,7 +212,7 @@ class Population:
         return f.ravel(), g
 
 
-class _OfRows:
+class _RowFunction:
     """A Function of dense columns, evaluated at many designs at once; arguments and results have a row for each."""
 
     def __init__(self, function: ca.Function) -> None:
@@ -251,7 +251,7 @@ class _OfRows:
         return self._buffers[rows]
 
 
-def _of_groups(full: ca.Function, parts: Split, groups: list[_Group]) -> ca.Function:
+def _algebra_of_groups(full: ca.Function, parts: Split, groups: list[_Group]) -> ca.Function:
     """Return the Function (y, p, stacked results of each group's members) -> (objective, requirements)."""
     kind: Any = ca.SX if full.is_a("SXFunction") else ca.MX
     y, p = kind.sym("y", full.numel_in(0)), kind.sym("p", full.numel_in(1))

@@ -18,10 +18,10 @@ from plough_opt.studies.uncertainty import (
     probability,
     quantile,
     sobol_indices,
+    standard_deviation,
     verify,
     worst,
 )
-from plough_opt.studies.uncertainty import standard_deviation as deviation
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 SOIL = po.named_soil("serozem")
@@ -33,8 +33,6 @@ SCENE = po.Scene(SOIL, WEDGE, 5e4, 45.0, 2.0, STEADY)
 CAVITY = po.plastic.Cavity(0.1, 0.4, 0.2)
 NODES = ((0.0, 0.0), (0.5, 0.05))
 TINE = po.crosscheck.Tine(0.05, 0.3, 0.7)
-PLACE = {"x": 0.2, "r": 0.1, "profile": NODES, "soil": FIRM, "speed": 2.0}
-FLAT = {"x": 0.2, "y": 0.1, "profile": NODES, "soil": FIRM, "speed": 2.0}
 SAMPLES = (1.0, 2.0, 4.0)
 
 
@@ -139,42 +137,46 @@ def over(values):
     return {"twice": 2.0 * values["x"]}
 
 
+def _group(prefix, functions, **known):
+    """Return name -> function, with those of the known arguments that it has."""
+    return {
+        f"{prefix}{function.__name__}": (
+            function, {name: known[name] for name in inspect.signature(function).parameters if name in known}
+        )
+        for function in functions
+    }  # fmt: skip
+
+
+def _of(module, names):
+    return [getattr(module, name) for name in names.split()]
+
+
 def _laws():
     """Return name -> function of soil, share or medium, with its required arguments."""
-    cone, tine = {"cone": CONE, "soil": SOIL}, {"soil": SOIL, "tine": TINE, "speed": 2.0}
-    round_place = PLACE | {"section_factor": 0.5}
-    on_body = {"profile": NODES, "soil": FIRM, "speed": 2.0}
-    cavity, elastic, plastic, crosscheck = {"cavity": CAVITY, "soil": SOIL}, po.elastic, po.plastic, po.crosscheck
+    forces = _of(po, "added_mass loosened_radius resistance resistance_coefficients soil_reaction")
+    fields = _of(
+        po.elastic,
+        """cone_displacement cone_force cone_pressure cone_stress longitudinal_wave_speed
+        rayleigh_speed shear_modulus shear_wave_speed wedge_displacement wedge_force wedge_gradient wedge_pressure
+        wedge_stress""",
+    )
+    gas = _of(
+        po.plastic,
+        """Cavity current_radius density front front_radius front_speed mean_ratio
+        particle_acceleration particle_velocity quadrature_error ratio stress surface_pressure wall_pressure""",
+    )
+    others = _of(
+        po.crosscheck,
+        """Tine asabe_draft compare godwin_draft mckyes_ali_draft spherical_cavity_draft
+        swick_perumpral_draft""",
+    )
     return {
-        **{name: (getattr(po, name), cone) for name in
-           ("added_mass", "loosened_radius", "resistance_coefficients", "soil_reaction")},
-        "resistance": (po.resistance, cone | {"speed": 2.0, "acceleration": 0.0}),
-        **{f"elastic.{name}": (getattr(elastic, name), round_place) for name in ("cone_displacement", "cone_stress")},
-        **{f"elastic.{name}": (getattr(elastic, name), FLAT) for name in
-           ("wedge_displacement", "wedge_gradient", "wedge_stress")},
-        **{f"elastic.{name}": (getattr(elastic, name), {"soil": FIRM}) for name in
-           ("rayleigh_speed", "shear_modulus", "shear_wave_speed", "longitudinal_wave_speed")},
-        "elastic.cone_force": (elastic.cone_force, on_body),
-        "elastic.cone_pressure": (elastic.cone_pressure, on_body | {"x": 0.2}),
-        "elastic.wedge_force": (elastic.wedge_force, on_body),
-        "elastic.wedge_pressure": (elastic.wedge_pressure, on_body | {"x": 0.2}),
-        "elastic.knots": (elastic.knots, {"profile": lambda x: 0.1 * x, "length": 0.5, "count": 4}),
-        "plastic.Cavity": (plastic.Cavity, {"radius": 0.1, "rate": 0.4, "acceleration": 0.2}),
-        "plastic.wall_pressure": (plastic.wall_pressure, {"soil": SOIL, "radius": 0.1}),
-        "plastic.front": (plastic.front, {"radius": 0.1, "soil": SOIL}),
-        **{f"plastic.{name}": (getattr(plastic, name), {"r": 0.15, "soil": SOIL}) for name in ("ratio", "mean_ratio")},
-        **{f"plastic.{name}": (getattr(plastic, name), cavity) for name in
-           ("front_radius", "front_speed", "surface_pressure")},
-        **{f"plastic.{name}": (getattr(plastic, name), cavity | {"r": 0.15}) for name in
-           ("current_radius", "density", "particle_acceleration", "particle_velocity", "quadrature_error", "stress")},
-        "crosscheck.Tine": (crosscheck.Tine, {"width": 0.05, "depth": 0.3, "rake_angle": 0.7}),
-        "crosscheck.asabe_draft": (crosscheck.asabe_draft,
-                                   {"depth": 0.3, "speed": 2.0, "texture": "medium", "point": "narrow"}),
-        "crosscheck.compare": (crosscheck.compare, {"scene": SCENE, "depth": 0.3, "width": 0.08, "rake_angle": 0.7,
-                                                    "texture": "medium", "point": "narrow", "speeds": [1.0, 2.0]}),
-        **{f"crosscheck.{name}": (getattr(crosscheck, name), tine) for name in
-           ("godwin_draft", "mckyes_ali_draft", "swick_perumpral_draft")},
-        "crosscheck.spherical_cavity_draft": (crosscheck.spherical_cavity_draft, cone | {"speed": 2.0}),
+        **_group("", forces, share=CONE, cone=CONE, soil=SOIL, speed=2.0, acceleration=0.0),
+        **_group("elastic.", fields, x=0.2, r=0.1, y=0.1, profile=NODES, soil=FIRM, speed=2.0, section_factor=0.5),
+        "elastic.knots": (po.elastic.knots, {"profile": lambda x: 0.1 * x, "length": 0.5, "count": 4}),
+        **_group("plastic.", gas, cavity=CAVITY, r=0.15, soil=SOIL, radius=0.1, rate=0.4, acceleration=0.2),
+        **_group("crosscheck.", others, scene=SCENE, cone=CONE, tine=TINE, soil=SOIL, width=0.05, depth=0.3,
+                 rake_angle=0.7, speed=2.0, speeds=[1.0, 2.0], texture="medium", point="narrow"),
     }  # fmt: skip
 
 
@@ -220,34 +222,22 @@ def _classes():
 def _functions():
     """Return name -> function, with its required arguments and those that keep it fast."""
     fitted_to = {"given": SCENE, "data": measured(), "unknown": {"soil.cohesion": (1e3, 8e4)}, "starts": 1}
-    measures = {
-        "cvar": (cvar, {"level": 0.5, "width": 0.1}),
-        "expected": (expected, {}),
-        "worst": (worst, {"width": 0.1}),
-        "mean_plus": (mean_plus, {"kappa": 1.0}),
-        "quantile": (quantile, {"level": 0.5, "width": 0.1}),
-        "probability": (probability, {"at_least": 1.5, "width": 0.1}),
-        "standard_deviation": (deviation, {}),
-    }
+    measures = [cvar, expected, worst, mean_plus, quantile, probability, standard_deviation]
     return {
         "cone_index": (po.cone_index, {"soil": SOIL}),
         "read_penetrometer": (po.read_penetrometer, {"path": "none.csv", "depth": (0.1, 0.3)}),
-        "read_strength_record": (po.read_strength_record, {"path": "none.csv"}),
-        "strength_spectrum": (po.strength_spectrum, {"record": record(), "base_diameter": 0.1}),
-        "strength_waves": (po.strength_waves, {"record": record(), "base_diameter": 0.1}),
+        **_group("", [po.read_measurements, po.read_strength_record], path="none.csv"),
+        **_group("", [po.strength_spectrum, po.strength_waves], record=record(), base_diameter=0.1),
         "component": (po.component, {"scene": SCENE, "duration": 1.0, "inputs": ["share.height"],
                                      "outputs": ["mean_draft"], "samples": 40}),
         "deg": (po.deg, {"angle": 30.0}),
         "load": (po.load, {"path": "none.json"}),
         "named_soil": (po.named_soil, {"name": "serozem"}),
-        "read_measurements": (po.read_measurements, {"path": "none.csv"}),
         "read_problem": (po.read_problem, {"path": PROBLEMS / "cotton_subsoiler.toml"}),
         "refine": (po.refine, {"quantity": lambda n: 1.0 / n, "sizes": [1, 2, 4]}),
         "simulate": (po.simulate, {"scene": SCENE, "duration": 1.0, "outputs": 40}),
-        "plots.plot_share": (po.plots.plot_share, {"scene": SCENE}),
-        "plots.plot_run": (po.plots.plot_run, {"run": run()}),
-        "plots.plot_optimum": (po.plots.plot_optimum, {"best": optimum(), "run": run()}),
-        **{f"uncertainty.{name}": (call, {"values": SAMPLES} | right) for name, (call, right) in measures.items()},
+        **_group("plots.", _of(po.plots, "plot_share plot_run plot_optimum"), scene=SCENE, run=run(), best=optimum()),
+        **_group("uncertainty.", measures, values=SAMPLES, level=0.5, width=0.1, kappa=1.0, at_least=1.5),
         "uncertainty.sobol_indices": (sobol_indices, {"robust": robust(), "at": {}, "samples": 8}),
         "uncertainty.verify": (verify, {"robust": robust(), "at": {}, "samples": 128}),
         "trade_off": (po.trade_off, {"design": design()[0], "first": design()[1], "second": design()[2], "points": 5,
@@ -263,7 +253,7 @@ def _methods():
     """Return name -> method of an existing object, with its required arguments."""
     fit, best, traded, uncertain, samples = fitted(), optimum(), front(), robust(), field().sample(8)
     reach, half = {"name": "reach"}, {"number": 1, "of": 1, "by": 0}
-    normal, other_height = po.uncertainty.Marginal(stats.norm(0.0, 1.0)), {"changes": {"share.height": 0.2}}
+    normal = po.uncertainty.Marginal(stats.norm(0.0, 1.0))
     declared = {
         "variable": {"name": "a", "guess": 0.5, "lower": 0.1, "upper": 1.0},
         "parameter": {"name": "a", "value": 0.5},
@@ -277,50 +267,37 @@ def _methods():
         "Batch.stream": (lambda chunks, threads=1: [*batch().stream(chunks, threads=threads)], {"chunks": [[[5e4]]]}),
         "Component()": (made().__call__, {"share_height": 0.2}),
         "Cone.solid_mass": (CONE.solid_mass, {"density": 7850.0}),
-        "Fit.intervals": (fit.intervals, {}),
-        "Fit.next_measurements": (fit.next_measurements,
-                                  {"candidates": [po.Candidate("mean_draft", {"scene.tow_speed": 2.0})]}),
-        "Fit.cross_validation": (fit.cross_validation, {"folds": 3}),
-        "Measurements.row": (measured().row, {"number": 1}),
-        "Measurements.at": (measured().at, {"number": 1}),
+        **_group("Fit.", _of(fit, "intervals next_measurements cross_validation"), folds=3,
+                 candidates=[po.Candidate("mean_draft", {"scene.tow_speed": 2.0})]),
+        **_group("Measurements.", _of(measured(), "row at"), number=1),
         "Optimum()": (best.__call__, {"item": design()[1]}),
         "Optimum.sensitivity": (best.sensitivity, {"name": "speed"}),
         "Optimum.rounded": (lambda angle: best.rounded(angle=angle), {"angle": 0.01}),
         "Optimum.rounded of": (lambda catalogues: best.rounded(catalogues), {"catalogues": {"angle": [0.4, 0.5]}}),
-        **{f"Problem.{name}": (getattr(problem(), name), other_height) for name in ("values", "scene", "simulate")},
-        "Problem.design": (problem().design, {}),
-        "Problem.component": (problem().component, {"inputs": ["share.height"], "outputs": ["mean_draft"]}),
+        **_group("Problem.", _of(problem(), "values scene simulate"), changes={"share.height": 0.2}),
+        **_group("Problem.", _of(problem(), "design component"), inputs=["share.height"], outputs=["mean_draft"]),
         "Range.at": (po.Range(1.0, 2.0, 3).at, {"fraction": 0.5}),
         "Refinement.size_for": (refined().size_for, {"error": 0.3}),
-        "Robust.expected": (uncertain.expected, reach),
-        "Robust.mean_plus": (uncertain.mean_plus, reach | {"kappa": 1.0}),
-        "Robust.cvar": (uncertain.cvar, reach | {"level": 0.9, "width": 0.01}),
-        "Robust.worst": (uncertain.worst, reach | {"width": 0.01}),
-        "Robust.every": (uncertain.every, reach | {"at_least": 0.1}),
-        "Robust.probability": (uncertain.probability, reach | {"at_least": 0.1, "width": 0.01}),
+        **_group("Robust.", _of(uncertain, "expected mean_plus cvar worst every probability values"), **reach, at={},
+                 kappa=1.0, level=0.9, width=0.01, at_least=0.1),
         "Robust.require_probability": (
             lambda design, **a: uncertain.require_probability(po.Design() if design is FRESH else design, **a),
             reach | {"design": FRESH, "requirement": "a", "probability": 0.9, "at_least": 0.1, "at_most": None,
                      "width": 0.01, "unit": "m"}),
         "Robust.bound_from_above": (lambda **a: uncertain.bound_from_above(po.Design(), **a),
                                     reach | {"lower": 0.0, "upper": 1.0, "guess": 0.5, "unit": "m"}),
-        "Robust.values": (uncertain.values, {"at": {}}),
         "Robust[]": (uncertain.__getitem__, reach),
         "Soil.with_density_profile": (
             lambda density, width, order=8: SOIL.with_density_profile(density, width, order=order),
             {"density": lambda r, w: 1400.0 + 0.0 * r * w, "width": 0.15}),
-        "SoilDistribution.sample": (field().sample, {"count": 8}),
-        "SoilDistribution.draw": (field().draw, {"count": 8, "seed": 0}),
-        "SoilDistribution.corners": (field().corners, {"part": 0.9}),
-        "SoilDistribution.at": (field().at, {"uniforms": [[0.5, 0.5]]}),
-        "SoilSamples.property": (samples.property, {"name": "cohesion"}),
-        "SoilSamples.each": (samples.each, {"response": lambda soil: {"a": soil.cohesion}}),
-        "Marginal.quantile": (normal.quantile, {"probability": 0.5}),
-        "Marginal.cdf": (normal.cdf, {"value": 0.5}),
+        **_group("SoilDistribution.", _of(field(), "sample draw corners at"), count=8, seed=0, part=0.9,
+                 uniforms=[[0.5, 0.5]]),
+        **_group("SoilSamples.", _of(samples, "property each"), name="cohesion",
+                 response=lambda soil: {"a": soil.cohesion}),
+        **_group("Marginal.", _of(normal, "quantile cdf"), probability=0.5, value=0.5),
         "RandomStrength.density": (po.RandomStrength(0.2, 0.3).density, {"wave_number": 4.0}),
         "Sweep.load": (po.Sweep.load, {"path": "none.db"}),
-        **{f"TradeOff.{name}": (getattr(traded, name), half) for name in ("rate", "cost", "in_words")},
-        "TradeOff.hypervolume": (traded.hypervolume, {}),
+        **_group("TradeOff.", _of(traded, "rate cost in_words hypervolume"), **half),
     }  # fmt: skip
 
 

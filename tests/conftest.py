@@ -64,7 +64,6 @@ ONE_OF = {
     "hard_cases/test_sticking_entry": 2,
     "motion/test_combination_derivatives": 3,
     "motion/test_effect_combinations::test_combinations_run_and_are_right": 2,
-    "motion/test_effect_combinations::test_energy_is_in_balance_where_soil_is_left_behind_and_taken_up_again": 3,
     "motion/test_effect_combinations::test_effects_that_are_off_are_not_in_the_equation": 2,
     "motion/test_derivative_accuracy": 4,
     "motion/test_entry": 4,

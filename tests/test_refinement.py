@@ -8,31 +8,12 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.core.expressions import gauss_legendre
 from plough_opt.core.refinement import Refinement
-
-
-def gauss(function, order):
-    """Return the integral of a function from 0 to 1."""
-    nodes, weights = gauss_legendre(order)
-    return math.fsum(w * function(x) for x, w in zip(nodes, weights, strict=True))
 
 
 def midpoints(count):
     """Return the integral of exp from 0 to 1 by the midpoint rule."""
     return math.fsum(math.exp((k + 0.5) / count) for k in range(count)) / count
-
-
-def test_errors_are_those_of_the_gauss_rule_of_exp():
-    found = po.refine(lambda order: gauss(math.exp, order), [1, 2, 3, 4, 5])
-    truth = math.e - 1.0
-    assert found.sizes == (1, 2, 3, 4, 5)
-    for order, error in zip(found.sizes, found.errors, strict=True):
-        # The remainder is (n!)^4/((2n + 1) (2n)!^3) exp(xi) with xi between 0 and 1.
-        least = math.factorial(order) ** 4 / ((2 * order + 1) * math.factorial(2 * order) ** 3) / truth
-        assert error == pytest.approx(abs(gauss(math.exp, order) - truth) / truth, abs=3e-16)
-        assert least <= error + 3e-16 <= math.e * least + 6e-16
-    assert found.errors[0] > 1e4 * found.errors[2] > 1e6 * found.errors[4] > 0.0
 
 
 def test_the_order_of_a_method_is_recovered():

@@ -9,48 +9,16 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.problem_file import read_problem
 from plough_opt.soil import elastic
 
 SOIL = po.named_soil("serozem")
 SHARE = po.Wedge(po.deg(30), po.deg(15), 0.25)
 STEADY = po.Effects(motion=False)
 
-FILE = """
-title = "Elastic soil"
-[soil]
-name = "serozem"
-[share]
-chisel_angle = "15 deg"
-height = "0.2 m"
-[scene]
-frame_mass = "20 kg"
-duration = "1 s"
-stiffness = "500 kN/m"
-medium = "elastic"
-outputs = 4
-[effects]
-motion = false
-[variables]
-"scene.tow_speed" = { lower = "1 m/s", upper = "80 m/s", guess = "20 m/s" }
-"share.wedge_angle" = { lower = "5 deg", upper = "60 deg", guess = "25 deg" }
-[minimise]
-mean_draft = { per = "10 kN" }
-[require]
-half_angle = { at_least = "6 deg" }
-"""
-
 
 def scene(**changes):
     return po.Scene(**({"soil": SOIL, "share": SHARE, "stiffness": 5e5, "mass": 20.0, "tow_speed": 2.0,
                         "effects": STEADY, "medium": "elastic"} | changes))  # fmt: skip
-
-
-@pytest.fixture
-def file(tmp_path):
-    path = tmp_path / "elastic.toml"
-    path.write_text(FILE, encoding="utf-8")
-    return path
 
 
 @pytest.mark.parametrize("share", [SHARE, SHARE.equivalent_cone()], ids=["wedge", "cone"])
@@ -135,29 +103,17 @@ def test_symbolic_scene_has_the_force_and_its_derivatives():
 
 
 @pytest.mark.slow
-def test_problem_file_takes_the_medium_and_its_design_keeps_below_the_shear_wave(file):
-    problem = read_problem(file)
-    assert problem.scene().medium == "elastic"
-    best, run = problem.optimise()
-    wave = elastic.shear_wave_speed(SOIL)
+def test_a_design_keeps_below_the_shear_wave():
+    design = po.Design()
+    speed = design.variable("speed", guess="20 m/s", lower="1 m/s", upper="80 m/s")
+    draft = po.simulate(scene(tow_speed=speed), 1.0, outputs=4).mean_draft
+    design.minimise(draft / 1e4)
+    best = design.solve(search="local")
     assert best.margins["elastic medium: speed over shear wave speed"] == pytest.approx(
-        0.9999 - best.variables["scene.tow_speed"] / wave, rel=1e-9
+        0.9999 - best.variables["speed"] / elastic.shear_wave_speed(SOIL), rel=1e-9
     )
-    assert run.mean_draft == pytest.approx(best.objective * 1e4, rel=1e-9)
-    assert json.loads(run.to_json())["specific_draft"] is None
+    assert best.objective == pytest.approx(po.simulate(scene(tow_speed=1.0), 1.0).mean_draft / 1e4, rel=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "line", "message"),
-    [
-        ("motion = false", "motion = true", 15, "motion has no meaning in the elastic medium"),
-        ("half_angle = ", "loosened_radius = ", 22, "'loosened_radius' has no meaning in the elastic medium"),
-        ('medium = "elastic"', 'medium = "elastc"', 12, "elastic"),
-    ],
-)
-def test_problem_file_refuses_with_the_line(file, old, new, line, message):
-    text = FILE.replace(old, new).replace('"6 deg"', '"0.1 m"' if "radius" in new else '"6 deg"')
-    file.write_text(text, encoding="utf-8")
-    with pytest.raises(po.InputError, match=message) as refusal:
-        read_problem(file)
-    assert f"line {line}" in str(refusal.value)
+def test_a_saved_run_has_no_specific_draft():
+    assert json.loads(po.simulate(scene(), 1.0).to_json())["specific_draft"] is None

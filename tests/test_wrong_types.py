@@ -157,39 +157,7 @@ def _component(**changes):
     return po.component(scene, options.pop("duration"), **options)
 
 
-FIELD = po.SoilDistribution(SOIL, cohesion=stats.norm(2e4, 1e3))
-ROBUST = po.Robust(FIELD, lambda soil: {"strength": soil.cohesion}, samples=2)
 SYMBOL = ca.MX.sym("x")
-NO_NUMBER = ("3", None, [1.0], {}, 1j, b"3", object(), np.array([1.0, 2.0]), SYMBOL, True)
-NO_COUNT = ("3", 2.5, 64.0, None, [], 0, -1, 1j, object(), np.array([1.0, 2.0]), SYMBOL, True)
-NO_FINITE = (math.nan, math.inf, 10**400)
-# Arguments that must be refused. tests/bad_input checks that no argument of any public function gives NaN.
-VERBS = {
-    "component samples": (lambda wrong: _component(samples=wrong), NO_COUNT),
-    "component inputs": (lambda wrong: _component(inputs=wrong), (None, 3, 1.5, SYMBOL, object(), [3])),
-    "component name": (lambda wrong: _component(name=wrong), (None, 3, [], SYMBOL, b"x", "two words")),
-    "limit of an output": (lambda wrong: po.Output("mean_draft", lower=wrong), (*NO_NUMBER, math.nan, 10**400)),
-    "value of a parameter": (
-        lambda wrong: _design()[0].solve(parameters={"speed": wrong}), (*NO_NUMBER, *NO_FINITE),
-    ),
-    "guess": (lambda wrong: po.Design().variable("a", guess=wrong, lower=0.0, upper=1.0), (*NO_NUMBER, *NO_FINITE)),
-    "unit": (lambda wrong: po.Design().parameter("a", 1.0, unit=wrong), (None, 3, b"m", object(), "\x1b[31m")),
-    "name": (lambda wrong: po.Design().parameter(wrong, 1.0), (None, 3, b"m", "", " ", "\x01")),
-    "limit": (lambda wrong: _design()[0].require("z", SYMBOL, at_least=wrong), ("x", [1.0], 1j, SYMBOL, *NO_FINITE)),
-    "level of a CVaR": (lambda wrong: po.uncertainty.cvar([1.0, 2.0], wrong), (*NO_NUMBER, *NO_FINITE, 1.0, -0.1)),
-    "samples of Sobol": (lambda wrong: po.uncertainty.sobol_indices(ROBUST, {}, samples=wrong), (*NO_COUNT, 1, 65)),
-    "end of a range": (lambda wrong: po.Range(wrong, 2.0), (*NO_NUMBER, *NO_FINITE)),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("verb", VERBS)
-def test_arguments_of_the_wrong_type_are_refused(verb):
-    call, wrongs = VERBS[verb]
-    for wrong in wrongs:
-        with pytest.raises((po.InputError, po.DomainError)):
-            call(wrong)
-
-
 # --- overflow ---
 
 BEYOND = {

@@ -1,14 +1,12 @@
 """Runs in machine code give the results of interpreted ones, for every combination of effects."""
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.core.expressions import Expression
 from plough_opt.motion.compiled_steps import compiled_steps
 
 ARRAYS = ("time", "travel", "speed", "deflection", "mount_force", "soil_resistance")
@@ -23,15 +21,6 @@ AVERAGES = {
 # The operations are the same, in the same order and not fused, so on most machines every bit agrees. A compiler's own
 # sine may round its last digit differently, over a few hundred steps.
 ROUNDED = 1e-12
-
-
-@dataclass(frozen=True)
-class Shank:
-    viscous: Expression
-
-    def force(self, travel, speed):
-        del travel
-        return self.viscous * speed
 
 
 def assert_same(found, expected):
@@ -54,21 +43,6 @@ def test_every_combination_of_effects(r1_scene, effects):
     expected = po.simulate(scene, 0.7, outputs=60)
     assert_same(found, expected)
     assert found.warnings == expected.warnings
-
-
-@pytest.mark.parametrize(
-    "effects",
-    [
-        {"start": "towed", "tow_ramp": 0.3, "strength_wave": po.StrengthWave(0.3, 0.6)},
-        {"contact": po.Smooth(0.2), "strength_wave": po.StrengthWave(0.3, 0.6), "damping": 400.0},
-        {"own": (Shank(300.0),), "strength_wave": po.StrengthWave(0.3, 0.6)},
-        {"formulation": "printed"},
-    ],
-    ids=["towed", "smooth", "own", "printed"],
-)
-def test_other_terms(r1_scene, effects):
-    scene = r1_scene(**effects)
-    assert_same(po.simulate(scene, 0.3, outputs=30, compiled=True), po.simulate(scene, 0.3, outputs=30))
 
 
 def test_a_failure_is_the_same(r1_scene):

@@ -8,8 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from helpers import gauss_motion, three_modes
-from scipy.optimize import brentq
+from helpers import gauss_motion
 
 import plough_opt as po
 
@@ -133,36 +132,3 @@ def test_orders(truth_of, method, name):
 
 
 # --- the smooth contact, whose step has a kink of its own ---
-
-# Width of the step [m/s] and effects. The share comes up to speed, crosses the width once, and stays above it.
-CONTACTS = {
-    "damper": (1.0, {"damping": 300.0}),
-    "narrower": (0.5, {"damping": 300.0}),
-    "wave, rate and damper": (1.0, {"damping": 300.0, "strength_wave": WAVE, "rate_term": 0.1}),
-}
-
-
-@pytest.fixture(scope="module", params=CONTACTS)
-def crossing(request, r1_scene):
-    """Return a scene and the time at which its share's speed crosses the width."""
-    width, effects = CONTACTS[request.param]
-    scene = r1_scene(start="rest", contact=po.Smooth(width), **effects)
-    rough = three_modes.follow(scene, 0.1, outputs=50)
-    after = np.argmax(rough.speed > width)
-    between = rough.time[after - 1], rough.time[after]
-    return scene, brentq(lambda t: gauss_motion.follow(scene, t, steps=20).speed - width, *between, xtol=1e-15)
-
-
-@pytest.mark.parametrize(("method", "orders", "band"), [("dop853", (6, 6, 6), 0.2), ("rk", (4, 4, 3), 0.03)])
-def test_orders_across_the_step_of_the_smooth_contact(crossing, method, orders, band):
-    # The step's fifth derivative jumps at the width, 126 (1 - u)^5 on one side and 0 on the other, and with it that of
-    # the acceleration: the step across is off by h^6, whatever the method's order. The crossing lies at a third of the
-    # run and every number of steps is one below a multiple of 3, so it is always the same third of a step.
-    scene, moment = crossing
-    duration = 3.0 * moment
-    truth = gauss_motion.follow(scene, duration, kinks=[moment])
-    other = three_modes.follow(scene, duration, outputs=40)
-    assert other.force_rms == pytest.approx(truth.force_rms, rel=1e-10)
-    assert np.min(other.speed[other.time > 1.05 * moment]) > scene.effects.contact.width
-    steps = [{"dop853": 15, "rk": 48}[method] * 2**k - 1 for k in range(4)]
-    assert_orders(measured([scene], [truth], [duration], method, steps), steps, orders, band)

@@ -94,15 +94,6 @@ def test_own_resistances_are_added_to_the_draft(effects):
 # --- under stick and slip ---
 
 
-def test_share_of_the_resistance_may_be_an_own_effect():
-    """A constant resistance acts like two parts of it that both hold 1.3 times as much at rest."""
-    whole = po.simulate(sticking(1500.0), 1.5)
-    parts = po.simulate(sticking(1100.0, Resting(400.0, resting=1.3 * 400.0)), 1.5)
-    assert np.ptp(whole.mode) == 1.0
-    assert parts.mean_draft == pytest.approx(whole.mean_draft, rel=1e-9)
-    np.testing.assert_allclose(parts.mount_force, whole.mount_force, rtol=0.0, atol=1e-7 * whole.peak_force)
-
-
 @pytest.mark.parametrize("wave", [None, po.StrengthWave(0.8, 0.3)], ids=["even", "wave"])
 def test_motion_is_that_of_the_wide_reference(wave):
     own = sticking(1000.0, Resting(300.0, 30.0, 0.0, 40.0, 700.0), strength_wave=wave, damping=50.0)
@@ -146,22 +137,6 @@ def test_a_valid_force_at_rest_is_required(own, words):
 
 
 # --- derivatives and designs ---
-
-
-def test_derivatives_by_its_quantities():
-    accuracy, viscous = po.Accuracy("dop853", steps=400), ca.MX.sym("viscous")
-
-    def rms(value):
-        return po.simulate(scene(Shank(50.0, value), strength_wave=WAVE), 0.3, accuracy=accuracy).force_rms
-
-    hessian, gradient = ca.hessian(rms(viscous), viscous)
-    found = [float(x) for x in ca.Function("f", [viscous], [rms(viscous), gradient, hessian])(300.0)]
-    values = np.array([rms(300.0 + 5.0 * step) for step in (-2.0, -1.0, 0.0, 1.0, 2.0)])
-    # A symbolic RMS is rounded below 1e-12 of the steady force.
-    assert found[0] == pytest.approx(values[2], rel=1e-11)
-    # Differences of fourth order over 5 N s/m.
-    assert found[1] == pytest.approx(values @ [1, -8, 0, 8, -1] / 60.0, rel=1e-7)
-    assert found[2] == pytest.approx(values @ [-1, 16, -30, 16, -1] / 300.0, rel=1e-4)
 
 
 def test_a_design_varies_and_rebuilds_it():

@@ -7,7 +7,6 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers import three_modes
-from scipy.optimize import minimize_scalar
 
 import plough_opt as po
 from plough_opt.core.checks import check_domain
@@ -114,25 +113,6 @@ def test_batch_agrees_with_single_runs():
     singles = [symbolic(row.tolist()).mean_draft for row in values]
     # The relative error of a batch is 1e-8 of mean draft or RMS.
     np.testing.assert_allclose(found.mean_draft, singles, rtol=2e-8)
-
-
-def test_design_finds_the_rake_angle_of_a_scalar_search():
-    def cost(draft, rake):
-        return draft / 1e3 + 3.0 / rake
-
-    design = po.Design()
-    rake = design.variable("rake angle", guess=po.deg(35), lower=po.deg(30), upper=po.deg(60), unit="rad")
-    run = symbolic((rake, 0.25, 5e5))
-    design.minimise(cost(run.mean_draft, rake))
-    best = design.solve()
-    found = minimize_scalar(
-        lambda angle: cost(symbolic((angle, 0.25, 5e5)).mean_draft, angle), bounds=(po.deg(30), po.deg(60)),
-        options={"xatol": 1e-7},
-    )  # fmt: skip
-    assert po.deg(31) < found.x < po.deg(59)
-    assert best.objective == pytest.approx(found.fun, rel=1e-9)
-    # The minimum of a parabola is known to the square root of the error of its values.
-    assert best.variables["rake angle"] == pytest.approx(found.x, rel=1e-4)
 
 
 def test_bounds_beyond_the_law_are_refused_by_the_design():

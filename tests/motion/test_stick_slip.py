@@ -28,15 +28,10 @@ def law(breakaway=1.0):
 
 # share, cohesion [Pa], ambient pressure [Pa], stiffness [N/m], mass [kg], speed [m/s], duration [s], effects
 SCENES = {
-    "one event": (SHARP, 15e3, 1e4, 5e4, 24.0, 0.1, 2.0, {"start": "rest"}),
     "strong wave, slow": (SHARP, 15e3, 1e4, 2e3, 24.0, 0.1, 6.0, {"strength_wave": wave(1.0, 0.3), "start": "rest"}),
     "gap and recapture": (SHARP, 15e3, 1e4, 2e3, 24.0, 2.0, 3.0, {"strength_wave": wave(1.0)}),
     "many gaps": (SHARP, 15e3, 1e4, 1e4, 24.0, 2.0, 3.0, {"strength_wave": wave(1.0), "start": "rest"}),
     "stiff": (SHARP, 15e3, 1e4, 1e6, 24.0, 2.0, 0.5, {"strength_wave": wave(0.8), "start": "rest"}),
-    "breakaway 2, towed": (
-        SHARP, 15e3, 1e4, 2e3, 24.0, 0.5, 3.0,
-        {"contact": law(2.0), "strength_wave": wave(0.5, 0.3), "start": "towed"},
-    ),
     "damped": (
         SHARP, 15e3, 1e4, 2e4, 24.0, 1.0, 2.0,
         {"contact": law(2.0), "strength_wave": wave(0.8, 0.1), "start": "rest", "damping": 100.0},
@@ -44,14 +39,6 @@ SCENES = {
     "ramp and rate": (
         SHARP, 15e3, 1e4, 2e4, 24.0, 1.0, 2.0,
         {"contact": law(2.0), "strength_wave": wave(0.8), "start": "rest", "tow_ramp": 0.5, "rate_term": 0.1},
-    ),
-    "ramp from equilibrium": (
-        SHARP, 15e3, 1e4, 2e4, 24.0, 1.0, 2.0,
-        {"contact": law(1.2), "strength_wave": wave(0.8), "tow_ramp": 0.5, "damping": 100.0},
-    ),
-    "blunt": (
-        BLUNT, 15e3, 1e4, 2e4, 20.0, 1.0, 2.0,
-        {"contact": law(1.2), "strength_wave": wave(0.8), "start": "rest"},
     ),
     "soil caught again": (
         MIDDLE, 300.0, 0.0, 1e5, 20.0, 1.0, 1.0,
@@ -69,11 +56,6 @@ SCENES = {
         SHARP, 15e3, 1e4, 2e4, 22.0, 1.0, 1.0,
         {"contact": law(1.2), "strength_wave": wave(0.8), "start": "rest", "entry": True},
     ),
-    "force alone": (
-        SHARP, 15e3, 1e4, 1e4, 24.0, 2.0, 2.0,
-        {"contact": law(1.2), "strength_wave": wave(1.0), "start": "rest", "inertial_drag": False, "added_mass": False},
-    ),
-    "no added mass": (BLUNT, 1e3, 0.0, 2e4, 60.0, 2.0, 1.5, {"start": "rest", "added_mass": False}),
 }  # fmt: skip
 
 
@@ -164,21 +146,6 @@ SLIPS, SMOOTH = "contact = 'stick_slip'", "contact = 'smooth'"
 def test_a_problem_file_names_contact_and_entry(changes, contact, entry):
     effects = po.read_problem(COTTON, [f"effects.{change}" for change in changes]).scene().effects
     assert (effects.contact, effects.entry) == (contact, entry)
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ([SMOOTH], "'contact_width' is missing"),
-        (["breakaway = 1.2"], "'effects.breakaway' belongs to contact"),
-        ([SLIPS, "contact_width = '5 cm/s'"], "'effects.contact_width' belongs to contact"),
-        ([SLIPS, "breakaway = 0.5"], r"breakaway ratio = 0\.5"),
-        (["contact = 'sticky'"], "did you mean 'stick_slip'"),
-    ],
-)
-def test_a_problem_file_with_an_incomplete_contact_is_refused(changes, said):
-    with pytest.raises(po.PloughError, match=said):
-        po.read_problem(COTTON, [f"effects.{change}" for change in changes]).scene()
 
 
 @pytest.mark.parametrize("method", ["dop853", "cvodes", "idas", "collocation", "rk"])

@@ -94,9 +94,9 @@ def test_waves_have_the_rms_of_their_linearised_orbit(effects):
 
 
 def test_a_rigid_share_transmits_the_whole_fluctuation():
-    own = scene(motion=False, rate_term=0.05)
+    own = scene(motion=False, rate_term=0.05, strength_wave=po.StrengthWave(0.3, 0.6))
     mean = own.reaction.static * (1.0 + 0.05 * own.tow_speed**2)
-    assert own.stationary_force_rms == pytest.approx(0.05 * mean, rel=1e-15)
+    assert own.stationary_force_rms == pytest.approx(math.hypot(0.05, 0.3 / math.sqrt(2.0)) * mean, rel=1e-15)
     assert own.stationary_displacement_rms == 0.0
     # A stiff, damped mount tends to that like M V/(2 d lambda).
     stiff = dataclasses.replace(scene(damping=1e7), stiffness=1e13)

@@ -94,6 +94,15 @@ def test_own_resistances_are_added_to_the_draft(effects):
 # --- under stick and slip ---
 
 
+def test_part_of_the_resistance_may_be_an_own_effect():
+    """A constant resistance acts like two parts of it that both hold 1.3 times as much at rest."""
+    whole = po.simulate(sticking(1500.0), 1.5)
+    parts = po.simulate(sticking(1100.0, Resting(400.0, resting=1.3 * 400.0)), 1.5)
+    assert np.ptp(whole.mode) == 1.0
+    assert parts.mean_draft == pytest.approx(whole.mean_draft, rel=1e-9)
+    np.testing.assert_allclose(parts.mount_force, whole.mount_force, rtol=0.0, atol=1e-7 * whole.peak_force)
+
+
 @pytest.mark.parametrize("wave", [None, po.StrengthWave(0.8, 0.3)], ids=["even", "wave"])
 def test_motion_is_that_of_the_wide_reference(wave):
     own = sticking(1000.0, Resting(300.0, 30.0, 0.0, 40.0, 700.0), strength_wave=wave, damping=50.0)

@@ -40,9 +40,10 @@ def test_error_falls_by_the_order(name):
     assert math.log2(errors[0] / errors[1]) == pytest.approx(OWN[name].order, abs=0.25)
 
 
-def test_default_steps_suit_the_order_and_the_estimate_is_honest():
+@pytest.mark.parametrize("name", ["three_eighths", "rk", "collocation"])
+def test_default_steps_suit_the_order_and_the_estimate_is_honest(name):
     exact = po.simulate(scene(), 0.5, accuracy=po.Accuracy(error=1e-11)).mean_draft
-    run = po.simulate(scene(), 0.5, accuracy=po.Accuracy("three_eighths"))
+    run = po.simulate(scene(), 0.5, accuracy=po.Accuracy(name))
     assert abs(run.mean_draft - exact) <= run.error_estimate * exact < 1e-7 * exact
 
 

@@ -202,9 +202,3 @@ class TestTracks:
         entries = measured([dataclasses.replace(track, prepare=prepare)], "error", 1.0, 10.0)
         # A turn is one tick: some 160 uses of the one and 80 of the other.
         assert [entry.seconds for entry in entries] == pytest.approx([1e-4, 2e-4], rel=0.05)
-
-    def test_rungs_lie_a_tenth_apart_and_hold_the_multiples(self):
-        rungs, shown = step_counts(1000, FACTORS)
-        assert [rungs[place] for place in shown] == [125, 250, 500, 1000, 2000, 4000]
-        assert all(finer / coarser <= 1.1 for coarser, finer in itertools.pairwise(rungs) if coarser >= 40)
-        assert all(count % 40 == 0 for count in step_counts(1000, FACTORS, unit=40)[0])

@@ -8,7 +8,6 @@ import pytest
 import plough_opt as po
 from plough_opt.core import compiler
 from plough_opt.core.compiler import find_compiler
-from plough_opt.core.errors import InfeasibleDesign, InputError
 from plough_opt.studies.accuracy import contest as contests
 from plough_opt.studies.accuracy import optimum
 from plough_opt.studies.accuracy.optimum import REPORTED, REQUIREMENTS, TRUE, VARIABLES, design_contest
@@ -165,14 +164,6 @@ def test_an_optimum_elsewhere_is_told_and_measured_by_itself(monkeypatch):
         assert entry.errors[TRUE] < 1e-6
 
 
-def test_a_start_beside_the_optimum_leads_back_to_it(bowl, monkeypatch):
-    monkeypatch.setattr(compiler, "find_compiler", lambda: None)
-    contest = design_contest(bowl, budget=0.0, near=True)
-    rows = entries_of(contest, "derivatives")
-    assert len(contest.optima) == 1
-    assert all(entry.failure is None and entry.errors[VARIABLES] < 1e-4 for entry in rows)
-
-
 @pytest.mark.slow
 def test_a_thin_contest_leaves_out_every_other_setting(r1_soil, r1_wave, monkeypatch):
     monkeypatch.setattr(compiler, "find_compiler", lambda: None)
@@ -184,26 +175,6 @@ def test_a_thin_contest_leaves_out_every_other_setting(r1_soil, r1_wave, monkeyp
     assert counts == {"dop853": 2, "erk": 1}
     assert len(entries_of(thin, "transcription", "collocation")) == 1
     assert list(dict.fromkeys(entry.family for entry in thin.entries)) == FAMILIES
-
-
-def test_progress_names_each_contestant(bowl, monkeypatch):
-    monkeypatch.setattr(compiler, "find_compiler", lambda: None)
-    steps = []
-    contest = design_contest(bowl, budget=0.0, progress=lambda stage, fraction: steps.append((stage, fraction)))
-    assert len(steps) == len({entry.method for entry in contest.entries})
-    assert steps[0][0].startswith("derivatives: exact")
-    assert np.all(np.diff([fraction for _, fraction in steps]) > 0.0)
-
-
-def test_a_design_without_an_objective_or_without_a_solution_is_refused():
-    d = po.Design()
-    with pytest.raises(InputError, match="nothing to minimise"):
-        design_contest(d)
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
-    d.minimise(x)
-    d.require("twice", 2.0 * x, at_least=3.0)
-    with pytest.raises(InfeasibleDesign):
-        design_contest(d)
 
 
 @pytest.mark.slow

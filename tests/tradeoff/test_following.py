@@ -6,7 +6,10 @@ import pytest
 import plough_opt as po
 from plough_opt.design import program as program_module
 from plough_opt.design.optimality import quadratic_program
+from plough_opt.design.polishing import point_as_found
 from plough_opt.studies.tradeoff import corrector as corrector_module
+from plough_opt.studies.tradeoff.corrector import BatchCorrector
+from plough_opt.studies.tradeoff.program import FrontProgram, declarations
 
 # --- quadratic programs -------------------------------------------------------------------------------------
 
@@ -59,6 +62,34 @@ def test_a_front_is_followed_from_point_to_point_in_few_steps(plane, monkeypatch
     # From where the last two designs lead, and not from the last one itself, from which it is 2.2; IPOPT takes over
     # nowhere.
     assert np.mean(steps) < 2.0
+
+
+@pytest.mark.parametrize("batched", [True, False])
+def test_a_solve_from_afar_finds_the_optimum_or_says_that_there_is_none(batched):
+    d = po.Design()
+    height = d.variable("height", guess=0.25, lower=0.1, upper=0.5, unit="m")
+    speed = d.variable("speed", guess=1.2, lower=1.0, upper=3.0, unit="m/s")
+    share = po.Wedge(po.deg(30), po.deg(15), height)
+    scene = po.Scene(po.named_soil("serozem"), share, 5e4, 25.0, speed, po.Effects(damping=400.0))
+    # Least at a height of 0.3 m, and at a speed of 2 m/s.
+    goals = [po.Goal("height", (height - 0.3) ** 2), po.Goal("speed", (speed - 2.0) ** 2)]
+    d.require("draft", po.simulate(scene, 0.1).mean_draft, at_most=1e6, unit="N")
+    front = FrontProgram(declarations(d, goals), goals)
+    front.prepare(np.empty(0))
+    start = front.program.start()
+    front.build([start])
+    corrector = front.correctors[not batched]
+    assert isinstance(corrector, BatchCorrector) is batched
+    p = front.weighted(np.ones(2))
+    found = corrector.solve_from_afar(point_as_found(front.program, p, start), start, p)
+    assert found.solved
+    # Differences leave slopes of 5e-7, which curvatures of about 1 turn into as much of a scaled variable.
+    assert front.program.values(found.y) == pytest.approx([0.3, 2.0], rel=1e-5)
+    # No design has less than nothing of both.
+    p = front.limited(0, {1: -1.0})
+    none = corrector.solve_from_afar(found, found.y, p)
+    assert not none.solved
+    assert none.status == "Infeasible_Problem_Detected"
 
 
 # --- parameters and builds ----------------------------------------------------------------------------------

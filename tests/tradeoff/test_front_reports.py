@@ -43,6 +43,9 @@ def test_table_and_back(broken, tmp_path):
 
 
 def test_picture(broken, tmp_path):
+    alone = Figure().subplots()
+    assert broken.plot(alone) is alone
+    assert len(alone.figure.axes) == 1
     figure = broken.plot(tmp_path / "front.png")
     assert (tmp_path / "front.png").read_bytes().startswith(b"\x89PNG")
     left, *panels = figure.axes
@@ -56,13 +59,6 @@ def test_picture(broken, tmp_path):
     drawn = np.vstack([lines["front, part 1"], lines["front, part 2"]])
     assert drawn == pytest.approx(broken.objectives)
     assert len(lines["local optima, dominated"]) == len(broken.dominated)
-
-
-def test_picture_on_given_axes(convex):
-    axes = Figure().subplots()
-    assert convex.plot(axes) is axes
-    assert len(axes.figure.axes) == 1
-    assert axes.lines[0].get_xydata() == pytest.approx(convex.objectives)
 
 
 # --- tables -------------------------------------------------------------------------------------------------
@@ -109,16 +105,6 @@ def test_a_surface_fits_into_120_characters_with_every_number_whole(surface):
     headings = "".join(line for line in lines if line.startswith("┃"))
     for word in ("[kN]", "loosened", "stiffness", "(c)", "[%]"):
         assert word in headings
-
-
-def test_on_a_narrow_terminal_no_digit_is_lost(surface):
-    lines = [line for line in printed(surface, 60) if line.startswith("│")]
-    assert "…" not in "".join(lines)
-    columns = [
-        "".join(cell.strip() for cell in column) for column in zip(*(line.split("│") for line in lines), strict=True)
-    ]
-    order = [k for part in surface.parts for k in part]
-    assert columns[1] == "".join(f"{surface.points[k].objectives[0] / 1e3:.5g}" for k in order)
 
 
 def test_failures_are_given_in_words_and_each_reason_once(surface):

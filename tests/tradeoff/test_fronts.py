@@ -22,8 +22,13 @@ def test_convex_front(convex):
     first, second = convex.objectives.T
     # Designs lie on y = 0 to the square root of the optimiser's 1e-10, objectives on the curve to that.
     assert np.sqrt(first) + np.sqrt(second) == pytest.approx(1.0, abs=1e-10)
+    # At the ends the other objective weighs 1e-4: both lie 1e-8 beside their own optima.
+    assert max(first[0], second[-1]) < 1e-7
     assert len(convex.points) == 21
     assert convex.parts == (tuple(range(21)),)
+    # Neighbours are equally far apart.
+    distance = np.sum(np.abs(np.diff(convex.objectives / np.ptp(convex.objectives, axis=0), axis=0)), axis=1)
+    assert distance == pytest.approx(2.0 / 20.0, rel=1e-5)
     assert convex.holes == convex.failures == convex.notes == ()
 
 
@@ -33,6 +38,7 @@ def test_concave_front(concave):
     assert len(concave.points) == 21
     assert concave.holes == concave.failures == ()
     assert concave.knee is None
+    assert concave.points[10].active == ("outside",)
 
 
 def test_broken_front_and_its_hole(broken):
@@ -99,28 +105,6 @@ def test_a_hole_in_which_the_optimiser_failed_is_not_settled(broken, status, set
 
 
 # --- anchors and positions ----------------------------------------------------------------------------------
-
-
-def test_ends_are_the_optima_of_either_objective_alone(convex, broken):
-    # The other objective weighs 1e-4 where the first is indifferent: both lie 1e-8 beside their own optima.
-    assert convex.objectives[0] == pytest.approx([0.0, 1.0], abs=3e-4)
-    assert convex.objectives[0, 0] < 1e-7
-    assert convex.objectives[-1, 1] < 1e-7
-    assert broken.objectives[[0, -1], [0, 1]] == pytest.approx([0.0, -(0.7**2) * 0.2], abs=1e-7)
-
-
-@pytest.mark.parametrize("name", ["convex", "concave"])
-def test_neighbours_are_equally_far_apart(name, request):
-    front = request.getfixturevalue(name).objectives
-    normalised = (front - front.min(axis=0)) / np.ptp(front, axis=0)
-    distance = np.sum(np.abs(np.diff(normalised, axis=0)), axis=1)
-    assert distance == pytest.approx(2.0 / 20.0, rel=1e-5)
-
-
-def test_an_objective_that_one_variable_does_not_touch_leaves_it_to_the_other(plane):
-    d, x, y = plane
-    front = po.trade_off(d, x**2, (x - 1.0) ** 2 + (y - 0.25) ** 2, points=9)
-    assert front.designs[:, 1] == pytest.approx(0.25, abs=1e-5)
 
 
 @pytest.mark.slow
@@ -201,12 +185,6 @@ def test_a_point_that_bends_down_is_no_optimum(convex, concave):
     assert replace(middle, curvature=-1e-9).doubt == ""
 
 
-def test_limits_of_a_point(concave):
-    middle = concave.points[10]
-    assert middle.active == ("outside",)
-    assert middle.margins["outside"] == pytest.approx(np.sum(np.square(middle.objectives)) - 1.0, abs=1e-15)
-
-
 def test_positions_without_a_design_are_named():
     d = po.Design()
     x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
@@ -232,33 +210,30 @@ def test_no_design_meets_the_requirements(plane):
     assert caught.value.conflicts == pytest.approx({"far": 1.0}, abs=1e-6)
 
 
-def test_four_objectives_are_refused(plane):
+@pytest.mark.parametrize(
+    ("objectives", "options", "said"),
+    [
+        pytest.param(lambda x, y: (x, y, x + y, x - y), {}, "4 objectives", id="four"),
+        pytest.param(lambda x, y: (x, ca.vertcat(x, y)), {}, "must be one number, not 2", id="vector"),
+        pytest.param(lambda x, _: (x, 3.0), {}, "must be an expression", id="number"),
+        pytest.param(lambda x, _: (ca.MX.sym("z"), x), {}, "'first objective' holds symbols", id="stranger"),
+        pytest.param(lambda x, y: (po.Goal("a", x), po.Goal("a", y)), {}, "the same name 'a'", id="names"),
+        pytest.param(lambda x, y: (x, y), {"search": ["X"]}, "search = 'X' is not a variable", id="search"),
+        *(
+            pytest.param(
+                lambda x, y: (x, y), {"points": points}, "a whole number from 5 to 1000", id=f"{points} points"
+            )
+            for points in (4, 1001, 7.5, True, "40")
+        ),
+    ],
+)
+def test_questions_that_cannot_be(plane, objectives, options, said):
     d, x, y = plane
-    with pytest.raises(po.InputError, match=r"4 objectives .* two or three.*requirements"):
-        po.trade_off(d, x, y, x + y, x - y)
+    with pytest.raises(po.InputError, match=said):
+        po.trade_off(d, *objectives(x, y), **options)
 
 
-@pytest.mark.parametrize("points", [4, 1001, 7.5, True, "40"])
-def test_number_of_points(plane, points):
-    d, x, y = plane
-    with pytest.raises(po.InputError, match="must be a whole number from 5 to 1000"):
-        po.trade_off(d, x, y, points=points)
-
-
-def test_objectives_that_cannot_be(plane):
-    d, x, y = plane
-    with pytest.raises(po.InputError, match="must be one number, not 2"):
-        po.trade_off(d, x, ca.vertcat(x, y))
-    with pytest.raises(po.InputError, match="must be an expression of the design's variables"):
-        po.trade_off(d, x, 3.0)
-    for name in ("", " ", 3, None):
-        with pytest.raises(po.InputError, match=r"an objective's name = .* must be a text"):
-            po.Goal(name, x)
-    with pytest.raises(po.InputError, match="'first objective' holds symbols that this design did not declare"):
-        po.trade_off(d, ca.MX.sym("z"), x)
-    with pytest.raises(po.InputError, match=r"two objectives .* 'a'"):
-        po.trade_off(d, po.Goal("a", x), po.Goal("a", y))
-    with pytest.raises(po.InputError, match="nothing to choose"):
-        po.trade_off(po.Design(), x, y)
-    with pytest.raises(po.InputError, match="search = 'X' is not a variable"):
-        po.trade_off(d, x, y, search=["X"])
+@pytest.mark.parametrize("name", ["", " ", 3, None])
+def test_names_that_cannot_be(plane, name):
+    with pytest.raises(po.InputError, match=r"an objective's name = .* must be a text"):
+        po.Goal(name, plane[1])

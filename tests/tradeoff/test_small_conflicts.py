@@ -87,11 +87,3 @@ def test_objectives_that_do_not_conflict_give_one_design_and_say_so(alone, tmp_p
     assert alone.points[0].rate is None
     assert "no finite rate" in alone.in_words(0)
     assert po.TradeOff.load(alone.save(tmp_path / "one.json")).points == alone.points
-
-
-def test_objectives_that_hardly_conflict_say_so(plane):
-    d, x, y = plane
-    front = po.trade_off(d, 100.0 + x**2 + y**2, 100.0 + (x - 0.5) ** 2 + y**2, points=9)
-    assert len(front.points) == 9
-    (note,) = front.notes
-    assert note.endswith("hardly conflict: along the whole front they change by 0.25 % and 0.25 %")

@@ -157,12 +157,6 @@ def test_words_on_three_objectives(sphere):
         sphere.hypervolume((1.0, 1.0))
 
 
-def test_hypervolume_of_a_sphere(sphere):
-    # The boxes of the points lie within what the sphere leaves of the unit cube, and leave out a slice of the surface.
-    whole = 1.0 - np.pi / 6.0
-    assert 0.6 * whole < sphere.hypervolume((1.0, 1.0, 1.0)) < whole
-
-
 def test_the_knee_of_the_triangle(convex, sphere):
     best = np.array(convex.knee.objectives) / [1.0, 2.0, 2.0]
     assert np.sum(best) == pytest.approx(np.min(np.sum(convex.objectives / [1.0, 2.0, 2.0], axis=1)), abs=0.02)
@@ -221,15 +215,6 @@ def test_three_objectives_without_conflict_give_one_design():
 
 
 # --- files and pictures -------------------------------------------------------------------------------------
-
-
-def test_a_surface_comes_back_and_is_a_table(sphere, tmp_path):
-    back = po.load(sphere.save(tmp_path / "surface.json"))
-    assert back.points == sphere.points
-    assert back.parts == sphere.parts
-    header, *rows = sphere.to_csv(tmp_path / "surface.csv").read_text(encoding="utf-8").splitlines()
-    assert header.startswith("status,part,a,b,c,x,y,z,b per a,c per a,c per b,margin of outside")
-    assert len(rows) == len(sphere.points) + len(sphere.dominated)
 
 
 def test_picture_of_a_surface(sphere, tmp_path):

@@ -78,10 +78,6 @@ WRONG = {
         "mean_draft = {}\nforce_rms = {}\ntow_power = {}\nmean_deflection = {}",
         "not 4: put the others into [require]",
     ),
-    "none": (
-        "points = 7",
-        "line 25: a front needs two or three results, not 0: give [trade_off]",
-    ),
     "no table": ("mean_draft = 3\nforce_rms = {}", "line 26: 'trade_off.mean_draft' must be {} or { maximise = true }"),
     "key": (
         "mean_draft = { maximize = true }\nforce_rms = {}",
@@ -93,7 +89,6 @@ WRONG = {
     ),
     "few": ("mean_draft = {}\nforce_rms = {}\npoints = 2", "line 28: 'trade_off.points' = 2 must be a whole number"),
     "point": ("mean_draft = {}\nforce_rms = {}\npoint = 9", "line 28: 'point' cannot be traded: did you mean 'points'"),
-    "everywhere": ("mean_draft = {}\ndeflection = {}", "line 27: 'deflection' cannot be traded: did you mean 'mean_"),
 }
 
 

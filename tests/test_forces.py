@@ -125,7 +125,7 @@ def test_gradient_and_hessian_beside_90_degrees(symbolic, change):
 
 
 def test_force_by_hand():
-    # tan(beta) = 1, h = 1, mu0 = 1: the face is 2 pi; mu = 1/2 and b1 = 7/8 give phi = 3/2, nu = 2/3 (test_plastic).
+    # tan(beta) = 1, h = 1, mu0 = 1: the face is 2 pi; mu = 1/2 and b1 = 7/8 give phi = 3/2, nu = 2/3.
     cone = po.Cone(math.pi / 4, 1.0)
     soil = po.Soil(875.0, 0.875, math.sqrt(3.0) * 1e3, math.asin(0.5), 1.0, 3e3)
     c = po.resistance_coefficients(cone, soil)

@@ -133,11 +133,3 @@ def test_refusals():
         spherical_cavity_draft(cone, dataclasses.replace(soil, youngs_modulus=1e6), 1.0)
     with pytest.raises(po.DomainError, match="compaction front"):
         spherical_cavity_draft(cone, soil, 300.0)
-
-
-@pytest.mark.parametrize(
-    ("share", "remedy"), [(po.Wedge(0.5, 0.2, 0.25), r": use its equivalent_cone\(\)"), (0.3, "$")]
-)
-def test_the_face_is_that_of_a_cone(share, remedy):
-    with pytest.raises(po.InputError, match=f"must be a Cone{remedy}"):
-        spherical_cavity_draft(share, NAMED[0], 1.0)

@@ -44,7 +44,7 @@ def test_the_named_soils_have_the_published_values(name):
 
 @pytest.mark.parametrize("adjust", ADJUSTS)
 @pytest.mark.parametrize("reading", [0.7e6, 1.5e6, 6e6])
-def test_there_and_back(adjust, reading):
+def test_a_soil_from_a_cone_index_has_that_cone_index(adjust, reading):
     for name in TABLE:
         soil = po.Soil.from_cone_index(reading, soil=po.named_soil(name), adjust=adjust)
         # A density ratio of 1 - 1e-4 has lost four of sixteen digits.
@@ -110,7 +110,7 @@ def test_a_soil_without_strength_is_refused():
         po.Soil.from_cone_index(1e6, soil="serozem")
 
 
-def test_what_leaves_the_range_of_soils_is_said():
+def test_properties_outside_the_range_of_soils_cause_warnings():
     serozem = po.named_soil("serozem")
     warned = {a: " ".join(po.Soil.from_cone_index(1.5e6, soil=serozem, adjust=a).warnings()) for a in ADJUSTS}
     assert "static resistance by 5.737" in warned["strength factor"]

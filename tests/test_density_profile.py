@@ -131,7 +131,7 @@ def errors_of(name, orders, cavity):
 
 @profiles
 @pytest.mark.parametrize("motion", ["steady", "speeding up"])
-def test_the_error_falls_exponentially_and_is_estimated_honestly(name, motion):
+def test_the_error_falls_exponentially_and_its_estimate_is_reliable(name, motion):
     orders = [4, 8, 12, 16, 20, 24] if name == "bell" else [2, 4, 6, 8]
     error, estimate = errors_of(name, orders, CAVITIES[motion])
     above = error > 2e-14  # the others are rounding

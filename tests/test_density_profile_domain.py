@@ -33,7 +33,7 @@ def test_a_profile_below_the_undisturbed_density_somewhere_behind_the_front_is_r
 
 @pytest.mark.parametrize("filled", [1.0001, 1.1, 10.0])
 @pytest.mark.parametrize("order", [8, 40])
-def test_a_profile_that_cannot_carry_the_soil_of_a_cavity_is_refused(filled, order):
+def test_a_profile_that_cannot_hold_the_soil_of_a_cavity_is_refused(filled, order):
     soil = PLAIN.with_density_profile(*FALLING, order=order)
     radius = 0.1 * math.sqrt(math.log(2.0) * filled)
     with pytest.raises(po.DomainError, match=f"around a cavity of {radius:.4g} m was not found"):
@@ -68,7 +68,7 @@ def test_the_front_is_found_up_to_the_largest_cavity(filled):
         *[(density, 16, r"a function of the radius, in kg/m\^3") for density in (1700.0, None, "rho")],
     ],
 )
-def test_what_makes_no_profile_is_refused(density, order, words):
+def test_invalid_profiles_are_refused(density, order, words):
     with pytest.raises(po.InputError, match=words) as caught:
         PLAIN.with_density_profile(density, order=order)
     assert (f"order = {order!r}" if callable(density) else repr(density)) in str(caught.value)
@@ -95,6 +95,6 @@ def test_radii_outside_the_field_are_refused(r, words):
                 getattr(plastic, name)(r, CAVITY, soil)
 
 
-def test_the_quadratures_error_is_one_of_numbers():
+def test_the_quadrature_error_needs_numbers():
     with pytest.raises(po.InputError, match="holds symbols"):
         plastic.quadrature_error(ca.SX.sym("r"), CAVITY, ground("bell").soil(8))

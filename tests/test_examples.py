@@ -36,7 +36,7 @@ def test_each_public_name_has_an_example(name):
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_an_example_is_right(name, monkeypatch):
+def test_examples_run_as_shown(name, monkeypatch):
     monkeypatch.chdir(ROOT)  # where its problem files are
     one = EXAMPLES[name]
     # As in a program of the user: its warnings are for what the user gives.

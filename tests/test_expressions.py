@@ -79,7 +79,7 @@ def test_ratio_has_its_limits_at_zero(ratio, limits, at):
 
 
 @pytest.mark.parametrize("ratio", [ex.expm1_ratio, ex.log1p_ratio, ex.arctan_ratio, ex.arcsinh_ratio])
-def test_ratio_of_an_array_is_that_of_its_elements(ratio):
+def test_ratios_of_arrays_are_elementwise(ratio):
     x = np.array([[-0.9, -0.5, -1e-9], [0.0, 0.5, 3.0]])
     # One unit in the last place: NumPy may take another exponential for whole registers than for one number.
     np.testing.assert_allclose(ratio(x), [[ratio(float(v)) for v in row] for row in x], rtol=3e-16)
@@ -136,14 +136,14 @@ def test_choice_and_minimum_take_numbers_and_arrays():
         (ca.vertcat(ca.SX.sym("x"), 1.0), True, True),
     ],
 )
-def test_symbols_are_told_from_numbers(value, casadi, symbolic):
+def test_symbols_are_distinguished_from_numbers(value, casadi, symbolic):
     assert ex.is_casadi(value) is casadi
     assert ex.is_symbolic(value) is symbolic
     assert ex.holds_casadi([{"nested": (value,)}]) is casadi
 
 
 @pytest.mark.parametrize("value", [1.5, np.float64(1.5), ca.DM(1.5), ca.SX(1.5), ca.MX(1.5), [1.5], np.array([[1.5]])])
-def test_a_number_is_read_from_every_kind(value):
+def test_numbers_of_every_type_are_read(value):
     assert ex.as_number(value).shape == ()
     assert float(ex.as_number(value)) == 1.5
 
@@ -168,7 +168,7 @@ def test_expressions_are_mapped_wherever_they_are_nested():
     assert not ex.holds_casadi(mapped)
 
 
-def test_a_column_meets_symbols_or_stays_an_array():
+def test_a_column_can_be_combined_with_symbols():
     values = np.array([1.0, 2.0])
     assert ex.column(values, symbolic=False) is values
     x = ca.SX.sym("x")
@@ -190,7 +190,7 @@ def test_nodes_and_weights_are_the_roots_and_their_christoffel_numbers(order):
         assert weight == pytest.approx(float(1 / ((1 - root**2) * slope**2)), rel=2e-14)
 
 
-def test_numbers_are_plain_and_cannot_be_changed_by_accident():
+def test_nodes_and_weights_are_immutable_floats():
     nodes, weights = ex.gauss_legendre(4)
     assert all(type(value) is float for value in (*nodes, *weights))  # CasADi keeps floats as constants
     assert isinstance(nodes, tuple)

@@ -29,7 +29,7 @@ class TestAFile:
         assert {path.read_bytes() for path in (tmp_path / "new").iterdir()} == {b"\xc3\xa9\n"}
 
     @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError, SystemExit])
-    def test_one_that_is_not_finished_leaves_what_was_there(self, tmp_path, error):
+    def test_an_interrupted_write_leaves_the_existing_file(self, tmp_path, error):
         def half(file):
             file.write(b"half of")
             raise error
@@ -64,7 +64,7 @@ class TestAFile:
             write_file(tmp_path / "link", "table", full)
         assert _kept(tmp_path) == {"a": "before", "link": "before"}
 
-    def test_its_rights_stay_and_a_new_one_has_those_of_any(self, tmp_path):
+    def test_permissions_are_preserved_and_new_files_have_the_usual_ones(self, tmp_path):
         before = os.umask(0o027)
         try:
             write_file(tmp_path / "a", "table", "one")
@@ -77,7 +77,7 @@ class TestAFile:
         finally:
             os.umask(before)
 
-    def test_places_that_are_none_are_refused(self, tmp_path):
+    def test_invalid_paths_are_refused(self, tmp_path):
         (tmp_path / "a").write_text("before")
         (tmp_path / "round").symlink_to("round")
         wrong = {"": "folder", "a/b": "is not a folder", "round": "in a circle", "x" * 300: "too long"}
@@ -94,7 +94,7 @@ class TestAFile:
         assert reader.communicate()[0] == b"through"
         assert (tmp_path / "pipe").is_fifo()
 
-    def test_a_device_that_takes_nothing(self):
+    def test_a_full_device_is_an_error(self):
         with pytest.raises(po.InputError, match="no space left on device"):
             write_file("/dev/full", "table", "anything")
 

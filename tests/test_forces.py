@@ -163,7 +163,7 @@ def test_named_soil_resists_as_a_locked_cylindrical_cavity(name):
     assert 100 * (1 - bare_static / static) == pytest.approx(share, abs=0.5)
 
 
-def test_arrays_are_taken_element_by_element():
+def test_arrays_are_computed_element_by_element():
     cases = [floats(case) for case in REFERENCE]
     together = outputs({name: np.array([case[name] for case in cases]) for name in NAMES})
     one_by_one = [outputs(case) for case in cases]

@@ -45,7 +45,7 @@ def test_value_and_all_derivatives_pass_unchanged(value):
         np.testing.assert_allclose(own, wanted, rtol=4e-16, atol=4e-16 * np.max(np.abs(wanted)))
 
 
-def test_what_is_carried_has_no_influence_not_even_where_it_has_no_value():
+def test_carried_expressions_do_not_affect_the_value_even_if_undefined():
     x = ca.MX.sym("x")
     y = attach(x**3, ca.vertcat(ca.sqrt(-x), ca.log(-x)), LOW, LOW)
     hessian, gradient = ca.hessian(y, x)
@@ -78,7 +78,7 @@ def meaning_in(meanings, x, graph):
     return meanings.of(node.which_function())
 
 
-def test_a_graph_finds_its_meaning_while_it_lives_and_what_nothing_calls_is_forgotten():
+def test_meanings_live_as_long_as_the_graphs_that_use_them():
     meanings = Meanings()
     kept = {k: called(meanings, k) for k in range(0, 2000, 100)}
     most = 0
@@ -90,7 +90,7 @@ def test_a_graph_finds_its_meaning_while_it_lives_and_what_nothing_calls_is_forg
         assert meaning_in(meanings, x, graph) == key
 
 
-def test_a_function_in_the_place_of_one_that_is_gone_has_no_meaning():
+def test_a_new_function_at_a_freed_address_has_no_meaning():
     meanings, x = Meanings(), ca.MX.sym("x")
     places = set()
     for k in range(200):

@@ -35,7 +35,7 @@ SWITCHES = {
 
 
 @pytest.mark.parametrize("switch", SWITCHES)
-def test_nothing_is_switched_for_the_whole_process(switch):
+def test_process_wide_settings_are_not_changed(switch):
     found = {
         path.relative_to(ROOT / "plough_opt").as_posix() for path in SOURCES if re.search(switch, path.read_text())
     }
@@ -87,7 +87,7 @@ def imported(source):
             yield node.module.partition(".")[0]
 
 
-def test_folders_of_tests_run_alone_and_in_any_company():
+def test_folders_of_tests_run_alone_and_together():
     packages = [path.parent for path in TESTS if path.name == "__init__.py"]
     modules = [path for path in TESTS if path.name != "conftest.py" and not set(path.parents) & set(packages)]
     helpers = [*packages, *modules]

@@ -118,7 +118,7 @@ def test_on_a_stiff_spring_it_increases_only_beside_the_singularity(paper, stiff
 
 
 @pytest.mark.parametrize("ratio", RATIOS)
-def test_of_two_amplitudes_one_grows_and_one_falls_with_the_stiffness(paper, ratio):
+def test_force_amplitude_grows_and_displacement_amplitude_falls_with_the_stiffness(paper, ratio):
     own = [swings(paper, k, [ratio])[0] for k in STIFFNESSES]
     assert rises([s.force for s in own])
     assert rises([-s.displacement for s in own])
@@ -149,7 +149,7 @@ def test_the_spring_is_compressed_longer_than_pulled_and_more_so_with_the_densit
 # --- the values chosen ---
 
 
-def test_what_is_said_of_the_chosen_values(paper):
+def test_comments_on_the_chosen_values_are_right(paper):
     scene, c = paper.scene(0.95, 50.0), paper.CHOICE
     assert math.degrees(scene.cone.half_angle) == pytest.approx(7.0, abs=0.05)
     assert scene.cone.solid_mass(7850.0) == pytest.approx(0.43, abs=0.01)

@@ -41,7 +41,7 @@ def test_errors_multiply(r1_scene, count):
         assert scene.stiffness == derived.stiffness
 
 
-def test_without_errors_nothing_is_touched(r1_scene, r1_soil):
+def test_without_printed_errors_nothing_changes(r1_scene, r1_soil):
     reaction = po.soil_reaction(CONES[1], r1_soil)
     assert only().reaction(reaction) is reaction
     assert only("repelling_spring").reaction(reaction) is reaction
@@ -51,7 +51,7 @@ def test_without_errors_nothing_is_touched(r1_scene, r1_soil):
 
 
 @pytest.mark.parametrize("errors", [("pi_twice",), ("one_third",), ("repelling_spring",), tuple(FACTORS)])
-def test_a_run_says_that_it_is_no_physics(r1_scene, errors):
+def test_runs_warn_that_printed_equations_are_not_physics(r1_scene, errors):
     scene = r1_scene(formulation=only(*errors))
     (warning,) = [text for text in scene.warnings() if "as printed" in text]
     assert "not physics" in warning
@@ -78,7 +78,7 @@ def test_a_run_says_that_it_is_no_physics(r1_scene, errors):
           for kind in ("printed", only("repelling_spring"))],
     ],
 )  # fmt: skip
-def test_what_is_no_formulation_is_refused(build, words):
+def test_invalid_formulations_are_refused(build, words):
     with pytest.raises(po.InputError, match=words):
         build()
 

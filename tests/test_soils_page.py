@@ -13,14 +13,14 @@ TEXT = (ROOT / "docs" / "soils.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```(\w+)\n(.*?)```", TEXT, flags=re.DOTALL)
 
 
-def test_the_table_of_cone_indices_is_the_code_s():
+def test_the_table_of_cone_indices_matches_the_code():
     rows = dict(re.findall(r"^\| ([a-z ]+) \| ([\d.]+) kPa \| [\d.]+ kPa \|$", TEXT, flags=re.MULTILINE))
     assert tuple(rows) == po.soil_names()
     for name, value in rows.items():
         assert float(value) == pytest.approx(po.cone_index(po.named_soil(name)) / 1e3, rel=2e-4)  # four digits
 
 
-def test_its_tables_of_a_file_are_read(tmp_path):
+def test_its_problem_file_tables_are_valid(tmp_path):
     tables, waves, random = (text for language, text in BLOCKS if language == "toml")
     soil, uncertain = tables.split("\n\n")
     file = (ROOT / "problems" / "cotton_subsoiler.toml").read_text(encoding="utf-8")
@@ -45,7 +45,7 @@ def test_its_tables_of_a_file_are_read(tmp_path):
         assert po.read_problem(path).scene().stationary_force_rms > 0.0
 
 
-def test_the_draft_beside_the_standard_s_band_is_the_command_s():
+def test_the_quoted_draft_and_band_match_the_command():
     own, low, high = map(float, re.findall(r"^([\d.]+) kN beside ([\d.]+) to ([\d.]+) kN", TEXT, flags=re.MULTILINE)[0])
     scene = po.read_problem(ROOT / "problems" / "field.toml").scene()
     found = po.crosscheck.compare(scene, depth=[0.45], texture="fine", speeds=[5 / 3.6])
@@ -54,7 +54,7 @@ def test_the_draft_beside_the_standard_s_band_is_the_command_s():
     assert (own, low, high) == pytest.approx([value / 1e3 for value in shown], abs=0.05)
 
 
-def test_the_synthetic_readings_are_what_their_script_writes():
+def test_the_synthetic_readings_match_their_script():
     import runpy
 
     script = runpy.run_path(str(ROOT / "problems" / "make_field_data.py"))

@@ -39,13 +39,13 @@ def test_known_waves_lie_within_their_intervals(count):
     assert np.all(np.abs(inside / count - 0.95) <= margin), inside / count
 
 
-def test_a_record_at_uneven_places_holds_the_same_waves():
+def test_an_unevenly_spaced_record_gives_the_same_waves():
     for one, (a, length, _) in zip(po.strength_waves(record(3, even=False), 0.5).found, TRUE, strict=False):
         assert one.wave.amplitude == pytest.approx(a, abs=3 * one.amplitude)
         assert one.wave.wavelength == pytest.approx(length, abs=3 * one.wavelength)
 
 
-def test_noise_alone_holds_no_wave():
+def test_noise_alone_gives_no_waves():
     """One in a hundred may: of fifty records at most four, with a probability of 0.998."""
     found = [po.strength_waves(record(seed, waves=()), 1.0) for seed in range(50)]
     assert sum(bool(one.found) for one in found) <= 4
@@ -53,7 +53,7 @@ def test_noise_alone_holds_no_wave():
 
 
 @pytest.mark.parametrize("even", [True, False])
-def test_the_spectrum_holds_the_variance(even):
+def test_the_spectrum_integrates_to_the_variance(even):
     """Parseval: what segments' windows, or uneven places, leave of it is a few per cent."""
     made = po.strength_waves(record(1, waves=(), even=even), 0.5)
     assert made.spectrum.variance == pytest.approx(made.variance, rel=0.05)
@@ -66,7 +66,7 @@ def test_the_spectrum_holds_the_variance(even):
     assert np.mean((lower < level) & (level < upper)) > 0.85
 
 
-def test_a_force_is_freed_of_its_rig():
+def test_the_rigs_response_is_divided_out_of_a_force():
     """The force on a damped rig in a soil with known waves, integrated by SciPy, holds the soil's waves."""
     rig = po.Rig(mass=25.0, stiffness=4e4, damping=500.0, tow_speed=2.0)
     waves = ((0.1, 1.3, 0.3), (0.06, 0.5, -0.9))
@@ -114,7 +114,7 @@ def test_a_force_is_freed_of_its_rig():
         (None, ("--plot", "x.bmp"), "no known picture format"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_place(cli_waves, text, options, words):
+def test_errors_give_file_and_line(cli_waves, text, options, words):
     done = cli_waves(text, *options)
     assert done.status == 2
     assert done.out == ""
@@ -123,7 +123,7 @@ def test_what_is_wrong_is_said_with_its_place(cli_waves, text, options, words):
     assert re.search(words, done.err.replace("\n", " ")), done.err
 
 
-def test_the_command_prints_what_a_file_takes(cli_waves, tmp_path):
+def test_the_command_prints_lines_for_a_problem_file(cli_waves, tmp_path):
     done = cli_waves(None, "--plot", str(tmp_path / "waves.png"))
     assert done.status == 0, done.err
     assert "strength_wave = { amplitude = 0." in done.out

@@ -79,7 +79,7 @@ def test_its_own_row_is_the_quasi_static_mean_draft(full):
     assert full.own.drafts == pytest.approx(found, rel=1e-14)
 
 
-def test_what_is_estimated_is_said_with_its_value(full):
+def test_estimates_are_reported_with_their_values(full):
     given = " ".join(full.estimates)
     assert not any(word in given for word in ("none was given", "none were given", "instead of the charts"))
     assert "surcharge 1 kPa and adhesion 2 kPa" in given
@@ -103,7 +103,7 @@ def test_what_is_estimated_is_said_with_its_value(full):
     assert row(found, "universal earthmoving equation").drafts == pytest.approx(expected, rel=1e-14)
 
 
-def test_a_model_outside_its_domain_has_no_value_but_a_reason():
+def test_a_model_outside_its_domain_gives_nan_and_a_reason():
     found = compare(scene(), depth=0.25, width=0.08, rake_angle=po.deg(15.0), speeds=[2.0, 6.0])
     flat = row(found, "McKyes-Ali")
     assert all(map(math.isnan, flat.drafts))
@@ -114,14 +114,14 @@ def test_a_model_outside_its_domain_has_no_value_but_a_reason():
     assert "-" in printed(found)
 
 
-def test_a_cone_has_no_rake_angle():
+def test_a_cone_needs_a_rake_angle():
     found = compare(scene(share=po.Cone(po.deg(12.0), 0.25)))
     assert "give rake_angle" in row(found, "Swick-Perumpral").refusal
     given = compare(scene(share=po.Cone(po.deg(12.0), 0.25)), rake_angle=po.deg(60.0))
     assert not row(given, "Swick-Perumpral").refusal
 
 
-def test_reasons_carry_the_scenes_own_figures(full):
+def test_reasons_quote_the_scenes_numbers(full):
     text = " ".join(full.reasons)
     own = 100 * (full.own.drafts[1] / full.own.drafts[0] - 1)
     assert f"this model's draft rises by {own:.2g} %" in text
@@ -134,7 +134,7 @@ def test_reasons_carry_the_scenes_own_figures(full):
     assert f"without it {rest / 1e3:.3g} kN would remain" in text
 
 
-def test_ambient_pressure_that_is_off_is_off_in_the_spherical_cavity_too():
+def test_switching_ambient_pressure_off_affects_the_spherical_cavity_too():
     found = compare(scene(ambient_pressure=False), speeds=[2.0])
     bare = dataclasses.replace(SOIL, ambient_pressure=0.0)
     expected = spherical_cavity_draft(SHARE.equivalent_cone(), bare, 2.0)
@@ -155,7 +155,7 @@ LEVEL = po.Soil.from_cone_index(2e6, soil=po.named_soil("firm sandy loam"))
         ({"medium": "elastic", "motion": False}, {}, "elastic, without strength"),
     ],
 )
-def test_what_the_other_models_leave_out_is_said(changed, given, words):
+def test_reasons_name_what_the_other_models_ignore(changed, given, words):
     found = compare(scene(**changed), speeds=[2.0], **given)
     assert any(words in text for text in found.reasons)
     assert found.own.drafts == pytest.approx((float(scene(**changed).steady_resistance),), rel=1e-14)
@@ -163,14 +163,14 @@ def test_what_the_other_models_leave_out_is_said(changed, given, words):
     assert not any(words in text for text in plain.reasons)
 
 
-def test_a_measured_level_stays_this_models_own():
+def test_a_strength_factor_affects_this_model_only():
     level, plain = (compare(scene(soil), width=0.08) for soil in (LEVEL, po.named_soil("firm sandy loam")))
     # As text, for NaN is not equal to itself.
     assert str([row.drafts for row in level.others]) == str([row.drafts for row in plain.others])
     assert level.own.drafts[0] > 5.0 * plain.own.drafts[0]
 
 
-def test_marks_name_what_is_not_verified(full):
+def test_standings_name_what_is_not_verified(full):
     text = " ".join(full.standings)
     assert "ASABE D497: coefficients not verified against the standard's text" in text
     assert len(full.standings) == 5
@@ -207,7 +207,7 @@ def test_the_picture_has_a_panel_for_each_depth(full, tmp_path):
     assert len(set(styles[0].values())) == len(styles[0])
 
 
-def test_a_model_without_values_is_named_as_such():
+def test_the_legend_marks_a_model_without_values():
     figure = compare(scene()).plot()
     (legend,) = figure.legends
     assert "McKyes-Ali: outside its domain" in [text.get_text() for text in legend.get_texts()]
@@ -229,7 +229,7 @@ def test_a_model_without_values_is_named_as_such():
         ({"adhesion": math.inf}, po.DomainError, "adhesion"),
     ],
 )
-def test_arguments_that_no_model_could_take_are_refused(options, error, words):
+def test_invalid_arguments_of_a_comparison_are_refused(options, error, words):
     with pytest.raises(error, match=words):
         compare(scene(), **options)
 
@@ -239,7 +239,7 @@ def test_a_scene_with_symbols_is_refused():
         compare(dataclasses.replace(scene(), tow_speed=ca.SX.sym("speed")))
 
 
-def test_the_page_tells_what_speed_adds():
+def test_the_page_states_the_effect_of_speed():
     """Draft at 9 km/h over that at 3 km/h, in per cent more, on the share of the cotton problem and tines like it."""
     problem = po.read_problem(PROBLEMS / "cotton_subsoiler.toml")
     guess, steeper = problem.scene(), problem.scene({"share.wedge_angle": po.deg(39.0)})
@@ -255,7 +255,7 @@ def test_the_page_tells_what_speed_adds():
     assert 3.0 < more["McKyes-Ali"] < 5.0  # refuses a rake of 30 degrees
 
 
-def test_a_scene_of_another_law_is_called_by_it():
+def test_a_scene_with_another_law_is_named_after_it():
     tined = dataclasses.replace(scene(), medium=po.laws.McKyesAli(width=0.08, rake_angle=po.deg(45.0)))
     found = compare(tined, width=0.08, rake_angle=po.deg(45.0), speeds=[1.0, 2.0])
     assert found.own.model == "this scene, McKyes-Ali"

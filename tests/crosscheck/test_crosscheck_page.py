@@ -13,7 +13,7 @@ from plough_opt.laws.asabe import POINTS, TEXTURES
 TEXT = (Path(__file__).parents[2] / "docs" / "crosscheck.md").read_text(encoding="utf-8")
 
 
-def test_the_table_of_laws_is_what_they_say():
+def test_the_table_of_laws_matches_the_laws():
     rows = re.findall(r"^\| `(\w+)` \| `(\w+)` \| (.*?) *\|(.*?)\|(.*?)\|(.*?)\|$", TEXT, flags=re.MULTILINE)
     assert [name for name, *_ in rows] == list(LAWS)
     for name, kind, *cells in rows:
@@ -28,7 +28,7 @@ def test_a_named_function_exists(name):
     assert callable(reduce(getattr, name.split("."), po))
 
 
-def test_the_rows_of_the_standard_are_those_of_the_code():
+def test_the_rows_of_the_standard_match_the_code():
     rows = re.findall(r"^\| (narrow|winged) point.* \| (\S+) \| (\S+) \| (\S+) \| (.+) \|$", TEXT, flags=re.MULTILINE)
     assert {name: tuple(map(float, found[:3])) for name, *found in rows} == POINTS
     for *_, factors in rows:

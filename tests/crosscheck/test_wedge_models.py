@@ -149,7 +149,7 @@ def test_arrays_give_what_their_elements_give(draft):
     assert found == pytest.approx(one_by_one, rel=1e-14)
 
 
-def test_a_design_takes_a_wedge_models_draft_for_a_requirement():
+def test_a_design_can_require_a_wedge_models_draft():
     """The deepest tine that a tractor of 5 kN pulls draws 5 kN."""
     design = po.Design()
     depth = design.variable("depth", guess=0.2, lower=0.1, upper=0.4, unit="m")
@@ -162,7 +162,7 @@ def test_a_design_takes_a_wedge_models_draft_for_a_requirement():
     assert mckyes_ali_draft(SOIL, Tine(0.06, best(depth), po.deg(45.0)), 1.5) == pytest.approx(best(draft), rel=1e-10)
 
 
-def test_a_design_stays_where_the_wedge_has_a_least_force():
+def test_a_design_keeps_the_rupture_angle_inside_its_range():
     """A flatter rake draws less, until the factor at the end of the angles equals that of the valley."""
     design = po.Design()
     rake = design.variable("rake", guess=po.deg(50.0), lower=po.deg(10.0), upper=po.deg(80.0), unit="rad")
@@ -188,7 +188,7 @@ def test_soils_and_speeds_outside_their_domain_are_refused(draft, soil, speed, w
         draft(dataclasses.replace(SOIL, **soil), TINE, speed)
 
 
-def test_godwin_refuses_what_lies_below_the_critical_depth_and_a_short_rupture():
+def test_godwin_refuses_depths_below_the_critical_one_and_short_ruptures():
     with pytest.raises(po.DomainError, match="critical depth"):
         godwin_draft(SOIL, dataclasses.replace(TINE, depth=0.37), 1.0)
     with pytest.raises(po.DomainError, match="rupture distance ratio"):

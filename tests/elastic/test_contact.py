@@ -125,7 +125,7 @@ SHORT = [
 
 
 @pytest.mark.parametrize("body", [SHORT[0], *slow(SHORT[1:])], ids=str)
-def test_contact_that_is_lost_or_kept_on_a_short_part_of_a_piece(body):
+def test_contact_lost_or_kept_on_a_short_part_of_a_piece(body):
     body, speed = body
     nodes = nodes_of(inputs(0, 0, body))
     soil, V0 = ground(speed)
@@ -291,13 +291,13 @@ GOOD = [(0.0, 0.0), (0.25, 0.025), (0.5, 0.0)]
         ("cone_pressure", math.nan, "x = nan m must be finite"),
     ],
 )
-def test_places_beside_the_face_are_refused(quantity, x, sentence):
+def test_points_off_the_face_are_refused(quantity, x, sentence):
     with pytest.raises(po.DomainError, match=sentence):
         getattr(po.elastic, quantity)(x, GOOD, *ground())
 
 
 @pytest.mark.parametrize("force", ["wedge_force", "cone_force"])
-def test_speeds_of_the_shear_wave_and_more_are_refused(force):
+def test_speeds_above_the_shear_wave_speed_are_refused(force):
     soil, _ = ground()
     with pytest.raises(po.DomainError, match=r"speed over shear wave speed = 1\.01"):
         getattr(po.elastic, force)(GOOD, soil, 1.01 * SHEAR_WAVE)

@@ -126,7 +126,7 @@ def combinations():
 
 
 @pytest.mark.parametrize(("kind", "body", "point", "speed", "nu"), [*combinations()])
-def test_every_component_to_the_digits_that_its_inputs_have(kind, body, point, speed, nu):
+def test_every_component_is_as_accurate_as_its_inputs(kind, body, point, speed, nu):
     field = FIELDS[kind]
     # At rest the field is the limit of slow motion.
     wanted, size = precise(field.precise, inputs(*field.points[point], body, speed or 1e-15, nu))
@@ -188,7 +188,7 @@ def test_at_rest_derivatives_are_finite_and_even_in_speed(kind, symbol):
 
 @bodies
 @pytest.mark.parametrize("speed", [0.0, 0.3, 0.9274])
-def test_boundary_conditions_on_the_whole_line_of_a_wedge(body, speed):
+def test_boundary_conditions_on_the_plane_of_symmetry_of_a_wedge(body, speed):
     """The face is moved by the half thickness, and slides without shear; ahead and behind the line is straight."""
     x = np.array([-5.0, -0.3, 0.01, 0.15, 0.22, 0.35, 0.47, 0.6, 0.71, 3.0])
     values = inputs(x, np.zeros_like(x), body, speed)
@@ -272,7 +272,7 @@ def test_arrays_of_points_are_computed_element_by_element_and_with_symbols(kind,
 
 
 @pytest.mark.parametrize("share", [po.Wedge(po.deg(25.0), po.deg(15.0), 0.25), po.Cone(po.deg(10.0), 0.3)])
-def test_a_share_stands_for_its_nodes(share):
+def test_a_share_is_equivalent_to_its_nodes(share):
     soil, speed = ground(ambient_pressure=1e5)
     body = share.equivalent_cone() if isinstance(share, po.Wedge) else share
     nodes = [(0.0, 0.0), (body.height, body.height * body.slope)]
@@ -321,7 +321,7 @@ def refusals():
 
 
 @pytest.mark.parametrize(("kind", "change", "sentence"), [*refusals()])
-def test_what_the_theory_does_not_cover_is_refused(kind, change, sentence):
+def test_arguments_outside_the_theory_are_refused(kind, change, sentence):
     soil, speed = ground()
     for quantity in FIELDS[kind].quantities:
         given = {"x": 0.2, "away": 0.1, "profile": GOOD, "soil": soil, "speed": speed, **change}

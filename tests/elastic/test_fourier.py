@@ -98,7 +98,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("change", "sentence"), REFUSED.values(), ids=REFUSED)
-def test_what_the_integrals_cannot_do_is_refused(change, sentence):
+def test_arguments_that_the_integrals_cannot_handle_are_refused(change, sentence):
     soil, speed = ground()
     given = {"x": 0.2, "y": 0.1, "profile": PROFILES["straight"], "length": LENGTH, "soil": soil, "speed": speed}
     given |= {"order": 12} | change
@@ -118,6 +118,6 @@ def test_what_the_integrals_cannot_do_is_refused(change, sentence):
         (0.1, 0.5, 4, "function of x"),
     ],
 )
-def test_knots_of_what_is_no_profile_are_refused(profile, length, count, sentence):
+def test_knots_on_invalid_profiles_are_refused(profile, length, count, sentence):
     with pytest.raises((po.DomainError, po.InputError), match=sentence):
         po.elastic.knots(profile, length, count)

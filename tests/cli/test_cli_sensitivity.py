@@ -103,24 +103,6 @@ def test_the_table_has_every_quantity_that_matters_in_order_of_size(cli, file, s
     assert cells(done.out, radius.name)[1:4] == [f"{radius.elasticity:+.3g}", "0", "+1"]
 
 
-def test_json_without_the_option_has_none_and_is_read_back(cli, file, tmp_path):
-    done = cli("optimise", file, "--json")
-    path = tmp_path / "best.json"
-    path.write_text(done.out, encoding="utf-8")
-    assert po.load(path).sensitivities == ()
-    old = json.loads(done.out)
-    del old["sensitivities"]
-    path.write_text(json.dumps(old), encoding="utf-8")
-    assert po.load(path).sensitivities == ()
-
-
-def test_an_end_without_limit_is_null_in_json(saved):
-    written, read = saved
-    ends = {item["name"]: (item["valid_from"], item["valid_to"]) for item in written["sensitivities"]}
-    assert any(None in pair for pair in ends.values())
-    assert ends == {item.name: (item.valid_from, item.valid_to) for item in read.sensitivities}
-
-
 def test_an_optimum_that_is_not_unique_is_printed_with_a_note(cli, file):
     text = file.read_text(encoding="utf-8").replace('stiffness = "50 kN/m"', "")
     text = text.replace("[variables]", '[variables]\n"scene.stiffness" = { lower = "1 kN/m", upper = "9 kN/m" }')

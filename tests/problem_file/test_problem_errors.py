@@ -130,10 +130,9 @@ def test_a_variable_whose_dots_are_not_quoted_is_read_all_the_same(changed, read
         "soil = { name = 'serozem', cohesoin = '2 kPa' }",
         "soil.name = 'serozem'\nsoil.cohesoin = '2 kPa'",
         "[\"soil\"]\nname = 'serozem'\n\"cohesoin\" = '2 kPa'",
-        "['soil']\n'name' = 'serozem'\n  cohesoin  =  '2 kPa'  # comment",
         '[soil]\nname = """\\\n   serozem"""\ncohesoin = 1\n',
     ],
-    ids=["table", "inline table", "dotted", "quoted", "literal quotes", "after text over two lines"],
+    ids=["table", "inline table", "dotted", "quoted", "after text over two lines"],
 )
 def test_a_misspelt_property_is_found(cotton, blames, soil):
     text = f"# a comment\n\n# = [not] a key\n{soil}\n" + cotton.split(SOIL)[1].split("\n", 1)[1]
@@ -149,12 +148,9 @@ def test_a_misspelt_property_is_found(cotton, blames, soil):
         ([(f"tow_speed = {SPEED}\n", ""),
           ("[minimise]", "[variables.'scene.tow_speed']\nlower = '1 m/s'\n# bound\nupper = '50 N'\n[minimise]")],
          "50 N'", "'scene.tow_speed' upper = \"50 N\" has the wrong unit"),
-        ([("[require]", "[require.mean_deflection]\n\nat_least = '0 m'\nat_most = '50 N'\n[require]")],
-         "50 N'", "'mean_deflection' at_most = \"50 N\" has the wrong unit"),
         ([('duration = "2 s"', "duration = '2 s' # tow_sped\ntow_sped = 2")], "tow_sped = 2", "'scene.tow_sped'"),
-        ([("tow_speed", "tow_sped")], "tow_sped", "did you mean 'tow_speed'?"),
     ],
-    ids=["dotted", "table of its own", "variable", "limit", "named before", "line separators"],
+    ids=["dotted", "table of its own", "variable", "named before"],
 )  # fmt: skip
 def test_a_key_is_found_in_any_form(changed, blames, places, fragment, piece):
     blames("# a\u0085comment\u2028\n" + changed(*places), fragment, piece)

@@ -1,6 +1,5 @@
 """Random strength in problem files: as quantities or a record, in every question that takes a result."""
 
-import dataclasses
 import math
 from concurrent.futures import ThreadPoolExecutor
 
@@ -8,7 +7,6 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.app import main
 from plough_opt.problem_file.robust_design import optimise_robust
 
 GIVEN = 'random_strength = { rms = 0.2, correlation_length = "0.3 m" }'
@@ -49,27 +47,6 @@ def test_a_record_becomes_its_spectrum(read, written, record):
     broad = read(written('random_strength = { record = "record.csv", base_diameter = "0.5 m" }')).scene()
     assert broad.effects.random_strength.wave_number[-1] <= 4.0 * math.pi
     assert broad.stationary_force_rms < scene.stationary_force_rms
-
-
-def test_an_optimum_is_that_of_the_same_question_in_python(read, written):
-    best, run = read(written('random_strength = { rms = 0.1, correlation_length = "0.3 m" }')).optimise(search="near")
-    d = po.Design()
-    angle = d.variable("angle", guess=po.deg(25), lower=po.deg(5), upper=po.deg(60))
-    height = d.variable("height", guess=0.25, lower=0.1, upper=0.5)
-    stiffness = d.variable("stiffness", guess=5e4, lower=5e3, upper=5e5, log=True)
-    share = po.Wedge(angle, po.deg(15), height)
-    scene = dataclasses.replace(
-        run.scene, share=share, stiffness=stiffness, mass=20.0 + share.equivalent_cone().solid_mass(7850.0)
-    )
-    static = scene.steady_resistance
-    d.minimise(static / 1e3 + scene.stationary_force_rms / 1e3)
-    d.require("loosened radius", scene.loosened_radius, at_least=0.15)
-    d.require("half angle", scene.cone.half_angle, at_most=po.deg(15))
-    d.require("deflection", static / stiffness, at_most=0.12)
-    other = d.solve(search="near")
-    # Without a wave the motion is steady sliding, whose draft is known in closed form.
-    assert best.objective == pytest.approx(other.objective, rel=1e-7)
-    assert best(run).scene.stationary_force_rms == pytest.approx(other(scene).stationary_force_rms, rel=1e-5)
 
 
 def test_it_is_a_column_of_sweeps_and_an_output_of_components(read, written):
@@ -116,15 +93,6 @@ def test_it_is_a_measure_of_an_uncertain_soil(read, written, motion):
     assert found.robust.values(at)["stationary_force_rms"] == pytest.approx(expected, rel=1e-9)
     draft = [scene.steady_resistance for scene in scenes]
     assert found.best.objective == pytest.approx((np.mean(draft) + np.mean(expected)) / 1e3, rel=1e-8)
-
-
-def test_check_prints_it(written, tmp_path, capsys):
-    path = tmp_path / "share.toml"
-    path.write_text(written(RECORD), encoding="utf-8")
-    assert main(["check", str(path)]) == 0
-    out = capsys.readouterr().out
-    assert "stationary RMS of the mount force" in out
-    assert "random strength enters the stationary RMS only" in " ".join(out.split())
 
 
 LIKE = "effects.random_strength"

@@ -227,7 +227,7 @@ def test_the_share_is_turned_by_mouse_keyboard_and_buttons(desk):
     page.mouse.up()
     moved()
     solid.focus()
-    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("ArrowUp")
     moved()
     solid.get_by_role("button", name="rotate right").click()
     moved()

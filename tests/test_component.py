@@ -1,4 +1,4 @@
-"""A scene as one CasADi Function: its values, derivatives and error, and its life in other people's graphs."""
+"""A scene as one CasADi Function: its values, derivatives and error, and its use in other graphs."""
 
 import copy
 import pickle
@@ -44,7 +44,7 @@ def test_names_units_and_bounds_are_attached(r1):
 
 
 @pytest.mark.parametrize("run", RUNS, ids=lambda run: f"{run[0]:g}deg-{run[2]:g}")
-def test_values_are_those_of_long_double_simulations(r1, run):
+def test_values_agree_with_long_double_simulations(r1, run):
     angle, height, stiffness, mean, rms = run
     found = r1(po.deg(angle), height, stiffness)
     # The table has twelve digits; the error of the steps grows to the estimated one with the mount's frequency.
@@ -63,7 +63,7 @@ def test_the_error_estimate_holds_against_another_integrator(r1, r1_scene, r1_wa
     assert error <= r1.error_estimate + 1e-11  # the other integrator's own
 
 
-def test_tighter_bounds_take_fewer_steps_and_a_named_number_is_kept(r1, r1_scene, r1_wave):
+def test_narrower_bounds_need_fewer_steps_and_a_given_number_is_used(r1, r1_scene, r1_wave):
     scene = r1_scene(strength_wave=r1_wave)
     soft = po.component(scene, 2.0, inputs=[po.Input("scene.stiffness", 5e3, 6e4)], outputs=["mean_draft"])
     assert soft.accuracy.steps < r1.accuracy.steps / 2
@@ -73,7 +73,7 @@ def test_tighter_bounds_take_fewer_steps_and_a_named_number_is_kept(r1, r1_scene
     assert any("was not reached" in note for note in few.warnings)
 
 
-def test_all_derivatives_of_a_draft_are_those_of_120_digits():
+def test_all_derivatives_of_a_draft_agree_with_120_digits():
     """Quasi-static, every quantity an input: value, gradient and Hessian against the textbook formulas."""
     names = {
         "share.wedge_angle": "wedge_angle", "share.chisel_angle": "chisel_angle", "share.height": "height",
@@ -128,7 +128,7 @@ def test_first_and_second_derivatives_of_a_motion_are_those_of_differences(r1):
     assert found == pytest.approx(second, rel=1e-9, abs=1e-9 * np.abs(second).max())
 
 
-def test_it_is_a_function_and_goes_wherever_one_does(r1, tmp_path):
+def test_a_component_is_a_casadi_function(r1, tmp_path):
     assert isinstance(r1, ca.Function)
     plain = ca.Function(r1)
     assert plain.call(START) == r1.call(START)
@@ -159,7 +159,7 @@ def test_a_pickle_gives_the_same_numbers_in_another_process(r1, tmp_path):
     assert done.stdout.strip() == " ".join(map(str, here))
 
 
-def test_inputs_by_name_have_the_scenes_values_where_left_out(r1):
+def test_omitted_inputs_have_the_scenes_values(r1):
     found = r1(scene_stiffness=4e4)
     assert found == r1(**{"scene.stiffness": 4e4})
     assert tuple(found.values()) == r1(po.deg(25), 0.25, 4e4)
@@ -205,6 +205,6 @@ def test_nlpsol_finds_the_optimum_of_r1_in_sx(r1_scene, r1_wave):
     assert 1e4 * float(found["x"]) == pytest.approx(OPTIMUM[2], rel=1e-7)
 
 
-def test_limits_of_an_output_that_contradict_each_other_are_refused():
+def test_contradictory_limits_of_an_output_are_refused():
     with pytest.raises(po.InputError, match="the limits of 'mean_draft' contradict each other: 2 is above 1"):
         po.Output("mean_draft", lower=2.0, upper=1.0)

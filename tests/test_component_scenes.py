@@ -1,4 +1,4 @@
-"""Components of every kind of scene that can be one, and refusals of the others."""
+"""Components of every kind of scene, and messages about invalid ones."""
 
 import dataclasses
 import itertools
@@ -40,7 +40,7 @@ def _compared(scene, duration, inputs, outputs, at, **options):
     ],
     ids=lambda effects: "+".join(effects),
 )
-def test_every_result_is_that_of_the_scene_of_numbers(r1_scene, effects):
+def test_every_result_agrees_with_the_numeric_scene(r1_scene, effects):
     scene = r1_scene(**effects)
     duration = None if "orbit" in effects else 2.0
     inputs = [po.Input("share.height", 0.2, 0.3), po.Input("scene.stiffness", 3e4, 6e4)]

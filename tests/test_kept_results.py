@@ -1,4 +1,4 @@
-"""Saved results: what made them, shown again as they were printed, side by side, strictly valid JSON."""
+"""Saved results: their origin, shown as they were printed, compared, in strictly valid JSON."""
 
 import contextlib
 import hashlib
@@ -72,15 +72,6 @@ def test_a_saved_result_holds_what_made_it(folder, saved):
         assert platform.node() == "" or platform.node() not in path.read_text(encoding="utf-8").split()
 
 
-def test_it_can_be_made_again(saved, tmp_path):
-    found = po.load(saved[1])
-    again = tmp_path / "again.toml"
-    again.write_text(found.origin.text, encoding="utf-8")
-    best, _ = po.read_problem(again, found.origin.overrides).optimise(search="near", seed=found.origin.seed)
-    assert best.variables == found.variables
-    assert best.objective == found.objective
-
-
 def test_show_prints_the_same_tables(folder, saved, printed):
     words = ("optimise", folder / "share.toml", *QUICK, "--search", "near", "--set", 'scene.tow_speed="9 km/h"')
     fresh, again = printed(*words).splitlines(), printed("show", saved[1]).splitlines()
@@ -109,7 +100,7 @@ def test_compare_sets_designs_side_by_side(saved, printed, tmp_path):
     assert found["fast.json"]["share.height"] == fast.variables["share.height"]
 
 
-def test_compare_refuses_one_file_and_what_is_no_design(saved, capsys, tmp_path):
+def test_compare_refuses_one_file_and_an_output_that_is_an_input(saved, capsys, tmp_path):
     assert main(["compare", str(saved[0])]) == 2
     assert "two or more" in capsys.readouterr().err
     assert main(["compare", str(saved[0]), str(saved[1]), "--plot", str(saved[0])]) == 2
@@ -136,7 +127,7 @@ def test_a_sweep_is_shown_from_its_store(printed, tmp_path):
     assert strict(printed("show", store, "--json"))["points"] == 2
 
 
-def test_the_problem_is_kept_whole_with_its_data_and_can_be_computed_again(printed, tmp_path, monkeypatch, capsys):
+def test_the_problem_is_saved_with_its_data_and_can_be_restored(printed, tmp_path, monkeypatch, capsys):
     kept, empty = tmp_path / "run.json", tmp_path / "empty"
     empty.mkdir()
     kept.write_text(printed("simulate", ROOT / "problems" / "field.toml", "--json"), encoding="utf-8")
@@ -161,7 +152,7 @@ def test_a_run_of_a_file_is_drawn_with_the_files_limits(printed, tmp_path):
         assert [line.get_ydata()[0] for line in limit] == [0.12]  # in metres, as the file has it
 
 
-def test_shares_in_one_frame_are_kept_shown_and_compared(printed, tmp_path):
+def test_shares_in_one_frame_are_saved_shown_and_compared(printed, tmp_path):
     words = (ROOT / "problems" / "two_shares.toml", "--set", "scene.duration=0.1 s", "--json")
     slow, fast = tmp_path / "slow.json", tmp_path / "fast.json"
     slow.write_text(printed("simulate", *words), encoding="utf-8")

@@ -217,7 +217,7 @@ def test_frames_hold_the_numbers_with_their_units():
     assert len(study().to_dataframe()) == len(study().entries)
 
 
-def test_a_frame_without_pandas_says_what_to_install(monkeypatch):
+def test_without_pandas_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(po.InputError, match=r"pip install 'plough_opt\[pandas\]'"):
         data_frame({"x": [1.0]}, {"x": "m"})
@@ -250,7 +250,7 @@ def test_a_sweep_prints_draws_and_gives_its_points(tmp_path):
     assert frame.attrs["units"] == {"force": "N"}
 
 
-def test_texts_of_a_user_are_no_markup():
+def test_texts_of_a_user_are_escaped():
     grid = Grid.of("<b>title</b>", "name", "value")
     grid.row("[bold]x[/] & y", "two\nlines")
     page = Page("<script>", (grid, "1 < 2"), ("a < b",), "end", "[red]")
@@ -311,7 +311,7 @@ def test_runs_with_extreme_numbers_read_back(tmp_path, scene, duration, error):
     assert po.load(made.save(tmp_path / "run.json")).to_json() == made.to_json()
 
 
-def test_functions_and_effects_that_are_not_there_are_named_and_not_run(tmp_path):
+def test_missing_effects_are_named_and_not_run(tmp_path):
     scene = dataclasses.replace(SCENE, effects=po.Effects(own=(Drag(30.0),)))
     path = po.simulate(scene, 0.1).save(tmp_path / "own.json")
     assert po.load(path).scene == scene  # this module is there
@@ -348,7 +348,7 @@ WRONG = "is not a result of this version (schema 2)"
         (b"\x89PNG\r\n\x1a\n", "cannot be read"),
     ],
 )
-def test_what_is_no_result_is_refused(tmp_path, text, words):
+def test_an_invalid_file_is_refused(tmp_path, text, words):
     path = tmp_path / "result.json"
     whole = run().to_json()
     if isinstance(text, float):
@@ -371,6 +371,6 @@ def refused(path, words):
     assert words in (message if words == WRONG or "(schema 2)" not in message else message.split("(schema 2)")[1])
 
 
-def test_what_is_no_file_is_refused(tmp_path):
+def test_folders_and_missing_files_are_refused(tmp_path):
     refused(tmp_path, "cannot be read")
     refused(tmp_path / "nothing.json", "cannot be read")

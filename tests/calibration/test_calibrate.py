@@ -52,7 +52,7 @@ def test_scene_problem_and_function_give_the_same(measured, three, fitted):
         ({"soil.cohesion": (-5e3, 80e3)}, {}, "cohesion"),
     ],
 )
-def test_wrong_questions_are_refused(measured, unknown, keywords, words):
+def test_invalid_unknowns_and_options_are_refused(measured, unknown, keywords, words):
     with pytest.raises((po.InputError, po.DomainError)) as refusal:
         po.calibrate(steady_scene(), measured, unknown, **keywords)
     assert words in str(refusal.value)
@@ -83,7 +83,7 @@ def test_data_that_do_not_fit_are_refused(scene, data, words):
         po.calibrate(scene, data, {"soil.cohesion": (1e3, 80e3), "soil.tool_friction": (0.1, 1.0)})
 
 
-def test_other_values_in_the_place_of_the_measured_ones(measured, three, fitted):
+def test_a_calibration_fits_other_observed_values(measured, three, fitted):
     calibration = po.Calibration(steady_scene(), measured, three)
     assert calibration.fit(measured.values).values == fitted.values
     for wrong in ([1.0, 2.0], [np.nan] * 24):
@@ -91,7 +91,7 @@ def test_other_values_in_the_place_of_the_measured_ones(measured, three, fitted)
             calibration.fit(wrong)
 
 
-def test_a_fit_refuses_what_it_cannot_say(fitted):
+def test_invalid_levels_kinds_folds_and_candidates_are_refused(fitted):
     with pytest.raises(po.InputError, match="level = 95 must lie between 0 and 1"):
         fitted.intervals(95)
     with pytest.raises(po.InputError, match="must be 'profile' or 'linearised'"):
@@ -125,7 +125,7 @@ def test_folds_and_weights_of_repeated_rows(measured, three, fitted):
 
 
 @pytest.mark.slow
-def test_the_elastic_medium_gives_its_modulus():
+def test_the_elastic_modulus_is_found():
     """The steady contact force goes with Young's modulus, less the speed's small part."""
     soil, angles = po.named_soil("serozem"), np.radians([25.0, 35.0])
     scenes = [po.Scene(soil, po.Wedge(angle, po.deg(15.0), 0.25), 5e4, 25.0, 2.0, po.Effects(motion=False), "elastic")
@@ -139,7 +139,7 @@ def test_the_elastic_medium_gives_its_modulus():
     assert relative == pytest.approx(0.02 / 2**0.5, rel=0.01)
 
 
-def test_a_files_mass_is_that_of_its_frame(measured):
+def test_a_problem_file_has_the_mass_of_its_frame(measured):
     problem = po.read_problem(PROBLEMS / "calibration.toml")
     with pytest.raises(po.InputError, match=r"a problem file has no 'scene\.mass': did you mean 'scene\.frame_mass'"):
         po.calibrate(problem, measured, {"scene.mass": (1.0, 100.0)})

@@ -1,4 +1,4 @@
-"""`plough-opt calibrate`: tables, files, and what is wrong with an input."""
+"""`plough-opt calibrate`: tables, files, and messages about invalid input."""
 
 import json
 from pathlib import Path
@@ -98,7 +98,7 @@ def test_wrong_input_is_refused_and_writes_nothing(cli, tmp_path, monkeypatch, a
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_without_unknowns_is_refused_in_words_of_the_command_line(cli):
+def test_a_file_without_unknowns_is_refused_with_the_option_to_give_them(cli):
     done = cli("calibrate", PROBLEMS / "stick_slip.toml", "--data", DATA)
     assert (done.status, done.out) == (2, "")
     assert "nothing is unknown: give the file [variables], or --unknown soil.cohesion=" in done.err

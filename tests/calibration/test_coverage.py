@@ -1,4 +1,4 @@
-"""How often stated intervals hold the truth: the benchmark behind the table of docs/calibration.md."""
+"""How often the intervals contain the true values: the benchmark behind the table in docs/calibration.md."""
 
 import importlib.util
 import re
@@ -57,8 +57,8 @@ def test_every_parameter_is_identifiable_in_some_case(script):
 
 
 @pytest.mark.slow
-def test_intervals_that_are_too_narrow_are_found_out(script):
-    """The benchmark can fail: with errors twice those that are stated, coverage falls to what theory says."""
+def test_intervals_that_are_too_narrow_are_detected(script):
+    """The benchmark can fail: if errors are twice as large as stated, coverage falls to the theoretical value."""
     case = script.CASES[0]
     truth = {name: script.TRUTH[name] for name in case.unknown}
     calibration, sigma = case.calibration()
@@ -71,8 +71,8 @@ def test_intervals_that_are_too_narrow_are_found_out(script):
         assert own.rate("linearised") < stats.binom.ppf(5e-4, 40, 0.95) / 40
 
 
-def test_the_table_of_the_page_is_the_script_s(script):
-    """The page's table has the rows of the cases, and says of every rate that it is 95 % within 3."""
+def test_the_page_has_the_table_of_the_script(script):
+    """The page's table has a row for each case and unknown, with rates of 95 % within 3."""
     page = (ROOT / "docs" / "calibration.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\|(.*)\| `([\w.]+)` \| in (\d+) \| (.*) \|$", page, flags=re.MULTILINE)
     assert [name for _, name, _, _ in rows] == [name for case in script.CASES for name in case.unknown]

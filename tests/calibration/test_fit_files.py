@@ -22,7 +22,7 @@ def test_a_fit_survives_its_file(fitted, tmp_path):
     assert again.correlations == fitted.correlations
 
 
-def test_what_a_file_cannot_say_is_refused(fitted, tmp_path):
+def test_a_loaded_fit_cannot_compute_further(fitted, tmp_path):
     again = po.Fit.load(fitted.save(tmp_path / "fit.json"))
     with pytest.raises(po.InputError, match=r"profile intervals of level 0\.8"):
         again.intervals(0.8)

@@ -1,4 +1,4 @@
-"""The optimum against a search without derivatives on losses written apart; derivatives against differences."""
+"""The optimum against a derivative-free search on independently written losses; outliers and bounds."""
 
 import re
 from pathlib import Path
@@ -25,7 +25,7 @@ def residuals(measured):
     return of
 
 
-# The losses of docs/calibration.md, r -> rho, written apart from the package.
+# The losses of docs/calibration.md, r -> rho, written independently of the package.
 WRITTEN = {
     "squares": lambda r: r**2 / 2,
     "huber": lambda r: np.where(np.abs(r) <= 1.345, r**2 / 2, 1.345 * np.abs(r) - 1.345**2 / 2),
@@ -53,7 +53,7 @@ def test_optimum_is_that_of_a_simplex_search(measured, three, loss):
     assert fit.total == pytest.approx(found.fun, rel=1e-12)
 
 
-def test_exact_data_give_the_truth_back(plane, three):
+def test_exact_data_give_the_true_values(plane, three):
     conditions, exact, _ = plane
     fit = po.calibrate(steady_scene(), po.Measurements("mean_draft", exact, conditions), three)
     for name, value in fit.values.items():
@@ -63,7 +63,7 @@ def test_exact_data_give_the_truth_back(plane, three):
 
 
 @pytest.mark.parametrize("loss", LOSSES)
-def test_a_loss_fits_its_weight_and_its_curvature(loss):
+def test_weight_and_curvature_are_the_derivatives_of_a_loss(loss):
     own, step = LOSSES[loss], 1e-5
     for r in (-7.0, -1.0, 0.3, 1.2, 3.0):
         slope = (own.value(r + step) - own.value(r - step)) / (2.0 * step)
@@ -88,7 +88,7 @@ def test_outliers_pull_a_robust_fit_less(plane, three):
     assert any("the stated sigma" in warning for warning in plain.warnings)
 
 
-def test_a_bound_that_holds_is_reported(measured, three):
+def test_an_unknown_at_its_bound_gives_a_warning(measured, three):
     fit = po.calibrate(steady_scene(), measured, three | {"soil.tool_friction": (0.7, 1.5)})
     assert fit.values["soil.tool_friction"] == pytest.approx(0.7, abs=1e-6)
     assert any("soil.tool_friction is at its lower bound 0.7" in warning for warning in fit.warnings)

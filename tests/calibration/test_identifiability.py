@@ -32,7 +32,7 @@ def test_no_draft_separates_cohesion_and_ambient_pressure(confounded):
     assert {more, less} == set(found.changes)
 
 
-def test_what_is_not_determined_has_no_finite_interval(confounded):
+def test_undetermined_unknowns_have_infinite_intervals(confounded):
     determined = {found.name: found.determined for found in confounded.unknowns}
     assert determined == {"soil.cohesion": False, "soil.ambient_pressure": False, "soil.tool_friction": True}
     for kind in ("profile", "linearised"):
@@ -44,7 +44,7 @@ def test_what_is_not_determined_has_no_finite_interval(confounded):
     assert np.all(np.isfinite([row.standard_error for row in confounded.rows]))
 
 
-def test_what_is_determined_is_as_if_the_other_were_known(confounded, measured):
+def test_an_undetermined_unknown_does_not_change_the_others(confounded, measured):
     """Along the undetermined direction nothing changes, so that fixing one of the two changes no other result."""
     fixed = {name: STRENGTH[name] for name in ("soil.cohesion", "soil.tool_friction")}
     fit = po.calibrate(steady_scene(), measured, fixed)
@@ -58,7 +58,7 @@ def test_what_is_determined_is_as_if_the_other_were_known(confounded, measured):
     assert own_high == pytest.approx(high, abs=0.03 * (high - low))
 
 
-def test_at_one_wedge_angle_another_one_helps_most():
+def test_data_at_one_wedge_angle_ask_for_another():
     """At one wedge angle cohesion and tool friction are one factor; a coated share or another angle separates them."""
     conditions, exact = drafts(np.linspace(0.8, 3.0, 8), [po.deg(40.0)])
     unknown = {name: BOUNDS[name] for name in ("soil.cohesion", "soil.tool_friction")}
@@ -90,7 +90,7 @@ def test_an_unknown_without_effect_is_named(measured):
     assert fit.values["scene.stiffness"] == pytest.approx(5e4, rel=1e-3)
 
 
-def test_all_six_at_once_are_sorted(measured):
+def test_six_unknowns_are_separated_into_determined_and_undetermined(measured):
     fit = po.calibrate(steady_scene(), measured, BOUNDS)
     # Of F0's strength, the drag beside it, tool friction and rate term the data determine four combinations of six.
     assert sum(found.structural for found in fit.unidentifiable) == 2
@@ -103,7 +103,7 @@ def test_all_six_at_once_are_sorted(measured):
     assert best.words().startswith(best.candidate.describe())
 
 
-def test_an_unknown_that_was_measured_itself_settles_it(measured):
+def test_a_direct_measurement_of_an_unknown_determines_all(measured):
     shear = po.Measurements("soil.ambient_pressure", [60e3], sigma=2e3, name="shear test")
     fit = po.calibrate(steady_scene(), [measured, shear], STRENGTH)
     assert fit.unidentifiable == ()

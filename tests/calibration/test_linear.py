@@ -1,4 +1,4 @@
-"""Where the model is linear in its unknowns: linear regression in closed form."""
+"""A model that is linear in its unknowns, against linear regression in closed form."""
 
 import numpy as np
 import pytest
@@ -87,7 +87,7 @@ def test_leaving_one_out_is_the_hat_matrix(both):
     assert found.rms["mean_draft"] > found.rms_fitted["mean_draft"]
 
 
-def test_a_next_measurement_does_what_it_promises(regression):
+def test_a_next_measurement_reduces_the_errors_as_predicted(regression):
     speeds, _, sigma, offset, matrix = regression
     scene = linear_scene(20e3, 1400.0, 2.0)
     exact = offset + matrix @ [20e3, 1400.0]
@@ -105,7 +105,7 @@ def test_a_next_measurement_does_what_it_promises(regression):
         assert after == pytest.approx(then.standard_errors[name], rel=1e-5)
 
 
-def test_a_row_of_weight_zero_is_as_if_left_out(regression):
+def test_a_row_of_weight_zero_equals_no_row(regression):
     speeds, values, _, _, _ = regression
     weights = np.ones(len(values))
     weights[3] = 0.0

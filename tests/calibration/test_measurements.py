@@ -1,4 +1,4 @@
-"""Measurements from Python and from CSV files: right ones, and what is wrong with others."""
+"""Measurements from Python and from CSV files: valid ones, and messages about mistakes."""
 
 import math
 
@@ -99,7 +99,7 @@ def test_every_mistake_is_listed(written):
     assert [f"line {k}," in line for k, line in enumerate(lines[:8], start=2)] == [True] * 8
 
 
-def test_files_that_are_none(tmp_path, written):
+def test_missing_folders_and_binary_files_are_refused(tmp_path, written):
     written(HEADER + ROWS)
     with pytest.raises(po.InputError, match=r"there is no file .*did you mean 'draft.csv'"):
         po.read_measurements(tmp_path / "drafts.csv")
@@ -129,7 +129,7 @@ def test_files_that_are_none(tmp_path, written):
         (("mount_force", [1.0]), {"time": [-1.0]}, "time = -1 must be at least 0"),
     ],
 )
-def test_measurements_that_cannot_be(arguments, keywords, words):
+def test_invalid_measurements_are_refused(arguments, keywords, words):
     with pytest.raises(po.InputError) as refusal:
         po.Measurements(*arguments, **keywords)
     assert words in str(refusal.value)

@@ -58,7 +58,7 @@ def test_the_calibrated_scene_predicts_the_record(from_record, record):
     assert "record" in from_record.soil.source
 
 
-def test_slopes_of_a_record_are_those_of_differences(from_record):
+def test_derivatives_of_a_record_agree_with_differences(from_record):
     problem, y, step = from_record.source.setup.problem, np.array([0.3, 0.4]), 1e-5
     slope = problem.at(y)[1]
     for k, by in enumerate(step * np.eye(2)):
@@ -67,7 +67,7 @@ def test_slopes_of_a_record_are_those_of_differences(from_record):
         np.testing.assert_allclose(slope[:, k], difference, rtol=1e-5, atol=1e-7 * np.max(np.abs(difference)))
 
 
-def test_neighbours_that_depend_on_each_other_are_reported(record):
+def test_correlated_residuals_give_a_warning(record):
     times, exact, _ = record
     drift = 60.0 * np.sin(2.0 * np.pi * times / 0.17)
     data = po.Measurements("mount_force", exact + drift, time=times, name="drifting")
@@ -87,7 +87,7 @@ def test_mean_drafts_of_runs_under_a_strength_wave(motion):
     assert fit.values["soil.cohesion"] == pytest.approx(20e3, rel=1e-5)
 
 
-def test_reading_between_outputs_is_exact_for_polynomials():
+def test_interpolation_is_exact_for_polynomials():
     places = np.array([0.0, 0.013, 0.5, 0.777, 0.999, 1.0])
     matrix = interpolation(places, 20)
     grid = np.linspace(0.0, 1.0, 21)

@@ -34,7 +34,7 @@ def folder(around_r1, tmp_path_factory):
 
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="no make")
-def test_its_own_makefile_finds_pythons_numbers(folder):
+def test_the_makefile_compares_with_pythons_numbers(folder):
     """The steps of a user; values and Jacobian are held against Python's, written as hexadecimal floats."""
     done = _run("make", folder=folder)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -126,7 +126,7 @@ def test_a_result_that_is_not_finite_gives_a_status(r1_scene, tmp_path):
     assert [_called(share.share_evaluate, [height], 1)[0] for height in (0.26, 0.24)] == [0, 3]
 
 
-def test_a_quasi_static_scene_and_the_linear_response_have_c(r1_scene, r1_wave, tmp_path):
+def test_a_quasi_static_scene_and_the_linear_response_are_written_as_c(r1_scene, r1_wave, tmp_path):
     for name, duration, effects in (
         ("main", 2.0, {"motion": False, "strength_wave": r1_wave}),
         ("linear", None, {"orbit": "linearised", "strength_wave": r1_wave, "damping": 300.0}),
@@ -138,7 +138,7 @@ def test_a_quasi_static_scene_and_the_linear_response_have_c(r1_scene, r1_wave, 
         assert done.returncode == 0, done.stdout
 
 
-def test_what_cannot_be_is_refused_and_nothing_is_written(around_r1, r1_scene, r1_wave, tmp_path):
+def test_invalid_exports_are_refused_and_write_nothing(around_r1, r1_scene, r1_wave, tmp_path):
     (tmp_path / "taken").mkdir()
     with pytest.raises(po.InputError, match="exists already and is left as it is"):
         write_c(around_r1, tmp_path / "taken")
@@ -158,7 +158,7 @@ def test_what_cannot_be_is_refused_and_nothing_is_written(around_r1, r1_scene, r
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
-def test_it_is_c_plus_plus_too(folder, tmp_path):
+def test_the_files_compile_as_c_plus_plus(folder, tmp_path):
     command = ("g++", "-x", "c++", "-std=c++20", *STRICT[1:-1], "-O0", "-o", tmp_path / "t")
     done = _run(*command, "share.c", "share_test.c", "-lm", folder=folder)
     assert (done.returncode, done.stderr) == (0, "")

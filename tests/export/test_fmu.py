@@ -1,4 +1,4 @@
-"""FMUs, exercised by FMPy: valid, and the same motion as `po.simulate` has."""
+"""FMUs, simulated by FMPy: valid, with the motion of `po.simulate`."""
 
 import dataclasses
 
@@ -133,7 +133,7 @@ def test_another_scene_by_its_parameters_starts_from_its_own_equilibrium(r1_soil
         "strut_speed": (7.2, "km/h"),
     }
     fmu = write_fmu(first, tmp_path / "share.fmu", steel_density=7850.0)
-    told = {
+    calculated = {
         "share.half_angle": second.cone.half_angle,
         "share.loosened_radius": second.loosened_radius,
         "share.static_resistance": second.reaction.static,
@@ -141,10 +141,10 @@ def test_another_scene_by_its_parameters_starts_from_its_own_equilibrium(r1_soil
         "share.added_mass": second.reaction.added_mass,
     }
     run = po.simulate(second, DURATION, accuracy=REFERENCE, outputs=200)
-    found = simulated(fmu, DURATION, start_values=values, output=[*ARRAYS, *told])
+    found = simulated(fmu, DURATION, start_values=values, output=[*ARRAYS, *calculated])
     assert max(differences(found, run).values()) < WITHIN
     # Angles in degrees and speeds in km/h come back with an error of rounding.
-    for name, value in told.items():
+    for name, value in calculated.items():
         assert found[name][0] == pytest.approx(value, rel=1e-13)
     # The start is not an integration: the steady deflection of (27) to rounding.
     assert found["deflection"][0] == pytest.approx(second.steady_resistance / second.stiffness, rel=1e-13)
@@ -174,7 +174,7 @@ def ramped(time, speed=1.5, ramp=0.4):
     return speed * u**3 * (10.0 + u * (6.0 * u - 15.0))
 
 
-def test_a_signal_of_speed_is_a_tow_ramp(waved, waved_fmu):
+def test_a_speed_signal_equals_a_tow_ramp(waved, waved_fmu):
     scene = dataclasses.replace(waved, effects=dataclasses.replace(waved.effects, tow_ramp=0.4))
     run = po.simulate(scene, DURATION, accuracy=REFERENCE, outputs=200)
     found = driven(waved_fmu, "strut_speed", ramped, output=[*ARRAYS, "strut_position"])
@@ -190,7 +190,7 @@ def test_a_signal_of_speed_is_a_tow_ramp(waved, waved_fmu):
         pytest.param("resisting", id="resisting", marks=pytest.mark.slow),
     ],
 )
-def test_a_position_that_grows_evenly_is_a_tow_speed(contact, tmp_path):
+def test_a_linear_position_equals_a_tow_speed(contact, tmp_path):
     scene = scene_with(po.Effects(strength_wave=WAVE, contact=contact))
     fmu = write_fmu(scene, tmp_path / "share.fmu", strut="position")
     assert validate_fmu(str(fmu)) == []

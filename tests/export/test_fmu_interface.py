@@ -1,4 +1,4 @@
-"""Interface of an FMU: units, derivatives, states, parameters outside their domain, and bad exports."""
+"""Interface of an FMU: units, derivatives, states, parameters outside their domain, and invalid exports."""
 
 import ctypes
 import re
@@ -94,7 +94,7 @@ def test_every_variable_is_described_and_every_quantity_has_its_unit(fmu):
     assert float(limits["share.wedge_angle"][1]) == np.pi / 2
 
 
-def test_what_is_off_is_absent(tmp_path):
+def test_effects_that_are_off_add_no_variables(tmp_path):
     bare = po.Effects(inertial_drag=False, added_mass=False, ambient_pressure=False)
     written = write_fmu(scene_with(bare), tmp_path / "bare.fmu", binary=False)
     names = {variable.name for variable in fmpy.read_model_description(str(written)).modelVariables}
@@ -198,7 +198,7 @@ def test_state_is_kept_and_serialised(instance):
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "told"),
+    ("name", "value", "words"),
     [
         ("soil.density_ratio", 1.0, "soil.density_ratio = 1 must be below 1"),
         ("scene.stiffness", 0.0, "scene.stiffness = 0 must be above 0"),
@@ -209,16 +209,16 @@ def test_state_is_kept_and_serialised(instance):
         ("strut_speed", np.inf, "must be finite"),
     ],
 )
-def test_parameters_outside_their_domain_are_refused(fmu, name, value, told):
+def test_parameters_outside_their_domain_are_refused(fmu, name, value, words):
     messages = []
     made, _ = instance_of(fmu, log=lambda *arguments: messages.append(arguments[-1].decode()))
     with pytest.raises(FMICallException):
         simulated(fmu, 0.1, fmu_instance=made, start_values={name: value})
-    assert told in messages[-1]
+    assert words in messages[-1]
     made.freeInstance()
 
 
-def test_what_is_not_allowed_now_is_refused(fmu):
+def test_calls_in_the_wrong_mode_are_refused(fmu):
     messages = []
     made, references = instance_of(fmu, log=lambda *arguments: messages.append(arguments[-1].decode()))
     force = references["mount_force"]
@@ -235,7 +235,7 @@ def test_what_is_not_allowed_now_is_refused(fmu):
     made.freeInstance()
 
 
-def test_warns_of_a_share_that_retreats_and_of_no_other(tmp_path, capsys):
+def test_a_retreating_share_is_logged(tmp_path, capsys):
     for effects, warned in (
         (po.Effects(start="rest"), True),
         (po.Effects(start="rest", contact=po.Smooth(0.1)), False),
@@ -294,7 +294,7 @@ def test_the_same_scene_gives_the_same_file(scene, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "options", "told"),
+    ("changes", "options", "words"),
     [
         ({"effects": po.Effects(motion=False)}, {}, "has nothing to integrate"),
         ({"effects": po.Effects(strength_wave=po.StrengthWave(0.3, 0.2), orbit="periodic")}, {}, "has no start"),
@@ -309,10 +309,10 @@ def test_the_same_scene_gives_the_same_file(scene, tmp_path):
         ({}, {"name": "two words"}, "must be a C identifier"),
     ],
 )
-def test_bad_exports_are_refused_and_change_no_file(changes, options, told, tmp_path):
+def test_bad_exports_are_refused_and_change_no_file(changes, options, words, tmp_path):
     path = tmp_path / "share.fmu"
     path.write_text("as it was")
-    with pytest.raises((po.InputError, po.DomainError), match=re.escape(told)):
+    with pytest.raises((po.InputError, po.DomainError), match=re.escape(words)):
         write_fmu(scene_with(**changes), path, **options)
     assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("share.fmu", "as it was")]
 

@@ -1,4 +1,4 @@
-"""OpenMDAO as the client: partials, units and bounds; docs/embedding.md has its driver at our optimum."""
+"""OpenMDAO as the client: partials and bounds; docs/embedding.md runs its driver, with units."""
 
 import importlib
 import subprocess
@@ -143,13 +143,13 @@ def test_a_result_that_is_not_finite_is_an_analysis_error(r1_scene):
         problem.run_model()
 
 
-def test_an_objective_that_is_no_output_is_refused(around_r1):
+def test_an_objective_must_be_an_output(around_r1):
     problem, share = _problem(around_r1)
     with pytest.raises(ValueError, match="no output is named 'cost': one of objective, mean_draft"):
         share.add_design(problem.model, "cost")
 
 
-def test_without_openmdao_the_extra_is_named(monkeypatch):
+def test_without_openmdao_its_extra_is_named(monkeypatch):
     for name in [*sys.modules]:
         if name.startswith(("openmdao", "plough_opt.exchange.export.openmdao")):
             monkeypatch.delitem(sys.modules, name)
@@ -159,7 +159,7 @@ def test_without_openmdao_the_extra_is_named(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["openmdao", "json", "class", "any", "function_component"])
-def test_a_name_of_another_module_or_of_a_class_that_is_needed_is_refused(small, tmp_path, name):
+def test_a_reserved_name_is_refused(small, tmp_path, name):
     with pytest.raises(po.InputError, match=f"a module cannot be named '{name}'"):
         write_openmdao(small(name), tmp_path / "new")
     assert not (tmp_path / "new").exists()

@@ -48,19 +48,19 @@ def test_another_process_without_plough_opt_evaluates_and_differentiates(around_
         assert (beside[0] - beside[1]) / (2e-4 * size) == pytest.approx(np.array(hessian)[k], rel=1e-5)
 
 
-def test_names_units_and_bounds_are_written_where_asked(around_r1, tmp_path):
-    path = tmp_path / "told" / "r1.json"
+def test_names_units_and_bounds_are_written_on_request(around_r1, tmp_path):
+    path = tmp_path / "new" / "r1.json"
     write_casadi(around_r1, tmp_path / "r1.casadi", path)
-    told = json.loads(path.read_text())
-    assert [(p["name"], p["argument"], p["unit"], p["lower"], p["upper"], p["value"]) for p in told["inputs"]] == [
+    written = json.loads(path.read_text())
+    assert [(p["name"], p["argument"], p["unit"], p["lower"], p["upper"], p["value"]) for p in written["inputs"]] == [
         (p.name, p.argument, p.unit, p.lower, p.upper, p.value) for p in around_r1.inputs
     ]
-    assert told["outputs"][3] == {
+    assert written["outputs"][3] == {
         "name": "loosened_radius", "argument": "loosened_radius", "unit": "m", "lower": 0.12, "upper": None,
         "value": around_r1.outputs[3].value, "size": 1,
     }  # fmt: skip
-    assert told["error_estimate"] == around_r1.error_estimate
-    assert told["steps"] == around_r1.accuracy.steps
+    assert written["error_estimate"] == around_r1.error_estimate
+    assert written["steps"] == around_r1.accuracy.steps
 
 
 def test_a_file_is_replaced_whole_and_a_folder_never(around_r1, tmp_path):
@@ -80,7 +80,7 @@ def test_a_file_is_replaced_whole_and_a_folder_never(around_r1, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["folder.casadi", "other.json", "r1.casadi", "r1.json"]
 
 
-def test_outside_its_bounds_there_is_nothing(around_r1, tmp_path):
+def test_outside_its_bounds_the_results_are_nan(around_r1, tmp_path):
     loaded = ca.Function.load(str(write_casadi(around_r1, tmp_path / "r1.casadi")))
     middle = [port.value for port in around_r1.inputs]
     for k, port in enumerate(around_r1.inputs):

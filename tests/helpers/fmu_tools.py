@@ -1,4 +1,4 @@
-"""FMPy, the client with which exported FMUs are exercised."""
+"""FMPy and SciPy as tools that import and simulate FMUs."""
 
 import ctypes
 
@@ -47,7 +47,7 @@ def differences(found, run, names=ARRAYS):
 
 
 class Stepped:
-    """An FMU that SciPy integrates: what a tool does that sets time and states, and finds events, by itself."""
+    """An FMU that SciPy integrates, like a tool that sets time and states and locates events itself."""
 
     def __init__(self, path):
         """Bring an instance to continuous time mode."""
@@ -80,9 +80,9 @@ class Stepped:
         return indicator
 
     def run(self, times, names, tolerance=1e-12, beside=0.0):
-        """Return variables at times, and the number of events; each event is handled some time beside its own."""
+        """Return variables at some times, and the number of events; events are handled with a delay ``beside``."""
         now, states, events = 0.0, self._vector(self.fmu.getContinuousStates, self.n), 0
-        told = []
+        values = []
         while now < times[-1]:
             found = solve_ivp(
                 self.rates,
@@ -97,7 +97,7 @@ class Stepped:
             end = found.t[-1]
             for time in times[(times >= now) & ((times < end) | (end >= times[-1]))]:
                 self._at(time, found.sol(time))
-                told.append(self.fmu.getFloat64([self.references[name] for name in names]))
+                values.append(self.fmu.getFloat64([self.references[name] for name in names]))
             now, states = end, found.y[:, -1]
             if found.status == 1:
                 events += 1
@@ -108,4 +108,4 @@ class Stepped:
                 self.fmu.enterContinuousTimeMode()
                 states = self._vector(self.fmu.getContinuousStates, self.n)
         self.fmu.freeInstance()
-        return dict(zip(names, np.array(told).T, strict=True)), events
+        return dict(zip(names, np.array(values).T, strict=True)), events

@@ -1,4 +1,4 @@
-"""Distributions of a soil: moments, truncation, correlation, samples that repeat, refusals with reasons."""
+"""Distributions of a soil: moments, truncation, correlation, repeatable samples, messages about mistakes."""
 
 import math
 
@@ -43,7 +43,7 @@ def test_marginals(marginal, wanted):
     assert spread == pytest.approx(wanted.std(), rel=1e-12)
 
 
-def test_new_distributions_of_scipy_serve_too():
+def test_new_distributions_of_scipy_work_too():
     new = stats.Normal(mu=po.deg(28), sigma=po.deg(3))
     assert Marginal(new, po.deg(22), po.deg(34)).quantile(0.3) == pytest.approx(
         Marginal(stats.norm(po.deg(28), po.deg(3)), po.deg(22), po.deg(34)).quantile(0.3), rel=1e-12
@@ -67,7 +67,7 @@ def test_samples_have_the_moments_and_rank_correlations_of_the_distribution():
     assert found == pytest.approx(2 / math.pi * math.asin(-0.4), abs=2e-3)
 
 
-def test_independent_draws_have_them_too():
+def test_independent_draws_follow_the_distribution():
     field = _field()
     samples = field.draw(20_000, seed=7)
     mean, spread = field.moments["cohesion"]

@@ -1,4 +1,4 @@
-"""Robust optima whose closed forms are known, found by the design's own solver.
+"""Robust optima with known closed forms, found by the design's own solver.
 
 The soil's properties stand for the uncertain numbers of textbook problems; no run takes part. They have one optimum
 each, which is found from the guess.
@@ -101,7 +101,7 @@ def test_worst_case_by_a_bound_is_the_middle_of_the_range():
     assert best.objective == pytest.approx((own.max() - own.min()) ** 2 / 4, abs=1e-8)
 
 
-def test_worst_case_over_a_set_rounded_off():
+def test_smoothed_worst_case_over_a_set():
     """Over the corners of a box the same optimum, by symmetry whatever the width."""
     d, x = _design()
     corners = FIELD.corners(0.9)

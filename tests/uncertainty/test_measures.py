@@ -1,4 +1,4 @@
-"""Measures of samples: values, derivatives, and how far rounding-off moves them."""
+"""Measures of samples: values, derivatives, and the bias of smoothing."""
 
 import casadi as ca
 import mpmath
@@ -48,7 +48,7 @@ def test_kernel_constants():
 # --- values ----------------------------------------------------------------------------------------------
 
 
-def test_sharp_values():
+def test_exact_values():
     values = np.array([3.0, 1.0, 4.0, 1.5, 9.0, 2.0, 6.0, 5.0, 3.5, 8.0])
     assert measures.expected(values) == pytest.approx(values.mean(), rel=1e-15)
     assert measures.standard_deviation(values) == pytest.approx(values.std(), rel=1e-15)
@@ -73,14 +73,14 @@ def test_cvar_is_the_minimum_over_the_threshold(level, width):
 
 
 @pytest.mark.parametrize("level", [0.5, 0.8, 0.95])
-def test_rounding_off_raises_cvar_within_its_bound(level):
+def test_smoothing_raises_cvar_within_its_bound(level):
     sharp = measures.cvar(SAMPLES, level)
     for width in (0.05, 0.2, 1.0):
         rounded = measures.cvar(SAMPLES, level, width=width)
         assert sharp - 1e-14 <= rounded <= sharp + measures.MOST_ROUNDING * width / (1.0 - level) + 1e-14
 
 
-def test_worst_is_sharp_where_the_next_is_two_widths_below():
+def test_worst_is_exact_if_the_next_is_two_widths_below():
     values = np.r_[SAMPLES, SAMPLES.max() + 1.0]
     assert measures.worst(values, width=0.4) == pytest.approx(values.max(), rel=1e-14)
     assert measures.worst(values, width=2.0) > values.max()
@@ -148,7 +148,7 @@ def test_gradient_and_hessian_against_differences_of_order_8(name):
     assert np.max(np.abs(found - wanted)) <= 2e-5 * np.max(np.abs(wanted)) + 1e-9
 
 
-def test_a_spread_of_none_has_finite_derivatives():
+def test_a_standard_deviation_of_zero_has_finite_derivatives():
     x = ca.MX.sym("x", 8)
     gradient = ca.Function("g", [x], [ca.gradient(measures.standard_deviation(x), x)])
     assert np.all(np.isfinite(np.asarray(gradient(np.full(8, 3.0)))))

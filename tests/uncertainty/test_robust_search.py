@@ -1,4 +1,4 @@
-"""Robust designs are searched over all their variables, and smoothed by the spread of their own results."""
+"""Robust designs are searched over all their variables, and smoothed according to the spread of their results."""
 
 import casadi as ca
 import numpy as np
@@ -52,7 +52,7 @@ def test_the_sharp_worst_case_is_searched_without_its_bound():
     assert best.objective <= by_hand.min() + 1e-9
 
 
-def test_widths_are_those_of_the_design_that_is_found():
+def test_widths_follow_from_the_design_that_is_found():
     """The loss is x^2/2 + 4/x times a number whose spread the design scales: far from the start, far from its width."""
     made = []
 

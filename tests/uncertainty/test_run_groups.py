@@ -1,4 +1,4 @@
-"""Runs of one structure in one program: mapped by one Function, with exact derivatives, and built in no time."""
+"""Runs of one structure in one program: mapped by one Function, with exact derivatives."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Problem files with an uncertain soil, from the command line: solved, verified, refused with line and reason."""
+"""Problem files with an uncertain soil, from the command line: solved, verified, mistakes reported with their line."""
 
 import contextlib
 import io
@@ -105,7 +105,7 @@ def test_tables_show_the_soil_both_designs_and_the_fresh_samples(found):
         assert words in out
 
 
-def test_the_optimum_is_the_one_that_the_samples_demand(found):
+def test_the_optimum_follows_from_the_samples(found):
     """The radius goes with the height alone, so the robust height follows from the samples' quantile."""
     height = found.best.variables["share.height"]
     radii = found.robust.values({"share.height": 1.0})["loosened_radius"]

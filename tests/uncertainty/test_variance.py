@@ -89,7 +89,7 @@ def test_correlated_properties_are_refused_or_taken_in_order():
 
 
 @pytest.mark.parametrize("samples", [0, 1, 100])
-def test_numbers_of_samples_that_cannot_be(samples):
+def test_the_number_of_samples_must_be_a_power_of_two(samples):
     with pytest.raises(po.InputError, match="power of two"):
         sobol_indices(_linear(), {}, samples=samples)
 

@@ -1,4 +1,4 @@
-"""Verification by fresh samples: values of a design for many soils, intervals, claims that do not hold."""
+"""Verification on fresh samples: values of a design in many soils, intervals, values that are not confirmed."""
 
 import numpy as np
 import pytest
@@ -52,7 +52,7 @@ def _alone(soil, **effects):
     "name",
     [pytest.param(name, marks=pytest.mark.slow if name in ("rest", "ramp", "smooth") else ()) for name in EFFECTS],
 )
-def test_values_over_samples_are_those_of_single_simulations(name):
+def test_values_over_samples_agree_with_single_simulations(name):
     _, robust = _robust(3, **EFFECTS[name])
     values = robust.values(AT)
     for k, soil in enumerate(robust.samples):
@@ -102,7 +102,7 @@ def test_intervals_hold_what_very_many_samples_give(quasi_static):
         assert check.high - check.low < 0.1 * abs(check.fresh)
 
 
-def test_what_the_optimiser_saw_and_the_bias_are_reported(quasi_static):
+def test_checks_report_the_optimisers_value_and_the_bias(quasi_static):
     _, robust, found = quasi_static
     check = found["draft", "mean of"]
     own, fresh = robust.values(AT)["draft"], found.values["draft"]

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import time
+from unittest.mock import Mock
 
 import casadi as ca
 import numpy as np
@@ -189,20 +190,21 @@ def test_cotton_without_a_damper_has_several_optima(cotton):
 # --- steps of integration ------------------------------------------------------------------------------------
 
 
-def test_steps_are_refined_until_the_objective_is_right(monkeypatch, build_r1):
-    builds = []
-    build_nlp = program_module.build_nlp
+@pytest.fixture
+def build_nlp(monkeypatch):
+    """Return a mock that records the calls of `build_nlp`."""
+    mock = Mock(wraps=program_module.build_nlp)
+    monkeypatch.setattr(program_module, "build_nlp", mock)
+    return mock
 
-    def counted(parts, y, p, steps):
-        builds.append(steps[0])
-        return build_nlp(parts, y, p, steps)
 
-    monkeypatch.setattr(program_module, "build_nlp", counted)
+def test_steps_are_refined_until_the_objective_is_right(monkeypatch, build_nlp, build_r1):
     monkeypatch.setattr(steps_module, "_PHASE_PER_STEP", 2.5)
     # The tolerance on derivatives is loose, because they would demand more steps at the start already.
     best = build_r1(wavelength=0.6, accuracy=po.Accuracy(derivatives=0.1)).design.solve()
-    assert len(builds) > 1
-    assert builds == sorted(builds)
+    steps = [call.args[3][0] for call in build_nlp.call_args_list]
+    assert len(steps) > 1
+    assert steps == sorted(steps)
     assert all(optimum.gap <= 1e-8 for optimum in best.local_optima)
     assert best.objective == pytest.approx(0.8250057092, rel=2e-10)
     assert not any("not reached" in warning for warning in best.warnings)
@@ -216,16 +218,11 @@ def test_steps_that_stay_too_coarse_are_reported(monkeypatch, build_r1):
     assert any("was not reached" in warning for warning in best.warnings)
 
 
-def test_a_looser_wanted_error_needs_no_refinement(monkeypatch, build_r1):
-    builds = []
-    build_nlp = program_module.build_nlp
-    monkeypatch.setattr(
-        program_module, "build_nlp", lambda *arguments: builds.append(arguments) or build_nlp(*arguments)
-    )
+def test_a_looser_wanted_error_needs_no_refinement(monkeypatch, build_nlp, build_r1):
     monkeypatch.setattr(steps_module, "_PHASE_PER_STEP", 1.5)
     best = build_r1(accuracy=po.Accuracy(error=1e-3)).design.solve(search="local")
     # The program and a rough one with two fifths of its steps, for the guess and for the minimum of its basin.
-    assert len(builds) <= 4
+    assert build_nlp.call_count <= 4
     assert best.gap <= 1e-3
 
 
@@ -293,10 +290,9 @@ def test_the_spread_over_tolerances_agrees_with_exact_runs():
     stiffness = d.variable("stiffness", guess=1e6, lower=8e5, upper=1.2e6, unit="N/m", log=True)
     d.minimise(po.simulate(_scene(stiffness, 0.0), 0.5).force_rms)
     best = d.solve()
-    variables = d._program.declared.variables
-    y = np.array([[v.scaled(best.variables[v.name]) for v in variables]])
-    values = [float(variables[0].unscaled(one)) for one in boxes(variables, y)[:, 0]]
-    exact = [po.simulate(_scene(value, 0.0), 0.5).force_rms for value in values]
+    (v,) = d.declared.variables
+    box = boxes([v], np.array([[v.scaled(best.variables["stiffness"])]]))[:, 0]
+    exact = [po.simulate(_scene(float(v.unscaled(y)), 0.0), 0.5).force_rms for y in box]
     # Twice a search's steps leave an error of about 1e-5.
     assert best.spread.median == pytest.approx(np.median(exact), rel=3e-5)
     assert best.spread.worst == pytest.approx(np.max(exact), rel=3e-5)

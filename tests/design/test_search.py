@@ -62,6 +62,19 @@ def test_all_basins_of_a_multimodal_objective_are_found(waves):
     assert best.search.followed > 100
 
 
+def test_ripples_over_a_small_feasible_region_are_searched_in_every_way():
+    d, x0, *others = design(**{f"x{k}": (0.3, 0.0, 1.0) for k in range(5)})
+    offsets = ca.vertcat(*others) - np.array([0.513, 0.583, 0.653, 0.723])
+    waves = 1.0
+    for offset in ca.vertsplit(offsets):
+        waves *= ca.cos(2.0 * math.pi * (offset + 0.3 * x0) / 0.02)
+    d.minimise(1.0 + x0 + ca.sumsqr(offsets) + 0.02 * (1.0 - waves))
+    # A ball that contains one design in 5000.
+    d.require("ball", ca.sumsqr(offsets), at_most=0.08**2)
+    # A higher ripple is found without the zoom, the scan for dips, or the search with x0 held at its bound.
+    assert d.solve(judge="bare").objective == pytest.approx(1.0, rel=1e-6)
+
+
 @pytest.mark.parametrize("search", ["near", "local"])
 def test_a_near_search_stays_in_the_basin_of_its_guess(waves, search):
     best = waves.solve(search=search)

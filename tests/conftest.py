@@ -43,7 +43,7 @@ ONE_OF = {
     "design/test_independent_motion": 3,
     "design/test_near::test_it_is_a_local_optimum_no_worse_than_the_guess_or_the_nearest_feasible_design": 3,
     "design/test_near::test_the_basin_of_a_guess_or_of_the_feasible_design_nearest_to_it_is_kept": 4,
-    "design/test_orbit_design::test_designs_without_an_orbit_are_passed_over": 3,
+    "design/test_orbit_design::test_designs_without_an_orbit_are_skipped": 3,
     "design/test_orbit_design::test_the_soft_and_the_stiff_branch_of_brute_force_are_found": 3,
     "design/test_search::test_a_search_keeps_the_amplitude_of_a_towed_share": 3,
     "design/test_search_reproductions::test_the_best_is_found": 2,

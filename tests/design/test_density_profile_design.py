@@ -1,4 +1,4 @@
-"""Scenes and designs in soil of a density profile, its parameters fixed, given per solve, or to be chosen."""
+"""Scenes and designs in soil with a density profile, whose parameters are fixed, given per solve, or variables."""
 
 import dataclasses
 
@@ -84,7 +84,7 @@ def test_a_profile_parameter_is_a_designs_parameter(sized, r1_soil, width):
 
 
 def test_a_profile_parameter_is_a_designs_variable(r1_soil, r1_wave):
-    """How far the soil is compacted: a denser core is easier to pass and dearer to have."""
+    """Choose how far to compact the soil: a denser core is easier to pass through but costs more."""
 
     def price(run, core):
         return run.mean_draft / 1e3 + ((core - 1500.0) / 300.0) ** 2

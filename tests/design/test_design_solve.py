@@ -1,4 +1,4 @@
-"""Solving: known optima without any run, problem R1 against its truth, and what a solve reports."""
+"""Solves of designs: optima known without a run, problem R1 against its truth, threads and interruptions."""
 
 import math
 import subprocess
@@ -16,7 +16,7 @@ from scipy.optimize import lsq_linear
 import plough_opt as po
 from plough_opt.design import ipopt
 
-# Truth of R1, ten digits: the objective's tenth digit is 6e-11 of it.
+# Optima of R1 to ten digits; half a unit of the last one is 6e-11 of the objective.
 TRUTH = [
     {"J": 0.8250057092, "stiffness": 5000.0},
     {"J": 0.8383450230, "stiffness": 500000.0},
@@ -78,7 +78,7 @@ def test_rosenbrock_with_log_scaled_variables():
     assert best.status == "solved"
 
 
-def test_an_objective_that_is_zero_at_the_start_does_no_harm():
+def test_an_objective_may_be_zero_at_the_start():
     d, x, y = design(x=(0.5, 0.0, 1.0), y=(0.5, 0.0, 1.0))
     d.minimise((x - y) + (x - 0.3) ** 2 - 0.04)
     best = d.solve()
@@ -137,7 +137,7 @@ def test_a_column_or_row_is_required_in_every_entry(stacked):
     assert limit.multiplier == pytest.approx(0.5, rel=1e-7)
 
 
-def test_a_requirement_that_is_no_expression_is_checked_all_the_same():
+def test_a_requirement_may_be_a_number():
     d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise((x - 0.25) ** 2)
     d.require("given", 3.0, at_most=4.0)
@@ -147,7 +147,7 @@ def test_a_requirement_that_is_no_expression_is_checked_all_the_same():
 
 
 @pytest.mark.parametrize("constant", [0.0, 1.0])
-def test_nothing_to_gain_is_still_a_design(constant):
+def test_a_constant_objective_leaves_a_feasible_design(constant):
     d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise(constant)
     d.require("least", x, at_least=0.7)
@@ -201,7 +201,7 @@ def test_the_order_of_declaration_does_not_matter():
     assert one.variables == pytest.approx(other.variables, rel=1e-7)
 
 
-def test_a_look_up_table_may_stand_in_the_objective():
+def test_an_objective_may_contain_a_lookup_table():
     table = ca.interpolant("table", "bspline", [np.linspace(0.0, 1.0, 21).tolist()], np.linspace(0.0, 1.0, 21) ** 2)
     d, x = design(x=(0.9, 0.0, 1.0))
     d.minimise(1.0 + table(x) - 0.5 * x)
@@ -342,7 +342,7 @@ def test_r1_solved_or_built_twice_gives_identical_numbers(r1, build_r1):
 # --- in threads, and interrupted ----------------------------------------------------------------------------
 
 
-# In a process of its own, whose output and errors threads must not lose.
+# Runs in a separate process, because an error in a thread must end it.
 SCRIPT = """
 from concurrent.futures import ThreadPoolExecutor
 import plough_opt as po

@@ -1,4 +1,4 @@
-"""The expert's own C in rk4.c, one design or a vector register of them at a time."""
+"""C as an expert writes it, in rk4.c: for one design or a vector register of designs at a time."""
 
 import ctypes
 import shutil
@@ -18,7 +18,7 @@ WIDTH = 8 if "avx512f" in _FLAGS else 4 if "avx2" in _FLAGS else 2
 
 
 class RK4:
-    """Mean and standard deviation of the deviation w of designs, from F0, Fd, M, k, z0, a row each."""
+    """Function of F0, Fd, M, k, z0, a row each, that returns mean and standard deviation of w of designs."""
 
     def __init__(self, *flags):
         with tempfile.TemporaryDirectory() as folder:
@@ -38,10 +38,10 @@ class RK4:
 
 
 def scalar():
-    """Return the one that takes a design at a time."""
+    """Return the function that integrates one design at a time."""
     return RK4()
 
 
 def vector():
-    """Return the one that takes a register of designs at a time."""
+    """Return the function that integrates a vector register of designs at a time."""
     return RK4(f"-DWIDTH={WIDTH}")

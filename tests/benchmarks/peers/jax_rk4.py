@@ -1,4 +1,4 @@
-"""The expert's JAX: classical Runge-Kutta under vmap and jit."""
+"""JAX as an expert writes it: classical Runge-Kutta under vmap and jit."""
 
 import math
 
@@ -8,7 +8,7 @@ from peers import r1
 
 jax.config.update("jax_enable_x64", True)
 _TURN = 2.0 * math.pi / r1.WAVELENGTH
-# Designs side by side whose states stay in the processor's nearest cache.
+# Designs side by side; their states fit into the processor's first cache.
 SIDE_BY_SIDE = 1024
 
 

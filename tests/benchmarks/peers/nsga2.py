@@ -1,4 +1,4 @@
-"""pymoo's NSGA-II on the front of R1 with a damper, over simulations that NumPy does for a whole population at once."""
+"""pymoo's NSGA-II on the front of R1 with a damper, with whole populations simulated by NumPy."""
 
 import math
 
@@ -46,13 +46,13 @@ def averages(designs, steps):
         w = w + h / 6.0 * (v + 2.0 * (v2 + v3) + v4)
         v = v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
     mean = total / (6.0 * steps)
-    # Of the damper's force the mean is what the deflection gained over the run.
+    # The mean of the damper's force is c times the change of the deflection over the run, divided by its duration.
     middle = stiffness * mean + DAMPING * w / r1.DURATION
     return z0 + mean, np.sqrt(np.maximum(squares / (6.0 * steps) - middle**2, 0.0))
 
 
 class Mount(Problem):
-    """Mean deflection and RMS force, a radius at least and a half angle at most."""
+    """Minimises mean deflection and RMS force, with a least radius and a largest half angle."""
 
     def __init__(self, steps):
         self.steps = steps
@@ -61,18 +61,18 @@ class Mount(Problem):
         super().__init__(n_var=3, n_obj=2, n_ieq_constr=2, xl=low, xu=high)
 
     def designs(self, x):
-        """Return designs of pymoo's variables, whose stiffness is a logarithm."""
+        """Return designs from pymoo's variables, one of which is the logarithm of the stiffness."""
         return np.column_stack([x[:, 0], x[:, 1], np.exp(x[:, 2])])
 
     def _evaluate(self, x, out, *_, **__):
         designs = self.designs(x)
         out["F"] = np.column_stack(averages(designs, self.steps))
-        # The middle one is the limit of R1 on the deflection, which is an objective here.
+        # The second one is the limit of R1 on the deflection, which is an objective here.
         radius, _, half_angle = r1.requirements(*designs.T, np.zeros(len(designs)))
         out["G"] = -np.column_stack([radius, half_angle])
 
 
 def front(steps, generations=100, population=100, seed=1):
-    """Return the objectives of the last population's efficient designs."""
+    """Return the objectives of the efficient designs in the last population."""
     found = minimize(Mount(steps), NSGA2(pop_size=population), ("n_gen", generations), seed=seed)
     return found.F

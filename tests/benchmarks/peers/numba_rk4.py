@@ -1,4 +1,4 @@
-"""The expert's Numba: classical Runge-Kutta of order 4 with a fixed number of steps."""
+"""Numba as an expert writes it: classical Runge-Kutta of order 4 with a fixed number of steps."""
 
 import math
 

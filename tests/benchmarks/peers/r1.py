@@ -1,4 +1,4 @@
-"""Problem R1 written out by hand for other tools, and its truth from a grid of simulations polished in long double."""
+"""Problem R1 written out for other tools, and its reference from a grid of simulations refined in long double."""
 
 import math
 from pathlib import Path
@@ -34,7 +34,7 @@ _RATE = _PHI / RATIO + _LOOSE ** (_NU / 2.0) + (1.0 - _LOOSE ** (_NU / 2.0 - 1.0
 
 
 def equation(angle, height, stiffness, m=np, cohesion=COHESION):
-    """Return F0, Fd, M, k and z0 of the equation of motion, by numpy or another module of its like."""
+    """Return F0, Fd, M, k and z0 of the equation of motion, by NumPy or a module with the same functions."""
     strength = _PHI * (_NU * AMBIENT + 2.0 * cohesion * math.cos(FRICTION) / (1.0 + _MU))
     slope = _slope(angle, m)
     face = math.pi * height**2 * slope * (slope + TOOL)
@@ -45,7 +45,7 @@ def equation(angle, height, stiffness, m=np, cohesion=COHESION):
 
 
 def requirements(angle, height, stiffness, mean, m=np):
-    """Return what must not be negative: loosened radius, mean deflection and half angle, relative to their limits."""
+    """Return the margins of loosened radius, mean deflection and half angle, relative to their limits."""
     slope = _slope(angle, m)
     radius = height * slope * math.sqrt(_LOOSE)
     return radius / 0.12 - 1.0, 1.0 - mean / stiffness / 0.15, 1.0 - m.arctan(slope) / math.radians(15.0)
@@ -57,7 +57,7 @@ def _slope(angle, m):
 
 
 def scaled(x):
-    """Return a design between 0 and 1, its stiffness by the logarithm."""
+    """Return a design scaled to 0 to 1, with the logarithm of the stiffness."""
     low, high = LOWER.copy(), UPPER.copy()
     low[2], high[2] = np.log(low[2]), np.log(high[2])
     return (np.array([x[0], x[1], math.log(x[2])]) - low) / (high - low)

@@ -1,4 +1,4 @@
-"""SciPy's integrators on the equation of motion of R1, as its users write it."""
+"""SciPy's integrators with the equation of motion of R1 as a user writes it."""
 
 import math
 
@@ -10,7 +10,7 @@ _TURN = 2.0 * math.pi / r1.WAVELENGTH
 
 
 def solve(p, method, tolerance, outputs=None, averages=True):
-    """Return mean and RMS force (None without their states) and the mount force at the outputs."""
+    """Return mean and RMS force (None if not integrated) and the mount force at the outputs."""
     static, drag, inertia, stiffness, z0 = (float(x) for x in p)
 
     def rates(t, y):

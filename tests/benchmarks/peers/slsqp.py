@@ -1,4 +1,4 @@
-"""SciPy's SLSQP with differences, on R1 and on five shares of it, with whatever simulates them."""
+"""SciPy's SLSQP with finite differences, on R1 and on five shares, with any simulation."""
 
 import math
 
@@ -7,7 +7,7 @@ from peers import r1
 from scipy.optimize import minimize
 
 _CONVERGED = 1e-11
-# Five shares across a field that hardens: ten variables, coupled by what they loosen together.
+# Five shares across a field whose cohesion grows: ten variables, coupled by the mean loosened radius.
 COHESIONS = tuple(r1.COHESION * (0.8 + 0.1 * k) for k in range(5))
 STIFFNESS, MEAN_RADIUS = 5e4, 0.12
 
@@ -21,7 +21,7 @@ def minimised(values, start):
     """
     known = {}
 
-    def at(y):  # objective and constraints ask for the same designs
+    def at(y):  # SLSQP evaluates objective and constraints at the same designs
         key = y.tobytes()
         if key not in known:
             known[key] = np.asarray(values(y))
@@ -74,14 +74,14 @@ def best(averages):
 
 
 def five_requirements(angles, heights, means):
-    """Return what must not be negative of five shares: mean loosened radius, deflections and half angles."""
+    """Return the margins of five shares: mean loosened radius, deflections and half angles."""
     parts = np.array([r1.requirements(*x, STIFFNESS, mean) for *x, mean in zip(angles, heights, means, strict=True)])
     radii, deflections, half_angles = parts.T
     return [np.mean(radii), *deflections, *half_angles]
 
 
 def five_shares(averages):
-    """Return angles and heights, in a row, and the objective of five shares."""
+    """Return (angles and heights, objective) of five shares."""
     low, high, start = (np.repeat(x[:2], len(COHESIONS)) for x in (r1.LOWER, r1.UPPER, r1.START))
 
     def values(y):

@@ -29,8 +29,8 @@ _STEP_ATTEMPTS = 6
 _EVENT_REFINEMENT = 4
 # A stand-in that differs more than this from the periodic orbit carries a warning.
 _FAR_FROM_ORBIT = 1e-2
-# If the check is finer than the run, their difference is the run's error less that of the check, about a sixth of it.
-# Across a kink both errors are irregular: under smooth contact the difference was at least 1/1.3 of the error.
+# If the check is finer than the run, their difference is less than the run's error by that of the check, about a sixth.
+# Across a kink both errors are irregular: under smooth contact the difference alone was at least 1.3 times the error.
 _MARGIN = 2.0
 # Rounding of the moments at which a share stops for a thousandth of the run or less, as it grows afterwards.
 _EVENT_ROUNDING = 1e-11

@@ -28,10 +28,10 @@ Progress = Callable[[int, int, int], None]
 _TASK_SECONDS = 0.25
 # Time [s] after which a worker returns the points done so far.
 _BUDGET = 0.5
-# Number of points of the first task: of evaluations of single points, and of many points at once.
-_FIRST_SIZE: Final = (1, 64)
-# The same of the largest task.
-_LARGEST_SIZE: Final = (4096, 2048)
+# Numbers of points of the first task and of the largest one.
+_SIZES: Final = (1, 4096)
+# The same for evaluations of many points at once.
+_SIZES_OF_MANY: Final = (64, 2048)
 # A task is at most this factor larger than the one before.
 _GROWTH: Final = 4
 # Time [s] for which the loop waits for results before it looks at the clock and at other runs.
@@ -66,7 +66,11 @@ class _Task:
 
 
 class Engine:
-    """A sweep under way."""
+    """A sweep under way.
+
+    It submits more tasks than there are workers, so that none waits. Tasks whose workers died are submitted again, and
+    points that may have killed them are tried alone at the end.
+    """
 
     def __init__(
         self,
@@ -82,14 +86,13 @@ class Engine:
         self._most_under_way = 2 * workers + 2
         self._progress = progress
         self._key = uuid.uuid4().hex
-        self._kind = int(isinstance(evaluation, ManyPoints))
-        self._size = _FIRST_SIZE[self._kind]
+        self._size, self._largest = _SIZES_OF_MANY if isinstance(evaluation, ManyPoints) else _SIZES
         self._under_way: dict[Future[Done], _Task] = {}
         self._retries: deque[_Task] = deque()
         self._single_points: deque[_Task] = deque()
         self._stored, self._failed, _ = store.counts()
         self._renewed = time.monotonic()
-        self._returned = False
+        self._returned = False  # whether a task has returned
 
     def run(self) -> None:
         """Evaluate every point that is not stored yet.
@@ -104,7 +107,7 @@ class Engine:
                     self._collect(wait(self._under_way, timeout=_WAIT, return_when=FIRST_COMPLETED).done)
                     if isinstance(self._executor, Cluster):
                         self._executor.check()
-                else:
+                else:  # other runs still work on the last points
                     time.sleep(_WAIT)
                     self._count()
                     self._show()
@@ -165,7 +168,7 @@ class Engine:
         self._returned = True
         each = done.seconds / done.points
         wanted = int(min(_TASK_SECONDS / max(each, 1e-9), _GROWTH * self._size))
-        self._size = max(1, min(wanted, _LARGEST_SIZE[self._kind]))
+        self._size = max(1, min(wanted, self._largest))
 
     def _keep(self, task: _Task, done: Done, without: State = "failed") -> None:
         """Store finished points; those without results get the given state."""

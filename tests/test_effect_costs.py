@@ -7,8 +7,9 @@ import pytest
 
 import plough_opt as po
 from plough_opt.app import main
-from plough_opt.motion.effect_costs import effect_costs
+from plough_opt.motion import effect_costs, following
 from plough_opt.motion.equation import equation_of_motion
+from plough_opt.motion.integrators import integration
 from plough_opt.motion.runge_kutta import step
 from plough_opt.motion.terms import Structure
 
@@ -24,7 +25,7 @@ SCENE = po.Scene(
 
 @pytest.fixture(scope="module")
 def costs():
-    return {cost.name: cost for cost in effect_costs(SCENE, 0.1)}
+    return {cost.name: cost for cost in effect_costs.effect_costs(SCENE, 0.1)}
 
 
 def nodes(**changes):
@@ -67,9 +68,23 @@ def test_operations_are_those_of_the_steps_of_a_run_and_its_check(costs):
     assert costs["strength wave"].operations == operations() / operations(strength_wave=None)
 
 
+def test_operations_of_an_adaptive_method_are_those_of_the_run_and_its_check(monkeypatch):
+    tolerances = {following: [], effect_costs: []}
+    for module, seen in tolerances.items():
+
+        def noted(structure, accuracy, timeline, seen=seen):
+            seen.append(accuracy.tolerance)
+            return integration(structure, accuracy, timeline)
+
+        monkeypatch.setattr(module, "integration", noted)
+    slips = replace(SCENE, effects=replace(SCENE.effects, contact=po.StickSlip()))
+    effect_costs._operations(slips, 0.1)
+    assert sorted(tolerances[effect_costs]) == pytest.approx(sorted(tolerances[following][-2:]), rel=1e-12)
+
+
 def test_a_periodic_orbit_is_measured_too():
     orbit = replace(SCENE, effects=replace(SCENE.effects, orbit="periodic"))
-    found = {cost.name: cost for cost in effect_costs(orbit, None)}
+    found = {cost.name: cost for cost in effect_costs.effect_costs(orbit, None)}
     assert found["periodic orbit"].on
     assert not found["periodic orbit"].refused
     assert "has no start" in found["start at rest"].refused

@@ -34,9 +34,9 @@ class Settled:
         if self.orbit:
             return f"comes to this orbit ({after} it is within {100.0 * self.distance:.1g} % of the orbit's range)"
         if self.orbit is None:
-            return f"has not settled {after}, over the last {self.averaged} of RMS {self.force_rms:.4g} N{back}"
+            return f"has not settled {after}; RMS over the last {self.averaged}: {self.force_rms:.4g} N{back}"
         if self.period is None:
-            return f"is driven away without end ({after})"
+            return f"is driven away without bound ({after})"
         kind = "another motion of the wave's own period" if self.period == 1 else f"a period-{self.period} motion"
         return f"comes to {kind} of RMS {self.force_rms:.4g} N{back} ({after})"
 

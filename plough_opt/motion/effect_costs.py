@@ -18,7 +18,16 @@ from plough_opt.motion.assembly import GAUSS_POINTS, MORE_POINTS
 from plough_opt.motion.effects import TERMS, Effects, Entry
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.integrators import integration
-from plough_opt.motion.plan import MOST_ADAPTIVE, OUTPUTS, coarser, forced_rate, numbers_of, steps_for, timeline_of
+from plough_opt.motion.plan import (
+    MOST_ADAPTIVE,
+    OUTPUTS,
+    RUN_TOLERANCE,
+    coarser,
+    forced_rate,
+    numbers_of,
+    steps_for,
+    timeline_of,
+)
 from plough_opt.motion.runge_kutta import step
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure, resistance
@@ -123,8 +132,8 @@ def _operations(scene: Scene, duration: float | None) -> int:
         return (steps + coarser(steps)) * int(step(structure).n_instructions())
     assert duration is not None
     assert accuracy.tolerance is not None
-    both = accuracy, replace(accuracy, tolerance=10.0 * accuracy.tolerance)  # about its check's: see `plan.checked`
-    return sum(_of_adaptive(scene, duration, one) for one in both)
+    check = replace(accuracy, tolerance=accuracy.tolerance / RUN_TOLERANCE)
+    return sum(_of_adaptive(scene, duration, one) for one in (accuracy, check))
 
 
 def _of_resistance(structure: Structure) -> int:

@@ -27,7 +27,7 @@ _NUMBER: Final = re.compile(r"\d[\d.e+-]*")
 def without_repetition(sentences: Sequence[str]) -> list[str]:
     """Return sentences without repetition.
 
-    Of sentences that differ in their numbers only, the first remains, with the number of the others.
+    Sentences that differ only in their numbers are reduced to the first one, which then states how many were omitted.
     """
     groups: dict[str, list[str]] = {}
     for text in dict.fromkeys(sentences):

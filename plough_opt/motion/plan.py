@@ -59,8 +59,8 @@ _MOST_STEPS = 4_000_000
 # Phase [rad] over a run that steps of order 8 resolve within seconds.
 _ORDER_8_PHASE = 4e5
 
-# An adaptive run takes this fraction of its check's tolerance. Its error is then about a tenth of the check's.
-_RUN_TOLERANCE = 0.2
+RUN_TOLERANCE = 0.2
+"""Tolerance of an adaptive run relative to that of its check, whose error is then about ten times as large."""
 # At the tightest tolerance an adaptive method needs about 100 steps per rad. It may take three times as many.
 _ADAPTIVE_PER_PHASE = 300.0
 # Steps that an adaptive method may take in addition, to get started.
@@ -307,7 +307,7 @@ def checked(method: str, wanted: float, p: Mapping[str, float], duration: float)
     The check's error is several times the run's, so their difference is no less than the error of the run.
     """
     chosen = automatic(method, wanted, p, duration)
-    return pair_of(chosen.steps) if chosen.steps else (finer(chosen, _RUN_TOLERANCE), chosen)
+    return pair_of(chosen.steps) if chosen.steps else (finer(chosen, RUN_TOLERANCE), chosen)
 
 
 @lru_cache(maxsize=256)

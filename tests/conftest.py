@@ -15,7 +15,7 @@ HERE = Path(__file__).parent
 
 @pytest.fixture
 def ctrl_c():
-    """Let Ctrl-C do here, and in processes that are started meanwhile, what it does at a terminal.
+    """Give Ctrl-C its usual effect here and in processes started meanwhile, as at a terminal.
 
     A shell that runs the tests in the background has them ignore it.
     """
@@ -26,13 +26,13 @@ def ctrl_c():
 
 @pytest.fixture(scope="session", autouse=True)
 def no_lines_that_depend_on_time():
-    """Let commands in this process be as silent on a busy machine as on an idle one."""
+    """Suppress progress lines, which commands write only on a busy machine."""
     before, heartbeat.INTERVAL = heartbeat.INTERVAL, 3600.0
     yield
     heartbeat.INTERVAL = before
 
 
-# Of how many cases of a parametrised test one runs by default, by file or by test; all run with the slow tests.
+# File or test -> n: by default only every n-th case of a parametrised test runs; the slow tests run all.
 ONE_OF = {
     "cli/test_cli::test_a_reader_that_has_seen_enough_is_no_error": 3,
     "cli/test_cli::test_a_title_in_another_script_is_printed_on_any_terminal": 2,
@@ -86,7 +86,7 @@ ONE_OF = {
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark as slow what `ONE_OF` leaves out by default, before pytest leaves out the slow tests."""
+    """Mark the cases that `ONE_OF` skips as slow, before pytest deselects the slow tests."""
     seen = collections.Counter()
     for item in items:
         if not isinstance(item, pytest.Function):
@@ -104,7 +104,7 @@ FLAGS = ("drag", "rate", "wave", "ramp", "damper", "rest")
 
 
 def _is_covering(drag, rate, wave, ramp, damper, rest):
-    # Eight of the sixty-four combinations: in any two of the flags all four settings occur.
+    # Eight of the 64 combinations, which contain all four settings of any two flags.
     return ramp == (drag ^ rate) and damper == (drag ^ wave) and rest == (rate ^ wave)
 
 
@@ -148,13 +148,13 @@ def r1_wave():
     ]
 )
 def combination(request):
-    """Which effects are on: a covering eight by default, all sixty-four with the slow tests."""
+    """Return which effects are on: by default eight combinations that cover all pairs, with the slow tests all 64."""
     return request.param
 
 
 @pytest.fixture
 def effects(combination):
-    """The keywords of `plough_opt.Effects` for a combination, all with strengths that matter."""
+    """Return the arguments of `plough_opt.Effects` for a combination, each strong enough to matter."""
     return {
         "inertial_drag": combination["drag"],
         "rate_term": 0.05 if combination["rate"] else None,

@@ -10,7 +10,7 @@ import pytest
 
 import plough_opt as po
 
-# Values of the named soils [kPa], as named and with 5 kPa of ambient pressure, computed apart from this package.
+# Cone index of the named soils [kPa], as named and with 5 kPa of ambient pressure, computed without this package.
 TABLE = {
     "loose sandy loam": (145.917971, 18.1231254),
     "firm sandy loam": (266.645682, 61.7095802),
@@ -38,7 +38,7 @@ def test_the_named_soils_have_the_published_values(name):
     light = dataclasses.replace(soil, ambient_pressure=5e3)
     # The table has nine digits.
     assert [po.cone_index(soil) / 1e3, po.cone_index(light) / 1e3] == pytest.approx(TABLE[name], rel=5e-9)
-    # Of 53 bits a dozen operations leave all but the last few.
+    # A dozen operations cost a few of the last bits.
     assert po.cone_index(soil) == pytest.approx(precise(soil), rel=2e-15)
 
 
@@ -47,7 +47,7 @@ def test_the_named_soils_have_the_published_values(name):
 def test_a_soil_from_a_cone_index_has_that_cone_index(adjust, reading):
     for name in TABLE:
         soil = po.Soil.from_cone_index(reading, soil=po.named_soil(name), adjust=adjust)
-        # A density ratio of 1 - 1e-4 has lost four of sixteen digits.
+        # For a density ratio of 1 - 1e-4 cancellation costs four of sixteen digits.
         assert po.cone_index(soil) == pytest.approx(reading, rel=1e-12)
         kept = dataclasses.asdict(po.named_soil(name))
         changed = {key for key, value in dataclasses.asdict(soil).items() if value != kept[key]}

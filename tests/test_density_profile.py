@@ -29,7 +29,7 @@ cavities = pytest.mark.parametrize(
 )
 profiles = pytest.mark.parametrize("name", DENSITIES)
 
-# An order with which all profiles but the bell are exact to rounding, and one that is enough for the bell.
+# Quadrature orders that are exact to rounding, for all profiles except the bell and for the bell.
 ENOUGH, PLENTY = 16, 24
 
 
@@ -38,7 +38,7 @@ def order_for(name):
 
 
 def radii(cavity, soil, count=5):
-    """Radii from the wall to the front; the front itself may be rounded outwards."""
+    """Return radii from the wall to the front, which may be rounded outwards."""
     return np.linspace(0.0, plastic.front_radius(cavity, soil), count)
 
 
@@ -62,7 +62,7 @@ def test_a_constant_profile_is_the_closed_form(b1, angle):
         assert plastic.front_speed(cavity, varied) == pytest.approx(plastic.front_speed(cavity, plain), rel=CONSTANT)
         found, wanted = (plastic.surface_pressure(cavity, soil) for soil in (varied, plain))
         p = plastic.wall_pressure(plain)
-        # The terms without their signs, which slowing down makes cancel.
+        # The sum of the terms' magnitudes, because the terms cancel under deceleration.
         inertial = p.rate * cavity.rate**2 + p.inertia * cavity.radius * abs(cavity.acceleration)
         assert found == pytest.approx(wanted, abs=CONSTANT * (p.strength + DENSITY * inertial))
     for quantity in (
@@ -73,7 +73,7 @@ def test_a_constant_profile_is_the_closed_form(b1, angle):
         assert quantity(varied) == pytest.approx(quantity(plain), rel=CONSTANT)
 
 
-# --- other ways to the same numbers -----------------------------------------------------------------------------------
+# --- independent computations -----------------------------------------------------------------------------------------
 
 
 @profiles
@@ -82,7 +82,7 @@ def test_values_against_75_digits(name, cavity):
     earth = ground(name)
     soil, precise = earth.soil(order_for(name)), earth.field(cavity.radius, cavity.rate, cavity.acceleration)
     front = float(precise.front)
-    # All that is summed has one sign but under deceleration, which makes inertia cancel to a tenth.
+    # The terms have one sign except under deceleration, where inertia cancels to a tenth.
     digits = 1e-14
     hp.assert_close(plastic.front_radius(cavity, soil), precise.front, digits, "front")
     hp.assert_close(plastic.front_speed(cavity, soil), precise.front_speed, digits, "front speed")
@@ -137,7 +137,7 @@ def test_the_error_falls_exponentially_and_its_estimate_is_reliable(name, motion
     above = error > 2e-14  # the others are rounding
     resolved = error[above]
     assert len(resolved) >= 2
-    # Four more nodes leave less than a fiftieth of the error, of the smooth profiles two more less than a hundredth.
+    # Four more nodes reduce the error at least 50 times; for smooth profiles two more do so at least 100 times.
     factor = 50.0 if name == "bell" else 100.0
     assert all(fine < coarse / factor for coarse, fine in pairwise(resolved))
     assert np.all(error[~above] <= 2e-14)
@@ -148,7 +148,7 @@ def test_the_error_falls_exponentially_and_its_estimate_is_reliable(name, motion
 
 @pytest.mark.parametrize("order", [4, 8])
 def test_the_error_is_estimated_up_to_the_front(order):
-    # The finer front may lie a little nearer, so that the coarse one is ahead of it.
+    # The front of the finer quadrature may be slightly nearer, so that the coarse front lies ahead of it.
     cavity, soil = CAVITIES["steady"], ground("bell").soil(order)
     precise = ground("bell").field(cavity.radius, cavity.rate, cavity.acceleration)
     front = plastic.front_radius(cavity, soil)

@@ -14,11 +14,11 @@ from plough_opt.soil.plastic import Cavity
 NAMES = ("c", "w", "r", "radius", "rate", "acceleration", "friction_angle", "cohesion")
 STATE = {"r": 0.06, "radius": 0.05, "rate": 0.5, "acceleration": 3.0, "friction_angle": 0.5, "cohesion": 2e4}
 
-# Some hundred roundings; the worst found is 1.1e-13, of an entry that is a hundredth of its terms.
+# Some hundred roundings; the largest error found is 1.1e-13, in an entry that is a hundredth of its terms.
 DIGITS = 3e-13
 
 
-# Weights of f(x + n h) - f(x - n h) in h f'(x), n from 1 to 4.
+# Weights of f(x + n h) - f(x - n h) in h f'(x) for n = 1 to 4.
 EIGHTH = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
 
 
@@ -49,7 +49,7 @@ PRECISE = {
 
 
 def precise(quantity, name):
-    """Return the same in 75 digits."""
+    """Return the same quantity as a function computed with 75 digits."""
 
     def apply(c, w, r, radius, rate, acceleration, friction_angle, cohesion):
         field = Ground(name, (c, w), friction_angle, cohesion).field(radius, rate, acceleration)
@@ -59,7 +59,7 @@ def precise(quantity, name):
 
 
 def cases():
-    """Yield quantities and profiles: the radial stress and what moves, each with one profile; all of them if slow."""
+    """Yield quantities and profiles: by default a few, each with one profile; with the slow tests all."""
     smooth = [name for name in DENSITIES if name != "bell"]
     default = {("radial", "exponential, b falling")}
     default |= {(quantity, "linear, b falling") for quantity in ("front_speed", "particle_acceleration")}
@@ -79,7 +79,7 @@ def test_value_gradient_and_hessian(quantity, name):
         found = hp.differentiated(function, symbol, len(point))(point)
         hp.assert_close(found[0], value, 1e-14, "value")
         for i, own in enumerate(NAMES):
-            # Below 1e-18 a zero is blurred by the differences.
+            # The differences turn an exact zero into numbers below 1e-18.
             assert float(found[1][i]) == pytest.approx(float(gradient[i]), rel=DIGITS, abs=1e-18), own
             for j, other in enumerate(NAMES):
                 wanted = float(hessian[i][j])
@@ -90,7 +90,7 @@ def test_value_gradient_and_hessian(quantity, name):
     "name", [pytest.param("exponential, b rising", marks=pytest.mark.slow), "quadratic, b falling"]
 )
 def test_derivatives_of_the_resistance_in_everything_a_design_varies(name):
-    """Central differences of eighth order: rounding of the value over a step of 2e-3."""
+    """Compare with central differences of order 8, whose error is the rounding of the value over a step of 2e-3."""
     point = np.array([*DENSITIES[name][1], 0.2, 0.3, 2.0, 3.0, 0.5, 2e4])
 
     def force(c, w, half_angle, height, speed, acceleration, friction_angle, cohesion):
@@ -101,7 +101,7 @@ def test_derivatives_of_the_resistance_in_everything_a_design_varies(name):
     value, gradient, hessian = function(point)
     assert value == pytest.approx(force(*point), rel=1e-14)
     assert hp.differentiated(force, ca.SX, len(point))(point)[0] == pytest.approx(force(*point), rel=1e-14)
-    # Along two directions, in which every number counts.
+    # Along two directions in which every number varies.
     for along in np.array([[1.0, -0.8, 0.6, 0.9, -0.7, 0.5, 1.0, -0.6], [-0.6, 0.7, 1.0, -0.5, 0.8, 0.9, -1.0, 0.7]]):
         step = 2e-3 * point * along
 
@@ -118,7 +118,7 @@ def test_derivatives_of_the_resistance_in_everything_a_design_varies(name):
 
 @pytest.mark.parametrize("place", [0.0, 1.0])
 def test_slopes_at_wall_and_front(place):
-    """The ends of the field, where its quadratures have no length or begin at the axis."""
+    """Compare at the ends of the field, where the quadratures have zero length or begin on the axis."""
     name, order = "linear, b rising", 16
     point = [*DENSITIES[name][1], *STATE.values()]
     point[2] = place * float(Ground(name, DENSITIES[name][1]).field(*hp.exact([0.05, 0.5, 3.0])).front)

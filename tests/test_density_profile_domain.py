@@ -1,4 +1,4 @@
-"""Density profiles that are refused, and where one has no compaction front."""
+"""Density profiles that are refused, or lack a compaction front."""
 
 import math
 
@@ -53,11 +53,11 @@ def test_an_expression_without_a_front_has_no_value(symbol):
 
 @pytest.mark.parametrize("filled", [0.5, 0.9, 0.99, 0.9999])
 def test_the_front_is_found_up_to_the_largest_cavity(filled):
-    # R^2 = w^2 (ln 2 - ln(1 + exp(-(r*/w)^2))), which the order must resolve: the front is up to 3 w away.
+    # R^2 = w^2 (ln 2 - ln(1 + exp(-(r*/w)^2))). The quadrature must resolve it: the front is up to 3 w away.
     soil = PLAIN.with_density_profile(*FALLING, order=40)
     found = plastic.front_radius(Cavity(0.1 * math.sqrt(math.log(2.0) * filled), 0.0, 0.0), soil)
     wanted = 0.1 * math.sqrt(-math.log(math.expm1(math.log(2.0) * (1.0 - filled))))
-    # Far out the soil is hardly denser than before, which magnifies the rounding of R by up to 1/(1 - b) = 1e4.
+    # Far out the soil is hardly compacted, which magnifies the rounding of R by up to 1/(1 - b) = 1e4.
     assert found == pytest.approx(wanted, rel=1e-15 / (1.0 - filled) + 1e-14)
 
 

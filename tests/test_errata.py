@@ -1,4 +1,4 @@
-"""Each erratum of the source: what is printed fails where what is derived holds, and by how much."""
+"""Errata of the source: the printed form fails where the derived form holds."""
 
 import math
 
@@ -38,7 +38,10 @@ NODES = [(0.0, 0.0), (LENGTH, SLOPE * LENGTH)]
 
 
 def imbalance_across(factor):
-    """Residual of d sigma_xy/dx + d sigma_yy/dy = rho V0^2 uy_xx over its largest term; sigma_xy times a factor."""
+    """Return the residual of d sigma_xy/dx + d sigma_yy/dy = rho V0^2 uy_xx over its largest term.
+
+    The shear stress sigma_xy is multiplied by a factor.
+    """
     at = ca.SX.sym("at", 2)
     found = elastic.wedge_stress(at[0], at[1], NODES, SOIL, SPEED)
     slope = elastic.wedge_gradient(at[0], at[1], NODES, SOIL, SPEED).uy_x
@@ -54,7 +57,7 @@ def test_2_lacks_a_factor_2():
 
 
 def test_3_and_4_are_the_axial_and_the_radial_displacement():
-    # Named the other way round they would give a body that sucks the soil in: beside it the first is not S/r.
+    # With the names exchanged the body would pull the soil inwards, because the first is not S/r near the axis.
     near = 1e-5
     found = elastic.cone_displacement(X, near, NODES, SOIL, SPEED)
     section = 0.5 * (SLOPE * X) ** 2
@@ -91,7 +94,7 @@ def test_10_as_printed_lets_cohesion_lower_the_pressure():
 
 @RADII
 def test_14_with_13_as_printed_contradict_each_other_by_twice_tau0(r):
-    """(13) holds as printed; (14) as printed is then wrong by 2 tau0/(1 + mu) (r*^nu - y^nu)/nu."""
+    """Equation (13) is correct as printed; (14) as printed is then wrong by 2 tau0/(1 + mu) (r*^nu - y^nu)/nu."""
     cohesive = TAU0 / (1 + MU) * (FRONT**NU - y(r) ** NU) / NU
     printed = -work(r, FRONT) + cohesive
     left = y(r) ** NU * sigma(r) - FRONT**NU * sigma(FRONT)
@@ -99,7 +102,7 @@ def test_14_with_13_as_printed_contradict_each_other_by_twice_tau0(r):
 
 
 def test_22_to_the_letter_is_far_off():
-    """Its sign, R for R^2 under the powers, h for r* as upper limit, and the tau0 term without 1/nu."""
+    """The errors: the sign, R for R^2 in the powers, h for r* as upper limit, and the tau0 term without 1/nu."""
     r, big_r, rate, rise = 0.5 * FRONT, CAVITY.radius, CAVITY.rate, CAVITY.acceleration
     height = CONE.height
     first = integral(lambda s: s / (B1 * s**2 + big_r) ** (1.0 - NU / 2.0), r, height)
@@ -113,7 +116,7 @@ def test_22_to_the_letter_is_far_off():
 
 
 def test_24_needs_the_ambient_pressure():
-    # A share at rest in soil without strength feels no net force: what presses on its face presses on its back.
+    # The net force on a share at rest in soil without strength is zero, because face and back are under equal pressure.
     weak = po.Soil(1350.0, 0.6, 0.0, 0.0, 0.5, PA)
     assert po.resistance(CONE, weak, 0.0, 0.0) == pytest.approx(0.0, abs=1e-12 * PA * CONE.height**2)
 
@@ -140,7 +143,7 @@ def test_27_with_its_printed_spring_runs_away():
     scene, printed = motion(po.Printed(pi_twice=False, one_third=False), 0.3)
     _, derived = motion("derived", 0.3)
     omega = scene.natural_frequency
-    # z'' = F0/M + omega^2 z grows like cosh and sinh of omega t, for ever.
+    # The solution of z'' = F0/M + omega^2 z grows without bound, like cosh and sinh of omega t.
     rest = scene.reaction.static / 5e4
     grown = rest * (math.cosh(omega * 0.3) - 1.0) + 2.0 / omega * math.sinh(omega * 0.3)
     assert printed.deflection[-1] == pytest.approx(grown, rel=1e-7)

@@ -1,4 +1,4 @@
-"""The examples of docstrings: each public name has one, and all of them say what the package does."""
+"""Examples in docstrings: every public name has one, and all give the results shown."""
 
 import doctest
 import importlib
@@ -39,7 +39,7 @@ def test_each_public_name_has_an_example(name):
 def test_examples_run_as_shown(name, monkeypatch):
     monkeypatch.chdir(ROOT)  # where its problem files are
     one = EXAMPLES[name]
-    # As in a program of the user: its warnings are for what the user gives.
+    # Run as a user's program, because some warnings appear only for values that a user passes.
     one.globs = {**one.globs, "__name__": "__main__"}
     said = []
     results = doctest.DocTestRunner().run(one, out=said.append)

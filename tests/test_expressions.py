@@ -1,4 +1,4 @@
-"""The operations that floats, arrays and CasADi expressions share, and the ratios without cancellation."""
+"""Functions of floats, arrays and CasADi expressions, and ratios without cancellation."""
 
 import math
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ def precise_log1p_ratio(x):
 
 
 def beside(x):
-    """The number and its two neighbours: both sides of a switch."""
+    """Return a number and its two neighbours, which lie on both sides of a branch."""
     return [math.nextafter(x, -math.inf), x, math.nextafter(x, math.inf)]
 
 
@@ -52,7 +52,7 @@ def test_ratio_and_its_two_derivatives_keep_their_digits(ratio, precise, at, sym
     function = ca.Function("f", [x], [y, first, ca.gradient(first, x)])
     value, slope, curvature = function(at)
     want, [want_slope], [[want_curvature]] = derivatives(precise, [at])
-    # Some ten roundings in the value; each derivative of the closed form beyond the switch costs a digit.
+    # The value has some ten roundings; beyond the branch each derivative of the closed form costs a digit.
     assert_close(value, want, 1e-15, "value")
     assert_close(ratio(at), want, 1e-15, "value of a float")
     assert_close(slope, want_slope, 1e-14, "first derivative")
@@ -81,7 +81,7 @@ def test_ratio_has_its_limits_at_zero(ratio, limits, at):
 @pytest.mark.parametrize("ratio", [ex.expm1_ratio, ex.log1p_ratio, ex.arctan_ratio, ex.arcsinh_ratio])
 def test_ratios_of_arrays_are_elementwise(ratio):
     x = np.array([[-0.9, -0.5, -1e-9], [0.0, 0.5, 3.0]])
-    # One unit in the last place: NumPy may take another exponential for whole registers than for one number.
+    # One unit in the last place: NumPy may use different code for whole registers and for single numbers.
     np.testing.assert_allclose(ratio(x), [[ratio(float(v)) for v in row] for row in x], rtol=3e-16)
     assert isinstance(ratio(0.25), float)
 

@@ -1,4 +1,4 @@
-"""Files are whole or not there: through links, on full disks, under signals."""
+"""Files are written completely or not at all: through links, on full disks, under signals."""
 
 import json
 import os
@@ -18,7 +18,7 @@ PROBLEMS = Path(__file__).parents[1] / "problems"
 
 
 def _kept(folder):
-    """Return what a folder holds: name -> text."""
+    """Return the files in a folder: name -> text."""
     return {path.name: path.read_text() for path in folder.iterdir()}
 
 
@@ -116,7 +116,7 @@ class TestANewFile:
         assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "link"]
 
 
-# The program may write files of 1,000 bytes at most, which is what a full disk is like.
+# A program that may write at most 1,000 bytes to a file, to simulate a full disk.
 FULL = """
 import resource, sys
 from plough_opt.app import main
@@ -148,7 +148,7 @@ def test_a_full_disk_leaves_nothing_new(tmp_path, line, name):
     assert main(["init", str(tmp_path / "a.toml")]) == 0  # which finds no stub of the failure
 
 
-# Stops in the middle of a file until a signal ends it.
+# A program that waits in the middle of a file until a signal terminates it.
 SLOW = """
 import sys, time
 from plough_opt.core.files import write_file, write_folder

@@ -14,7 +14,7 @@ from helpers.high_precision import FIRM, NAMES, assert_close, assert_derivatives
 
 import plough_opt as po
 
-# The toolkit promises 1e-12; some hundred roundings of 1.1e-16 leave room for a bound ten times sharper.
+# The documented accuracy is 1e-12; some hundred roundings of 1.1e-16 allow a bound ten times tighter.
 DIGITS = 1e-13
 
 REFERENCE = json.loads((Path(__file__).parent / "reference" / "plastic.json").read_text())["cases"]
@@ -29,7 +29,7 @@ def share_and_soil(values):
 
 
 def outputs(values):
-    """Return what the reference file lists, derivatives apart."""
+    """Return the quantities in the reference file, except derivatives."""
     share, soil = share_and_soil(values)
     cone = share.equivalent_cone()
     coefficients = po.resistance_coefficients(cone, soil)
@@ -73,8 +73,8 @@ def floats(case):
 def test_reference_from_numbers(case):
     got = outputs(floats(case))
     for name, value in got.items():
-        # No exception beside 90 degrees or b1 = 1: the inputs are exact floats, and no form subtracts. The
-        # resistance does, under deceleration, but in no case by more than a factor of twenty.
+        # This holds even near 90 degrees and b1 = 1, because the inputs are exact floats and nothing cancels. The
+        # resistance does under deceleration, but by less than a factor of 20 in these cases.
         assert_close(value, case["outputs"][name], DIGITS, name)
 
 
@@ -168,7 +168,7 @@ def test_arrays_are_computed_element_by_element():
     together = outputs({name: np.array([case[name] for case in cases]) for name in NAMES})
     one_by_one = [outputs(case) for case in cases]
     for name, values in together.items():
-        # NumPy may take another function for whole registers than for one number; the steepest cone
+        # NumPy may use different code for whole registers and for single numbers; the steepest cone
         # (wedge angle 1.57) magnifies that unit in the last place by a hundred.
         np.testing.assert_allclose(values, [out[name] for out in one_by_one], rtol=3e-14, err_msg=name)
     share, soil = share_and_soil(FIRM)

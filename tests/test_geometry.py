@@ -11,7 +11,7 @@ from helpers.high_precision import assert_close, assert_derivatives, differentia
 import plough_opt as po
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 
-# A dozen roundings of 1.1e-16, squared twice.
+# A dozen roundings of 1.1e-16 in numbers that are squared twice.
 ROUNDING = 1e-14
 
 WEDGES = [
@@ -31,7 +31,7 @@ def half_angle_of(wedge_angle, chisel_angle):
 @pytest.mark.parametrize("point", WEDGES)
 def test_half_angle_of_the_equivalent_cone(point, symbol):
     assert_close(half_angle_of(*point), hp.half_angle(*hp.exact(point)), 1e-15, "float")
-    # The angle is an exact float, so its tangent rounds only once and nothing is given away beside 90 degrees.
+    # The angle is an exact float, so its tangent is rounded only once and accurate even near 90 degrees.
     got = differentiated(half_angle_of, symbol, 2)(point)
     assert_derivatives(got, hp.derivatives(hp.half_angle, point), ROUNDING, ["wedge angle", "chisel angle"])
 

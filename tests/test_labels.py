@@ -1,4 +1,4 @@
-"""Labels: a call in a graph that changes nothing, and can be found again."""
+"""Labels: calls in a graph that do not change its value and can be found again."""
 
 import casadi as ca
 import numpy as np
@@ -41,7 +41,7 @@ def test_value_and_all_derivatives_pass_unchanged(value):
         function = whole(y, jacobian, gradient, hessian, forward, reverse, third, symbol=x)
         found.append([np.asarray(part) for part in function(POINT)])
     for own, wanted in zip(found[1], found[0], strict=True):
-        # The chain through the label adds terms in another order, nothing else.
+        # Differentiation through the label adds the same terms in a different order.
         np.testing.assert_allclose(own, wanted, rtol=4e-16, atol=4e-16 * np.max(np.abs(wanted)))
 
 
@@ -62,7 +62,7 @@ def test_labels_are_found_each_with_its_meaning():
 
 
 def called(meanings, key):
-    """Return a graph that calls a Function of its own, and nothing else that holds it."""
+    """Return a symbol and a graph that holds the only reference to the Function it calls."""
     x = ca.MX.sym("x")
 
     def make():
@@ -95,7 +95,7 @@ def test_a_new_function_at_a_freed_address_has_no_meaning():
     places = set()
     for k in range(200):
         places.add(hash(meanings.shared(k, lambda: (ca.Function("own", [x], [ca.sin(x)]), "own"))))
-    # The last ones are kept for graphs alike.
+    # The most recent Functions are cached for similar graphs.
     places -= {hash(function) for function, _ in meanings._recent.values()}
     others = [ca.Function("other", [x], [ca.cos(x)]) for _ in range(2000)]
     assert any(hash(other) in places for other in others)  # else this shows nothing

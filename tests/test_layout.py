@@ -1,4 +1,4 @@
-"""The layout: imports go one way, files stay short, links lead somewhere."""
+"""Layout of the project: imports go downwards, files are short, links are valid."""
 
 import ast
 import importlib.metadata
@@ -25,7 +25,7 @@ def test_files_are_about_one_idea():
     assert [path for path in SOURCES if len(path.read_text(encoding="utf-8").splitlines()) > 400] == []
 
 
-# What holds for all threads of a process -> where it is switched all the same: in processes that are the toolkit's own.
+# Pattern of calls that change process-wide settings -> the files that may contain it, for the toolkit's own processes.
 SWITCHES = {
     r"catch_warnings|simplefilter|filterwarnings|chdir\(|redirect_std|setrecursionlimit|set_printoptions": set(),
     r"seterr\(|random\.seed|rcParams|rc_context|setlocale|umask|set_int_max|putenv|environ\[[^]]*\] *=": set(),
@@ -91,7 +91,7 @@ def test_folders_of_tests_run_alone_and_together():
     packages = [path.parent for path in TESTS if path.name == "__init__.py"]
     modules = [path for path in TESTS if path.name != "conftest.py" and not set(path.parents) & set(packages)]
     helpers = [*packages, *modules]
-    # pytest puts folders of tests on the path of modules: one of two of the same name would stand for both.
+    # pytest puts folders of tests on the module path, where of two modules with one name only one could be imported.
     assert len({path.stem for path in helpers}) == len(helpers)
     places = {path.stem: path.parent for path in helpers}
     for source in TESTS:
@@ -108,7 +108,7 @@ LICENCES = {
     for name in row.split("|")[1].strip().split(", ")
 }
 FAMILIES = ("MIT", "BSD", "Apache", "MPL", "LGPL", "PSF")
-# Their metadata name no licence that a program could read.
+# Libraries whose metadata do not contain a machine-readable licence.
 SILENT = {"fmpy": "BSD", "matplotlib": "PSF"}
 
 

@@ -1,4 +1,4 @@
-"""`make lines` counts code, and neither docstrings, comments nor blank lines."""
+"""`make lines` counts code without docstrings, comments and blank lines."""
 
 import runpy
 from pathlib import Path

@@ -101,7 +101,7 @@ def test_on_a_soft_spring_the_amplitude_falls_and_then_rises(paper):
 def test_on_a_stiff_spring_the_amplitude_hardly_changes_at_first(paper, stiffness, first, last):
     own = swings(paper, stiffness)
     assert own[-1].displacement / own[0].displacement - 1 == pytest.approx(first, abs=5e-4)
-    # ... but drag grows with b1 too, and after six oscillations it has told them apart.
+    # Drag grows with b1 too, and separates the amplitudes after six oscillations.
     assert own[-1].last / own[0].last - 1 == pytest.approx(last, abs=2e-3)
 
 
@@ -122,7 +122,7 @@ def test_force_amplitude_grows_and_displacement_amplitude_falls_with_the_stiffne
     own = [swings(paper, k, [ratio])[0] for k in STIFFNESSES]
     assert rises([s.force for s in own])
     assert rises([-s.displacement for s in own])
-    # Without static load V0 sqrt(k0 M) and V0 sqrt(M/k0): F0 adds and drag takes away up to 10 %.
+    # Without static load they are V0 sqrt(k0 M) and V0 sqrt(M/k0); F0 increases and drag reduces them by up to 10 %.
     for s, k in zip(own, STIFFNESSES, strict=True):
         scene = paper.scene(ratio, k)
         assert s.force == pytest.approx(scene.tow_speed * math.sqrt(k * scene.inertia), rel=0.10)
@@ -139,7 +139,7 @@ def test_the_spring_is_compressed_longer_than_pulled_and_more_so_with_the_densit
     assert own[0].compressed > 0.5
     assert rises([s.compressed for s in own])
     assert rises([s.peak_force for s in own])
-    # Drag, a push of one sign, only adds to what F0 does alone: 1/2 + atan(F0/(V0 sqrt(k0 M)))/pi.
+    # F0 alone gives 1/2 + atan(F0/(V0 sqrt(k0 M)))/pi; drag has one sign and increases that.
     for s, ratio in zip(own, RATIOS, strict=True):
         scene = paper.scene(ratio, stiffness)
         ratio_of_forces = scene.reaction.static / (scene.tow_speed * math.sqrt(stiffness * scene.inertia))
@@ -153,7 +153,7 @@ def test_comments_on_the_chosen_values_are_right(paper):
     scene, c = paper.scene(0.95, 50.0), paper.CHOICE
     assert math.degrees(scene.cone.half_angle) == pytest.approx(7.0, abs=0.05)
     assert scene.cone.solid_mass(7850.0) == pytest.approx(0.43, abs=0.01)
-    # F0 is what k0 V0 t reaches in a tenth of a period.
+    # k0 V0 t reaches F0 within a tenth of a period.
     assert scene.reaction.static / (50.0 * c.tow_speed) == pytest.approx(0.135, abs=5e-4)
     assert 5 * scene.reaction.static == pytest.approx(68.0, abs=0.5)
     assert c.tow_speed * math.sqrt(50.0 * scene.inertia) == pytest.approx(24.6, abs=0.05)
@@ -166,7 +166,7 @@ def test_comments_on_the_chosen_values_are_right(paper):
 # --- figure 3 ---
 
 
-# --- the print beside the derived equation ---
+# --- printed and derived equation ---
 
 
 def test_the_printed_share_runs_away_exponentially_and_with_drag_faster(paper):

@@ -12,7 +12,7 @@ from helpers import precise_field as pf
 import plough_opt as po
 from plough_opt.soil import plastic
 
-# Every entry is some fifty roundings of 1.1e-16, of both signs, away from the truth; the worst found is 1.6e-15.
+# Every entry has some fifty roundings of 1.1e-16 of either sign; the largest error found is 1.6e-15.
 DIGITS = 4e-15
 
 NAMES = pf.Particle._fields
@@ -63,7 +63,7 @@ def names_of(**changes):
 
 
 def points():
-    """Yield ordinary points, both ends of each property, corners and motions; all of them at wall and front if slow."""
+    """Yield ordinary points, ends of each property, corners and motions; with the slow tests also at wall and front."""
     corners = {(1e-9, 0.0): 0.0, (1e-9, 1.5): 1.0, (1 - 1e-6, 0.0): 1.0, (1 - 1e-6, 1.5): 0.0}
     cases = [({}, PLACES), *(({"density_ratio": b}, [0.6]) for b in RATIOS)]
     cases += [({"friction_angle": angle}, [0.6]) for angle in ANGLES]
@@ -84,19 +84,19 @@ def quantity(request):
     return function, request.param, size, [hp.differentiated(function, symbol, size) for symbol in (ca.SX, ca.MX)]
 
 
-# On these a function depends in a smooth way of its own; on all others as a polynomial of degree two.
+# Arguments on which the fields depend nonlinearly; they are quadratic polynomials in all others.
 SHAPED = ("r", "radius", "density_ratio", "friction_angle")
 
 
 def lengths(x):
-    """Return over which change of each argument the field changes by its own size; None: a polynomial."""
+    """Return the change of each argument over which the field changes by its own magnitude; None for a polynomial."""
     own = dict(zip(NAMES, x, strict=False))
     scales = {"radius": own["radius"], "r": max(own["r"], own["radius"]), "density_ratio": 1 - own["density_ratio"]}
     return [scales.get(name, hp.mp.mpf(1)) if name in SHAPED else None for name in NAMES[: len(x)]]
 
 
 def natural_sizes(at, wall, scale):
-    """Return the sizes of the terms that value, gradient and Hessian are summed of.
+    """Return the magnitudes of the terms whose sums are value, gradient and Hessian.
 
     An entry can be much smaller than its terms: the pressure on the wall does not depend on the cavity's radius, nor
     that at the front on the acceleration. Terms of a place count as at the wall, where the logarithm of the distance
@@ -115,7 +115,7 @@ def natural_sizes(at, wall, scale):
 
 
 def check(got, want, size, label):
-    """Compare an entry; below 1e-35 the truth is a zero blurred by the differences."""
+    """Compare an entry; the differences turn an exact zero into numbers below 1e-35."""
     got = float(got)
     if size < hp.mp.mpf(10) ** -35:
         assert got == 0.0, f"{label}: {got} instead of zero"

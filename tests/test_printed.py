@@ -1,4 +1,4 @@
-"""The source's equations to the letter, and what each error of the print changes in a scene."""
+"""Effects of the source's printed errors on a scene."""
 
 import itertools
 import math
@@ -13,7 +13,7 @@ from plough_opt.laws.printed import errors_of
 CONES = [po.Cone(po.deg(half_angle), height) for half_angle, height in ((3.0, 0.4), (11.0, 0.25), (19.0, 0.1))]
 NONE = {"pi_twice": False, "one_third": False, "repelling_spring": False}
 FACTORS = {
-    # Error of the print -> factors of F0, Fd, the added mass and the stiffness.
+    # Printed error -> factors of F0, Fd, the added mass and the stiffness.
     "pi_twice": (math.pi, math.pi, math.pi, 1.0),
     "one_third": (1.0, 1.0, 0.5, 1.0),
     "repelling_spring": (1.0, 1.0, 1.0, -1.0),
@@ -24,7 +24,7 @@ def only(*errors):
     return po.Printed(**(NONE | dict.fromkeys(errors, True)))
 
 
-# --- which errors a scene keeps ---
+# --- selected errors ---
 
 
 @pytest.mark.parametrize("count", range(4))
@@ -61,7 +61,7 @@ def test_runs_warn_that_printed_equations_are_not_physics(r1_scene, errors):
     assert warning in po.simulate(scene, 0.1, outputs=4).warnings
 
 
-# --- refused ---
+# --- invalid formulations ---
 
 
 @pytest.mark.parametrize(

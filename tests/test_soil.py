@@ -1,4 +1,4 @@
-"""Soils: the named ones, what is refused, what passes."""
+"""Soils: named soils, and the domain of each property."""
 
 import math
 from dataclasses import replace
@@ -34,7 +34,7 @@ def test_named_soil_has_the_values_of_the_table(name):
     assert soil.ambient_pressure == STANDARD_ATMOSPHERE == 101325.0
     assert soil.youngs_modulus == 1e6 * modulus
     assert soil.poisson_ratio == poisson
-    # None of the sets was measured on one soil.
+    # The sets of values were not measured on single soils.
     for word in ("choice", "not measured", "density", "tool friction"):
         assert word in soil.source
 

@@ -1,4 +1,4 @@
-"""docs/soils.md: its numbers are those of the code."""
+"""The numbers in docs/soils.md match the code."""
 
 import re
 import shutil

@@ -1,4 +1,4 @@
-"""Equations (1)-(27) one by one, as the source prints them but for its errata, evaluated to the letter.
+"""Equations (1)-(27) one by one, evaluated as the source prints them, apart from its errata.
 
 Nothing is rearranged against cancellation and integrals are computed by quadrature, so that a reader with the source
 in hand finds every line again. What the errata change is in `tests/test_errata.py`.
@@ -27,13 +27,13 @@ A = 1.0 / (1.0 - B1)
 RHO0, PA = SOIL.density, SOIL.ambient_pressure
 FRONT = plastic.front_radius(CAVITY, SOIL)
 
-# Quadrature and formulas to the letter lose a few of sixteen digits to cancellation.
+# Quadrature and the printed formulas lose a few of sixteen digits to cancellation.
 DIGITS = 1e-12
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
 
 
 def integral(function, first, last, panels=1):
-    """Composite Gauss-Legendre."""
+    """Return an integral by composite Gauss-Legendre quadrature."""
     edges = np.linspace(first, last, panels + 1)
     half = np.diff(edges)[:, None] / 2.0
     places = edges[:-1, None] + half * (NODES + 1.0)
@@ -110,7 +110,7 @@ def spectrum_of_cone(p):
 
 
 def over_all_p(kernel):
-    """Integral over p from minus to plus infinity, with panels that close in on the logarithm at 0."""
+    """Return the integral over all p, with panels refined towards the logarithm at 0."""
 
     def both(p):
         ahead, behind = (sign * spectrum_of_cone(sign * p) * np.exp(-1j * sign * p * X) for sign in (1.0, -1.0))
@@ -311,7 +311,7 @@ def test_equation_27_with_an_attracting_spring():
     run = po.simulate(scene, duration=0.2, accuracy=po.Accuracy(error=1e-11), outputs=400)
     c = po.resistance_coefficients(CONE, SOIL)
     step = run.time[1]
-    # Eighth-order central difference of the speed, of 14 waves in 400 steps.
+    # Central difference of order 8 of the speed, which has 14 oscillations in 400 steps.
     weights = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0.0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
     rise = np.convolve(run.speed, weights[::-1], mode="valid") / step
     speed, time, travel = (values[4:-4] for values in (run.speed, run.time, run.travel))

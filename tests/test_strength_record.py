@@ -1,4 +1,4 @@
-"""Strength waves from records: known waves are found within their intervals, and rigs are divided out."""
+"""Strength waves from records: known waves lie within their intervals, and the rig's response is removed."""
 
 import json
 import math
@@ -34,7 +34,7 @@ def test_known_waves_lie_within_their_intervals(count):
                 abs(one.wave.wavelength - length) <= one.wavelength,
                 abs(math.remainder(one.wave.phase - p, 2 * math.pi)) <= one.phase,
             )
-    # Of 95 %; three standard deviations of the number found, and the 3 % that short records may err.
+    # Tolerance about 95 %: three standard deviations of the count, or the 3 % by which short records may deviate.
     margin = 3.0 * math.sqrt(0.95 * 0.05 / count) if count < 500 else 0.03
     assert np.all(np.abs(inside / count - 0.95) <= margin), inside / count
 
@@ -46,7 +46,7 @@ def test_an_unevenly_spaced_record_gives_the_same_waves():
 
 
 def test_noise_alone_gives_no_waves():
-    """One in a hundred may: of fifty records at most four, with a probability of 0.998."""
+    """One in a hundred records may give a wave by chance; of 50, at most four do with a probability of 0.998."""
     found = [po.strength_waves(record(seed, waves=()), 1.0) for seed in range(50)]
     assert sum(bool(one.found) for one in found) <= 4
     assert any("stands out from noise" in note for note in found[0].notes)
@@ -54,20 +54,20 @@ def test_noise_alone_gives_no_waves():
 
 @pytest.mark.parametrize("even", [True, False])
 def test_the_spectrum_integrates_to_the_variance(even):
-    """Parseval: what segments' windows, or uneven places, leave of it is a few per cent."""
+    """By Parseval's theorem; windows and uneven spacing cause deviations of a few per cent."""
     made = po.strength_waves(record(1, waves=(), even=even), 0.5)
     assert made.spectrum.variance == pytest.approx(made.variance, rel=0.05)
     if not even:
         assert made.spectrum.wave_number[:2] == pytest.approx(2 * math.pi / 40.0 * np.array([1, 2]), rel=0.01)
     lower, density, upper = made.spectrum.lower, made.spectrum.density, made.spectrum.upper
     assert np.all((lower < density) & (density < upper))
-    # White noise has one density; 95 % of the bands hold it, neighbours being alike.
+    # The density of white noise is constant and lies inside 95 % of the bands; neighbouring bands are correlated.
     level = made.variance / (math.pi / 0.05)
     assert np.mean((lower < level) & (level < upper)) > 0.85
 
 
 def test_the_rigs_response_is_divided_out_of_a_force():
-    """The force on a damped rig in a soil with known waves, integrated by SciPy, holds the soil's waves."""
+    """The waves of the soil are recovered from the force on a damped rig, integrated by SciPy."""
     rig = po.Rig(mass=25.0, stiffness=4e4, damping=500.0, tow_speed=2.0)
     waves = ((0.1, 1.3, 0.3), (0.06, 0.5, -0.9))
 
@@ -82,11 +82,11 @@ def test_the_rigs_response_is_divided_out_of_a_force():
     found = po.strength_waves(po.StrengthRecord(2.0 * times[late], force[late], rig), 0.99)
     for one, (a, length, p) in zip(found.found, waves, strict=True):
         first = p + 2 * math.pi * 4.0 / length
-        # What is left is the detrending of a record that holds no whole number of waves.
+        # The deviation is due to detrending a record whose length is not a multiple of the wavelengths.
         assert one.wave.amplitude == pytest.approx(a, rel=2e-3)
         assert one.wave.wavelength == pytest.approx(length, rel=1e-4)
         assert math.remainder(one.wave.phase - first, 2 * math.pi) == pytest.approx(0.0, abs=2e-2)
-    # The spectrum too, around the waves; the same segments and windows are left of the rig's response.
+    # The spectrum contains the same waves, without the wave numbers near the rig's resonance.
     force_spectrum = po.strength_spectrum(po.StrengthRecord(2.0 * times[late], force[late], rig))
     assert np.all(np.abs(force_spectrum.wave_number / rig.resonance - 1.0) >= 0.2)
     assert force_spectrum.variance == pytest.approx(sum(a**2 / 2.0 for a, *_ in waves), rel=0.05)
@@ -135,7 +135,7 @@ def test_the_command_prints_lines_for_a_problem_file(cli_waves, tmp_path):
 
 @pytest.fixture
 def cli_waves(tmp_path, capsys):
-    """Run `plough-opt waves` on a file of a text, or of known waves."""
+    """Run `plough-opt waves` on a file with a given text, or with known waves."""
     from types import SimpleNamespace
 
     from plough_opt.app import main

@@ -1,4 +1,4 @@
-"""The comparison: what it takes, estimates and says; its table and its picture."""
+"""Comparison of draft models: arguments, estimates, reasons, table and picture."""
 
 import dataclasses
 import io
@@ -32,7 +32,7 @@ def scene(soil=SOIL, share=SHARE, medium="plastic", **effects):
 
 @pytest.fixture(scope="module")
 def full():
-    """Return a comparison in which everything is given."""
+    """Return a comparison with all arguments given."""
     return compare(
         scene(), depth=[0.25, 0.4], width=0.08, rake_angle=po.deg(45.0), texture="medium", speeds=[1.0, 2.5],
         rupture_ratio=2.3, surcharge=1e3, adhesion=2e3,
@@ -60,7 +60,7 @@ def test_every_row_is_its_models_draft(full):
             ("McKyes-Ali", lambda v, t=tine: mckyes_ali_draft(SOIL, t, v)),
             ("universal earthmoving equation", lambda v, t=tine: godwin_draft(SOIL, t, v, rupture_ratio=2.3)),
         ):
-            # The law splits the formula into a part at rest and one with the squared speed.
+            # The law splits the formula into a static part and one with the squared speed.
             assert row(full, model, depth).drafts == pytest.approx([draft(v) for v in (1.0, 2.5)], rel=4e-15)
     for other in full.others:
         assert full.ratios(other) == pytest.approx(np.array(other.drafts) / full.own.drafts, rel=1e-15)
@@ -71,7 +71,7 @@ def test_every_row_is_its_models_draft(full):
 
 
 def test_its_own_row_is_the_quasi_static_mean_draft(full):
-    """Over whole waves of the strength: 2 s at 1 and 2.5 m/s hold 10 and 25 of 0.2 m."""
+    """Averaged over whole waves: in 2 s at 1 and 2.5 m/s the share passes 10 and 25 wavelengths of 0.2 m."""
     wavy = scene(motion=False, strength_wave=po.StrengthWave(0.3, 0.2))
     found = compare(wavy, speeds=(1.0, 2.5)).own.drafts
     runs = [po.simulate(dataclasses.replace(wavy, tow_speed=v), duration=2.0).mean_draft for v in (1.0, 2.5)]
@@ -165,7 +165,7 @@ def test_reasons_name_what_the_other_models_ignore(changed, given, words):
 
 def test_a_strength_factor_affects_this_model_only():
     level, plain = (compare(scene(soil), width=0.08) for soil in (LEVEL, po.named_soil("firm sandy loam")))
-    # As text, for NaN is not equal to itself.
+    # Compared as text, because NaN is not equal to itself.
     assert str([row.drafts for row in level.others]) == str([row.drafts for row in plain.others])
     assert level.own.drafts[0] > 5.0 * plain.own.drafts[0]
 
@@ -184,7 +184,7 @@ def test_the_table_has_drafts_in_kilonewtons_and_ratios(full):
     assert "9 km/h" in text
     deep = row(full, "McKyes-Ali", 0.4)
     assert f"{deep.drafts[0] / 1e3:.3g} ({full.ratios(deep)[0]:.2f})" in text
-    # This model, two depths of four models, the standard's band at both, the cavity.
+    # This model, four models at two depths, the standard's band at both depths, the cavity.
     assert len([line for line in text.splitlines() if line.startswith("│")]) == 1 + 2 * 4 + 2 + 1
 
 
@@ -240,7 +240,7 @@ def test_a_scene_with_symbols_is_refused():
 
 
 def test_the_page_states_the_effect_of_speed():
-    """Draft at 9 km/h over that at 3 km/h, in per cent more, on the share of the cotton problem and tines like it."""
+    """Increase of draft from 3 to 9 km/h in per cent, for the share of the cotton problem and similar tines."""
     problem = po.read_problem(PROBLEMS / "cotton_subsoiler.toml")
     guess, steeper = problem.scene(), problem.scene({"share.wedge_angle": po.deg(39.0)})
     for share, most in ((guess, 0.6), (steeper, 1.45)):
@@ -259,7 +259,7 @@ def test_a_scene_with_another_law_is_named_after_it():
     tined = dataclasses.replace(scene(), medium=po.laws.McKyesAli(width=0.08, rake_angle=po.deg(45.0)))
     found = compare(tined, width=0.08, rake_angle=po.deg(45.0), speeds=[1.0, 2.0])
     assert found.own.model == "this scene, McKyes-Ali"
-    # Its own row is the same law's among the others.
+    # Its own row equals that of the same law among the others.
     assert found.ratios(row(found, "McKyes-Ali")) == pytest.approx([1.0, 1.0], rel=1e-14)
     assert "this model" not in " ".join(found.reasons)
     fast = compare(tined, width=0.08, rake_angle=po.deg(45.0), speeds=[1.0, 6.0]).own

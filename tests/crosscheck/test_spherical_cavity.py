@@ -1,4 +1,4 @@
-"""The spherical cavity: its closed form against the differential equation, the published form, and known limits."""
+"""The spherical cavity: its closed form against the differential equation, the published form and known limits."""
 
 import dataclasses
 import math
@@ -61,12 +61,12 @@ def integrated(soil, speed):
 def test_the_closed_form_solves_the_equation_of_motion(soil, speed):
     cavity = spherical_cavity(soil)
     found = cavity.static + cavity.inertia * soil.density * speed**2
-    # The integrator's tolerance of 1e-12 for each step.
+    # The integrator's tolerance is 1e-12 per step.
     assert found == pytest.approx(integrated(soil, speed), rel=1e-10)
 
 
 def test_elastic_soil_ahead_is_the_published_form():
-    """A is theirs; their B keeps other terms of the order of the strain 1.6e-8 over eta = 0.05."""
+    """A equals the published one; B differs by terms of the order of the strain 1.6e-8 over eta = 0.05."""
     soil = published_soil(modulus=1e12)
     eta, alpha, slope, tau = 96 / 1930, 3 * 1.47 / (3 + 2 * 1.47), 1.47, 31549.0
     strain = tau / 2e12

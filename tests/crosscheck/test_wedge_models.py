@@ -51,7 +51,7 @@ def _digits():
 
 
 def test_rankine_with_cohesion():
-    """Cohesion adds 2 c sqrt(Kp) d w; on a smooth wall the rupture angle is the same for weight and cohesion."""
+    """Cohesion adds 2 c sqrt(Kp) d w; for a smooth wall the rupture angle is the same for weight and cohesion."""
     smooth = dataclasses.replace(SOIL, tool_friction=0.0)
     wall = Tine(width=2.0, depth=0.5, rake_angle=math.pi / 2, surcharge=1e3)
     root = math.tan(math.pi / 4 + smooth.friction_angle / 2)
@@ -154,7 +154,7 @@ def test_arrays_give_what_their_elements_give(draft):
 
 
 def test_a_design_can_require_a_wedge_models_draft():
-    """The deepest tine that a tractor of 5 kN pulls draws 5 kN."""
+    """The deepest tine for a pull of 5 kN has a draft of 5 kN."""
     design = po.Design()
     depth = design.variable("depth", guess=0.2, lower=0.1, upper=0.4, unit="m")
     draft = mckyes_ali_draft(SOIL, Tine(0.06, depth, po.deg(45.0)), 1.5)
@@ -167,7 +167,7 @@ def test_a_design_can_require_a_wedge_models_draft():
 
 
 def test_a_design_keeps_the_rupture_angle_inside_its_range():
-    """A flatter rake draws less, until the factor at the end of the angles equals that of the valley."""
+    """A flatter rake reduces the draft until the factor at the end of the angles equals its minimum inside."""
     design = po.Design()
     rake = design.variable("rake", guess=po.deg(50.0), lower=po.deg(10.0), upper=po.deg(80.0), unit="rad")
     draft = mckyes_ali_draft(SOIL, Tine(0.08, 0.3, rake), 1.5)

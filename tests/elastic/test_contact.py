@@ -1,4 +1,4 @@
-"""Action of the soil on the share: pressure on the face, force with friction and with contact that is lost."""
+"""Action of the soil on the share: pressure on the face, force with friction and loss of contact."""
 
 import itertools
 import math
@@ -87,7 +87,7 @@ def straight_force(E, nu, speed, length, thickness, tool_friction, ambient_press
 
 
 PRESSURES = [0.0, 1e5, 4e6]
-# Contact is lost and found again on both sides of corners that point inwards.
+# Contact is lost and regained on both sides of concave corners.
 MANY = ((0.05, 0.1, 0.2, 0.3, 0.42, 0.5), (0.02, 0.021, 0.05, 0.045, 0.07, 0.071))
 
 
@@ -143,7 +143,7 @@ def test_contact_lost_or_kept_on_a_short_part_of_a_piece(body):
         assert force == pytest.approx(float(exact), rel=0, abs=4 * EPS * thrust(body, speed)), ambient_pressure
 
 
-# Hundreds of roundings, and fifty times those of the speed: 95 m/s lies 2 % above the Rayleigh wave's.
+# Hundreds of roundings, and fifty times the rounding of the speed: 95 m/s is 2 % above the Rayleigh speed.
 FORCES = 1e-12
 
 
@@ -190,7 +190,7 @@ def test_cone_pressure(body, speed, nu):
         radius = oracle.radius(mp.mpf(x), exact_nodes(body))
         wanted, size = precise(precise_cone, inputs(x, float(radius), body, speed or 1e-15, nu))
         rr = oracle.Cone._fields.index("rr")
-        # R(x), a difference of the nodes' radii, is rounded on the way.
+        # R(x) is computed from differences of the nodes' radii and so rounded.
         rounded = 4 * abs(wanted[0, rr]) * max(BODIES[body][1]) / radius
         pressure = po.elastic.cone_pressure(x, nodes, soil, V0)
         assert_accurate([pressure], [-wanted[0, rr]], [size[0, rr] + rounded], [f"p({x})"], 16)
@@ -198,7 +198,7 @@ def test_cone_pressure(body, speed, nu):
 
 
 BLUNT = ((0.2,), (0.2,))
-"""So steep that the soil is pulled at the tip."""
+"""So steep that the soil would be in tension at the tip."""
 CONE_CASES = [(BLUNT, 0.1, 1e6)]
 MORE_CONE_CASES = [
     (BLUNT, 0.95, 0.0),
@@ -253,7 +253,7 @@ def test_gradient_of_the_force_on_a_cone(speed):
     slopes = np.asarray(gradient).ravel()
     for i in (2, 4):
         xi, slope = values[i], slopes[i]
-        # Fourth order; a step of one thousandth leaves 1e-12 of the terms, and rounding 1e-13 over it.
+        # Order 4: with a step of 1e-3 truncation is 1e-12 of the terms, and rounding 1e-13 over the step.
         h = 1e-3 * xi
         moved = [force_of_cone(*values[:i], xi + k * h, *values[i + 1 :]) for k in (-2, -1, 1, 2)]
         difference = (moved[0] - 8.0 * moved[1] + 8.0 * moved[2] - moved[3]) / (12.0 * h)

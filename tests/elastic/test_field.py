@@ -1,4 +1,4 @@
-"""The medium around a thin wedge and a slender cone: equations of motion, boundary conditions, digits of every form."""
+"""The medium around a thin wedge and a slender cone: accuracy of values and derivatives, boundary conditions."""
 
 import itertools
 import math
@@ -37,10 +37,10 @@ mp = hp.mp
 
 @dataclass(frozen=True)
 class Field:
-    """All that the toolkit says around a kind of body, its precise counterpart, and where they are compared.
+    """Results of the toolkit around a kind of body, their precise counterparts, and the points of comparison.
 
-    Values and derivatives are compared in units of 2.2e-16 of what rounding of the inputs does: of a wedge some thirty
-    operations on each straight piece, of a cone two dozen quadrature nodes where it is far off.
+    Values and derivatives are compared in units of 2.2e-16 of the effect of rounded inputs: for a wedge some thirty
+    operations on each straight piece, for a cone two dozen quadrature nodes at distant points.
     """
 
     evaluate: Callable
@@ -105,10 +105,10 @@ FIELDS = {
         ("cone_stress", "cone_displacement"),
     ),
 }  # fmt: skip
-# In units of the shear wave's; 0.9274 is the Rayleigh wave's for a Poisson's ratio of 0.3.
+# Relative to the shear wave speed; 0.9274 is the Rayleigh speed for a Poisson's ratio of 0.3.
 SPEEDS = [0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.3, 0.7, 0.9274, 0.99, 0.9999]
 RATIOS = [0.0, 0.3, 0.49]
-# Second derivatives around a cone whose speed is within a few per cent of the shear wave's go as the gap to the -3/2.
+# Near the shear wave speed second derivatives around a cone grow like the distance from it to the power -3/2.
 BESIDE_THE_SHEAR_WAVE = 512
 
 fields = pytest.mark.parametrize("kind", FIELDS)
@@ -137,7 +137,7 @@ def test_every_component_is_as_accurate_as_its_inputs(kind, body, point, speed, 
 def check_gradient_and_hessian(symbol, kind, body, point, speed, nu):
     field = FIELDS[kind]
     values = inputs(*field.points[point], body, speed, nu)
-    # Place, Poisson's ratio, speed, the first half thickness or radius after the tip and, last, the modulus.
+    # Position, Poisson's ratio, speed, the first half thickness or radius behind the tip, and the modulus.
     chosen = (0, 1, 3, 5, len(values) - len(BODIES[body][0]), 2)
     wanted, size = precise(field.precise, values, chosen)
     multiple = BESIDE_THE_SHEAR_WAVE if kind == "cone" and speed > 0.95 else field.derivatives
@@ -160,7 +160,7 @@ def test_gradient_and_hessian_of_matrix_expressions(case):
 
 @pytest.mark.parametrize("body", ["diamond", *slow(["wedge", "ogive", "tapered"])])
 def test_second_derivatives_above_every_node(body):
-    """The field of a cone is analytic there, though its parts, the displaced section and the rest, are not."""
+    """The field of a cone is analytic there, although its two parts (displaced section and remainder) are not."""
     field = FIELDS["cone"]
     for node in (0.0, *BODIES[body][0]):
         values = inputs(node, 0.07, body, 0.7)
@@ -179,7 +179,7 @@ def test_at_rest_derivatives_are_finite_and_even_in_speed(kind, symbol):
     found = differentiated(field.evaluate, symbol, len(rest), chosen)(rest)
     for gradient, hessian in zip(*found[1:], strict=True):
         assert gradient[1] == hessian[0, 1] == hessian[1, 0] == 0.0
-    # Value, d/dx, d2/dx2 and d2/dV0^2: those that are even in speed.
+    # Value, d/dx, d2/dx2 and d2/dV0^2, which are even in the speed.
     assert_derivatives(found, wanted, size, field.names, field.derivatives, [0, 1, 3, 6])
 
 
@@ -189,18 +189,18 @@ def test_at_rest_derivatives_are_finite_and_even_in_speed(kind, symbol):
 @bodies
 @pytest.mark.parametrize("speed", [0.0, 0.3, 0.9274])
 def test_boundary_conditions_on_the_plane_of_symmetry_of_a_wedge(body, speed):
-    """The face is moved by the half thickness, and slides without shear; ahead and behind the line is straight."""
+    """The soil is displaced by the half thickness, without shear; ahead of and behind the body the plane stays flat."""
     x = np.array([-5.0, -0.3, 0.01, 0.15, 0.22, 0.35, 0.47, 0.6, 0.71, 3.0])
     values = inputs(x, np.zeros_like(x), body, speed)
     positions, thicknesses = [0.0, *BODIES[body][0]], [0.0, *BODIES[body][1]]
     slopes = np.array([0.0, *np.diff(thicknesses) / np.diff(positions), 0.0])
     field = wedge(*values)
     half_thickness = np.interp(x, positions, thicknesses)
-    # The kernels' antiderivatives are lengths of up to 5 m times a slope of 0.1.
+    # The terms that are added are lengths of up to 5 m times a slope of 0.1.
     np.testing.assert_allclose(field.uy, half_thickness, rtol=0, atol=8 * EPS * 0.5)
     np.testing.assert_allclose(field.uy_x, slopes[np.searchsorted(positions, x)], rtol=0, atol=4 * EPS)
     np.testing.assert_allclose(field.xy, 0.0, atol=4 * EPS * MU)
-    # At the nodes themselves, where the strains are infinite, the face is what it was made.
+    # At the nodes, where the strains are infinite, the displacement is still the half thickness.
     soil, V0 = ground(speed)
     moved = po.elastic.wedge_displacement(np.array(positions), np.zeros(len(positions)), nodes_of(values), soil, V0)
     np.testing.assert_allclose(moved, thicknesses, rtol=0, atol=8 * EPS * 0.5)
@@ -243,7 +243,7 @@ def test_rayleigh_speed_solves_its_equation(nu):
 
 
 def test_at_the_shear_wave_speed_the_field_of_a_wedge_is_the_limit_from_below():
-    """There eta = 0, and what hangs on it goes as the root of the distance in speed, 1.4e-6 at 1e-12."""
+    """There eta = 0; near it eta is the square root of the relative distance in speed, 1.4e-6 at 1e-12."""
     (soil, _), nodes = ground(), nodes_of(inputs(0, 0, "diamond"))
     speed = po.elastic.shear_wave_speed(soil)
     for name in ("beside", "ahead", "behind"):
@@ -327,7 +327,7 @@ def test_arguments_outside_the_theory_are_refused(kind, change, sentence):
         given = {"x": 0.2, "away": 0.1, "profile": GOOD, "soil": soil, "speed": speed, **change}
         given["y" if kind == "wedge" else "r"] = given.pop("away")
         if quantity == "wedge_displacement" and sentence == "node":
-            # The displacement has a corner there, and a value.
+            # The displacement is finite there, with a kink.
             assert np.all(np.isfinite(po.elastic.wedge_displacement(**given)))
             continue
         with pytest.raises((po.DomainError, po.InputError), match=sentence):

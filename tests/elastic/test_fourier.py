@@ -1,4 +1,4 @@
-"""The Fourier integrals of the source against the closed forms, and knots on a smooth profile against both."""
+"""The source's Fourier integrals against the closed forms, and knots on smooth profiles against both."""
 
 import itertools
 import math

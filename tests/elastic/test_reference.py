@@ -1,4 +1,4 @@
-"""Every value of tests/reference/elastic.json, which was computed elsewhere: floats, SX and MX.
+"""Every value of tests/reference/elastic.json, which was computed independently: floats, SX and MX.
 
 Each output comes with a condition number, sum |d ln out / d ln in|: a result in doubles may err by that times the
 rounding of the inputs, 1.1e-16, of which the conversion from Lame constants to Young's modulus and Poisson's ratio
@@ -33,7 +33,7 @@ def numbers(inputs):
 
 
 def found(case, values):
-    """Return what the toolkit says of a case, by the table's names, from the entries of `numbers`."""
+    """Return the toolkit's results for a case under the table's names, from the entries of `numbers`."""
     inputs, elastic = case["inputs"], po.elastic
     E, nu, density, speed, *rest = values
     count = len(rest) - 2 * (len(inputs["nodes"]) - 1)
@@ -67,7 +67,7 @@ def found(case, values):
 
 
 def thrust(case):
-    """Return what the table's forces hold beyond ours: the ambient pressure's, with friction, on the whole face."""
+    """Return the force of the ambient pressure and its friction on the face, which only the table includes."""
     inputs, total = case["inputs"], 0.0
     p0, mu0 = float(inputs.get("p0", 0.0)), float(inputs.get("mu0", 0.0))
     nodes = [(float(a), float(b)) for a, b in inputs["nodes"]]
@@ -78,7 +78,7 @@ def thrust(case):
 
 
 def runs():
-    """Yield every case with every kind of number; forces and cones have large graphs of scalar operations."""
+    """Yield every case with floats, SX and MX; SX graphs of forces and cones are large and run with the slow tests."""
     for case, (name, symbol) in itertools.product(CASES, {"float": None, "SX": ca.SX, "MX": ca.MX}.items()):
         large = case["kind"] in ("wedge_drag", "cone_field", "cone_drag") and case["id"] != 31
         marks = [pytest.mark.slow] if large and name == "SX" else []

@@ -1,4 +1,4 @@
-"""Density profiles as the toolkit takes them, each beside its precise counterpart of `precise_field`."""
+"""Density profiles for the toolkit, and their precise counterparts in `precise_field`."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ from helpers import precise_field as pf
 from plough_opt.core.expressions import exp
 
 DENSITY = 1400.0
-"""Of the undisturbed soil [kg/m^3]."""
+"""Density of the undisturbed soil [kg/m^3]."""
 
 STRENGTH = {"friction_angle": 0.5, "cohesion": 2e4, "ambient_pressure": 1e4}
 
@@ -26,11 +26,11 @@ DENSITIES = {
     "quadratic, b falling": (lambda r, c, w: DENSITY * c * (1.0 + (r / w) ** 2), (1.1, 0.2)),
     "bell": (_falling_bell, (1.1, 0.05)),
 }
-"""Density [kg/m^3] of radius and two parameters, with values of the parameters. The bell varies the most."""
+"""Name -> density [kg/m^3] as a function of radius and two parameters, and their values. The bell varies most."""
 
 
 class Ground(NamedTuple):
-    """A profile by name, in soil of some strength."""
+    """A named profile in soil with a given strength."""
 
     name: str
     parameters: tuple
@@ -51,5 +51,5 @@ class Ground(NamedTuple):
 
 
 def ground(name, **strength):
-    """Return a profile with its own values of the parameters."""
+    """Return a profile with its default parameters."""
     return Ground(name, DENSITIES[name][1], **strength)

@@ -1,4 +1,4 @@
-"""Bodies, grounds and points of the field's tests, and the comparison of the toolkit with the precise numbers.
+"""Bodies, soils and points for tests of the elastic field, and comparison of the toolkit with precise numbers.
 
 An input is one flat tuple: x, y (or r), E, nu, density, speed, then the positions and then the half thicknesses of all
 nodes but the first, which is (0, 0). So every number that a user gives can be varied, rounded or differentiated.
@@ -63,7 +63,7 @@ def ground(speed_ratio=0.3, nu=NU, **others):
 
 
 def wedge(*values):
-    """All the toolkit says about the medium at a point beside a wedge, in the order of the oracle."""
+    """Return all results of the toolkit at a point beside a wedge, in the order of the oracle."""
     x, y, _, _, _, speed, *_ = values
     at = (x, y, nodes_of(values), soil_of(values), speed)
     stress, gradient = po.elastic.wedge_stress(*at), po.elastic.wedge_gradient(*at)
@@ -81,7 +81,7 @@ def wedge(*values):
 
 
 def cone(*values):
-    """All the toolkit says about the medium at a point beside a cone, in the order of the oracle."""
+    """Return all results of the toolkit at a point beside a cone, in the order of the oracle."""
     x, r, _, _, _, speed, *_ = values
     at = (x, r, nodes_of(values), soil_of(values), speed)
     displacement, stress = po.elastic.cone_displacement(*at), po.elastic.cone_stress(*at)
@@ -96,7 +96,7 @@ def cone(*values):
 
 
 def thinned(*ranges, keep):
-    """All combinations, of which every ``keep``-th runs by default and the rest with the slow tests."""
+    """Return all combinations; every ``keep``-th runs by default, the others with the slow tests."""
     return [
         pytest.param(*values, marks=() if i % keep == 0 else pytest.mark.slow)
         for i, values in enumerate(itertools.product(*ranges))

@@ -1,6 +1,6 @@
-"""The textbook formulas in 120-digit arithmetic: what the toolkit's rearranged forms are judged by.
+"""The textbook formulas in 120-digit arithmetic, with which the toolkit's rearranged forms are compared.
 
-Nothing here is rearranged against cancellation, and nothing is imported from the toolkit.
+The formulas are not rearranged against cancellation, and the toolkit is not imported.
 """
 
 import math
@@ -81,7 +81,7 @@ def _friction(density_ratio, friction_angle):
     mu = mp.sin(friction_angle)
     nu = 2 * mu / (1 + mu)
     a = 1 / (1 - density_ratio)
-    # Of an angle of 1e-107 a power less 1 would keep 13 of the 120 digits.
+    # For an angle of 1e-107 a power minus 1 would keep only 13 of the 120 digits.
     phi = mp.expm1(nu / 2 * mp.log(a)) / nu if nu else mp.log(a) / 2
     return mu, nu, phi, a
 
@@ -95,7 +95,7 @@ def coefficients(v):
 
 
 def resistance_terms(v):
-    """The three terms of equation (25) [N]: static, of speed, of acceleration."""
+    """Return the terms of equation (25) [N]: static, with the squared speed, with the acceleration."""
     A, B, C = coefficients(v)
     friction = 1 + v["tool_friction"] / mp.tan(half_angle(v["wedge_angle"], v["chisel_angle"]))
     scale = mp.pi * friction * v["height"] ** 2
@@ -117,17 +117,17 @@ def in_order(values):
 
 
 def exact(values):
-    """Floats as 120-digit numbers: a list, or a dictionary by name."""
+    """Return floats as 120-digit numbers: a list, or a dictionary by name."""
     if isinstance(values, dict):
         return {name: mp.mpf(float(value)) for name, value in values.items()}
     return [mp.mpf(float(value)) for value in values]
 
 
 def derivatives(function, point):
-    """Value, gradient and Hessian by central differences with a step of 1e-25.
+    """Return value, gradient and Hessian by central differences with a step of 1e-25.
 
-    The step is 13 decades below the smallest length on which any tested function varies, so the error of the
-    differences is 1e-26 relative; rounding, magnified by a division by the squared step, stays below 1e-40.
+    The step is 13 decades smaller than the length over which any tested function varies, so the error of the
+    differences is 1e-26 relative; rounding, divided by the squared step, stays below 1e-40.
     """
     x, h, n = exact(point), mp.mpf(10) ** -25, len(point)
 
@@ -166,7 +166,7 @@ def differentiated(quantity, symbol, size):
 def assert_close(got, want, relative, label="", scale=None):
     """Compare one float with one precise number, to ``relative`` of ``scale`` (default: of the number itself).
 
-    A precise number below 1e-35 is a zero of the function blurred by the differences.
+    The differences turn an exact zero into numbers below 1e-35.
     """
     got, want = float(got), mp.mpf(want)
     assert math.isfinite(got), f"{label}: {got}"
@@ -180,8 +180,8 @@ def assert_close(got, want, relative, label="", scale=None):
 def assert_derivatives(got, wanted, relative, names):
     """Compare value, gradient and Hessian (arrays) with those from `derivatives`, entry by entry.
 
-    Second derivatives in the friction angle pass through zero inside the domain. There the digits of the terms
-    count, which are as large as the first derivative in the other variable: angles are of order one.
+    Second derivatives in the friction angle pass through zero inside the domain. Errors are then relative to the terms,
+    which are as large as the first derivative in the other variable, because angles are of order one.
     """
     got_value, got_gradient, got_hessian = got
     value, gradient, hessian = wanted

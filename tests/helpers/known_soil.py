@@ -1,4 +1,4 @@
-"""A soil whose parameters are known, scenes in it, and their drafts."""
+"""A soil with known parameters, scenes in it, and their drafts."""
 
 import numpy as np
 

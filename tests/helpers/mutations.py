@@ -1,4 +1,4 @@
-"""Seeded mutations: texts with characters, words, numbers, units and lines changed, and JSON with values changed."""
+"""Random mutations of text (characters, words, numbers, units, lines) and of values in JSON, from a seed."""
 
 import json
 import math
@@ -73,7 +73,7 @@ def _somewhere(data, rng):
 
 
 def _replaced(pattern, choose):
-    """Return what puts something else in the place of one match of a pattern."""
+    """Return a mutation that replaces one match of a pattern."""
 
     def change(text, rng):
         found = list(re.finditer(pattern, text))

@@ -1,4 +1,4 @@
-"""The elastic medium around a thin wedge or a slender cone in 120-digit arithmetic: what the toolkit is judged by.
+"""The elastic medium around a thin wedge or a slender cone in 120-digit arithmetic, for comparison with the toolkit.
 
 The potentials' kernels are integrated over each straight piece in closed form, nothing rearranged against cancellation,
 and nothing is imported from the toolkit. By way of the toolkit it agrees with values that were computed elsewhere,
@@ -23,7 +23,7 @@ Cone = namedtuple("Cone", "axial radial xx rr tt rx")
 
 
 class Medium:
-    """Moduli and wave numbers of the medium that streams past with the speed V0."""
+    """Moduli and speed ratios of the medium that streams past at the speed V0."""
 
     def __init__(self, youngs_modulus, poisson_ratio, density, speed):
         E, nu, rho, V0 = (mp.mpf(value) for value in (youngs_modulus, poisson_ratio, density, speed))
@@ -90,7 +90,7 @@ def wedge(x, y, nodes, medium):
 
 
 def _logarithm(X, c):
-    """Return ln sqrt(X^2 + c^2) and the angle atan(X/c), at c = 0 the limit from above."""
+    """Return ln sqrt(X^2 + c^2) and the angle atan(X/c); at c = 0 its limit from above."""
     return mp.log(X**2 + c**2) / 2, mp.atan(X / c) if c else mp.sign(X) * mp.pi / 2
 
 
@@ -107,7 +107,7 @@ def wedge_pressure(x, nodes, medium):
 
 
 def wedge_force(nodes, medium, tool_friction, ambient_pressure, separation=True):
-    """Return 2 int (max(p + p_a, 0) - p_a) (h' + mu0) dx, or with the soil clinging 2 int p (h' + mu0) dx.
+    """Return 2 int (max(p + p_a, 0) - p_a) (h' + mu0) dx, or 2 int p (h' + mu0) dx without separation.
 
     The pressure's antiderivative is one of logarithms; where contact is lost is found numerically.
     """
@@ -163,7 +163,7 @@ def touching(absolute_pressure, a, b):
 
 
 def _nearest_to_zero(function, low, high):
-    """Return where a function with one minimum is negative, or its minimum if it is nowhere: by golden sections."""
+    """Return a place where a function with one minimum is negative, else its minimum, by golden section search."""
     golden = (mp.sqrt(5) - 1) / 2
     for _ in range(60):
         left, right = high - golden * (high - low), low + golden * (high - low)
@@ -175,7 +175,7 @@ def _nearest_to_zero(function, low, high):
 
 
 def _root(function, low, high):
-    """Return where a function changes its sign: by secants, and by halving where they leave the interval."""
+    """Return where a function changes sign, by the secant method safeguarded by bisection."""
     before, guess = low, high
     at_before, at_guess = function(before), function(guess)
     rising = at_guess > 0
@@ -257,7 +257,7 @@ def cone_pressure(x, nodes, medium, section_factor=HALF):
 
 
 def cone_force(nodes, medium, tool_friction, ambient_pressure, section_factor=HALF, separation=True):
-    """Return 2 pi int (max(p + p_a, 0) - p_a) (R' + mu0) R dx, or with the soil clinging 2 pi int p (R' + mu0) R dx.
+    """Return 2 pi int (max(p + p_a, 0) - p_a) (R' + mu0) R dx, or 2 pi int p (R' + mu0) R dx without separation.
 
     By quadrature, to about two thirds of the digits of the working precision.
     """
@@ -270,7 +270,7 @@ def cone_force(nodes, medium, tool_friction, ambient_pressure, section_factor=HA
 
         def thrust(x):
             R = radius(x, nodes)
-            # The quadrature comes so near to a tip that it rounds to it, where p R vanishes.
+            # A quadrature node may be rounded onto a tip, where p R vanishes.
             return pressure(x) * R if R else R
 
         parts = touching(lambda x: pressure(x) + ambient_pressure, a, b) if separation else [(a, b)]

@@ -1,6 +1,6 @@
-"""The field behind the compaction front in 120-digit arithmetic: equations (14)-(22) as a textbook writes them.
+"""The field behind the compaction front in 120-digit arithmetic: equations (14)-(22) in textbook form.
 
-Nothing here is rearranged against cancellation, and nothing is imported from the toolkit.
+The formulas are not rearranged against cancellation, and the toolkit is not imported.
 """
 
 from collections.abc import Callable
@@ -11,9 +11,9 @@ from mpmath.calculus.quadrature import GaussLegendre
 
 from helpers.high_precision import mp
 
-# Digits of integrals and roots of a profile: second differences with a step of 1e-25 leave 20 of them.
+# Digits of a profile's integrals and roots; second differences with a step of 1e-25 keep 20 of them.
 _DIGITS = 75
-# Nodes of the integrals: on the profiles below an error of 1e-50 or less.
+# Quadrature nodes; the error for the profiles below is at most 1e-50.
 _NODES = 96
 
 
@@ -96,7 +96,7 @@ class Particle(NamedTuple):
 
 
 class Profile(NamedTuple):
-    """Density behind the front with two parameters c and w, and what follows from it without quadrature.
+    """A density behind the front with two parameters c and w, and results that do not need quadrature.
 
     ``ratio`` is b = rho0/rho at (s, c, w); ``swept`` is the integral of 2 b s ds from 0 to s.
     """

@@ -1,4 +1,4 @@
-"""The accuracy study: errors that are the true ones, the advice, what is left out, files and pictures."""
+"""The accuracy study: true errors, advice, what is left out, files and pictures."""
 
 import dataclasses
 import io
@@ -36,7 +36,7 @@ def scene(stiffness=5e4, tow_speed=2.0, soil=SOIL, medium="plastic", **effects):
 
 @pytest.fixture(scope="module", params=["thin", pytest.param("full", marks=pytest.mark.slow)])
 def linear(request):
-    """Return a scene with a closed form, and its study; by a clock that lets nobody be cut off."""
+    """Return a scene with a closed form, and its study, with a clock by which no method takes too long."""
     plain = scene(start="rest", inertial_drag=False)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(contest, "median_time", lambda _once, **_: 1e-3)
@@ -61,7 +61,7 @@ def closed_form(plain, duration):
 
 
 class TestErrors:
-    """The errors of a study are the true ones."""
+    """Errors of a study."""
 
     def test_of_a_scene_with_a_closed_form(self, linear):
         plain, study = linear
@@ -74,7 +74,7 @@ class TestErrors:
             kind, value = entry.setting.split()[::-1] if entry.setting.endswith("steps") else entry.setting.split()
             accuracy = po.Accuracy(entry.method, **{kind: int(value) if kind == "steps" else float(value)})
             run = prepared(Task(plain, 0.15, 10, 1.0), accuracy)[1]()
-            # The closed form itself is good to some 1e-14.
+            # The closed form itself has errors of some 1e-14.
             assert entry.errors["mean draft"] == pytest.approx(abs(run.mean_draft - mean) / size, rel=1e-3, abs=3e-14)
             assert entry.errors["RMS"] == pytest.approx(abs(run.force_rms - rms) / size, rel=1e-3, abs=3e-14)
             assert entry.errors["averages"] == max(entry.errors["mean draft"], entry.errors["RMS"])
@@ -100,7 +100,7 @@ class TestErrors:
 
     @pytest.mark.parametrize(("method", "order"), [("rk", 4.0), ("collocation", 5.0)])
     def test_the_trajectory_has_the_methods_order(self, linear, method, order):
-        # RMS converges more slowly with "rk": its running mean begins with 0/0.
+        # Forces rather than averages: the RMS converges more slowly with "rk", whose running mean begins with 0/0.
         found = [e for e in linear[1].entries if (e.family, e.method) == ("integrator", method) and not e.failure]
         found = [e for e in found if 1e-10 < e.errors["trajectory"] < 1e-4]
         counts = np.log([int(e.setting.split()[0]) for e in found])
@@ -123,7 +123,7 @@ class TestErrors:
         pairs = [(AUTO, COMPILED, setting) for setting in compiled] + [("dop853", BARE, setting) for setting in bare]
         for interpreted, machine, setting in pairs:
             for name, error in entries.get((interpreted, setting), entries[machine, setting]).errors.items():
-                # The same steps, rounded alike or nearly.
+                # The same steps, up to rounding.
                 assert entries[machine, setting].errors[name] == pytest.approx(error, rel=1e-2, abs=1e-14)
 
     def test_gradients_of_the_finest_settings_agree_with_the_reference(self, linear):
@@ -133,7 +133,7 @@ class TestErrors:
             if entry.family == "derivatives" and not entry.failure:
                 best[entry.method] = min(best.get(entry.method, 1.0), entry.errors["gradient"])
         assert set(best) == {"auto", "dop853", "collocation", "rk", "cvodes", "idas", "erk", "rosenbrock"}
-        # Of a thin study a tolerance of 1e-6 is the tightest, which leaves some tenfold.
+        # The tightest tolerance of a thin study is 1e-6, which leaves some ten times as much.
         assert max(best.values()) < 3e-5
         assert best["dop853"] < 1e-10
         assert study.floors["gradient"] < 1e-12
@@ -141,7 +141,7 @@ class TestErrors:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["cotton_subsoiler", "reference", "field", "stick_slip"])
-def test_thin_and_full_mode_give_the_same_advice_that_stands_when_it_is_measured_again(name):
+def test_thin_and_full_studies_and_a_repetition_give_the_same_advice(name):
     problem = po.read_problem(PROBLEMS / f"{name}.toml")
     duration = problem.values().get("scene.duration")
     found = [po.study_accuracy(problem.scene(), duration, thin=thin) for thin in (True, False, False)]
@@ -152,7 +152,7 @@ def test_thin_and_full_mode_give_the_same_advice_that_stands_when_it_is_measured
 
 @pytest.fixture(scope="module")
 def damped():
-    """Return the study of a scene with a lasting orbit, from a start."""
+    """Return the study of a transient that tends to a periodic orbit."""
     return po.study_accuracy(
         scene(strength_wave=WAVE, damping=400.0), 0.5, outputs=8, thin=True, allowance=0.2, derivatives=False
     )
@@ -167,14 +167,14 @@ def test_the_table_names_the_references_errors(damped):
 
 
 class TestModels:
-    """Models, which leave something of the motion out, beside the transient and beside the lasting orbit."""
+    """Models that simplify the motion, relative to the transient and to the periodic orbit."""
 
     def test_harmonics_approach_the_lasting_orbit_and_not_the_transient(self, damped):
         balance = {e.setting: e.errors for e in damped.entries if e.method == "harmonic balance"}
         one, more = balance["1 harmonic"], balance["8 harmonics"]
         assert 1e-4 < one["lasting averages"] < 1e-2
         assert more["lasting averages"] < 1e-13
-        # Half a second after its start the averages are those of a transient.
+        # The averages of the first half second are still those of a transient.
         assert more["averages"] > 1e-4
 
     def test_both_orbit_and_transient_are_ranked_and_the_default_is_in_the_first(self, damped):
@@ -200,14 +200,14 @@ class TestModels:
 
 
 class TestQuadratures:
-    """Integrals over the density profile, the path and the face."""
+    """Quadratures over the density profile, the path and the face."""
 
     def test_a_constant_profile_has_the_closed_form(self):
         flat = SOIL.with_density_profile(lambda r: 1350.0 / 0.794 + 0.0 * r, order=8)
         task = Task(scene(soil=flat), 1.0, 4, 1.0)
         found = quadratures.density_profile(task)
         assert all(e.errors["reaction"] < 1e-11 for e in found[0] if int(e.setting.split()[1]) >= 8)
-        # Some units of rounding of the widest floats: no order of the quadrature that it judges is as exact.
+        # Some units in the last place of the widest floats, below the error of every order that it judges.
         assert found[1] < 100 * EPS
         exact = profile_reaction(task.scene.cone, flat, 4, 24)
         plain = soil_reaction(task.scene.cone, SOIL)
@@ -215,7 +215,7 @@ class TestQuadratures:
             assert float(getattr(exact, name)) == pytest.approx(float(getattr(plain, name)), rel=2e-15)
 
     def test_the_reference_of_a_profile_has_another_rule_and_the_same_limit(self):
-        # A soil without internal friction, and with a dense core a third as wide as the front.
+        # Soil without internal friction, with a dense core a third as wide as the front.
         core = dataclasses.replace(SOIL, friction_angle=0.0).with_density_profile(
             lambda r, w: 1350 * (1.08 + 0.3 / (1.0 + (r / w) ** 2)), 0.05, order=64
         )
@@ -247,7 +247,7 @@ class TestQuadratures:
         )
 
     def test_a_quasi_static_course_in_closed_form(self):
-        # Ten whole waves: the mean is that of the constant part, the RMS eps F0/sqrt(2).
+        # Over ten whole waves the mean is that of the constant part, and the RMS eps F0/sqrt(2).
         waves = scene(motion=False, strength_wave=WAVE)
         study = po.study_accuracy(waves, 1.0, outputs=5)
         (question,) = study.questions
@@ -295,7 +295,7 @@ class TestWhatIsLeftOut:
         cut = {e.label: e for e in study.failures if "cut off" in e.failure}
         assert {"dop853", "rk", "auto"} <= {e.method for e in cut.values()}
         assert all(math.isinf(e.seconds) and not e.errors for e in cut.values())
-        # What the toolkit does by itself may take twenty times as long.
+        # The default may take twenty times as long.
         for label, allowed in (("auto, error 1e-06", "1e-09"), ("auto, error 1e-08", "2e-08")):
             assert cut[label].failure.endswith(f", {allowed} s allowed")
 
@@ -307,7 +307,7 @@ class TestWhatIsLeftOut:
         assert entry.failure is not None
 
     def test_without_a_reference_a_note_says_why(self):
-        # A share that the soil drives away without bound has no motion to follow.
+        # The soil drives this share away without bound.
         study = po.study_accuracy(scene(stiffness=50.0, start="rest", formulation="printed"), 0.5, outputs=4)
         assert study.questions == ()
         assert any("no reference for the motion: the reference stops at" in note for note in study.notes)

@@ -1,4 +1,4 @@
-"""Entries of a contest: medians, the efficient front, and the cheapest that is good enough."""
+"""Contests: median times, the efficient front, and the cheapest setting that is good enough."""
 
 import dataclasses
 import itertools
@@ -78,7 +78,7 @@ CLOCKED = {"fast": 1.0, "slow": 2.5, "slower": 30.0}
 
 
 def clocked(method, counts, order, *, factor=1.0, fixed=False):
-    """Return a track of a method of an order, whose uses report their name, and what was tried of it."""
+    """Return a contestant of some order, whose uses return name and steps, and a list of the settings tried."""
     tried = []
 
     def prepare(steps):
@@ -93,11 +93,11 @@ def clocked(method, counts, order, *, factor=1.0, fixed=False):
 
 
 class TestTracks:
-    """The cheapest setting between those that are tried in any case, by a clock that knows what a step takes."""
+    """The cheapest good setting between those measured in any case, by a clock that knows the time of a step."""
 
     @pytest.fixture(autouse=True)
     def clock(self, monkeypatch):
-        # A use reports its name and its steps; nobody needs to wait for it.
+        # A use returns its name and steps, from which its time follows.
         monkeypatch.setattr(contest, "median_time", lambda use, **_: CLOCKED[use()[0]] * 1e-3 * use()[1] / 40.0)
         monkeypatch.setattr(contest, "_measure_in_turns", lambda *_: None)
 
@@ -117,11 +117,11 @@ class TestTracks:
         assert (full is not None) == (true <= 40.0 * max(FACTORS))
         if full is not None:
             assert int(full.split()[0]) == pytest.approx(true, rel=0.1, abs=1.0)
-            # The halvings of some seventy settings, and those that are shown.
+            # The halvings of some seventy settings, and those measured in any case.
             assert fewer <= 4 + 7
 
     def test_errors_that_do_not_fall_evenly_lead_both_modes_to_the_same(self):
-        # Whichever of neighbours reaches the error by chance: every fifth is a hundred times as exact.
+        # Every fifth setting is a hundred times as exact by chance.
         found = []
         for factors in (FACTORS, (0.125, 0.5, 2.0, 4.0)):
             track, _ = clocked("fast", factors, 4)
@@ -140,13 +140,13 @@ class TestTracks:
         assert len(of_slower) == len(slower.always)
 
     def test_what_may_still_win_is(self):
-        # Its coarsest setting that is tried in any case is slower, and far too exact.
+        # The coarsest of its settings measured in any case is slower, but far too exact.
         (fast, _), (slow, _) = clocked("fast", (1, 2, 4), 8, factor=50.0), clocked("slow", (1, 2, 4), 8, factor=1e-9)
         entries = measured([fast, slow], "error", 1e-3, 1e3)
         assert cheapest(entries, "error", 1e-3).method == "slow"
 
     def test_one_slow_measurement_changes_no_advice(self, monkeypatch):
-        """The coarsest setting that reaches the error is measured again, though at first it seemed slow."""
+        """The coarsest setting that reaches the error is timed again, even if it seemed slow at first."""
         monkeypatch.undo()
         now = [0.0]
 
@@ -154,7 +154,7 @@ class TestTracks:
             uses = itertools.count()
 
             def use():
-                # Slow when it is tried, and now and then in turns.
+                # Slow at first, and now and then in turns.
                 number = next(uses)
                 slow = steps == 80 and (number < 16 or number % 5 == 0)
                 now[0] += 1e-3 * steps / 40.0 * (5.0 if slow else 1.0)
@@ -181,11 +181,11 @@ class TestTracks:
         monkeypatch.setattr(contest.time, "process_time", lambda: now[0])
         track, _ = clocked("fast", (1, 2), 8, fixed=True)
         measured([dataclasses.replace(track, prepare=prepare)], "error", 1.0, 10.0)
-        # Thrice when it is tried, for a median, and in turns until both have taken twice what one may.
+        # Three times for a median, and in turns until both have taken twice the allowance of one use.
         assert len(done) == 2 * (3 + 4)
 
     def test_a_clock_that_ticks_coarsely_still_tells_short_uses_apart(self, monkeypatch):
-        """So it does on Windows, and under a limit of processor time, where a use between two ticks takes none."""
+        """On Windows, and under a limit of processor time, a use between two ticks seems to take no time."""
         monkeypatch.undo()
         now, done = [0.0], []
 
@@ -200,5 +200,5 @@ class TestTracks:
         monkeypatch.setattr(contest.time, "process_time", lambda: now[0] // 0.016 * 0.016)
         track, _ = clocked("fast", (1, 2), 8, fixed=True)
         entries = measured([dataclasses.replace(track, prepare=prepare)], "error", 1.0, 10.0)
-        # A turn is one tick: some 160 uses of the one and 80 of the other.
+        # A turn is one tick: some 160 uses of one setting and 80 of the other.
         assert [entry.seconds for entry in entries] == pytest.approx([1e-4, 2e-4], rel=0.05)

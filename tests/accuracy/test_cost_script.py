@@ -1,4 +1,4 @@
-"""The script of five scenes: its picture, and what it prints."""
+"""The script that studies five scenes: its scenes, picture and output."""
 
 import dataclasses
 import importlib.util

@@ -1,4 +1,4 @@
-"""The contest of methods for the optimum of a design: its reference, its errors, its failures."""
+"""The contest for the optimum of a design: reference, errors and failures."""
 
 import math
 
@@ -16,7 +16,7 @@ FAMILIES = ["transcription", "integrator", "derivatives", "compiled"]
 
 
 def short(soil, wave, *, guess=7e4, limits=(6e4, 1.2e5), duration=0.4, objective=None, **effects):
-    """Build a small relative of R1: one stiffness, its optimum between the bounds."""
+    """Return a simplified problem R1 with the stiffness as its only variable, and an optimum between the bounds."""
     d = po.Design()
     k0 = d.variable("stiffness", guess=guess, lower=limits[0], upper=limits[1], unit="N/m", log=True)
     share = po.Wedge(po.deg(30.0), po.deg(15.0), 0.2)
@@ -38,7 +38,7 @@ def entries_of(contest, family, word=""):
 @pytest.mark.slow
 def test_the_reference_is_an_interior_optimum_by_two_integrators(contest, r1_soil, r1_wave):
     best = contest.optima[0]
-    # Objective and optimality by two methods that share nothing: far below what IPOPT's tolerance of 1e-10 leaves.
+    # Objective and optimality by two methods that share nothing agree far below IPOPT's tolerance of 1e-10.
     assert 0.0 < best.floor < 1e-13
     assert best.off < 1e-11
     assert 0.05 < best.y[0] < 0.95
@@ -73,7 +73,8 @@ def test_errors_of_order_8_fall_with_the_steps_and_the_variables_follow(contest)
     assert reported == sorted(reported, reverse=True)
     assert reported[0] > 100.0 * reported[-1]
     for entry in rows:
-        # At an interior optimum the loss is of second order in the variables: far below the error of the report.
+        # At an interior optimum the loss is of second order in the variables, far below the error of the reported
+        # value.
         assert entry.errors[TRUE] <= 10.0 * entry.errors[VARIABLES] ** 2 + contest.optima[0].floor
         assert entry.errors[REQUIREMENTS] == 0.0
 
@@ -86,7 +87,7 @@ def test_derivatives_change_the_time_and_not_the_answer(contest):
     assert len(exact) == 3 + (find_compiler() is not None)
     first = exact[0].errors
     for entry in exact:
-        # The same steps in another order of operations: rounding, and IPOPT's tolerance of 1e-10.
+        # The same steps in another order of operations differ by rounding, and IPOPT's tolerance of 1e-10.
         assert entry.errors[REPORTED] == pytest.approx(first[REPORTED], abs=1e-11)
         assert entry.errors[VARIABLES] == pytest.approx(first[VARIABLES], abs=1e-8)
 
@@ -96,13 +97,13 @@ def test_derivatives_change_the_time_and_not_the_answer(contest):
 
 @pytest.fixture
 def bowl():
-    """Build a design without a run: x = 1.25 and y = 1 by the requirement."""
+    """Return a design without a run, whose optimum is x = 1.25 and, by the requirement, y = 1."""
     d = po.Design()
     x = d.variable("x", guess=0.5, lower=0.0, upper=2.0)
     y = d.variable("y", guess=1.5, lower=0.5, upper=2.0)
     d.minimise(1.0 + (x - 1.25) ** 2 + y)
     d.require("least y", y, at_least=1.0)
-    d.require("least x", x, at_least=0.2)  # which leaves room, and so is no error
+    d.require("least x", x, at_least=0.2)  # inactive, and so without an error
     return d
 
 
@@ -123,7 +124,7 @@ def test_a_design_without_a_run_has_derivatives_alone(bowl, monkeypatch, tmp_pat
         if entry.family == "compiled":
             assert entry.failure == "no C compiler was found ($CC, cc, gcc, clang), or it refused the program"
         else:
-            # Rounding over the step of a forward difference, and a tolerance of 1e-6.
+            # Rounding divided by the step of a forward difference, and a tolerance of 1e-6.
             limit = 1e-5 if "differences" in entry.method else 1e-9
             assert entry.failure is None
             assert max(entry.errors.values()) < limit
@@ -146,9 +147,9 @@ def test_a_repetition_that_takes_too_long_leaves_the_first_time(bowl, monkeypatc
     assert all(entry.failure is None and 0.0 < entry.seconds < math.inf for entry in rows)
 
 
-def test_an_optimum_elsewhere_is_told_and_measured_by_itself(monkeypatch):
+def test_an_optimum_elsewhere_is_named_and_measured_against_itself(monkeypatch):
     monkeypatch.setattr(compiler, "find_compiler", lambda: None)
-    # Two wells on either side of the middle: contestants start in the one that is not the reference's.
+    # Two wells on either side of the middle. Contestants start in the one without the reference.
     monkeypatch.setattr(optimum, "_NEAR_START", 0.4)
     d = po.Design()
     x = d.variable("x", guess=-0.4, lower=-1.0, upper=1.0)
@@ -156,7 +157,7 @@ def test_an_optimum_elsewhere_is_told_and_measured_by_itself(monkeypatch):
     contest = design_contest(d, budget=0.0, near=True)
     # Roots of f' = 4 x^3 - 0.64 x - 0.02.
     low, _, high = np.sort(np.roots([4.0, 0.0, -0.64, -0.02]).real)
-    # Rounding of the roots, and of f' over f'', which is about 1.
+    # Rounding of the roots, and of f'/f'' with f'' of about 1.
     assert sorted(o.variables["x"] for o in contest.optima) == pytest.approx([low, high], abs=1e-14)
     for entry in entries_of(contest, "derivatives"):
         assert entry.elsewhere.startswith("ended in another optimum, ")
@@ -188,7 +189,7 @@ def test_an_orbit_is_solved_by_harmonics_and_by_shooting(r1_soil, r1_wave, monke
     run = po.simulate(po.Scene(r1_soil, share, k0, 25.0, 2.0, effects), outputs=4)
     d.minimise(run.force_rms / 1e3 + k0 / 1e5)
     contest = design_contest(d, budget=0.0)
-    # Harmonics and steps of order 8 are two ways to one orbit; the reference is by finer steps than either.
+    # Harmonics and steps of order 8 lead to the same orbit; the reference takes finer steps than either.
     assert contest.optima[0].floor < 1e-12
     ways = [entries_of(contest, "integrator", "dop853")[0], *entries_of(contest, "derivatives", "exact gradient")]
     assert len(ways) == 2
@@ -200,7 +201,7 @@ def test_an_orbit_is_solved_by_harmonics_and_by_shooting(r1_soil, r1_wave, monke
 
 
 @pytest.mark.slow
-def test_a_share_that_sticks_is_solved_by_what_finds_events(r1_soil, r1_wave, monkeypatch):
+def test_a_share_that_sticks_is_solved_by_methods_that_locate_events(r1_soil, r1_wave, monkeypatch):
     monkeypatch.setattr(compiler, "find_compiler", lambda: None)
     d = short(r1_soil, r1_wave, duration=0.1, objective=lambda run: run.mean_draft / 1e3, contact=po.StickSlip())
     contest = design_contest(d, budget=0.0)
@@ -215,5 +216,5 @@ def test_a_share_that_sticks_is_solved_by_what_finds_events(r1_soil, r1_wave, mo
     assert entries_of(contest, "derivatives", "L-BFGS")[0].failure is None
     (single,) = entries_of(contest, "transcription", "single shooting")
     assert single.setting == "erk, tolerance 1e-10"
-    # What CasADi itself cannot do is said to be so.
+    # A failure of CasADi itself is reported as such.
     assert single.failure is None or single.failure.startswith("CasADi gave up: ")

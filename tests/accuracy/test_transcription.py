@@ -1,7 +1,7 @@
-"""Transcriptions of a design: their optimum tends to the truth in the order of the method, whatever the form.
+"""Transcriptions of a design, whose optimum converges to the true one with the order of the method.
 
-Truth of problem R1: 1.9 million simulations on a grid, polished with exact gradients to a residual of 1e-9 and checked
-in long double.
+The true optimum of problem R1 is the best of 1.9 million simulations on a grid, polished with exact gradients to a
+residual of 1e-9 and checked in long double.
 """
 
 import casadi as ca
@@ -63,7 +63,7 @@ def collocation(intervals, degree, points="radau"):
     return Mesh(intervals, degree=degree, points=points)
 
 
-# The finer mesh leaves errors of 1e-8 to 1e-4, far above the truth's last digit, 5e-11.
+# The finer mesh leaves errors of 1e-8 to 1e-4, far above those of the true optimum, 5e-11.
 @pytest.mark.parametrize(
     ("form", "order", "mesh"),
     [
@@ -80,25 +80,25 @@ def test_error_of_the_optimum_falls_in_the_order_of_the_collocation(r1, form, or
     for intervals in (mesh, 2 * mesh):
         objective, values = solved(r1, form(intervals), L3)
         errors.append([abs(objective - L3[3]), abs(values[2] - L3[2]) / L3[2]])
-    # A mesh of half a step per radian is not yet asymptotic; the next order is 1 or 2 away.
+    # With half a step per radian convergence is not quite asymptotic. The next possible order differs by 1 or 2.
     np.testing.assert_allclose(np.log2(np.array(errors[0]) / errors[1]), order, atol=0.3)
 
 
 def test_shooting_by_segments_has_the_optimum_of_shooting_once(r1):
     coarse, fine = (solved(r1, single(steps), L3) for steps in (48, 96))
     segments, values = solved(r1, shots(8, 12), L3)
-    # The same steps in another form: what is left is IPOPT's tolerance.
+    # The same steps in another form differ by IPOPT's tolerance.
     assert segments == pytest.approx(fine[0], abs=1e-11)
     np.testing.assert_allclose(values, fine[1], rtol=1e-8)
     assert np.log2(abs(coarse[0] - L3[3]) / abs(fine[0] - L3[3])) > 7.8
 
 
-# --- every size that a run has -----------------------------------------------------------------------------
+# --- every result of a run ---------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def rich(r1_soil, r1_wave):
-    """Build a question of one variable that uses outputs, two signals with an RMS and the tow power."""
+    """Return a question of one variable that uses outputs, two signals with an RMS and the tow power."""
     d = po.Design()
     k0 = d.variable("stiffness", guess=2e4, lower=1e4, upper=4e4, unit="N/m", log=True)
     damping = d.parameter("damping", 250.0, unit="N s/m")
@@ -123,7 +123,7 @@ def rich(r1_soil, r1_wave):
 )
 def test_every_result_of_a_run_is_that_of_the_tight_integration(rich, form):
     own = transcribe(rich, form)
-    # The variable held at its guess, IPOPT finds the run alone.
+    # With the variable fixed at its guess, IPOPT solves for the run alone.
     held = np.r_[own.start[:1], own.lower[1:]], np.r_[own.start[:1], own.upper[1:]]
     options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
     options |= {"ipopt.fixed_variable_treatment": "make_constraint"}
@@ -133,12 +133,12 @@ def test_every_result_of_a_run_is_that_of_the_tight_integration(rich, form):
     (objective, *requirements), _ = rich.program.exact_values(own.start[:1], rich.p)
     scales = rich.program.scales
     truth = np.concatenate([(v / s).ravel() for v, s in zip(requirements, scales, strict=True)])
-    # The ramp ends at a node of shooting, and of every mesh; collocation of order 9 or 10 leaves some 1e-9.
+    # The ramp ends at a node of every mesh. Collocation of order 9 or 10 leaves some 1e-9.
     assert float(found["f"]) * rich.program.objective_scale == pytest.approx(objective.item(), rel=1e-8)
     np.testing.assert_allclose(np.asarray(found["g"]).ravel()[: len(truth)], truth, rtol=0.0, atol=1e-8)
 
 
-def test_a_run_with_events_is_shot_as_a_whole_only(r1_soil, r1_wave):
+def test_a_run_with_events_is_not_put_on_a_mesh(r1_soil, r1_wave):
     d = po.Design()
     k0 = d.variable("stiffness", guess=2e4, lower=1e4, upper=4e4, unit="N/m")
     share = po.Wedge(po.deg(30.0), po.deg(15.0), 0.2)

@@ -31,7 +31,7 @@ def exact(value):
 
 
 def off(found, wanted):
-    """Return the difference of a wide float from a precise number."""
+    """Return the distance of a wide float from a precise number."""
     return float(abs(exact(found) - wanted))
 
 
@@ -82,7 +82,7 @@ def test_a_linear_oscillation_from_rest():
     mean = mp.quad(pull, mp.linspace(0, T, 15)) / T
     spread = mp.sqrt(mp.quad(lambda t: (pull(t) - mean) ** 2, mp.linspace(0, T, 15)) / T)
     size = float(abs(z(T / 2)) + F / k)
-    # Thirty radians of phase, of which each is rounded: some tens of units in the last place.
+    # The rounding of thirty radians of phase is some tens of units in the last place.
     for k_output in range(outputs + 1):
         assert off(found.run.deflection[k_output], z(T * k_output / outputs)) < 200 * EPS * size
     assert off(found.run.mean_draft, mean) < 200 * EPS * float(mean)
@@ -112,7 +112,7 @@ SLOWER = {
 
 
 def test_the_errors_of_averages_and_of_forces_are_apart():
-    # After four hundred radians the phase is rounded and with it every force; averages hardly depend on it.
+    # After four hundred radians the rounding of the phase affects every force, but hardly the averages.
     plain = scene(stiffness=5e8, start="rest", inertial_drag=False)
     found = reference_run(plain, 0.1, outputs=50)
     k, F, V = (mp.mpf(float(x)) for x in (5e8, plain.reaction.static, 2.0))
@@ -136,14 +136,14 @@ def test_against_28_digits(name):
     found = reference_run(share, duration, outputs=2)
     travel, speed, pull, misses = precise_motion.follow(share, found.events, duration)
     way = share.tow_speed * duration
-    # Rounding of forces and phases over a few oscillations; a share stops, or turns, at 1e-12 of the tow speed
-    # backwards, which moves what follows by less than a thousandth of that.
+    # Rounding of forces and phases over a few oscillations. A share stops, or turns, at 1e-12 of the tow speed
+    # backwards, which changes the motion after that by less than a thousandth of as much.
     tolerance = 1e-15 if "stick" in name or "retreat" in name else 100 * EPS
     assert off(found.run.travel[-1], travel) < tolerance * way
     assert off(found.run.speed[-1], speed) < tolerance * share.tow_speed
     assert off(found.run.mount_force[-1], pull) < tolerance * float(np.max(np.abs(found.run.mount_force)))
     assert all(miss < tolerance for miss in misses)
-    # An estimate is honest that is no more than a few times below the error.
+    # The estimate may be below the true error by no more than a small factor.
     true = off(found.run.mount_force[-1], pull) / float(np.max(np.abs(found.run.mount_force)))
     assert true < max(10 * found.error, tolerance / 10)
     assert found.error < tolerance
@@ -151,7 +151,7 @@ def test_against_28_digits(name):
 
 @dataclass(frozen=True)
 class Kinked:
-    """A resistance that is constant up to a travel of 0.01 m, and then grows."""
+    """Resistance that is constant up to a travel of 0.01 m, and then grows."""
 
     slope: float
 
@@ -168,7 +168,7 @@ def harmonic(square, forcing, start, rate):
 def test_a_kink_in_an_own_resistance_is_met_with_short_steps():
     share = scene(own=(Kinked(1e4),), start="towed", inertial_drag=False)
     found = reference_run(share, 0.06, outputs=2)
-    # Constant up to L = 0.01 m and then linear: two harmonic pieces.
+    # Constant up to L = 0.01 m and then linear, so the motion has two harmonic pieces.
     k, F, V, T = (mp.mpf(float(x)) for x in (5e4, share.reaction.static, 2.0, 0.06))
     M, stiff, edge = mp.mpf(25) + mp.mpf(float(share.reaction.added_mass)), mp.mpf(1e4), mp.mpf(0.01)
     z = harmonic(k / M, (F + stiff * edge) / M, 0, 0)
@@ -177,12 +177,12 @@ def test_a_kink_in_an_own_resistance_is_met_with_short_steps():
     crossing = mp.findroot(lambda t: V * t - z(t) - edge, (looks[beyond - 1], looks[beyond]), solver="anderson")
 
     def line(t):
-        # What M L'' = k (V t - L) - F - stiff L follows without swinging.
+        # The particular solution of M L'' = k (V t - L) - F - stiff L.
         return (k * V * t - F) / (k + stiff)
 
     speed = V - mp.diff(z, crossing)
     about = harmonic((k + stiff) / M, 0, edge - line(crossing), speed - k * V / (k + stiff))
-    # The kink costs digits, and the estimate knows.
+    # The kink costs digits, which the estimate shows.
     peak = float(np.max(np.abs(found.run.mount_force)))
     assert 5e4 * off(found.run.travel[-1], line(T) + about(T - crossing)) < found.error * peak
     assert found.error < 1e-14 * max(1.0, float(EPS) / 1e-19)
@@ -204,7 +204,7 @@ def test_against_another_solver_averages_and_all(name):
     share, duration = OTHERS[name]
     found = reference_run(share, duration, outputs=20)
     other = three_modes.follow(share, duration, outputs=20)
-    # What SciPy's order 8 leaves at its tolerance of 1e-12.
+    # The error of SciPy's order 8 at a tolerance of 1e-12.
     assert max(errors_of(other, found.run).values()) < 3e-11
     assert float(found.run.mean_deflection) == pytest.approx(other.mean_deflection, rel=1e-10)
     assert float(found.run.displacement_rms) == pytest.approx(other.displacement_rms, rel=1e-9)
@@ -218,7 +218,7 @@ def test_a_lasting_orbit_returns_to_where_it_began():
     found = reference_run(share, outputs=10)
     peak = float(np.max(np.abs(found.run.mount_force)))
     assert abs(found.run.mount_force[-1] - found.run.mount_force[0]) < 100 * EPS * peak
-    # Long after its start a damped transient is on the orbit: exp(-8.2/s 4 s) is 1e-14 of its swing.
+    # A damped transient has long reached the orbit: exp(-8.2/s 4 s) leaves 1e-14 of its swing.
     settled = po.simulate(scene(strength_wave=WAVE, damping=400.0), 4.1, accuracy=po.Accuracy(error=1e-12), outputs=410)
     assert np.allclose(settled.mount_force[-11:], found.run.mount_force.astype(float), rtol=0, atol=1e-11 * peak)
     assert found.error < 200 * EPS
@@ -247,7 +247,7 @@ def test_an_orbit_is_that_of_simulate_at_every_output(changes, duration):
 
 @dataclass(frozen=True)
 class Tabled:
-    """A resistance by a table of the speed, which has doubles only."""
+    """Resistance by a table of the speed, which CasADi looks up in doubles only."""
 
     size: float
 
@@ -305,7 +305,7 @@ def test_a_gradient_through_events_is_that_of_the_run():
     slopes = ca.Function("slopes", [x], [ca.jacobian(ca.vertcat(run.mean_draft, run.force_rms), x)])
     at = [float(getattr(share, name)) for name in QUANTITIES]
     size = float(np.max(np.abs(found.values)))
-    # What the event's location at 1e-12 leaves.
+    # The error that the location of events to 1e-12 leaves.
     assert {name for _, name in reference_run(share, 0.4).events} == {"move", "stop"}
     assert np.allclose(np.asarray(slopes(at)) * at, found.values.astype(float), rtol=0, atol=1e-8 * size)
     assert found.error < 1e-10

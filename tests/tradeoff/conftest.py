@@ -1,30 +1,11 @@
-"""Designs with fronts in closed form, and a front of a motion; each is traced once."""
+"""Designs with fronts in closed form, and a front of a motion. Each is traced once for all tests."""
 
-import contextlib
-import io
-from pathlib import Path
 from types import SimpleNamespace
 
 import casadi as ca
 import pytest
 
 import plough_opt as po
-from plough_opt.app import main
-
-PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
-
-
-@pytest.fixture
-def cli():
-    """Run the command line in this process."""
-
-    def call(*arguments):
-        out, err = io.StringIO(), io.StringIO()
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-            status = main([str(argument) for argument in arguments])
-        return SimpleNamespace(status=status, out=out.getvalue(), err=err.getvalue())
-
-    return call
 
 
 @pytest.fixture
@@ -46,7 +27,7 @@ def convex():
 
 @pytest.fixture(scope="session")
 def concave():
-    """Front f1^2 + f2^2 = 1 of points outside the unit circle, at 21 positions: a weighted sum finds its ends only."""
+    """Front f1^2 + f2^2 = 1 of points outside the unit circle, at 21 positions; a weighted sum finds only its ends."""
     d = po.Design()
     x, y = (d.variable(name, guess=0.9, lower=0.0, upper=2.0) for name in "xy")
     d.require("outside", x**2 + y**2, at_least=1.0)
@@ -55,7 +36,7 @@ def concave():
 
 @pytest.fixture(scope="session")
 def broken():
-    """Front (x, (x - 0.3)^2 (0.8 - x)) for 0 <= x <= 1: it ends at its minimum 0.3 and goes on beyond 0.8."""
+    """Front (x, (x - 0.3)^2 (0.8 - x)) for 0 <= x <= 1, interrupted from its minimum at 0.3 to 0.8."""
     d = po.Design()
     x = d.variable("x", guess=0.5, lower=0.0, upper=1.0)
     y = d.variable("y", guess=0.5, lower=-1.0, upper=1.0)
@@ -65,7 +46,7 @@ def broken():
 
 @pytest.fixture(scope="session")
 def alone():
-    """The front of two objectives that are best in the same design."""
+    """Front of two objectives that are best in the same design."""
     d = po.Design()
     x, y = (d.variable(name, guess=0.4, lower=-2.0, upper=2.0) for name in "xy")
     goals = po.Goal("draft", 1.0 + x**2 + y**2), po.Goal("power", 3.0 + 2.0 * x**2 + y**2)

@@ -52,7 +52,7 @@ def test_crowded_rows_go_and_ends_of_parts_stay():
 
 
 def test_of_rows_that_beat_each_other_by_rounding_one_stays():
-    # Each is better than the next by 1.7e-7 in one objective and worse by 0.9e-7 in two: less than 1e-7 is none.
+    # Each row is better than the next by 1.7e-7 in one objective and worse by 0.9e-7 in two, where 1e-7 is rounding.
     turn = np.array([[0.0, 0.8, -0.9], [-0.9, 0.0, 0.8], [0.8, -0.9, 0.0]]) * 1e-7
     assert undominated(np.vstack([turn, turn[0] + 1e-3])).tolist() == [0, 2]
     twice = np.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]])
@@ -62,7 +62,7 @@ def test_of_rows_that_beat_each_other_by_rounding_one_stays():
 def test_volume_is_that_of_the_boxes():
     rng = np.random.default_rng(2)
     points = rng.random((15, 3))
-    # By inclusion and exclusion: of all cells between the points' coordinates those that a point dominates.
+    # Sum the cells between the points' coordinates that some point dominates.
     cuts = [np.unique(np.r_[points[:, k], 1.1]) for k in range(3)]
     sizes = np.einsum("i,j,k->ijk", *(np.diff(cut) for cut in cuts))
     corners = np.stack(np.meshgrid(*(cut[:-1] for cut in cuts), indexing="ij"), axis=-1)
@@ -76,7 +76,7 @@ def test_volume_is_that_of_the_boxes():
 
 def test_designs_beyond_a_line():
     designs = np.array([[0.33, 0.67], [0.33, 0.57], [0.33, 0.77], [-0.1, 1.5], [1.2, 0.3]])
-    # On the line, 0.05 below it in both objectives, above it, beyond an end by 0.1, and beaten by an end.
+    # On the line, below it by 0.05 in both objectives, above it, beyond an end by 0.1, and dominated by an end.
     assert lead_over_front(LINE, designs, 0.2)[:4] == pytest.approx([0.0, 0.05, -0.05, 0.1], abs=1e-12)
     assert lead_over_front(LINE, designs, 0.2)[4] < 0.0
 
@@ -86,7 +86,7 @@ def test_in_a_gap_only_points_count():
     middle = np.array([[0.5, 0.5]])
     assert lead_over_front(broken, middle, 0.2) == pytest.approx([0.2])
     assert lead_over_points(broken, middle) == pytest.approx([0.2])
-    # Neighbours three steps apart are one part of steps that long.
+    # With steps four times as long the same neighbours are not far apart.
     assert lead_over_front(broken, middle, 0.8) == pytest.approx([0.0], abs=1e-12)
 
 
@@ -94,7 +94,7 @@ def test_designs_beyond_a_plane():
     plane = np.array([[i, j, 6 - i - j] for i in range(7) for j in range(7 - i)]) / 6.0
     designs = np.array([[0.3, 0.3, 0.4], [0.3, 0.3, 0.37], [0.3, 0.3, 0.43]])
     assert lead_over_front(plane, designs, 1.0 / 6.0) == pytest.approx([0.0, 0.01, -0.01], abs=1e-12)
-    # Beside the edge half a step is none.
+    # Beyond the edge a lead of half a step does not count.
     outside = np.array([[-0.05, 0.5, 0.55]])
     assert lead_over_front(plane, outside, 1.0 / 6.0)[0] < 0.0 < lead_over_points(plane, outside)[0]
 
@@ -128,7 +128,7 @@ def test_the_lattice():
         assert lattice.nearest_node(at + 5.0) == node
         assert lattice.distance((at + 5.0)[None], node) == pytest.approx(0.0, abs=1e-12)
         assert lattice.distance(np.array(neighbours(node)) / 6.0, node) == pytest.approx(np.ones(6))
-    # With a node more the triangle needs a longer side.
+    # One node more needs a longer side of the triangle.
     assert Lattice.with_nodes(29).steps == 7
 
 

@@ -1,4 +1,4 @@
-"""Parts of following a front: quadratic programs, warm starts, builds that are kept, lattices and volumes."""
+"""Path following: quadratic programs, warm starts, solves from afar, and programs that are reused."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def test_quadratic_programs_meet_their_first_order_conditions():
         root = rng.normal(size=(n, n))
         curvature, gradient = root @ root.T + 0.01 * np.eye(n), rng.normal(size=n)
         rows = np.vstack([rng.normal(size=(m, n)), np.eye(n)])
-        # Zero is feasible; some limits are not there.
+        # Zero is feasible, and some limits are infinite.
         low = np.where(rng.random(m + n) < 0.3, -np.inf, -rng.random(m + n))
         high = np.where(rng.random(m + n) < 0.3, np.inf, rng.random(m + n))
         step, multipliers = quadratic_program(curvature, gradient, rows, (low, high))
@@ -59,8 +59,7 @@ def test_a_front_is_followed_from_point_to_point_in_few_steps(plane, monkeypatch
     goals = (x**2 + y**2) ** 2, ((x - 1.0) ** 2 + y**2) ** 2
     front = po.trade_off(d, *goals, points=41, search="near")
     assert len(front.points) == 41
-    # From where the last two designs lead, and not from the last one itself, from which it is 2.2; IPOPT takes over
-    # nowhere.
+    # Starts are predicted from the last two designs; from the last one alone it takes 2.2 steps. IPOPT is never needed.
     assert np.mean(steps) < 2.0
 
 
@@ -83,9 +82,9 @@ def test_a_solve_from_afar_finds_the_optimum_or_says_that_there_is_none(batched)
     p = front.weighted(np.ones(2))
     found = corrector.solve_from_afar(point_as_found(front.program, p, start), start, p)
     assert found.solved
-    # Differences leave slopes of 5e-7, which curvatures of about 1 turn into as much of a scaled variable.
+    # Slopes of 5e-7 that differences leave are errors of as much in a scaled variable, for curvatures are about 1.
     assert front.program.values(found.y) == pytest.approx([0.3, 2.0], rel=1e-5)
-    # No design has less than nothing of both.
+    # The second objective is never negative.
     p = front.limited(0, {1: -1.0})
     none = corrector.solve_from_afar(found, found.y, p)
     assert not none.solved
@@ -96,7 +95,7 @@ def test_a_solve_from_afar_finds_the_optimum_or_says_that_there_is_none(batched)
 
 
 def shifted():
-    """Return a design whose second objective's optimum is a parameter, and both objectives."""
+    """Return a design, and two objectives, the second of which has its optimum at a parameter."""
     d = po.Design()
     x, y = (d.variable(name, guess=0.4, lower=-4.0, upper=4.0) for name in "xy")
     c = d.parameter("c", 1.0)
@@ -111,7 +110,7 @@ def test_fronts_of_several_parameters_share_a_build(monkeypatch):
     for c in (1.0, 3.0):
         front = po.trade_off(d, *goals, points=9, parameters={"c": c})
         assert np.sqrt(front.objectives).sum(axis=1) == pytest.approx(c, abs=1e-8)
-    # The other objective weighs 1e-4 at the ends.
+    # The other objective weighs 1e-4 at the ends, and moves them by about as much.
     assert po.trade_off(d, *goals, points=9).objectives.max() == pytest.approx(1.0, abs=3e-4)
     assert len(built) == 2  # one, and a rough one for scans
 
@@ -124,17 +123,3 @@ def test_another_question_is_built_anew():
     assert other.objectives[:, 1] == pytest.approx(-front.objectives[:, 1], abs=1e-9)
     d.require("kept", first, at_least=0.25)
     assert po.trade_off(d, first, second, **local).objectives[0, 0] == pytest.approx(0.25, rel=1e-8)
-
-
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"C": 2.0}, "'C' is not a parameter of this design: valid names: c"),
-        ({"c": "two"}, "parameter 'c': 'two' is not a number"),
-        ({"c": np.nan}, "parameter 'c': nan must be a finite number"),
-    ],
-)
-def test_parameters_that_cannot_be(parameters, message):
-    d, goals = shifted()
-    with pytest.raises(po.InputError, match=message):
-        po.trade_off(d, *goals, points=9, parameters=parameters)

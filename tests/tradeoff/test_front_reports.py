@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -15,17 +14,6 @@ from plough_opt.app.terminal import print_page
 from plough_opt.studies.tradeoff.front import Failure
 
 # --- files and pictures -------------------------------------------------------------------------------------
-
-
-def test_json_and_back(broken, tmp_path):
-    path = broken.save(tmp_path / "deep" / "front.json")
-    back = po.TradeOff.load(path)
-    assert back == po.load(path) == replace(broken, versions=dict(broken.versions))
-    assert np.array_equal(back.designs, broken.designs)
-    text = json.loads(path.read_text(encoding="utf-8"))
-    assert text["schema"] == 2
-    assert text["kind"] == "trade-off"
-    assert text["versions"]["plough_opt"]
 
 
 def test_table_and_back(broken, tmp_path):
@@ -66,7 +54,7 @@ def test_picture(broken, tmp_path):
 
 @pytest.fixture(scope="module")
 def surface():
-    """A surface of three objectives and four variables, with names and values as long as those of a problem file."""
+    """Surface of three objectives and four variables, with names and values as long as those of a problem file."""
     d = po.Design()
     names = {"share.wedge_angle": 1.0, "share.height": 0.1, "scene.stiffness": 1e5, "scene.tow_speed": 1.0}
     x = [d.variable(name, guess=0.7 * size, lower=0.0, upper=1.5 * size, unit="") for name, size in names.items()]

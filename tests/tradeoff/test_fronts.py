@@ -20,7 +20,7 @@ ZDT3 = [(0.0, 0.0830015349), (0.1822287280, 0.2577623634), (0.4093136748, 0.4538
 
 def test_convex_front(convex):
     first, second = convex.objectives.T
-    # Designs lie on y = 0 to the square root of the optimiser's 1e-10, objectives on the curve to that.
+    # Designs have y = 0 to the square root of the optimiser's tolerance of 1e-10, so objectives meet the curve to that.
     assert np.sqrt(first) + np.sqrt(second) == pytest.approx(1.0, abs=1e-10)
     # At the ends the other objective weighs 1e-4: both lie 1e-8 beside their own optima.
     assert max(first[0], second[-1]) < 1e-7
@@ -33,7 +33,7 @@ def test_convex_front(convex):
 
 
 def test_concave_front(concave):
-    # The requirement is met with a slack of 1e-11 over its multiplier, which is 1e-4 of the anchors' weight.
+    # The requirement is met to 1e-11 divided by its multiplier, which is as small as 1e-4 at the anchors.
     assert np.hypot(*concave.objectives.T) == pytest.approx(1.0, abs=2e-7)
     assert len(concave.points) == 21
     assert concave.holes == concave.failures == ()
@@ -48,7 +48,7 @@ def test_broken_front_and_its_hole(broken):
     assert np.all((x <= 0.3 + 1e-6) | (x >= 0.8))
     (hole,) = broken.holes
     assert hole.settled
-    # An end is found to 1e-7 of the second objective: to the root of that beside a minimum.
+    # An end is located to 1e-7 of the second objective; beside a minimum that is the root of it in the first.
     assert hole.start == pytest.approx((0.3, 0.0), abs=2e-4)
     assert hole.end == pytest.approx((0.8, 0.0), abs=1e-5)
 
@@ -61,7 +61,7 @@ def test_every_part_of_a_front_that_is_broken_four_times():
     second = g * (1.0 - ca.sqrt(x / g) - x / g * ca.sin(10.0 * ca.pi * x))
     front = po.trade_off(d, x, second, points=41, search=["x"])
     ends = [tuple(front.objectives[list(part)][[0, -1], 0]) for part in front.parts]
-    # An end is found to 1e-7 of the second objective, of curvature 1e3 beside its minima.
+    # An end is located to 1e-7 of the second objective, whose minima have a curvature of 1e3.
     assert np.array(ends) == pytest.approx(np.array(ZDT3), abs=3e-5)
     assert len(front.dominated) > 10
 
@@ -77,7 +77,7 @@ def test_a_front_that_a_requirement_interrupts():
     assert hole.start == pytest.approx((0.3, 0.7), abs=1e-9)
     assert hole.end == pytest.approx((0.7, 0.3), abs=1e-9)
     assert np.sum(front.objectives, axis=1) == pytest.approx(1.0, abs=1e-9)
-    # The positions within are infeasible, which the optimiser says where it was sent there.
+    # The positions inside are infeasible, and that is all that failures report.
     assert {failure.reason.split(":")[0] for failure in front.failures} <= {"Infeasible_Problem_Detected"}
 
 
@@ -85,10 +85,10 @@ def test_a_front_along_an_equality(plane):
     d, x, y = plane
     d.require("line", x + y, at_least=0.5, at_most=0.5)
     front = po.trade_off(d, x**2 + y**2, (x - 1.0) ** 2 + y**2, points=11)
-    # On y = 1/2 - x the objectives' optima are x = 1/4 and x = 3/4, and the front is what lies between.
+    # On y = 1/2 - x the optima of the objectives are x = 1/4 and x = 3/4, with the front between them.
     x = front.designs[:, 0]
     assert np.all(np.diff(x) > 0.0)
-    # The other objective weighs 1e-4 at the ends, in units of the guess, which moves them by about so much.
+    # The other objective weighs 1e-4 at the ends, in units of its size at the guess, and moves them by about as much.
     assert x[[0, -1]] == pytest.approx([0.25, 0.75], abs=3e-4)
     assert front.objectives[:, 0] == pytest.approx(x**2 + (0.5 - x) ** 2, abs=1e-9)
     assert front.holes == ()
@@ -158,9 +158,9 @@ def test_rate_in_words(convex):
 
 
 def test_knee_and_area(convex):
-    # Of sqrt(f1) + sqrt(f2) = 1 the knee is f1 = f2 = 1/4, to half the distance of the positions.
+    # The knee of sqrt(f1) + sqrt(f2) = 1 is f1 = f2 = 1/4, to half the distance of the positions.
     assert convex.knee.objectives == pytest.approx((0.25, 0.25), abs=0.051)
-    # Above the curve in the unit square lies 1 - 1/6; the staircase of 20 steps leaves out half a step's square each.
+    # The area above the curve in the unit square is 1 - 1/6. The staircase of 20 steps misses about half a square each.
     assert 1.0 - 1.0 / 6.0 - 0.05 < convex.hypervolume((1.0, 1.0)) < 1.0 - 1.0 / 6.0
     assert convex.hypervolume((2.0, 1.0)) == pytest.approx(convex.hypervolume((1.0, 1.0)) + 1.0, abs=1e-6)
 
@@ -178,7 +178,7 @@ def test_points_are_certified(convex, concave, broken):
 
 def test_a_point_that_bends_down_is_no_optimum(convex, concave):
     middle = convex.points[10]
-    # Two variables, and the position holds one direction: across it both objectives bend like y^2.
+    # Of two directions the position fixes one; in the other both objectives grow like y^2.
     assert middle.curvature > 0.1
     assert concave.points[10].curvature is None
     assert "it is not a minimum" in replace(middle, curvature=-1e-3).doubt
@@ -188,7 +188,7 @@ def test_a_point_that_bends_down_is_no_optimum(convex, concave):
 def test_positions_without_a_design_are_named():
     d = po.Design()
     x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
-    # The root has no value between 0.4 and 0.6, into which both objectives pull from either side.
+    # The root has no value between 0.4 and 0.6, where both objectives lead from either side.
     second = 1.0 - x + 1e-3 * ca.sqrt((x - 0.5) ** 2 - 0.01)
     front = po.trade_off(d, x, second, points=11)
     assert any("no finite number" in failure.reason for failure in front.failures)

@@ -1,4 +1,4 @@
-"""Objectives that hardly conflict: a sentence with the size of it, and no rate that lies outside the front."""
+"""Objectives that hardly conflict: a note with the size of the conflict, and no rate beyond the front."""
 
 from itertools import pairwise
 
@@ -25,15 +25,15 @@ def test_a_conflict_too_small_to_act_on_is_said_with_its_size(small):
 
 def test_the_front_is_right_all_the_same(small):
     power, deflection = small.objectives.T
-    # The designs are those between both optima; the power's change is known to its rounding, 1e-12 of 3e-5.
+    # Efficient designs lie between both optima. The power's change of 3e-5 is known to its rounding, 1e-12.
     assert np.sqrt((power / 4073.0 - 1.0) / 3e-5) + np.sqrt(deflection) == pytest.approx(1.0, abs=1e-4)
     assert len(small.points) == 11
 
 
-def test_no_rate_is_told_that_lies_outside_the_front(small):
+def test_a_cost_beyond_the_front_is_not_given(small):
     assert small.cost(5) is None
     assert small.in_words(5).endswith("the whole front changes power by only 0.003 %")
-    # The rate in units stays, and what 1 % less deflection costs is on the front.
+    # The rate in units is still given, and the cost of 1 % less deflection, which is on the front.
     x = small.designs[5, 0]
     assert small.rate(5) == pytest.approx((x - 1.0) / (4073.0 * 3e-5 * x), rel=1e-4)
     assert small.cost(5, of=0, by=1) == pytest.approx(
@@ -51,11 +51,11 @@ def test_the_picture_has_no_offset_and_ticks_that_do_not_touch(small):
         assert all(left.x1 < right.x0 for left, right in pairwise(boxes))
         assert axes.xaxis.get_offset_text().get_text() == ""
     low, high = front.get_xlim()
-    # What changes by 0.003 % is drawn on 1 %.
+    # The axis spans 1 % of the power, which changes by 0.003 %.
     assert high - low == pytest.approx(0.01 * 4.073, rel=0.01)
 
 
-def test_a_conflict_below_what_is_solved_for_is_none_to_within_its_size():
+def test_a_conflict_below_the_optimisers_tolerance_is_none_and_its_size_is_given():
     d = po.Design()
     x, y = (d.variable(name, guess=0.4, lower=-2.0, upper=2.0) for name in "xy")
     front = po.trade_off(d, 1.0 + 2e-6 * (x**2 + y**2), 1.0 + (x - 1.0) ** 2 + y**2, points=9)
@@ -68,7 +68,7 @@ def test_a_conflict_below_what_is_solved_for_is_none_to_within_its_size():
 
 
 def test_objectives_near_zero_make_no_needle():
-    # At its best an objective is 0, of which every change is more than 5 %: by that measure all designs were needles.
+    # An objective that is 0 at its best changes by more than 5 % at every other design, which would all be needles.
     d = po.Design()
     x, y = (d.variable(name, guess=0.4, lower=0.0, upper=1.0) for name in "xy")
     both = (x - 0.3) ** 2 + (y - 0.2) ** 2

@@ -15,11 +15,11 @@ POINTS, STEPS = 28, 6
 
 
 def place(objectives):
-    """Return what is seen of objectives along the diagonal."""
+    """Return the projections of objectives along the diagonal."""
     return objectives - np.mean(objectives, axis=1, keepdims=True)
 
 
-# Over all variables a search takes a minute longer; one of a plane shows it by default.
+# A search over all variables takes a minute longer. By default only the plane is searched so.
 @pytest.fixture(scope="module", params=["near", pytest.param("auto", marks=pytest.mark.slow)])
 def search(request):
     """Options of the search for a surface."""
@@ -28,7 +28,7 @@ def search(request):
 
 @pytest.fixture(scope="module")
 def sphere(search):
-    """Concave front |f| = 1 of points outside the unit sphere: a weighted sum finds its corners only (DTLZ2)."""
+    """Concave front |f| = 1 outside the unit sphere, of which a weighted sum finds only the corners (DTLZ2)."""
     d = po.Design()
     x = [d.variable(name, guess=0.7, lower=0.0, upper=1.5) for name in "xyz"]
     d.require("outside", sum(own**2 for own in x), at_least=1.0)
@@ -47,7 +47,7 @@ def plane():
 
 @pytest.fixture(scope="module")
 def convex(search):
-    """Squared distances from three corners: every design of their triangle is efficient, and no other."""
+    """Front of the squared distances from three corners, whose efficient designs are those of the triangle."""
     d = po.Design()
     x, y, z = (d.variable(name, guess=0.3, lower=-2.0, upper=2.0) for name in "xyz")
     corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]
@@ -73,7 +73,7 @@ def test_anchors_are_on_the_front(sphere, plane, convex):
     for front in (sphere, plane):
         for corner in np.eye(3):
             assert np.min(np.max(np.abs(front.objectives - corner), axis=1)) < 1e-4
-    # Of an anchor the second and third objectives weigh 1e-3 and 1e-6, which moves it by about so much.
+    # The second and third objectives weigh 1e-3 and 1e-6 in an anchor, and move it by about as much.
     for corner in [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]:
         assert np.min(np.max(np.abs(convex.designs - corner), axis=1)) < 3e-3
 
@@ -102,7 +102,7 @@ def _check_covered(name, front):
             wanted /= np.linalg.norm(wanted, axis=1, keepdims=True)
     seen, found = place(wanted / size), place(front.objectives / size)
     apart = np.min(np.max(np.abs(seen[:, None] - found[None]), axis=2), axis=1)
-    # Within the lattice a place is at most 2/3 of a step from a node; at the edges points keep 0.7 steps apart.
+    # Every place in the lattice is within 2/3 of a step of a node; at the edges points are 0.7 steps apart.
     assert np.max(apart) < 1.3 * step
     assert np.mean(apart) < 0.6 * step
 
@@ -116,7 +116,7 @@ def test_no_point_beats_another(sphere, plane, convex):
 
 def test_points_are_even(sphere):
     apart = distances(sphere.objectives) + np.eye(len(sphere.points))
-    # Where the surface is steep, further points are kept between positions, so that no part of it is far from one.
+    # Where the surface is steep, points between the nodes are shown too, so that no part of it is far from a point.
     assert np.min(apart) > 0.4 / STEPS
     assert np.max(np.min(apart, axis=1)) < 1.3 / STEPS
 
@@ -130,7 +130,7 @@ def test_rates_on_a_sphere(sphere):
     for k in inner:
         f = sphere.points[k].objectives
         for of, by in itertools.permutations(range(3), 2):
-            # With the third kept, f_of df_of + f_by df_by = 0.
+            # With the third objective held constant, f_of df_of + f_by df_by = 0.
             assert sphere.rate(k, of, by) == pytest.approx(-f[by] / f[of], rel=1e-6)
             assert sphere.cost(k, of, by) == pytest.approx((f[by] / f[of]) ** 2, rel=1e-6)
 
@@ -141,7 +141,7 @@ def test_rates_of_the_triangle_are_barycentric(convex):
     for k in inner:
         x, y, _ = convex.designs[k]
         weights = np.array(convex.points[k].weights)
-        # The gradients so weighted balance at (x, y): it is the corners' mean.
+        # The weighted gradients balance at (x, y), which so is the weighted mean of the corners.
         assert weights / np.sum(weights) == pytest.approx([1.0 - x - y, x, y], abs=1e-6)
 
 
@@ -149,7 +149,7 @@ def test_words_on_three_objectives(sphere):
     number = max(range(len(sphere.points)), key=lambda k: min(sphere.points[k].objectives))
     text = sphere.in_words(number, 2, 0)
     assert text.endswith("1 % less a costs 1 % more c")
-    # The point in the middle lies within a step of the grid of the sphere's.
+    # The point in the middle of the sphere, to within a step of the lattice.
     assert sphere.points[number].objectives == pytest.approx([1.0 / math.sqrt(3.0)] * 3, abs=0.02)
     with pytest.raises(po.InputError, match="of = 1 and by = 1 must be two different objectives, from 0 to 2"):
         sphere.rate(number, 1, 1)
@@ -177,7 +177,7 @@ def test_a_hole_between_two_parts():
     assert len(front.parts) == 2
     (hole,) = front.holes
     ends = sorted([hole.start[0], hole.end[0]])
-    # An edge is refined to half a step in the first objective's range of 1, and points keep 0.7 steps apart.
+    # An edge is located to half a step of the first objective's range of 1, and points are 0.7 steps apart.
     assert 0.0 < ends[0] <= 0.2 + 1e-9
     assert 0.8 - 1e-9 <= ends[1] < 1.0
     assert np.all((front.designs[:, 0] < 0.2 + 1e-9) | (front.designs[:, 0] > 0.8 - 1e-9))

@@ -14,26 +14,22 @@ from plough_opt.design.program import Program
 from plough_opt.design.sampling import SEED, evaluated_sample
 from plough_opt.design.tolerance import ranking_criterion
 
-# A descent that must not leave its basin is confined to boxes: the first half width, the factor by which it shrinks
-# when a barrier lies inside, the smallest half width, and the most boxes. All widths are fractions of the range.
-_BOX = 0.05
-_BOX_FACTOR = 3.0
+# Boxes that keep a descent in its basin. Widths are fractions of the range.
+_BOX = 0.05  # half width of the first box
+_BOX_FACTOR = 3.0  # The box shrinks by this factor if it contains a barrier.
 _SMALLEST_BOX = 2e-4
 _MOST_BOXES = 80
 
-# From an infeasible guess, designs nearer to it than the feasible one found so far are sampled: sample size and rounds.
-# A feasible sample, or one far from that design with less than a fifth of the guess's violation, starts another search,
-# whose result counts if it reduces the distance at least by this factor.
-_NEARER_SAMPLE = 128
+# The search for a feasible design nearer to an infeasible guess than the one found so far.
 _NEARER_ROUNDS = 5
-_LESS_VIOLATION = 0.2
-_NEARER = 0.999
+_NEARER_SAMPLE = 128  # designs sampled in each round
+_LESS_VIOLATION = 0.2  # An infeasible sample is a start if its violation is below this fraction of the guess's.
+_NEARER = 0.999  # A result counts only if it reduces the distance at least by this factor.
 
-# A barrier is looked for at this many positions on a straight line to an optimum, at more if it is long: so many
-# on a line across the whole range. The merit must rise by this fraction.
+# Positions on the straight line to an optimum at which a barrier is looked for.
 _FEWEST_POSITIONS = 40
-_POSITIONS_ACROSS = 256
-_BARRIER = 1e-3
+_POSITIONS_ACROSS = 256  # on a line across the whole range
+_BARRIER = 1e-3  # A rise of the merit by this fraction is a barrier.
 
 
 def near_optimum(landscape: Landscape, start: Vector) -> Point:

@@ -24,8 +24,9 @@ Over = Literal["mean", "worst"]
 WORST = "worst objective"
 """Name of the auxiliary variable that bounds the objective of every design in the box."""
 
-# Most runs of all designs in a box together, for the sake of speed, and fewest designs in a box.
+# Most runs of all designs in a box together: they take seconds for a whole solve.
 _MOST_RUNS = 64
+# Fewest designs in a box.
 _FEWEST = 8
 # Designs whose boxes are sampled to find bounds on the worst objective.
 _SAMPLE_SIZE = 256

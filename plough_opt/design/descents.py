@@ -16,19 +16,20 @@ Box = tuple[Vector, Vector]
 _WEIGHT_IF_FEASIBLE = 1e4
 # Scaled step of the difference quotients: well above a run's rounding (about 1e-13), small against its curvature.
 _STEP = 1e-6
-# Most SLSQP iterations. More than _MANY_ITERATIONS indicate a bent valley, in which the descent may have stalled.
 _MOST_ITERATIONS = 25
+# More iterations than this indicate a bent valley, in which the descent may have stalled.
 _MANY_ITERATIONS = 20
-# Of a requirement with many rows, such as a deflection at every output, only the worst rows enter a descent.
+# A requirement with many rows, such as a deflection at every output, enters a descent with its worst rows only.
 _MOST_ROWS = 6
 # A design counts as lower than another if its merit is lower by more than this fraction; less may be rounding.
 _LOWER = 1e-6
-# Projections onto the linearised limits towards the nearest feasible design. They have converged when a step is
-# shorter than _CONVERGED_STEP: the violation that is left is of the order of its square.
+# Most projections onto the linearised limits towards the nearest feasible design.
 _MOST_PROJECTIONS = 8
+# The projections have converged at a shorter step: the remaining violation is of the order of its square.
 _CONVERGED_STEP = 1e-4
-# A descent is restarted with the rows it has violated, up to this often and while each restart gains this fraction.
+# Most runs of SLSQP in a descent, each with the rows that the last one violated.
 _MOST_RESTARTS = 6
+# A restart must lower the merit by this fraction to justify another one.
 _RESTART_GAIN = 1e-7
 
 
@@ -47,7 +48,7 @@ def descend(landscape: Landscape, start: Vector, box: Box | None = None) -> Eval
 
 
 def lower_from(landscape: Landscape, design: Vector, start: Vector) -> Vector | None:
-    """Return the end of a descent from a start beside a design if it is lower than the design, else None."""
+    """Return the end of a descent from a start near a design if it is lower than the design, else None."""
     end, own = descend(landscape, start), landscape(design[None], finer=FINER)
     return end.points[0] if end.merit[0] < own.merit[0] - _LOWER * abs(own.merit[0]) else None
 

@@ -18,14 +18,14 @@ WORDS = ("auto", "thorough", "near", "local")
 # Sample size by number of variables, a power of two.
 _DESIGNS = {1: 512, 2: 1024, 3: 2048, 4: 4096}
 _MOST_DESIGNS = 8192
-# Islands by number of variables. With four or more variables every second to fourth evolution misses the best basin.
+# Islands by number of variables. With four or more variables, one in two to four evolutions misses the best basin.
 _ISLANDS = {1: 0, 2: 1, 3: 2}
 _MOST_ISLANDS = 4
 # Most runs in a round, for designs with many runs: they take some seconds.
 _MOST_RUNS = 60_000
-# Sample size if runs are integrated one by one, each for milliseconds: this number divided by a design's runs, but not
-# fewer than _FEWEST.
+# Most runs in a sample if they are integrated one by one, each for milliseconds.
 _ONE_BY_ONE = 256
+# Fewest designs of such a sample.
 _FEWEST = 32
 # Rounds of a thorough search.
 _THOROUGH = 4

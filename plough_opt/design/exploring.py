@@ -16,26 +16,22 @@ from plough_opt.design.sampling import MANY_VARIABLES, SEED, evolved, lines_thro
 Progress = Callable[[str, float], None]
 """Called with the name of the current stage and the completed fraction of that stage."""
 
-# Scan along each variable through the best design: the number of positions, the number of dips from which descents
-# start for each variable, and the distance from the best design beyond which a dip counts as another one.
+# The scan along each variable through the best design.
 _LINE_POSITIONS = 128
-_DIPS_PER_VARIABLE = 4
-_ANOTHER_DIP = 0.01
+_DIPS_PER_VARIABLE = 4  # from which descents start
+_ANOTHER_DIP = 0.01  # A dip farther than this from the best design counts as another one.
 
-# Zooming in on the best designs: rounds, designs zoomed in on, sample size and half width of a box around each of them,
-# descents from each box, and the relative gain that makes another round worth while.
+# Boxes that are sampled around the best designs. Lengths are fractions of the range.
 _ZOOM_ROUNDS = 4
-_ZOOM_CENTRES = 2
+_ZOOM_CENTRES = 2  # designs that get a box
 _ZOOM_SAMPLE = 256
-_ZOOM_RADIUS = 0.06
-_ZOOM_DESCENTS = 4
-_ZOOM_GAIN = 1e-6
-# Where feasible designs are rare, their region may have any size, so boxes of several sizes are sampled.
-_ZOOM_RADII_IF_RARE = (0.06, 0.015, 0.004)
+_ZOOM_RADIUS = 0.06  # half width of a box
+_ZOOM_RADII_IF_RARE = (0.06, 0.015, 0.004)  # If feasible designs are rare, their region may have any size.
+_ZOOM_DESCENTS = 4  # from each box
+_ZOOM_GAIN = 1e-6  # relative gain that justifies another round
 
-# Search with the variables at bounds held: a variable closer than this to a bound is at the bound; the sample, the
-# islands and the descents are smaller than in the full search.
-_AT_A_BOUND = 1e-6
+# The search with the variables at bounds held, which is smaller than the full search.
+_AT_A_BOUND = 1e-6  # A variable closer than this to a bound is at the bound.
 _FACE_DESIGNS = 1024
 _FACE_ISLANDS = 2
 _FACE_DESCENTS = 4

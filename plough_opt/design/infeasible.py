@@ -18,12 +18,13 @@ from plough_opt.design.program import Program
 _VIOLATED = 1e-7
 # A limit with a smaller scaled multiplier does not hold the design back.
 _HOLDS = 1e-6
-# Designs of the sample from which the least violation is searched, and the smallest distance between them.
+# The least violation is searched from this many designs of the sample.
 _STARTS = 8
+# Smallest distance between these, as a fraction of the range.
 _DISTANCE = 0.1
-# Designs with the least violation that go on to IPOPT: at most so many, whose violation exceeds the least by at most
-# this fraction.
+# Most designs that go on to IPOPT.
 _POLISHED = 3
+# Their violation may exceed the least by this fraction.
 _NEAR_LEAST = 1e-3
 # Attempts to polish a design: the half width of the box it must stay in, and whether to use exact second derivatives.
 _ATTEMPTS = ((0.01, False), (0.01, True), (1e-3, False), (3e-4, True))

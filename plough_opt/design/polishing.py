@@ -39,9 +39,9 @@ _KINK: Final = 0.05
 _ROUNDS: Final = 3
 # Scaled margin kept to each limit, so that rounding does not violate it.
 _MARGIN: Final = 1e-11
-# A limit is active below this scaled margin. Normalised slopes of active limits are dependent if their matrix has a
-# singular value below the second number, relative to the largest.
+# A limit is active below this scaled margin.
 _ACTIVE_MARGIN: Final = 1e-8
+# Slopes of limits are dependent if their normalised matrix has a singular value below this fraction of the largest.
 _DEPENDENT: Final = 1e-7
 
 
@@ -201,9 +201,9 @@ def _violation(program: Program, p: Vector, y: Vector) -> tuple[float, float]:
     return float(f[0]), float(worst) if valid else np.inf
 
 
-# A direction may be flat if its curvature is below this fraction of the largest; it is flat if the objective changes by
-# less than this fraction.
+# A direction may be flat if its curvature is below this fraction of the largest.
 _FLAT_CURVATURE = 1e-7
+# It is flat if the objective changes by less than this fraction.
 _FLAT_OBJECTIVE = 1e-9
 # Scaled margin below which a limit counts as active.
 _ACTIVE = 1e-7
@@ -227,7 +227,7 @@ def flat_directions(program: Program, p: Vector, at: Point) -> list[Vector]:
 def minimum_from(
     program: Program, p: Vector, at: Point, downhill: Callable[[Vector, Vector], Vector | None] | None = None
 ) -> Point:
-    """Return a stationary point with its curvatures or, if it is a maximum or a saddle, the lower optimum beside it.
+    """Return a stationary point with its curvatures or, if it is a maximum or a saddle, a lower optimum near it.
 
     IPOPT accepts any stationary point that it starts from. The reduced Hessian shows whether it is a minimum.
 
@@ -235,7 +235,7 @@ def minimum_from(
         program: the design's program.
         p: parameters.
         at: the stationary point.
-        downhill: (the point, a design beside it) -> the end of a descent from that design if it is lower than the
+        downhill: (the point, a design near it) -> the end of a descent from that design if it is lower than the
             point, else None. Without this function IPOPT starts from the design itself.
     """
     for _ in range(_MOST_DESCENTS):
@@ -246,16 +246,12 @@ def minimum_from(
         starts = [np.clip(at.y + sign * step, 0.0, 1.0) for sign in (1.0, -1.0)]
         if downhill is not None:
             starts = [lower for start in starts if (lower := downhill(at.y, start)) is not None]
-        found = [point for start in starts if (point := _beside(program, p, start)).solved and point.f < at.f]
+        points = [program.solve(start, p, SolveOptions(near=True, exact=False, enough=True)) for start in starts]
+        found = [point for point in points if point.solved and point.f < at.f]
         if not found:
             return replace(at, curvatures=known)
         at = min(found, key=lambda point: point.f)
     return at
-
-
-def _beside(program: Program, p: Vector, start: Vector) -> Point:
-    """Return the local optimum near a start."""
-    return program.solve(start, p, SolveOptions(near=True, exact=False, enough=True))
 
 
 def _reduced_curvatures(program: Program, p: Vector, at: Point) -> tuple[Vector, Vector]:

@@ -133,7 +133,7 @@ class Program:
         )
         if self._implied:
             self.declared = replace(declared, requirements=(*declared.requirements, *self._implied))
-            self.exact = TightEvaluation(self.expressions, declared.symbols(), beside=self.exact)
+            self.exact = TightEvaluation(self.expressions, declared.symbols(), shared=self.exact)
         self._refuse_idas()
         self.owner = [k for k, r in enumerate(self.declared.requirements) for _ in range(r.expression.numel())]
         self._y, self._p = ca.MX.sym("y", len(declared.variables)), ca.MX.sym("p", len(declared.parameters))

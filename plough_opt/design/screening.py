@@ -9,29 +9,27 @@ from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import Evaluations, Landscape, concatenated
 from plough_opt.design.sampling import MANY_VARIABLES, SEED, evolved, local_minima, sobol_points
 
-# Sample of the free variables: designs of all combinations together, and limits on the number for each combination.
-_SAMPLE = 2**16
+# The first sample of the free variables.
+_SAMPLE = 2**16  # designs of all combinations together
 _FEWEST_EACH = 2
 _MOST_EACH = 128
 
-# The lowest combinations are sampled again in shrinking boxes around their best designs: the number of combinations in
-# the first round, the number from which descents finally start, designs in a box, and the half widths of the boxes.
-_ZOOM_COMBINATIONS = 256
-_DESCENT_COMBINATIONS = 30
-_ZOOM_SAMPLE = 16
-_ZOOM_RADII = (0.25, 0.12, 0.06, 0.03, 0.015)
+# Shrinking boxes around the best designs of the lowest combinations.
+_ZOOM_COMBINATIONS = 256  # in the first round; their number is halved from round to round
+_ZOOM_SAMPLE = 16  # designs in a box
+_ZOOM_RADII = (0.25, 0.12, 0.06, 0.03, 0.015)  # half widths by round, as fractions of the range
 
-# Descents of all combinations together, and most of each.
-_DESCENTS = 60
+# Descents from the lowest combinations.
+_DESCENT_COMBINATIONS = 30
+_DESCENTS = 60  # of all combinations together
 _MOST_DESCENTS_EACH = 8
 
-# Evolution: most combinations, the fraction of the best merit within which a combination can still win, designs for
-# each free variable, most generations, and the scatter of merits at which it has converged.
-_EVOLVED = 8
-_CAN_WIN = 0.15
+# Evolution of the combinations that can still win.
+_EVOLVED = 8  # combinations at most
+_CAN_WIN = 0.15  # Their merit is within this fraction of the best.
 _DESIGNS_PER_VARIABLE = 12
 _GENERATIONS = 50
-_CONVERGED = 1e-6
+_CONVERGED = 1e-6  # The evolution ends when the merits scatter by less than this fraction.
 
 # Weight of a violation in the second ranking, which keeps slightly infeasible combinations in the competition.
 _LOW_PENALTY = 1.0

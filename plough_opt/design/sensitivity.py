@@ -143,7 +143,7 @@ class Solved:
         declared, expression = self.program.declared, ca.MX(expression)
         if strangers := declared.strangers(expression):
             raise InputError(f"the expression holds symbols that do not belong to this design: {', '.join(strangers)}")
-        evaluation = TightEvaluation([expression], declared.symbols(), beside=self.program.exact)
+        evaluation = TightEvaluation([expression], declared.symbols(), shared=self.program.exact)
         return np.squeeze(evaluation.values([*self.values, *self.p])[0])
 
     @cached_property

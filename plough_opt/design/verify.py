@@ -53,16 +53,16 @@ class TightEvaluation:
         expressions: Sequence[ca.MX],
         symbols: Sequence[ca.MX],
         *,
-        beside: TightEvaluation | None = None,
+        shared: TightEvaluation | None = None,
     ) -> None:
         """Split expressions around their runs.
 
         Args:
             expressions: the expressions.
             symbols: the symbols in them.
-            beside: another evaluation, whose cache of runs this one shares.
+            shared: another evaluation, whose cache of runs this one uses, too.
         """
-        self._tight: _Tight = lru_cache(maxsize=_MOST_CACHED)(_tight_results) if beside is None else beside._tight
+        self._tight: _Tight = lru_cache(maxsize=_MOST_CACHED)(_tight_results) if shared is None else shared._tight
         parts = split(list(expressions), list(symbols))
         self.runs = parts.runs
         self._inputs = [ca.Function("inputs", list(symbols), [run.inputs, run.quantities]) for run in parts.runs]

@@ -53,7 +53,7 @@ def test_the_worst_of_a_parabola_lies_at_the_ends_of_its_box():
     # Both ends of the sample are equally bad: x = a - (least + most)/2, and the worst is ((most - least)/2)^2.
     assert best.variables["x"] == pytest.approx(0.7 - (own.min() + own.max()) / 2.0, abs=1e-7)
     assert best.objective == pytest.approx(1.0 + (np.ptp(own) / 2.0) ** 2, rel=1e-9)
-    # Of 64 even points the outermost lie in the last 64th on either side.
+    # The outermost of 64 even points lie in the first and the last 64th.
     assert 1.0 + T**2 * (1.0 - 2.0 / 64) ** 2 <= best.objective <= 1.0 + T**2
     assert list(best.variables) == ["x"]
     assert [limit.name for limit in best.limits] == ["x"]

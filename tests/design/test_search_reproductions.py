@@ -1,4 +1,4 @@
-"""Designs on which searches have gone wrong, beside those in `independent/reproduction_problems.json`."""
+"""Designs on which searches have gone wrong, in addition to those in `independent/reproduction_problems.json`."""
 
 import math
 from dataclasses import replace

@@ -261,7 +261,7 @@ def _methods():
         "require": {"name": "a", "expression": ca.MX.sym("x"), "at_least": 1.0},
     }
     return {
-        **{f"Design.{name}": (_anew(name), right) for name, right in declared.items()},
+        **{f"Design.{name}": (_on_new_design(name), right) for name, right in declared.items()},
         "Design.solve": (design()[0].solve, {"parameters": {"speed": 2.0}, "search": "local"}),
         "Batch()": (batch().__call__, {"values": [[5e4]]}),
         "Batch.stream": (lambda chunks, threads=1: [*batch().stream(chunks, threads=threads)], {"chunks": [[[5e4]]]}),
@@ -301,7 +301,7 @@ def _methods():
     }  # fmt: skip
 
 
-def _anew(verb):
+def _on_new_design(verb):
     """Return a method of `Design` that creates a new design for every call."""
 
     @functools.wraps(getattr(po.Design, verb))

@@ -69,7 +69,7 @@ def calibrate(options: argparse.Namespace) -> None:
     from plough_opt.studies.calibration.estimate import check_level
 
     check_level(options.level)
-    _refuse_twice(options.data)
+    _check_distinct(options.data)
     data = [read_measurements(path) for path in options.data]
     unknown = _unknowns(options.unknown)
     if unknown is None and not problem.variables:
@@ -94,7 +94,7 @@ def calibrate(options: argparse.Namespace) -> None:
     give(options, page, lambda: text, fit.plot)
 
 
-def _refuse_twice(paths: Sequence[str]) -> None:
+def _check_distinct(paths: Sequence[str]) -> None:
     """Raise InputError for a file given twice: its rows would count twice and make the intervals too narrow."""
     places = [Path(path).resolve() for path in paths]
     for path, place in zip(paths, places, strict=True):

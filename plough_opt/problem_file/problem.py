@@ -249,7 +249,7 @@ class Problem:
             InputError: the file has no variables or nothing to minimise.
         """
         check_switch("parameters", parameters)
-        self._refuse_without_variables()
+        self._check_variables()
         if not self.table.minimise:
             raise InputError(f"{self.name}: nothing to minimise: add a table [minimise]")
         design, runs = self._required(parameters)
@@ -264,7 +264,8 @@ class Problem:
             objective = objective + total_of(measures[name], runs) / measures[name].unit.parse(term.per)
         return objective
 
-    def _refuse_without_variables(self) -> None:
+    def _check_variables(self) -> None:
+        """Raise InputError if the file has no variables."""
         if not self.variables:
             why = "every variable is fixed" if self.notes else "add a table [variables]"
             raise InputError(f"{self.name}: nothing to choose: {why}")
@@ -383,7 +384,7 @@ class Problem:
         Raises:
             InputError: the file has no variables or no [trade_off], or the number of points is out of range.
         """
-        self._refuse_without_variables()
+        self._check_variables()
         if self.table.trade_off is None:
             raise InputError(f"{self.name}: nothing to trade: add a table {TRADED}")
         design, runs = self._required()

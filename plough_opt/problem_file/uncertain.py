@@ -154,7 +154,7 @@ def join_dotted(data: dict[str, Any]) -> None:
 def check_uncertain(source: Source, table: ProblemTable) -> None:
     """Note every mistake in the table, and in the measures of terms and requirements."""
     if table.uncertain is None:
-        _refuse_measures(source, table)
+        _note_keys_of_uncertainty(source, table)
         return
     properties = [key for key in quantities() if key.startswith("soil.")]
     for key, entry in table.uncertain.items():
@@ -311,7 +311,7 @@ def _check_limit(limit: LimitTable, name: str, everywhere: bool) -> None:
         raise InputError(f"'{name}': a probability applies to one limit: give at_least or at_most")
 
 
-def _refuse_measures(source: Source, table: ProblemTable) -> None:
+def _note_keys_of_uncertainty(source: Source, table: ProblemTable) -> None:
     """Note keys that need an uncertain soil, in a file without one."""
     for kind in ("minimise", "require"):
         for name, entry in getattr(table, kind).items():

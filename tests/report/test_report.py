@@ -73,6 +73,7 @@ def test_the_page_says_what_was_asked_and_found(written, solved):
         assert name.replace("_", " ") in found.text["requirements"]
         shown = 0.0 if abs(margin) < 1e-9 else margin
         assert f"{shown if name != 'half_angle' else shown * 180 / 3.141592653589793:.3g}" in found.text["requirements"]
+    assert f"{100 * best.margins['deflection'] / 0.12:.3g} % to spare" in found.text["requirements"]
     assert "Syrdarya" in found.text["soil"]
     assert "share.wedge_angle=39 deg; share.height=0.26 m" in found.text["provenance"]
     assert "carries" in found.text["warnings"]

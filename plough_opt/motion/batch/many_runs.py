@@ -68,6 +68,7 @@ int many_runs(int64_t n, int64_t count, const int64_t *order, const double *in, 
     for (int j = 0; j < {given}; j++) p[j] = gather(in + j * n, which);
     const V total = gather(in + {given} * n, which), early = gather(in + ({given} + 1) * n, which);
     const V kink = gather(in + ({given} + 2) * n, which);
+    /* Sizes of the steps before and after the kink, as fractions of the duration. */
     const V before = kink / v_max(early, (V){{0}} + 1.0), late = v_max(total - early, (V){{0}} + 1.0);
     const V after = (1.0 - kink) / late;
     double most = 0.0;
@@ -83,13 +84,15 @@ int many_runs(int64_t n, int64_t count, const int64_t *order, const double *in, 
     for (double k = 0.0; k <= most; k += 1.0) {{
       const V now = (V){{0}} + k;
       const M open = now < total, first_part = now < early;
-      V s[2];
+      V s[2]; /* start and size of the step */
       s[0] = v_pick(first_part, now * before, kink + (now - early) * after);
       s[1] = v_pick(first_part, before, after);
 {each}
+      /* The start of the step: w, w' and w''. */
       V *end = ends + 3 * (int64_t)k;
       end[0] = x[0]; end[1] = x[1]; end[2] = y[2];
       for (int j = 0; j < 2; j++) x[j] = v_pick(open, y[j], x[j]);
+      /* Means and mean squares of this step are pooled with those of the steps before. */
       const V part = s[1] / (time + s[1]);
       for (int j = 0; j < {count}; j++) {{
         const V distance = y[3 + j] - mean[j];
@@ -103,6 +106,7 @@ int many_runs(int64_t n, int64_t count, const int64_t *order, const double *in, 
     for (int l = 0; l < LANES && first + l < count; l++) {{
       double *to = out + size * which[l];
       const double kink_at = kink[l], early_steps = early[l], all = total[l], duration = p[{given} - 1][l];
+      /* Each output is read from the polynomial of degree 5 through w, w' and w'' at both ends of its step. */
       for (int64_t o = 0; o <= outputs && outputs > 0; o++) {{
         const double t = (double)o / outputs;
         const int in_first = t < kink_at;

@@ -1,4 +1,4 @@
-"""The error of derivatives is told where a design is solved and where a component is made."""
+"""The error of derivatives, as designs and components estimate and report it."""
 
 import numpy as np
 import pytest
@@ -42,8 +42,8 @@ def test_the_error_is_that_of_the_means_from_many_steps(effects, outputs, steps)
     sizes = np.array([1.0, *scales, scales[0] ** 2, scales[0] * scales[1], scales[1] ** 2])
     wrong, large = (np.max(np.abs(part[averages:]) * sizes, axis=1) for part in (coarse - exact, exact))
     rows = wrong / large
-    # Half as many steps again leave a part of the error, a twenty-fifth or across what they miss more; and of both
-    # parameters together the error is about that of the one that errs most.
+    # The estimate compares with half as many steps again, which leave a twenty-fifth of the error, and more across
+    # kinks; and it covers both parameters together.
     assert np.max(rows) / 2.0 < found < 2.0 * np.max(rows)
 
 
@@ -55,13 +55,13 @@ def design(accuracy, **effects):
     return d
 
 
-def told(warnings):
+def about_derivatives(warnings):
     return [text for text in warnings if "derivatives" in text]
 
 
-def test_a_design_by_too_few_steps_says_so():
+def test_a_design_with_too_few_steps_warns():
     best = design(po.Accuracy("dop853", steps=12)).solve(search="near")
-    (text,) = told(best.warnings)
+    (text,) = about_derivatives(best.warnings)
     assert "the wanted error 1.0e-06 of the motion's derivatives was not reached: it is" in text
 
 
@@ -71,7 +71,7 @@ def test_a_design_takes_as_many_steps_as_derivatives_need(effects):
     for wanted in (1e-2, 1e-6, 1e-10):
         d = design(po.Accuracy(derivatives=wanted), **effects)
         best = d.solve(search="near")
-        assert told(best.warnings) == []
+        assert about_derivatives(best.warnings) == []
         program = d._program
         y = np.array([program.declared.variables[0].scaled(best.variables["stiffness"])])
         assert error_of_derivatives(program, y, np.zeros(0)) < wanted
@@ -86,9 +86,9 @@ def test_a_component_takes_as_many_steps_as_derivatives_need():
         )
 
     few, many = (made(po.Accuracy(derivatives=wanted)) for wanted in (1e-2, 1e-10))
-    assert told(few.warnings) == told(many.warnings) == []
+    assert about_derivatives(few.warnings) == about_derivatives(many.warnings) == []
     assert few.accuracy.steps < many.accuracy.steps
-    (text,) = told(made(po.Accuracy("dop853", steps=6)).warnings)
+    (text,) = about_derivatives(made(po.Accuracy("dop853", steps=6)).warnings)
     assert "the wanted error 1.0e-06 of derivatives was not reached" in text
 
 

@@ -1,4 +1,4 @@
-"""A process: the processors it may use, and CasADi's notices, which a program's own streams keep and commands drop."""
+"""A process: the processors it may use, and CasADi's notices, which commands drop and programs keep."""
 
 import io
 import itertools
@@ -21,7 +21,7 @@ print(available())
 """
 
 
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="the system knows no affinity")
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="the system has no processor affinity")
 def test_the_affinity_of_the_process_counts():
     done = subprocess.run([sys.executable, "-c", OWN_LIMIT], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["1"]
@@ -41,7 +41,7 @@ def test_a_worker_of_a_sweep_keeps_one_processor_busy_and_the_sweep_leaves_no_tr
     assert available() == 8
 
 
-def test_runs_of_a_design_take_the_processors_that_there_are(monkeypatch, r1_scene):
+def test_runs_of_a_design_use_the_available_processors(monkeypatch, r1_scene):
     asked = []
     monkeypatch.setattr("plough_opt.design.nlp.available", lambda: asked.append(1) or 1)
     design = po.Design()
@@ -105,13 +105,13 @@ def sieved(*pieces):
 
 
 @pytest.mark.parametrize("cuts", [(), (9, 40, 60), (9, 30)])
-def test_the_notice_is_left_out_in_whatever_pieces_it_comes(cuts):
+def test_the_notice_is_dropped_even_in_pieces(cuts):
     ends = [0, *cuts, len(NOTICE)]
     pieces = [NOTICE[i:j] for i, j in itertools.pairwise(ends)]
     assert sieved("before\n", *pieces, "after\n") == "before\nafter\n"
 
 
-def test_everything_else_passes_whole():
+def test_other_output_passes():
     assert sieved(OTHER[:20], OTHER[20:], "no end of a line") == OTHER + "no end of a line"
 
 

@@ -35,7 +35,7 @@ ORDINARY = {
     "amplitude": 0.5,
     "wavelength": 0.5,
 }
-# What is differentiated by, with the size of a change that matters.
+# Numbers to differentiate by, each with the size of a typical change.
 SIZES = {
     "wedge_angle": 0.5,
     "height": 0.25,
@@ -52,7 +52,7 @@ SIZES = {
     "amplitude": 0.5,
 }
 RIGHT = math.pi / 2.0
-# name: the numbers that differ, and the sizes of changes that differ
+# name: the numbers that differ from ordinary ones, and the sizes that differ
 ENDS = {
     "ordinary": ({}, {}),
     "1 N/m": ({"stiffness": 1.0, "damping": 0.0}, {"stiffness": 1.0}),
@@ -83,7 +83,7 @@ ENDS = {
         {},
     ),
 }
-# Where nothing oscillates for one and only one value of a number, the RMS has a kink there.
+# Ends at which the RMS has a kink, because nothing oscillates for exactly this value of a number.
 KINKS = {
     "towed": ("no strength", "nothing"),
     "rest": ("nothing",),
@@ -95,7 +95,7 @@ NAMES, STEPS, RMS = tuple(SIZES), 120, 1
 
 
 def in_turn(*kinds, of=2):
-    """Parametrize by every end and kind; by default each end takes every ``of``-th kind in turn, the rest is slow."""
+    """Parametrize by every end and kind; by default only every ``of``-th case runs, and the others are slow."""
     cases = []
     for k, end in enumerate(ENDS):
         for j, kind in enumerate(kinds):
@@ -104,7 +104,7 @@ def in_turn(*kinds, of=2):
 
 
 def numbers_of(end):
-    """Return the numbers at an end, and the sizes of changes there."""
+    """Return the numbers at an end, and the sizes of typical changes there."""
     changed, sizes = ENDS[end]
     return ORDINARY | changed, np.array(list((SIZES | sizes).values()))
 
@@ -166,9 +166,9 @@ def second_of(numbers, sizes, kind, weights):
 
 @cache
 def exact(end, function):
-    """Return which names matter at an end, and value, gradient and Hessian of each result of a closed form.
+    """Return the numbers of the names that matter at an end, and a closed form's values, gradients and Hessians.
 
-    The derivatives are by those names alone, in changes of the sizes.
+    The derivatives are with respect to these names alone, in changes of the sizes.
     """
     numbers, sizes = numbers_of(end)
     chosen = [k for k, name in enumerate(NAMES) if name in ALWAYS or name in ENDS[end][0]]
@@ -273,7 +273,7 @@ def test_under_a_wave(end, kind):
     numbers, sizes = numbers_of(end)
     values, slopes = first_of(numbers, sizes, kind)
     scene = scene_of(numbers, motion=False)
-    # What moves the share by a wavelength turns its phase. Steps of powers of two can be told apart beside 1.
+    # The phase turns as the share moves by a wavelength. Steps are powers of two, which are exact beside 1.
     turn = 2.0 * math.pi * scene.steady_resistance / numbers["stiffness"] / numbers["wavelength"]
     step = 2.0 ** -(11 + math.ceil(math.log2(1.0 + turn)) * (kind == "waves"))
     direction = np.array([1.0, -0.75, 0.5, -1.0, 0.75, 1.0, -0.5, 1.0, 0.5, -0.75, 1.0, -1.0, 0.5])
@@ -297,7 +297,7 @@ def test_under_a_wave(end, kind):
             assert got == pytest.approx(true, rel=0, abs=allowed * max(largest(size[k]), least))
 
 
-# --- what is refused ----------------------------------------------------------------------------------------
+# --- refusals ----------------------------------------------------------------------------------------
 
 
 def of_numbers(changes, duration=0.3, **effects):
@@ -317,14 +317,14 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("simulated", "sentence"), REFUSED.values(), ids=REFUSED)
-def test_what_is_beyond_the_ends_is_refused_in_words(simulated, sentence):
+def test_numbers_beyond_the_ends_are_refused(simulated, sentence):
     with pytest.raises(po.PloughError) as caught:
         simulated()
     assert sentence in str(caught.value)
 
 
 @pytest.mark.slow
-def test_a_design_that_reaches_for_a_wall_passes_over_what_is_too_fast_and_says_so():
+def test_a_design_skips_mounts_that_are_too_stiff_and_warns():
     d = po.Design()
     stiffness = d.variable("stiffness", guess=1e6, lower=1e4, upper=1e12, unit="N/m", log=True)
     run = po.simulate(scene_of(ORDINARY | {"stiffness": stiffness}, start="rest"), 1.0, outputs=4)

@@ -1,4 +1,4 @@
-"""The ends of the domain: right against an independent answer, or refused with a sentence."""
+"""Scenes at the ends of the domain: right by an independent integrator, or refused with a clear message."""
 
 import collections
 import dataclasses
@@ -33,7 +33,7 @@ def assert_finite(run):
 
 
 def run_or_reason(scene, duration, outputs=20):
-    """Return the run and None, or None and the sentence that refuses it."""
+    """Return the run and None, or None and the message of the refusal."""
     try:
         run = po.simulate(scene, duration, outputs=outputs)
     except po.PloughError as refusal:
@@ -77,15 +77,14 @@ def test_the_stiffest_mount_is_rigid(r1_soil):
     scene = scene_of(r1_soil, stiffness=1e8, damping=2e4, strength_wave=WAVE, tow_ramp=0.2)
     run = po.simulate(scene, 0.6)
     rigid = po.simulate(scene_of(r1_soil, stiffness=1e8, motion=False, strength_wave=WAVE, tow_ramp=0.2), 0.6)
-    # What is left is the force M s'' of the ramp, whose mean is M V0/0.6 s.
+    # The difference is the inertial force M s'' of the ramp, whose mean is M V0/0.6 s.
     inertial = scene.inertia * scene.tow_speed / 0.6
     assert run.mean_draft - inertial == pytest.approx(rigid.mean_draft, rel=1e-4)
 
 
-@pytest.mark.parametrize("stiffness", [1e12])
-def test_a_wall_without_damper_ends(r1_soil, stiffness):
-    rigid = po.simulate(scene_of(r1_soil, stiffness=stiffness, motion=False, strength_wave=WAVE), 0.1)
-    run, reason = run_or_reason(scene_of(r1_soil, stiffness=stiffness, strength_wave=WAVE), 0.1)
+def test_a_wall_without_damper_ends(r1_soil):
+    rigid = po.simulate(scene_of(r1_soil, stiffness=1e12, motion=False, strength_wave=WAVE), 0.1)
+    run, reason = run_or_reason(scene_of(r1_soil, stiffness=1e12, strength_wave=WAVE), 0.1)
     if run is None:
         assert "quasi-static" in reason
     else:
@@ -93,9 +92,9 @@ def test_a_wall_without_damper_ends(r1_soil, stiffness):
 
 
 def test_a_share_of_no_weight(r1_soil):
-    # Only the soil that it carries has mass, until it leaves that behind in a gap.
+    # Only the soil that it carries has mass, until it leaves the soil and a gap opens.
     scene = scene_of(r1_soil, mass=1e-6, stiffness=1e3, contact=po.StickSlip(1.2), strength_wave=WAVE)
-    three_modes.agreed(scene, 0.03, allowed=5e-8, resistance=20.0)
+    three_modes.agreed(scene, 0.01, allowed=5e-8, resistance=20.0)
     damped = scene_of(r1_soil, mass=1e-6, stiffness=1e5, damping=300.0, strength_wave=WAVE)
     three_modes.agreed(damped, 0.1, allowed=5e-8, resistance=20.0)
 
@@ -129,7 +128,7 @@ def test_every_soil(r1_soil, changes, contact):
     if reason is None:
         three_modes.agreed(scene, 0.3, allowed=5e-8, resistance=20.0)
     else:
-        # Soil of a fixed sign and so much drag pushes a retreating share ever faster.
+        # Resistance that keeps its sign, with this much drag, pushes a retreating share ever faster.
         assert contact == "resisting"
         assert "the resistance drives the share away" in reason
 
@@ -174,7 +173,7 @@ def test_breakaway_keeps_an_exact_cycle_alive_for_thousands_of_events(r1_soil, b
     scene = po.Scene(r1_soil, SHARE, 2e4, 24.0, speed, effects)
     static, k = scene.reaction.static, scene.stiffness
     omega, excess = math.sqrt(k / scene.mass), (breakaway - 1.0) * static / k
-    # It sticks until the spring has made up the excess on both sides of steady sliding, and swings in between.
+    # It sticks until the spring has stretched by twice the excess, and slips for part of a period in between.
     stuck = 2.0 * excess / speed
     slipping = 2.0 / omega * (math.pi - math.atan(excess * omega / speed))
     first = breakaway * static / (k * speed)
@@ -189,7 +188,7 @@ def test_breakaway_keeps_an_exact_cycle_alive_for_thousands_of_events(r1_soil, b
 
 
 @pytest.mark.parametrize(
-    "seeds", [pytest.param(range(50), id="50"), pytest.param(range(10_000), id="10000", marks=pytest.mark.slow)]
+    "seeds", [pytest.param(range(30), id="30"), pytest.param(range(10_000), id="10000", marks=pytest.mark.slow)]
 )
 def test_a_sample_of_the_whole_domain(seeds, capsys):
     reasons, slowest = collections.Counter(), (0.0, -1)
@@ -200,7 +199,7 @@ def test_a_sample_of_the_whole_domain(seeds, capsys):
         signal.alarm(10 * LIMIT)
         run, reason = run_or_reason(*drawn)
         if run is None:
-            # A sentence, without the numbers in it.
+            # Count messages without their numbers.
             assert len(reason) > 40, seed
             reasons[reason.split(":")[0][:60] if "could not" not in reason else "could not be integrated"] += 1
             continue

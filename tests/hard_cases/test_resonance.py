@@ -117,7 +117,7 @@ def test_resonance_without_damping_by_the_default(r1_soil, periods):
 
 
 @pytest.mark.slow
-def test_resonance_over_ten_thousand_periods_by_the_default_is_right_or_told(r1_soil):
+def test_resonance_over_ten_thousand_periods_by_the_default_is_right_or_warned_of(r1_soil):
     scene, duration = resonance(r1_soil, 1e-4, 10_000)
     run = po.simulate(scene, duration, outputs=40_000)
     error = np.max(np.abs(run.mount_force - scene.reaction.static - STIFFNESS * exact(scene, run.time)))

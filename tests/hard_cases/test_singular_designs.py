@@ -1,4 +1,4 @@
-"""Designs with singular places: roots of a vanishing oscillation, flat objectives, trials beyond the theory's end."""
+"""Designs with singularities: vanishing oscillation, flat objectives, and trials outside the domain of a theory."""
 
 import math
 
@@ -116,14 +116,14 @@ def test_a_start_that_stays_steady_leaves_the_rest_of_the_objective_alone():
 
 
 @pytest.mark.parametrize("most", [0.0, pytest.param(1e-9, marks=pytest.mark.slow), 1e-3, 1.0])
-def test_next_to_no_oscillation_may_be_required(most):
+def test_almost_no_oscillation_may_be_required(most):
     d = po.Design()
     amplitude = d.variable("amplitude", guess=0.3, lower=0.0, upper=1.0)
     run = po.simulate(scene_of(amplitude, motion=False), 2.0)
     d.minimise(1.0 - amplitude)
     d.require("calm", run.force_rms, at_most=most, unit="N")
     if most < 1e-6:
-        # Feasible designs have an amplitude below 3e-12, where the root has hardly a slope, and no inside to speak of.
+        # Feasible designs have an amplitude below 3e-12, where the root has almost no slope.
         try:
             assert d.solve().variables["amplitude"] < 1e-10
         except po.NotConverged as refusal:
@@ -155,7 +155,7 @@ def draft(variables):
 
 
 def test_a_plain_has_two_flat_directions():
-    # Below 1 kN nothing is to be gained; the objective has two derivatives at its edge.
+    # Below 1 kN the objective is constant; at the edge it has two derivatives.
     best = of_angle_and_height(lambda force: 1.0 + ca.fmax(force - 1.0, 0.0) ** 3)
     assert best.objective == pytest.approx(1.0, abs=1e-9)
     assert draft(best.variables) < 1.0 + 1e-3
@@ -188,7 +188,7 @@ def test_a_bottom_of_high_order_is_reached_to_rounding_of_the_objective(power, w
     assert best.variables["x"] == pytest.approx(0.4, abs=within)
 
 
-# --- trials at and beyond the end of what has a value -------------------------------------------------------
+# --- designs without a value -------------------------------------------------------
 
 PARTLY = {
     # the objective, for expressions and numbers: numbers without a value count as infinite
@@ -202,7 +202,7 @@ PARTLY = {
 @pytest.mark.parametrize("lower", [0.1, 0.2], ids=["beyond", "up to it"])
 @pytest.mark.parametrize("guess", [0.2001, 0.5])
 @pytest.mark.parametrize("objective", PARTLY.values(), ids=PARTLY)
-def test_places_without_a_value_are_no_obstacle(objective, guess, lower):
+def test_designs_without_a_value_do_not_stop_a_solve(objective, guess, lower):
     d = po.Design()
     h = d.variable("h", guess=guess, lower=lower, upper=0.5)
     d.minimise(objective(h, ca.sqrt, ca.log))
@@ -212,7 +212,7 @@ def test_places_without_a_value_are_no_obstacle(objective, guess, lower):
 
 
 @pytest.mark.slow
-def test_a_least_value_where_the_slope_is_infinite_is_owned_up_to():
+def test_an_optimum_with_an_infinite_slope_is_reported():
     d = po.Design()
     h = d.variable("h", guess=0.3, lower=0.2, upper=0.5)
     d.minimise(1.0 + ca.sqrt(h - 0.2))

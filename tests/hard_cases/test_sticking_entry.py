@@ -1,4 +1,4 @@
-"""A share that sticks while it enters: against a solver of its own, and what a stick in half-buried soil must be."""
+"""A share that sticks while it enters the soil: against an independent solver, and the mechanics of each stick."""
 
 import numpy as np
 import pytest
@@ -63,12 +63,12 @@ def largest(values):
 def test_an_independent_solver_agrees(solved, name):
     scene, run, expected = solved(name)
     assert len(sticks(scene, expected)) == SCENES[name][-1]
-    # Of a share that first moves without resistance the spring's rounding counts.
+    # A share that first moves without resistance has the rounding errors of the spring.
     assert largest(run.travel - expected.travel) < 2e-8 * largest(expected.deflection)
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_while_it_sticks_the_strut_stretches_the_mount_up_to_what_the_buried_part_holds(solved, name):
+def test_while_it_sticks_the_mount_stretches_up_to_the_holding_force(solved, name):
     scene, run, expected = solved(name)
     stuck = run.mode == STICK
     assert np.count_nonzero(stuck) > 10
@@ -95,7 +95,7 @@ def test_while_it_sticks_the_strut_stretches_the_mount_up_to_what_the_buried_par
 
 
 @pytest.mark.parametrize("name", ["soft", "blunt", "soft, rarely", "on beyond the end of entry"])
-def test_it_breaks_loose_at_what_the_buried_part_holds(solved, name):
+def test_it_breaks_loose_at_the_holding_force(solved, name):
     # Without a wave the force at which each stick ends grows with the square of the travel, and then no more.
     scene, _, books = solved(name)
     loose = [change for change in books.changes if (change.old, change.new) == (STICK, SLIP)]

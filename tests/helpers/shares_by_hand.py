@@ -1,4 +1,4 @@
-"""A share in the soil by hand, and questions about it that a design, brute force and SciPy can all answer.
+"""A share in the soil by closed forms, and design questions that a design, brute force and SciPy can all answer.
 
 The scenes are quasi-static over whole waves, so that mean and RMS of the draft are closed forms, written here anew.
 """
@@ -70,7 +70,7 @@ OBJECTIVES = {
 
 @dataclass(frozen=True)
 class Question:
-    """A question about a share, that a design and this file can both solve."""
+    """A design question about a share that both a design and this file can solve."""
 
     objective: str = "drafts"
     limits: dict = field(default_factory=lambda: USUAL)

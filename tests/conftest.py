@@ -17,7 +17,7 @@ HERE = Path(__file__).parent
 def ctrl_c():
     """Give Ctrl-C its usual effect here and in processes started meanwhile, as at a terminal.
 
-    A shell that runs the tests in the background has them ignore it.
+    A shell makes tests in the background ignore it.
     """
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield

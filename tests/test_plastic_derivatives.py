@@ -99,9 +99,9 @@ def natural_sizes(at, wall, scale):
     """Return the magnitudes of the terms whose sums are value, gradient and Hessian.
 
     An entry can be much smaller than its terms: the pressure on the wall does not depend on the cavity's radius, nor
-    that at the front on the acceleration. Terms of a place count as at the wall, where the logarithm of the distance
-    from the front, rounded as a length is, has the size that it has nowhere else; and a derivative in one argument is
-    made of terms of the size of what is differentiated, over the change that matters.
+    that at the front on the acceleration. Magnitudes are therefore at least those at the wall, where the logarithm of the
+    distance from the front is largest. The terms of a derivative have the magnitude of the differentiated quantity
+    divided by the change of the argument over which it varies.
     """
     value = max(abs(at[0]), abs(wall[0]))
     gradient = [max(abs(a), abs(b)) for a, b in zip(at[1], wall[1], strict=True)]

@@ -9,8 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias
 
-from plough_opt.core.checks import check_switch, shown
-from plough_opt.core.errors import InputError, nearest
+from plough_opt.core.checks import check_named, check_switch
 from plough_opt.laws.law import SoilReaction
 
 # Attribute of `Printed` -> the error in words.
@@ -85,7 +84,5 @@ def errors_of(formulation: Formulation) -> Printed:
     """
     if isinstance(formulation, Printed):
         return formulation
-    if not isinstance(formulation, str) or formulation not in FORMULATIONS:
-        hint = nearest(formulation if isinstance(formulation, str) else shown(formulation), FORMULATIONS)
-        raise InputError(f"formulation = {shown(formulation)} is neither a Printed(...) nor the name of one: {hint}")
+    check_named("formulation = {} is neither a Printed(...) nor the name of one", formulation, FORMULATIONS)
     return FORMULATIONS[formulation]

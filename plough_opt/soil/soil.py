@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 
 from plough_opt.core.checks import check_kind, check_named, check_text, shown
-from plough_opt.core.errors import InputError, nearest
+from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import (
     COUNT,
     Expression,
@@ -205,15 +205,13 @@ class Soil:
             5.7373
         """
         cone_index = EVERY["soil.cone_index"].read(cone_index, stacklevel=2)
-        if not isinstance(soil, Soil):
-            raise InputError(f"soil = {soil!r} must be the Soil to adjust")
+        check_kind("soil", soil, Soil, "the Soil to adjust")
         if soil.density_profile is not None:
             raise InputError(
                 "a soil with a density profile cannot be adjusted to a cone index: set strength_factor to the reading"
                 " divided by po.cone_index of the soil"
             )
-        if adjust not in get_args(Adjust):
-            raise InputError(f"adjust = {adjust!r}: {nearest(str(adjust), get_args(Adjust))}")
+        check_named("adjust = {}", adjust, get_args(Adjust))
         key = adjust.replace(" ", "_")
         changed: dict[str, Any] = {key: _adjusted(cone_index, soil, adjust)}
         source = f"{soil.source}; {adjust} from a cone index"

@@ -1,7 +1,7 @@
 """Bodies, soils and points for tests of the elastic field, and comparison of the toolkit with precise numbers.
 
-An input is one flat tuple: x, y (or r), E, nu, density, speed, then the positions and then the half thicknesses of all
-nodes but the first, which is (0, 0). So every number that a user gives can be varied, rounded or differentiated.
+An input is one flat tuple: x, y (or r), E, nu, density, speed, then the positions and half thicknesses of all nodes
+except the first, which is (0, 0). Every number that a user gives can thus be varied, rounded or differentiated.
 """
 
 import functools
@@ -148,15 +148,15 @@ def differentiated(field, symbol, size, chosen):
 def precise(field, point, chosen=()):
     """Return components, gradients and Hessians in the chosen inputs, each with its size: precise arrays.
 
-    The first index is that of value, gradient entries and Hessian entries, the second the component. The size is what
-    one unit of relative error in every input does to what each straight piece of the body contributes, plus the
-    contributions themselves: a sum over the pieces whose every step is accurate errs by a small multiple of 1.1e-16
-    of it. The inputs are moved by one part in 1e20, all at once, with signs that differ for any two of them.
+    The first index is that of value, gradient entries and Hessian entries, the second that of the component. The size
+    is the sum over the straight pieces of their contributions and of the effect of a unit relative error in every
+    input. If every step is accurate, the error is a small multiple of 1.1e-16 of the size. To find the effect, all
+    inputs are changed at once by one part in 1e20, with several patterns of signs that distinguish any two inputs.
 
-    Derivatives in the moduli pass through zero (of strains at rest in E, say), where only the digits of the quantity
-    that is differentiated count: f/E, and f for Poisson's ratio, belong to the size. So does f/r of a cone's
-    derivatives in r, which beside the axis are small differences of what is singular on it, and its radial stress
-    has the digits of the axial one, with which it shares the dilatation.
+    Derivatives in the moduli can pass through zero, as those of strains at rest in E do. Their errors are relative to
+    the differentiated quantity f, so f/E, and f for Poisson's ratio, are added to the size. For a cone f/r is added to
+    derivatives in r, which near the axis are small differences of singular terms. The radial stress is as accurate as
+    the axial stress, with which it shares the dilatation.
     """
     exact = hp.exact(point)
     found = _tensors(field, exact, chosen)

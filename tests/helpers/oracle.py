@@ -1,10 +1,10 @@
 """The elastic medium around a thin wedge or a slender cone in 120-digit arithmetic, for comparison with the toolkit.
 
-The potentials' kernels are integrated over each straight piece in closed form, nothing rearranged against cancellation,
-and nothing is imported from the toolkit. By way of the toolkit it agrees with values that were computed elsewhere,
-tests/reference/elastic.json, and with Fourier integrals. A body is a list of nodes (x, half thickness or radius),
-joined by straight lines and followed by a parallel shank. V0 must not be zero: at rest the potentials coincide and each
-formula here is 0/0. The field is even in V0 and analytic: 1e-15 c2 stands for rest.
+The potentials' kernels are integrated over each straight piece in closed form. The formulas are not rearranged against
+cancellation, and the toolkit is not imported. The toolkit, and so this oracle, agrees with the independent values in
+tests/reference/elastic.json and with Fourier integrals. A body is a list of nodes (x, half thickness or radius), joined
+by straight lines and followed by a parallel shank. V0 must not be zero, because at rest the potentials coincide and
+every formula here is 0/0. The field is even and analytic in V0, so use 1e-15 c2 for rest.
 """
 
 import itertools
@@ -140,8 +140,8 @@ def _log_antiderivative(X):
 def touching(absolute_pressure, a, b):
     """Return the parts of a straight piece on which a pressure is positive.
 
-    Signs are taken at distances from both ends that fall geometrically to 1e-16 of the length, and where the pressure
-    comes nearest to zero between two places of the same sign.
+    Signs are evaluated at distances from both ends that decrease geometrically to 1e-16 of the length, and where the
+    pressure comes nearest to zero between two places with the same sign.
     """
     near = [(b - a) / 2 * mp.mpf(10) ** (-mp.mpf(k) / 2) for k in range(32, 0, -1)]
     middle = [(b - a) * mp.mpf(k) / 40 for k in range(7, 34)]
@@ -196,7 +196,7 @@ def cone(x, r, nodes, medium, section_factor=HALF):
 
     With S = section_factor R^2 and s = S', N = int s/(2 rho) and M = -int s (1 + X/rho)/(2 r), rho^2 = X^2 + k^2 r^2,
     the displacements are ((1 + eta^2) N(alpha) - 2 eta^2 N(eta))/m and ((1 + eta^2) M(alpha) - 2 M(eta))/m.
-    Stresses are Hooke's law on their derivatives.
+    The stresses follow from their derivatives by Hooke's law.
     """
     eta, m = medium.eta, medium.m
     (n_alpha, m_alpha), (n_eta, m_eta) = (source_integrals(x, r, nodes, k) for k in (medium.alpha, eta))
@@ -259,7 +259,7 @@ def cone_pressure(x, nodes, medium, section_factor=HALF):
 def cone_force(nodes, medium, tool_friction, ambient_pressure, section_factor=HALF, separation=True):
     """Return 2 pi int (max(p + p_a, 0) - p_a) (R' + mu0) R dx, or 2 pi int p (R' + mu0) R dx without separation.
 
-    By quadrature, to about two thirds of the digits of the working precision.
+    The quadrature is accurate to about two thirds of the working digits.
     """
     force = mp.mpf(0)
     for a, left, b, right in segments(nodes):

@@ -1,4 +1,4 @@
-"""Linear elastic medium around a share that moves steadily below the shear wave's speed: equations (1)-(4).
+"""Linear elastic medium around a share that moves steadily below the shear wave speed: equations (1)-(4).
 
 The thin wedge (plane strain) and the slender cone (axisymmetry) have closed forms for piecewise-linear profiles, which
 accept floats, arrays or CasADi expressions. `plough_opt.soil.elastic.fourier` evaluates the Fourier integrals

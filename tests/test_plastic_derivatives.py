@@ -99,8 +99,8 @@ def natural_sizes(at, wall, scale):
     """Return the magnitudes of the terms whose sums are value, gradient and Hessian.
 
     An entry can be much smaller than its terms: the pressure on the wall does not depend on the cavity's radius, nor
-    that at the front on the acceleration. Magnitudes are therefore at least those at the wall, where the logarithm of the
-    distance from the front is largest. The terms of a derivative have the magnitude of the differentiated quantity
+    that at the front on the acceleration. Magnitudes are therefore at least those at the wall, where the logarithm of
+    the distance from the front is largest. The terms of a derivative have the magnitude of the differentiated quantity
     divided by the change of the argument over which it varies.
     """
     value = max(abs(at[0]), abs(wall[0]))

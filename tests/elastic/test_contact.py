@@ -226,18 +226,6 @@ def test_force_on_a_cone_against_precise_quadrature(case):
         assert clinging == pytest.approx(float(oracle.cone_force(*at, separation=False)), rel=2e-14)
 
 
-@pytest.mark.parametrize(("section_factor", "speed", "nu"), [(0.5, 0.01, 0.3), (1.0, 0.7, 0.0)])
-def test_force_on_a_slender_cone_by_hand(section_factor, speed, nu):
-    """2 pi t (t + mu0) (mu l^2/2) 2 s (1 + t^2 (m - 2 nu)/(4 (1 - nu)) + O(t^3))."""
-    soil, V0 = ground(speed, nu)
-    for t in (0.03, 0.01):
-        head = 2.0 * math.pi * t * (t + FRICTION) * MU * 0.5**2 / 2.0 * 2.0 * section_factor
-        nodes = [(0.0, 0.0), (0.5, 0.5 * t)]
-        found = po.elastic.cone_force(nodes, soil, V0, section_factor=section_factor) / head - 1.0
-        wanted = t**2 * (speed**2 - 2.0 * nu) / (4.0 * (1.0 - nu))
-        assert found == pytest.approx(wanted, rel=0, abs=2.0 * t**3)
-
-
 def force_of_cone(E, nu, speed, length, radius, tool_friction):
     soil = po.Soil(RHO, 0.8, 0.0, 0.5, tool_friction, 1e5, youngs_modulus=E, poisson_ratio=nu)
     return po.elastic.cone_force([(0.0, 0.0), (length, radius)], soil, speed)

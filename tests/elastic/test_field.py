@@ -291,15 +291,11 @@ GOOD = [(0.0, 0.0), (0.25, 0.025), (0.5, 0.0)]
 REFUSED = {
     "supersonic": ({"speed": 100.001}, r"speed over shear wave speed = 1\.00001"),
     "backwards": ({"speed": -1.0}, "speed = -1 m/s"),
-    "speed not a number": ({"speed": math.nan}, "speed = nan"),
     "point not a number": ({"x": math.nan}, "x = nan"),
     "point at infinity": ({"away": math.inf}, "(r|distance from the axis) = inf m must be finite"),
-    "array with one bad point": ({"x": np.array([0.1, math.nan])}, "x = nan"),
     "nodes descending": ({"profile": [(0.0, 0.0), (0.5, 0.05), (0.25, 0.0)]}, "node 3 minus x of node 2.*backwards"),
-    "nodes coincide": ({"profile": [(0.0, 0.0), (0.5, 0.05), (0.5, 0.0)]}, "= 0 m must be above 0 m.*backwards"),
     "first node thick": ({"profile": [(0.0, 0.01), (0.5, 0.05)]}, "first node"),
     "single node": ({"profile": [(0.0, 0.0)]}, "two nodes"),
-    "node not a number": ({"profile": [(0.0, 0.0), (0.5, math.nan)]}, "= nan m must be finite"),
     "negative height": ({"profile": [(0.0, 0.0), (0.5, -0.05)]}, "node 2 of the profile = -0.05 m"),
 }
 OF_WEDGES = {
@@ -308,8 +304,6 @@ OF_WEDGES = {
 }
 OF_CONES = {
     "on the axis": ({"away": 0.0}, "r = 0 m must be above 0 m"),
-    "below the axis": ({"away": -0.1}, "r = -0.1 m must be above 0 m"),
-    "array with one point on the axis": ({"x": np.array([0.1, 0.2]), "away": np.array([0.1, 0.0])}, "r = 0 m"),
     "no section": ({"section_factor": 0.0}, "section factor = 0"),
 }
 

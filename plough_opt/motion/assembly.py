@@ -61,17 +61,17 @@ def assemble(
         p = {**p, "behind": states[:, 2], "entered": states[:, 4]}
     time = column(fractions, is_casadi(states)) * duration
     w, rate = states[:, 0], states[:, 1]
-    mount, u0 = terms.strut(structure, p, time), terms.start_speed(structure, p)
-    gain = mount.gain - rate
+    strut, initial_speed = terms.strut(structure, p, time), terms.start_speed(structure, p)
+    gain = strut.gain - rate
     first = terms.start_force(structure, p)
     deflection = first / p["stiffness"] + w
-    travel = mount.path - deflection
+    travel = strut.path - deflection
     force = first + terms.pull(structure, p, w, rate)
-    soil = terms.resistance(structure, p, travel, u0 + gain)
+    soil = terms.resistance(structure, p, travel, initial_speed + gain)
     acceleration = (force - soil) / terms.inertia_at(structure, p, travel)
     carried = terms.carried_mass(structure, p, travel) if structure.events else _added_mass(scene)
     soil = soil + carried * acceleration
-    speed, opening = u0 + gain, 0.0 * w + 0.0
+    speed, opening = initial_speed + gain, 0.0 * w + 0.0
     mode = opening
     if structure.sticks:
         opening, mode = states[:, 2], states[:, 3]
@@ -189,13 +189,13 @@ def _course(
     if isinstance(fractions, np.ndarray):
         fractions = column(fractions, holds_casadi((scene, duration)))
     time = fractions * duration
-    mount = terms.strut(structure, p, time)
-    force = terms.resistance(structure, p, mount.path, terms.start_speed(structure, p) + mount.gain)
+    strut = terms.strut(structure, p, time)
+    force = terms.resistance(structure, p, strut.path, terms.start_speed(structure, p) + strut.gain)
     everywhere = 0.0 * time
     return (
         time,
-        mount.path + everywhere,
-        terms.start_speed(structure, p) + mount.gain + everywhere,
+        strut.path + everywhere,
+        terms.start_speed(structure, p) + strut.gain + everywhere,
         force + everywhere,
     )
 

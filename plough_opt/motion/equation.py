@@ -55,7 +55,7 @@ class _SymbolicShare:
     Attributes:
         speed: L' [m/s].
         stopping: speed [m/s] that becomes negative when the share stops, but not by rounding at the start.
-        pull: mount force P [N].
+        mount_force: P [N].
         slipping: w'' of a slipping share [m/s^2].
     """
 
@@ -69,19 +69,19 @@ class _SymbolicShare:
         self.state = stacked(self.w, self.rate, *modes, *ended.values())
         self.structure = structure
         self.p = p | ended | ({"behind": self.opening} if structure.entry else {})
-        self.mount = terms.strut(structure, self.p, self.time)
-        self.travel = self.mount.path - terms.start_deflection(structure, p) - self.w
-        self.strut_speed = terms.start_speed(structure, self.p) + self.mount.gain
+        self.strut = terms.strut(structure, self.p, self.time)
+        self.travel = self.strut.path - terms.start_deflection(structure, p) - self.w
+        self.strut_speed = terms.start_speed(structure, self.p) + self.strut.gain
         self.speed = self.strut_speed - self.rate
         self.stopping = self.speed + _STANDSTILL * self.p["tow_speed"]
         change = terms.pull(structure, self.p, self.w, self.rate)
-        self.pull = terms.start_force(structure, self.p) + change
+        self.mount_force = terms.start_force(structure, self.p) + change
         if structure.relaxed:
             soil = terms.resistance(structure, self.p, self.travel, self.speed)
         else:
-            soil = terms.resistance_change(structure, self.p, self.travel, self.mount.gain - self.rate)
+            soil = terms.resistance_change(structure, self.p, self.travel, self.strut.gain - self.rate)
         acceleration = (soil - change) / terms.inertia_at(structure, self.p, self.travel)
-        self.slipping = acceleration + self.mount.acceleration if structure.ramp else acceleration
+        self.slipping = acceleration + self.strut.acceleration if structure.ramp else acceleration
 
     def by_mode(self, slip: Column, stick: Column, gap: Column) -> Column:
         """Return the column that belongs to the mode, chosen element by element."""
@@ -96,13 +96,13 @@ class _SymbolicShare:
 def _stick_slip(share: _SymbolicShare) -> tuple[Column, list[Column], list[Column]]:
     """Return the rate of the four states, the value that becomes negative when the mode ends, and the state after."""
     p, mass = share.p, share.p["mass"]
-    hold = terms.hold(share.structure, p, share.travel)
+    breakaway = terms.hold(share.structure, p, share.travel)
     slip = stacked(share.rate, share.slipping, 0.0, 0.0)
-    stick = stacked(share.strut_speed, share.mount.acceleration, 0.0, 0.0)
-    gap = stacked(share.rate, share.mount.acceleration - share.pull / mass, -share.speed, 0.0)
+    stick = stacked(share.strut_speed, share.strut.acceleration, 0.0, 0.0)
+    gap = stacked(share.rate, share.strut.acceleration - share.mount_force / mass, -share.speed, 0.0)
     # While the share sticks the strut only compresses the mount, so P cannot fall to 0.
-    until = share.by_mode(share.stopping, hold - share.pull, share.opening)
-    stopped = where(share.pull < 0.0, GAP, where(share.pull <= hold, STICK, SLIP))
+    until = share.by_mode(share.stopping, breakaway - share.mount_force, share.opening)
+    stopped = where(share.mount_force < 0.0, GAP, where(share.mount_force <= breakaway, STICK, SLIP))
     speed_with_soil = share.speed * mass / (mass + terms.carried_mass(share.structure, p, share.travel))
     rate = share.by_mode(share.strut_speed, share.strut_speed, share.strut_speed - speed_with_soil)
     after = stacked(share.w, rate, 0.0, share.by_mode(stopped, SLIP, SLIP))

@@ -5,7 +5,6 @@ import math
 import os
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
 
 import casadi as ca
@@ -14,7 +13,6 @@ import pytest
 import trimesh
 
 import plough_opt as po
-from plough_opt.core.compiler import find_compiler
 
 
 def _component(out):
@@ -50,20 +48,6 @@ def test_c_with_inputs_and_outputs_of_ones_own_passes_its_test(cli, cotton, tmp_
     assert sorted(path.name for path in (tmp_path / "c").iterdir()) == [
         "Makefile", "cotton.c", "cotton.h", "cotton_test.c",
     ]  # fmt: skip
-    if find_compiler() is not None:
-        command = [*find_compiler(), "-O0", "-ffp-contract=off", "cotton.c", "cotton_test.c", "-o", "t", "-lm"]
-        subprocess.run(command, cwd=tmp_path / "c", check=True)
-        told = subprocess.run(["./t"], cwd=tmp_path / "c", check=True, capture_output=True, text=True).stdout
-        assert "from Python" in told
-
-
-def test_openmdao_and_fmu_are_written_too(cli, cotton, tmp_path):
-    done = cli("export", cotton, "--to", "openmdao", "--output", tmp_path / "om", "--outputs", "mean_draft")
-    assert done.status == 0, done.err
-    assert sorted(path.name for path in (tmp_path / "om").iterdir()) == ["share.casadi", "share.py"]
-    done = cli("export", cotton, "--to", "fmu", "--output", tmp_path / "cotton.fmu", "--sources", "--strut", "speed")
-    assert done.status == 0, done.err
-    assert "modelDescription.xml" in zipfile.ZipFile(tmp_path / "cotton.fmu").namelist()
 
 
 def test_what_to_do_next_can_be_pasted_whatever_the_folder_is_called(cli, cotton, tmp_path):

@@ -1,4 +1,4 @@
-"""What accuracy costs in time: five scenes, every method that can do them, one picture.
+"""Error and time of every suitable method on five scenes, in one picture.
 
     python problems/accuracy_cost.py --folder out
 
@@ -32,12 +32,12 @@ WAVE = po.StrengthWave(amplitude=0.3, wavelength=0.2)
 
 
 def resonant_stiffness(mass: float, speed: float, wavelength: float) -> float:
-    """Return the stiffness [N/m] of a mount whose own frequency is that of the soil's waves."""
+    """Return the stiffness [N/m] of a mount whose natural frequency equals that of the soil's waves."""
     return (mass + float(po.added_mass(SHARE.equivalent_cone(), SEROZEM))) * (2.0 * math.pi * speed / wavelength) ** 2
 
 
 def scenes() -> dict[str, tuple[po.Scene, float]]:
-    """Return the scenes by name, each with its duration [s]."""
+    """Return name -> (scene, duration [s])."""
 
     def scene(soil: po.Soil, stiffness: float, speed: float, **effects: Any) -> po.Scene:
         return po.Scene(soil, SHARE, stiffness, 25.0, speed, po.Effects(**effects))
@@ -88,7 +88,7 @@ def figure_of(found: dict[str, po.AccuracyStudy]) -> Figure:
     for axes, (name, study) in zip(places, found.items(), strict=False):
         panel = dataclasses.replace(study.panel(study.questions[0]), title=name[0].upper() + name[1:])
         lines |= picture.draw(axes, panel)
-        # One pair of scales, so that scenes can be compared.
+        # The same scales everywhere, so that scenes can be compared.
         axes.set(xlim=(7e-6, 2.0), ylim=(1e-18, 3.0))
     for axes in places[len(found) :]:
         axes.set_axis_off()

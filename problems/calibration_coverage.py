@@ -89,7 +89,7 @@ def coverage(
 
 @dataclass(frozen=True)
 class Trial:
-    """A set of conditions that is measured again and again.
+    """Conditions of a synthetic experiment that is repeated many times.
 
     Attributes:
         name: of the row in the table.
@@ -146,7 +146,7 @@ def scene() -> po.Scene:
 
 
 def grid(**axes: np.ndarray) -> dict[str, np.ndarray]:
-    """Return all combinations of conditions, one column each; a name's two underscores stand for a point."""
+    """Return all combinations of conditions, one column each; two underscores in a name mean a dot."""
     columns = np.meshgrid(*axes.values(), indexing="ij")
     return {name.replace("__", "."): column.ravel() for name, column in zip(axes, columns, strict=True)}
 

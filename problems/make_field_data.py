@@ -12,7 +12,7 @@ import numpy as np
 
 PLACES = 8
 SPACING, LENGTH = 0.05, 40.0
-# Known of the transect: random strength with this RMS and correlation length, and rows that wheels left [m].
+# True values of the transect: RMS and correlation length [m] of random strength, and distance [m] of wheel rows.
 RMS, CORRELATION_LENGTH = 0.12, 0.35
 ROW_AMPLITUDE, ROWS = 0.08, 1.4
 NOTE = "# synthetic, by make_field_data.py: nothing here was measured"

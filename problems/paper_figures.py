@@ -1,4 +1,4 @@
-"""Figures 1 to 7 of the source, drawn anew, with what its Discussion says of them set beside what (27) gives.
+"""Figures 1 to 7 of the source, computed again, and its Discussion compared with the results of equation (27).
 
     python problems/paper_figures.py --folder out
 
@@ -38,7 +38,7 @@ DURATION, OUTPUTS = 3.0, 1500
 
 @dataclass(frozen=True)
 class Choice:
-    """What the source leaves open, SI.
+    """Values that the source does not give, in SI.
 
     Attributes:
         wedge_angle: 20 degrees: with the chisel angle a half angle of 7 degrees, well within plane sections.
@@ -90,7 +90,7 @@ def run(density_ratio: float, stiffness: float) -> po.Run:
 
 @dataclass(frozen=True)
 class Swing:
-    """The first oscillation of a run, and how large the last one is.
+    """The first oscillation of a run, and the amplitude of the last one.
 
     Attributes:
         period: from its first crest to the next [s].
@@ -112,7 +112,7 @@ class Swing:
 
 
 def swing(found: po.Run) -> Swing:
-    """Measure the first oscillation, turning points interpolated between the output times."""
+    """Return the first oscillation of a run, with turning points interpolated between output times."""
     t, z, stiffness = found.time, found.deflection, found.scene.stiffness
     rate = found.scene.tow_speed - found.speed
     turns = np.flatnonzero(rate[:-1] * rate[1:] < 0.0)
@@ -133,7 +133,7 @@ def swing(found: po.Run) -> Swing:
 
 
 def part_above_zero(t: NDArray[np.float64], z: NDArray[np.float64], end: float) -> float:
-    """Return the part of the time up to ``end`` in which z, linear between its samples, is above zero."""
+    """Return the fraction of the time up to ``end`` during which z, linear between samples, is above zero."""
     inside = t < end
     x, y = np.append(t[inside], end), np.append(z[inside], np.interp(end, t, z))
     low, high = np.minimum(y[:-1], y[1:]), np.maximum(y[:-1], y[1:])
@@ -154,7 +154,7 @@ def figure_1() -> Figure:
 
 
 def figure_2() -> Figure:
-    """Draw the share's faces beside its equivalent cone, to one scale, with the compacted soil of b1 = 0.8."""
+    """Draw the share's faces and its equivalent cone at the same scale, with the compacted soil of b1 = 0.8."""
     shown = scene(0.8, 50.0)
     figure = plots.plot_share(shown)
     figure.suptitle("Fig. 2. Share and equivalent cone")
@@ -177,7 +177,7 @@ def figure_3() -> Figure:
 
 
 def half_angle(wedge_angle: Expression, chisel_angle: float) -> Expression:
-    """Return the equivalent cone's half angle [rad] of angles in degrees."""
+    """Return the equivalent cone's half angle [rad] for wedge angles in degrees."""
     return po.Wedge(po.deg(wedge_angle), po.deg(chisel_angle), 1.0).equivalent_cone().half_angle
 
 
@@ -215,12 +215,12 @@ PRINTED_RATIO, PRINTED_STIFFNESS, PRINTED_DURATION = 0.6, 50.0, 0.8
 
 @lru_cache(maxsize=8)
 def printed_run(**effects: object) -> po.Run:
-    """Return the run of the printed figure, under other effects than the derived ones."""
+    """Return the run of a printed figure with other effects than the derived ones."""
     return po.simulate(scene(PRINTED_RATIO, PRINTED_STIFFNESS, **effects), PRINTED_DURATION, outputs=400)
 
 
 def figure_printed() -> Figure:
-    """Draw equation (27) as printed beside the derived one: the spring repels, and L runs away like exp(omega t)."""
+    """Draw equation (27) as printed and as derived: as printed the spring repels, and L grows like exp(omega t)."""
     derived, whole = printed_run(), printed_run(formulation="printed")
     alone = printed_run(formulation="printed", inertial_drag=False)
     figure = Figure(figsize=(11, 4.6), layout="constrained")
@@ -271,7 +271,7 @@ def _axes(x: str, y: str) -> tuple[Figure, Axes]:
 
 
 def _colors(count: int) -> list[tuple[float, ...]]:
-    """Return colours in an order that a reader can see, none of them too pale for paper."""
+    """Return colours in a visible order, without colours too pale for paper."""
     return [colormaps["viridis"](x) for x in np.linspace(0.0, 0.85, count)]
 
 
@@ -288,7 +288,7 @@ def _named(found: po.Run) -> str:
 
 @dataclass(frozen=True)
 class Claim:
-    """A sentence of the source's Discussion, what its own equations give, where to see it, and whether it follows."""
+    """A statement of the source's Discussion, the result of its own equations, the figure, and whether they agree."""
 
     says: str
     gives: str
@@ -297,7 +297,7 @@ class Claim:
 
 
 def claims() -> list[Claim]:
-    """Return what the Discussion says and what equation (27) gives, measured on the runs of the figures."""
+    """Return the statements of the Discussion with the results of equation (27) in the runs of the figures."""
     soft, middle, stiff = ([swing(found) for found in _runs(k)] for k in (50.0, 200.0, 500.0))
     one = DENSITY_RATIOS.index(0.6)
     added = [1e3 * scene(ratio, 50.0).reaction.added_mass for ratio in (0.2, 0.95)]
@@ -374,7 +374,7 @@ def _percent(swings: Sequence[Swing], name: str) -> str:
 
 
 def retreat() -> str:
-    """Return in words how fast, and where, a resistance of fixed sign drives the share back."""
+    """Return a sentence on how fast and where a resistance of fixed sign drives the share backwards."""
     speeds = ", ".join(f"{swing(found).retreat:.3f}" for found in _runs(50.0))
     return (
         f"From rest the resistance, whose sign is fixed, drives the share back: at up to {speeds} m/s for k0 = 50 N/m,"
@@ -383,7 +383,7 @@ def retreat() -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Draw the figures into a folder and print the claims beside what the equations give."""
+    """Draw the figures into a folder, and print the statements with the results of the equations."""
     parser = argparse.ArgumentParser(description="Figures 1 to 7 of the source, and what its Discussion says of them.")
     parser.add_argument("--folder", type=Path, default=Path("out"), help="where the pictures go (default: out)")
     folder = parser.parse_args(arguments).folder

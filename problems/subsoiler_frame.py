@@ -1,4 +1,4 @@
-"""A whole subsoiler: n shares on springs, frame, hitch and tractor, for the least fuel per hectare.
+"""A complete subsoiler: n shares on springs, frame, hitch and tractor, designed for minimum fuel per hectare.
 
     python problems/subsoiler_frame.py --check --plot out/subsoiler_frame.png
 
@@ -49,7 +49,7 @@ VARIABLES: dict[str, tuple[float, float, float, str]] = {  # guess, lower, upper
 
 @dataclass(frozen=True)
 class Leg:
-    """The shank's part in the soil, of which the theory knows nothing."""
+    """Resistance of the shank's part in the soil, which the theory ignores."""
 
     draft: float = 2500.0  # N*
 
@@ -62,7 +62,7 @@ EFFECTS = po.Effects(strength_wave=WAVE, damping=DAMPING, rate_term=SPEED_TERM, 
 
 
 def soil(right: float) -> po.Soil:
-    """Return the soil at a part of the width; of open pores, so that the ambient pressure is the overburden."""
+    """Return the soil at a fraction of the width; its pores are open, so the ambient pressure is the overburden."""
     left, end = po.named_soil("firm sandy loam"), po.named_soil("hardpan")
     names = ("density", "density_ratio", "cohesion", "friction_angle", "tool_friction")
     own = {name: (1.0 - right) * getattr(left, name) + right * getattr(end, name) for name in names}
@@ -70,21 +70,21 @@ def soil(right: float) -> po.Soil:
 
 
 def traction(slip: Expression, weight: Expression) -> tuple[Expression, Expression]:
-    """Return gross pull of the wheels, and what is left of it at the hitch [N]: Brixius (1987), as in D497+."""
+    """Return gross pull of the wheels and net pull at the hitch [N]: Brixius (1987), as in D497+."""
     number = MOBILITY * TRACTOR * GRAVITY / weight
     gross = 0.88 * (1.0 - exp(-0.1 * number)) * (1.0 - exp(-7.5 * slip)) + 0.04
     return gross * weight, (gross - 1.0 / number - 0.04 - 0.5 * slip / sqrt(number)) * weight
 
 
 def moments(places: Sequence[Expression], loads: Sequence[Expression], bracket: Expression) -> list[Expression]:
-    """Return the bending moments [N m] of a beam on two brackets, each ``bracket`` off the middle, at all forces."""
+    """Return the bending moments [N m] at all forces of a beam on two supports, each ``bracket`` off its middle."""
     right = sum(load * (place + bracket) for place, load in zip(places, loads, strict=True)) / (2.0 * bracket)
     forces = [*zip(places, loads, strict=True), (-bracket, right - sum(loads)), (bracket, -right)]
     return [sum(force * maximum(at - place, 0.0) for place, force in forces) for at, _ in forces]
 
 
 def machine(c: Any, n: int, motion: Callable[[po.Scene], Any] = po.simulate) -> SimpleNamespace:
-    """Return what follows from chosen expressions, numbers or arrays; ``motion`` follows a scene."""
+    """Return all results for chosen variables (expressions, numbers or arrays); ``motion`` simulates a scene."""
     cone = po.Wedge(c.wedge_angle, po.deg(15.0), c.height).equivalent_cone()
     mass = MOVING + cone.solid_mass(STEEL)
     scenes = [po.Scene(soil(k / (n - 1)), cone, c.stiffness, mass, c.speed, EFFECTS) for k in range(n)]
@@ -94,7 +94,7 @@ def machine(c: Any, n: int, motion: Callable[[po.Scene], Any] = po.simulate) -> 
     offset = sum(k * run.mean_draft for k, run in enumerate(runs)) / draft
     places = [(k - offset) * c.spacing for k in range(n)]
 
-    # Each tube takes half the draft, and one of the two forces that balance its moment about the tubes.
+    # Each tube carries half the draft, and one of the two forces that balance its moment about the tubes.
     bore = c.tube * (1.0 - 2.0 / THINNESS)
     modulus = (c.tube**4 - bore**4) / (6.0 * c.tube)
     on_stone = [[peak + (STONE * c.stiffness if i == k else 0.0) for i, peak in enumerate(peaks)] for k in range(n)]
@@ -122,7 +122,7 @@ def machine(c: Any, n: int, motion: Callable[[po.Scene], Any] = po.simulate) -> 
 
 
 def design(n: int = 5) -> tuple[po.Design, SimpleNamespace, SimpleNamespace]:
-    """Return the design of a machine of n shares, what is chosen, and what follows from it."""
+    """Return the design of a machine of n shares, its variables, and its results."""
     d, c = po.Design(), SimpleNamespace()
     for name, (guess, lower, upper, unit) in VARIABLES.items():
         symbol = d.variable(name, guess=guess, lower=lower, upper=upper, unit=unit, log=name == "stiffness")
@@ -135,7 +135,7 @@ def design(n: int = 5) -> tuple[po.Design, SimpleNamespace, SimpleNamespace]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Solve and print; on request certify and draw."""
+    """Solve and print; optionally certify and draw."""
     parser = argparse.ArgumentParser(description="The subsoiler of least fuel per hectare.")
     parser.add_argument("--shares", type=int, default=5, choices=range(2, 10), help="how many (default: 5)")
     parser.add_argument("--check", action="store_true", help="certify the optimum and set it beside brute force")

@@ -1,4 +1,4 @@
-"""The optimum of `subsoiler_frame` certified, and set beside brute force in NumPy alone.
+"""Certificate of the optimum of `subsoiler_frame`, and comparison with brute force in NumPy alone.
 
 Brute force takes no derivative and no integrator of the toolkit: it follows (27) by Runge and Kutta's fourth order
 until the oscillation lasts, for many designs side by side, and evolves a population of designs. Of the nine variables
@@ -21,12 +21,12 @@ import plough_opt as po
 
 Array = NDArray[np.float64]
 FREE = ("wedge angle", "spacing", "stiffness", "speed", "bracket", "ballast")
-# A limit met but for rounding is met; a limit that decides is met to the optimiser's tolerance.
+# Tolerances of limits: rounding for a limit that is met, the optimiser's tolerance for an active limit.
 _ROUNDING, _ACTIVE = 1e-9, 1e-7
 
 
 def check(c: SimpleNamespace, m: SimpleNamespace, best: po.Optimum) -> None:
-    """Print how well the optimum is certified and how near brute force comes to it."""
+    """Print the residuals of the optimality conditions, and the best design of brute force."""
     n, fuel = len(m.scenes), best(m.fuel)
     stationary = kkt_residual(c, m, best)
     at_best = evaluate(np.array([[best.variables[name]] for name in FREE]), n)
@@ -45,13 +45,13 @@ def check(c: SimpleNamespace, m: SimpleNamespace, best: po.Optimum) -> None:
 
 
 def least_margin(m: SimpleNamespace, best: po.Optimum) -> float:
-    """Return the least margin of all requirements, each over its limit, or over 1 where that is 0."""
+    """Return the smallest relative margin of all requirements (absolute for a limit of 0)."""
     sizes = {name: abs(most if most is not None else least) or 1.0 for name, (_, least, most, _) in m.limits.items()}
     return min(margin / sizes[name] for name, margin in best.margins.items())
 
 
 def kkt_residual(c: SimpleNamespace, m: SimpleNamespace, best: po.Optimum) -> float:
-    """Return the part of the fuel's gradient that no limit which decides balances, by multipliers of our own.
+    """Return the part of the fuel's gradient that the active limits do not balance, with multipliers computed here.
 
     Gradients by CasADi's automatic differentiation through the runs, which the optimiser does not use; variables in
     parts of their ranges.
@@ -68,14 +68,14 @@ def kkt_residual(c: SimpleNamespace, m: SimpleNamespace, best: po.Optimum) -> fl
 
 
 def beyond_limits(limits: Iterable[tuple[list[Any], float | None, float | None, str]]) -> list[Any]:
-    """Return by how much every value lies beyond its least and its most, over the limit; negative inside."""
+    """Return the relative violation of every limit; negative inside."""
     return [sign * (value - limit) / (abs(limit) or 1.0)
             for values, least, most, _ in limits for value in values
             for sign, limit in ((-1.0, least), (1.0, most)) if limit is not None]  # fmt: skip
 
 
 def lasting(scene: po.Scene, waves: int = 7, steps: int = 64) -> SimpleNamespace:
-    """Follow a scene for some waves by Runge and Kutta's fourth order; return averages over the last as a run has."""
+    """Return the averages of a scene over the last of some waves, simulated by fourth-order Runge-Kutta steps."""
     soil, effects, speed, stiffness = scene.reaction, scene.effects, scene.tow_speed, scene.stiffness
     dt = WAVE.wavelength / speed / steps
 
@@ -103,7 +103,7 @@ def lasting(scene: po.Scene, waves: int = 7, steps: int = 64) -> SimpleNamespace
 
 
 def evaluate(rows: Array, n: int) -> SimpleNamespace:
-    """Return fuel [MJ/ha], worst violation and all variables of designs given by rows of their `FREE` variables."""
+    """Return fuel [MJ/ha], worst violation and all variables of designs, given as rows of their `FREE` variables."""
     c = SimpleNamespace(**{name.replace(" ", "_"): row for name, row in zip(FREE, rows, strict=True)})
     c.height, c.tube, c.slip = 1.0 + 0.0 * c.spacing, 0.2 + 0.0 * c.spacing, 0.1 + 0.0 * c.spacing
     radii = machine(c, n, lambda _: SimpleNamespace(mean_draft=1.0, force_rms=0.0, displacement_rms=0.0)).radii
@@ -130,7 +130,7 @@ def evaluate(rows: Array, n: int) -> SimpleNamespace:
 
 
 def brute_force(n: int, generations: int = 150, size: int = 20, seed: int = 1) -> tuple[SimpleNamespace, int]:
-    """Return the best design that differential evolution finds between the bounds, and how many it tried."""
+    """Return the best design that differential evolution finds within the bounds, and the number of designs tried."""
     tried = 0
 
     def cost(rows: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The picture of `subsoiler_frame`: the machine across its width, its forces, its tubes, and its best spacing."""
+"""Picture of `subsoiler_frame`: the machine across its width, its forces, its tubes, and its best spacing."""
 
 import math
 from pathlib import Path
@@ -19,7 +19,7 @@ SPACINGS = (0.26, 0.30, 0.34, 0.38, 0.42, 0.50, 0.54, 0.58, 0.62, 0.66)
 
 
 def draw(m: SimpleNamespace, best: po.Optimum, path: str | Path, *, designs: int = 20_000) -> Path:
-    """Draw the best machine, with so many random designs beside it, to a file and return its path."""
+    """Draw the best machine and a number of random designs to a file, and return its path."""
     figure = Figure(figsize=(13, 9.5), layout="constrained")
     (across, forces), (tube, fuel) = figure.subplots(2, 2)
     draw_machine(across, m, best)
@@ -35,7 +35,7 @@ def draw(m: SimpleNamespace, best: po.Optimum, path: str | Path, *, designs: int
 
 
 def colors(n: int) -> list[tuple[float, ...]]:
-    """Return a colour for each share, from sandy to hard; none is pale on white."""
+    """Return a colour for each share, from sandy to hard soil, without colours that are pale on white."""
     return [colormaps["copper_r"](x) for x in np.linspace(0.4, 0.97, n)]
 
 
@@ -82,7 +82,7 @@ def draw_forces(axes: Axes, m: SimpleNamespace, best: po.Optimum) -> None:
 
 
 def draw_stress(axes: Axes, m: SimpleNamespace, best: po.Optimum) -> None:
-    """Draw the bending stress along a tube for each share that gives way to a stone."""
+    """Draw the bending stress along a tube, for each share when it gives way to a stone."""
     places, bracket = best(m.places), best.variables["bracket"]
     at = np.array([*places, -bracket, bracket])
     order = np.argsort(at)
@@ -102,7 +102,7 @@ def draw_stress(axes: Axes, m: SimpleNamespace, best: po.Optimum) -> None:
 
 
 def draw_spacing(axes: Axes, m: SimpleNamespace, best: po.Optimum, designs: int) -> None:
-    """Draw the least fuel over the spacing, all else chosen anew, with random designs of brute force above it."""
+    """Draw the minimum fuel over the spacing, with all other variables optimal, and random designs above it."""
     n, own, fuel = len(m.scenes), best.variables["spacing"], best(m.fuel)
     curve = sorted([*least_fuel(n, own, SPACINGS), (own, fuel)])
     axes.plot(*zip(*curve, strict=True), color="#1f5f8b", linewidth=2, label="optimised at this spacing")
@@ -118,7 +118,7 @@ def draw_spacing(axes: Axes, m: SimpleNamespace, best: po.Optimum, designs: int)
 
 
 def least_fuel(n: int, own: float, spacings: tuple[float, ...]) -> list[tuple[float, float]]:
-    """Return spacings and the least fuel with them: the best spacing limited from its own side."""
+    """Return spacings and the minimum fuel for each, with a limit that pushes the spacing away from its optimum."""
     d, c, m = design(n)
     widest, narrowest = d.parameter("widest", 9.0, unit="m"), d.parameter("narrowest", 0.0, unit="m")
     d.require("wide enough", c.spacing - narrowest, at_least=0.0, unit="m")

@@ -1,4 +1,4 @@
-"""Write problems/synthetic_draft.csv: drafts that the model itself gives, with random errors; nothing was measured.
+"""Write problems/synthetic_draft.csv: drafts computed by the model, with random errors; nothing was measured.
 
 python problems/synthetic_draft.py
 """

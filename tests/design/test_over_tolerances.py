@@ -14,7 +14,8 @@ from plough_opt.design import boxed
 from plough_opt.design.tolerance import BOX_DESIGNS, boxes
 
 T = 0.1
-FILE = Path(__file__).parents[2] / "problems" / "cotton_subsoiler.toml"
+ROOT = Path(__file__).parents[2]
+FILE = ROOT / "problems" / "cotton_subsoiler.toml"
 
 
 def _parabola(over, *, log=False, tolerance=T):
@@ -197,15 +198,15 @@ def test_variables_in_products_are_searched():
 # --- problem files ----------------------------------------------------------------------------------------
 
 
-def test_a_file_asks_for_the_worst_within_tolerances():
-    tolerances = ['variables.share.height.tolerance="5 mm"', "variables.scene.stiffness.tolerance=2 %"]
-    problem = po.read_problem(FILE, ['minimise.over="worst"', *tolerances])
-    assert problem.over == "worst"
-    assert problem.variables["share.height"].tolerance == pytest.approx(5e-3, rel=1e-15)
-    assert problem.variables["scene.stiffness"].tolerance == "2 %"
-    design, _ = problem.design()
+def test_a_file_takes_the_variables_of_the_page_and_the_worst_within_tolerances(tmp_path):
+    page = (ROOT / "docs" / "tolerances.md").read_text(encoding="utf-8")
+    (variables,) = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
+    path = tmp_path / "share.toml"
+    text = FILE.read_text(encoding="utf-8")
+    path.write_text(re.sub(r"\[variables\].*?(?=\n\[)", variables, text, flags=re.DOTALL), encoding="utf-8")
+    design, _ = po.read_problem(path, ['share.wedge_angle="39 deg"', 'minimise.over="worst"']).design()
     assert design._over == "worst"
-    assert [v.tolerance for v in design.declared.variables] == [None, pytest.approx(5e-3), "2 %"]
+    assert [v.tolerance for v in design.declared.variables] == [pytest.approx(0.002, rel=1e-15), "5 %"]
 
 
 @pytest.mark.parametrize(
@@ -220,19 +221,3 @@ def test_a_file_asks_for_the_worst_within_tolerances():
 def test_files_with_wrong_tolerances_are_refused(change, words):
     with pytest.raises(po.InputError, match=words):
         po.read_problem(FILE, [change])
-
-
-ROOT = Path(__file__).parents[2]
-TEXT = (ROOT / "docs" / "tolerances.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"```(\w+)\n(.*?)```", TEXT, flags=re.DOTALL)
-
-
-def test_the_variables_on_the_page_are_valid(tmp_path):
-    (variables,) = (text for language, text in BLOCKS if language == "toml")
-    file = (ROOT / "problems" / "cotton_subsoiler.toml").read_text(encoding="utf-8")
-    start = file.index("[variables]")
-    path = tmp_path / "share.toml"
-    end = file.index("\n[", start)
-    path.write_text(f"{file[:start]}{variables}{file[end:]}", encoding="utf-8")
-    problem = po.read_problem(path, ['share.wedge_angle="39 deg"'])
-    assert [v.tolerance for v in problem.variables.values()] == [0.002, "5 %"]

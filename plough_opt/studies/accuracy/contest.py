@@ -34,6 +34,8 @@ _FEWEST_TURNS: Final = 3
 _LEAST_TURN: Final = 3e-3
 # Time of all turns, in allowances of one use, after which no further turn begins.
 _ALL_TURNS: Final = 2.0
+# Part of the allowance of one use that its repetitions may take.
+_REPETITIONS: Final = 0.1
 # Fewest and most repetitions for a median time.
 _LEAST_REPETITIONS, _MOST_REPETITIONS = 3, 15
 # Exponent of the coarsest number of steps, in eighths of a power of two: a 128th of the usual number.
@@ -215,7 +217,7 @@ class _Trial:
         first = solving + seconds - started
         # A repetition may exceed a time limit that the first use just kept.
         with contextlib.suppress(PloughError, RuntimeError):
-            seconds = median_time(use, budget=0.1 * self._allowance, warm=True)
+            seconds = median_time(use, budget=_REPETITIONS * self._allowance, warm=True)
         setup, label = max(built, first - seconds), contestant.label(setting)
         entry = Entry(contestant.family, contestant.method, label, seconds, setup, errors, elsewhere=elsewhere)
         self.entries[place], self.uses[place] = entry, use
@@ -267,7 +269,7 @@ class _Trial:
         for place, entry in self.entries.items():
             if check is not None and entry in front:
                 with contextlib.suppress(PloughError):
-                    seconds = median_time(check(self.contestant.settings[place]), budget=0.1 * self._allowance)
+                    seconds = median_time(check(self.contestant.settings[place]), budget=_REPETITIONS * self._allowance)
                     self.entries[place] = replace(entry, checked=seconds)
 
 

@@ -42,6 +42,10 @@ _CHECKED_EVERY = 2000
 _MOST_AT_ONCE = 12
 # Shortest step, in parts of the duration.
 _SHORTEST = 1e-16
+# Part of the coefficients of a step that should be above rounding; the next step is as long as that takes.
+_USED = 0.9
+# Mismatch of a periodic orbit, in units in the last place, below which it need not shrink further.
+_STALLED = 1e4
 # Most iterations of Newton's method for a periodic orbit.
 _MOST_ITERATIONS = 20
 # If an iteration leaves more than this part of the mismatch, the derivative is computed anew.
@@ -233,8 +237,8 @@ def follow(motion: Motion, duration: Wide, outputs: int, degree: int, first: Wid
         if kind is not None:
             events.append((now, names[kind]))
             state = motion.after(kind, now, state)
-        if not whole or done.used > 0.9:
-            size = done.size * WIDE(min(2.0, max(0.5, 0.9 / max(done.used, 0.1))))
+        if not whole or done.used > _USED:
+            size = done.size * WIDE(min(2.0, max(0.5, _USED / max(done.used, 0.1))))
     return IntegratedMotion(motion, times, np.array(states), tuple(events), _moments(motion, integrals))
 
 
@@ -280,7 +284,7 @@ def orbit(motion: Motion, guess: Wide, outputs: int, degree: int) -> IntegratedM
     for iteration in range(_MOST_ITERATIONS):
         miss = after(state) - state
         size = float(np.max(np.abs(miss) / unit))
-        if size <= 2 * EPS or (size < 1e4 * EPS and size >= least):
+        if size <= 2 * EPS or (size < _STALLED * EPS and size >= least):
             return follow(motion, period, outputs, degree, state)
         if not iteration or size > _SLOW * least:
             nudges = np.diag(WIDE(math.sqrt(EPS)) * unit)

@@ -96,6 +96,10 @@ _TIGHT_PHASE = 0.1
 _MOST_NEWTON_STEPS = 6
 # Newton's steps stop farther than this from where IPOPT stopped, in scaled variables: they lead to another point.
 _FAR = 1e-4
+# Newton's steps diverge if one is longer than the shortest before it by this factor.
+_DIVERGES = 1e3
+# Least size that errors of the objective are relative to, in units of its scale.
+_LEAST_SIZE = 1e-12
 # Singular values below this part of the largest belong to directions in which the optimum is not unique.
 _FLAT = 1e-10
 
@@ -173,10 +177,14 @@ def design_contest(
 
 
 class _Judge:
-    """Judge of contestants, who measures each against the accurate optimum in whose basin it ended.
+    """Accurate optima, and the errors of each contestant relative to the one in whose basin it ended.
 
     IPOPT, which every contestant uses, stops a little inside the active limits. From there Newton's method leads onto
     them, with gradients by an integrator that shares nothing with those of the contestants.
+
+    Attributes:
+        question: program of the design as `Design.solve` builds it.
+        optima: accurate optima found so far, that of the guess first.
     """
 
     def __init__(self, design: Design) -> None:
@@ -199,7 +207,7 @@ class _Judge:
         """Return the errors of the point that a contestant found."""
         best, program = self.optima[self._basin(found.y)], self._tight
         values, _ = program.exact_values(found.y, self._p)
-        size = max(abs(best.objective), program.objective_scale * 1e-12)
+        size = max(abs(best.objective), program.objective_scale * _LEAST_SIZE)
         limits = [r.margin(v) for r, v in zip(program.declared.requirements, values[1:], strict=True)]
         broken = [max(0.0, -margin) / scale for margin, scale in zip(limits, program.scales, strict=True)]
         return {
@@ -239,7 +247,7 @@ class _Judge:
         program = self._tight
         y, residual, off = self._polished(point)
         found, check = (float(values[0].item()) for values in program.exact_values(y, self._p))
-        apart = abs(found - check) / max(abs(found), program.objective_scale * 1e-12)
+        apart = abs(found - check) / max(abs(found), program.objective_scale * _LEAST_SIZE)
         variables = zip(program.declared.variables, program.values(y), strict=True)
         # The error of an objective at its optimum is the residual times the error of the variables.
         floor = max(apart, residual * max(off, residual), float(np.finfo(float).eps))
@@ -262,7 +270,7 @@ class _Judge:
             if step < best[2]:
                 best = (y, residual, step)
             y = y + move
-            if not step < best[2] * 1e3 or np.max(np.abs(y - point.y)) > _FAR:
+            if not step < best[2] * _DIVERGES or np.max(np.abs(y - point.y)) > _FAR:
                 break
         return best
 

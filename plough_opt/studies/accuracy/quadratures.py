@@ -45,6 +45,8 @@ _NEWTON: Final = 5
 # Places on the face between which a change of contact is located, and tolerance of the location [m].
 _CONTACT_PLACES: Final = 2001
 _CONTACT_TOLERANCE: Final = 1e-17
+# Relative tolerance of the reference for the contact force.
+_TIGHT: Final = 1e-14
 
 Found = tuple[list[Entry], float]
 """Entries of one kind of quadrature, and the relative error of their reference [-]."""
@@ -121,7 +123,7 @@ def elastic_contact(task: Task) -> Found:
     from scipy.integrate import tanhsinh  # slow to import
 
     edges = np.array(_edges(lambda x: pressure(x) + ambient, height))
-    parts = tanhsinh(integrand, edges[:-1], edges[1:], rtol=1e-14)
+    parts = tanhsinh(integrand, edges[:-1], edges[1:], rtol=_TIGHT)
     exact, off = float(np.sum(parts.integral)), float(np.sum(parts.error))
 
     def plain(count: int) -> Callable[[], float]:

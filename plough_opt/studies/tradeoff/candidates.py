@@ -106,7 +106,7 @@ class Candidates(ABC):
         """Begin without a candidate.
 
         Args:
-            archive: of the searches.
+            archive: designs that the searches tried.
             progress: called with what is being done and the fraction done.
         """
         self.archive, self.front, self.progress = archive, archive.front, progress

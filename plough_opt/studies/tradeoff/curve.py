@@ -45,7 +45,7 @@ class CurveTracer(Tracer):
         """Spread positions evenly between the anchors.
 
         Args:
-            archive: of the searches.
+            archive: designs that the searches tried.
             positions: their number, the anchors included.
             progress: called with what is being done and the fraction done.
         """
@@ -170,7 +170,7 @@ class CurveTracer(Tracer):
             sides = {np.round(objectives[k : k + 2], _GAP_DECIMALS).tobytes(): k for k in gaps(objectives, self.step)}
             fresh = [(front[k], front[k + 1]) for key, k in sides.items() if key not in tried]
             tried.update(sides)
-            self.progress("looking into gaps", number / _GAP_ROUNDS)
+            self.progress("following the front into gaps", number / _GAP_ROUNDS)
             for left, right in fresh:
                 for candidate, objective in ((left, 1), (right, 0)):
                     if objective not in candidate.followed:

@@ -67,7 +67,7 @@ class SurfaceTracer(Tracer):
         """Lay a lattice over the triangle between the anchors.
 
         Args:
-            archive: of the searches.
+            archive: designs that the searches tried.
             count: least number of nodes in the triangle.
             progress: called with what is being done and the fraction done.
         """
@@ -273,7 +273,7 @@ class SurfaceTracer(Tracer):
             if candidate in best and self._is_at(candidate, node)
         ]
         for number, (node, candidate) in enumerate(front):
-            self.progress("looking into gaps", number / len(front))
+            self.progress("following the front into gaps", number / len(front))
             for other in neighbours(node):
                 if other in self._wanted and not any(self._is_at(own, other) for own in self._found_at.get(other, ())):
                     self._flood(candidate, other, report=False)

@@ -55,7 +55,7 @@ class Tracer(Candidates):
         """Begin without a candidate.
 
         Args:
-            archive: of the searches.
+            archive: designs that the searches tried.
             progress: called with what is being done and the fraction done.
         """
         super().__init__(archive, progress)
@@ -81,7 +81,7 @@ class Tracer(Candidates):
 
     def sample_around_best(self) -> None:
         """Add designs around the undominated ones to the archive, at first far from them and then near."""
-        self.progress("looking beside the best designs", 0.0)
+        self.progress("sampling around the best designs", 0.0)
         self._rounds += 1
         rng = np.random.default_rng([SEED, self._rounds])
         for spread in _SPREADS:
@@ -244,7 +244,7 @@ class Tracer(Candidates):
             if not (missed := self.missed(added, sparse=False)):
                 return
             if self.archive.vectorised:
-                self.progress("looking beside designs that are not optima", 0.0)
+                self.progress("sampling around designs that are not optima", 0.0)
                 self._sample_around(np.array(missed), spread, _EDGE_SAMPLE, rng)
         while missed := self.missed(added, sparse=False):
             for y in missed:

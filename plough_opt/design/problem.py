@@ -271,7 +271,7 @@ class Design:
         _check_name(name)
         taken = [*(v.name for v in self._variables), *(p.name for p in self._parameters)]
         if name in [*taken, *(r.name for r in self._requirements)]:
-            raise InputError(f"'{name}' is declared already: give every variable, parameter and requirement a new name")
+            raise InputError(f"'{name}' is declared already: variables, parameters and requirements need unique names")
 
 
 _SIDES = (": at_least", ": at_most")
@@ -297,7 +297,7 @@ def _read(
         sides: for each value, its argument, for messages.
     """
     check_text(f"unit of '{name}'", unit)
-    check_kind(f"display of '{name}'", display, Display | None, "None or a Display, as Display('cm', 0.01)")
+    check_kind(f"display of '{name}'", display, Display | None, "None or a Display such as Display('cm', 0.01)")
     unit, written = unit_of(what, unit, *values)
     numbers = [
         None if value is None and sides is _SIDES else plain_number(what + side, in_si(what + side, value, unit))
@@ -309,7 +309,7 @@ def _read(
 def _ends(name: str, domain: Any) -> tuple[float, float]:
     """Return the ends of a domain, in order."""
     if not (isinstance(domain, tuple) and len(domain) == 2 and all(isinstance(end, int | float) for end in domain)):
-        raise InputError(f"domain of '{name}' = {shown(domain)} must be its two ends, as (0.0, math.inf)")
+        raise InputError(f"domain of '{name}' = {shown(domain)} must be a pair of ends, such as (0.0, math.inf)")
     low, high = map(float, domain)
     if not low < high:
         raise InputError(f"domain of '{name}': its first end {low:g} must be below its second {high:g}")
@@ -319,7 +319,7 @@ def _ends(name: str, domain: Any) -> tuple[float, float]:
 def _check_name(name: Any) -> None:
     """Raise InputError if a name is not a printable text."""
     if not isinstance(name, str) or not name.strip() or unprintable(name, allowed=""):
-        raise InputError(f"name = {shown(name)} must be a text that says what it is, as 'share height'")
+        raise InputError(f"name = {shown(name)} must be a text that says what it is, such as 'share height'")
 
 
 def _expression(what: str, value: Column) -> ca.MX:

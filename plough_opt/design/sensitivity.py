@@ -76,9 +76,9 @@ class Sensitivity:
         text += f". The same limits decide {' and '.join(ends) if ends else 'whatever its value'}, to first order."
         if self.touching:
             met = ", ".join(self.touching)
-            text += f" This is for a value that grows: {met} is just met, and decides on one side only."
+            text += f" These figures apply to increasing values: {met} is just met, and decides on one side only."
         if self.difference is not None:
-            text += f" Solving again beside this value differs by {self.difference:.1e}."
+            text += f" Solving again beside this value gives a difference of {self.difference:.1e}."
         return text
 
 

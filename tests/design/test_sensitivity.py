@@ -137,7 +137,7 @@ def test_a_limit_that_just_touches_makes_the_derivatives_one_sided(unit):
     assert by_bound.falling == pytest.approx({"x": 1.0, "y": 1.0}, rel=EXACT)
     # One-sided differences of a parabola over a thousandth.
     assert by_a.difference < 2e-3
-    assert "for a value that grows" in str(by_a)
+    assert "increasing values" in str(by_a)
 
 
 def test_an_objective_of_zero_has_derivatives_and_no_percentages():
@@ -306,4 +306,4 @@ def test_every_sensitivity_comes_in_order_of_size_and_only_if_it_matters():
 def test_in_words():
     text = str(_cost_against_yield().solve().sensitivity("yield", check=True))
     assert text.startswith("yield = 3; one per cent more changes the objective by +0.5 %, x by +0.5 %, y by +0.5 %.")
-    assert "Solving again beside this value differs by" in text
+    assert "Solving again" in text

@@ -76,7 +76,7 @@ def assemble(
     if structure.sticks:
         opening, mode = states[:, 2], states[:, 3]
         if not is_casadi(mode):
-            # An implicit method solves for the mode too, and leaves it rounded.
+            # An implicit method solves for the mode too, which leaves rounding errors in it.
             mode = np.round(mode)
         speed = where((mode - STICK) ** 2 < (SLIP - STICK) ** 2 / 4.0, 0.0, speed)
         soil = where(mode < (SLIP + STICK) / 2.0, soil, where(mode < (STICK + GAP) / 2.0, force, 0.0))

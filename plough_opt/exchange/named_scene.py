@@ -15,7 +15,7 @@ from plough_opt.motion.scene import Scene
 from plough_opt.motion.scene_quantities import quantities_of, with_quantities
 
 DURATION, FRAME, STEEL = BESIDE
-# Part of the share's mass by which rounding may make the moving mass smaller if the frame has none.
+# If the frame has no mass, rounding may make the moving mass smaller than the share's by this part.
 _ROUNDING = 1e-12
 
 

@@ -100,9 +100,9 @@ class Box:
         return Resolved(resolution, error, (*self._warnings(resolution), *notes))
 
     def _refined(self, steps: int, error_of: Callable[[Resolution], float], wanted: float) -> tuple[int, float]:
-        """Raise the number of steps until the error is as wanted; return both.
+        """Increase the number of steps until the error is as wanted; return both.
 
-        A number of steps in the accuracy stays, and none is raised beyond the limit.
+        A number of steps that the accuracy gives is used as it is, and none exceeds the limit.
         """
         error = error_of(Resolution(steps, self.outputs))
         for _ in range(_MOST_ROUNDS):

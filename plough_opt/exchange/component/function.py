@@ -17,7 +17,7 @@ from plough_opt.core.expressions import Expression, as_number, is_casadi, is_sym
 from plough_opt.exchange.component.ports import Port, point_text
 from plough_opt.motion.accuracy import Accuracy
 
-# Part of its width by which a number may lie outside its bounds: conversions of units round.
+# A number may lie outside its bounds by this part of their distance, because conversion of units rounds.
 _SLACK = 1e-9
 
 

@@ -27,7 +27,7 @@ _MOST_FOR_ALL_CORNERS = 6
 # Number of sampled points inside the box.
 _INTERIOR_POINTS = 32
 RELAXATION = 1e-6
-"""Part of its width by which an input of an export may lie outside its bounds: optimisers relax bounds so far."""
+"""An input of an export may lie outside its bounds by this part of their distance, because optimisers relax bounds."""
 
 # A peak has no derivative where its time jumps; the signal itself serves instead.
 _SIGNALS_OF_PEAKS = {"peak_force": "mount_force", "peak_deflection": "deflection"}

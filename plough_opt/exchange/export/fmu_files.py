@@ -22,7 +22,7 @@ _CATEGORIES: Final = {
 _TOLERANCE: Final = 1e-8
 # Base units: FMI's symbol -> pint's name.
 _BASE_UNITS: Final = {"kg": "kilogram", "m": "meter", "s": "second", "rad": "radian"}
-# Macro of the C runtime -> kind of variables whose number it is.
+# Macro in the C runtime -> the kind of variables that it counts.
 _COUNTS: Final = {
     "NX": "states", "NY": "outputs", "NZ": "indicators", "NC": "calculated", "NU": "inputs", "NP": "parameters",
     "ND": "discrete",

@@ -25,9 +25,9 @@ from plough_opt.motion.terms import (
     strut,
 )
 
-# Both are parts of the scene's speed and of the share's height. Differences below the first are rounding.
+# Speeds below this part of the scene's speed, and distances below this part of the share's height, are rounding.
 _ROUNDING = 1e-12
-# A tool may stop so far before or after an event.
+# A tool may stop before or after an event by a speed or distance of this part.
 _EVENT_TOLERANCE = 1e-9
 
 

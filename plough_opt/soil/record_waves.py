@@ -140,18 +140,18 @@ def strength_waves(record: StrengthRecord, part: float = 0.8, *, base_diameter: 
         raise InputError(f"{record.name}: its strength does not vary: give a record that does")
     grid, notes = _wave_numbers(record, diameter)
     numbers: list[float] = []
-    left = y
-    while len(numbers) < MOST_WAVES and float(np.mean(left**2)) > (1.0 - part) * variance:
-        peak, height = _peak(record, x, left, grid)
+    residual = y
+    while len(numbers) < MOST_WAVES and float(np.mean(residual**2)) > (1.0 - part) * variance:
+        peak, height = _peak(record, x, residual, grid)
         # For white noise each ordinate over the mean is exponentially distributed, and about one in _OVERSAMPLING is
         # independent of the others.
         if math.exp(-min(height, 700.0)) * len(grid) / _OVERSAMPLING > _FALSE_ALARM:
             notes.append("the search stopped because no peak of the residual stands out from noise")
             break
         numbers = _refined(x, y, [*numbers, peak], grid)
-        left = y - _design(x, numbers) @ _coefficients(x, y, numbers)
-    carried = 1.0 - float(np.mean(left**2)) / variance
-    found = _found(record, x, y, left, numbers, variance)
+        residual = _residual(x, y, numbers)
+    carried = 1.0 - float(np.mean(residual**2)) / variance
+    found = _with_intervals(record, x, y, residual, numbers, variance)
     if any(one.wave.amplitude == 1.0 for one in found):
         notes.append("an amplitude above 1, more than the whole strength, was limited to 1: check the record")
     if carried < part:
@@ -201,6 +201,12 @@ def _coefficients(x: Vector, y: Vector, numbers: Sequence[float]) -> Vector:
     return found
 
 
+def _residual(x: Vector, y: Vector, numbers: Sequence[float]) -> Vector:
+    """Return strength without the best fit of waves with these wave numbers."""
+    remainder: Vector = y - _design(x, numbers) @ _coefficients(x, y, numbers)
+    return remainder
+
+
 def _peak(record: StrengthRecord, x: Vector, y: Vector, grid: Vector) -> tuple[float, float]:
     """Return the wave number of the highest peak of the least-squares spectrum, and its height over the mean."""
     power: NDArray[Any]
@@ -222,19 +228,17 @@ def _refined(x: Vector, y: Vector, numbers: list[float], grid: Vector) -> list[f
     start = np.array(numbers)
     step = float(grid[1] - grid[0]) * _OVERSAMPLING / 2.0  # half the resolution 2 pi/length
 
-    def left(shift: Vector) -> Vector:
-        shifted: list[float] = (start + step * shift).tolist()
-        rest: Vector = y - _design(x, shifted) @ _coefficients(x, y, shifted)
-        return rest
+    def residual(shift: Vector) -> Vector:
+        return _residual(x, y, (start + step * shift).tolist())
 
     low, high = (np.clip((end - start) / step, -1.0, 1.0) for end in (grid[0], grid[-1]))
     # The start must lie strictly inside the bounds.
-    found = optimize.least_squares(left, np.zeros(len(start)), bounds=(low - 1e-9, high + 1e-9))
+    found = optimize.least_squares(residual, np.zeros(len(start)), bounds=(low - 1e-9, high + 1e-9))
     return [float(number) for number in start + step * found.x]
 
 
-def _found(
-    record: StrengthRecord, x: Vector, y: Vector, left: Vector, numbers: Sequence[float], variance: float
+def _with_intervals(
+    record: StrengthRecord, x: Vector, y: Vector, residual: Vector, numbers: Sequence[float], variance: float
 ) -> tuple[FoundWave, ...]:
     """Return the waves with their intervals, which follow from the scatter of the residual."""
     from scipy import stats  # as above
@@ -247,19 +251,19 @@ def _found(
     slopes = x[:, None] * (a * np.cos(angle) - b * np.sin(angle))
     freedom = max(1, len(x) - 3 * count - 1)
     inverse = np.linalg.pinv(np.hstack([_design(x, numbers), slopes]))
-    covariance = inverse @ inverse.T * float(np.sum(left**2)) / freedom
-    wide = float(stats.t.ppf((1.0 + LEVEL) / 2.0, freedom))
+    covariance = inverse @ inverse.T * float(np.sum(residual**2)) / freedom
+    quantile = float(stats.t.ppf((1.0 + LEVEL) / 2.0, freedom))
     response = np.ones(count, complex) if record.rig is None else record.rig.response(np.array(numbers))
     waves = []
     for k, number in enumerate(numbers):
         size = math.hypot(a[k], b[k])
         own = covariance[np.ix_([k, count + k], [k, count + k])]
         along, across = np.array([a[k], b[k]]) / size, np.array([-b[k], a[k]]) / size**2
-        errors = [wide * math.sqrt(float(d @ own @ d)) for d in (along, across)]
+        errors = [quantile * math.sqrt(float(d @ own @ d)) for d in (along, across)]
         gain = abs(response[k])
         # Phases are reduced to the range from -pi to pi.
         phase = math.remainder(math.atan2(b[k], a[k]) - float(np.angle(response[k])), 2.0 * math.pi)
-        relative = wide * math.sqrt(float(covariance[2 * count + 1 + k, 2 * count + 1 + k])) / number
+        relative = quantile * math.sqrt(float(covariance[2 * count + 1 + k, 2 * count + 1 + k])) / number
         wave = StrengthWave(min(size / gain, 1.0), 2.0 * math.pi / number, phase)
         found = FoundWave(wave, errors[0] / gain, 2.0 * math.pi / number * relative, errors[1], size**2 / 2 / variance)
         waves.append(found)

@@ -19,18 +19,18 @@ QUICK = ("--set", "effects.motion=false", "--set", "scene.outputs=10")
 
 
 def without_damper(name, folder):
-    """Write a problem file of the package without what a quasi-static scene cannot have; return its path."""
+    """Write a shipped problem file without the lines that need motion; return its path."""
     lines = (ROOT / "problems" / f"{name}.toml").read_text(encoding="utf-8").splitlines()
-    kept = [line for line in lines if not line.startswith(("damping", "force_rms", "deflection"))]
+    remaining = [line for line in lines if not line.startswith(("damping", "force_rms", "deflection"))]
     path = folder / f"{name}.toml"
-    path.write_text("\n".join(kept) + "\n", encoding="utf-8")
+    path.write_text("\n".join(remaining) + "\n", encoding="utf-8")
     return path
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A folder with a problem file and two optima of it that differ in the tow speed."""
-    where = tmp_path_factory.mktemp("kept")
+    where = tmp_path_factory.mktemp("saved")
     without_damper("cotton_subsoiler", where).rename(where / "share.toml")
     return where
 
@@ -128,25 +128,25 @@ def test_a_sweep_is_shown_from_its_store(printed, tmp_path):
 
 
 def test_the_problem_is_saved_with_its_data_and_can_be_restored(printed, tmp_path, monkeypatch, capsys):
-    kept, empty = tmp_path / "run.json", tmp_path / "empty"
+    file, empty = tmp_path / "run.json", tmp_path / "empty"
     empty.mkdir()
-    kept.write_text(printed("simulate", ROOT / "problems" / "field.toml", "--json"), encoding="utf-8")
+    file.write_text(printed("simulate", ROOT / "problems" / "field.toml", "--json"), encoding="utf-8")
     monkeypatch.chdir(empty)
-    shown = printed("show", kept, "--problem")
+    shown = printed("show", file, "--problem")
     for name in ("field.toml", "insertions.csv", "transect.csv"):
         assert (ROOT / "problems" / name).read_text(encoding="utf-8").rstrip() in shown
-    printed("show", kept, "--restore", "again")
-    found = po.load(kept)
+    printed("show", file, "--restore", "again")
+    found = po.load(file)
     again = po.read_problem(empty / "again" / "field.toml", found.origin.overrides).simulate()
     assert again.mean_draft == found.mean_draft
-    assert main(["show", str(kept), "--restore", "again"]) == 2  # nothing is overwritten
+    assert main(["show", str(file), "--restore", "again"]) == 2  # nothing is overwritten
     assert "again" in capsys.readouterr().err
 
 
 def test_a_run_of_a_file_is_drawn_with_the_files_limits(printed, tmp_path):
-    kept = tmp_path / "run.json"
-    kept.write_text(printed("simulate", ROOT / "problems" / "cotton_subsoiler.toml", "--json"), encoding="utf-8")
-    for made in (po.load(kept), po.read_problem(ROOT / "problems" / "cotton_subsoiler.toml").simulate()):
+    file = tmp_path / "run.json"
+    file.write_text(printed("simulate", ROOT / "problems" / "cotton_subsoiler.toml", "--json"), encoding="utf-8")
+    for made in (po.load(file), po.read_problem(ROOT / "problems" / "cotton_subsoiler.toml").simulate()):
         (axes,) = [axes for axes in made.plot().axes if axes.get_ylabel().startswith("deflection")]
         limit = [line for line in axes.lines if line.get_label().startswith("limit of the deflection")]
         assert [line.get_ydata()[0] for line in limit] == [0.12]  # in metres, as the file has it

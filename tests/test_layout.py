@@ -25,6 +25,19 @@ def test_files_are_about_one_idea():
     assert [path for path in SOURCES if len(path.read_text(encoding="utf-8").splitlines()) > 400] == []
 
 
+def test_the_list_of_thinned_tests_names_tests():
+    tests = Path(__file__).parent
+    listed = re.search(
+        r"^ONE_OF = ({.*?^})", (tests / "conftest.py").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+    )
+    assert listed
+    for key in ast.literal_eval(listed[1]):
+        file, _, name = key.partition("::")
+        assert re.search(
+            rf"def {name}\(" if name else "def test", (tests / f"{file}.py").read_text(encoding="utf-8")
+        ), key
+
+
 # Pattern of calls that change process-wide settings -> the files that may contain it, for the toolkit's own processes.
 SWITCHES = {
     r"catch_warnings|simplefilter|filterwarnings|chdir\(|redirect_std|setrecursionlimit|set_printoptions": set(),

@@ -13,7 +13,6 @@ from collections import namedtuple
 from helpers import high_precision as hp
 
 mp = hp.mp
-HALF = mp.mpf(1) / 2
 
 Wedge = namedtuple("Wedge", "xx yy xy zz ux_x uy_y ux_y uy_x uy")
 """Stresses [Pa], displacement gradient [-] and transverse displacement [m]."""
@@ -191,10 +190,10 @@ def _root(function, low, high):
 # --- cone ------------------------------------------------------------------------------------------------------------
 
 
-def cone(x, r, nodes, medium, section_factor=HALF):
+def cone(x, r, nodes, medium):
     """Return the field at a point, r > 0.
 
-    With S = section_factor R^2 and s = S', N = int s/(2 rho) and M = -int s (1 + X/rho)/(2 r), rho^2 = X^2 + k^2 r^2,
+    With S = R^2/2 and s = S', N = int s/(2 rho) and M = -int s (1 + X/rho)/(2 r), rho^2 = X^2 + k^2 r^2,
     the displacements are ((1 + eta^2) N(alpha) - 2 eta^2 N(eta))/m and ((1 + eta^2) M(alpha) - 2 M(eta))/m.
     The stresses follow from their derivatives by Hooke's law.
     """
@@ -202,12 +201,10 @@ def cone(x, r, nodes, medium, section_factor=HALF):
     (n_alpha, m_alpha), (n_eta, m_eta) = (source_integrals(x, r, nodes, k) for k in (medium.alpha, eta))
     # Each with its derivatives in x and r.
     axial, ux_x, ux_r = (
-        2 * section_factor * ((1 + eta**2) * of_alpha - 2 * eta**2 * of_eta) / m
-        for of_alpha, of_eta in zip(n_alpha, n_eta, strict=True)
+        ((1 + eta**2) * of_alpha - 2 * eta**2 * of_eta) / m for of_alpha, of_eta in zip(n_alpha, n_eta, strict=True)
     )
     radial, ur_x, ur_r = (
-        2 * section_factor * ((1 + eta**2) * of_alpha - 2 * of_eta) / m
-        for of_alpha, of_eta in zip(m_alpha, m_eta, strict=True)
+        ((1 + eta**2) * of_alpha - 2 * of_eta) / m for of_alpha, of_eta in zip(m_alpha, m_eta, strict=True)
     )
     dilation = medium.lam * (ux_x + ur_r + radial / r)
     return Cone(
@@ -251,12 +248,12 @@ def radius(x, nodes):
     raise ValueError(f"{x} lies beside the body")
 
 
-def cone_pressure(x, nodes, medium, section_factor=HALF):
+def cone_pressure(x, nodes, medium):
     """Return -sigma_rr on r = R(x) [Pa]."""
-    return -cone(x, radius(x, nodes), nodes, medium, section_factor).rr
+    return -cone(x, radius(x, nodes), nodes, medium).rr
 
 
-def cone_force(nodes, medium, tool_friction, ambient_pressure, section_factor=HALF, separation=True):
+def cone_force(nodes, medium, tool_friction, ambient_pressure, separation=True):
     """Return 2 pi int (max(p + p_a, 0) - p_a) (R' + mu0) R dx, or 2 pi int p (R' + mu0) R dx without separation.
 
     The quadrature is accurate to about two thirds of the working digits.
@@ -266,7 +263,7 @@ def cone_force(nodes, medium, tool_friction, ambient_pressure, section_factor=HA
         weight = 2 * mp.pi * ((right - left) / (b - a) + tool_friction)
 
         def pressure(x):
-            return cone_pressure(x, nodes, medium, section_factor)
+            return cone_pressure(x, nodes, medium)
 
         def thrust(x):
             R = radius(x, nodes)

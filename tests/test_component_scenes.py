@@ -132,16 +132,6 @@ def test_a_scene_of_symbols_with_a_density_profile(r1_soil, kind):
     assert [port.unit for port in (*made.inputs, *made.outputs)] == ["N/m", "m", "kN", "m"]
 
 
-def test_arrays_over_time_are_columns_with_derivatives(r1_scene, r1_wave):
-    made = po.component(
-        r1_scene(strength_wave=r1_wave), 2.0, inputs=["scene.stiffness"], outputs=["mount_force"], samples=20
-    )
-    assert made(5e4).shape == (21,)
-    assert made.outputs[0].size == 21
-    assert made.outputs[0].value == made(5e4).max()
-    assert made.slopes(5e4).shape == (21, 1)
-
-
 def _refused(scene, duration=1.0, **requested):
     requested = {"inputs": ["scene.stiffness"], "outputs": ["mean_draft"]} | requested
     with pytest.raises((po.InputError, po.DomainError)) as caught:

@@ -112,18 +112,6 @@ def test_a_fit_that_does_not_converge_is_refused(measured, three, monkeypatch):
     assert failure.value.status
 
 
-def test_folds_and_weights_of_repeated_rows(measured, three, fitted):
-    found = fitted.cross_validation(6)
-    assert found.folds == 6
-    assert found.errors.shape == (24,)
-    assert np.array_equal(found.errors, fitted.cross_validation(6).errors)
-    twice = po.calibrate(steady_scene(), [measured, measured], three)
-    for name, error in fitted.standard_errors.items():
-        # The same rows twice: the same optimum, and errors smaller by the root of two.
-        assert twice.values[name] == pytest.approx(fitted.values[name], rel=1e-6)
-        assert twice.standard_errors[name] == pytest.approx(error / 2**0.5, rel=1e-5)
-
-
 @pytest.mark.slow
 def test_the_elastic_modulus_is_found():
     """The steady contact force goes with Young's modulus, less the speed's small part."""

@@ -104,14 +104,6 @@ def test_a_file_without_unknowns_is_refused_with_the_option_to_give_them(cli):
     assert "nothing is unknown: give the file [variables], or --unknown soil.cohesion=" in done.err
 
 
-def test_data_beyond_the_model_are_refused_with_their_row(cli, tmp_path):
-    data = tmp_path / "beyond.csv"
-    data.write_text("share.wedge_angle [deg], mean_draft [kN]\n40, 3\n95, 4\n45, 5\n30, 2\n", encoding="utf-8")
-    done = cli("calibrate", FILE, "--data", data)
-    assert done.status == 2
-    assert "beyond.csv, line 3: wedge angle = 1.65806 rad must be below" in done.err.replace("\n", " ")
-
-
 def test_the_shipped_data_are_what_their_script_makes(tmp_path):
     import importlib.util
 

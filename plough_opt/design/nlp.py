@@ -43,8 +43,8 @@ class RunGroup:
     rule from a run's parameters to the variables of the design is applied to each run inside the map, so the time to
     build the program does not grow with the number of runs.
 
-    Every matrix that enters or leaves a map has one block of columns for each run. A block is a single column for
-    parameters and results, and has a column for each variable y for derivatives by y.
+    Every matrix that enters or leaves a map has one block of columns for each run. The block is a single column for
+    parameters and results, has a column for each variable for derivatives by y, and the columns of a jet for jets.
 
     Attributes:
         solver: integrates each of the runs.

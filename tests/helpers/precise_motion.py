@@ -14,6 +14,8 @@ mp.dps = 28
 
 # A piece crosses the end of the smooth contact's step by this fraction of the width, where the step is 0 or 1 to 1e-18.
 LATE = mp.mpf(1e-4)
+# A share stops, or turns, when it moves backwards at this part of the tow speed.
+STANDSTILL = mp.mpf("1e-12")
 
 
 class PreciseShare:
@@ -102,6 +104,8 @@ def follow(scene, events, duration):
             buried = max(travel, mp.zero) / share.height if following else depth
             hold = share.breakaway * share.soil(travel, mp.zero, buried)
         late = LATE * share.width if name in ("lets go", "resists fully") else mp.zero
+        if name in ("stop", "retreat"):
+            late = STANDSTILL * share.v0
         if name in ("stop", "lets go", "resists", "retreat"):
             misses.append((speed + late) / share.v0)
         if name in ("yields", "resists fully"):

@@ -90,8 +90,10 @@ class CurveTracer(Tracer):
         candidate.followed.add(objective)
         ahead = self._positions[self._positions > self._position_of(candidate, objective) - _OFF_POSITION]
         for position in ahead:
-            start = predicted(previous, candidate)
-            found = self.solve(candidate, start, self._parameters_for(objective, float(position)))
+            start, p = predicted(previous, candidate), self._parameters_for(objective, float(position))
+            # At the candidate's own position, such as that of an anchor, a failure leaves no position without a design.
+            moves = position - self._position_of(candidate, objective) > _OFF_POSITION
+            found = self.solve(candidate, start, p, report=bool(moves))
             if found is None:
                 failed, previous = failed + 1, None
                 if failed == _GIVE_UP:

@@ -22,7 +22,6 @@ from plough_opt.app.run_picture import (
 from plough_opt.core.checks import check_kind
 from plough_opt.core.expressions import absolute, as_number
 from plough_opt.core.files import COLOURS, check_format
-from plough_opt.core.files import PICTURE_FORMATS as FORMATS
 from plough_opt.core.files import save_figure as save
 from plough_opt.design import Limit, Optimum
 from plough_opt.design.landscape import FEASIBLE
@@ -38,7 +37,6 @@ from plough_opt.soil.soil import Soil
 from plough_opt.studies.sweep.result import Sweep
 
 __all__ = [
-    "FORMATS",
     "check_format",
     "draw_cone",
     "draw_margins",

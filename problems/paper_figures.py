@@ -271,7 +271,7 @@ def _axes(x: str, y: str) -> tuple[Figure, Axes]:
 
 
 def _colors(count: int) -> list[tuple[float, ...]]:
-    """Return colours in a visible order, without colours too pale for paper."""
+    """Return colours whose order is visible, without those that are too pale for paper."""
     return [colormaps["viridis"](x) for x in np.linspace(0.0, 0.85, count)]
 
 

@@ -123,7 +123,7 @@ def _parser() -> argparse.ArgumentParser:
             action="append",
             default=[],
             metavar='KEY="VALUE"',
-            help='change a key of the file: scene.tow_speed="2.5 m/s"; this fixes a variable; repeatable',
+            help='change a key of the file, such as scene.tow_speed="2.5 m/s"; a variable becomes fixed; repeatable',
         )
         add(verb)
         verb.set_defaults(run=run)

@@ -95,7 +95,7 @@ def plot_wedge_field(profile: Profile, soil: Soil, speed: float) -> Figure:
     Args:
         profile: nodes (x, half thickness) [m], or a share, as in `plough_opt.soil.elastic.wedge_stress`.
         soil: a soil with elastic constants.
-        speed: speed of the wedge [m/s], below that of shear waves.
+        speed: speed of the wedge [m/s], at most that of shear waves.
     """
     wedge = body(profile)
     length = float(wedge.places[-1] - wedge.places[0])

@@ -42,7 +42,7 @@ def check_complete(source: Source, table: ProblemTable, known: set[str]) -> None
         source.note(("soil",), f"{names} {verb} missing: give them in [soil], or the 'name' of a known soil")
     effects = table.effects
     random = [key for key in IN_FILES if IN_FILES[key].owner == RANDOM]
-    excess = dict.fromkeys(decided, "follows from the cone index: remove it, or let the cone index adjust another key")
+    excess = dict.fromkeys(decided, "follows from the cone index: remove it, or set soil.adjust to another property")
     for key, law in (("effects.contact_width", "smooth"), ("effects.breakaway", "stick_slip")):
         if effects.contact != law:
             excess[key] = f'belongs to contact = "{law}", which is not set in [effects]'
@@ -79,7 +79,7 @@ def _wave_keys(source: Source, table: ProblemTable, known: set[str]) -> list[str
         else:
             keys += needed
             if missing:
-                source.note(name.split("."), f"'{name}' is given without '{missing}': number the waves from the first")
+                source.note(name.split("."), f"'{name}' is given without '{missing}': add that, or rename this to it")
     return keys
 
 

@@ -52,13 +52,13 @@ def wanted_outputs(
         objective: function from a run to the sum of [minimise].
 
     Raises:
-        InputError: no results are named, and the file minimises and requires none.
+        InputError: no results are named, and the file minimises, trades and requires none.
     """
     check_kind("outputs", names, list | tuple, "a list of names")
     every = dict.fromkeys([*table.minimise, *table.goals, *table.require])
     names = names or [*([OBJECTIVE] if table.minimise else []), *every]
     if not names:
-        raise InputError(f"{name} minimises and requires nothing: name outputs")
+        raise InputError(f"{name} minimises, trades and requires nothing: name outputs")
     return [_output(one, table, objective) for one in names]
 
 

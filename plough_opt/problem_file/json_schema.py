@@ -11,7 +11,7 @@ _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
 def file_schema() -> dict[str, Any]:
-    """Return the JSON schema of a problem file: its tables and keys, with their meanings.
+    """Return the JSON schema of a problem file: its tables and keys, with their meanings and an example of each unit.
 
     The schema describes each key by itself. Only `read_problem` finds contradictions between keys, such as a variable
     that also has a fixed value.

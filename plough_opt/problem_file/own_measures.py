@@ -22,7 +22,7 @@ TABLE = "measures"
 # Longer or more deeply nested expressions belong in a script.
 _MAX_LENGTH: Final = 300
 _MAX_DEPTH: Final = 20
-# Higher powers of SI values overflow soon, and no physical result needs them.
+# No physical result needs a higher power.
 _MAX_POWER: Final = 8.0
 _OPERATORS: Final[dict[type, Callable[[Any, Any], Any]]] = {
     ast.Add: operator.add,
@@ -143,7 +143,8 @@ def _check_unit(tree: ast.expr, text: str, unit: str) -> None:
         found = None  # caused by the placeholder values of 1, so the units remain unchecked
     kind = quantity(1.0, unit or "dimensionless")
     if found is not None and found.dimensionality != kind.dimensionality:
-        raise InputError(f"has the unit '{unit}', but its expression gives '{found.units:~P}'")
+        stated, given = (f"the unit '{one}'" if one else "no unit" for one in (unit, f"{found.units:~P}"))
+        raise InputError(f"has {stated}, but its expression has {given}: change one of the two")
 
 
 def _value(tree: ast.expr, evaluator: _Evaluator, depth: int = 0) -> Any:

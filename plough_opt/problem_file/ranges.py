@@ -60,7 +60,7 @@ def read_axis(text: str, unit: Unit, *, sampled: bool = False) -> tuple[Axis, Di
 def _read_list(text: str, unit: Unit) -> tuple[Axis, Display]:
     parts = [part.strip() for part in text.split(",")]
     if len(parts) < 2:
-        raise InputError(f'"{text}" is one value, which --set can fix: {_how(unit)}')
+        raise InputError(f'"{text}" is one value: fix it with --set, or {_how(unit)}')
     numbers = [_split(part, parts[-1], unit) for part in parts]
     axis = axis_of(text, [number * factor for number, factor in numbers])
     return axis, display_of(parts[-1] if unit.symbol else 1.0, unit)

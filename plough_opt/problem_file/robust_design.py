@@ -21,7 +21,7 @@ from plough_opt.studies.uncertainty.robust import Spreads, Tail, best_robust
 
 # Smoothing width of nonsmooth measures, in standard deviations of the result over the samples.
 _SMOOTHING_WIDTH = 0.5
-# A result whose relative spread is smaller does not depend on the soil: the spread is rounding.
+# A smaller relative spread is rounding, and the result does not depend on the soil.
 _ROUNDING = 1e-9
 # Samples for the Sobol indices.
 _INDEX_SAMPLES = 1024

@@ -39,8 +39,9 @@ def names_of_shares(source: Source) -> tuple[str, ...]:
         for table in own:
             with source.noting((TABLE, name, table)):
                 if table not in SHARE_TABLES:
-                    why = "must be the same for all shares" if table in ProblemTable.model_fields else "is not known"
-                    raise InputError(f"'{table}' of a share {why}: {nearest(table, SHARE_TABLES)}")
+                    if table in ProblemTable.model_fields:
+                        raise InputError(f"'{table}' cannot differ between shares: give [{table}] for all of them")
+                    raise InputError(f"'{table}' is not a table of a share: {nearest(table, SHARE_TABLES)}")
         for key in _FRAME_KEYS:
             with source.noting((TABLE, name, "scene", key)):
                 if any(isinstance(own.get(table), dict) and entry in own[table]

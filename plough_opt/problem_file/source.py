@@ -100,11 +100,15 @@ class Source:
         """Read a file.
 
         Raises:
-            InputError: the file does not exist (the message suggests similar names), is a folder, or is not text.
+            InputError: the file does not exist (the message suggests similar names), is a folder, is JSON, is too
+                long, or is not text.
         """
         try:
             with path.open("rb") as file:
                 content = file.read(_MAX_BYTES + 1)
+            if content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
+                where = shown(str(path), 200)
+                raise InputError(f"{where} is JSON, not a problem file (TOML): print a saved result by plough-opt show")
             if len(content) > _MAX_BYTES:
                 most = f"{_MAX_BYTES // 1000} kB"
                 raise InputError(f"'{path}' is too long for a problem file: at most {most} can be read")

@@ -36,7 +36,8 @@ damping = "400 N*s/m"
 # contact = "stick_slip"          # stick, slip and gap by events; or "smooth" with contact_width = "0.05 m/s"
 # breakaway = 1.2                 # for stick_slip: resistance of a resting share over that of a slipping share
 # entry = true                    # start at first contact; needs start = "rest" or "towed"
-# For the steady oscillation without a transient set orbit: "periodic", "linearised" or "harmonic_balance".
+# orbit = "periodic"              # the periodic orbit, without a transient: remove the duration; cheaper:
+#                                 # "linearised" for small waves, or "harmonic_balance" with harmonics = 3
 # formulation = "printed"         # the source's equations with their misprints, to show what these change
 
 [variables]                       # quantities to choose, between bounds, starting from a guess

@@ -43,6 +43,14 @@ def test_quantities_and_files_are_short(changed, cotton, refusal):
         po.read_problem("/dev/zero")
 
 
+def test_json_is_not_taken_for_a_long_or_misspelt_problem_file(tmp_path):
+    path = tmp_path / "run.json"
+    for text in ('{"a": 1}', "\ufeff\n{" + '"a": [' + "1, " * 40_000 + "1]}"):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(po.InputError, match=r"run\.json' is JSON, not a problem file .*: .* plough-opt show"):
+            po.read_problem(path)
+
+
 def test_many_mistakes_are_counted(cotton, refusal):
     message = refusal("\n".join(f"k{number} = 1" for number in range(3000)) + "\n" + cotton)
     lines = message.splitlines()

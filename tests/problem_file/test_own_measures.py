@@ -85,6 +85,7 @@ def test_brackets_alone_nest_nothing(tmp_path):
         ("mine", "force_rsm", "N", "force_rms"),
         ("mine", "deflection", "m", "mean_deflection"),
         ("mine", "force_rms + tow_power", "N", "unlike"),
+        ("mine", "force_rms / mean_draft", "N", "has the unit 'N', but its expression has no unit"),
         ("mine", "force_rms", "kW", "unit"),
         ("mine", "force_rms", "florin", "florin"),
         ("mine", "force_rms +", "N", "expression"),

@@ -161,7 +161,7 @@ def test_a_front_trades_sums_over_the_shares(read):
         ("[shares.rear]", "[shares.scene]", "line 23: 'scene' cannot be the name of a share"),
         ("soil.cohesion =", "soil.cohesio =", "line 24: 'soil.cohesio' is not a known key: did you mean 'cohesion'"),
         ("soil.cohesion =", "scene.tow_speed =", "line 24: 'scene.tow_speed' belongs to the frame"),
-        ("soil.cohesion =", "accuracy.error =", "line 24: 'accuracy' of a share must be the same for all shares"),
+        ("soil.cohesion =", "accuracy.error =", "line 24: 'accuracy' cannot differ between shares"),
         ('upper = "0.45 m"', 'upper = "0.05 m"', "line 26: the bounds of 'share.height' contradict each other"),
         ("[shares.front]", "[uncertain]\n[shares.front]", "a design for an uncertain soil can have only one share"),
         (FRAME, "shares = 3\n", "'shares' must hold a table for each share"),

@@ -91,7 +91,7 @@ def question(report: Report) -> list[str]:
     if limits:
         text.append(f"Required: {_listed(limits)}.")
     if report.best.over:
-        text.append(f"The objective is its {report.best.over} value over the tolerances.")
+        text.append(f"The {report.best.over} value of the objective over the tolerances is minimised.")
     return text
 
 
@@ -250,7 +250,7 @@ def accuracy(report: Report) -> Grid:
     if best is not None:
         rows += [
             ("difference of the objective between two accurate integrations", f"{best.error_estimate:.0e}, relative"),
-            ("difference of the optimiser's own objective", f"{best.gap:.0e}, relative"),
+            ("difference between this objective and the optimiser's own", f"{best.gap:.0e}, relative"),
             ("time of the search and the solve", f"{best.seconds:.2g} s"),
         ]
     return Grid.pairs("Errors and computing times", *rows)

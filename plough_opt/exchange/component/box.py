@@ -198,5 +198,5 @@ class Box:
                 " contact law ignores the gap that it leaves"
             )
         if scene.effects.orbit not in ("transient", "periodic"):
-            notes.append("an approximation of the lasting orbit, whose own error is not in the error estimate")
+            notes.append("an approximation of the periodic orbit, whose own error is not in the error estimate")
         return tuple(notes)

@@ -188,6 +188,12 @@ def test_scenes_without_a_stationary_response_are_refused(changes, words):
         dataclasses.replace(scene(), effects=po.Effects(**effects), **rest)
 
 
+def test_the_stationary_rms_of_a_law_of_steady_sliding_is_refused_with_a_remedy_that_helps():
+    elastic = dataclasses.replace(scene(), effects=po.Effects(motion=False), medium="elastic")
+    with pytest.raises(po.InputError, match=r"elastic medium.*: use medium = 'plastic'$"):
+        _ = elastic.stationary_force_rms
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -54,7 +54,7 @@ class Scene:
         medium: law of resistance: a name in `plough_opt.laws.LAWS`, or a `ResistanceLaw` such as
             ``McKyesAli(depth=0.35)``. ``"plastic"``: the plastic gas; ``"elastic"``: the linear elastic medium, which
             gives the steady contact force on the equivalent cone (`po.elastic.cone_force`, an order of magnitude).
-            A law may not cover every effect. Laws of steady sliding (the elastic medium, Swick and Perumpral) refuse
+            Not every law covers every effect. Laws of steady sliding (the elastic medium, Swick and Perumpral) refuse
             motion and need ``Effects(motion=False)``. A law without added mass omits it with a warning.
 
     Every number may be a float or a CasADi expression.
@@ -137,8 +137,8 @@ class Scene:
         Limits that a design enforces by requirements, such as the speed of the shear wave, are not checked.
 
         Raises:
-            DomainError: for instance a density profile without a compaction front, or strength waves whose sum makes
-                the strength negative somewhere.
+            DomainError: for instance a density profile without a compaction front, or strength waves whose amplitudes
+                add up to more than 1.
         """
         check_strength(self.effects.waves)
         with unlabelled():
@@ -255,7 +255,8 @@ class Scene:
         """
         effects, what = self.effects, "the stationary RMS"
         if self.law.lacks("motion"):
-            raise InputError(f"{what} needs motion: {self.law.refusal('motion')}")
+            why = self.law.lacking["motion"]
+            raise InputError(f"{what} has no meaning in {self.law.label}, which {why}: use medium = 'plastic'")
         if not effects.waves and effects.random_strength is None:
             raise InputError(f"{what} needs strength that varies: give random_strength or strength_wave")
         if not effects.motion:

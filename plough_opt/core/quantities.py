@@ -382,7 +382,7 @@ def read_fields(owner: object, **names: str) -> None:
             continue
         if value is None and getattr(type(owner), field, "none") is None:
             continue
-        # Three frames lie between this one and the user's: this loop, __post_init__ and the generated __init__.
+        # Three frames lie between `read` and the user's code: this function, __post_init__ and the generated __init__.
         found = quantity.read(value, stacklevel=4)
         if found is not value:
             object.__setattr__(owner, field, found)

@@ -96,7 +96,7 @@ class Unit:
             return _as_float(value), 1.0
         if len(value) > _LONGEST:
             raise InputError(
-                f'= "{short(value)}" has {len(value)} characters; a quantity may have {_LONGEST}: write it like'
+                f'= "{short(value)}" has {len(value)} characters; a quantity may have at most {_LONGEST}: write it like'
                 f" {self.example()}"
             )
         match = _QUANTITY.fullmatch(value)

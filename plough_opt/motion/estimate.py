@@ -33,10 +33,11 @@ def difference(run: Run, other: Run) -> float:
     """Return the largest relative difference of any quantity of two runs with the same output times.
 
     Each quantity has its own scale. An array (mount force, soil resistance, deflection, speed), and with it its peak,
-    counts by its largest difference relative to its largest value; travel and opening relative to the largest
-    deflection if that is larger. An RMS counts relative to itself, a mean relative to the larger of itself and the RMS,
-    and the tow power relative to the larger of itself and that force times the strut's mean speed. Speed and soil
-    resistance jump at an event; they count only at outputs where both runs are in the same mode.
+    counts by its largest difference relative to its largest value; the travel relative to the largest deflection if
+    that is larger, and the opening always relative to the largest deflection. An RMS counts relative to itself, a mean
+    relative to the larger of itself and the RMS, and the tow power relative to the larger of itself and that force
+    times the strut's mean speed. Speed and soil resistance jump at an event; they count only at outputs where both runs
+    are in the same mode.
     """
     ours, apart = _arrays(run), _arrays(other)
     apart -= ours

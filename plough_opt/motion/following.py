@@ -71,7 +71,7 @@ class Case:
 
     @property
     def output_factor(self) -> int:
-        """How many times the requested outputs are computed, because events between distant outputs go unnoticed."""
+        """Factor on the requested outputs that are computed, because events between distant outputs go unnoticed."""
         return self.event_refinement * -(-OUTPUTS // self.outputs) if self.structure.events else 1
 
     @cached_property

@@ -26,8 +26,8 @@ _BEYOND: Final = np.linspace(0.0, 2.0, 9)
 _RETREAT = 1e-9
 # A share whose speed falls below this fraction of the fastest speed nearly stops.
 _NEARLY_STOPS = 5e-3
-# A slipping share with a backward speed above this fraction of the fastest one has missed its stop; a smaller one is
-# the rounding of the time of that.
+# A slipping share with a backward speed above this fraction of the fastest speed shows that its stop was missed. A
+# smaller one is due to rounding of the time of the stop.
 _MISSED = 1e-5
 # Places in a wavelength at which own resistances are compared with those one wavelength further on.
 _OWN_PLACES = 16
@@ -48,7 +48,7 @@ def refuse_runaway(scene: Scene, duration: float) -> None:
 def waves_in_flight(scene: Scene, p: Mapping[str, float], duration: float) -> float:
     """Return the phase [rad] of the strength wave that a share passes while a repelling spring drives it away.
 
-    It is 0 in scenes with drag, which slows the share down or ends the motion in finite time.
+    It is 0 in scenes with drag or a rate term, which slow the share down or end the motion in finite time.
     """
     if not scene.effects.printed.repelling_spring or "wavelength" not in p or "drag" in p or "rate_term" in p:
         return 0.0
@@ -91,7 +91,7 @@ def unsound_own(scene: Scene, last: Run | None, pause: float) -> str | None:
     Args:
         scene: numeric scene.
         last: the motion, or None to check the start only.
-        pause: time after its end that is checked too [s], twice.
+        pause: time from its end to the failure [s]; twice this time is checked too.
     """
     if not scene.effects.own:
         return None

@@ -56,7 +56,8 @@ class Tableau(Method):
         if order < 1 or lengths != list(range(len(self.nodes))) or len(self.weights) != len(self.nodes):
             raise InputError(
                 f"a tableau of order {self.order} with {len(self.nodes)} nodes, {len(self.weights)} weights and rows of"
-                f" lengths {lengths} must be explicit: a node and a weight for each stage, and k weights in row k"
+                f" lengths {lengths} must be explicit: a node and a weight for each stage, and k weights in row k,"
+                " counted from 0"
             )
         for power in range(order):
             wrong = sum(w * c**power for w, c in zip(self.weights, self.nodes, strict=True)) - 1.0 / (power + 1)

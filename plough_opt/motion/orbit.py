@@ -27,7 +27,7 @@ _NEWTON_OPTIONS = {"abstol": 1e-12, "max_iter": 60, "error_on_fail": False, "sho
 _LARGEST_RESIDUAL = 1e-8
 # The unit of the unknowns is proportional to the wave amplitude only above this value, so that derivatives exist at 0.
 _LEAST_AMPLITUDE = 1e-3
-# Samples of the resistance in the shortest wavelength. Up to 14 harmonics leave the first one unaffected.
+# Samples of the resistance in the shortest wavelength. Harmonics up to the 14th do not alias onto the first one.
 _SAMPLES = 16
 
 

@@ -217,7 +217,7 @@ class Run(Saveable):
             DomainError: the share is so small that its section is zero in floating point.
         """
         section = math.pi * self.scene.loosened_radius**2
-        check_domain("loosened section", section, "m^2", above=0.0, why="take a larger share")
+        check_domain("loosened section", section, "m^2", above=0.0, why="use a larger share")
         return self.mean_draft / section
 
     @property

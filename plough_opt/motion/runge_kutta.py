@@ -6,8 +6,8 @@ number of steps, and derivatives are exactly those of the computed results.
 Steps end at kinks: at the end of a tow ramp, and at the ends of the smooth contact's step. Across a kink steps of order
 8 lose their order, and each differentiation by a parameter that moves the kink loses one order more. The end of a ramp
 is a known time that moves with the parameters. The ends of the smooth contact's step are located in the motion. Their
-position within a step is held constant under differentiation: the motion has four derivatives there, so the step may
-end a little off.
+position within a step is held constant under differentiation. That is accurate enough, because the motion has four
+derivatives there.
 """
 
 from __future__ import annotations

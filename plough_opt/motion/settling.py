@@ -163,7 +163,7 @@ class _Path:
 
     @property
     def distance(self) -> float:
-        """Largest distance from the orbit at the ends of the last wavelengths: half of those of one call."""
+        """Largest distance from the orbit at the ends of the last wavelengths, half as many as one call integrates."""
         return float(np.max(np.abs((self.states[-self.at_once // 2 :] - self.orbit) / self.unit)))
 
     def follow(self) -> None:

@@ -55,13 +55,14 @@ def simulate(
         the contact has kinks. With events it is at least 1e-11, and at least the possible effect of a stop between
         outputs that both runs may have missed. The estimate covers every result relative to its own size: mount force,
         soil resistance, deflection and speed at the outputs, hence their peaks, relative to the largest value of each;
-        travel and opening relative to the largest deflection too; each RMS relative to itself; mean draft and mean
-        deflection relative to themselves or the RMS, whichever is larger; tow power relative to itself or to that force
-        at the strut's mean speed. A size below 1e-7 of the motion's own scale of force, deflection or speed counts as
-        1e-7 of that scale. Soil resistance and speed jump at an event, and count at outputs where both runs are in the
-        same mode. The estimate excludes rounding (about 1e-13 relative) and the error of the model itself. For an
-        approximation of the periodic orbit it is the difference from that orbit. ``warnings`` report an estimate above
-        the wanted error (1e-6 for a named method), and a motion too sensitive to be predicted.
+        travel relative to its largest value or the largest deflection, whichever is larger; opening relative to the
+        largest deflection; each RMS relative to itself; mean draft and mean deflection relative to themselves or the
+        RMS, whichever is larger; tow power relative to itself or to that force at the strut's mean speed. A size below
+        1e-7 of the motion's own scale of force, deflection or speed counts as 1e-7 of that scale. Soil resistance and
+        speed jump at an event, and count at outputs where both runs are in the same mode. The estimate excludes
+        rounding (about 1e-13 relative) and the error of the model itself. For an approximation of the periodic orbit it
+        is the difference from that orbit. ``warnings`` report an estimate above the wanted error (1e-6 for a named
+        method), and a motion too sensitive to be predicted.
 
         A symbolic run is an exactly differentiable expression without an estimate. Its derivatives aim at
         ``Accuracy(derivatives=...)``. With stick and slip, or entry, take second derivatives of a gradient:

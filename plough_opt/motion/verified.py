@@ -27,7 +27,7 @@ _TIGHTER = 0.03
 _STEP_ATTEMPTS = 6
 # Factor on the outputs if the share may have stopped between two of them.
 _EVENT_REFINEMENT = 4
-# A stand-in that differs more than this from the periodic orbit carries a warning.
+# An approximation that differs by more than this from the periodic orbit carries a warning.
 _FAR_FROM_ORBIT = 1e-2
 # If the check is finer than the run, their difference is less than the run's error by that of the check, about a sixth.
 # Across a kink both errors are irregular: under smooth contact the difference alone was at least 1.3 times the error.
@@ -170,7 +170,7 @@ def _by_measured_steps(case: Case, wanted: float) -> tuple[tuple[Integrated, flo
 
 
 def _stand_in(case: Case, wanted: float) -> tuple[Run, float, tuple[str, ...]]:
-    """Return a stand-in for the periodic orbit, its relative difference from the orbit, and warnings."""
+    """Return an approximation of the periodic orbit, its relative difference from the orbit, and warnings."""
     exact = replace(case.scene, effects=replace(case.scene.effects, orbit="periodic"))
     method = plan.automatic("dop853", wanted, case.p, case.duration)
     run = integrate(case, method).run

@@ -121,7 +121,8 @@ def strength_waves(record: StrengthRecord, part: float = 0.8, *, base_diameter: 
         The waves with 95 % intervals, the spectrum with its band, and the fraction left out.
 
     Raises:
-        InputError: the part is invalid, or the record does not vary.
+        DomainError: the diameter is not a finite number of at least 0.
+        InputError: the part is invalid, the record does not vary, or no waves are left to search.
 
     Example:
         >>> import numpy as np

@@ -35,7 +35,7 @@ CONE_HALF_ANGLE = math.radians(15.0)
 Adjust: TypeAlias = Literal["strength factor", "cohesion", "density ratio"]
 """Property of a soil that a cone index can determine."""
 
-# Largest values in the sources of docs/soils.md. At this density ratio the front is at 4.5 cone radii.
+# No source in docs/soils.md has a larger value. At this density ratio the front is at 4.5 cone radii.
 _MOST_COHESION = 100e3
 _MOST_DENSITY_RATIO = 0.95
 
@@ -194,8 +194,8 @@ class Soil:
                 ``"cohesion"``; or ``"density ratio"``, which moves the compaction front too.
 
         Raises:
-            InputError: ``adjust`` is unknown, the soil has a density profile, or the reading is lower than even zero
-                cohesion gives; the message says by how much.
+            InputError: ``adjust`` is unknown, the soil has a density profile or zero strength to scale, or the reading
+                is lower than even zero cohesion gives; the message says by how much.
             DomainError: the reading is not above 0.
 
         Example:

@@ -192,7 +192,8 @@ def strength_spectrum(record: StrengthRecord, *, base_diameter: float = 0.0) -> 
         base_diameter: diameter of the share's base [m]; shorter waves are left out, because the base averages them.
 
     Raises:
-        InputError: the diameter is not a number, or leaves nothing of the spectrum.
+        DomainError: the diameter is not a finite number of at least 0.
+        InputError: it leaves nothing of the spectrum, or the record's linear trend falls to 0.
 
     Example:
         >>> import numpy as np
@@ -215,7 +216,7 @@ def strength_spectrum(record: StrengthRecord, *, base_diameter: float = 0.0) -> 
 
 
 def checked_diameter(record: StrengthRecord, base_diameter: float) -> float:
-    """Return the diameter of a base [m] as a float; raise InputError if it or the record is invalid."""
+    """Return the diameter of a base [m] as a float; raise an error if it or the record is invalid."""
     check_kind("the record", record, StrengthRecord, "a StrengthRecord, as read_strength_record returns one")
     check_domain("base_diameter", base_diameter, "m", at_least=0.0)
     return plain_number("base_diameter", base_diameter)

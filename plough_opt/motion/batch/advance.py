@@ -36,7 +36,7 @@ def advance(layout: Layout, order: int, phase: int) -> ca.Function:
     Args:
         layout: positions in the two columns.
         order: of the Taylor polynomial of w'.
-        phase: index in `Layout.ends`: of the last one the tow ramp, if any, is over.
+        phase: index in `Layout.ends`; in the last phase the tow ramp, if any, is over.
     """
     x, p = ca.SX.sym("x", layout.states), ca.SX.sym("p", layout.parameters)
     start, end = StepStart(layout, x, p, phase == len(layout.ends) - 1), p[layout.ends[phase]]

@@ -1,4 +1,4 @@
-"""Which designs of a batch lie outside the model's domain, and why."""
+"""The designs of a batch that lie outside the model's domain, with the reasons."""
 
 from __future__ import annotations
 

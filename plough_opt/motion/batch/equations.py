@@ -43,7 +43,7 @@ _GOLDEN_SECTION = (math.sqrt(5.0) - 1.0) / 2.0
 
 @dataclass(frozen=True)
 class StartValues:
-    """What the results need besides the averages, in the order in which `setup` returns it after a step's parameters.
+    """Values that the results need besides the averages, in the order in which `setup` returns them.
 
     Attributes:
         rate: w' at the start [m/s].

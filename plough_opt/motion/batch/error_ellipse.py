@@ -1,4 +1,4 @@
-"""How the errors of a batch's steps add up over a run: an ellipse that contains their sum, carried from step to step.
+"""The sum of the errors of a batch's steps over a run, bounded by an ellipse that is carried from step to step.
 
 The errors live in the plane of w and w'/s, with the angular frequency s of the mount. Each step first maps the ellipse
 by the linearised equation of motion, so that it grows where neighbouring motions diverge, turns where they oscillate

@@ -43,8 +43,8 @@ class BatchResult(Saveable):
         tow_power: mean of P s' [W].
         error_estimate: estimated error of mean draft and RMS force, relative to the larger of them [-]. It adds up the
             truncated terms of all steps as if they pointed the same way, and lets the sum grow or decay by the
-            linearised equation of motion. It is a bound, usually some hundred times larger than the error, and
-            infinite for a chaotic motion.
+            linearised equation of motion. It is usually about a hundred times larger than the error, and infinite for a
+            chaotic motion.
         steps: number of steps of each design.
         reasons: position of a design without results -> the reason. Its results are NaN.
         wanted: the relative error that was requested [-].

@@ -26,7 +26,7 @@ _PHASE_PER_PANEL = 4.0
 _MOST_STEPS = 50_000
 # Limit on the number of times that the number of steps is raised.
 _MOST_ROUNDS = 6
-# Errors are relative to a force of at least this part of V0 sqrt(k0 M), so that a share without draft has an error too.
+# Errors are relative to a force of at least this part of V0 sqrt(k0 M), which prevents a division by 0.
 _LEAST_FORCE = 1e-9
 # A share retreats if its speed falls below minus this part of its largest speed; less is rounding.
 _RETREAT = 1e-6
@@ -72,7 +72,7 @@ class Box:
     def _points(self) -> list[NDArray[np.float64]]:
         """Values of the inputs at which errors are estimated."""
         effects, inputs = self.scenes.scene.effects, self.scenes.inputs
-        # A draft that is constant in time is exact with any number of panels: its corners suffice.
+        # A draft that is constant in time has no error of steps or panels, so the corners suffice.
         varies = effects.motion or bool(effects.waves) or effects.tow_ramp is not None or effects.own
         return [*corner_points(inputs), *(interior_points(inputs) if varies else ())]
 
@@ -108,7 +108,7 @@ class Box:
         for _ in range(_MOST_ROUNDS):
             if error <= wanted or self.accuracy.steps is not None or 2 * steps > _MOST_STEPS:
                 break
-            # The error of a method of order 8 falls with the eighth power of the steps; a tenth more for safety.
+            # The error of order 8 falls with the eighth power of the steps. Take a tenth more, at most twice as many.
             steps = math.ceil(steps * min(2.0, 1.1 * (error / wanted) ** 0.125))
             error = error_of(Resolution(steps, self.outputs))
         return steps, error

@@ -46,7 +46,7 @@ def component(
             the mass is constant.
         accuracy: an error to reach, or ``"dop853"`` with a number of steps. Default: a relative error of 1e-8, and
             1e-6 for derivatives, checked at corners of the bounds and at points inside.
-        samples: number of equal intervals between output times, for results that have a value at every output time.
+        samples: number of equal intervals between the output times, for results with a value at every output time.
         name: the Function's name.
 
     Raises:

@@ -22,7 +22,7 @@ from plough_opt.motion.vocabulary import MEASURES
 
 # An input whose bounds have at least this ratio is sampled evenly in its logarithm.
 _LOG_RATIO = 10.0
-# With up to this many inputs all 2^n corners of the box are sampled, otherwise the 2n centres of its faces.
+# With up to this many inputs all 2^n corners of the box are sampled, otherwise 2n points with one input at a bound.
 _MOST_FOR_ALL_CORNERS = 6
 # Number of sampled points inside the box.
 _INTERIOR_POINTS = 32
@@ -231,7 +231,8 @@ def measure_of(output: Output, law: ResistanceLaw) -> tuple[str, Callable[[Run],
 def corner_points(inputs: Sequence[Port]) -> list[NDArray[np.float64]]:
     """Return the inputs' values, and the corners of the box between their bounds.
 
-    With many inputs the corners would be too many: each point then has a single input at a bound.
+    With many inputs there would be too many corners: then each point has one input at a bound and the others at their
+    values.
     """
     values = np.array([port.value for port in inputs])
     if len(inputs) <= _MOST_FOR_ALL_CORNERS:
@@ -245,7 +246,7 @@ def corner_points(inputs: Sequence[Port]) -> list[NDArray[np.float64]]:
 
 def interior_points(inputs: Sequence[Port]) -> list[NDArray[np.float64]]:
     """Return points spread evenly inside the box between the inputs' bounds."""
-    # Roberts's low-discrepancy sequence, whose increments are powers of the root of x^(n + 1) = x + 1.
+    # Roberts's low-discrepancy sequence: its increments are negative powers of the root of x^(n + 1) = x + 1.
     root = 2.0
     for _ in range(60):
         root = (1.0 + root) ** (1.0 / (len(inputs) + 1))

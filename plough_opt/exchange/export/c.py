@@ -58,7 +58,7 @@ def _header(component: Component) -> str:
 {comment}
  *
  * Inputs in this order, outputs in this order, columns of several values without gaps.
- * Compile with -ffp-contract=off for the numbers that Python gives.
+ * Compile with -ffp-contract=off to get the same numbers as in Python.
  */
 #ifndef {upper}_H
 #define {upper}_H
@@ -78,9 +78,9 @@ extern const double {name}_input_values[{upper}_INPUTS];
 extern const char *const {name}_output_names[{upper}_OUTPUTS];
 extern const char *const {name}_output_units[{upper}_OUTPUTS];
 
-/* {upper}_OUTPUTS outputs of {upper}_INPUTS inputs. Safe in threads.
- * Returns 0; or 1 where memory is short; 2 where an input lies outside its bounds, for which steps and checks were not
- * chosen; 3 where a result is not finite. Unless it returns 0 the results are NaN. */
+/* Computes {upper}_OUTPUTS outputs from {upper}_INPUTS inputs. Safe in threads.
+ * Returns 0 on success, 1 if memory is short, 2 if an input lies outside its bounds, for which steps and checks were
+ * not chosen, and 3 if a result is not finite. Unless it returns 0 all results are NaN. */
 int {name}_evaluate(const double *inputs, double *outputs);
 
 /* Derivatives of all outputs by all inputs, row by row: jacobian[i * {upper}_INPUTS + j] = d output i / d input j.

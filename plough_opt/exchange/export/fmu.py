@@ -51,7 +51,7 @@ def write_fmu(
     Args:
         scene: a numeric scene with motion from a start. Its tow speed is the input's default.
         path: path of the FMU, ending in .fmu; an existing file is replaced, and nothing is written if anything fails.
-        strut: the input: the strut's ``"speed"`` [m/s] or ``"position"`` [m].
+        strut: which motion of the strut is the input, ``"speed"`` [m/s] or ``"position"`` [m].
         steel_density: density of the share's material [kg/m^3]. The share's own mass is then a part of the scene's and
             follows the parameters of its shape. None: the whole mass is one parameter.
         duration: proposed duration of a simulation [s].

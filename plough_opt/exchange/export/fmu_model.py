@@ -224,7 +224,7 @@ def _with_parameters(named: NamedScene) -> tuple[dict[Variable, ca.SX], Scene]:
     """Return a symbol for each parameter of a scene, and the scene with these symbols.
 
     Beside the named quantities, the numbers of a density profile and of a user's own effects are parameters. The
-    latter have the names of their fields if every number is a field, otherwise numbers.
+    latter have the names of their fields if every number is a field; otherwise they are numbered.
     """
     symbols = {variable: ca.SX.sym(variable.name) for variable in _quantities(named)}
     scene, _ = named.replaced({variable.name: symbol for variable, symbol in symbols.items()})

@@ -44,7 +44,7 @@ class Share:
         strut_speed: speed of the strut; meaningful only if the input is a speed.
         pull: mount force P.
         acceleration: acceleration L'' of the share.
-        resistance: force of the soil on the share, including that on the added mass.
+        resistance: force of the soil on the share, including the inertia of the added mass.
     """
 
     def __init__(self, scene: Scene, structure: Structure, by_speed: bool, q: dict[str, ca.SX]) -> None:

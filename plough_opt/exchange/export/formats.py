@@ -179,4 +179,4 @@ FORMATS: Final[dict[str, Format]] = {
     "dxf": Format("the share's faces laid flat in mm, a cutting pattern", _part, (".dxf",), _PART_OPTIONS, _check_part),
     "step": Format("the share's faces in mm for CAD", _part, (".step", ".stp"), _PART_OPTIONS, _check_part),
 }
-"""Name, as in `plough-opt export --to NAME` -> format."""
+"""Name of a format in `plough-opt export --to` -> the format."""

@@ -162,7 +162,7 @@ def write_openmdao(component: Component, path: str | Path) -> Path:
 
 
 def _module(component: Component) -> str:
-    """Return the module's text: the classes above, and the data of this component."""
+    """Return the module's text: `FunctionComponent`, `units_of`, and the data of this component."""
     name, ports = component.name(), described(component)
     classes = "\n\n".join(inspect.getsource(one) for one in (FunctionComponent, units_of)).rstrip()
     return f'''"""Written by plough_opt {version("plough_opt")}.

@@ -54,7 +54,7 @@ class Estimate:
         optima: sums of losses of all distinct local optima, the best first.
         residuals: weighted residuals, predicted minus observed (n).
         spread: how far the data determine the unknowns.
-        freedom: degrees of freedom: rows with a weight minus the rank.
+        freedom: degrees of freedom: number of rows of weight above 0, minus the rank.
         variance: variance of a weighted residual in the covariance; 1 if sigma is stated.
         rise: rise of twice the sum of losses at the end of an interval, over the squared quantile.
         normal: whether quantiles are normal, because the variance is known; otherwise they are Student's.

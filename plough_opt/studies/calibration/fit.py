@@ -48,7 +48,7 @@ class Fit(Saveable):
         loss: name of the loss.
         total: sum of the losses.
         optima: sums of the losses at all distinct local optima.
-        freedom: degrees of freedom: rows with a weight minus determined directions.
+        freedom: degrees of freedom: number of rows of weight above 0, minus determined directions.
         scatter: square root of the sum of squared residuals over the degrees of freedom; residuals are relative to the
             stated sigma, or to the mean measured value if no sigma is stated.
         stated: whether sigma was stated.
@@ -59,7 +59,7 @@ class Fit(Saveable):
         saved_next: ranking of further measurements in a loaded file.
         versions: versions of packages, and the kind of machine.
         source: the estimate behind the fit; None for a loaded fit.
-        origin: the question, and the versions that answered it.
+        origin: the question that the fit answers.
 
     Example:
         >>> import plough_opt as po

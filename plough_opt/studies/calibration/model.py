@@ -142,7 +142,7 @@ def model_of(
         columns: keys that are columns of the data.
 
     Raises:
-        InputError: ``given`` has the wrong type, an unknown name, or invalid bounds.
+        InputError: ``given`` has the wrong type, a name is unknown, or bounds are invalid.
     """
     title, accuracy = "calibration", Accuracy()
     current: dict[str, float] = {}
@@ -166,7 +166,7 @@ def model_of(
 
 
 def _of_file(problem: Described, values: Mapping[str, Expression]) -> Scene:
-    """Return a problem's scene with changed values, by keys of files: the mass is that of the frame."""
+    """Return a problem's scene with values changed by keys of files, which divide the mass into frame and steel."""
     for name in values:
         if name not in quantities():
             raise InputError(f"a problem file has no '{name}': {nearest(name, quantities())}")
@@ -185,7 +185,7 @@ def _unknowns(given: Mapping[str, Any], current: Mapping[str, float]) -> tuple[U
     """Return the checked unknowns.
 
     Raises:
-        InputError: there are no unknowns, an unknown name, or invalid bounds.
+        InputError: there are no unknowns, a name is unknown, or bounds are invalid.
     """
     if not mapping_of("unknown", given, "{'soil.cohesion': (1e3, 80e3)}"):
         raise InputError("there are no unknowns: name each with its bounds, as {'soil.cohesion': (1e3, 80e3)}")

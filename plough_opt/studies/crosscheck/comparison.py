@@ -210,5 +210,5 @@ def _draw(axes: Axes, own: ModelDraft, rows: Sequence[ModelDraft], speeds: Seque
 
 
 def _named(row: ModelDraft) -> str:
-    """Return a model's name for the legend, marked if it does not have a value at any speed."""
+    """Return a model's name for the legend, marked if its drafts are NaN at all speeds."""
     return row.model + (_REFUSED if all(map(math.isnan, row.drafts)) else "")

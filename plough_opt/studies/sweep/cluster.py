@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 # Time [s] for which a cluster may be without workers, which may be restarting.
 _PATIENCE: Final = 40.0
-# Time [s] between two checks for workers, and time limit of the scheduler's answer.
+# Time [s] between two checks for workers; also the time limit for the scheduler's answer.
 _CHECK_EVERY: Final = 3.0
 
 
@@ -48,10 +48,10 @@ class Cluster(Executor):
         return future
 
     def check(self) -> None:
-        """Check whether there are workers, if the last check is not too recent.
+        """Check whether there are workers, unless this was checked a moment ago.
 
         Raises:
-            InputError: there have been no workers, or no answers from the scheduler, for a long time.
+            InputError: for `_PATIENCE` there have been no workers, or no answers from the scheduler.
         """
         if time.monotonic() - self._checked < _CHECK_EVERY:
             return

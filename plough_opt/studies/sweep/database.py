@@ -37,7 +37,7 @@ CREATE TABLE claims (first INTEGER PRIMARY KEY, last INTEGER NOT NULL, owner TEX
 CREATE INDEX oldest ON claims (expires);
 CREATE TABLE notes (kind TEXT PRIMARY KEY, text TEXT NOT NULL, first INTEGER NOT NULL, points INTEGER NOT NULL);
 """
-# Table -> condition that only rows fulfil which a sweep never writes.
+# Table -> condition that no row written by a sweep meets.
 _WRONG: Final = {
     "claims": "typeof(first) != 'integer' OR typeof(last) != 'integer' OR typeof(owner) != 'text' OR first < 0"
     " OR typeof(expires) != 'real' OR last <= first",
@@ -189,7 +189,7 @@ class Database:
 
 
 def _reader(path: Path, mode: str) -> sqlite3.Connection:
-    """Return a connection to a file that has proved to be readable by a query."""
+    """Return a connection to a file, after a query that raises an error if the file cannot be read."""
     place = f"{path.as_uri()}?{mode}"
     connection = sqlite3.connect(place, uri=True, timeout=_BUSY, isolation_level=None, check_same_thread=False)
     try:
@@ -273,7 +273,7 @@ def checksum(point: int, state: str, reason: str | None, numbers: Sequence[objec
 
 
 def check_columns(names: Sequence[str]) -> None:
-    """Raise InputError if a name is not printable, is repeated, or is reserved."""
+    """Raise InputError if a name is not printable, repeated, or reserved; case is ignored."""
     for name in names:
         if not isinstance(name, str) or not name.isprintable() or not name.strip():
             raise InputError(f"{name!r} cannot name a quantity or a result: use printable text")
@@ -281,8 +281,8 @@ def check_columns(names: Sequence[str]) -> None:
     for name in names:
         if folded.count(name.casefold()) > 1:
             raise InputError(
-                f"'{name}' cannot name a column, because another one has this name in upper or lower case"
-                f" ({', '.join(_RESERVED)} are reserved)"
+                f"'{name}' cannot name a column: in upper or lower case it is used twice, or reserved"
+                f" ({', '.join(_RESERVED)}); rename it"
             )
 
 

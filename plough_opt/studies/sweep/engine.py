@@ -24,7 +24,7 @@ from plough_opt.studies.sweep.work import Array, Done, Evaluation, ManyPoints, w
 Progress = Callable[[int, int, int], None]
 """Called with the numbers of stored points, of all points, and of failed ones."""
 
-# Duration [s] of a task that the number of its points aims at.
+# Target duration [s] of a task. The number of points in a task follows from it.
 _TASK_SECONDS = 0.25
 # Time [s] after which a worker returns the points done so far.
 _BUDGET = 0.5
@@ -32,7 +32,7 @@ _BUDGET = 0.5
 _SIZES: Final = (1, 4096)
 # The same for evaluations of many points at once.
 _SIZES_OF_MANY: Final = (64, 2048)
-# A task is at most this factor larger than the one before.
+# A task has at most this many times as many points as the one before.
 _GROWTH: Final = 4
 # Time [s] for which the loop waits for results before it looks at the clock and at other runs.
 _WAIT = 0.25
@@ -68,8 +68,8 @@ class _Task:
 class Engine:
     """A sweep under way.
 
-    It submits more tasks than there are workers, so that none waits. Tasks whose workers died are submitted again, and
-    points that may have killed them are tried alone at the end.
+    It submits more tasks than there are workers, so that no worker waits. Tasks whose workers died are submitted again,
+    and points that may have killed them are tried alone at the end.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class Engine:
             self._stop()
 
     def _fill(self) -> bool:
-        """Submit tasks until all workers are busy; return whether there is anything to wait for."""
+        """Submit tasks until enough are under way for all workers; return whether there is anything to wait for."""
         while len(self._under_way) < self._most_under_way and (task := self._next_task()) is not None:
             try:
                 arguments = self._key, self._evaluation, self._points.names, task.values, _BUDGET

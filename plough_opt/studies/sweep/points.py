@@ -99,7 +99,7 @@ def axis_of(name: str, given: object) -> Axis:
         given: a `Range` or numbers, SI.
 
     Raises:
-        InputError: the type is another, there are fewer than two numbers, or one is repeated or not finite.
+        InputError: the type is wrong, there are fewer than two numbers, or one is repeated or not finite.
     """
     if isinstance(given, Range):
         return given

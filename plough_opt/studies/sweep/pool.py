@@ -28,9 +28,10 @@ from plough_opt.studies.sweep.work import Evaluation
 STORED: Final = "finished points are stored, and the same sweep continues from there"
 """Advice for a sweep that ends early."""
 
-# The pool gives up after at least this number of deaths in a row ...
+# The pool gives up after at least this many deaths in a row, with no result in between. `_PATIENCE` must have passed
+# since the first of them, and no live process may be older than that.
 _MOST_DEATHS = 3
-# ... over at least this time [s], if no process is older than that and no task has returned.
+# Time [s] that the pool waits for a process that survives.
 _PATIENCE = 40.0
 # Pause [s] before a dead process is replaced.
 _PAUSE: Final = 0.2

@@ -257,7 +257,7 @@ class Sweep(Readable):
         return data_frame({name: table[name] for name in table.dtype.names or ()}, self.units)
 
     def to_csv(self, path: str | Path) -> Path:
-        """Write a row for each point: number, quantities, and results in SI units or the reason why there are none.
+        """Write a row for each point: its number, quantities and results in SI units, and why it has no results if so.
 
         Raises:
             InputError: the path cannot be written.

@@ -23,9 +23,9 @@ from plough_opt.studies.sweep.work import Array, Done
 
 # Time [s] after which a run counts as dead if it has not renewed its lease.
 _LEASE: Final = 30.0
-# Number of claims that are searched for those of dead runs, longest ago renewed first.
+# Number of claims, those renewed longest ago first, among which claims of dead runs are sought.
 _SEARCHED: Final = 256
-# Most points in a claim of points that are computed again: as many as a batch simulates at once.
+# Most points in one claim when missing points are computed again: as many as a batch simulates at once.
 _LARGEST_GAP: Final = 2048
 # Adds to the count of a note, and takes over its text if its point comes before all others of this kind.
 _NOTE: Final = (

@@ -50,8 +50,8 @@ def sweep(
 
     Args:
         evaluation: function of a dictionary of the quantities at a point. It returns named finite numbers, with the
-            same names at every point. If it raises an error, that is the reason why the point failed. It must be
-            picklable.
+            same names at every point. An error that it raises becomes the reason why the point failed. It must
+            be picklable.
         over: name -> `Range` or list of numbers, in the units that the function expects.
         samples: number of points of a scrambled Sobol sample of the ranges, best a power of two; None for a grid.
         seed: seed of the sample.
@@ -60,7 +60,7 @@ def sweep(
             deleted with the result.
         executor: any `concurrent.futures.Executor`, such as that of a dask client or of mpi4py; it is left running.
             Default: processes on all cores of this machine, which end with the sweep.
-        workers: number of workers of the executor, so that all of them have work (default: cores of this machine).
+        workers: number of workers of the executor, so that enough tasks are submitted (default: cores of this machine).
         retry: compute the points again that failed, are undetermined, or whose rows in the store are damaged.
         progress: True for a bar on the error stream (lines, if that is not a terminal), or a function that is called
             with the numbers of stored points, of all points, and of failed ones.
@@ -102,7 +102,8 @@ def sweep(
     except KeyboardInterrupt:
         done = opened.counts().stored
         opened.close()
-        where = "lost without a store" if store is None else f"in '{store}': the same sweep continues from there"
+        place = f"in '{store}': the same sweep continues from there"
+        where = "lost, because there is no store" if store is None else place
         raise KeyboardInterrupt(f"{done} of {points.count} points are {where}") from None
     except BaseException:
         opened.close()

@@ -18,9 +18,9 @@ from plough_opt.core.process import one_of_several
 
 Array = NDArray[np.float64]
 
-# A number in a note, which does not distinguish kinds of notes.
+# A number in a note. Notes that differ only in numbers are of the same kind.
 _NUMBER = re.compile(r"[-+]?[0-9]+\.?[0-9]*(?:e[-+]?[0-9]+)?")
-# Evaluations that a worker keeps, with everything that they have built.
+# Largest number of evaluations that a worker keeps, with everything that they have built.
 _MOST_KEPT: Final = 4
 _kept: dict[str, Evaluation] = {}
 
@@ -92,7 +92,7 @@ def work(key: str, evaluation: Evaluation, names: tuple[str, ...], values: Array
     """Evaluate points.
 
     Args:
-        key: identifies the evaluation. A worker keeps the first evaluation with a key, and so what that has built.
+        key: identifies the evaluation. A worker keeps the first evaluation with a key, and everything that this built.
         evaluation: the function.
         names: of the quantities.
         values: of the quantities, a row for each point.

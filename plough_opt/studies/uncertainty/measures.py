@@ -1,8 +1,9 @@
 """Measures of a result that varies with the soil, from its values over common samples.
 
 Every function accepts the values of equally likely samples, as an array or as a CasADi column of a design's
-expressions. From numbers the measure is exact for these samples. In a design it must be smooth: a measure with kinks or
-jumps takes a width, in the unit of the values, over which it is smoothed. Its docstring gives the largest difference.
+expressions. From numbers, and without a width, the measure is exact for these samples. In a design it must be smooth:
+a measure with kinks or jumps takes a width, in the unit of the values, over which it is smoothed. Its docstring gives
+the largest difference.
 
 The smoothed step and ramp are convolutions with the triweight kernel k(u) = 35/32 (1 - u^2)^3 on [-1, 1], u = x/width
 (Wand and Jones 1995, "Kernel smoothing", section 2.2). They have continuous second derivatives, and beyond the width

@@ -50,7 +50,7 @@ class RobustOptimum(Saveable):
         indices: result -> Sobol indices of the uncertain properties at the robust optimum.
         failures: why some local optima could not be solved again with their own widths.
         requirements: name of a requirement -> its limits, and the soils in which it must hold, as text.
-        origin: the problem file and the versions that produced it.
+        origin: the question that it answers: the problem file and its changes.
     """
 
     best: Optimum

@@ -90,8 +90,8 @@ def sobol_indices(
             " use correlated=True for the independent coordinates behind the copula"
         )
 
-    nominal = robust.values(at)
-    results = [name for name, value in nominal.items() if np.ptp(value) > _NEGLIGIBLE * np.max(np.abs(value))]
+    over_samples = robust.values(at)
+    results = [name for name, value in over_samples.items() if np.ptp(value) > _NEGLIGIBLE * np.max(np.abs(value))]
     if not results:
         return {}
 

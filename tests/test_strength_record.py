@@ -59,17 +59,21 @@ def test_the_spectrum_integrates_to_the_variance(even):
     assert made.spectrum.variance == pytest.approx(made.variance, rel=0.05)
     if not even:
         assert made.spectrum.wave_number[:2] == pytest.approx(2 * math.pi / 40.0 * np.array([1, 2]), rel=0.01)
-    lower, density, upper = made.spectrum.lower, made.spectrum.density, made.spectrum.upper
-    assert np.all((lower < density) & (density < upper))
-    # The density of white noise is constant and lies inside 95 % of the bands; neighbouring bands are correlated.
-    level = made.variance / (math.pi / 0.05)
-    assert np.mean((lower < level) & (level < upper)) > 0.85
+    assert np.all((made.spectrum.lower < made.spectrum.density) & (made.spectrum.density < made.spectrum.upper))
+    # The density of white noise is constant and lies inside 95 % of the bands.
+    inside = []
+    for seed in range(40 if even else 4):
+        noise = record(seed, waves=(), even=even)
+        own, level = po.strength_spectrum(noise), float(np.var(noise.relative())) / (math.pi / 0.05)
+        inside.append(np.mean((own.lower < level) & (level < own.upper)))
+    # By chance it deviates by 0.01, three standard deviations; the rest is the approximation of the bands.
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
 
 
 def test_the_rigs_response_is_divided_out_of_a_force():
     """The waves of the soil are recovered from the force on a damped rig, integrated by SciPy."""
     rig = po.Rig(mass=25.0, stiffness=4e4, damping=500.0, tow_speed=2.0)
-    waves = ((0.1, 1.3, 0.3), (0.06, 0.5, -0.9))
+    waves = ((0.1, 1.3, 0.3), (0.06, 0.5, -3.05))
 
     def rates(t, y):
         strength = 1.0 + sum(a * math.sin(2 * math.pi * 2.0 * t / length + p) for a, length, p in waves)
@@ -86,6 +90,7 @@ def test_the_rigs_response_is_divided_out_of_a_force():
         assert one.wave.amplitude == pytest.approx(a, rel=2e-3)
         assert one.wave.wavelength == pytest.approx(length, rel=1e-4)
         assert math.remainder(one.wave.phase - first, 2 * math.pi) == pytest.approx(0.0, abs=2e-2)
+        assert abs(one.wave.phase) <= math.pi
     # The spectrum contains the same waves, without the wave numbers near the rig's resonance.
     force_spectrum = po.strength_spectrum(po.StrengthRecord(2.0 * times[late], force[late], rig))
     assert np.all(np.abs(force_spectrum.wave_number / rig.resonance - 1.0) >= 0.2)

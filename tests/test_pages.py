@@ -22,6 +22,7 @@ from plough_opt.motion.effects import MOST_HARMONICS
 from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file import overrides, own_measures, schema, source, uncertain
 from plough_opt.soil.elastic import profile
+from plough_opt.studies.calibration.measurements import measurable
 from plough_opt.studies.sweep import points
 from plough_opt.studies.tradeoff import trade
 from plough_opt.studies.uncertainty import distribution
@@ -191,6 +192,14 @@ def test_links_within_the_page_lead_to_headings():
     headings = {re.sub(r"[^\w -]", "", heading).strip().lower().replace(" ", "-")
                 for heading in re.findall(r"^#+ (.+)$", TEXTS["theory"], flags=re.MULTILINE)}  # fmt: skip
     assert set(re.findall(r"\]\(#([\w-]+)\)", TEXTS["theory"])) <= headings
+
+
+# --- calibration.md ---
+
+
+def test_results_that_can_be_measured_are_listed():
+    (listed,) = re.findall(r"the measured result, one per file: (.*?) \|", TEXTS["calibration"])
+    assert set(re.findall(r"\w+_\w+", listed)) == set(measurable())
 
 
 # --- embedding.md ---

@@ -79,6 +79,13 @@ def test_outliers_pull_a_robust_fit_less(plane, three):
     spoilt[[2, 9, 20]] *= [1.8, 0.4, 1.7]
     data = po.Measurements("mean_draft", spoilt, conditions, sigma=0.03 * exact, name="spoilt")
     plain, robust = (po.calibrate(steady_scene(), data, three, loss=loss) for loss in ("squares", "cauchy"))
+    # Without sigma only ratios of weights count, because the scatter is estimated.
+    by_weight = (
+        po.Measurements("mean_draft", spoilt, conditions, weights=scale / exact**2, name="spoilt") for scale in (1, 1e4)
+    )
+    one, other = (po.calibrate(steady_scene(), own, three, loss="cauchy") for own in by_weight)
+    assert list(one.values.values()) == pytest.approx(list(other.values.values()), rel=1e-4)
+    assert one.values["soil.cohesion"] == pytest.approx(robust.values["soil.cohesion"], rel=0.1)
     for name, truth in TRUTH.items():
         if name in three:
             assert abs(robust.values[name] - truth) < 3.0 * robust.standard_errors[name]

@@ -58,6 +58,13 @@ def test_an_undetermined_unknown_does_not_change_the_others(confounded, measured
     assert own_high == pytest.approx(high, abs=0.03 * (high - low))
 
 
+def test_a_single_unknown_that_the_data_hardly_narrow(plane):
+    conditions, exact, _ = plane
+    data = po.Measurements("mean_draft", exact, conditions, sigma=100.0 * exact)
+    (found,) = po.calibrate(steady_scene(), data, {"soil.cohesion": BOUNDS["soil.cohesion"]}).unidentifiable
+    assert found.words.startswith("soil.cohesion is hardly determined")
+
+
 def test_data_at_one_wedge_angle_ask_for_another():
     """At one wedge angle cohesion and tool friction are one factor; a coated share or another angle separates them."""
     conditions, exact = drafts(np.linspace(0.8, 3.0, 8), [po.deg(40.0)])

@@ -180,6 +180,9 @@ def test_an_optimum_prints_and_saves_its_design_and_limits(tmp_path):
     assert f"{1e3 * best.variables['height']:.7g} mm" in text  # the value printed is the one returned
     # A limit that decides has no margin.
     assert re.search(r"loosened radius +at least 0.12 m +0.12 m +0 m +decides\n", text)
+    # Nor has one that is met to rounding but does not decide.
+    (limit,) = (one for one in best.limits if one.name == "loosened radius")
+    assert dataclasses.replace(limit, active=False, margin=1e-13).margin_text() == "0 m"
     assert str(best.local_optima[0]).count("\n") >= 4
     assert saved["best"]["variables"] == best.variables
     (radius,) = [limit for limit in saved["best"]["limits"] if limit["name"] == "loosened radius"]

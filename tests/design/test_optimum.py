@@ -50,6 +50,9 @@ def test_an_inactive_limit_has_no_multiplier(r1):
     assert limit.multiplier < 1e-6
     assert limit.value == pytest.approx(r1.best(r1.run.mean_draft) / 5e3, rel=1e-8)
     assert limit.margin == pytest.approx(0.15 - limit.value, rel=1e-12)
+    # That of a bound is the distance to the nearer one: 0.10 m to 0.50 m.
+    height = _limit(r1.best, "height")
+    assert height.margin == pytest.approx(min(height.value - 0.10, 0.50 - height.value), abs=1e-12)
 
 
 def test_limits_come_in_the_order_of_declaration(r1):

@@ -1,5 +1,7 @@
 """Flat directions of optima that are not unique, and stationary points that are not minima."""
 
+import re
+
 import numpy as np
 import pytest
 from helpers.small_designs import design
@@ -31,6 +33,8 @@ def test_wedge_and_chisel_angle_cannot_be_told_apart(two_angles):
     assert abs(direction["wedge angle"]) > 1e-4
     assert abs(direction["chisel angle"]) > 1e-4
     assert abs(direction["height"]) < 1e-6
+    # One angle grows while the other one shrinks.
+    assert re.search(r"wedge angle (\+.* chisel angle -|-.* chisel angle \+)", " ".join(str(best).split()))
 
 
 def test_along_the_flat_direction_the_half_angle_stays(two_angles):

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import plough_opt as po
 from plough_opt.core.expressions import as_number
-from plough_opt.motion.batch.error_ellipse import deviation_map, ellipse_after
+from plough_opt.motion.batch.error_ellipse import deviation_map, ellipse_after, largest_squared_error
 from plough_opt.motion.batch.layout import Layout, StepStart
 from plough_opt.motion.terms import Structure, parameters
 
@@ -103,6 +103,20 @@ def test_an_ellipse_holds_all_sums_of_errors():
         assert np.all(held > reach * (1.0 - 1e-12))
         # The ellipse is not much larger than it must be: no ellipse does with less than a few tenths.
         assert np.min(held / reach) < 1.3
+
+
+@pytest.mark.parametrize("damping", [None, 800.0])
+def test_the_largest_error_of_the_force_is_that_on_the_ellipse(r1_scene, damping):
+    scene, matrix = r1_scene(damping=damping), np.array([[3.0, -1.2], [-1.2, 2.0]])
+    layout, known = Layout.of(Structure.of(scene)), parameters(scene)
+    p = ca.DM([float(known[name]) for name in layout.names] + [0.0] * 4)
+    start = StepStart(layout, ca.SX([0.0]), ca.SX(p), ramp_ended=True)
+    found = float(as_number(largest_squared_error(start, [ca.SX(matrix[i, j]) for i, j in ((0, 0), (0, 1), (1, 1))])))
+    angles = np.linspace(0.0, 2.0 * math.pi, 2000)
+    deflection, rate = np.linalg.cholesky(matrix) @ [np.cos(angles), np.sin(angles)]
+    # Rates are in units of deflection times the natural frequency.
+    force = deflection + (damping or 0.0) / math.sqrt(scene.stiffness * scene.inertia) * rate
+    assert found == pytest.approx(np.max(force**2), rel=1e-5)  # of 2000 angles, one lies within 2e-3 of the best
 
 
 @pytest.mark.parametrize("damping", [None, pytest.param(250.0, marks=pytest.mark.slow)])

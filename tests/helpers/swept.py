@@ -8,10 +8,18 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import plough_opt as po
+
 
 def waves(values):
     """Return numbers that have no short decimal form."""
     return {"sine": math.sin(values["a"]) * values["b"], "root": math.sqrt(values["b"]) / 3.0}
+
+
+def sweep_waves():
+    """Return the roots of `waves` from a sweep with a worker process."""
+    with po.sweep(waves, {"a": [1.0, 2.0], "b": [2.0, 8.0]}, workers=1) as found:
+        return found.column("root").tolist()
 
 
 def failing(values):

@@ -137,6 +137,8 @@ def test_workers_end_with_the_pool_and_print_to_the_error_stream(capfd):
     with ProcessPool(1, swept.waves) as pool:
         pool.submit(print, "from inside").result(60.0)
         pool.submit(os.system, "echo from a child").result(60.0)
+        # A worker that has begun may sweep itself.
+        assert pool.submit(swept.sweep_waves).result(60.0) == [math.sqrt(b) / 3.0 for b in (2.0, 8.0, 2.0, 8.0)]
     assert set(workers_here()) <= before
     assert capfd.readouterr() == ("", "from inside\nfrom a child\n")
 

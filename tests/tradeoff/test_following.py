@@ -1,5 +1,7 @@
 """Path following: quadratic programs, warm starts, solves from afar, and programs that are reused."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -118,7 +120,10 @@ def test_fronts_of_several_parameters_share_a_build(monkeypatch):
 def test_another_question_is_built_anew():
     d, (first, second) = shifted()
     local = {"points": 9, "search": "local"}
+    began = time.perf_counter()
     front = po.trade_off(d, first, second, **local)
+    assert 0.0 < front.seconds <= time.perf_counter() - began
+    assert "Only the basin of the guess was searched" in front.search
     other = po.trade_off(d, po.Goal("a", first), po.Goal("b", -second, maximise=True), **local)
     assert other.objectives[:, 1] == pytest.approx(-front.objectives[:, 1], abs=1e-9)
     d.require("kept", first, at_least=0.25)

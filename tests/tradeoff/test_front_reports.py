@@ -39,6 +39,9 @@ def test_picture(broken, tmp_path):
     left, *panels = figure.axes
     varying = [name for name, own in zip("xy", broken.designs.T, strict=True) if np.ptp(own) > 1e-4 * np.max(own)]
     assert [axes.get_ylabel() for axes in panels] == varying
+    for axes in panels:
+        low, high = axes.get_ylim()
+        assert all(low < y < high for line in axes.lines for y in line.get_ydata())
     assert all(f"{name} " in figure.get_suptitle() for name in "xy" if name not in varying)
     assert left.get_xlabel() == "a [N]"
     labels = [text.get_text() for text in left.get_legend().get_texts()]

@@ -114,6 +114,10 @@ def test_a_model_outside_its_domain_gives_nan_and_a_reason():
     assert "-" in printed(found)
 
 
+def test_the_least_rupture_ratio_is_taken():
+    assert compare(scene(), rupture_ratio=1.0).depths
+
+
 def test_a_cone_needs_a_rake_angle():
     found = compare(scene(share=po.Cone(po.deg(12.0), 0.25)))
     assert "give rake_angle" in row(found, "Swick-Perumpral").refusal

@@ -92,6 +92,7 @@ def test_correlated_properties_are_refused_or_taken_in_order():
 def test_the_number_of_samples_must_be_a_power_of_two(samples):
     with pytest.raises(po.InputError, match="power of two"):
         sobol_indices(_linear(), {}, samples=samples)
+    assert "y" in sobol_indices(_linear(), {}, samples=2)
 
 
 def test_intervals_repeat():

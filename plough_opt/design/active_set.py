@@ -40,8 +40,8 @@ _NO_GRADIENT = 1e-12
 _FLAT_CURVATURE = 1e-7
 # Where Newton's method fails and the curvature at IPOPT's point is below this, vanishing curvature is the reason.
 _SLOW_CURVATURE = 1e-4
-# Relative singular values below this make gradients linearly dependent; relative rates below this are zero for weakly
-# active sides.
+# Gradients of length 1 are linearly dependent if their matrix has a singular value below this. Rates of weakly active
+# sides count as zero if they are smaller than this part of the largest rate.
 _RANK = 1e-9
 # Relative rates below this are rounding: the side never begins or ceases to decide.
 _ROUNDING = 1e-13
@@ -49,7 +49,7 @@ _ROUNDING = 1e-13
 _MOST_WEAK = 8
 
 _FLAT = (
-    "the objective does not curve along some direction at this optimum: designs beside it are as good to second order,"
+    "the objective does not curve along some direction at this optimum: designs near it are as good to second order,"
     " and the optimum has no derivative"
 )
 

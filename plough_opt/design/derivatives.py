@@ -39,7 +39,7 @@ _CHANGE_TIMES_PHASE = 0.3
 _MOST_CHANGE = 0.03
 # Within this distance of a scaled design the error of derivatives is not measured again.
 _SAME_ERROR = 1e-3
-# Of the runs in a group, at most this many are compared.
+# At most this many runs of a group are compared.
 _MOST_RUNS = 8
 
 

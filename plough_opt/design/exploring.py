@@ -36,7 +36,7 @@ _FACE_DESIGNS = 1024
 _FACE_ISLANDS = 2
 _FACE_DESCENTS = 4
 
-# Where feasible designs are rare, this many infeasible ones are descended from, too.
+# Where feasible designs are rare, descents also start from this many infeasible ones.
 _INFEASIBLE_STARTS = 4
 # An island has converged when the merits of its designs scatter by less than this fraction.
 _ISLAND_CONVERGED = 1e-7
@@ -115,7 +115,7 @@ class Explorer:
         while rounds == 0 or self.effort.more(rounds, self.landscape.designs_tried, began):
             self._round(rounds)
             rounds += 1
-        self.progress("telling basins apart", 0.0)
+        self.progress("distinguishing basins", 0.0)
         minima, basin = self._basins()
         return Explored(concatenated(self._samples), minima, *self._follow_counts(basin), self._least_violating)
 

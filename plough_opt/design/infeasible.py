@@ -175,9 +175,9 @@ def _infeasible(
     alone = "no variable of this design changes it" if len(conflicts) == 1 else "they conflict only with each other"
     against = f"in conflict with {' and '.join(blockers)}" if blockers else alone
     place = declared.describe(program.values(point.y))
-    tried = f" of {designs} tried" if designs else ""
+    best = f"in the best of {designs} designs tried," if designs else "at best"
     return InfeasibleDesign(
-        f"no design was found that meets all requirements: at best{tried} {fails}; {against}."
+        f"no design was found that meets all requirements: {best} {fails}; {against}."
         f" Nearest design: {place}. Loosen one of these limits",
         conflicts,
         blockers,

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 # A cost below this percentage of the objective is rounding.
 _ROUNDING = 1e-9
-_WITHOUT_DESIGN = "this optimum was kept without its design: evaluate expressions before saving it, or solve again"
+_WITHOUT_DESIGN = "this optimum was saved without its design: evaluate expressions before saving it, or solve again"
 
 
 @dataclass(frozen=True, repr=False)
@@ -40,7 +40,7 @@ class Optimum(LocalOptimum):
     inside them integrated tightly; ``best(run)`` simulates the scene at the optimum.
 
     Attributes:
-        over: in words, the part of the tolerance box that the objective covers; "" without one (see `Design.minimise`).
+        over: if the objective is over the tolerance box (see `Design.minimise`), a sentence that says so; else "".
         status: "solved"; "not unique" if ``flat_directions`` lead to equally good designs; or "unconfirmed" if
             derivatives do not confirm that the best design found is an optimum, as on a kink (see ``warnings``).
         flat_directions: directions, as changes of the variables, along which objective and requirements do not change.
@@ -195,8 +195,8 @@ class Optimum(LocalOptimum):
         """Return the best design with some variables restricted to values that can be bought or made.
 
         Fewer than 100,000 combinations of catalogue values are all evaluated, with the other variables as here and at a
-        sample; for the 20 most promising combinations the other variables are optimised. With more combinations, and
-        for scenes with events, only the values just below and just above this optimum's are tried, and the other
+        sample; for the 20 most promising combinations the other variables are optimised. With 100,000 or more,
+        and for scenes with events, only the values just below and just above this optimum's are tried, and the other
         variables are optimised from here. `Rounded.combinations`, `Rounded.screened` and the printed text report this.
         The result is the best combination that meets all requirements, compared as optima are, with the cost of the
         rounding and everything that was tried.
@@ -305,7 +305,7 @@ class Rounded(Optimum):
     def _extent_of_search(self) -> str:
         """Return in words how many combinations were evaluated and optimised."""
         if self.screened < self.combinations:
-            return f"of {self.combinations} combinations only the {self.screened} beside the optimum were tried"
+            return f"of {self.combinations} combinations only the {self.screened} next to the optimum were tried"
         if len(self.tried) < self.screened:
             return f"all {self.screened} combinations were evaluated and {len(self.tried)} of them optimised"
         return f"all {self.combinations} combinations were optimised" if self.combinations > 1 else "the only one"

@@ -41,7 +41,7 @@ _ROUNDS: Final = 3
 _MARGIN: Final = 1e-11
 # A limit is active below this scaled margin.
 _ACTIVE_MARGIN: Final = 1e-8
-# Slopes of limits are dependent if their normalised matrix has a singular value below this fraction of the largest.
+# Slopes of length 1 are dependent if their matrix has a singular value below this.
 _DEPENDENT: Final = 1e-7
 
 

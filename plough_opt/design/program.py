@@ -119,7 +119,7 @@ class Program:
             declared: the declarations.
             compiled: whether to translate the program into machine code.
             bare: if this program covers the tolerance box around a design, the program of the design alone.
-            over: in words, what part of the box is minimised.
+            over: a sentence on the objective over that box, for reports.
 
         Raises:
             InputError: an expression contains a symbol that was not declared, or a run uses the method 'idas'.

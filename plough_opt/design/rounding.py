@@ -42,7 +42,7 @@ class Allowed:
     Attributes:
         number: of the variable among the design's variables.
         variable: the variable.
-        offered: the catalogue's values between the bounds, ascending; or, with a step, the multipliers of the step.
+        offered: the catalogue's values between the bounds, ascending; or, with a step, its whole multiples by number.
         step: whose multiples are allowed; 0 for a catalogue.
     """
 
@@ -138,7 +138,7 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
     return found
 
 
-# Screening this many combinations takes some seconds; with more, only the optimum's neighbours are tried.
+# Screening this many combinations takes some seconds; from here on, only the optimum's neighbours are tried.
 _MOST_SCREENED = 100_000
 # Most combinations that are optimised.
 _MOST_OPTIMISED = 20

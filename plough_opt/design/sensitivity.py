@@ -45,8 +45,9 @@ class Sensitivity:
         then: in words, what begins or ceases to decide below ``valid_from`` and above ``valid_to``.
         touching: limits that just touch the optimum, so that the variables move differently up and down.
         falling: name -> d variable / d value for a falling value.
-        difference: with ``check``, the largest difference from finite differences of optima solved again, of the
-            objective relative to its size and of each variable relative to its range, per relative change of the value.
+        difference: with ``check``, the largest difference between these derivatives and finite differences of optima
+            solved again: of the objective relative to its size, and of each variable relative to its range, per
+            relative change of the value.
     """
 
     name: str
@@ -78,7 +79,7 @@ class Sensitivity:
             met = ", ".join(self.touching)
             text += f" These figures apply to increasing values: {met} is just met, and decides on one side only."
         if self.difference is not None:
-            text += f" Solving again beside this value gives a difference of {self.difference:.1e}."
+            text += f" Solving again near this value gives a difference of {self.difference:.1e}."
         return text
 
 
@@ -280,7 +281,7 @@ class Solved:
         solver = Solver(program.nlp, low, high)
         point = solver.solve(np.clip(self._active.y, lower, upper), p, lower, upper, SolveOptions(near=True))
         if not point.solved:
-            raise NotConverged(f"the check could not solve the design beside the value: {point.status}", point.status)
+            raise NotConverged(f"the check could not solve the design near the value: {point.status}", point.status)
         return np.array([point.f * program.objective_scale, *self._unscaled(point.y)])
 
 

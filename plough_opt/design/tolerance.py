@@ -76,8 +76,8 @@ def ranking_criterion(landscape: Landscape, judge: Judge) -> Callable[[Vector], 
         return median
 
     # A program over a whole tolerance box accounts for the tolerances already.
-    has_box = landscape.program.bare is None and landscape.vectorised
-    return over_tolerances if judge == "tolerance" and has_box else bare
+    samples_boxes = landscape.program.bare is None and landscape.vectorised
+    return over_tolerances if judge == "tolerance" and samples_boxes else bare
 
 
 def ranked(landscape: Landscape, judge: Judge, points: Vector) -> list[int]:

@@ -180,7 +180,7 @@ class TestModels:
     def test_both_orbit_and_transient_are_ranked_and_the_default_is_in_the_first(self, damped):
         titles = [question.title for question in damped.questions]
         own = ["averages of the motion, in machine code"] if find_compiler() else []
-        assert titles == ["averages of the motion", *own, "averages of the lasting orbit"]
+        assert titles == ["averages of the motion", *own, "averages of the periodic orbit"]
         first = damped.questions[0]
         assert any((e.method, e.setting) == first.default for e in damped.of(first))
 

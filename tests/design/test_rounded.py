@@ -127,7 +127,7 @@ def test_of_very_many_combinations_only_the_neighbours_are_tried():
     found = best.rounded(tip_width=0.01, y=1e-3)
     assert found.combinations == 991 * 9901
     assert found.screened == len(found.tried) == 4
-    assert f"of {991 * 9901} combinations only the 4 beside the optimum were tried" in str(found)
+    assert f"of {991 * 9901} combinations only the 4 next to the optimum were tried" in str(found)
 
 
 def test_every_infeasible_combination_is_named():

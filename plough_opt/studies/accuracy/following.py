@@ -42,15 +42,15 @@ _CHECKED_EVERY = 2000
 _MOST_AT_ONCE = 12
 # Shortest step, in parts of the duration.
 _SHORTEST = 1e-16
-# Part of the coefficients of a step that should be above rounding; the next step is as long as that takes.
+# Part of a step's coefficients that should be above rounding. The length of the next step is chosen for that.
 _USED = 0.9
-# Mismatch of a periodic orbit, in units in the last place, below which it need not shrink further.
+# A smaller mismatch of a periodic orbit, in units in the last place, is rounding once it no longer shrinks.
 _STALLED = 1e4
 # Most iterations of Newton's method for a periodic orbit.
 _MOST_ITERATIONS = 20
 # If an iteration leaves more than this part of the mismatch, the derivative is computed anew.
 _SLOW = 0.1
-# Names of the events that end each mode of contact, and those that do so while a share enters without leaving contact.
+# Names of the events that end each mode of contact: with stick-slip, and for an entering share without it.
 _ENDS_OF_CONTACT: Final = {SLIP: "stop", STICK: "move", GAP: "recapture"}
 _ENDS_OF_ENTRY: Final = {SLIP: "retreat", GAP: "advance"}
 

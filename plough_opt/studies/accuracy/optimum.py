@@ -287,7 +287,7 @@ def _tight_slopes(question: Question, y: Vector) -> ca.Function:
 def _active_limits(program: Program, point: Point, g: Vector) -> tuple[Vector, Vector]:
     """Return the numbers of active limits, of requirements and after them of variables, and the limits themselves.
 
-    Multipliers where IPOPT stopped tell which limit is active: they are negative at a lower limit.
+    Multipliers where IPOPT stopped show which limit is active: they are negative at a lower limit.
     """
     low = np.r_[program.low, np.zeros(len(point.y))]
     high = np.r_[program.high, np.ones(len(point.y))]

@@ -159,6 +159,6 @@ def reference_gradient(scene: Scene, duration: float | None) -> ReferenceGradien
     h = WIDE(2.0 ** -(7 + math.ceil(math.log2(1.0 + phase / 8.0))))
     coarse, fine = differences(h), differences(h / 4)
     size = np.max(np.abs(fine))
-    # The error with the longer steps is 4^8 times as large. Divide by 4^4 only, which leaves a margin of as much.
+    # The error with the longer steps is 4^8 times as large. Dividing by only 4^4 leaves a margin of 4^4.
     wrong = np.max(np.abs(fine - coarse)) / (size if size > 0 else 1) / 4.0**4
     return ReferenceGradient(fine, float(max(wrong, 100 * EPS / h)))

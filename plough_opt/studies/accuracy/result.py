@@ -92,7 +92,7 @@ class AccuracyStudy(Saveable):
         defaults: name of a reference -> default method and setting.
         versions: versions of packages, and the machine.
         thoroughness: for a design, success and time of each effort of a search.
-        origin: file or declarations that the study was made from.
+        origin: the question that the study answers.
 
     Example:
         >>> import plough_opt as po
@@ -307,7 +307,7 @@ _LARGER = "the larger of mean draft and RMS"
 _QUESTIONS = (
     Question("averages of the motion", "averages", ("integrator", "model"), MOTION, _FORCES, _LARGER),
     Question("averages of the motion, in machine code", "averages", (MACHINE_CODE,), MOTION, _FORCES, _LARGER),
-    Question("averages of the lasting orbit", "lasting averages", ("integrator", "model"), LASTING,
+    Question("averages of the periodic orbit", "lasting averages", ("integrator", "model"), LASTING,
              {f"lasting {key}": heading for key, heading in _FORCES.items()}, _LARGER),
     Question("gradients of the averages", "gradient", ("derivatives",), DERIVATIVES,
              {"gradient of mean draft": "of mean\ndraft", "gradient of RMS": "of\nRMS"}, _LARGER),
@@ -324,7 +324,7 @@ _QUESTIONS = (
 
 
 def _times(ratio: float) -> str:
-    """Return a ratio of times in words; empty near 1, for times are noisy."""
+    """Return a ratio of times in words; empty near 1, because times are noisy."""
     if 1.0 / _NOISE < ratio < _NOISE:
         return ""
     return f"{ratio:.0f} times " if ratio >= 9.5 else f"{ratio:.1f} times "

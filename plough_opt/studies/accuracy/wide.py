@@ -37,10 +37,11 @@ Rates: TypeAlias = Callable[[Wide, Wide], Wide]
 
 # Most Picard iterations of a step.
 _MOST_ITERATIONS = 60
-# Changes of an iteration, in units in the last place: converged; so small that no further progress is rounding;
-# diverged.
+# Changes by an iteration, in units in the last place. It has converged at or below this.
 _CONVERGED = 4.0
+# Below this it has converged, too, if the changes no longer shrink: they are rounding.
 _STALLED = 1e4
+# From here on it diverges.
 _DIVERGED = 1e40
 # A coefficient below this many units in the last place is rounding.
 _TAIL = 4.0

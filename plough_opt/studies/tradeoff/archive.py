@@ -49,7 +49,7 @@ class Archive:
         vary: numbers of the variables that are searched; empty if only the basin of the guess is wanted.
         tried: number of designs tried.
         vectorised: whether designs are integrated side by side.
-        needles_beyond: number of needles that no point of the front dominates.
+        needles_beyond: number of needles found ahead of the front, without those that other designs dominate.
     """
 
     def __init__(self, front: FrontProgram, search: Search, progress: Progress) -> None:
@@ -97,7 +97,8 @@ class Archive:
         Args:
             points: scaled variables, a row for each design.
             finer: factor on the number of steps of the runs; at least 2 is taken.
-            together: number of designs whose runs take equal numbers of steps; only designs on their own are archived.
+            together: this many consecutive designs are integrated with equal numbers of steps; with more than 1 designs
+                are not archived.
         """
         finer = max(finer, _FINER)
         key = points.tobytes() if len(points) >= _CACHED and finer == _FINER and together == 1 else b""

@@ -94,7 +94,7 @@ def _failures(
 ) -> tuple[Failure, ...]:
     """Return the positions without a design, with objectives in their units.
 
-    Left out are failures beside a design that another beats, since the front misses nothing there, and doubtful
+    Failures next to a design that another beats are left out, since the front misses nothing there. So are doubtful
     candidates that a certified design replaces.
     """
     front, found = tracer.front, list[Failure]()

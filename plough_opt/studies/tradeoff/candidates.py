@@ -49,11 +49,11 @@ class Candidate:
         p: parameters of the subproblem that it solves.
         objectives: normalised.
         exact: whether it was solved with exact slopes.
-        followed: objectives towards less of which its branch has been followed from here.
+        followed: numbers of the objectives that were reduced when its branch was followed from here.
         between: whether it was sought because the front missed a design, so that it lies between positions.
-        inner_neighbour: of an end, an optimum a little along the front, where multipliers are unique, with parameters.
+        inner_neighbour: for an end, an optimum a little inside the front, where multipliers are unique, and its p.
         needle: whether it is a needle; None until that is judged.
-        confirmed: whether it is an optimum; otherwise a design of a search beside which no optimum was found.
+        confirmed: whether it is an optimum; otherwise it is a design of a search, near which no optimum was found.
     """
 
     point: Point
@@ -119,8 +119,8 @@ class Candidates(ABC):
     def anchor_parameters(self) -> list[Vector]:
         """Return the parameters of the subproblem of each anchor.
 
-        Weights apply to the objectives in units of their ranges, so that a small weight stays small beside the range
-        of an objective that hardly changes.
+        The largest weight is kept. Each other one is multiplied by the ratio of that objective's range to its own
+        objective's, so that a small weight stays small compared with an objective that hardly changes.
         """
         sizes = (self._ranges[int(np.argmax(weights))] / self._ranges for weights in self.anchor_weights)
         return [
@@ -233,8 +233,8 @@ class Candidates(ABC):
         """Solve candidates with exact slopes.
 
         Args:
-            candidates: those that are optima and were not solved exactly before.
-            again: whether to solve those that were, because the program now takes more integration steps.
+            candidates: the candidates, of which unconfirmed ones and those solved exactly before are skipped.
+            again: solve only those solved exactly before, because the program now takes more integration steps.
         """
         chosen = [candidate for candidate in candidates if candidate.confirmed and candidate.exact == again]
         for number, one in enumerate(chosen):

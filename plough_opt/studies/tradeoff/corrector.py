@@ -1,4 +1,4 @@
-"""Correctors of the path following: from a predicted design to the optimum beside it, by quadratic programs.
+"""Correctors of the path following: from a predicted design to the optimum near it, by quadratic programs.
 
 `Corrector` uses the exact slopes of the program. `BatchCorrector` integrates a design and its neighbours side by side
 and takes slopes from their differences, which is some twenty times as fast.
@@ -31,7 +31,7 @@ _MOST_STEPS: Final = 15
 _LONGEST_STEP: Final = 0.3
 # A step counts as progress if it is shorter than this part of the shortest one before it.
 _PROGRESS: Final = 0.7
-# Steps without progress after which a correction is given up.
+# Steps in a row without progress after which a correction is given up.
 _PATIENCE: Final = 4
 # A limit whose scaled margin is smaller is active.
 _TOUCHING: Final = 1e-7
@@ -41,7 +41,7 @@ _DAMPED: Final = 0.2
 _LEAST_UPDATE_STEP: Final = 1e-9
 # Factor on the number of integration steps of a search. It leaves averages with errors of some 1e-10, outputs 1e-8.
 _FINER: Final = 4.0
-# Step of differences for slopes: large beside the rounding of a run (some 1e-13), small beside its third derivatives.
+# Step of differences for slopes, between the rounding of a run (some 1e-13) and the error by its third derivatives.
 _SLOPE_STEP: Final = 3e-6
 # Step of differences for curvatures. They only guide the steps, so that two digits will do.
 _CURVATURE_STEP: Final = 1e-4

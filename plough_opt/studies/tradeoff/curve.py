@@ -91,7 +91,7 @@ class CurveTracer(Tracer):
         ahead = self._positions[self._positions > self._position_of(candidate, objective) - _OFF_POSITION]
         for position in ahead:
             start, p = predicted(previous, candidate), self._parameters_for(objective, float(position))
-            # At the candidate's own position, such as that of an anchor, a failure leaves no position without a design.
+            # A failure at the candidate's own position is not recorded: that position has the candidate.
             moves = position - self._position_of(candidate, objective) > _OFF_POSITION
             found = self.solve(candidate, start, p, report=bool(moves))
             if found is None:

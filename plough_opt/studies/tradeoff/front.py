@@ -117,7 +117,7 @@ class FrontPoint:
         needle: whether the median of some objective is worse than its own value by more than 5 % of that value and of
             the objective's range over the front. No workshop can hit such a design.
         confirmed: whether the design is certified as a local optimum. False if it was simulated and meets all
-            requirements, but the optimiser found no optimum beside it that can be made.
+            requirements, but the optimiser found no optimum near it that can be made.
     """
 
     objectives: tuple[float, ...]
@@ -200,7 +200,7 @@ class Front:
         seconds: time taken [s].
         building: part of `seconds` spent on building the program; small if it was built before.
         versions: versions of packages, and the machine.
-        origin: file or declarations that the front was made from.
+        origin: the question that the front answers.
     """
 
     title: str
@@ -294,7 +294,8 @@ class Front:
             by: number of the objective that gains; default the first.
 
         Returns:
-            Per cent; None if there is no rate, or the whole front changes the other objective by less than 1 %.
+            Per cent; None if there is no rate, one objective is 0, or the other changes by less than 1 % along the
+            whole front.
 
         Raises:
             InputError: as for `rate`.

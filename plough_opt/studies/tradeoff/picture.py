@@ -30,7 +30,7 @@ _LEAST_RANGE: Final = 0.02
 _LEAST_CHANGE: Final = 0.01
 # Most ticks of an axis, so that their numbers do not touch.
 _TICKS: Final = 6
-# Relative range of a variable along the front below which it is constant but for the optimiser's rounding.
+# Relative range of a variable along the front below which it is constant except for the optimiser's rounding.
 _CONSTANT: Final = 1e-4
 # Triangles with a side longer than this many times the median lie across a hole.
 _LONGEST_SIDE: Final = 3.0

@@ -1,7 +1,7 @@
 """Positions on a front: where designs are sought, which of those found are shown, and where the front has gaps.
 
 All objectives are normalised and minimised. On a curve each objective is 0 at its own optimum and 1 at the optimum of
-the other one. Between neighbouring positions of a connected curve, the changes of both objectives add up to the same.
+the other one. Between neighbouring positions of a connected curve, the sum of both changes is always the same.
 
 A surface is projected along (1, 1, 1). The objectives minus their mean are the location of a design on the plane of
 utopia (Messac and Mattson 2004), and the positions are the nodes of a lattice on that plane. If neither of two designs
@@ -40,7 +40,7 @@ def gaps(front: Array, step: float) -> list[int]:
 
 
 def uncrowded_on_curve(front: Array, step: float) -> NDArray[np.intp]:
-    """Return the rows of a front without those that crowd beside another; the ends of its parts stay.
+    """Return the rows of a front without those too close to another; the ends of its parts stay.
 
     Args:
         front: normalised objectives of efficient rows, in order.

@@ -107,7 +107,7 @@ class FrontProgram:
             values: of the parameters, in the order of their declaration.
 
         Raises:
-            InputError: the model has no value at the guess or in a sample.
+            InputError: the model has no value at the guess.
             DomainError: the bounds lead out of the model's domain.
         """
         self._values = values.tolist()

@@ -200,7 +200,7 @@ class SurfaceTracer(Tracer):
         lowest = objectives[by_sum[first]]
         best = np.flatnonzero(lead_over_points(lowest, objectives) > -MATTERS)
 
-        # Of the best designs the nearest to each node, if it is not a needle.
+        # Take the best design nearest to each node, unless it is a needle.
         by_distance = np.argsort(self._lattice.distance(objectives[best], nodes[best]), kind="stable")
         best = best[by_distance]
         _, first = np.unique(nodes[best], axis=0, return_index=True)
@@ -254,7 +254,7 @@ class SurfaceTracer(Tracer):
                 extends = at_node and not self._samples_around and min(following) >= -_EXTENSION * self._lattice.steps
                 if following not in queued and (following in self._wanted or extends):
                     queued.add(following)
-                    # The node opposite to the following one, if it is solved, tells in which direction designs change.
+                    # The node opposite to the following one, if it is solved, shows in which direction designs change.
                     i, j, k = (2 * here - there for here, there in zip(node, following, strict=True))
                     waiting.append((found, predicted(solved.get((i, j, k)), found), following))
 
@@ -328,7 +328,7 @@ class SurfaceTracer(Tracer):
         """Return the rows of efficient points that have room: first ends and anchors, then nodes, then the others."""
         room = _ROOM * self.step
         rank = (self._lattice.distance(objectives, self._lattice.nearest(objectives)) > _AT_NODE).astype(int)
-        # An anchor beside another anchor need not stay.
+        # An anchor close to another anchor need not stay.
         anchors = np.argmin(objectives @ _ANCHOR_WEIGHTS.T, axis=0)
         anchors = anchors[uncrowded_on_surface(objectives[anchors], np.ones_like(anchors), room)]
         rank[[*anchors, *(row for pair in hole_ends for row in pair)]] = 0

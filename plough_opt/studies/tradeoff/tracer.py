@@ -25,7 +25,7 @@ _MOST_ROUNDS = 4
 _SPREADS = (0.1, 0.03, 0.01, 0.003)
 # Designs in each of these samples: enough to see the dips between the ripples of a force.
 _SAMPLE = 4096
-# The same around missed designs beside which there is no optimum, such as those at the edge of a needle.
+# The same around missed designs without an optimum nearby, such as those at the edge of a needle.
 _EDGE_SPREADS = (0.03, 0.01, 0.003, 0.001)
 _EDGE_SAMPLE = 1024
 # Missed designs whose tolerances are judged at once.
@@ -178,10 +178,11 @@ class Tracer(Candidates):
     def missed(self, excluded: set[bytes], *, sparse: bool = True) -> list[Vector]:
         """Return designs of the archive that would improve the front, best first and at least `spacing` apart.
 
-        Such a design leads the front, or dominates one of its points.
+        Such a design leads the front, or dominates one of its points. There are none if only the basin of the guess is
+        searched.
 
         Args:
-            excluded: designs to leave out, as bytes. Those tried in vain would hide others beside them.
+            excluded: designs to leave out, as bytes. Those tried in vain would hide others near them.
             sparse: whether to add designs where the front has too few points.
         """
         if not self.archive.vary:
@@ -220,7 +221,7 @@ class Tracer(Candidates):
         gain = np.zeros(len(objectives))
         large = left[leads[left] > self.matters]
         gain[large] = lead_over_front(front, objectives[large], self.step)
-        # A design that dominates a point counts too, however little it leads the line or triangle beside that.
+        # A design that dominates a point counts too, however little it leads the line or triangle next to that.
         strongest, by = strongest_dominators(front, objectives[left])
         better = left[strongest[by > SOUGHT]]
         gain[better] = np.maximum(gain[better], 2.0 * self.matters)
@@ -234,7 +235,7 @@ class Tracer(Candidates):
         return np.zeros(len(objectives))
 
     def add_unconfirmed(self) -> None:
-        """Add the missed designs beside which there is no optimum, as they were simulated.
+        """Add the missed designs without an optimum nearby, as they were simulated.
 
         Where an optimum is a needle, the best designs that can be made lie at its edge and are not optima.
         """

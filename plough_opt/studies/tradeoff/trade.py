@@ -61,7 +61,7 @@ def trade_off(
 
     Anchors and branches come from a sample of all variables, evolution and descents. Then every design tried that is
     better than the front by 0.05 % of the ranges, or than the triangles of a surface by 0.5 %, is followed to an
-    optimum. Needles are not. If there is no optimum beside such a design, it becomes an unconfirmed point of the front.
+    optimum, except needles. If there is no optimum near it, the design becomes an unconfirmed point of the front.
     What no search saw stays unknown. For example::
 
         radius = po.Goal("loosened radius", po.loosened_radius(cone, soil), unit="m", maximise=True)

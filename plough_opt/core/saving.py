@@ -238,12 +238,12 @@ def read_result(path: str | Path, kinds: dict[str, type[_Result]]) -> _Result:
     try:
         return _result_of(_parsed(text), kinds)
     except (ValueError, RecursionError, TypeError) as error:
-        place = error.place if isinstance(error, Misfit) else ""
+        place = f"at {short(error.place)}: " if isinstance(error, Misfit) and error.place else ""
         kind = next(iter(kinds)) if len(kinds) == 1 else "result"
         wanted = f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
         raise InputError(
-            f"'{path}' is not {wanted} of this version (schema {SCHEMA}): at {short(place or 'its beginning')}:"
-            f" {short(str(error), 200)}; choose another file, or save the result again"
+            f"'{path}' is not {wanted} of this version (schema {SCHEMA}): {place}{short(str(error), 200)}; name a file"
+            " that save or --json wrote, or save the result again"
         ) from None
 
 

@@ -358,8 +358,8 @@ class Scene:
             text = f"ambient pressure ({pressure / 1e3:.4g} kPa) carries {100 * share:.0f} % of the static draft"
             if pressure > _GREATEST_OVERBURDEN:
                 text += (
-                    "; soil with open pores would feel only the overburden, a few kPa: set soil.ambient_pressure for"
-                    " that reading"
+                    "; soil with open pores would feel only the overburden, a few kPa: set soil.ambient_pressure if"
+                    " the pores are open"
                 )
             found.append(text)
         return tuple(found)

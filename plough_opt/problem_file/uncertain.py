@@ -256,7 +256,7 @@ def _made(name: str, values: Mapping[str, Any]) -> Any:
     kind = values["distribution"]
     mean, std, lower, upper = (values.get(key, math.nan) for key in ("mean", "std", "lower", "upper"))
     if std <= 0.0:
-        raise InputError(f"'{name}': std must be above 0: give a certain value in [soil]")
+        raise InputError(f"'{name}': std must be above 0: give a value without spread in [soil]")
     if lower >= upper:
         raise InputError(f"'{name}': lower must be below upper")
     if kind == "normal":

@@ -54,8 +54,9 @@ class NamedScene:
         share = self.scene.cone.solid_mass(self.steel_density)
         if self.scene.mass < (1.0 - _ROUNDING) * share:
             raise InputError(
-                f"a share of {self.steel_density:.6g} kg/m^3 has {share:.6g} kg, more than the {self.scene.mass:.6g} kg"
-                " of all that moves: give the scene the mass of frame and share together, or leave steel_density out"
+                f"a share of {self.steel_density:.6g} kg/m^3 has {share:.6g} kg, more than the whole moving mass of"
+                f" {self.scene.mass:.6g} kg: give the scene the mass of frame and share together, or leave steel_density"
+                " out"
             )
 
     def _check_symbols(self) -> None:

@@ -76,7 +76,7 @@ def test_data_at_one_wedge_angle_ask_for_another():
     assert "told apart" in fit.unidentifiable[0].words
     ranking = fit.next_measurements()
     described = [item.candidate.describe() for item in ranking]
-    assert "tool friction 0.2" in ranking[0].candidate.describe() or "by itself" in described[0]
+    assert "tool friction 0.2" in ranking[0].candidate.describe() or "directly" in described[0]
     gain = {item.candidate.describe(): item.information for item in ranking}
     other_angle = max(value for name, value in gain.items() if "wedge_angle" in name)
     # Speed separates the two by the drag alone, some 1 % of the draft; height not at all.

@@ -41,7 +41,7 @@ def test_a_sweep_is_reported_written_and_resumed(cli, cotton, tmp_path, monkeypa
     # Nothing is computed any more, and so no process begins.
     again = cli(*command, "--csv", "again.csv")
     assert again.status == 0
-    assert "6 points were there already" in again.out
+    assert "6 points were stored before" in again.out
     assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "deep" / "table.csv").read_bytes()
     assert len(list(tmp_path.glob("*.sweep.db"))) == 1
 

@@ -303,7 +303,7 @@ def test_the_same_scene_gives_the_same_file(scene, tmp_path):
         ({}, {"strut": "acceleration"}, "must be 'speed' or 'position'"),
         ({"effects": po.Effects(damping=3.0)}, {"strut": "position"}, "a damper in the mount needs the strut's speed"),
         ({"effects": po.Effects(tow_ramp=0.3)}, {"strut": "position"}, "leave tow_ramp out"),
-        ({"mass": 1.0}, {"steel_density": 7850.0}, "more than the 1 kg of all that moves"),
+        ({"mass": 1.0}, {"steel_density": 7850.0}, "more than the whole moving mass of 1 kg"),
         ({}, {"steel_density": -1.0}, "density of the share's material = -1 kg/m^3 must be at least 0"),
         ({}, {"duration": 0.0}, "duration = 0 s must be above 0"),
         ({}, {"name": "two words"}, "must be a C identifier"),

@@ -146,7 +146,7 @@ def _requests(given: Any, kind: type[_Request]) -> list[_Request]:
     requests = [kind(one) if isinstance(one, str) else one for one in ([given] if isinstance(given, str) else given)]
     for one in requests:
         if not isinstance(one, kind):
-            raise InputError(f"{word.lower()} {shown(one)} must be a name, or po.{word}(name, ...) with more about it")
+            raise InputError(f"{word.lower()} {shown(one)} must be a name, or a po.{word}(name, ...)")
     return requests
 
 
@@ -181,4 +181,4 @@ def _mass_notes(named: NamedScene, inputs: Sequence[str]) -> tuple[str, ...]:
     mass_varies = named.steel_density is not None or holds_casadi(mass) or "scene.mass" in inputs
     if mass_varies or not named.scene.effects.motion or not any(name.startswith("share.") for name in inputs):
         return ()
-    return (f"the moving mass stays {mass:.4g} kg whatever the share's size; a steel_density couples it",)
+    return (f"the moving mass stays {mass:.4g} kg whatever the share's size: give a steel_density to couple them",)

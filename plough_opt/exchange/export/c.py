@@ -57,7 +57,7 @@ def _header(component: Component) -> str:
     return f"""/* Written by plough_opt {version("plough_opt")}.
 {comment}
  *
- * Inputs in this order, outputs in this order, columns of several values without gaps.
+ * Inputs and outputs are in this order. The values of a column follow each other without gaps.
  * Compile with -ffp-contract=off to get the same numbers as in Python.
  */
 #ifndef {upper}_H
@@ -84,7 +84,7 @@ extern const char *const {name}_output_units[{upper}_OUTPUTS];
 int {name}_evaluate(const double *inputs, double *outputs);
 
 /* Derivatives of all outputs by all inputs, row by row: jacobian[i * {upper}_INPUTS + j] = d output i / d input j.
- * Returns the same. */
+ * Returns the same codes. */
 int {name}_jacobian(const double *inputs, double *jacobian);
 
 #ifdef __cplusplus
@@ -208,7 +208,7 @@ _UNUSED = """\
 """
 
 _OUTSIDE = """\
-/* Whether an input lies outside its bounds by more than the rounding of an optimiser, or is not a number. */
+/* Whether an input is not a number, or lies outside its bounds by more than optimisers relax them. */
 static int {name}_outside(const double *inputs) {{
   int k;
   for (k = 0; k < {count}; ++k) {{
@@ -228,7 +228,7 @@ NAME_test: NAME_test.c NAME.c NAME.h
 """
 
 _TEST = """\
-/* Holds the compiled component against the values that Python found when it was written. */
+/* Compares the compiled component with the values that Python computed when this file was written. */
 #include <stdint.h>
 #include <stdio.h>
 #include <string.h>
@@ -248,7 +248,7 @@ static const double slopes[POINTS][SLOPES] = {{
 {jacobian}
 }};
 
-/* The number of doubles from one to another. */
+/* Number of doubles from one to the other. */
 static uint64_t ulps(double a, double b) {{
   uint64_t one, other;
   const uint64_t sign = (uint64_t) 1 << 63;

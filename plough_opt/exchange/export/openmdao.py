@@ -48,7 +48,7 @@ class FunctionComponent(om.ExplicitComponent):  # type: ignore[misc]
         self._graph_slopes = ca.Function("slopes", [x], [ca.densify(ca.jacobian(values, x))])
 
     def setup(self) -> None:
-        """Declare inputs, outputs and those partials that are not zero for ever."""
+        """Declare inputs, outputs, and the partials that are not always zero."""
         for port in self._sources:
             self.add_input(port["argument"], val=port["value"], units=units_of(port["unit"]))
         for k, port in enumerate(self._results):
@@ -57,7 +57,7 @@ class FunctionComponent(om.ExplicitComponent):  # type: ignore[misc]
             for j, source in enumerate(self._sources):
                 if self._graph.jac_sparsity(k, j).nnz():
                     self.declare_partials(port["argument"], source["argument"])
-        # What check_partials takes: central differences whose step suits 0.1 rad as well as 1e6 N/m.
+        # `check_partials` uses central differences, with a relative step that suits 0.1 rad as well as 1e6 N/m.
         self.set_check_partial_options("*", method="fd", form="central", step=5e-6, step_calc="rel_element")
 
     def compute(self, inputs: Any, outputs: Any) -> None:
@@ -80,13 +80,15 @@ class FunctionComponent(om.ExplicitComponent):  # type: ignore[misc]
             row += port["size"]
 
     def _values(self, inputs: Any) -> list[float]:
-        """Return the inputs, or refuse those outside their bounds, for which steps and checks were not chosen.
+        """Return the values of the inputs.
 
-        The driver then tries another step.
+        Raises:
+            AnalysisError: an input is outside its bounds, for which steps and checks were not chosen. The driver then
+                tries another step.
         """
         values = [float(inputs[port["argument"]].item()) for port in self._sources]
         for value, port in zip(values, self._sources, strict=True):
-            slack = 1e-6 * (port["upper"] - port["lower"])  # by which optimisers relax bounds
+            slack = 1e-6 * (port["upper"] - port["lower"])  # optimisers relax bounds by this
             if not port["lower"] - slack <= value <= port["upper"] + slack:
                 raise om.AnalysisError(
                     f"{port['argument']} = {value:g} must lie between {port['lower']:g} and {port['upper']:g}, the"
@@ -95,12 +97,12 @@ class FunctionComponent(om.ExplicitComponent):  # type: ignore[misc]
         return values
 
     def add_design(self, model: Any, objective: str, prefix: str = "") -> None:
-        """Make every input a design variable between its bounds, and every output that has limits a constraint.
+        """Make every input a design variable between its bounds, and every output with limits a constraint.
 
         Args:
             model: the group whose driver chooses.
             objective: name of the output to minimise.
-            prefix: path of this component in the model, with a dot at its end; "" where its names are promoted.
+            prefix: path of this component in the model, with a dot at its end; "" if its names are promoted.
         """
         names = [port["argument"] for port in self._results]
         if objective not in names:

@@ -97,7 +97,7 @@ def calibrate(
     unknown: Mapping[str, Any] | None = None,
     **options: Any,
 ) -> Fit:
-    """Find soil and model parameters from measurements, by least squares between bounds.
+    """Estimate soil and model parameters from measurements, by least squares between bounds.
 
     For example::
 

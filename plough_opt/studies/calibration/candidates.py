@@ -177,7 +177,7 @@ def _proposals(setup: Setup) -> list[Candidate]:
         candidates.append(Candidate("loosened_radius", why="loosened_radius"))
     for unknown in setup.model.unknowns:
         error = _direct_error(unknown)
-        why = f"{unknown.name} by itself, to ±{in_words(error, unknown.unit, 3)}"
+        why = f"{unknown.name} measured directly, to ±{in_words(error, unknown.unit, 3)}"
         candidates.append(Candidate(unknown.name, sigma=error, why=why))
     return candidates
 

@@ -199,7 +199,7 @@ class Sweep(Readable):
                 parts.append(f"{state} at {values}: {point.reason}")
             if count > _QUOTED:
                 parts.append(f"... and {count - _QUOTED} more {state}: --csv writes all reasons")
-        there = f"; {self.already} points were there already" if self.already else ""
+        there = f"; {self.already} points were stored before" if self.already else ""
         footer = f"{self.how[:1].upper()}{self.how[1:]}; stored in {self.path}{there}" if self.how else ""
         return Page(f"{stored} points, {failed} failed{also}", tuple(parts), self.notes, footer, self.origin.title)
 

@@ -189,7 +189,7 @@ class SoilDistribution:
             raise InputError("nothing is uncertain: give a property a distribution, such as cohesion=stats.norm(...)")
         check_kind("the soil", soil, Soil, "a soil, which po.named_soil(...) or po.Soil(...) makes")
         for what, given in (("within", within), ("correlation", correlation)):
-            check_kind(what, given, Mapping | None, "a dictionary, by the properties")
+            check_kind(what, given, Mapping | None, "a dictionary with properties as keys")
         bounds = {name: _pair_of(name, ends) for name, ends in (within or {}).items()}
         for name in bounds:
             if name not in properties:

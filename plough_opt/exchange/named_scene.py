@@ -55,8 +55,8 @@ class NamedScene:
         if self.scene.mass < (1.0 - _ROUNDING) * share:
             raise InputError(
                 f"a share of {self.steel_density:.6g} kg/m^3 has {share:.6g} kg, more than the whole moving mass of"
-                f" {self.scene.mass:.6g} kg: give the scene the mass of frame and share together, or leave steel_density"
-                " out"
+                f" {self.scene.mass:.6g} kg: give the scene the mass of frame and share together, or leave"
+                " steel_density out"
             )
 
     def _check_symbols(self) -> None:

@@ -125,7 +125,7 @@ def plot_sweep(swept: Sweep) -> Figure:
 
     Points are not connected, because there may be a resonance between them.
     """
-    check_kind("the sweep", swept, Sweep, "a Sweep, as po.sweep returns one")
+    check_kind("the sweep", swept, Sweep, "a Sweep, as returned by po.sweep")
     names = swept.results[:_MOST_PANELS]
     step = max(1, len(swept) // _MOST_POINTS)
     places, heading = swept.shown(swept.names[0])
@@ -154,7 +154,7 @@ def plot_sweep(swept: Sweep) -> Figure:
 
 def plot_batch(found: BatchResult) -> Figure:
     """Draw RMS force over mean draft for every design of a batch."""
-    check_kind("the batch", found, BatchResult, "a BatchResult, as po.Batch returns one")
+    check_kind("the batch", found, BatchResult, "a BatchResult, as returned by po.Batch")
     figure = Figure(figsize=(6.5, 4.5), layout="constrained")
     axes = figure.subplots()
     step = max(1, len(found) // _MOST_POINTS)
@@ -181,8 +181,8 @@ def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
         best: the optimum.
         run: its numeric run; for several shares the picture shows their responses instead of their shapes.
     """
-    check_kind("the optimum", best, Optimum, "an Optimum, as Design.solve returns one")
-    check_kind("the run", run, Run | Machine, "a numeric Run, as po.simulate returns one")
+    check_kind("the optimum", best, Optimum, "an Optimum, as returned by Design.solve")
+    check_kind("the run", run, Run | Machine, "a numeric Run, as returned by po.simulate")
     panels = list(best.variables) if best.search is not None and len(best.search.objective) > 0 else []
     required = [limit for limit in best.limits if limit.kind == "requirement"]
     rows = -(-len(panels) // _PANELS)

@@ -101,7 +101,7 @@ def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
     Raises:
         InputError: ``run`` is not a run.
     """
-    check_kind("the run", run, Run, "a numeric Run, as po.simulate returns one")
+    check_kind("the run", run, Run, "a numeric Run, as returned by po.simulate")
     panels = changing(run, limits)
     figure = Figure(figsize=(9, 1.0 + 2.3 * max(1, len(panels))), layout="constrained")
     figure.suptitle(subject(run))

@@ -172,7 +172,7 @@ def _angle(name: str, meaning: str, typical: float, path: tuple[str, ...], *, ab
     )  # fmt: skip
 
 
-_COMPACTS = "it is undisturbed over locked density, and the plastic gas model needs soil that compacts"
+_COMPACTS = "it is the ratio of undisturbed to locked density, and the plastic gas model needs soil that compacts"
 MOST_WAVES = 8
 """Largest number of strength waves in a scene."""
 
@@ -210,7 +210,7 @@ QUANTITIES: dict[str, Quantity] = {
             ("soil", "density"), above=True, required=True, plausible=(500.0, 4e3),
         ),
         Quantity(
-            "soil.density_ratio", "density ratio b1", "undisturbed over locked density b1", "", 0.8,
+            "soil.density_ratio", "density ratio b1", "ratio b1 of undisturbed to locked density", "", 0.8,
             ("soil", "density_ratio"), high=1.0, above=True, below=True, why=_COMPACTS, required=True,
         ),
         Quantity(

@@ -217,7 +217,7 @@ def strength_spectrum(record: StrengthRecord, *, base_diameter: float = 0.0) -> 
 
 def checked_diameter(record: StrengthRecord, base_diameter: float) -> float:
     """Return the diameter of a base [m] as a float; raise an error if it or the record is invalid."""
-    check_kind("the record", record, StrengthRecord, "a StrengthRecord, as read_strength_record returns one")
+    check_kind("the record", record, StrengthRecord, "a StrengthRecord, as returned by read_strength_record")
     check_domain("base_diameter", base_diameter, "m", at_least=0.0)
     return plain_number("base_diameter", base_diameter)
 

@@ -259,7 +259,7 @@ class Tabled:
     ("effects", "duration", "said"),
     [
         ({"motion": False}, 1.0, "quasi-static"),
-        ({"strength_wave": WAVE, "orbit": "linearised"}, None, "stand-in"),
+        ({"strength_wave": WAVE, "orbit": "linearised"}, None, "approximation"),
         ({}, None, "duration"),
         ({"own": (Tabled(3.0),)}, 0.1, "wide floats"),
     ],

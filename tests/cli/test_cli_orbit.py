@@ -1,4 +1,4 @@
-"""The command with files that ask for a lasting orbit."""
+"""The command with files that ask for a periodic orbit."""
 
 import json
 

@@ -98,8 +98,8 @@ class Motion:
             raise InputError("a quasi-static scene has no motion to integrate")
         if scene.effects.orbit not in ("transient", "periodic"):
             raise InputError(
-                f"effects.orbit = '{scene.effects.orbit}' is a stand-in for the periodic orbit: use 'periodic' for the"
-                " reference"
+                f"effects.orbit = '{scene.effects.orbit}' is an approximation of the periodic orbit: use 'periodic' for"
+                " the reference"
             )
         speed = WIDE(scene.tow_speed)
         self.scene = replace(scene, stiffness=WIDE(scene.stiffness), mass=WIDE(scene.mass), tow_speed=speed)

@@ -79,8 +79,8 @@ def study_accuracy(
     """Return error against time of every method, model and quadrature that can simulate a scene.
 
     Args:
-        scene: scene with numbers. If it asks for a stand-in for the periodic orbit, all are measured against that
-            orbit.
+        scene: scene with numbers. If it asks for an approximation of the periodic orbit, all are measured against
+            that orbit.
         duration: simulated time [s]; None for a periodic orbit.
         wanted: relative error that the advice is for [-], from 1e-15 to 0.1.
         outputs: number of equal intervals between output times, at which mount forces are compared.

@@ -22,9 +22,9 @@ Keys = tuple[str, ...]
 # Type of a pydantic error -> the rest of a sentence that begins with the key.
 _SCHEMA_MESSAGES = {
     **dict.fromkeys(("model_type", "dict_type", "model_attributes_type"), "must be a table of keys, not {written}"),
-    "bool_type": "= {written} must be true or false",
-    "int_type": "= {written} must be a whole number",
-    "float_type": "= {written} must be a number",
+    "bool_type": "= {written} must be true or false, without quotes",
+    "int_type": "= {written} must be a whole number, without quotes",
+    "float_type": "= {written} must be a number, without quotes",
     "string_type": "= {written} must be a text in quotes",
     "greater_than_equal": "= {written} must be at least {ge}",
     "less_than_equal": "= {written} must be at most {le}",

@@ -1,9 +1,9 @@
-/* What FMI 3.0 leaves to choice: derivatives, the state of the FMU, and what this FMU does not have. */
+/* The optional functions of FMI 3.0: derivatives, the state of the FMU, and those that this FMU does not support. */
 
 /* ---- Derivatives ---- */
 
 #if HAS_DERIVATIVES
-/* Returns where an unknown, or a known, stands in the vectors of the sensitivities; -1 for any other variable. */
+/* Returns the position of an unknown or a known in the vectors of sensitivities; -1 for any other variable. */
 static int place(const Instance *self, Reference which, bool unknown) {
   const bool starting = self->core.phase <= INITIALIZATION;
   if (unknown) return which >= (starting ? STATES : RATES) && which < INPUTS ? (int)which - STATES : -1;
@@ -11,7 +11,8 @@ static int place(const Instance *self, Reference which, bool unknown) {
   return which >= INPUTS && which < DISCRETE ? (int)which - INPUTS + NX : -1;
 }
 
-/* Changes of all unknowns that belong to changes of states, inputs and parameters; at the start the states follow. */
+/* Computes the changes of all unknowns from changes of states, inputs and parameters. At the start the changes of the
+   states are unknowns too: they follow from those of inputs and parameters. */
 static void forwards(Instance *self, bool starting, const double known[], double unknown[]) {
   const double *v = self->core.value, *q = self->core.q, *t = &self->core.time, *du = known + NX, *dp = du + NU;
   double dq[NQ + NC + 1];
@@ -23,7 +24,7 @@ static void forwards(Instance *self, bool starting, const double known[], double
   memcpy(unknown + CALCULATED - STATES, dq + NQ, NC * sizeof(double));
 }
 
-/* The transpose. */
+/* Computes the transpose of `forwards`: sensitivities by states, inputs and parameters from seeds of all unknowns. */
 static void backwards(Instance *self, bool starting, const double unknown[], double known[]) {
   const double *v = self->core.value, *q = self->core.q, *t = &self->core.time;
   double *dx = known, *du = known + NX, *dp = du + NU, dq[NQ + NC + 1], more_u[NU], more_q[NQ + 1];
@@ -115,7 +116,7 @@ FMI3_Export Status NAME(fmi3DeserializeFMUState)(void *instance, const uint8_t b
   return OK;
 }
 
-/* ---- What this FMU does not have ---- */
+/* ---- Unsupported functions ---- */
 
 #define ABSENT(FUNCTION, ...) \
   FMI3_Export Status NAME(FUNCTION)(void *instance, __VA_ARGS__) { \

@@ -1,7 +1,7 @@
-/* FMI 3.0 model exchange around the equations of a share on its mount, which stand above.
+/* FMI 3.0 model exchange for the equations above, those of a share on its mount.
 
-   Value references: 0 is the time; then follow, without a gap, states, rates, outputs, event indicators, calculated
-   parameters, inputs, parameters, and what changes at events alone. The types are those of the FMI 3.0 standard. */
+   Value reference 0 is the time. The others follow without gaps: states, rates, outputs, event indicators, calculated
+   parameters, inputs, parameters, and discrete variables. The types are those of the FMI 3.0 standard. */
 
 #include <stdarg.h>
 #include <stdbool.h>
@@ -50,8 +50,8 @@ enum {
   KNOWNS = NX + NU + NP
 };
 
-/* All that a run depends on, without pointers: a copy of it is the FMU's state. One element more than is used keeps
-   empty arrays legal. */
+/* Everything that a run depends on, without pointers, so that a copy is the FMU's state. The extra element of an array
+   allows it to be empty. */
 typedef struct {
   Phase phase;
   bool derived, retreats;
@@ -85,7 +85,7 @@ static bool finite_all(const double *x, size_t n) {
   return true;
 }
 
-/* Refuses parameters outside their domain, and derives from the others what the equations need. */
+/* Reports a parameter outside its domain; otherwise computes the numbers that the equations need. */
 static Status derived(Instance *self) {
   Core *c = &self->core;
   const double *p = c->value + PARAMETERS;
@@ -106,7 +106,7 @@ static Status derived(Instance *self) {
   return OK;
 }
 
-/* Computes the states at the start, which belong to inputs and parameters. */
+/* Computes the states at the start from inputs and parameters. */
 static Status begun(Instance *self) {
   double *v = self->core.value;
   if (derived(self) != OK) return ERROR;
@@ -274,9 +274,9 @@ FMI3_Export Status NAME(fmi3SetContinuousStates)(void *instance, const double st
   return OK;
 }
 
-/* Hands out some of what is evaluated. */
+/* Copies some of the evaluated values. */
 static Status handed(Instance *self, Reference first, size_t n, size_t expected, double values[]) {
-  if (n != expected) return report(self, ERROR, "%zu values asked for, there are %zu", n, expected);
+  if (n != expected) return report(self, ERROR, "%zu values requested, but there are %zu", n, expected);
   const Status status = evaluated(self);
   if (status == OK) memcpy(values, self->core.value + first, n * sizeof(double));
   return status;
@@ -295,7 +295,7 @@ FMI3_Export Status NAME(fmi3GetContinuousStates)(void *instance, double states[]
 }
 
 FMI3_Export Status NAME(fmi3GetNominalsOfContinuousStates)(void *instance, double values[], size_t n) {
-  if (n != NX) return report(instance, ERROR, "%zu nominal values asked for, there are %d", n, NX);
+  if (n != NX) return report(instance, ERROR, "%zu nominal values requested, but there are %d", n, NX);
   memcpy(values, nominals, NX * sizeof(double));
   return OK;
 }
@@ -312,7 +312,7 @@ FMI3_Export Status NAME(fmi3GetNumberOfContinuousStates)(void *instance, size_t 
   return OK;
 }
 
-/* Warns, once in a run, that a law which always points backwards now pushes a share that retreats. */
+/* Warns once in a run if the share retreats under a contact law whose resistance always points backwards. */
 FMI3_Export Status NAME(fmi3CompletedIntegratorStep)(void *instance, bool final, bool *event, bool *terminate) {
   Instance *self = instance;
   Core *c = &self->core;
@@ -320,8 +320,8 @@ FMI3_Export Status NAME(fmi3CompletedIntegratorStep)(void *instance, bool final,
   *event = *terminate = false;
   if (PUSHES && !c->retreats && c->value[STATES + 1] < 0.0) {
     c->retreats = true;
-    report(self, WARNING, "the share retreats at %.4g s, where a resistance of fixed sign pushes it: "
-           "take a one-sided contact law", c->time);
+    report(self, WARNING, "the share retreats at %.4g s, and a resistance of fixed sign pushes it: "
+           "use a one-sided contact law", c->time);
   }
   return OK;
 }

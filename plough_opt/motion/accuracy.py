@@ -29,13 +29,14 @@ class Accuracy:
         steps: for a fixed-step method, number of steps over the whole duration. Default: as many as the fastest
             oscillation of the scene needs for 1e-8; for a symbolic scene, whose time scales are unknown, at least 400
             of order 8. Under ``"auto"`` a design chooses and refines the number. A numeric run of order 8 takes a few
-            more: the first and last step are halved, for the outputs between them, and there are some on either side of
-            the end of a ramp.
+            more, because it halves the first and the last step and needs some steps on either side of the end of a
+            ramp.
         derivatives: for ``"auto"``, the error to reach in the first and second derivatives of a symbolic scene's
-            averages by relative changes of its numbers, relative to the largest of average, first and second
-            derivatives; default 1e-6. Smooth contact may need more than 400 steps, and events are located more tightly.
-            A symbolic scene has no numbers, so its error is checked later by finer steps: at the optimum of a design,
-            and at points between the bounds of a component. A warning reports an error that was not reached.
+            averages; default 1e-6. Derivatives are by relative changes of the scene's numbers, and their error is
+            relative to the largest of average, first and second derivatives. Smooth contact may need more than 400
+            steps, and events are located more tightly. A symbolic scene has no numbers, so its error is checked later
+            by finer steps: at the optimum of a design, and at points between the bounds of a component. A warning
+            reports an error that was not reached.
         tolerance: for an adaptive method, relative tolerance; default 1e-10. Absolute tolerances follow from it and
             from the scene's own scales of deflection and speed.
 

@@ -16,7 +16,7 @@ from plough_opt.motion.scene import Scene
 
 @dataclass(frozen=True)
 class Embedding:
-    """What a call in a graph computes: (parameters, the duration last; quantities of the scene) -> results of a run.
+    """Meaning of a call in a graph: (parameters, the duration last; quantities of the scene) -> results of a run.
 
     The quantities do not influence the results; with them a design can rebuild the scene.
 

@@ -69,7 +69,7 @@ def simulate(
         ``casadi.hessian(f, x)`` or ``jacobian(gradient(f, x), x)``. CasADi has no second derivatives of a forward
         derivative, as in ``jacobian(jacobian(f, x), x)``, and raises a ``RuntimeError``. A symbolic quasi-static run
         whose tow speed, wavelength or ramp time is a symbol averages over as many panels as it has outputs, at least
-        400. That suffices for about a hundred waves; more are not reported.
+        400. That suffices for about a hundred waves; a warning about a longer run is not given.
 
     Raises:
         DomainError: the duration is not positive.

@@ -75,7 +75,7 @@ def interpreted(case: Case, run: Run) -> tuple[str, ...]:
         kind = f"a run by '{run.accuracy.method}'"
     else:
         return () if case.code else (NO_COMPILER,)
-    return (f"compiled=True has no effect on {kind}: only steps of order 8 can be compiled",)
+    return (f"compiled=True has no effect on {kind}: machine code takes steps of order 8 from a start only",)
 
 
 def _quasi_static(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...]]:

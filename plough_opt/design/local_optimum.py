@@ -27,9 +27,9 @@ class Search:
     """A record of a search.
 
     It estimates how many basins were missed, with the Bayesian rule of Boender and Rinnooy Kan, "Bayesian stopping
-    rules for multistart global optimization methods", Mathematical Programming 37 (1987): if descents from N uniformly
-    random designs end in w different basins, w (w + 1)/(N - w - 2) further basins are expected, with a share
-    w (w + 1)/(N (N - 1)) of the volume of all designs. The descents are rough, so both numbers are approximate.
+    rules for multistart global optimization methods", Mathematical Programming 37 (1987): if N uniformly random
+    designs lead to w different basins, w (w + 1)/(N - w - 2) further basins are expected, with a share
+    w (w + 1)/(N (N - 1)) of the volume of all designs. Descents are rough, so both numbers are approximate.
 
     Attributes:
         asked: extent of the search, as given to `Design.solve`.
@@ -38,8 +38,8 @@ class Search:
         one_by_one: whether runs were integrated one by one, which leaves time for few designs.
         basins: number of basins found.
         polished: number of basins that were optimised.
-        followed: number of random designs from which a descent began, N.
-        reached: number of basins in which these descents ended, w.
+        followed: number of random designs that were followed to their basins, N.
+        reached: number of basins to which they led, w.
         seed: seed of the sample.
         seconds: time that the search took [s].
         values: sample: a row for each design, a column for each variable, in SI units.
@@ -64,13 +64,13 @@ class Search:
 
     @property
     def unseen_basins(self) -> float | None:
-        """Expected number of basins not found; None after too few descents for an estimate."""
+        """Expected number of basins not found; None if too few designs were followed for an estimate."""
         n, w = self.followed, self.reached
         return w * (w + 1) / (n - w - 2) if n > w + 2 else None
 
     @property
     def unseen_volume(self) -> float | None:
-        """Expected share of designs that lead to basins not found; None after too few descents for an estimate."""
+        """Expected share of designs that lead to basins not found; None if too few were followed for an estimate."""
         n, w = self.followed, self.reached
         return w * (w + 1) / (n * (n - 1)) if n > w + 2 else None
 

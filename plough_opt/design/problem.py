@@ -100,7 +100,8 @@ class Design:
 
         Raises:
             InputError: the name is missing or was declared before, a value is not a number, ``unit`` is not an SI unit
-                although numbers are plain, or the bounds contradict each other or the guess.
+                although numbers are plain, the bounds contradict each other, the guess or ``log``, or tolerance or
+                domain is not valid.
         """
         self._refuse_again(name)
         what = f"variable '{name}'"

@@ -112,7 +112,7 @@ class TightEvaluation:
         """Return a tightly integrated run.
 
         Args:
-            run: number of the run; not one of a periodic orbit.
+            run: number of the run.
             parameters: its parameters, with the duration last: see `inputs`.
             scene: its scene.
         """

@@ -169,7 +169,7 @@ def test_the_table_names_the_references_errors(damped):
 class TestModels:
     """Models that simplify the motion, relative to the transient and to the periodic orbit."""
 
-    def test_harmonics_approach_the_lasting_orbit_and_not_the_transient(self, damped):
+    def test_harmonics_approach_the_periodic_orbit_and_not_the_transient(self, damped):
         balance = {e.setting: e.errors for e in damped.entries if e.method == "harmonic balance"}
         one, more = balance["1 harmonic"], balance["8 harmonics"]
         assert 1e-4 < one["lasting averages"] < 1e-2

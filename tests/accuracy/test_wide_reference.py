@@ -213,7 +213,7 @@ def test_against_another_solver_averages_and_all(name):
     assert np.array_equal(found.run.mode[clear].astype(int), other.mode[clear])
 
 
-def test_a_lasting_orbit_returns_to_where_it_began():
+def test_a_periodic_orbit_returns_to_where_it_began():
     share = scene(strength_wave=WAVE, damping=400.0, orbit="periodic")
     found = reference_run(share, outputs=10)
     peak = float(np.max(np.abs(found.run.mount_force)))

@@ -310,7 +310,7 @@ def text(accuracy: Accuracy) -> str:
 # --- models that simplify the motion ---
 
 
-def lasting_orbit(scene: Scene) -> Scene | None:
+def periodic_orbit_of(scene: Scene) -> Scene | None:
     """Return the scene of the periodic orbit under a scene's one strength wave, or None if it has none."""
     effects = scene.effects
     if len(effects.waves) != 1 or not effects.motion:
@@ -321,24 +321,24 @@ def lasting_orbit(scene: Scene) -> Scene | None:
         return None
 
 
-def models(task: Task, motion: Reference | None, lasting: Reference | None) -> list[Entry]:
+def models(task: Task, motion: Reference | None, periodic: Reference | None) -> list[Entry]:
     """Return the entries of models; errors named "lasting ..." are relative to the periodic orbit.
 
     Args:
         task: the task.
         motion: reference of the scene's own motion, or None.
-        lasting: reference of the periodic orbit to which the motion may tend, or None.
+        periodic: reference of the periodic orbit to which the motion may tend, or None.
     """
 
     def errors(found: Run) -> Mapping[str, float]:
-        return _errors("", found, motion) | _errors("lasting ", found, lasting)
+        return _errors("", found, motion) | _errors("lasting ", found, periodic)
 
     contestants, entries = [Contestant("model", "quasi-static", lambda _: _quasi_static(task), errors)], []
     if task.scene.effects.entry:
         reason = "its share is wholly buried from the start, so it cannot enter"
         entries = [failure("model", contestants.pop().method, reason)]
-    transient, orbit = task.scene.effects.orbit == "transient", lasting_orbit(task.scene)
-    if orbit is not None and not (transient and lasting is None):
+    transient, orbit = task.scene.effects.orbit == "transient", periodic_orbit_of(task.scene)
+    if orbit is not None and not (transient and periodic is None):
         around = replace(task, scene=orbit, duration=float(as_number(orbit.wave_period)))
         settings, always = settings_of(around, "dop853")
 

@@ -31,7 +31,7 @@ from plough_opt.motion.accuracy import DEFAULT_ERROR
 from plough_opt.motion.plan import MOST_OUTPUTS
 from plough_opt.motion.scene import Scene
 from plough_opt.studies.accuracy.contest import Entry, Progress
-from plough_opt.studies.accuracy.methods import Task, gradients, integrators, lasting_orbit, models
+from plough_opt.studies.accuracy.methods import Task, gradients, integrators, models, periodic_orbit_of
 from plough_opt.studies.accuracy.optimum import GRADIENT, VARIABLES, design_contest
 from plough_opt.studies.accuracy.quadratures import density_profile, elastic_contact, quasi_static_course, usual_panels
 from plough_opt.studies.accuracy.reference import Reference, reference_gradient, reference_run
@@ -79,8 +79,8 @@ def study_accuracy(
     """Return error against time of every method, model and quadrature that can simulate a scene.
 
     Args:
-        scene: scene with numbers. If it asks for an approximation of the periodic orbit, all are measured against
-            that orbit.
+        scene: scene with numbers. If its orbit is approximate, such as "linearised", all methods are measured against
+            the periodic orbit.
         duration: simulated time [s]; None for a periodic orbit.
         wanted: relative error that the advice is for [-], from 1e-15 to 0.1.
         outputs: number of equal intervals between output times, at which mount forces are compared.
@@ -91,8 +91,9 @@ def study_accuracy(
         progress: called with what is being done and the fraction done.
 
     Raises:
-        InputError: the scene holds symbols, or an argument is outside its range.
-        DomainError: the duration is not positive.
+        InputError: the scene holds symbols, the duration is missing or is given for a periodic orbit, an argument has
+            the wrong type, or ``outputs`` is out of range.
+        DomainError: the duration, the wanted error or the allowance is out of range.
 
     Example:
         >>> import plough_opt as po
@@ -212,15 +213,15 @@ def _contests(task: Task, progress: Progress, *, derivatives: bool) -> tuple[lis
 
     if scene.effects.motion:
         progress("integrating the reference", 0.0)
-        own, around = reference(MOTION, scene, task.given), lasting_orbit(scene)
+        own, around = reference(MOTION, scene, task.given), periodic_orbit_of(scene)
         transient = scene.effects.orbit == "transient"
-        lasting = reference(LASTING, around, None) if transient and around is not None else None
+        periodic = reference(LASTING, around, None) if transient and around is not None else None
         if own is not None:
             progress("integrators", 0.1)
             entries += integrators(task, own)
-        if own is not None or lasting is not None:
+        if own is not None or periodic is not None:
             progress("models", 0.5)
-            entries += models(task, own, lasting)
+            entries += models(task, own, periodic)
         if derivatives:
             progress("derivatives", 0.6)
             gradient = found(DERIVATIVES, partial(reference_gradient, scene, task.given))

@@ -109,7 +109,7 @@ class FrontPoint:
         violation: largest violation of a requirement by a tight integration, relative to its limit.
         gap: largest relative difference of the optimiser's objectives from the tightly integrated ones.
         curvature: least curvature of the Lagrangian along directions that keep the active limits, relative to the
-            largest, by a rough integration; None if there is no such direction, or others dominate the design.
+            largest, by a rough integration; None without such a direction, or for a dominated or unconfirmed design.
         weights: weights of the objectives per unit, from the multipliers. Along the front the weighted changes of the
             objectives add up to zero. None for an isolated design.
         medians: medians of the objectives over the design's tolerances, by the integration of a search; None if runs

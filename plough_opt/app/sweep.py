@@ -37,7 +37,7 @@ def add_options(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--workers", type=int, metavar="N", help="processes on this machine (default: all cores)")
     verb.add_argument("--scheduler", metavar="ADDRESS", help="use the workers of a dask scheduler: tcp://host:8786")
     verb.add_argument("--store", metavar="FILE", help="database of finished points (default: named after the sweep)")
-    verb.add_argument("--retry", action="store_true", help="repeat points that failed or are undetermined")
+    verb.add_argument("--retry", action="store_true", help="repeat points that failed, are undetermined or are damaged")
     verb.add_argument("--npz", metavar="FILE", help="write an array for each column")
     every = "draw every result: .png, .svg or .pdf"
     add_shared(verb, "json", "csv", seed="seed of the sample (default: 0)", plot=every)

@@ -114,7 +114,7 @@ class Box:
         return steps, error
 
     def _error(self, resolution: Resolution) -> float:
-        """Return the largest relative difference from a finer run, in draft, RMS, and mount force over time."""
+        """Return the largest relative difference from a finer run, in draft, RMS, and mount force at the outputs."""
         worst = 0.0
         coarse_run, fine_run = self._evaluated(resolution), self._evaluated(resolution.finer(self._moves))
         for coarse, fine in zip(coarse_run, fine_run, strict=True):

@@ -41,9 +41,10 @@ class Input:
 
     Args:
         name: a quantity's name in problem files, such as "share.height"; with ``symbol`` any name.
-        lower: least value that the component accepts; default: half the scene's value.
-        upper: largest value that it accepts; default: twice the scene's value. Default bounds stay within the model's
-            domain.
+        lower: least value that the component accepts; default: halfway from the scene's value to the lower end of the
+            model's domain, which is mostly 0.
+        upper: largest value that it accepts; default: halfway to the upper end of the domain, but at most twice the
+            scene's value of a quantity that cannot be negative.
         value: value used if a caller omits the input; default: the scene's.
         unit: SI unit; not needed for a quantity of the scene.
         symbol: a CasADi symbol in the scene; it needs bounds.

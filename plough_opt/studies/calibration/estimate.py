@@ -184,7 +184,8 @@ class Interval:
         lower: its lower end; minus infinity if the data do not determine the unknown.
         upper: its upper end.
         clipped: which ends ("lower", "upper") are bounds of the unknown, because the data do not exclude the bounds.
-        kind: "profile"; "linearised" if that was requested, or if the profile could not be computed.
+        kind: "profile"; "linearised" if that was requested, if the interval is too short for the two to differ, or if
+            the profile could not be computed.
     """
 
     lower: float

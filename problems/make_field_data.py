@@ -12,8 +12,9 @@ import numpy as np
 
 PLACES = 8
 SPACING, LENGTH = 0.05, 40.0
-# True values of the transect: RMS and correlation length [m] of random strength, and distance [m] of wheel rows.
+# True values of the transect: RMS and correlation length [m] of the random strength,
 RMS, CORRELATION_LENGTH = 0.12, 0.35
+# and amplitude and distance [m] of the wheel rows.
 ROW_AMPLITUDE, ROWS = 0.08, 1.4
 NOTE = "# synthetic, by make_field_data.py: nothing here was measured"
 

@@ -74,8 +74,8 @@ def beyond_limits(limits: Iterable[tuple[list[Any], float | None, float | None, 
             for sign, limit in ((-1.0, least), (1.0, most)) if limit is not None]  # fmt: skip
 
 
-def lasting(scene: po.Scene, waves: int = 7, steps: int = 64) -> SimpleNamespace:
-    """Return the averages of a scene over the last of some waves, simulated by fourth-order Runge-Kutta steps."""
+def settled_averages(scene: po.Scene, waves: int = 7, steps: int = 64) -> SimpleNamespace:
+    """Return the averages over the last of ``waves`` wavelengths, each of ``steps`` fourth-order Runge-Kutta steps."""
     soil, effects, speed, stiffness = scene.reaction, scene.effects, scene.tow_speed, scene.stiffness
     dt = WAVE.wavelength / speed / steps
 
@@ -108,7 +108,7 @@ def evaluate(rows: Array, n: int) -> SimpleNamespace:
     c.height, c.tube, c.slip = 1.0 + 0.0 * c.spacing, 0.2 + 0.0 * c.spacing, 0.1 + 0.0 * c.spacing
     radii = machine(c, n, lambda _: SimpleNamespace(mean_draft=1.0, force_rms=0.0, displacement_rms=0.0)).radii
     c.height = c.spacing / np.min([a + b for a, b in pairwise(radii)], axis=0)
-    first = machine(c, n, lasting)
+    first = machine(c, n, settled_averages)
 
     def again() -> SimpleNamespace:
         runs = iter(first.runs)

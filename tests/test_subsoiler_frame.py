@@ -67,10 +67,10 @@ def test_traction_by_hand(frame):
 def test_the_motion_in_numpy_converges_to_the_orbit_with_order_4(frame, checks):
     scene = po.Scene(frame.soil(0.5), po.Cone(0.26, 0.35), 3e5, 80.0, 1.4, frame.EFFECTS)
     orbit = po.simulate(scene)
-    errors = [abs(checks.lasting(scene, 12, steps).force_rms / orbit.force_rms - 1.0) for steps in (32, 64)]
+    errors = [abs(checks.settled_averages(scene, 12, steps).force_rms / orbit.force_rms - 1.0) for steps in (32, 64)]
     assert errors[1] < 5e-5
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.3)
-    assert checks.lasting(scene, 12, 64).mean_draft == pytest.approx(orbit.mean_draft, rel=1e-6)
+    assert checks.settled_averages(scene, 12, 64).mean_draft == pytest.approx(orbit.mean_draft, rel=1e-6)
 
 
 # --- the optimum ---

@@ -47,7 +47,7 @@ damping = "400 N*s/m"
 # the manufacturing tolerance is 0.3 % of the range, unless a key "tolerance" sets it, such as "1 mm" or "0.5 %"
 
 [minimise]                        # the sum of these: mean_draft/1 kN + force_rms/1 kN
-# over = "worst"                  # or "mean", over the tolerances, with all requirements met throughout them
+# over = "worst"                  # minimise the worst (or "mean") over the tolerances, and require all limits there
 mean_draft = { per = "1 kN" }
 force_rms  = { per = "1 kN" }
 

@@ -10,7 +10,7 @@ from plough_opt.core.units import in_words
 from plough_opt.design.descents import least_violation
 from plough_opt.design.exploring import Explored
 from plough_opt.design.ipopt import Point, SolveOptions, Vector
-from plough_opt.design.landscape import FEASIBLE_ANSWER, FINER, Evaluations, Landscape, concatenated
+from plough_opt.design.landscape import FINER, Evaluations, Landscape, concatenated
 from plough_opt.design.polishing import point_as_found
 from plough_opt.design.program import Program
 
@@ -53,9 +53,6 @@ def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Ve
         if ends is None:
             ends = concatenated([least_violation(landscape, one) for one in starts])
         ends = ends.select(np.argsort(ends.violation, kind="stable"))
-        if ends.violation[0] <= FEASIBLE_ANSWER:
-            found: Vector = ends.points[0]
-            return found
         ends = ends.select(ends.violation <= (1.0 + _NEAR_LEAST) * ends.violation[0])
         starts, known = list(ends.points), ends.violation.tolist()
     starts = starts[:_POLISHED]

@@ -138,7 +138,7 @@ def figure_of(panels: Sequence[Panel], title: str = "") -> Figure:
     below = len(panels) == columns
     rows = math.ceil((len(panels) + (0 if below else 1)) / columns)
     figure = Figure(figsize=(5.4 * columns, 4.1 * rows + (1.1 if below else 0.0)), layout="constrained")
-    places = list(figure.subplots(rows, columns, squeeze=False).ravel())
+    places = list(figure.subplots(rows, columns).ravel())
     lines: dict[str, Line2D] = {}
     for axes, panel in zip(places, panels, strict=False):
         lines |= draw(axes, panel)

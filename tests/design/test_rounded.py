@@ -122,6 +122,20 @@ def test_a_far_value_that_others_make_better_is_found():
     assert found.objective == pytest.approx(1.0, rel=1e-8)
 
 
+def test_the_lowest_of_many_basins_of_several_free_variables_is_found():
+    """A parabola with ripples in each direction; every variable counts by itself, so the answer is known by hand."""
+
+    def rippled(x, middle):
+        return (x - middle) ** 2 + 0.1 * (1.0 - ca.cos(40.0 * (x - middle)))
+
+    bottom = (0.309, 0.339, 0.751)
+    d, *variables = design(**dict.fromkeys("xyz", (0.3, 0.0, 1.0)))
+    d.minimise(1.0 + sum(map(rippled, variables, bottom)))
+    values = [0.05, 0.25, 0.5, 0.75, 0.95]
+    found = d.solve(search="near").rounded(x=values)
+    assert found.objective == pytest.approx(1.0 + min(float(rippled(x, bottom[0])) for x in values), rel=1e-9)
+
+
 def test_of_very_many_combinations_only_the_neighbours_are_tried():
     best, _, _ = _solved()
     found = best.rounded(tip_width=0.01, y=1e-3)

@@ -161,7 +161,7 @@ def _stiffness(lower, upper):
         ({}, {"duration": None}, "the duration is missing"),
         ({}, {"inputs": ["scene.frame_mass"]}, "needs a steel_density"),
         ({}, {"inputs": ["scene.mass"], "steel_density": 7850.0}, "follows from steel_density"),
-        ({}, {"steel_density": 78500.0}, "more than the 23.1724 kg"),
+        ({}, {"steel_density": 78500.0}, "more than the whole moving mass of 23.1724 kg"),
         ({}, {"inputs": ["scene.stiffness", "scene.stiffness"]}, "twice"),
         ({}, {"outputs": [OWN]}, "'scene.stiffness' and 'scene_stiffness' clash"),
         ({}, {"inputs": [FREE]}, "input MX(k) must be a name, or po.Input(name, ...)"),

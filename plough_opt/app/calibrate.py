@@ -74,7 +74,7 @@ def calibrate(options: argparse.Namespace) -> None:
     unknown = _unknowns(options.unknown)
     if unknown is None and not problem.variables:
         raise InputError(
-            f'{problem.name}: nothing is unknown: give the file [variables], or --unknown soil.cohesion="1..80 kPa"'
+            f'{problem.name}: nothing to estimate: add a table [variables], or --unknown soil.cohesion="1..80 kPa"'
         )
     _note_guesses(problem, unknown, data)
     data += [_known(text, [m.sigma is not None for m in data]) for text in options.known]
@@ -108,7 +108,7 @@ def _unknowns(written: list[str]) -> dict[str, tuple[str, str]] | None:
     for text in written:
         key, *bounds = _split("--unknown", text, ("..",), 'soil.cohesion="1..80 kPa"')
         if key in found:
-            raise InputError(f"--unknown {text}: '{key}' is given twice")
+            raise InputError(f"--unknown {text}: '{key}' is given twice: remove one")
         found[key] = bounds[0], bounds[1]
     return found or None
 

@@ -95,7 +95,7 @@ def _over(options: argparse.Namespace) -> dict[str, object]:
         if not (name and separator and written):
             raise InputError(f'--over {text}: expected KEY=RANGE, like soil.cohesion="5..45 kPa:9"')
         if name in over:
-            raise InputError(f"--over {text}: '{name}' is swept twice")
+            raise InputError(f"--over {text}: '{name}' is swept twice: remove one")
         if name in fixed:
             raise InputError(f"--over {text}: '{name}' is also fixed by --set: remove one of the two")
         quoted = len(written) > 1 and written[0] == written[-1] and written[0] in "\"'"

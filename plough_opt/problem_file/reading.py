@@ -129,7 +129,7 @@ def _over(source: Source) -> Over | None:
     if written not in (None, "worst", "mean"):
         source.note(place, f'over = {short(repr(written))} must be "worst" or "mean" (within the tolerances)')
     elif written is not None and source.data.get("uncertain") is not None:
-        source.note(place, "over judges a design within its tolerances in one soil: remove it, or [uncertain]")
+        source.note(place, "'over' is for tolerances in one soil: remove it, or the table [uncertain]")
     return typing.cast("Over | None", written)
 
 

@@ -78,7 +78,7 @@ def own_effects_of(written: object) -> tuple[OwnResistance, ...]:
     ):
         raise InputError(f"= {shown(written)} must be {_EFFECTS}")
     for one in written:
-        check_named("no own effect is named {}", one["effect"], OWN_EFFECTS)
+        check_named("no effect is named {}", one["effect"], OWN_EFFECTS)
     return tuple(_made(OWN_EFFECTS[one["effect"]], "effect", one) for one in written)
 
 

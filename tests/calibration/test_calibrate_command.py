@@ -101,7 +101,7 @@ def test_wrong_input_is_refused_and_writes_nothing(cli, tmp_path, monkeypatch, a
 def test_a_file_without_unknowns_is_refused_with_the_option_to_give_them(cli):
     done = cli("calibrate", PROBLEMS / "stick_slip.toml", "--data", DATA)
     assert (done.status, done.out) == (2, "")
-    assert "nothing is unknown: give the file [variables], or --unknown soil.cohesion=" in done.err
+    assert "nothing to estimate: add a table [variables], or --unknown soil.cohesion=" in done.err
 
 
 def test_the_shipped_data_are_what_their_script_makes(tmp_path):

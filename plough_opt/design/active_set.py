@@ -178,7 +178,7 @@ class ActiveSet:
         if not self._curved(self.gradients[active, : self.n], _SLOW_CURVATURE):
             raise InputError(_FLAT)
         raise NotConverged(
-            "the limits that decide this optimum cannot be distinguished from those that just do not", "unsettled"
+            "the limits that decide this optimum cannot be distinguished from those that it only touches", "unsettled"
         )
 
     def _newton_step(self, active: Mask, gradient: Vector, gaps: Vector) -> tuple[Vector, Vector]:

@@ -178,7 +178,7 @@ def with_enough_steps(
         program: built.
         p: parameters.
         points: optima, best first.
-        progress: called with the current activity and the fraction done.
+        progress: called with what is being done and the fraction done.
 
     Returns:
         The points, and a warning for each error that is still too large.

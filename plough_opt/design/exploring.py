@@ -14,7 +14,7 @@ from plough_opt.design.landscape import SAME, Evaluations, Landscape, barriers, 
 from plough_opt.design.sampling import MANY_VARIABLES, SEED, evolved, lines_through, local_minima, sample
 
 Progress = Callable[[str, float], None]
-"""Called with the name of the current stage and the completed fraction of that stage."""
+"""Called with what is being done and the fraction of it done."""
 
 # The scan along each variable through the best design.
 _LINE_POSITIONS = 128
@@ -79,7 +79,7 @@ class Explorer:
         variables: numbers of the variables that are searched.
         criterion: scaled designs, a row each -> the values by which basins are ranked, in units of the merit.
         effort: how thoroughly to search.
-        progress: called with the current stage.
+        progress: called with what is being done and the fraction of it done.
         seed: of the samples.
         stop: returns True to end the search at once.
     """

@@ -102,7 +102,7 @@ class Optimum(LocalOptimum):
         parts += [] if self.spread is None else [self.spread.in_words()]
         parts += [] if self.search is None else [str(self.search)]
         trust = (
-            f"objective re-integrated tightly: gap {self.gap:.0e}, error estimate {self.error_estimate:.0e};"
+            f"gap of the objective to a tight integration {self.gap:.0e}, error estimate {self.error_estimate:.0e};"
             f" {self.seconds:.2f} s"
         )
         notes = (*self.warnings, *(() if self.run is None else self.run.warnings))
@@ -125,7 +125,7 @@ class Optimum(LocalOptimum):
             for name, change in direction.items()
             if change
         )
-        return f"The optimum is not unique: nothing changes along {moves}: fix one of these."
+        return f"The optimum is not unique: nothing changes along {moves}. Fix one of these variables."
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a table with a row for each local optimum, best first: objective and variables in SI units.

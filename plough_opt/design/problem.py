@@ -223,10 +223,10 @@ class Design:
             compiled: translate the model into machine code first, with the system's C compiler. That takes some seconds
                 once (the code is kept in the user's cache folder), and each solve then takes a fraction of its time, so
                 it pays for repeated solves. Without a compiler the model is interpreted, with a warning.
-            progress: called with the current activity and the fraction done.
+            progress: called with what is being done and the fraction done.
 
         Returns:
-            The best optimum found, re-integrated tightly, with all local optima.
+            The best optimum found, with its objective by a tight integration, and all local optima.
 
         Raises:
             InputError: there is nothing to minimise or to vary, a name is unknown, or the model has no value at the
@@ -239,7 +239,7 @@ class Design:
         check_choice("judge", judge, ("tolerance", "bare"))
         check_switch("compiled", compiled)
         if progress is not None:
-            check_callable("progress", progress, "of the current activity and the fraction done")
+            check_callable("progress", progress, "of what is being done and the fraction done")
         if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
             raise InputError(f"seed = {shown(seed)} must be a whole number of at least 0")
         declared = self.declared

@@ -266,7 +266,7 @@ def _none_feasible(program: Program, tried: Sequence[Choice], screened: int) -> 
         for choice in least[:_MOST_NAMED]
     ]
     none = f"none of {screened} combinations of values meets" if screened > 1 else "the only combination does not meet"
-    rest = f"; and so on, {len(tried)} of them optimised" if len(tried) > len(texts) else ""
+    rest = f"; and {len(tried) - len(texts)} more that were optimised" if len(tried) > len(texts) else ""
     return InfeasibleDesign(
         f"{none} all requirements: {'; '.join(texts)}{rest}. Loosen one of these, or offer more values",
         least[0].conflicts,

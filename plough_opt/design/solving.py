@@ -60,7 +60,7 @@ class Request:
         search: extent of the search.
         judge: criterion by which optima are compared.
         seed: seed of the samples.
-        progress: called with the current activity and the fraction done.
+        progress: called with what is being done and the fraction done.
         started: time at which the solve began [s].
     """
 

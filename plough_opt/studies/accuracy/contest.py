@@ -311,7 +311,7 @@ def _reason(error: Exception) -> str:
     if isinstance(error, PloughError):
         return str(error)
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return f"CasADi gave up: {lines[-1] if lines else type(error).__name__}"
+    return f"CasADi failed: {lines[-1] if lines else type(error).__name__}"
 
 
 def median_time(action: Use, *, budget: float = 0.5, warm: bool = False) -> float:

@@ -136,5 +136,5 @@ def compiled(nlp: Nlp) -> Nlp:
     """
     translated = as_machine_code(nlp)
     if translated is None:
-        raise NotConverged("no C compiler was found ($CC, cc, gcc, clang), or it refused the program", "Not_Compiled")
+        raise NotConverged("no C compiler was found ($CC, cc, gcc, clang), or it failed", "Not_Compiled")
     return translated

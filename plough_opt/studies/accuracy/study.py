@@ -326,7 +326,7 @@ def _check(wanted: float, title: str, progress: Progress | None, **switches: boo
     """Raise InputError or DomainError if an argument has the wrong type or the wanted error is out of range."""
     check_text("title", title)
     if progress is not None:
-        check_callable("progress", progress, "of what is done and the fraction done")
+        check_callable("progress", progress, "of what is being done and the fraction done")
     for name, value in switches.items():
         check_switch(name, value)
     check_domain("wanted error", plain_number("wanted", wanted), at_least=1e-15, at_most=0.1)

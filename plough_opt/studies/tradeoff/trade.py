@@ -106,7 +106,7 @@ def trade_off(
     check_text("title", title)
     parameters = mapping_of("parameters", parameters, "name -> value")
     if progress is not None:
-        check_callable("progress", progress, "of what is done and the fraction done")
+        check_callable("progress", progress, "of what is being done and the fraction done")
     goals = _goals((first, second, *others))
     notify = progress or silent
     notify("building the model", 0.0)

@@ -89,7 +89,7 @@ class RobustOptimum(Saveable):
         notes = (*self.best.warnings, *self.failures)
         notes += (f"{failed} fresh soils have no result and are left out",) if failed else ()
         footer = (
-            f"{len(self.robust.samples)} samples in one program; robust objective re-integrated tightly: gap"
+            f"{len(self.robust.samples)} samples in one program; gap of the robust objective to a tight integration"
             f" {self.best.gap:.0e}; {self.best.seconds:.1f} s, nominal {self.nominal.seconds:.1f} s, verified in"
             f" {self.fresh.seconds:.1f} s"
         )

@@ -146,7 +146,7 @@ def _requests(given: Any, kind: type[_Request]) -> list[_Request]:
     requests = [kind(one) if isinstance(one, str) else one for one in ([given] if isinstance(given, str) else given)]
     for one in requests:
         if not isinstance(one, kind):
-            raise InputError(f"{word.lower()} {shown(one)} must be a name, or a po.{word}(name, ...)")
+            raise InputError(f"{word.lower()} {shown(one)} must be a name, or po.{word}(name, ...)")
     return requests
 
 

@@ -104,8 +104,8 @@ def print_check(console: Console, problem: Problem) -> None:
                       soft_wrap=True)  # fmt: skip
     if problem.table.uncertain is not None:
         names = ", ".join(key for key in problem.table.uncertain if key.startswith("soil."))
-        console.print(f"Uncertain: {escape(names)}. The command optimise designs for these; the others use the nominal"
-                      " soil.", soft_wrap=True)  # fmt: skip
+        console.print(f"Uncertain: {escape(names)}. plough-opt optimise allows for this; all other commands use the"
+                      " nominal soil.", soft_wrap=True)  # fmt: skip
     for warning in warnings_of(problem):
         console.print(f"[yellow]Note:[/] {escape(warning)}.")
 

@@ -211,7 +211,7 @@ def soil(report: Report) -> Grid:
     if not report.run.scene.law.lacks("cone_index"):
         rows.append(("cone index of a penetrometer", nice(f"{float(cone_index(own)) / 1e3:.4g} kPa")))
         share = 100.0 * float(report.run.scene.ambient_share)
-        rows.append(("static draft due to ambient pressure", f"{share:.0f} %"))
+        rows.append(("part of the static draft due to ambient pressure", f"{share:.0f} %"))
     return Grid.pairs(own.name, *rows)
 
 

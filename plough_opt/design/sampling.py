@@ -95,11 +95,11 @@ def evaluated_sample(landscape: Landscape, count: int = _SAMPLE_SIZE) -> Evaluat
 
 
 def sample(n: int, count: int, start: Vector, rng: np.random.Generator) -> tuple[Vector, np.ndarray]:
-    """Return points between 0 and 1, with the start and the middle, and the shuffled numbers of the uniform ones.
+    """Return points between 0 and 1, the start and the middle among them, and the shuffled numbers of the uniform ones.
 
     Args:
         n: number of variables.
-        count: number of points besides the start and the middle, a power of two.
+        count: number of points besides the start and, with several variables, the middle; a power of two.
         start: the start.
         rng: random numbers.
     """

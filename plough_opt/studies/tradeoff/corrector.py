@@ -43,7 +43,7 @@ _LEAST_UPDATE_STEP: Final = 1e-9
 _FINER: Final = 4.0
 # Step of differences for slopes, between the rounding of a run (some 1e-13) and the error by its third derivatives.
 _SLOPE_STEP: Final = 3e-6
-# Step of differences for curvatures. They only guide the steps, so that two digits will do.
+# Step of differences for curvatures, which only guide the steps and may be rough.
 _CURVATURE_STEP: Final = 1e-4
 # Residual of the first-order conditions that slopes by differences can reach: they have errors of some 1e-7.
 _BATCH_RESIDUAL: Final = 5e-7

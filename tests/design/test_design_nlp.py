@@ -215,7 +215,7 @@ def test_duration_speed_and_wave_may_vary(built, r1_soil):
     damping = d.variable("damping", guess=200.0, lower=10.0, upper=1e3, log=True)
     share = po.Wedge(po.deg(25.0), po.deg(15.0), 0.25)
     effects = po.Effects(strength_wave=po.StrengthWave(0.3, wavelength), damping=damping)
-    run = po.simulate(po.Scene(r1_soil, share, 2e4, 25.0, speed, effects), duration, accuracy=FIXED, outputs=5)
+    run = po.simulate(po.Scene(r1_soil, share, 2e4, 25.0, speed, effects), duration, accuracy=FIXED, outputs=7)
     d.minimise(run.tow_power / 1e3 + run.displacement_rms * 10.0)
     d.require("force", run.mount_force, at_most=5e3)
     program = built(d)

@@ -1,5 +1,6 @@
 """The smooth one-sided contact: its limit of zero width, an independent solver, and its warnings."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from helpers import three_modes
@@ -63,6 +64,19 @@ def test_an_independent_solver_agrees(r1_soil, width, effects):
     scene = scene_of(r1_soil, po.Smooth(width), **effects)
     # A narrow step makes the equation stiff in both programs.
     three_modes.agreed(scene, 1.0, allowed=5e-8, resistance=20.0)
+
+
+def test_a_symbolic_run_ends_steps_at_the_ends_of_the_contacts_step(r1_soil):
+    """Steps across such an end would have an error of 2e-11 here instead of 7e-13."""
+
+    def run_of(stiffness, accuracy):
+        effects = {"start": "rest", "strength_wave": po.StrengthWave(0.3, 0.4), "damping": 100.0}
+        scene = scene_of(r1_soil, po.Smooth(0.2), stiffness=stiffness, **effects)
+        return po.simulate(scene, 1.0, accuracy=accuracy, outputs=1)
+
+    x = ca.MX.sym("x")
+    found = ca.Function("draft", [x], [run_of(x, po.Accuracy("dop853", steps=400)).mean_draft])(2e4)
+    assert float(found) == pytest.approx(run_of(2e4, po.Accuracy(error=1e-11)).mean_draft, rel=3e-12)
 
 
 @pytest.mark.parametrize("speed", [0.02, 0.05, 0.2])

@@ -81,10 +81,10 @@ def compare(
     given_speeds: Any = (*_USUAL_SPEEDS, scene.tow_speed) if speeds is None else speeds
     course = tuple(sorted(_several("speed", "m/s", given_speeds, at_least=0.0)))
     depths = _several("working depth", "m", float(scene.share.height) if depth is None else depth, above=0.0)
-    wide = 2.0 * float(scene.cone.height * scene.cone.slope) if width is None else width
+    tine_width = 2.0 * float(scene.cone.height * scene.cone.slope) if width is None else width
     # Check the tine here once, so that invalid dimensions raise an error and are not reported in every row.
-    Tine(wide, depths[0], math.pi / 2 if rake_angle is None else rake_angle, surcharge, adhesion)
-    tine = {"width": wide, "rake_angle": rake_angle, "surcharge": surcharge, "adhesion": adhesion}
+    Tine(tine_width, depths[0], math.pi / 2 if rake_angle is None else rake_angle, surcharge, adhesion)
+    tine = {"width": tine_width, "rake_angle": rake_angle, "surcharge": surcharge, "adhesion": adhesion}
     rows = _rows(depths, tine, tuple(TEXTURES) if texture is None else (texture,), point, rupture_ratio)
 
     soil = scene.soil if scene.effects.ambient_pressure else dataclasses.replace(scene.soil, ambient_pressure=0.0)
@@ -102,7 +102,7 @@ def compare(
         own=own,
         others=others,
         estimates=estimates(scene, tine, point, [name for name, value in given.items() if value is None]),
-        reasons=reasons(scene, max(depths) / wide, own, others, course),
+        reasons=reasons(scene, max(depths) / tine_width, own, others, course),
     )
 
 

@@ -265,9 +265,9 @@ class Store(Database):
 
     def _damaged_points(self) -> Iterator[int]:
         """Yield the points whose rows differ from their checksums or do not belong to the sweep."""
-        for point, state, reason, kept, *numbers in self.rows(*database.FIXED, *self.about.columns):
-            right = database.checksum(point, state, reason, numbers, len(self.about.names))
-            if kept != right or not 0 <= point < self.about.count:
+        for point, state, reason, stored, *numbers in self.rows(*database.FIXED, *self.about.columns):
+            expected = database.checksum(point, state, reason, numbers, len(self.about.names))
+            if stored != expected or not 0 <= point < self.about.count:
                 yield point
 
     def _gaps(self, end: int) -> Iterator[tuple[int, int]]:

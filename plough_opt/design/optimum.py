@@ -202,7 +202,7 @@ class Optimum(LocalOptimum):
         rounding and everything that was tried.
 
         Args:
-            catalogues: variable's name -> allowed values, or a step of which all multiples are allowed:
+            catalogues: variable's name -> allowed values, or a step whose multiples are all allowed:
                 ``best.rounded({"stiffness": [4e4, 5e4, 6.3e4], "wedge angle": po.deg(1)})``.
             more: the same by keyword, with underscores for spaces: ``wedge_angle=po.deg(1)``.
 
@@ -285,7 +285,7 @@ class Rounded(Optimum):
 
     @property
     def infeasible(self) -> tuple[Choice, ...]:
-        """The combinations with which no values of the other variables meet the requirements."""
+        """The combinations that cannot meet the requirements, whatever the values of the other variables."""
         return tuple(choice for choice in self.tried if choice.objective is None)
 
     def __str__(self) -> str:

@@ -92,7 +92,7 @@ class Design:
             upper: upper bound, likewise.
             unit: SI unit of the symbol, for reports; not needed if the numbers have units.
             log: scale the variable by its logarithm, for bounds that are decades apart.
-            tolerance: half width, in ``unit``, to which a workshop makes it, or a percentage of the value such as
+            tolerance: half width, in ``unit``, of the band that a workshop keeps, or a percentage of the value such as
                 "0.5 %". Optima are judged within it. Default: 0.3 % of the range between the bounds, or of the range of
                 the logarithm with ``log``.
             domain: ends of the model's domain, in ``unit``; sensitivities are valid only within it.

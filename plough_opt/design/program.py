@@ -357,7 +357,7 @@ class Program:
         The arguments are those of `solve`, and ``exact`` is that of `SolveOptions`.
 
         Returns:
-            The point, and the scaled violation of each requirement, of which the sum is least.
+            The point, and the scaled violation of each requirement there; their sum is least.
         """
         g = np.asarray(self.nlp.values(start, p)[1]).ravel()
         slack = first_slack(g, (self.low, self.high), self.owner)

@@ -130,7 +130,7 @@ def local_minima(points: Vector, merit: Vector) -> tuple[np.ndarray, np.ndarray]
         merit: of each point.
 
     Returns:
-        The local minima, and for each point the local minimum to which steps to the lowest neighbour lead from it.
+        The local minima; and for each point the local minimum that repeated steps to the lowest neighbour reach.
     """
     from scipy.spatial import KDTree  # slow to import
 

@@ -169,7 +169,7 @@ class _Solve:
         Args:
             minima: the best design of each basin.
             variables: number of variables that were searched.
-            rounds: rounds of the search, each of which pays for further basins.
+            rounds: number of rounds of the search; the more rounds, the more basins are optimised.
         """
         program, landscape, p = self._program, self._landscape, self._p
         program.scale_by(float(minima.f[np.argmin(minima.merit)]) * landscape.objective_scale)

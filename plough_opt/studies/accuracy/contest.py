@@ -242,7 +242,7 @@ class _Trial:
         return min((entry.seconds for entry in self.good.values()), default=math.inf)
 
     def narrow(self) -> None:
-        """Halve the settings down to two neighbours of which only the finer one reaches the wanted error.
+        """Halve the settings until only the finer one of two neighbours reaches the wanted error.
 
         The halving covers all settings, so that it ends at the same pair whichever of them were measured before.
         Settings finer than one that is known to be good count as good without being measured, for they may take long.

@@ -186,7 +186,7 @@ class Archive:
         return explored.minima.select([k for k in best_first if values[k] <= limit][:_MOST_BASINS])
 
     def evolved_at(self, p: Vector) -> list[Vector]:
-        """Return the designs to which evolution leads in a subproblem, one for each round of the effort.
+        """Return the designs that evolution finds in a subproblem, one for each round of the effort.
 
         Empty if fewer than two variables are searched, or runs are integrated one by one, which takes too long.
         """
@@ -203,7 +203,7 @@ class Archive:
             return landscape(whole(points)).merit
 
         for number in range(self._effort.rounds):
-            # The sample with which `basin_minima` begins, which is cached.
+            # `basin_minima` begins with the same sample, which is cached.
             points, _ = sample(len(own), self._effort.designs, self._start[own], np.random.default_rng([SEED, number]))
             merits = merit(points)
             if np.any(np.isfinite(merits)):

@@ -19,7 +19,7 @@ from plough_opt.studies.tradeoff.program import FrontProgram
 from plough_opt.studies.tradeoff.result import TradeOff
 from plough_opt.studies.tradeoff.tracer import Tracer
 
-# Part of a hole's size by which it is widened, so that a failure at one of its ends counts as inside.
+# A hole is widened by this part of its size, so that a failure at one of its ends counts as inside.
 _HOLE_EDGE = 1e-3
 # Normalised objectives that differ by less are equal.
 _EQUAL = 1e-4

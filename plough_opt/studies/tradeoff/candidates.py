@@ -34,7 +34,7 @@ NOT_WORSE = 1e-5
 # Two optima closer than this, in normalised objectives and in scaled variables, are the same.
 _SAME_OBJECTIVES = 1e-6
 _SAME_DESIGN = 1e-4
-# Most by which normalised objectives change when an optimum is solved exactly; if more, it is another optimum.
+# Largest change of normalised objectives when an optimum is solved exactly; a larger one leads to another optimum.
 _SAME_OPTIMUM = 0.05
 # Limits of the ratio of two objectives' ranges that the weights of an anchor follow.
 _LEAST_RATIO, _LARGEST_RATIO = 1e-3, 1e3
@@ -68,7 +68,7 @@ class Candidate:
 
 
 def predicted(previous: Candidate | None, current: Candidate) -> Vector:
-    """Return the design to which the step from a previous candidate leads if repeated, kept between the bounds."""
+    """Return the design one step ahead, clipped at the bounds: the step from the previous candidate is repeated."""
     before = current if previous is None else previous
     return np.clip(2.0 * current.point.y - before.point.y, 0.0, 1.0)
 

@@ -29,7 +29,7 @@ _FEWEST_POINTS, _MOST_POINTS = 5, 1000
 _REFINEMENTS = 4
 # Relative change of an objective between the anchors below which it is rounding, and the objective conflicts with none.
 _NO_CONFLICT = 1e-5
-# Least size of an objective, in scaled units, to which that change is relative.
+# That change is relative to the objective's size in scaled units, and at least to this.
 _LEAST_SIZE = 1e-3
 # Least range of an objective where one design is best in all, in units of the objective's size at the guess. An
 # objective may be zero there.

@@ -100,6 +100,17 @@ def test_a_path_that_cannot_be_kept(r1_scene):
     assert caught.value.blockers == ["upper bound 500 kN/m of 'stiffness'"]
 
 
+def test_the_least_shortfall_is_found_beside_a_higher_hill_than_the_guess(r1_scene):
+    """Also if each run is integrated by itself, because of its events."""
+    d, x = design(x=(0.2, 0.0, 1.0))
+    d.minimise(po.simulate(r1_scene(stiffness=2e4 * (1.0 + x), contact=po.StickSlip()), 0.02, outputs=1).mean_draft)
+    hills = 0.5 * ca.exp(-(((x - 0.2) / 0.1) ** 2)) + 0.8 * ca.exp(-(((x - 0.8) / 0.1) ** 2))
+    d.require("high", hills, at_least=1.0)
+    with pytest.raises(po.InfeasibleDesign) as caught:
+        d.solve()
+    assert caught.value.conflicts == {"high": pytest.approx(0.2, rel=1e-6)}
+
+
 def test_requirements_that_touch_in_one_point_are_feasible():
     d, x = design(x=(0.9, 0.0, 1.0))
     d.minimise(x**2)

@@ -231,6 +231,7 @@ class Design:
         Raises:
             InputError: there is nothing to minimise or to vary, a name is unknown, or the model has no value at the
                 start.
+            DomainError: the bounds exceed the model's domain, or a motion is too fast to integrate.
             InfeasibleDesign: no design meets the requirements; the error names the conflicting ones and their
                 violations.
             NotConverged: the optimiser stopped without an optimum; the error says why and what to do.

@@ -87,7 +87,9 @@ def trade_off(
         InputError: there are more than three objectives, one is not a scalar expression of this design, a parameter is
             unknown, or the design has no variables.
         InfeasibleDesign: no design was found that meets the requirements.
-        NotConverged: the optimiser finds no optimum of an objective alone, or no point could be certified.
+        DomainError: the bounds exceed the model's domain, or a motion is too fast to integrate.
+        NotConverged: no design has a value, the optimiser finds no optimum of an objective alone, or no point could be
+            certified.
 
     Example:
         >>> import plough_opt as po

@@ -1,6 +1,7 @@
 """One equation by seven methods: results, derivatives, and the causes of failures."""
 
 import functools
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -52,6 +53,15 @@ def test_all_methods_agree(r1_scene, name, accuracy):
         assert getattr(found, attribute) == pytest.approx(getattr(order_8, attribute), rel=0, abs=1e-9 * size), (
             attribute
         )
+
+
+def test_a_damper_with_half_the_critical_damping(r1_scene):
+    """Deflection and damper contribute equally to the expected size of the mount force, which a symbolic run keeps."""
+    plain, x = r1_scene(), ca.MX.sym("x")
+    scene = r1_scene(strength_wave=WAVE, damping=(plain.stiffness * plain.inertia) ** 0.5)
+    run = po.simulate(replace(scene, tow_speed=x), 0.5, accuracy=po.Accuracy("cvodes", tolerance=1e-10), outputs=1)
+    found = float(ca.Function("rms", [x], [run.force_rms])(scene.tow_speed))
+    assert found == pytest.approx(po.simulate(scene, 0.5).force_rms, rel=1e-7)
 
 
 # --- derivatives ---

@@ -81,10 +81,13 @@ def test_no_combination_of_the_catalogue_is_better(number):
 # --- fronts of two objectives and of three, by brute force --------------------------------------------------
 
 
-# The straight lines between neighbouring points deviate from the curve by at most this fraction of a range.
-BESIDE = 2e-3
-# Some that take little time. In one of the curves a dip of the force is a part of the front by itself.
-FRONTS_BY_DEFAULT = {"front": (5, 6), "surface": ()}
+# The straight lines between neighbouring points deviate from the curve by at most this fraction of a range: 40 points
+# show a bend no better. One curve has a corner, where a branch begins, halfway between two of its points.
+BESIDE = 2.5e-3
+BESIDE_A_CORNER = {9: 5e-3}
+# Some that take little time. In one of 5 and 6 a dip of the force is a part of the front by itself; a part of 22 is found
+# by predictions of second order only, and, among the slow ones, parts of 8 by crossing branches only.
+FRONTS_BY_DEFAULT = {"front": (5, 6, 22), "surface": ()}
 FRONTS = {(kind, number): case for kind in FRONTS_BY_DEFAULT for number, case in study.problems(kind).items()}
 
 
@@ -114,7 +117,7 @@ def test_the_whole_front_is_found(kind, number):
     if len(goals) == 2:
         wanted = np.array(truth["objectives"])
         behind = (drawn(front)[:, None, :] - wanted[None, :, :]) / np.ptp(wanted, axis=0)
-        assert np.max(np.min(np.max(behind, axis=2), axis=0)) <= BESIDE
+        assert np.max(np.min(np.max(behind, axis=2), axis=0)) <= BESIDE_A_CORNER.get(number, BESIDE)
 
 
 # --- conflicts that exist, and conflicts that do not ----------------------------------------------------------

@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
+from math import comb
 
 import numpy as np
 
 from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.studies.tradeoff.archive import Archive
-from plough_opt.studies.tradeoff.candidates import OTHERS_WEIGHT, SOUGHT, Arrangement, Candidate, predicted
+from plough_opt.studies.tradeoff.candidates import OTHERS_WEIGHT, SOUGHT, Arrangement, Candidate
 from plough_opt.studies.tradeoff.domination import undominated_in_order
 from plough_opt.studies.tradeoff.positions import gaps, uncrowded_on_curve, without_needless
 from plough_opt.studies.tradeoff.tracer import Tracer
@@ -21,8 +22,14 @@ _CLEARANCE = 1e-6
 _INWARD = 0.01
 # Largest difference, in a scaled variable, of a solve from its prediction on the same branch.
 _SAME_BRANCH = 0.1
+# Optima behind the current one from which the next is predicted.
+_REMEMBERED = 2
+# Each further order of the prediction must correct it by less than this fraction of the correction before.
+_SHRINKS = 0.5
 # Positions in a row without an optimum after which a branch is given up.
 _GIVE_UP = 2
+# Neighbours on the front that differ by more than this in a scaled variable lie on different branches.
+_OTHER_BRANCH = 0.1
 # Most rounds of looking into gaps.
 _GAP_ROUNDS = 6
 # Decimals of normalised objectives by which gaps are recognised again.
@@ -85,21 +92,23 @@ class CurveTracer(Tracer):
             candidate: on the branch.
             objective: number of the objective to reduce.
         """
-        previous: Candidate | None = None
+        behind: list[Vector] = []
         failed, first = 0, candidate
         candidate.followed.add(objective)
         ahead = self._positions[self._positions > self._position_of(candidate, objective) - _OFF_POSITION]
         for position in ahead:
-            start, p = predicted(previous, candidate), self._parameters_for(objective, float(position))
+            start = extrapolated([*behind, candidate.point.y])
+            p = self._parameters_for(objective, float(position))
             # A failure at the candidate's own position is not recorded: that position has the candidate.
             moves = position - self._position_of(candidate, objective) > _OFF_POSITION
             found = self.solve(candidate, start, p, report=bool(moves))
             if found is None:
-                failed, previous = failed + 1, None
+                failed, behind = failed + 1, []
                 if failed == _GIVE_UP:
                     return
                 continue
-            failed, previous, candidate = 0, candidate, found
+            failed, behind = 0, [*behind, candidate.point.y][-_REMEMBERED:]
+            candidate = found
             if objective in candidate.followed and candidate is not first:
                 return
             candidate.followed.add(objective)
@@ -127,6 +136,29 @@ class CurveTracer(Tracer):
         for objective in (1, 0):
             if objective not in candidate.followed:
                 self.follow(candidate, objective)
+
+    def cross_over(self) -> bool:
+        """Start from points of the front with one variable taken from a neighbour on another branch.
+
+        Where branches differ in one variable and the objectives ripple in another, the search may have seen the best
+        ripple of a branch on the other branch only.
+
+        Returns:
+            Whether that gave a candidate better than all others.
+        """
+        improved = False
+        for pair in pairwise(self.efficient()):
+            for candidate, neighbour in (pair, pair[::-1]):
+                p = self.parameters_at(candidate.objectives)
+                for j in np.flatnonzero(np.abs(neighbour.point.y - candidate.point.y) > _OTHER_BRANCH):
+                    start = candidate.point.y.copy()
+                    start[j] = neighbour.point.y[j]
+                    if start.tobytes() not in self.tried:
+                        self.tried.add(start.tobytes())
+                        known = len(self.candidates)
+                        found = self.solve(neighbour, start, p, report=False)
+                        improved |= self.follow_new(found, known)
+        return improved
 
     def parameters_at(self, objectives: Vector) -> Vector:
         """Return the parameters of the subproblem whose position is that of normalised objectives."""
@@ -203,3 +235,20 @@ class CurveTracer(Tracer):
             moved = np.sum(np.abs(self.front.objectives(point.y, exact=one.exact) - one.objectives))
             if point.solved and moved < self.step and self.front.position_decides(point):
                 one.inner_neighbour = (point, p)
+
+
+def extrapolated(points: Sequence[Vector]) -> Vector:
+    """Return the design to which equally spaced designs lead, within the bounds.
+
+    It is the next value of the polynomial through the last of them. The degree rises as long as each further design
+    corrects the prediction by much less than the one before.
+    """
+    predicted, correction = points[-1], np.inf
+    for count in range(2, len(points) + 1):
+        weights = np.array([(-1.0) ** (k + 1) * comb(count, k) for k in range(count, 0, -1)])
+        better = weights @ np.array(points[-count:])
+        size = float(np.max(np.abs(better - predicted)))
+        if size > _SHRINKS * correction:
+            break
+        predicted, correction = better, size
+    return np.clip(predicted, 0.0, 1.0)

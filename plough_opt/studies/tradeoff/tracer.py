@@ -44,6 +44,7 @@ class Tracer(Candidates):
         spacing: least distance of missed designs that are followed at once, in normalised objectives.
         at_once: most missed designs that are followed before the archive is compared with the front again.
         comparisons: most such comparisons before new designs are sampled around the best.
+        tried: starts that need not be tried again, as bytes.
     """
 
     matters: float
@@ -59,7 +60,7 @@ class Tracer(Candidates):
             progress: called with what is being done and the fraction done.
         """
         super().__init__(archive, progress)
-        self._tried: set[bytes] = set()
+        self.tried: set[bytes] = set()
         self._rounds = 0
 
     @abstractmethod
@@ -133,9 +134,13 @@ class Tracer(Candidates):
         for _ in range(_MOST_ROUNDS):
             if sample and self._samples_around:
                 self.sample_around_best()
-            sample = self._follow_missed_now()
+            sample = self.cross_over() | self._follow_missed_now()
             if not sample:
                 return
+
+    def cross_over(self) -> bool:
+        """Start from what branches have in common; return whether that gave a candidate better than all others."""
+        return False
 
     def follow_new(self, candidate: Candidate | None, known: int) -> bool:
         """Follow the branch of a candidate if it is new.
@@ -158,11 +163,11 @@ class Tracer(Candidates):
         """Follow the designs that the front misses now; return whether that gave a candidate better than all others."""
         improved = False
         for number in range(self.comparisons):
-            missed = self.missed(self._tried)
+            missed = self.missed(self.tried)
             for k, y in enumerate(missed[: self.at_once]):
                 done = (number + k / self.at_once) / self.comparisons
                 self.progress("following designs that the front misses", done)
-                self._tried.add(y.tobytes())
+                self.tried.add(y.tobytes())
                 known = len(self.candidates)
                 improved |= self.follow_new(self.candidate_beside(y), known)
             if not missed:

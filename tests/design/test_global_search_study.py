@@ -85,8 +85,8 @@ def test_no_combination_of_the_catalogue_is_better(number):
 # show a bend no better. One curve has a corner, where a branch begins, halfway between two of its points.
 BESIDE = 2.5e-3
 BESIDE_A_CORNER = {9: 5e-3}
-# Some that take little time. In one of 5 and 6 a dip of the force is a part of the front by itself; a part of 22 is found
-# by predictions of second order only, and, among the slow ones, parts of 8 by crossing branches only.
+# Some that take little time. In one of 5 and 6 a dip of the force is a part of the front by itself.
+# Part of 22 is found by predictions of second order only; among the slow ones, part of 8 by crossing branches only.
 FRONTS_BY_DEFAULT = {"front": (5, 6, 22), "surface": ()}
 FRONTS = {(kind, number): case for kind in FRONTS_BY_DEFAULT for number, case in study.problems(kind).items()}
 

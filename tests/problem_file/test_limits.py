@@ -37,7 +37,7 @@ def test_units_with_powers_are_read(cotton, read, written):
 
 def test_quantities_and_files_are_short(changed, cotton, refusal):
     said = refusal(changed(("7.2 km/h", f"{'1' * 400} km/h")))
-    assert "has 405 characters; a quantity may have 100: write it like" in said
+    assert "has 405 characters; a quantity may have at most 100: write it like" in said
     assert "too long for a problem file: at most 100 kB can be read" in refusal(cotton + "# comment\n" * 10_000)
     with pytest.raises(po.InputError, match="at most 100 kB"):  # nor is one without an end read to it
         po.read_problem("/dev/zero")

@@ -75,8 +75,9 @@ def test_what_the_template_comments_out_is_right_too(read):
         line.removeprefix("# ") if line.startswith("# [") or (line.startswith("# ") and " = " in line) else line
         for line in TEMPLATE.splitlines()
     ]
-    # Quasi-static scenes know no start, damper, contact law or entry, and neither do the print and other laws.
-    left = ("motion", "damping", "formulation", "medium")
+    # Quasi-static scenes know no start, damper, contact law or entry, neither do the print and other laws; an orbit has
+    # no duration.
+    left = ("motion", "damping", "orbit", "formulation", "medium")
     text = "\n".join(line for line in lines if not line.startswith(left))
     problem = read(text)
     scene = problem.shares["front"].scene()

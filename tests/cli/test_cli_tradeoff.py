@@ -129,7 +129,12 @@ def test_the_shipped_fronts_are_even_and_certified(name, parts):
 def test_the_shipped_surface_is_even_and_certified():
     front = po.read_problem(PROBLEMS / "draft_oscillation_loosening.toml").trade_off()
     assert len(front.points) > 25
-    assert front.parts == (tuple(range(len(front.points))),)
+    # One anchor is apart: the widest share with the least draft, stiff and slow. Stiff designs between it and the rest
+    # have less than 1e-4 less draft than softer ones, too little for points of their own.
+    body, (alone,) = front.parts
+    assert len(body) == len(front.points) - 1
+    assert front.points[alone].branch == "stiff"
+    assert front.objectives[alone, 2] == pytest.approx(0.22, rel=1e-9)
     assert max(point.gap for point in front.points) < 1e-8
     assert max(point.residual for point in front.points) < 1e-9
     assert {point.branch for point in front.points} == {"soft", "stiff"}
@@ -139,4 +144,4 @@ def test_the_shipped_surface_is_even_and_certified():
     apart = distances(normalised) + np.eye(len(normalised))
     # 45 positions lie an eighth of the range apart, other points at 0.7 of that. Anchors stay, however near.
     assert np.min(apart) > 0.5 / 8.0
-    assert np.max(np.min(apart, axis=1)) < 1.75 / 8.0
+    assert np.max(np.min(apart[list(body)], axis=1)) < 1.75 / 8.0

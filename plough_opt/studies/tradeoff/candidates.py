@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from math import comb
 
 import numpy as np
 
@@ -38,6 +39,8 @@ _SAME_DESIGN = 1e-4
 _SAME_OPTIMUM = 0.05
 # Limits of the ratio of two objectives' ranges that the weights of an anchor follow.
 _LEAST_RATIO, _LARGEST_RATIO = 1e-3, 1e3
+# Each further order of a prediction must correct it by less than this fraction of the correction before.
+_SHRINKS = 0.5
 
 
 @dataclass(eq=False)
@@ -67,10 +70,21 @@ class Candidate:
     confirmed: bool = True
 
 
-def predicted(previous: Candidate | None, current: Candidate) -> Vector:
-    """Return the design one step ahead, clipped at the bounds: the step from the previous candidate is repeated."""
-    before = current if previous is None else previous
-    return np.clip(2.0 * current.point.y - before.point.y, 0.0, 1.0)
+def extrapolated(points: Sequence[Vector]) -> Vector:
+    """Return the design to which equally spaced designs lead, within the bounds.
+
+    It is the next value of the polynomial through the last of them. The degree rises as long as each further design
+    corrects the prediction by much less than the one before.
+    """
+    predicted, correction = points[-1], np.inf
+    for count in range(2, len(points) + 1):
+        weights = np.array([(-1.0) ** (k + 1) * comb(count, k) for k in range(count, 0, -1)])
+        better = weights @ np.array(points[-count:])
+        size = float(np.max(np.abs(better - predicted)))
+        if size > _SHRINKS * correction:
+            break
+        predicted, correction = better, size
+    return np.clip(predicted, 0.0, 1.0)
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,13 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
-from math import comb
 
 import numpy as np
 
 from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.studies.tradeoff.archive import Archive
-from plough_opt.studies.tradeoff.candidates import OTHERS_WEIGHT, SOUGHT, Arrangement, Candidate
+from plough_opt.studies.tradeoff.candidates import OTHERS_WEIGHT, SOUGHT, Arrangement, Candidate, extrapolated
 from plough_opt.studies.tradeoff.domination import undominated_in_order
 from plough_opt.studies.tradeoff.positions import gaps, uncrowded_on_curve, without_needless
 from plough_opt.studies.tradeoff.tracer import Tracer
@@ -24,8 +23,6 @@ _INWARD = 0.01
 _SAME_BRANCH = 0.1
 # Optima behind the current one from which the next is predicted.
 _REMEMBERED = 2
-# Each further order of the prediction must correct it by less than this fraction of the correction before.
-_SHRINKS = 0.5
 # Positions in a row without an optimum after which a branch is given up.
 _GIVE_UP = 2
 # Neighbours on the front that differ by more than this in a scaled variable lie on different branches.
@@ -235,20 +232,3 @@ class CurveTracer(Tracer):
             moved = np.sum(np.abs(self.front.objectives(point.y, exact=one.exact) - one.objectives))
             if point.solved and moved < self.step and self.front.position_decides(point):
                 one.inner_neighbour = (point, p)
-
-
-def extrapolated(points: Sequence[Vector]) -> Vector:
-    """Return the design to which equally spaced designs lead, within the bounds.
-
-    It is the next value of the polynomial through the last of them. The degree rises as long as each further design
-    corrects the prediction by much less than the one before.
-    """
-    predicted, correction = points[-1], np.inf
-    for count in range(2, len(points) + 1):
-        weights = np.array([(-1.0) ** (k + 1) * comb(count, k) for k in range(count, 0, -1)])
-        better = weights @ np.array(points[-count:])
-        size = float(np.max(np.abs(better - predicted)))
-        if size > _SHRINKS * correction:
-            break
-        predicted, correction = better, size
-    return np.clip(predicted, 0.0, 1.0)

@@ -17,7 +17,7 @@ from plough_opt.design.exploring import Progress
 from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.polishing import minimum_from
 from plough_opt.studies.tradeoff.archive import Archive
-from plough_opt.studies.tradeoff.candidates import MATTERS, Arrangement, Candidate, predicted
+from plough_opt.studies.tradeoff.candidates import MATTERS, Arrangement, Candidate, extrapolated
 from plough_opt.studies.tradeoff.domination import lead_over_points, undominated
 from plough_opt.studies.tradeoff.positions import (
     Lattice,
@@ -256,7 +256,8 @@ class SurfaceTracer(Tracer):
                     queued.add(following)
                     # The node opposite to the following one, if it is solved, shows in which direction designs change.
                     i, j, k = (2 * here - there for here, there in zip(node, following, strict=True))
-                    waiting.append((found, predicted(solved.get((i, j, k)), found), following))
+                    behind = [solved[i, j, k].point.y] if (i, j, k) in solved else []
+                    waiting.append((found, extrapolated([*behind, found.point.y]), following))
 
     def follow_everywhere(self, candidate: Candidate) -> None:
         """Follow a branch from the node nearest to a candidate, unless the archive is rich enough to show all of it."""

@@ -81,10 +81,10 @@ def test_no_combination_of_the_catalogue_is_better(number):
 # --- fronts of two objectives and of three, by brute force --------------------------------------------------
 
 
-# The straight lines between neighbouring points deviate from the curve by at most this fraction of a range: 40 points
-# show a bend no better. One curve has a corner, where a branch begins, halfway between two of its points.
-BESIDE = 2.5e-3
-BESIDE_A_CORNER = {9: 5e-3}
+# The straight lines between neighbouring points deviate from the curve by at most this fraction of a range, but on four
+# curves, where they cut a bend, or the corner where a branch begins (9), halfway between two of 40 points.
+BESIDE = 2e-3
+BESIDE_A_BEND = {9: 4.6e-3, 14: 2.2e-3, 29: 2.1e-3, 30: 2.3e-3}
 # Some that take little time. In one of 5 and 6 a dip of the force is a part of the front by itself.
 # Part of 22 is found by predictions of second order only; among the slow ones, part of 8 by crossing branches only.
 FRONTS_BY_DEFAULT = {"front": (5, 6, 22), "surface": ()}
@@ -117,7 +117,7 @@ def test_the_whole_front_is_found(kind, number):
     if len(goals) == 2:
         wanted = np.array(truth["objectives"])
         behind = (drawn(front)[:, None, :] - wanted[None, :, :]) / np.ptp(wanted, axis=0)
-        assert np.max(np.min(np.max(behind, axis=2), axis=0)) <= BESIDE_A_CORNER.get(number, BESIDE)
+        assert np.max(np.min(np.max(behind, axis=2), axis=0)) <= BESIDE_A_BEND.get(number, BESIDE)
 
 
 # --- conflicts that exist, and conflicts that do not ----------------------------------------------------------

@@ -1,29 +1,23 @@
 """The source's figures, and each claim of its Discussion against a closed form or a measured trend."""
 
-import importlib.util
 import math
-import sys
-from pathlib import Path
 
 import matplotlib.image
 import numpy as np
 import pytest
+from helpers.scripts import imported
 from scipy.optimize import minimize_scalar
 
 import plough_opt as po
 
-SCRIPT = Path(__file__).parents[1] / "problems" / "paper_figures.py"
 RATIOS = (0.2, 0.4, 0.6, 0.8, 0.95)
 STIFFNESSES = (50.0, 200.0, 500.0)
 
 
 @pytest.fixture(scope="module")
 def paper():
-    spec = importlib.util.spec_from_file_location("paper_figures", SCRIPT)
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
+    with imported("paper_figures") as module:
+        yield module
 
 
 def swings(paper, stiffness, ratios=RATIOS):

@@ -1,26 +1,20 @@
 """The script that studies five scenes: its scenes, picture and output."""
 
 import dataclasses
-import importlib.util
-import sys
-from pathlib import Path
 
 import matplotlib.image
 import pytest
+from helpers.scripts import imported
 
 import plough_opt as po
 
-SCRIPT = Path(__file__).parents[2] / "problems" / "accuracy_cost.py"
 NAMES = ["smooth", "stiff", "resonant", "stick and slip", "entry from first contact"]
 
 
 @pytest.fixture
 def cost():
-    spec = importlib.util.spec_from_file_location("accuracy_cost", SCRIPT)
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
+    with imported("accuracy_cost") as module:
+        yield module
 
 
 def test_the_scenes_are_what_they_are_called(cost):

@@ -5,6 +5,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from helpers.scripts import imported
 
 import plough_opt as po
 from plough_opt.app import main
@@ -105,14 +106,10 @@ def test_a_file_without_unknowns_is_refused_with_the_option_to_give_them(cli):
 
 
 def test_the_shipped_data_are_what_their_script_makes(tmp_path):
-    import importlib.util
-
-    spec = importlib.util.spec_from_file_location("synthetic_draft", PROBLEMS / "synthetic_draft.py")
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
     (tmp_path / "calibration.toml").write_text(FILE.read_text(encoding="utf-8"), encoding="utf-8")
-    script.FOLDER = tmp_path
-    script.main()
+    with imported("synthetic_draft") as script:
+        script.FOLDER = tmp_path
+        script.main()
     made = (tmp_path / "synthetic_draft.csv").read_text(encoding="utf-8")
     assert made == DATA.read_text(encoding="utf-8")
     assert made.startswith("# SYNTHETIC: nothing here was measured. Made by: python problems/synthetic_draft.py")

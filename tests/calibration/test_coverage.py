@@ -1,11 +1,10 @@
 """How often the intervals contain the true values: the benchmark behind the table in docs/calibration.md."""
 
-import importlib.util
 import re
-import sys
 from pathlib import Path
 
 import pytest
+from helpers.scripts import imported
 from scipy import stats
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -13,12 +12,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.fixture(scope="session")
 def script():
-    """Return problems/calibration_coverage.py as a module."""
-    spec = importlib.util.spec_from_file_location("calibration_coverage", ROOT / "problems" / "calibration_coverage.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    """Yield problems/calibration_coverage.py as a module."""
+    with imported("calibration_coverage") as module:
+        yield module
 
 
 def identifiable(found):

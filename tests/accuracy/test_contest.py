@@ -92,6 +92,25 @@ def clocked(method, counts, order, *, factor=1.0, fixed=False):
     return Contestant("family", method, prepare, lambda found: found, rungs, shown, label), tried
 
 
+def counted(seconds):
+    """Return a contestant of two settings, a clock in a list that its uses wind, and the steps of all uses so far.
+
+    Args:
+        seconds: steps -> time of a use [s].
+    """
+    now, done = [0.0], []
+
+    def prepare(steps):
+        def use():
+            done.append(steps)
+            assert len(done) < 10_000, "the contest does not end"
+            now[0] += seconds(steps)
+
+        return use, lambda: {"error": 1.0 / steps}
+
+    return dataclasses.replace(clocked("fast", (1, 2), 8, fixed=True)[0], prepare=prepare), now, done
+
+
 class TestTracks:
     """The cheapest good setting between those measured in any case, by a clock that knows the time of a step."""
 
@@ -169,36 +188,17 @@ class TestTracks:
 
     def test_turns_of_what_takes_long_are_few(self, monkeypatch):
         monkeypatch.undo()
-        now, done = [0.0], []
-
-        def prepare(steps):
-            def use():
-                done.append(steps)
-                now[0] += 3.0
-
-            return use, lambda: {"error": 1.0 / steps}
-
+        contestant, now, done = counted(lambda _steps: 3.0)
         monkeypatch.setattr(contest.time, "process_time", lambda: now[0])
-        track, _ = clocked("fast", (1, 2), 8, fixed=True)
-        measured([dataclasses.replace(track, prepare=prepare)], "error", 1.0, 10.0)
+        measured([contestant], "error", 1.0, 10.0)
         # Three times for a median, and in turns until both have taken twice the allowance of one use.
         assert len(done) == 2 * (3 + 4)
 
     def test_a_clock_that_ticks_coarsely_still_tells_short_uses_apart(self, monkeypatch):
         """On Windows, and under a limit of processor time, a use between two ticks seems to take no time."""
         monkeypatch.undo()
-        now, done = [0.0], []
-
-        def prepare(steps):
-            def use():
-                done.append(steps)
-                assert len(done) < 10_000, "the contest does not end"
-                now[0] += 1e-4 * steps / 40.0
-
-            return use, lambda: {"error": 1.0 / steps}
-
+        contestant, now, _ = counted(lambda steps: 1e-4 * steps / 40.0)
         monkeypatch.setattr(contest.time, "process_time", lambda: now[0] // 0.016 * 0.016)
-        track, _ = clocked("fast", (1, 2), 8, fixed=True)
-        entries = measured([dataclasses.replace(track, prepare=prepare)], "error", 1.0, 10.0)
+        entries = measured([contestant], "error", 1.0, 10.0)
         # A turn is one tick: some 160 uses of one setting and 80 of the other.
         assert [entry.seconds for entry in entries] == pytest.approx([1e-4, 2e-4], rel=0.05)

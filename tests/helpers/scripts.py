@@ -3,9 +3,8 @@
 import importlib.util
 import sys
 from contextlib import contextmanager
-from pathlib import Path
 
-PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
+from helpers.problem_files import PROBLEMS
 
 
 @contextmanager

@@ -1,33 +1,23 @@
 """The JSON schema of problem files against an independent validator, and against what reading a file refuses."""
 
 import tomllib
-from pathlib import Path
 
 import jsonschema
 import pytest
+from helpers.problem_files import PROBLEMS, changed
 
-import plough_opt as po
 from plough_opt.problem_file import TEMPLATE
 from plough_opt.problem_file.json_schema import file_schema
 
-PROBLEMS = sorted((Path(__file__).parents[2] / "problems").glob("*.toml"))
 SCHEMA = file_schema()
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
-
-
-def mistakes(text):
-    """Return the keys at which a text breaks the schema."""
-    return [list(error.absolute_path) for error in VALIDATOR.iter_errors(tomllib.loads(text))]
 
 
 def test_it_is_a_schema_whose_parts_all_exist():
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
     assert '"null"' not in repr(SCHEMA).replace("'", '"')  # TOML has none
-
-
-@pytest.mark.parametrize("text", [TEMPLATE, *(path.read_text(encoding="utf-8") for path in PROBLEMS)])
-def test_valid_files_pass(text):
-    assert mistakes(text) == []
+    for text in (TEMPLATE, *(path.read_text(encoding="utf-8") for path in PROBLEMS.glob("*.toml"))):
+        VALIDATOR.validate(tomllib.loads(text))
 
 
 @pytest.mark.parametrize(
@@ -41,14 +31,10 @@ def test_valid_files_pass(text):
         ("half_angle      = { at_most", "half_angle      = { at_mots"),
     ],
 )
-def test_a_mistake_is_marked_that_reading_refuses_too(right, wrong, tmp_path):
-    assert right in TEMPLATE
-    text = TEMPLATE.replace(right, wrong)
-    path = tmp_path / "wrong.toml"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(po.InputError):
-        po.read_problem(path)
-    assert mistakes(text)
+def test_a_mistake_is_marked_that_reading_refuses_too(refusal, right, wrong):
+    text = changed((right, wrong))
+    assert refusal(text)
+    assert not VALIDATOR.is_valid(tomllib.loads(text))
 
 
 def test_meanings_and_units_are_those_of_the_registry():

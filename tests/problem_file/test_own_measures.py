@@ -4,10 +4,10 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from helpers.commands import printed
+from helpers.problem_files import COTTON, changed
 
 import plough_opt as po
-from plough_opt.app import main
-from plough_opt.problem_file import TEMPLATE
 from plough_opt.problem_file.own_measures import measures_of
 
 RIGHT = {
@@ -19,12 +19,10 @@ RIGHT = {
 }
 
 
-def written(tmp_path, measures):
-    """Return the path of the template with a table of own results."""
-    rows = [f'{name} = {{ value = "{text}", unit = "{unit}" }}' for name, (text, unit) in measures.items()]
-    path = tmp_path / "own.toml"
-    path.write_text("\n".join([TEMPLATE, "[measures]", *rows, ""]), encoding="utf-8")
-    return path
+def written(measures, text=COTTON):
+    """Return a problem file with a table of own results."""
+    rows = [f'{name} = {{ value = "{value}", unit = "{unit}" }}' for name, (value, unit) in measures.items()]
+    return "\n".join([text, "[measures]", *rows, ""])
 
 
 def by_hand(run):
@@ -40,8 +38,8 @@ def by_hand(run):
     }
 
 
-def test_values_are_those_of_the_arithmetic(tmp_path):
-    problem = po.read_problem(written(tmp_path, RIGHT))
+def test_values_are_those_of_the_arithmetic(read):
+    problem = read(written(RIGHT))
     run = problem.simulate()
     found = measures_of(problem.table)
     for name, value in by_hand(run).items():
@@ -50,13 +48,12 @@ def test_values_are_those_of_the_arithmetic(tmp_path):
         assert problem.displays[name].symbol == RIGHT[name][1]
 
 
-def test_one_is_minimised_and_another_required(tmp_path):
-    path = written(tmp_path, RIGHT)
-    text = path.read_text(encoding="utf-8")
-    text = text.replace('mean_draft = { per = "1 kN" }', 'power_per_width = { per = "1 kW/m" }')
-    text = text.replace("[require]", '[require]\ndraft_per_depth = { at_most = "150 N/cm" }')
-    path.write_text(text, encoding="utf-8")
-    best, run = po.read_problem(path, ["scene.duration=0.5 s"]).optimise(search="near")
+def test_one_is_minimised_and_another_required(read):
+    text = changed(
+        ('mean_draft = { per = "1 kN" }', 'power_per_width = { per = "1 kW/m" }'),
+        ("[require]", '[require]\ndraft_per_depth = { at_most = "150 N/cm" }'),
+    )
+    best, run = read(written(RIGHT, text), "scene.duration=0.5 s").optimise(search="near")
     expected = by_hand(run)
     # The design integrates its own run: both are right to 1e-8.
     assert best.objective == pytest.approx(expected["power_per_width"] + run.force_rms / 1e3, rel=1e-7)
@@ -64,18 +61,16 @@ def test_one_is_minimised_and_another_required(tmp_path):
     assert best.margins["draft_per_depth"] == pytest.approx(100.0 * (150.0 - expected["draft_per_depth"]), abs=1e-3)
 
 
-def test_it_stands_in_the_response_and_in_a_sweep(tmp_path, capsys):
-    path = str(written(tmp_path, RIGHT))
-    assert main(["simulate", path]) == 0
-    assert "power per width" in capsys.readouterr().out
-    with ThreadPoolExecutor(1) as inline:
-        swept = po.sweep(po.read_problem(path), {"share.height": "0.2..0.3 m:2"}, executor=inline)
-    with swept:
+def test_it_stands_in_the_response_and_in_a_sweep(read):
+    problem = read(written(RIGHT))
+    assert "power per width" in printed("simulate", problem.name)
+    over = {"share.height": "0.2..0.3 m:2"}
+    with ThreadPoolExecutor(1) as inline, po.sweep(problem, over, executor=inline) as swept:
         assert {*RIGHT} <= {*swept.results}
 
 
-def test_brackets_alone_nest_nothing(tmp_path):
-    assert po.read_problem(written(tmp_path, {"mine": ("(" * 90 + "force_rms" + ")" * 90, "N")}))
+def test_brackets_alone_nest_nothing(read):
+    assert read(written({"mine": ("(" * 90 + "force_rms" + ")" * 90, "N")}))
 
 
 @pytest.mark.parametrize(
@@ -86,21 +81,15 @@ def test_brackets_alone_nest_nothing(tmp_path):
         ("mine", "deflection", "m", "mean_deflection"),
         ("mine", "force_rms + tow_power", "N", "unlike"),
         ("mine", "force_rms / mean_draft", "N", "has the unit 'N', but its expression has no unit"),
-        ("mine", "force_rms", "kW", "unit"),
         ("mine", "force_rms", "florin", "florin"),
         ("mine", "force_rms +", "N", "expression"),
         ("mine", "force_rms ** tow_power", "N", "power"),
         ("mine", "force_rms ** 99", "N", "99"),
         ("mine", "__import__('os')", "", "cannot be computed"),
-        ("mine", "force_rms if tow_power else 2", "N", "cannot be computed"),
         ("mine", "sqrt(force_rms, 2)", "N", "arguments"),
         ("mine", "-" * 60 + "force_rms", "N", "deep"),
         ("mine", "force_rms" + " + force_rms" * 40, "N", "characters"),
     ],
 )
-def test_wrong_ones_are_refused_with_their_line(name, value, unit, words, tmp_path):
-    path = written(tmp_path, {name: (value, unit)})
-    line = path.read_text(encoding="utf-8").splitlines().index("[measures]") + 2
-    with pytest.raises(po.InputError, match=words) as refused:
-        po.read_problem(path)
-    assert f"line {line}" in str(refused.value)
+def test_wrong_ones_are_refused_with_their_line(blames, name, value, unit, words):
+    blames(written({name: (value, unit)}), f"{name} = {{ value", words)

@@ -1,10 +1,13 @@
 """Random strength in problem files: as quantities or a record, in every question that takes a result."""
 
 import math
+import shutil
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.problem_files import PROBLEMS, changed
 
 import plough_opt as po
 from plough_opt.problem_file.robust_design import optimise_robust
@@ -12,35 +15,21 @@ from plough_opt.problem_file.robust_design import optimise_robust
 GIVEN = 'random_strength = { rms = 0.2, correlation_length = "0.3 m" }'
 RECORD = 'random_strength = { record = "record.csv" }'
 NAMES = ("stationary_force_rms", "stationary_displacement_rms")
+WAVE = 'strength_wave = { amplitude = 0.3, wavelength = "0.2 m" }'
 
 
-@pytest.fixture
-def written(changed):
-    """Return the problem file's text with random strength in the place of its wave, and its RMS in that of a run's."""
-
-    def written(given=GIVEN, *changes):
-        text = changed(('strength_wave = { amplitude = 0.3, wavelength = "0.2 m" }', given))
-        text = text.replace("force_rms", "stationary_force_rms")
-        for old, new in changes:
-            assert old in text
-            text = text.replace(old, new)
-        return text
-
-    return written
+def written(given=GIVEN, *places):
+    """Return a problem file with random strength in the place of its wave, and its RMS in that of a run's."""
+    return changed((WAVE, given), ("force_rms  =", "stationary_force_rms ="), *places)
 
 
 @pytest.fixture(autouse=True)
 def record(tmp_path):
-    """Write a record of two waves in noise beside the file."""
-    x = np.arange(0.0, 30.0, 0.05)
-    noise = np.random.default_rng(1).standard_normal(len(x))
-    y = 1500.0 * (1.0 + 0.2 * np.sin(8.0 * x) + 0.1 * np.sin(3.0 * x + 1.0) + 0.05 * noise)
-    rows = "\n".join(f"{a:.2f}, {b:.1f}" for a, b in zip(x, y, strict=True))
-    (tmp_path / "record.csv").write_text(f"position [m], cone_index [kPa]\n{rows}\n", encoding="utf-8")
-    return tmp_path / "record.csv"
+    """Put a record beside the file."""
+    return Path(shutil.copy(PROBLEMS / "transect.csv", tmp_path / "record.csv"))
 
 
-def test_a_record_becomes_its_spectrum(read, written, record):
+def test_a_record_becomes_its_spectrum(read, record):
     scene = read(written(RECORD)).scene()
     told = po.strength_spectrum(po.read_strength_record(record))
     assert np.array_equal(scene.effects.random_strength.density, told.density)
@@ -49,25 +38,22 @@ def test_a_record_becomes_its_spectrum(read, written, record):
     assert broad.stationary_force_rms < scene.stationary_force_rms
 
 
-def test_it_is_a_column_of_sweeps_and_an_output_of_components(read, written):
+def test_it_is_a_column_of_sweeps_and_an_output_of_components(read):
     problem = read(written(), "scene.duration=0.2 s", "scene.outputs=20")
     over = {"effects.random_strength.rms": [0.1, 0.2], "scene.stiffness": [4e4, 8e4]}
     tables = []
     for method in ("each", "batch"):
         with ThreadPoolExecutor(1) as inline, po.sweep(problem, over, method=method, executor=inline) as found:
             tables.append(found.table)
-    made = problem.component(["effects.random_strength.rms", "scene.stiffness"], [*NAMES])
+    made = problem.component([*over], [*NAMES])
     for k in range(4):
         at = {name: tables[0][k][name] for name in over}
         scene = problem.scene(at)
-        values = made(*at.values())
-        for j, name in enumerate(NAMES):
-            expected = getattr(scene, name)
-            assert [table[k][name] for table in tables] == pytest.approx([expected] * 2, rel=1e-10)
-            assert values[j] == pytest.approx(expected, rel=1e-10)
+        for found in (*(tuple(table[k][name] for name in NAMES) for table in tables), made(*at.values())):
+            assert found == pytest.approx(tuple(getattr(scene, name) for name in NAMES), rel=1e-10)
 
 
-def test_its_sensitivities_are_those_of_the_closed_form(read, written):
+def test_its_sensitivities_are_those_of_the_closed_form(read):
     """All of it is proportional to the RMS of strength: the objective's slope by that is its second term over it."""
     # Of a steady motion the deflection at every output time is one limit many times over.
     text = written(GIVEN, ("deflection      =", "mean_deflection ="))
@@ -77,15 +63,14 @@ def test_its_sensitivities_are_those_of_the_closed_form(read, written):
     assert found.objective == pytest.approx(part / 0.2, rel=1e-6)
 
 
-@pytest.mark.parametrize("motion", ["false", pytest.param("true", marks=pytest.mark.slow)])
-def test_it_is_a_measure_of_an_uncertain_soil(read, written, motion):
+def test_it_is_a_measure_of_an_uncertain_soil(read):
     """Over samples of the soil its mean is that of the closed form in each of them."""
     uncertain = (
         '\n[uncertain]\n"soil.cohesion" = { distribution = "normal", mean = "20 kPa", std = "3 kPa" }\n'
         "samples = 8\nfresh = 100\n"
     )
-    damping = ('damping = "400 N*s/m"', "motion = false" if motion == "false" else 'damping = "400 N*s/m"')
-    problem = read(written(GIVEN, damping, ('deflection      = { at_most = "0.12 m" }', "")) + uncertain)
+    still = ('damping = "400 N*s/m"', "motion = false"), ('deflection      = { at_most = "0.12 m" }', "")
+    problem = read(written(GIVEN, *still) + uncertain)
     found = optimise_robust(problem, lambda *_: None)
     at = found.best.variables
     scenes = [problem.scene({**at, "soil.cohesion": k}) for k in found.robust.samples.property("cohesion").tolist()]
@@ -96,27 +81,23 @@ def test_it_is_a_measure_of_an_uncertain_soil(read, written, motion):
 
 
 LIKE = "effects.random_strength"
+VARIED = ("[variables]", f"[variables]\n'{LIKE}.rms' = {{ lower = 0.1, upper = 0.2 }}")
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("given", "words", "places"),
     [
-        ("random_strength = { rms = 0.2 }", f"'correlation_length' is missing: give it in [{LIKE}]"),
-        ('random_strength = { record = "none.csv" }', "there is no file"),
-        ('random_strength = { record = "record.csv", rms = 0.2 }', f"'{LIKE}.rms' and a record"),
-        ('random_strength = { record = "record.csv", base_diameter = "3" }', "'base_diameter' = \"3\" has no unit"),
-        ('random_strength = { record = "record.csv", base_diameter = "50 m" }', "no waves longer than 50 m"),
-        ("", "'stationary_force_rms': the stationary RMS needs strength that varies"),
+        ("random_strength = { rms = 0.2 }", f"'correlation_length' is missing: give it in [{LIKE}]", []),
+        ('random_strength = { record = "none.csv" }', "there is no file", []),
+        ('random_strength = { record = "record.csv", rms = 0.2 }', f"'{LIKE}.rms' and a record", []),
+        ('random_strength = { record = "record.csv", base_diameter = "3" }', "'base_diameter' = \"3\" has no unit", []),
+        ('random_strength = { record = "record.csv", base_diameter = "50 m" }', "no waves longer than 50 m", []),
+        ("", "'stationary_force_rms': the stationary RMS needs strength that varies", []),
+        ("", f"'{LIKE}.rms' belongs to {LIKE}, which is missing", [VARIED]),
+        (GIVEN, "the stationary RMS needs some damping", [('damping = "400 N*s/m"', "inertial_drag = false")]),
     ],
 )
-def test_what_is_wrong_has_its_line(refusal, written, given, words):
-    said = refusal(written(given))
+def test_what_is_wrong_has_its_line(refusal, given, words, places):
+    said = refusal(written(given, *places))
     assert said.startswith("share.toml, line ")
     assert words in said
-
-
-def test_what_belongs_to_it_needs_it_and_its_rms_a_damper(refusal, written):
-    said = refusal(written("", ("[variables]", f"[variables]\n'{LIKE}.rms' = {{ lower = 0.1, upper = 0.2 }}")))
-    assert f"'{LIKE}.rms' belongs to {LIKE}, which is missing" in said
-    said = refusal(written(GIVEN, ('damping = "400 N*s/m"', "inertial_drag = false")))
-    assert "the stationary RMS needs some damping" in said

@@ -15,19 +15,16 @@ READ = [
     ("m/s", "10 mph", 4.4704),
     ("rad", "15 deg", math.pi / 12),
     ("rad", "15°", math.pi / 12),
-    ("N*s/m", "400 N*s/m", 400.0),
     ("N*s/m", "400 N s/m", 400.0),
-    ("N/m", "1000 kN/m", 1e6),
     ("kg/m^3", "1.35 g/cm^3", 1350.0),
     ("kg/m^3", "1.35 g/cm³", 1350.0),
-    ("m", "25 cm", 0.25),
     ("m", "-3e2 mm", -0.3),
-    ("s", "2 min", 120.0),
-    ("Pa", "15 kPa", 15e3),
     ("s^2/m^2", "0.01 s^2/m^2", 0.01),
+    ("Pa", "9.80665 m/s^2*kg/m^2", 9.80665),
+    ("Pa", "1 N*m**-2", 1.0),
+    ("Pa", "1 kN*m^-1.5*m^-0.5", 1e3),
     ("", "30 %", 0.3),
     ("", "0.3", 0.3),
-    ("", 0.3, 0.3),
     ("", 1, 1.0),
 ]
 
@@ -39,53 +36,44 @@ def test_a_quantity_is_read_in_si(unit, written, expected):
     assert value == pytest.approx(expected, rel=1e-14)
 
 
-WRONG_UNIT = {
-    ("m/s", "7.2 kg"): 'expected a quantity in m/s, like "7.2 km/h"',
-    ("rad", "15 m"): 'expected a quantity in rad, like "25 deg"',
-    ("Pa", "20 kN"): 'expected a quantity in Pa, like "20 kPa"',
-    ("", "0.3 m"): "expected a pure number, like 0.3",
-}
 NO_QUANTITY = "is not a quantity: write it like "
-OTHERS = (True, False, [1.0], {"a": 1}, None, b"2 m")
 # SI unit, what a user writes, what the refusal says.
 REFUSED = [
-    *((*case, f'= "{case[1]}" has the wrong unit: {expected}') for case, expected in WRONG_UNIT.items()),
+    ("m/s", "7.2 kg", '= "7.2 kg" has the wrong unit: expected a quantity in m/s, like "7.2 km/h"'),
+    ("", "0.3 m", '= "0.3 m" has the wrong unit: expected a pure number, like 0.3'),
+    # An angle is not a pure number, nor the reverse.
+    *((*case, "wrong unit") for case in (("", "25 deg"), ("", "0.5 rad"), ("rad", "50 %"), ("rad", "3 mm/m"))),
     # An unknown unit with the nearest, or with those that are usual.
-    ("m/s", "7.2 kmh", "unknown unit 'kmh'", "did you mean", "'km/h'"),
     ("Pa", "20 KPa", "unknown unit 'KPa'", "did you mean", "'kPa'"),
     ("N/m", "50 kN/mm2", "unknown unit 'mm2'", "did you mean", "'mm'"),
     ("m/s", "5 fast", "unknown unit 'fast': valid names: ", "km/h"),
+    ("m", "2 m/s/", "is not a quantity: its unit cannot be read"),
     # A number without its unit, and a unit without its number.
     ("m", 0.3, '= 0.3 has no unit: write it like "0.3 m"'),
-    ("rad", 25, '= 25 has no unit: write it like "25 deg"'),
-    *((unit, "0.5", "unit") for unit in ("m", "rad", "Pa")),
-    *(("m/s", written, 'like "7.2 km/h"') for written in ("km/h", "m/s")),
-    # An angle is not a pure number, nor the reverse.
-    *((*case, "wrong unit") for case in (("", "25 deg"), ("", "0.5 rad"), ("rad", "50 %"), ("rad", "3 mm/m"))),
+    ("rad", "25", '= "25" has no unit: write it like "25 deg"'),
+    ("m/s", "km/h", 'like "7.2 km/h"'),
     # A decimal comma is not read as another number.
-    *(("m/s", written, written) for written in ("7,2 km/h", "1,5 km/h", "[7, 2] km/h")),
-    *((unit, other, NO_QUANTITY) for unit in ("m", "") for other in OTHERS),
-    *(("m", written, NO_QUANTITY) for written in ("", " ", "m 2 m)", "2 +", "\x00", "nan m", "inf m", "9**9**9**9 m")),
-    ("m", "2 m/s/", "is not a quantity: its unit cannot be read"),
-    ("m", "2 m if x", "unknown unit"),
-    ("", "nan", NO_QUANTITY),
+    *(("m/s", written, written) for written in ("7,2 km/h", "[7, 2] km/h")),
+    *((unit, other, NO_QUANTITY) for unit in ("m", "") for other in (True, [1.0], {"a": 1}, None, b"2 m")),
+    *(("m", written, NO_QUANTITY) for written in ("", " ", "m 2 m)", "\x00", "nan m", "inf m", "9**9**9**9 m")),
     *((unit, value, "finite") for unit, value in (("m", "1e400 m"), ("", math.nan), ("", math.inf), ("", 10**400))),
+    # Powers of units are one digit; a larger one is not computed.
+    *(("m/s", f"1 {power}", "has an unreadable unit") for power in ("m^9^9^9", "m**9**9", "m^-99", "m^1.25")),
+    ("m/s", f"{'1' * 400} km/h", "has 405 characters; a quantity may have at most 100: write it like"),
 ]
 
 
-@pytest.mark.parametrize(("unit", "written", "pieces"), [(unit, written, told) for unit, written, *told in REFUSED])
+@pytest.mark.parametrize(("unit", "written", "pieces"), [(unit, written, pieces) for unit, written, *pieces in REFUSED])
 def test_what_is_no_quantity_of_the_kind_is_refused(unit, written, pieces):
     with pytest.raises(po.InputError) as caught:
         Unit(unit).parse(written)
-    for piece in pieces:
-        assert piece in str(caught.value)
+    assert [piece for piece in pieces if piece not in str(caught.value)] == []
 
 
 @pytest.mark.parametrize(
     ("unit", "written", "symbol", "factor", "value", "text"),
     [
         ("m/s", "7.2 km/h", "km/h", 1 / 3.6, 2.5, "9 km/h"),
-        ("rad", "15 deg", "deg", math.pi / 180, math.pi / 3, "60 deg"),
         ("N/m", "50 kN/m", "kN/m", 1e3, 123456.0, "123.46 kN/m"),
         ("", "30 %", "%", 0.01, 0.125, "12.5 %"),
         ("", 0.3, "", 1.0, 0.25, "0.25"),

@@ -1,0 +1,36 @@
+"""The command line, run in this process."""
+
+import contextlib
+import io
+from dataclasses import dataclass
+
+from plough_opt.app import main
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Outcome of a command: exit status and the two streams."""
+
+    status: int
+    out: str
+    err: str
+
+    @property
+    def said(self):
+        """The error stream as one line, however it was wrapped."""
+        return " ".join(self.err.split())
+
+
+def call(*arguments):
+    """Run a command, neither stream a terminal."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = main([str(argument) for argument in arguments])
+    return Outcome(status, out.getvalue(), err.getvalue())
+
+
+def printed(*arguments):
+    """Return what a command that succeeds prints."""
+    done = call(*arguments)
+    assert done.status == 0, done.err
+    return done.out

@@ -36,8 +36,7 @@ def test_names_units_and_bounds_are_attached(r1):
         ("scene.stiffness", "N/m", 5e3, 5e5),
     ]
     assert [(p.name, p.unit) for p in r1.outputs] == list(zip(RESULTS, ["N", "N", "m", "m", "rad"], strict=True))
-    assert r1.name() == "r1"
-    assert r1.name_in() == ["share_wedge_angle", "share_height", "scene_stiffness"]
+    assert (r1.name(), r1.name_in()) == ("r1", ["share_wedge_angle", "share_height", "scene_stiffness"])
     assert r1.name_out() == RESULTS
     for text in ("scene.stiffness [N/m] 5000 to 500000, value 50000", "force_rms [N]", "551 steps", "plane sections"):
         assert text in str(r1)
@@ -128,35 +127,20 @@ def test_first_and_second_derivatives_of_a_motion_are_those_of_differences(r1):
     assert found == pytest.approx(second, rel=1e-9, abs=1e-9 * np.abs(second).max())
 
 
-def test_a_component_is_a_casadi_function(r1, tmp_path):
+def test_a_component_is_a_casadi_function(r1):
     assert isinstance(r1, ca.Function)
-    plain = ca.Function(r1)
-    assert plain.call(START) == r1.call(START)
-    generator = ca.CodeGenerator("given.c")
-    generator.add(r1)
-    assert "r1(const casadi_real** arg" in generator.dump()
-    r1.save(str(tmp_path / "r1.casadi"))
-    assert ca.Function.load(str(tmp_path / "r1.casadi")).call(START) == r1.call(START)
+    assert ca.Function(r1).call(START) == r1.call(START)
     copied = copy.deepcopy([r1, copy.copy(r1)])[1]
     assert (copied(*START), copied.inputs, copied.warnings) == (r1(*START), r1.inputs, r1.warnings)
-
-
-def test_map_equals_calls(r1):
-    rows = np.random.default_rng(1).uniform(*zip(*BOUNDS.values(), strict=True), (5, 3))
-    found = np.vstack([value.full() for value in r1.map(5).call(list(rows.T[:, None, :]))])
-    assert found.tolist() == [list(column) for column in zip(*(r1(*row) for row in rows), strict=True)]
 
 
 def test_a_pickle_gives_the_same_numbers_in_another_process(r1, tmp_path):
     path = tmp_path / "r1.pickle"
     path.write_bytes(pickle.dumps(r1))
-    code = (
-        f"import pickle; c = pickle.load(open({str(path)!r}, 'rb')); x = {START}\n"
-        "print([float(v).hex() for v in c(*x)], c.slopes(*x).full().tolist(), c.inputs, c.error_estimate)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    here = ([float(v).hex() for v in r1(*START)], r1.slopes(*START).full().tolist(), r1.inputs, r1.error_estimate)
-    assert done.stdout.strip() == " ".join(map(str, here))
+    code = f"import pickle; c, x = pickle.load(open({str(path)!r}, 'rb')), {START}\nprint({{}})"
+    shown = "[*c(*x)], c.slopes(*x).full().tolist(), c.inputs, c.error_estimate"
+    done = subprocess.run([sys.executable, "-c", code.format(shown)], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == " ".join(map(str, eval(shown, {"c": r1, "x": START})))
 
 
 def test_omitted_inputs_have_the_scenes_values(r1):
@@ -203,8 +187,3 @@ def test_nlpsol_finds_the_optimum_of_r1_in_sx(r1_scene, r1_wave):
     found = solver(x0=3.6, lbx=3.0, ubx=4.5)
     assert float(found["f"]) == pytest.approx(OBJECTIVE, rel=1e-9)
     assert 1e4 * float(found["x"]) == pytest.approx(OPTIMUM[2], rel=1e-7)
-
-
-def test_contradictory_limits_of_an_output_are_refused():
-    with pytest.raises(po.InputError, match="the limits of 'mean_draft' contradict each other: 2 is above 1"):
-        po.Output("mean_draft", lower=2.0, upper=1.0)

@@ -14,15 +14,6 @@ from plough_opt.exchange.component.ports import Port, corner_points, interior_po
 from plough_opt.motion.vocabulary import MEASURES
 
 WAVE = po.StrengthWave(0.3, 0.6)
-RANDOM = po.RandomStrength(0.2, 0.3)
-
-
-def _compared(scene, duration, inputs, outputs, at, **options):
-    """Return a component's outputs, and the same from simulating the numeric scene ``at(values)``."""
-    made = po.component(scene, duration, inputs=inputs, outputs=outputs, samples=50, **options)
-    values = [0.3 * port.lower + 0.7 * port.upper for port in made.inputs]
-    run = po.simulate(at(*values), duration, outputs=50)
-    return made(*values), [MEASURES[name].of(run) for name in outputs]
 
 
 @pytest.mark.parametrize(
@@ -32,7 +23,6 @@ def _compared(scene, duration, inputs, outputs, at, **options):
         {"tow_ramp": 0.5, "strength_wave": WAVE},
         {"contact": po.Smooth(0.4), "rate_term": 0.05},
         {"motion": False, "strength_wave": WAVE, "tow_ramp": 0.5},
-        {"motion": False},
         {"orbit": "linearised", "strength_wave": WAVE, "damping": 400.0},
         {"orbit": po.HarmonicBalance(8), "strength_wave": WAVE, "damping": 400.0},
         {"orbit": "periodic", "strength_wave": WAVE, "damping": 400.0},
@@ -44,28 +34,23 @@ def test_every_result_agrees_with_the_numeric_scene(r1_scene, effects):
     scene = r1_scene(**effects)
     duration = None if "orbit" in effects else 2.0
     inputs = [po.Input("share.height", 0.2, 0.3), po.Input("scene.stiffness", 3e4, 6e4)]
-
-    def at(height, stiffness):
-        share = po.Wedge(scene.share.angle, scene.share.chisel_angle, height)
-        return po.Scene(scene.soil, share, stiffness, scene.mass, scene.tow_speed, scene.effects)
-
     everything = [name for name, one in MEASURES.items() if scene.effects.waves or not one.random]
-    found, wanted = _compared(scene, duration, inputs, everything, at)
-    for name, one, other in zip(everything, found, wanted, strict=True):
+    made = po.component(scene, duration, inputs=inputs, outputs=everything, samples=50)
+    share = dataclasses.replace(scene.share, height=0.27)
+    run = po.simulate(dataclasses.replace(scene, share=share, stiffness=5.1e4), duration, outputs=50)
+    for name, found in zip(everything, made(0.27, 5.1e4), strict=True):
         # Two integrations, each to 1e-8 of the force; the RMS of nothing is rounding.
-        assert one == pytest.approx(other, rel=3e-8, abs=3e-8 * np.max(np.abs(other)) + 1e-9), name
+        wanted = MEASURES[name].of(run)
+        assert found == pytest.approx(wanted, rel=3e-8, abs=3e-8 * np.max(np.abs(wanted)) + 1e-9), name
 
 
 def test_every_quantity_can_be_an_input(r1_soil):
     """Each in turn, in a scene that has it: the output is that of the scene with the other number."""
-    effects = {
-        "strength_wave": WAVE, "tow_ramp": 0.1, "damping": 250.0, "rate_term": 0.05, "contact": po.Smooth(0.5),
-        "random_strength": RANDOM,
-    }  # fmt: skip
-    effects["strength_wave"] = tuple(po.StrengthWave(0.1, 0.2 + 0.05 * k, 0.3 * k - 1.0) for k in range(2))
-    scene = po.Scene(r1_soil, po.Wedge(0.5, 0.25, 0.25), 5e4, 25.0, 2.0, po.Effects(**effects))
-    elastic = {"soil.youngs_modulus", "soil.poisson_ratio"}
-    absent = {"share.half_angle", "effects.breakaway"} | elastic
+    waves = tuple(po.StrengthWave(0.1, 0.2 + 0.05 * k, 0.3 * k - 1.0) for k in range(2))
+    effects = po.Effects(strength_wave=waves, tow_ramp=0.1, damping=250.0, rate_term=0.05, contact=po.Smooth(0.5),
+                         random_strength=po.RandomStrength(0.2, 0.3))  # fmt: skip
+    scene = po.Scene(r1_soil, po.Wedge(0.5, 0.25, 0.25), 5e4, 25.0, 2.0, effects)
+    absent = {"share.half_angle", "effects.breakaway", "soil.youngs_modulus", "soil.poisson_ratio"}
     # Two of eight strength waves; the others are named and reached alike.
     names = [name for name in QUANTITIES if name not in absent and not re.search("wave_[3-8]", name)]
     # How exactly is another test's question.
@@ -93,50 +78,41 @@ def test_duration_and_masses_are_inputs_too(r1_scene):
     scene = r1_scene(damping=300.0, start="rest")
     names = ["scene.duration", "scene.frame_mass", "scene.steel_density"]
     made = po.component(scene, 1.0, inputs=names, outputs=["moving_mass", "mean_draft"], steel_density=7850.0)
-    mass, draft = made(1.7, 30.0, 5000.0)
-    volume = scene.cone.volume
-    assert mass == pytest.approx(30.0 + 5000.0 * volume, rel=1e-14)
-    other = po.Scene(scene.soil, scene.share, scene.stiffness, 30.0 + 5000.0 * volume, 2.0, scene.effects)
+    found, draft = made(1.7, 30.0, 5000.0)
+    mass = 30.0 + 5000.0 * scene.cone.volume
+    assert found == pytest.approx(mass, rel=1e-14)
+    other = dataclasses.replace(scene, mass=mass)
     assert draft == pytest.approx(po.simulate(other, 1.7).mean_draft, rel=3e-8)
 
 
 def test_a_mass_that_does_not_follow_the_share_gives_a_warning(r1_scene):
-    warned = [
-        any("the moving mass stays" in note for note in made.warnings)
-        for made in (
-            po.component(r1_scene(), 0.5, inputs=["share.height"], outputs=["mean_draft"]),
-            po.component(r1_scene(), 0.5, inputs=["share.height"], outputs=["mean_draft"], steel_density=7850.0),
-            po.component(r1_scene(), 0.5, inputs=["scene.stiffness"], outputs=["mean_draft"]),
-            po.component(r1_scene(motion=False), 0.5, inputs=["share.height"], outputs=["mean_draft"]),
-        )
-    ]
-    assert warned == [True, False, False, False]
+    for effects, name, density, warned in (
+        ({}, "share.height", None, True),
+        ({}, "share.height", 7850.0, False),
+        ({}, "scene.stiffness", None, False),
+        ({"motion": False}, "share.height", None, False),
+    ):
+        made = po.component(r1_scene(**effects), 0.5, inputs=[name], outputs=["mean_draft"], steel_density=density)
+        assert any("the moving mass stays" in note for note in made.warnings) is warned
 
 
 @pytest.mark.parametrize("kind", [ca.MX, pytest.param(ca.SX, marks=pytest.mark.slow)])
 def test_a_scene_of_symbols_with_a_density_profile(r1_soil, kind):
     k, width = kind.sym("k"), kind.sym("width")
-    soil = r1_soil.with_density_profile(lambda r, w: 1400 * (1.05 + 0.3 / (1.0 + (r / w) ** 2)), width, order=5)
-    share = po.Wedge(0.5, 0.25, 0.25)
 
-    def scene(k, soil):
-        return po.Scene(soil, share, k, 25.0, 2.0, po.Effects(strength_wave=WAVE))
+    def scene(k, width):
+        soil = r1_soil.with_density_profile(lambda r, w: 1400 * (1.05 + 0.3 / (1.0 + (r / w) ** 2)), width, order=5)
+        return po.Scene(soil, po.Wedge(0.5, 0.25, 0.25), k, 25.0, 2.0, po.Effects(strength_wave=WAVE))
+
+    def cost(run):
+        return run.mean_draft / 1e3 + run.force_rms**2
 
     inputs = [po.Input("mount", 3e4, 6e4, unit="N/m", symbol=k), po.Input("width", 0.1, 0.3, unit="m", symbol=width)]
-    draft = po.Output("cost", of=lambda run: run.mean_draft / 1e3 + run.force_rms**2, unit="kN")
-    made = po.component(scene(k, soil), 1.0, inputs=inputs, outputs=[draft, "loosened_radius"])
-    soil = r1_soil.with_density_profile(soil.density_profile.density, 0.2, order=5)
-    run = po.simulate(scene(4e4, soil), 1.0)
-    wanted = (run.mean_draft / 1e3 + run.force_rms**2, run.scene.loosened_radius)
-    assert made(4e4, 0.2) == pytest.approx(wanted, rel=1e-7)
+    outputs = [po.Output("cost", of=cost, unit="kN"), "loosened_radius"]
+    made = po.component(scene(k, width), 1.0, inputs=inputs, outputs=outputs)
+    run = po.simulate(scene(4e4, 0.2), 1.0)
+    assert made(4e4, 0.2) == pytest.approx((cost(run), run.scene.loosened_radius), rel=1e-7)
     assert [port.unit for port in (*made.inputs, *made.outputs)] == ["N/m", "m", "kN", "m"]
-
-
-def _refused(scene, duration=1.0, **requested):
-    requested = {"inputs": ["scene.stiffness"], "outputs": ["mean_draft"]} | requested
-    with pytest.raises((po.InputError, po.DomainError)) as caught:
-        po.component(scene, duration, **requested)
-    return str(caught.value)
 
 
 FREE = ca.MX.sym("k")
@@ -154,9 +130,7 @@ def _stiffness(lower, upper):
     [
         ({"contact": po.StickSlip()}, {}, "stick and slip cannot be a component: its events"),
         ({"entry": True, "start": "rest"}, {}, "enters the soil cannot be a component"),
-        ({}, {"inputs": ["scene.stifness"]}, "did you mean 'scene.stiffness'"),
         ({}, {"outputs": ["mean_drft"]}, "did you mean 'mean_draft'"),
-        ({}, {"outputs": ["peak_force"]}, "'mount_force'"),
         ({}, {"inputs": ["effects.damping"]}, "the scene has no 'effects.damping'"),
         ({}, {"duration": None}, "the duration is missing"),
         ({}, {"inputs": ["scene.frame_mass"]}, "needs a steel_density"),
@@ -165,21 +139,17 @@ def _stiffness(lower, upper):
         ({}, {"inputs": ["scene.stiffness", "scene.stiffness"]}, "twice"),
         ({}, {"outputs": [OWN]}, "'scene.stiffness' and 'scene_stiffness' clash"),
         ({}, {"inputs": [FREE]}, "input MX(k) must be a name, or po.Input(name, ...)"),
-        ({}, {"outputs": [3]}, "output 3 must be a name, or po.Output(name, ...)"),
         ({}, {"outputs": [NOTHING]}, "'nothing' has no finite value"),
-        ({}, {"inputs": "stiffness"}, "no quantity is named 'stiffness'"),
         ({}, {"inputs": []}, "name at least one"),
-        ({}, {"outputs": []}, "name at least one"),
-        ({}, {"name": "jac"}, "name of a CasADi Function"),
-        ({}, {"samples": 0}, "samples = 0"),
         ({}, {"accuracy": po.Accuracy("cvodes")}, "'cvodes' cannot be part of a component"),
         ({"orbit": "periodic", "strength_wave": WAVE}, {}, "leave the duration out"),
         ({}, {"inputs": [ALONE]}, "does not hold the symbol of input 'k'"),
+        ({}, {"inputs": [po.Input("k", symbol=FREE)]}, "needs lower and upper"),
+        ({"stiffness": FREE}, {"inputs": ["share.height"]}, "not inputs (k)"),
         # Bounds, and where they lead out of the domain.
         ({}, _stiffness(6e4, 5e4), "lower 60000 is not below upper 50000"),
         ({}, _stiffness(6e4, 7e4), "= 50000 lies outside its bounds 60000 to 70000"),
         ({}, _stiffness(-1.0, 7e4), "at scene.stiffness = -1 N/m: stiffness = -1 N/m must be above 0"),
-        ({}, _stiffness(-1.0, 7e4) | {"accuracy": po.Accuracy("dop853", steps=100)}, "must be above 0"),
         ({}, _stiffness(1.0, 1e14), "so fast that the run would take"),
         ({}, _stiffness(1.0, np.inf), "upper of 'scene.stiffness' = inf N/m must be finite"),
         ({}, {"inputs": [po.Input("share.wedge_angle", 0.1, 1.0), po.Input("soil.density_ratio", 0.5, 1.5)]},
@@ -188,25 +158,23 @@ def _stiffness(lower, upper):
     ],
 )  # fmt: skip
 def test_an_invalid_component_is_refused_with_the_reason(r1_scene, effects, requested, words):
-    assert words in _refused(r1_scene(**effects), **requested)
+    requested = {"duration": 1.0, "inputs": ["scene.stiffness"], "outputs": ["mean_draft"]} | requested
+    with pytest.raises((po.InputError, po.DomainError), match=re.escape(words)):
+        po.component(r1_scene(**effects), **requested)
 
 
-def test_symbols_in_the_scene_must_be_inputs(r1_scene):
-    scene = dataclasses.replace(r1_scene(), stiffness=FREE)
-    assert "not inputs (k)" in _refused(scene, inputs=["share.height"])
-    assert "needs lower and upper" in _refused(scene, inputs=[po.Input("k", symbol=FREE)])
+def test_contradictory_limits_of_an_output_are_refused():
+    with pytest.raises(po.InputError, match="the limits of 'mean_draft' contradict each other: 2 is above 1"):
+        po.Output("mean_draft", lower=2.0, upper=1.0)
 
 
 def test_default_bounds_are_within_the_domain(r1_scene):
     scene = r1_scene(strength_wave=po.StrengthWave(1.0, 0.6))
-    made = po.component(
-        scene, 1.0, inputs=["soil.density_ratio", "share.wedge_angle", "scene.stiffness"], outputs=["mean_draft"]
-    )
+    names = ["soil.density_ratio", "share.wedge_angle", "scene.stiffness"]
+    made = po.component(scene, 1.0, inputs=names, outputs=["mean_draft"])
     assert [(port.lower, port.upper) for port in made.inputs] == [
-        (0.4, 0.9),
-        (po.deg(12.5), pytest.approx(po.deg(50), rel=1e-15)),
-        (2.5e4, 1e5),
-    ]
+        (0.4, 0.9), (po.deg(12.5), pytest.approx(po.deg(50), rel=1e-15)), (2.5e4, 1e5),
+    ]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -221,7 +189,6 @@ def two_inputs(r1_scene):
         ((1e6, 0.25), {}, r"scene.stiffness = 1e\+06 N/m must lie between 40000 and 60000 N/m"),
         ((5e4, float("nan")), {}, "share.height = nan"),
         # Conversions of units and optimisers leave a billionth of the width; twice that is outside.
-        ((4e4 - 4e-5, 0.25), {}, "must lie between"),
         ((6e4 + 4e-5, 0.25), {}, "must lie between"),
         ((5e4,), {}, "takes 2 inputs"),
         ((5e4, "high"), {}, "must be a number"),
@@ -237,9 +204,7 @@ def test_invalid_calls_are_refused(two_inputs, values, named, words):
 
 
 def test_a_retreating_share_gives_a_warning(r1_scene):
-    made = po.component(
-        r1_scene(start="rest"), 0.5, inputs=[po.Input("scene.stiffness", 2e3, 1e5)], outputs=["mean_draft"]
-    )
+    made = po.component(r1_scene(start="rest"), 0.5, outputs=["mean_draft"], **_stiffness(2e3, 1e5))
     assert any("the share retreats, as at scene.stiffness" in note for note in made.warnings)
 
 

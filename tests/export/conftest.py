@@ -1,6 +1,7 @@
 import pytest
 
 import plough_opt as po
+from plough_opt.core.expressions import log
 
 BOUNDS = {"share.wedge_angle": (po.deg(30), po.deg(50)), "share.height": (0.15, 0.3), "scene.stiffness": (3e4, 4.5e4)}
 RESULTS = ["mean_draft", "force_rms", "loosened_radius", "mean_deflection", "half_angle"]
@@ -28,3 +29,11 @@ def with_columns(r1_scene):
         samples=10,
         name="double",
     )
+
+
+@pytest.fixture(scope="package")
+def not_always_finite(r1_scene):
+    """The logarithm of the height above 0.25 m, with a bound below that."""
+    logarithm = po.Output("logarithm", of=lambda run: log(run.scene.share.height - 0.25), unit="")
+    inputs = [po.Input("share.height", 0.2, 0.3, 0.26)]
+    return po.component(r1_scene(motion=False), 1.0, inputs=inputs, outputs=[logarithm])

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from fmpy.fmi3 import FMU3Model
 from fmpy.validation import validate_fmu
-from helpers.fmu_tools import ARRAYS, CLOSELY, WITHIN, Stepped, differences, instance_of, simulated
+from helpers.fmu_tools import ARRAYS, CLOSELY, WITHIN, Stepped, differences, instance_of, scene_with, simulated
 
 import plough_opt as po
 from plough_opt.export import write_fmu
 
 DURATION = 1.2
-SHARE = po.Wedge(po.deg(45.0), po.deg(15.0), 0.25)
 WAVE = po.StrengthWave(0.9, 0.25)
 STRENGTHLESS = dataclasses.replace(po.named_soil("serozem"), cohesion=0.0, ambient_pressure=0.0, friction_angle=0.0)
 REFERENCE = po.Accuracy(error=1e-10)
@@ -29,73 +28,49 @@ class Shank:
         return self.static * (1.0 + 0.1 * travel) + self.viscous * speed
 
 
-EFFECTS = {
-    "every smooth effect": po.Effects(
-        strength_wave=po.StrengthWave(0.3, 0.2), damping=400.0, rate_term=0.05, tow_ramp=0.3
-    ),
-    "smooth contact": po.Effects(contact=po.Smooth(0.1), strength_wave=WAVE, start="towed"),
-    "stick and slip": po.Effects(contact=po.StickSlip(1.3), strength_wave=WAVE, start="rest"),
-    "entry, stick and slip": po.Effects(contact=po.StickSlip(1.2), strength_wave=WAVE, start="rest", entry=True),
-    "own resistance": po.Effects(own=(Shank(150.0, 80.0),), strength_wave=WAVE, added_mass=False),
-}
-MORE_EFFECTS = {
-    "from rest": po.Effects(start="rest", inertial_drag=False),
-    "smooth contact on a ramp": po.Effects(contact=po.Smooth(0.1), strength_wave=WAVE, tow_ramp=0.4),
-    "towed, with a damper": po.Effects(start="towed", damping=300.0, ambient_pressure=False),
-    "stick and slip on a ramp": po.Effects(contact=po.StickSlip(1.3), strength_wave=WAVE, tow_ramp=0.4, damping=50.0),
-    "stick and slip at first at rest": po.Effects(contact=po.StickSlip(), strength_wave=WAVE, start="rest"),
-    "entry": po.Effects(entry=True, start="towed", strength_wave=WAVE),
-    "entry with retreat": po.Effects(entry=True, start="rest", strength_wave=WAVE),
-    "one printed error": po.Effects(
-        formulation=po.Printed(repelling_spring=False), strength_wave=po.StrengthWave(0.3, 0.2)
-    ),
-}
-
-
-def scene_with(effects, **changes):
-    given = {"stiffness": 3e5, "mass": 30.0, "tow_speed": 1.5} | changes
-    return po.Scene(po.named_soil("serozem"), SHARE, effects=effects, **given)
-
-
-@pytest.fixture(scope="module")
-def waved():
-    """A scene without events that never retreats."""
-    return scene_with(po.Effects(strength_wave=po.StrengthWave(0.3, 0.2), damping=900.0), stiffness=1e5)
-
-
-@pytest.fixture(scope="module")
-def waved_fmu(waved, tmp_path_factory):
-    return write_fmu(waved, tmp_path_factory.mktemp("fmu") / "waved.fmu", duration=DURATION)
-
-
-EDGES = {
-    "a strut that stands still": {"tow_speed": 0.0},
-    "a cone": {"share": po.Cone(po.deg(12.0), 0.3), "effects": po.Effects(start="towed")},
-    "no strength": {"soil": STRENGTHLESS},
-    "no strength, stick and slip": {
-        "soil": STRENGTHLESS, "effects": po.Effects(start="rest", contact=po.StickSlip())
-    },
+CASES = {
+    "every smooth effect": {"strength_wave": po.StrengthWave(0.3, 0.2), "damping": 400.0, "rate_term": 0.05,
+                            "tow_ramp": 0.3},
+    "smooth contact": {"contact": po.Smooth(0.1), "strength_wave": WAVE, "start": "towed"},
+    "stick and slip": {"contact": po.StickSlip(1.3), "strength_wave": WAVE, "start": "rest"},
+    "entry, stick and slip": {"contact": po.StickSlip(1.2), "strength_wave": WAVE, "start": "rest", "entry": True},
+    "own resistance": {"own": (Shank(150.0, 80.0),), "strength_wave": WAVE, "added_mass": False},
 }  # fmt: skip
+MORE_CASES = {
+    "from rest": {"start": "rest", "damping": 300.0, "inertial_drag": False, "ambient_pressure": False},
+    "stick and slip on a ramp": {"contact": po.StickSlip(1.3), "strength_wave": WAVE, "tow_ramp": 0.4, "damping": 50.0},
+    "entry with retreat": {"entry": True, "start": "rest", "strength_wave": WAVE},
+    "one printed error": {
+        "formulation": po.Printed(repelling_spring=False),
+        "strength_wave": po.StrengthWave(0.3, 0.2),
+    },
+}
+EDGES = {
+    "a strut that stands still": ({}, {"tow_speed": 0.0}),
+    "a cone": ({"start": "towed"}, {"share": po.Cone(po.deg(12.0), 0.3)}),
+    "no strength": ({}, {"soil": STRENGTHLESS}),
+    "no strength, stick and slip": ({"start": "rest", "contact": po.StickSlip()}, {"soil": STRENGTHLESS}),
+}
 
 
 @pytest.mark.parametrize(
-    "changes",
+    ("effects", "changes"),
     [
-        *(pytest.param({"effects": effects}, id=name) for name, effects in EFFECTS.items()),
-        *(pytest.param({"effects": e}, id=name, marks=pytest.mark.slow) for name, e in MORE_EFFECTS.items()),
-        *(pytest.param(changes, id=name, marks=pytest.mark.slow) for name, changes in EDGES.items()),
+        *(pytest.param(effects, {}, id=name) for name, effects in CASES.items()),
+        *(pytest.param(effects, {}, id=name, marks=pytest.mark.slow) for name, effects in MORE_CASES.items()),
+        *(pytest.param(*changed, id=name, marks=pytest.mark.slow) for name, changed in EDGES.items()),
     ],
 )
-def test_simulates_to_the_same_motion(changes, tmp_path):
-    scene = dataclasses.replace(scene_with(po.Effects()), **changes)
-    effects = scene.effects
+def test_simulates_to_the_same_motion(effects, changes, tmp_path):
+    effects = po.Effects(**effects)
+    scene = scene_with(effects, **changes)
     fmu = write_fmu(scene, tmp_path / "share.fmu")
     assert validate_fmu(str(fmu)) == []
     run = po.simulate(scene, DURATION, accuracy=REFERENCE, outputs=200)
     sticks = isinstance(effects.contact, po.StickSlip)
     found = simulated(fmu, DURATION, output=[*ARRAYS, *(("mode", "opening") if sticks else ())])
     assert max(differences(found, run).values()) <= WITHIN
-    if [*changes] != ["effects"]:
+    if changes:
         return
     if sticks:
         assert np.array_equal(found["mode"], run.mode)
@@ -116,8 +91,8 @@ def test_another_scene_by_its_parameters_starts_from_its_own_equilibrium(r1_soil
     mass = 25.0 + share.equivalent_cone().solid_mass(7800.0)
     second = po.Scene(r1_soil, share, 8e4, mass, 2.0, effects)
     values = {
-        **{f"soil.{name}": getattr(r1_soil, name) for name in ("density", "density_ratio", "cohesion")},
-        **{f"soil.{name}": getattr(r1_soil, name) for name in ("tool_friction", "ambient_pressure")},
+        **{f"soil.{name}": getattr(r1_soil, name)
+           for name in ("density", "density_ratio", "cohesion", "tool_friction", "ambient_pressure")},
         # FMPy takes a value in a display unit too.
         "soil.friction_angle": (np.degrees(r1_soil.friction_angle), "deg"),
         "share.wedge_angle": (35.0, "deg"),
@@ -131,7 +106,7 @@ def test_another_scene_by_its_parameters_starts_from_its_own_equilibrium(r1_soil
         "effects.damping": 700.0,
         "effects.rate_term": 0.03,
         "strut_speed": (7.2, "km/h"),
-    }
+    }  # fmt: skip
     fmu = write_fmu(first, tmp_path / "share.fmu", steel_density=7850.0)
     calculated = {
         "share.half_angle": second.cone.half_angle,
@@ -174,24 +149,23 @@ def ramped(time, speed=1.5, ramp=0.4):
     return speed * u**3 * (10.0 + u * (6.0 * u - 15.0))
 
 
-def test_a_speed_signal_equals_a_tow_ramp(waved, waved_fmu):
-    scene = dataclasses.replace(waved, effects=dataclasses.replace(waved.effects, tow_ramp=0.4))
-    run = po.simulate(scene, DURATION, accuracy=REFERENCE, outputs=200)
-    found = driven(waved_fmu, "strut_speed", ramped, output=[*ARRAYS, "strut_position"])
+def test_a_speed_signal_equals_a_tow_ramp(tmp_path):
+    # A scene without events that never retreats.
+    constant, ramping = (
+        scene_with(po.Effects(strength_wave=po.StrengthWave(0.3, 0.2), damping=900.0, tow_ramp=ramp), stiffness=1e5)
+        for ramp in (None, 0.4)
+    )
+    run = po.simulate(ramping, DURATION, accuracy=REFERENCE, outputs=200)
+    found = driven(
+        write_fmu(constant, tmp_path / "waved.fmu"), "strut_speed", ramped, output=[*ARRAYS, "strut_position"]
+    )
     assert max(differences(found, run).values()) < WITHIN
     # The path of the ramp is half its time at full speed behind.
     assert found["strut_position"][-1] == pytest.approx(1.5 * (DURATION - 0.2), rel=WITHIN)
 
 
-@pytest.mark.parametrize(
-    "contact",
-    [
-        pytest.param(po.StickSlip(1.3), id="stick and slip"),
-        pytest.param("resisting", id="resisting", marks=pytest.mark.slow),
-    ],
-)
-def test_a_linear_position_equals_a_tow_speed(contact, tmp_path):
-    scene = scene_with(po.Effects(strength_wave=WAVE, contact=contact))
+def test_a_linear_position_equals_a_tow_speed(tmp_path):
+    scene = scene_with(po.Effects(strength_wave=WAVE, contact=po.StickSlip(1.3)))
     fmu = write_fmu(scene, tmp_path / "share.fmu", strut="position")
     assert validate_fmu(str(fmu)) == []
     run = po.simulate(scene, DURATION, accuracy=REFERENCE, outputs=200)

@@ -76,8 +76,7 @@ def test_bodies_are_closed_and_have_the_models_faces(angle, chisel_angle, height
         assert math.acos(np.clip(-normals[0] @ normals[1], -1.0, 1.0)) == pytest.approx(opening, abs=1e-6)
 
 
-@pytest.mark.parametrize("chisel_angle", [0.0, 15.0, 45.0])
-@pytest.mark.parametrize("angle", [1.0, 20.0, 70.0, 89.0])
+@pytest.mark.parametrize(("angle", "chisel_angle"), [(1.0, 15.0), (20.0, 45.0), (70.0, 0.0), (89.0, 15.0)])
 def test_by_default_the_block_weighs_what_a_scene_counts(angle, chisel_angle):
     share = po.Wedge(po.deg(angle), po.deg(chisel_angle), 0.25)
     assert share.mesh().volume == pytest.approx(share.equivalent_cone().volume, rel=1e-10)
@@ -107,17 +106,13 @@ def test_a_cone_of_many_sides_is_the_cone_of_revolution():
 @pytest.mark.parametrize(
     ("make", "text"),
     [
-        (lambda: SHARE.mesh(opening=0.0), "opening between the faces"),
         (lambda: SHARE.mesh(opening=math.pi), "opening between the faces"),
         (lambda: SHARE.mesh(thickness=-0.01), "thickness of the plate"),
         (lambda: SHARE.mesh(thickness=1.0), "0.06"),
-        (lambda: SHARE.mesh(opening="90 deg"), "not a number"),
         (lambda: CONE.mesh(segments=2), "segments = 2"),
-        (lambda: CONE.mesh(segments=10.0), "segments = 10.0"),
         (lambda: po.Wedge(po.Design().variable("a", guess=0.5, lower=0.1, upper=1.0), 0.2, 0.3).mesh(), "not a number"),
         (lambda: write_part(CONE, "a.stl", opening=1.0), "belong to a wedge"),
         (lambda: write_part(SHARE, "a.obj"), "end its name in one of .stl"),
-        (lambda: write_part("share", "a.stl"), "must be a Wedge or a Cone"),
     ],
 )
 def test_invalid_parts_are_refused(make, text):
@@ -156,18 +151,6 @@ def test_triangles_read_back_are_the_body(part, ending, size, tmp_path):
         assert read.bounds[:, side] == pytest.approx([-size * half_width, size * half_width], rel=SINGLE)
 
 
-def polygon_area(points):
-    """Area of corners (x, y, bulge): the polygon's, and of the segment of a circle beside each edge with a bulge."""
-    total = 0.0
-    for (x0, y0, bulge), (x1, y1, _) in zip(points, [*points[1:], points[0]], strict=True):
-        turn, chord = 4.0 * math.atan(bulge), math.hypot(x1 - x0, y1 - y0)
-        total += (x0 * y1 - x1 * y0) / 2.0
-        if bulge:
-            radius = chord / (2.0 * math.sin(turn / 2.0))
-            total += radius**2 * (turn - math.sin(turn)) / 2.0
-    return abs(total)
-
-
 def test_patterns_read_back_have_the_faces_and_the_bending_line(part, tmp_path):
     share, bent, _ = part
     drawing = ezdxf.readfile(write_part(share, tmp_path / "a.dxf", **bent))
@@ -176,16 +159,20 @@ def test_patterns_read_back_have_the_faces_and_the_bending_line(part, tmp_path):
     page = drawing.modelspace()
     (outline,) = page.query('LWPOLYLINE[layer=="CUT"]')
     assert outline.closed
-    corners = list(outline.get_points("xyb"))
-    assert polygon_area(corners) == pytest.approx(1e6 * share.area, rel=1e-9)
-    places = np.array(corners)[:, :2]
+    places = np.array(outline.get_points("xy"))
     notes = " ".join(text.dxf.text for text in page.query('TEXT[layer=="NOTES"]'))
     if share is CONE:
         slant = 1e3 * CONE.height / math.cos(CONE.half_angle)
         assert np.linalg.norm(places[1:], axis=1) == pytest.approx(slant, rel=1e-9)
-        assert corner_angle(places) == pytest.approx(2.0 * math.pi * math.sin(CONE.half_angle), rel=1e-9)
+        angle = corner_angle(places)
+        assert angle == pytest.approx(2.0 * math.pi * math.sin(CONE.half_angle), rel=1e-9)
+        # The arc is about the tip, so the sector has the cone's area.
+        centre = ezdxf.math.bulge_center(*places[1:], outline.get_points("b")[1][0])
+        assert centre.magnitude < 1e-9 * slant
+        assert slant**2 * angle / 2.0 == pytest.approx(1e6 * share.area, rel=1e-9)
         assert not page.query("LINE")
         return
+    assert abs(ezdxf.math.area(outline.vertices_in_wcs())) == pytest.approx(1e6 * share.area, rel=1e-9)
     (bend,) = page.query('LINE[layer=="BEND"]')
     end = np.array([bend.dxf.end.x, bend.dxf.end.y])
     assert np.linalg.norm(end) == pytest.approx(1e3 * share.height / math.cos(share.chisel_angle), rel=1e-9)

@@ -7,6 +7,8 @@ import numpy as np
 from fmpy.fmi3 import FMU3Model
 from scipy.integrate import solve_ivp
 
+import plough_opt as po
+
 # FMPy's CVode holds the absolute error to the relative tolerance times the nominal values. Of its relative tolerance of
 # 1e-11 some hundred steps of order 5 leave a few 1e-8.
 TOLERANCE = 1e-11
@@ -15,6 +17,12 @@ WITHIN = 1e-7
 CLOSELY = 1e-9
 DOUBLES = ctypes.POINTER(ctypes.c_double)
 ARRAYS = ("travel", "speed", "deflection", "mount_force", "soil_resistance")
+SHARE = po.Wedge(po.deg(45.0), po.deg(15.0), 0.25)
+
+
+def scene_with(effects, **changes):
+    given = {"soil": po.named_soil("serozem"), "share": SHARE, "stiffness": 3e5, "mass": 30.0, "tow_speed": 1.5}
+    return po.Scene(**given | changes, effects=effects)
 
 
 def instance_of(path, kind=FMU3Model, log=None):

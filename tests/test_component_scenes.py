@@ -195,6 +195,7 @@ def two_inputs(r1_scene):
         ((np.array([4e4, 5e4]), 0.25), {}, "component.map takes many"),
         ((5e4,), {"share_height": 0.25}, "in order or by name"),
         ((), {"share_hight": 0.25}, "did you mean 'share.height'"),
+        ((), {"share.height": 0.2, "share_height": 0.3}, "'share.height' is given twice, also as 'share_height'"),
     ],
 )
 def test_invalid_calls_are_refused(two_inputs, values, named, words):

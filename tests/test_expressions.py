@@ -13,14 +13,6 @@ import plough_opt as po
 from plough_opt.core import expressions as ex
 
 
-def precise_expm1_ratio(x):
-    return (mp.exp(x) - 1) / x if x else mp.mpf(1)
-
-
-def precise_log1p_ratio(x):
-    return mp.log(1 + x) / x if x else mp.mpf(1)
-
-
 def beside(x):
     """Return a number and its two neighbours, which lie on both sides of a branch."""
     return [math.nextafter(x, -math.inf), x, math.nextafter(x, math.inf)]
@@ -36,22 +28,36 @@ LOG1P = [
     *[-0.5001, 0.5001, -0.7, 1.0, 10.0, 1e6, -0.999, -1 + 1e-9, math.nextafter(-1.0, 0.0)],
 ]
 INSIDE = [0.0, *BOTH_SIDES, -0.45, 0.45, *beside(-0.5), *beside(0.5), -0.5001, 0.5001, -0.9, 0.99]
-RATIOS = [(ex.expm1_ratio, precise_expm1_ratio, x) for x in EXPM1]
-RATIOS += [(ex.log1p_ratio, precise_log1p_ratio, x) for x in LOG1P]
-RATIOS += [(ex.arctanh_ratio, lambda x: mp.atanh(x) / x if x else mp.mpf(1), x) for x in INSIDE]
-RATIOS += [(ex.arctan_ratio, lambda x: mp.atan(x) / x if x else mp.mpf(1), x) for x in [*INSIDE, -3.0, 20.0]]
-RATIOS += [(ex.arcsinh_ratio, lambda x: mp.asinh(x) / x if x else mp.mpf(1), x) for x in [*INSIDE, -3.0, 20.0]]
+# Ratio -> the function over x, and value, slope and curvature at 0.
+PRECISE = {
+    ex.expm1_ratio: (mp.expm1, (1, 1 / 2, 1 / 3)),
+    ex.log1p_ratio: (mp.log1p, (1, -1 / 2, 2 / 3)),
+    ex.arctanh_ratio: (mp.atanh, (1, 0, 2 / 3)),
+    ex.arctan_ratio: (mp.atan, (1, 0, -2 / 3)),
+    ex.arcsinh_ratio: (mp.asinh, (1, 0, -1 / 3)),
+}
+RATIOS = [
+    *((ex.expm1_ratio, x) for x in EXPM1),
+    *((ex.log1p_ratio, x) for x in LOG1P),
+    *((ex.arctanh_ratio, x) for x in INSIDE),
+    *((ratio, x) for ratio in (ex.arctan_ratio, ex.arcsinh_ratio) for x in (*INSIDE, -3.0, 20.0)),
+]
 
 
-@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
-@pytest.mark.parametrize(("ratio", "precise", "at"), RATIOS)
-def test_ratio_and_its_two_derivatives_keep_their_digits(ratio, precise, at, symbol):
+def with_derivatives(ratio, symbol):
+    """Return the Function from a number to a ratio and its first two derivatives."""
     x = symbol.sym("x")
     y = ratio(x)
     first = ca.gradient(y, x)
-    function = ca.Function("f", [x], [y, first, ca.gradient(first, x)])
-    value, slope, curvature = function(at)
-    want, [want_slope], [[want_curvature]] = derivatives(precise, [at])
+    return ca.Function("f", [x], [y, first, ca.gradient(first, x)])
+
+
+@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
+@pytest.mark.parametrize(("ratio", "at"), RATIOS)
+def test_ratio_and_its_two_derivatives_keep_their_digits(ratio, at, symbol):
+    value, slope, curvature = with_derivatives(ratio, symbol)(at)
+    precise = PRECISE[ratio][0]
+    want, [want_slope], [[want_curvature]] = derivatives(lambda x: precise(x) / x if x else mp.mpf(1), [at])
     # The value has some ten roundings; beyond the branch each derivative of the closed form costs a digit.
     assert_close(value, want, 1e-15, "value")
     assert_close(ratio(at), want, 1e-15, "value of a float")
@@ -59,23 +65,12 @@ def test_ratio_and_its_two_derivatives_keep_their_digits(ratio, precise, at, sym
     assert_close(curvature, want_curvature, 1e-13, "second derivative")
 
 
-@pytest.mark.parametrize(
-    ("ratio", "limits"),
-    [
-        (ex.expm1_ratio, (1, 1 / 2, 1 / 3)),
-        (ex.log1p_ratio, (1, -1 / 2, 2 / 3)),
-        (ex.arctanh_ratio, (1, 0, 2 / 3)),
-        (ex.arctan_ratio, (1, 0, -2 / 3)),
-        (ex.arcsinh_ratio, (1, 0, -1 / 3)),
-    ],
-)
-@pytest.mark.parametrize("at", [0.0, -0.0, 5e-324, -5e-324, 1e-300, -1e-300])
-def test_ratio_has_its_limits_at_zero(ratio, limits, at):
-    x = ca.SX.sym("x")
-    y = ratio(x)
-    first = ca.gradient(y, x)
-    got = [float(v) for v in ca.Function("f", [x], [y, first, ca.gradient(first, x)])(at)]
-    assert got == pytest.approx(limits, rel=4e-16, abs=1e-299)  # two units in the last place; a slope follows x
+@pytest.mark.parametrize("ratio", PRECISE)
+@pytest.mark.parametrize("at", [0.0, 5e-324, -1e-300])
+def test_ratio_has_its_limits_at_zero(ratio, at):
+    got = [float(v) for v in with_derivatives(ratio, ca.SX)(at)]
+    # Two units in the last place; a slope follows x.
+    assert got == pytest.approx(PRECISE[ratio][1], rel=4e-16, abs=1e-299)
 
 
 @pytest.mark.parametrize("ratio", [ex.expm1_ratio, ex.log1p_ratio, ex.arctan_ratio, ex.arcsinh_ratio])
@@ -86,41 +81,33 @@ def test_ratios_of_arrays_are_elementwise(ratio):
     assert isinstance(ratio(0.25), float)
 
 
-UNARY = ["sin", "cos", "tan", "arctan", "sqrt", "exp", "log1p", "expm1", "absolute", "arcsinh"]
+UNARY = {
+    "sin": mp.sin, "cos": mp.cos, "tan": mp.tan, "arctan": mp.atan, "sqrt": mp.sqrt, "exp": mp.exp, "log1p": mp.log1p,
+    "expm1": mp.expm1, "absolute": abs, "arcsinh": mp.asinh,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", UNARY)
 def test_operation_is_the_same_for_numbers_arrays_and_symbols(name):
-    operation = getattr(ex, name)
-    points = [0.0, 1e-9, 0.3, 1.2]
-    precise = {"arctan": mp.atan, "arcsinh": mp.asinh, "absolute": abs, "log1p": lambda v: mp.log(1 + v)}.get(
-        name
-    ) or getattr(mp, name)
+    operation, points = getattr(ex, name), [0.0, 1e-9, 0.3, 1.2]
+    of_symbols = [ca.Function("f", [s], [operation(s)]) for s in (ca.SX.sym("s"), ca.MX.sym("s"))]
     for x in points:
-        want = precise(mp.mpf(x))
-        assert_close(operation(x), want, 3e-16, f"{name} of a float")
-        assert_close(operation(ca.DM(x)), want, 3e-16, f"{name} of a DM")
-        for symbol in (ca.SX, ca.MX):
-            s = symbol.sym("s")
-            assert_close(ca.Function("f", [s], [operation(s)])(x), want, 3e-16, f"{name} of a symbol")
+        for of in (operation, lambda x: operation(ca.DM(x)), *of_symbols):
+            assert_close(of(x), UNARY[name](mp.mpf(x)), 3e-16, name)
     np.testing.assert_allclose(operation(np.array(points)), [operation(x) for x in points], rtol=3e-16)
     assert operation.__name__ in operation.__doc__
 
 
 @pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
-def test_choice_and_minimum_take_symbols(symbol):
+def test_choice_and_minimum_take_numbers_arrays_and_symbols(symbol):
+    def chosen(x):
+        return ex.where(x < 2.0, x, -1.0), ex.minimum(x, 2.0), ex.minimum(2.0, x)
+
     x = symbol.sym("x")
-    function = ca.Function("f", [x], [ex.where(x < 2.0, x, -1.0), ex.minimum(x, 2.0), ex.minimum(2.0, x)])
-    assert [float(v) for v in function(1.5)] == [1.5, 1.5, 1.5]
-    assert [float(v) for v in function(2.5)] == [-1.0, 2.0, 2.0]
-
-
-def test_choice_and_minimum_take_numbers_and_arrays():
-    x = np.array([1.5, 2.5])
-    assert ex.where(x < 2.0, x, -1.0).tolist() == [1.5, -1.0]
-    assert ex.where(True, 1.5, -1.0) == 1.5
-    assert ex.minimum(x, 2.0).tolist() == [1.5, 2.0]
-    assert ex.minimum(1.5, 2.0) == 1.5
+    for value, wanted in ((1.5, (1.5, 1.5, 1.5)), (2.5, (-1.0, 2.0, 2.0))):
+        assert chosen(value) == wanted
+        assert tuple(map(float, ca.Function("f", [x], [*chosen(x)])(value))) == wanted
+    assert [[*found] for found in chosen(np.array([1.5, 2.5]))] == [[1.5, -1.0], [1.5, 2.0], [1.5, 2.0]]
 
 
 @pytest.mark.parametrize(
@@ -129,9 +116,7 @@ def test_choice_and_minimum_take_numbers_and_arrays():
         (1.0, False, False),
         (np.ones(2), False, False),
         (ca.DM(1.0), True, False),
-        (ca.SX(1.0), True, False),
         (ca.MX(1.0), True, False),
-        (ca.SX.sym("x"), True, True),
         (2.0 * ca.MX.sym("x"), True, True),
         (ca.vertcat(ca.SX.sym("x"), 1.0), True, True),
     ],
@@ -148,10 +133,10 @@ def test_numbers_of_every_type_are_read(value):
     assert float(ex.as_number(value)) == 1.5
 
 
-@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
-def test_a_symbol_has_no_value(symbol):
-    with pytest.raises(po.InputError, match=r"speed.*no value"):
-        ex.as_number(2.0 * symbol.sym("speed"))
+def test_a_symbol_has_no_value():
+    for symbol in (ca.SX, ca.MX):
+        with pytest.raises(po.InputError, match=r"speed.*no value"):
+            ex.as_number(2.0 * symbol.sym("speed"))
 
 
 def test_expressions_are_mapped_wherever_they_are_nested():
@@ -176,22 +161,16 @@ def test_a_column_can_be_combined_with_symbols():
     assert product.full().tolist() == [[3.0], [6.0]]
 
 
-@pytest.mark.parametrize("order", [1, 2, 3, 8, 16, 33, 64])
+@pytest.mark.parametrize("order", [1, 2, 3, 16, 64])
 def test_nodes_and_weights_are_the_roots_and_their_christoffel_numbers(order):
     precise = mpmath.mp.clone()
     precise.dps = 50
     nodes, weights = ex.gauss_legendre(order)
     assert len(nodes) == len(weights) == order
-    assert list(nodes) == sorted(nodes)
+    assert [*nodes] == sorted(nodes)
+    assert {*map(type, (*nodes, *weights))} == {float}  # CasADi keeps floats as constants
     for node, weight in zip(nodes, weights, strict=True):
         root = precise.findroot(lambda t: precise.legendre(order, t), 2 * precise.mpf(node) - 1)
         slope = precise.diff(lambda t: precise.legendre(order, t), root)
         assert abs((root + 1) / 2 - precise.mpf(node)) < 1.2e-16
         assert weight == pytest.approx(float(1 / ((1 - root**2) * slope**2)), rel=2e-14)
-
-
-def test_nodes_and_weights_are_immutable_floats():
-    nodes, weights = ex.gauss_legendre(4)
-    assert all(type(value) is float for value in (*nodes, *weights))  # CasADi keeps floats as constants
-    assert isinstance(nodes, tuple)
-    assert ex.gauss_legendre(4) is ex.gauss_legendre(4)

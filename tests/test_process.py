@@ -13,17 +13,14 @@ import pytest
 import plough_opt as po
 from plough_opt.core.process import Sieve, available
 
-OWN_LIMIT = """
-import os
-os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-from plough_opt.core.process import available
-print(available())
-"""
-
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="the system has no processor affinity")
 def test_the_affinity_of_the_process_counts():
-    done = subprocess.run([sys.executable, "-c", OWN_LIMIT], capture_output=True, text=True, check=True)
+    code = (
+        "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
+        "from plough_opt.core.process import available; print(available())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["1"]
 
 
@@ -61,11 +58,9 @@ TALK = """
 import sys, threading
 import plough_opt as po
 
-share = po.Wedge(po.deg(30), po.deg(15), 0.25)
 effects = po.Effects(start="rest", contact=po.StickSlip(), damping=400.0)
-scene = po.Scene(po.named_soil("serozem"), share, 5e4, 25.0, 2.0, effects)
-out, err = sys.stdout, sys.stderr
-done = threading.Event()
+scene = po.Scene(po.named_soil("serozem"), po.Cone(0.2, 0.25), 5e4, 25.0, 2.0, effects)
+out, err, done = sys.stdout, sys.stderr, threading.Event()
 
 def build():
     for outputs in range(10, 14):
@@ -77,8 +72,8 @@ builder = threading.Thread(target=build)
 builder.start()
 count = 0
 while count < 100 or not done.is_set():
-    print(f"line {count} on the one")
-    print(f"line {count} on the other", file=sys.stderr)
+    for stream in (out, err):
+        print(f"line {count}.", file=stream)
     count += 1
     done.wait(0.0005)
 builder.join()
@@ -89,30 +84,20 @@ print(count)
 def test_output_of_other_threads_arrives_whole_while_integrators_with_events_are_built():
     done = subprocess.run([sys.executable, "-c", TALK], capture_output=True, text=True, check=True)
     *lines, count = done.stdout.splitlines()
-    assert lines == [f"line {k} on the one" for k in range(int(count))]
+    assert lines == [f"line {k}." for k in range(int(count))]
     # Pieces of CasADi's own lines stand between them.
-    others = re.findall(r"line (\d+) on the other", done.stderr)
-    assert [int(k) for k in others] == list(range(int(count)))
+    assert re.findall(r"line \d+\.", done.stderr) == lines
     assert "Event support is experimental" in done.stderr
 
 
-def sieved(*pieces):
+@pytest.mark.parametrize("cuts", [(), (9, 40, 60)])
+def test_the_notice_is_dropped_even_in_pieces_and_other_output_passes(cuts):
     stream = io.StringIO()
     sieve = Sieve(stream)
-    for piece in pieces:
+    pieces = [NOTICE[i:j] for i, j in itertools.pairwise([0, *cuts, len(NOTICE)])]
+    for piece in ("before\n", *pieces, OTHER[:20], OTHER[20:], "no end of a line"):
         assert sieve.write(piece) == len(piece)
-    return stream.getvalue()
-
-
-@pytest.mark.parametrize("cuts", [(), (9, 40, 60), (9, 30)])
-def test_the_notice_is_dropped_even_in_pieces(cuts):
-    ends = [0, *cuts, len(NOTICE)]
-    pieces = [NOTICE[i:j] for i, j in itertools.pairwise(ends)]
-    assert sieved("before\n", *pieces, "after\n") == "before\nafter\n"
-
-
-def test_other_output_passes():
-    assert sieved(OTHER[:20], OTHER[20:], "no end of a line") == OTHER + "no end of a line"
+    assert stream.getvalue() == f"before\n{OTHER}no end of a line"
 
 
 def test_pieces_of_different_threads_do_not_mix():

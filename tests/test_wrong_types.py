@@ -8,7 +8,6 @@ from importlib.resources import files
 import casadi as ca
 import numpy as np
 import pytest
-from scipy import stats
 
 import plough_opt as po
 from plough_opt.core.expressions import exp
@@ -58,7 +57,7 @@ def test_an_array_of_one_number_is_that_number():
 # --- invalid numbers ---
 
 
-@pytest.mark.parametrize("value", [[0.2], (0.2,), [0.2, 0.3]])
+@pytest.mark.parametrize("value", [[0.2], (0.2, 0.3)])
 def test_lists_are_refused(value):
     with pytest.raises(po.DomainError, match=r"half angle = .* must be a number or a NumPy array, in rad"):
         po.Cone(value, 0.25)
@@ -66,17 +65,11 @@ def test_lists_are_refused(value):
         po.resistance(CONE, SOIL, value, 0.0)
 
 
-@pytest.mark.parametrize("kind", [np.int8, np.uint8, np.int16, np.uint16, np.float16])
+@pytest.mark.parametrize("kind", [np.int8, np.uint16, np.float16])
 def test_short_number_types_are_refused(kind):
     # In 8 bits a cone of 10 m would have a negative volume.
     with pytest.raises(po.DomainError, match=f"share height has type {np.dtype(kind)}, .* float"):
         po.Cone(0.2, np.array([1, 10], dtype=kind))
-
-
-@pytest.mark.parametrize("value", ["30 deg", None, [30.0], True, float("nan")])
-def test_degrees_of_invalid_numbers_are_refused(value):
-    with pytest.raises(po.DomainError, match=r"angle = .* must be (a number|finite)"):
-        po.deg(value)
 
 
 # --- wrong types of soil, share, effects and switches ---
@@ -87,7 +80,6 @@ def test_degrees_of_invalid_numbers_are_refused(value):
     [
         ({"soil": "serozem"}, r"scene's soil = 'serozem' must be a Soil, for instance named_soil"),
         ({"share": 0.3}, "scene's share = 0.3 must be a Wedge or a Cone"),
-        ({"effects": {"damping": 400.0}}, "scene's effects = .* must be an Effects"),
         ({"effects": None}, "scene's effects = None must be an Effects"),
     ],
 )
@@ -98,7 +90,7 @@ def test_a_scene_with_a_part_of_the_wrong_type_is_refused(change, words):
 
 
 @pytest.mark.parametrize("name", ["motion", "inertial_drag", "added_mass", "ambient_pressure", "entry"])
-@pytest.mark.parametrize("value", ["off", "no", 0, 1, None])
+@pytest.mark.parametrize("value", ["off", 0, None])
 def test_a_switch_must_be_a_bool(name, value):
     with pytest.raises(po.InputError, match=f"{name} = {value!r} must be True or False"):
         po.Effects(**{name: value})
@@ -106,12 +98,13 @@ def test_a_switch_must_be_a_bool(name, value):
 
 @pytest.mark.parametrize("call", [po.resistance_coefficients, po.soil_reaction, po.added_mass, po.loosened_radius])
 def test_forces_of_the_wrong_types_are_refused(call):
-    with pytest.raises(po.InputError, match=r"must be a Cone: use its equivalent_cone\(\)"):
-        call(po.Wedge(0.5, 0.2, 0.25), SOIL)
-    with pytest.raises(po.InputError, match=r"the cone = 0\.3 must be a Cone$"):
-        call(0.3, SOIL)
-    with pytest.raises(po.InputError, match="the soil = 'serozem' must be a Soil, for instance named_soil"):
-        call(CONE, "serozem")
+    for share, soil, words in (
+        (po.Wedge(0.5, 0.2, 0.25), SOIL, r"must be a Cone: use its equivalent_cone\(\)"),
+        (0.3, SOIL, r"the cone = 0\.3 must be a Cone$"),
+        (CONE, "serozem", "the soil = 'serozem' must be a Soil, for instance named_soil"),
+    ):
+        with pytest.raises(po.InputError, match=words):
+            call(share, soil)
 
 
 # --- pickled errors ---
@@ -123,8 +116,6 @@ def test_forces_of_the_wrong_types_are_refused(call):
         po.InfeasibleDesign("no design", {"draft": 3.0}, ["upper bound"]),
         po.NotConverged("it stopped", "Restoration_Failed"),
         po.InputError("wrong"),
-        po.DomainError("outside"),
-        po.IntegrationError("failed"),
     ],
     ids=lambda error: type(error).__name__,
 )
@@ -139,43 +130,20 @@ def test_the_package_is_marked_as_typed():
     assert (files("plough_opt") / "py.typed").is_file()
 
 
-# --- arguments of public functions ---
-
-
-def _design():
-    d = po.Design()
-    angle, speed = d.variable("angle", guess=0.5, lower=0.3, upper=0.8, unit="rad"), d.parameter("speed", 2.0)
-    scene = po.Scene(SOIL, po.Wedge(angle, 0.26, 0.25), 5e4, 45.0, speed, po.Effects(motion=False))
-    d.minimise(po.simulate(scene, 1.0).mean_draft / 1e3)
-    d.require("radius", scene.loosened_radius, at_least=0.05, unit="m")
-    return d, scene
-
-
-def _component(**changes):
-    scene = po.Scene(SOIL, po.Wedge(0.5, 0.26, 0.25), 5e4, 45.0, 2.0, po.Effects(motion=False))
-    options = {"duration": 1.0, "inputs": ["share.height"], "outputs": ["mean_draft"]} | changes
-    return po.component(scene, options.pop("duration"), **options)
-
-
-SYMBOL = ca.MX.sym("x")
 # --- overflow ---
 
 BEYOND = {
-    "whole number": lambda: po.Cone(10**400, 0.25),
     "largest speed but one": lambda: po.resistance(CONE, SOIL, 1.1e60, 0.0),
     "place at a wedge's tip": lambda: po.elastic.wedge_pressure(5e-324, NODES, SOIL, 2.0),
-    "duration": lambda: po.simulate(po.Scene(SOIL, CONE, 5e4, 25.0, 2.0, po.Effects(motion=False)), 1e308),
     "samples": lambda: po.uncertainty.worst([1.0, 1e308], width=0.1),
-    "bound": lambda: po.uncertainty.Marginal(stats.norm(), upper=10**61),
     "reading": lambda: po.Penetrometer("a.csv", [1e6, 1e308]),
     "record": lambda: po.StrengthRecord(np.arange(40.0), np.full(40, 1e308)),
-    "error": lambda: po.Accuracy(error=np.float32(0.5)),
 }
 
 
 @pytest.mark.parametrize("call", BEYOND.values(), ids=BEYOND)
 def test_numbers_that_would_overflow_are_refused(call):
-    with pytest.raises((po.DomainError, po.InputError), match=r"must (be|lie)|at least|node 1|cone indices|within"):
+    with pytest.raises((po.DomainError, po.InputError), match=r"must (be|lie)|node 1|cone indices"):
         call()
 
 
@@ -187,30 +155,27 @@ def test_the_largest_numbers_are_accepted():
 # --- names ---
 
 
-def test_a_name_is_declared_once():
-    kinds = {
-        "variable": lambda d: d.variable("x", guess=0.5, lower=0.0, upper=1.0),
-        "parameter": lambda d: d.parameter("x", 1.0),
-        "requirement": lambda d: d.require("x", SYMBOL, at_most=1.0),
-    }
-    for first in kinds.values():
-        for second in kinds.values():
-            d = po.Design()
-            first(d)
-            with pytest.raises(po.InputError, match="'x' is declared already"):
-                second(d)
+DECLARATIONS = {
+    "variable": lambda d: d.variable("x", guess=0.5, lower=0.0, upper=1.0),
+    "parameter": lambda d: d.parameter("x", 1.0),
+    "requirement": lambda d: d.require("x", ca.MX.sym("x"), at_most=1.0),
+}
 
 
-def test_an_input_is_given_once():
-    made = _component()
-    assert made(share_height=0.2) == made(**{"share.height": 0.2})
-    with pytest.raises(po.InputError, match=r"'share.height' is given twice, also as 'share_height'"):
-        made(**{"share.height": 0.2, "share_height": 0.3})
+@pytest.mark.parametrize("first", DECLARATIONS.values(), ids=DECLARATIONS)
+@pytest.mark.parametrize("second", DECLARATIONS.values(), ids=DECLARATIONS)
+def test_a_name_is_declared_once(first, second):
+    d = po.Design()
+    first(d)
+    with pytest.raises(po.InputError, match="'x' is declared already"):
+        second(d)
 
 
 def test_a_requirement_may_have_the_name_of_a_fronts_own_one():
     """Its margins are those of any other requirement."""
-    d, scene = _design()
+    d = po.Design()
+    angle = d.variable("angle", guess=0.5, lower=0.3, upper=0.8, unit="rad")
+    scene = po.Scene(SOIL, po.Wedge(angle, 0.26, 0.25), 5e4, 45.0, 2.0, po.Effects(motion=False))
     d.require("position on the front", scene.cone.half_angle, at_most=0.3, unit="rad")
     draft = po.simulate(scene, 1.0).mean_draft
     front = po.trade_off(d, draft, po.Goal("r", scene.loosened_radius, maximise=True), points=5, search="local")

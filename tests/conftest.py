@@ -34,8 +34,6 @@ def no_lines_that_depend_on_time():
 
 # File or test -> n: by default only every n-th case of a parametrised test runs; the slow tests run all.
 ONE_OF = {
-    "cli/test_cli::test_a_reader_that_has_seen_enough_is_no_error": 3,
-    "cli/test_cli::test_bad_input_is_refused_in_a_sentence_and_nothing_is_written": 3,
     "cli/test_cli_files::test_environments_that_cannot_be_are_bad_input": 2,
     "design/test_design_nlp::test_methods_of_casadi_agree_with_order_8": 3,
     "design/test_implied_limits": 3,

@@ -11,6 +11,8 @@ import casadi as ca
 import ezdxf
 import pytest
 import trimesh
+from helpers.commands import call, printed
+from helpers.problem_files import REFERENCE, SUBSOILER
 
 import plough_opt as po
 
@@ -21,77 +23,67 @@ def _component(out):
     return [row[1] for row in rows if row[0] == "in"], [row[1] for row in rows if row[0] == "out"]
 
 
-def test_casadi_has_the_files_variables_and_all_that_it_minimises_and_requires(cli, reference, tmp_path):
+def test_casadi_has_the_files_variables_and_all_that_it_minimises_and_requires(tmp_path):
     told = ("--description", tmp_path / "r1.json")
     slow = ("--set", "scene.tow_speed=1 m/s")
-    done = cli("export", reference, "--to", "casadi", "--output", tmp_path / "r1.casadi", *told, *slow)
+    done = call("export", REFERENCE, "--to", "casadi", "--output", tmp_path / "r1.casadi", *told, *slow)
     assert (done.status, done.err) == (0, f"wrote {tmp_path / 'r1.casadi'}\nwrote {tmp_path / 'r1.json'}\n")
     inputs, outputs = _component(done.out)
     assert inputs == ["share.wedge_angle", "share.height", "scene.stiffness"]
-    wanted = ["objective", "mean_draft", "force_rms", "loosened_radius", "mean_deflection", "half_angle"]
-    assert outputs == wanted
-    function = ca.Function.load(str(tmp_path / "r1.casadi"))
-    run = po.read_problem(reference, slow[1:]).simulate({"share.height": 0.3})
-    found = function(share_height=0.3)
+    assert outputs == ["objective", "mean_draft", "force_rms", "loosened_radius", "mean_deflection", "half_angle"]
+    found = ca.Function.load(str(tmp_path / "r1.casadi"))(share_height=0.3)
+    run = po.read_problem(REFERENCE, slow[1:]).simulate({"share.height": 0.3})
     assert float(found["force_rms"]) == pytest.approx(run.force_rms, rel=1e-7)
     assert float(found["objective"]) == pytest.approx((run.mean_draft + run.force_rms) / 1e3, rel=1e-7)
     told = json.loads((tmp_path / "r1.json").read_text())
     assert {port["name"]: (port["lower"], port["upper"]) for port in told["outputs"]}["mean_deflection"] == (None, 0.15)
 
 
-def test_c_with_inputs_and_outputs_of_ones_own_passes_its_test(cli, cotton, tmp_path):
+def test_c_with_inputs_and_outputs_of_ones_own_passes_its_test(tmp_path):
     names = ["--inputs", "soil.cohesion, scene.tow_speed", "--outputs", "mean_draft,moving_mass", "--name", "cotton"]
-    done = cli("export", cotton, "--to", "c", "--output", tmp_path / "c", *names)
-    assert done.status == 0, done.err
-    assert _component(done.out) == (["soil.cohesion", "scene.tow_speed"], ["mean_draft", "moving_mass"])
-    assert "soil.cohesion [Pa] 10000 to 40000, value 20000" in done.out
-    assert sorted(path.name for path in (tmp_path / "c").iterdir()) == [
-        "Makefile", "cotton.c", "cotton.h", "cotton_test.c",
-    ]  # fmt: skip
+    out = printed("export", SUBSOILER, "--to", "c", "--output", tmp_path / "c", *names)
+    assert _component(out) == (["soil.cohesion", "scene.tow_speed"], ["mean_draft", "moving_mass"])
+    assert "soil.cohesion [Pa] 10000 to 40000, value 20000" in out
+    assert {path.name for path in (tmp_path / "c").iterdir()} == {"Makefile", "cotton.c", "cotton.h", "cotton_test.c"}
 
 
-def test_what_to_do_next_can_be_pasted_whatever_the_folder_is_called(cli, cotton, tmp_path):
+def test_what_to_do_next_can_be_pasted_whatever_the_folder_is_called(tmp_path):
     folder = tmp_path / 'new "share\'s"'
-    done = cli("export", cotton, "--to", "fmu", "--output", folder / "a.fmu", "--sources")
-    assert "next: fmpy simulate '" in done.out
-    quasi_static = ("--set", "effects={motion=false}")
-    done = cli(
-        "export", cotton, "--to", "casadi", "--output", folder / "a.casadi", *quasi_static, "--outputs", "mean_draft"
-    )
-    line = done.out[done.out.index("next: ") + len("next: ") :]
+    out = printed("export", SUBSOILER, "--to", "fmu", "--output", folder / "a.fmu", "--sources")
+    assert "next: fmpy simulate '" in out
+    few = ("--set", "effects={motion=false}", "--outputs", "mean_draft")
+    out = printed("export", SUBSOILER, "--to", "casadi", "--output", folder / "a.casadi", *few)
+    line = out[out.index("next: ") + len("next: ") :]
     # Its python is the one that has CasADi.
     path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
-    told = subprocess.run(line, shell=True, check=True, capture_output=True, text=True, env=os.environ | {"PATH": path})
-    assert "share" in told.stdout
-    done = cli("init", folder / "a.toml")
-    assert "next: plough-opt optimise '" in done.out
+    assert "share" in subprocess.check_output(line, shell=True, text=True, env=os.environ | {"PATH": path})
+    assert "next: plough-opt optimise '" in printed("init", folder / "a.toml")
 
 
-def test_parts_are_of_the_best_design_or_of_the_guesses(cli, reference, tmp_path):
+def test_parts_are_of_the_best_design_or_of_the_guesses(tmp_path):
     still = ("--set", "effects={motion=false}", "--set", "scene.duration=0.1 s")
-    best = po.read_problem(reference, still[1::2]).optimise()[0].variables
+    best = po.read_problem(REFERENCE, still[1::2]).optimise()[0].variables
     for at, angle in (([], best["share.wedge_angle"]), (["--at", "guess"], po.deg(25))):
-        out = tmp_path / "a.dxf"
-        done = cli("export", reference, "--to", "dxf", "--output", out, *still, *at)
-        assert (done.status, done.err) == (0, f"wrote {out}\n")
+        path = tmp_path / "a.dxf"
+        done = call("export", REFERENCE, "--to", "dxf", "--output", path, *still, *at)
+        assert (done.status, done.err) == (0, f"wrote {path}\n")
         assert f"wedge angle {math.degrees(angle):.4g} deg" in done.out
-        (outline,) = ezdxf.readfile(out).modelspace().query("LWPOLYLINE")
+        (outline,) = ezdxf.readfile(path).modelspace().query("LWPOLYLINE")
         (_, _), (x, y), _ = outline.get_points("xy")
         assert math.atan2(-y, x) == pytest.approx(angle, rel=1e-9)
 
 
-def test_parts_have_units_and_bodies(cli, reference, tmp_path):
+def test_parts_have_units_and_bodies(tmp_path):
     bent = ("--opening", "60 deg", "--thickness", "1 cm", "--at", "guess")
-    done = cli("export", reference, "--to", "gltf", "--output", tmp_path / "a.glb", *bent)
-    assert done.status == 0, done.err
-    share = po.read_problem(reference).scene().share
+    out = printed("export", REFERENCE, "--to", "gltf", "--output", tmp_path / "a.glb", *bent)
+    share = po.read_problem(REFERENCE).scene().share
     made = share.mesh(opening=po.deg(60), thickness=0.01)
-    assert f"60 deg between the faces, plate of 10 mm, {1e6 * made.volume:.4g} cm^3" in done.out
+    assert f"60 deg between the faces, plate of 10 mm, {1e6 * made.volume:.4g} cm^3" in out
     assert trimesh.load_scene(tmp_path / "a.glb").to_mesh().volume == pytest.approx(made.volume, rel=1e-6)
-    done = cli("export", reference, "--to", "stl", "--output", tmp_path / "a.stl", "--body", "cone", "--at", "guess")
-    assert "Cone of the guesses: half angle" in done.out
-    cone = share.equivalent_cone()
-    assert trimesh.load_mesh(tmp_path / "a.stl").volume == pytest.approx(1e9 * cone.volume, rel=1e-6)
+    cone = ("--output", tmp_path / "a.stl", "--body", "cone", "--at", "guess")
+    assert "Cone of the guesses: half angle" in printed("export", REFERENCE, "--to", "stl", *cone)
+    volume = share.equivalent_cone().volume
+    assert trimesh.load_mesh(tmp_path / "a.stl").volume == pytest.approx(1e9 * volume, rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -101,11 +93,9 @@ def test_parts_have_units_and_bodies(cli, reference, tmp_path):
         (["--output", "folder.casadi"], "is a folder"),
         (["--to", "c", "--output", "folder.casadi"], "exists already and is left as it is"),
         (["--to", "fmu", "--output", "a.fmu", "--inputs", "share.height"], "--inputs cannot be used with --to fmu"),
-        (["--description", "a.txt"], "end in .json"),
         (["--inputs", "share.hight"], "no quantity is named 'share.hight': did you mean 'share.height'"),
         (["--inputs", ""], "--inputs '' has an empty name"),
         (["--inputs", "effects.damping"], "'effects.damping' cannot be an input"),
-        (["--outputs", "peak_force"], "use 'mount_force'"),
         (["--name", "2nd"], "name = '2nd' cannot be the name of a CasADi Function"),
         (["--to", "gltf", "--output", "a.stl"], "end in .gltf or .glb"),
         (["--to", "stl", "--output", "a.stl", "--opening", "60 mm"], '--opening = "60 mm" has the wrong unit'),
@@ -113,21 +103,22 @@ def test_parts_have_units_and_bodies(cli, reference, tmp_path):
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_bad_input_is_told_and_leaves_nothing(cli, reference, tmp_path, monkeypatch, changes, text):
+def test_bad_input_is_told_and_leaves_nothing(tmp_path, monkeypatch, changes, text):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder.casadi").mkdir()
     options = {"--to": "casadi", "--output": "a.casadi"} | dict(zip(changes[::2], changes[1::2], strict=True))
-    done = cli("export", reference, *(word for pair in options.items() for word in pair))
+    done = call("export", REFERENCE, *(word for pair in options.items() for word in pair))
     assert (done.status, done.out) == (2, "")
     assert text in done.err
     assert [path.name for path in tmp_path.iterdir()] == ["folder.casadi"]
     assert not list((tmp_path / "folder.casadi").iterdir())
 
 
-def test_a_file_without_variables_or_results_needs_names_of_inputs_and_outputs(reference, tmp_path):
-    text = reference.read_text()
+@pytest.mark.parametrize(
+    ("part", "words"), [("[variables]", "nothing to vary"), ("[minimise]", "minimises, trades and requires nothing")]
+)
+def test_a_file_without_variables_or_results_needs_names_of_inputs_and_outputs(tmp_path, part, words):
     fixed = ("share.wedge_angle=25 deg", "share.height=0.2 m", "scene.stiffness=50 kN/m")
-    for part, changes, words in (("[variables]", fixed, "nothing to vary"), ("[minimise]", (), "requires nothing")):
-        (tmp_path / "p.toml").write_text(text.partition(part)[0])
-        with pytest.raises(po.InputError, match=words):
-            po.read_problem(tmp_path / "p.toml", changes).component()
+    (tmp_path / "p.toml").write_text(REFERENCE.read_text(encoding="utf-8").partition(part)[0], encoding="utf-8")
+    with pytest.raises(po.InputError, match=words):
+        po.read_problem(tmp_path / "p.toml", fixed if part == "[variables]" else ()).component()

@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import re
 from dataclasses import dataclass
 
 from plough_opt.app import main
@@ -34,3 +35,9 @@ def printed(*arguments):
     done = call(*arguments)
     assert done.status == 0, done.err
     return done.out
+
+
+def cells(out, row):
+    """Return the cells of the one table row that begins with a name."""
+    (found,) = re.findall(rf"^│ {re.escape(row)} +│(.*)│$", out, flags=re.MULTILINE)
+    return [cell.strip() for cell in found.split("│")]

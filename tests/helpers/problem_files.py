@@ -3,7 +3,8 @@
 from pathlib import Path
 
 PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
-COTTON = (PROBLEMS / "cotton_subsoiler.toml").read_text(encoding="utf-8")
+SUBSOILER, REFERENCE = PROBLEMS / "cotton_subsoiler.toml", PROBLEMS / "reference.toml"
+COTTON = SUBSOILER.read_text(encoding="utf-8")
 # One variable and no motion: quick to solve.
 STATIC = """\
 title = "Quasi-static"

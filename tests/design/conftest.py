@@ -1,18 +1,17 @@
 """Designs that the tests of the design layer share; each expensive one is solved once."""
 
 import shutil
-from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 
 import plough_opt as po
-from plough_opt.design.program import Program
+from plough_opt.design import program
 
 # What judges these designs integrates in C.
 JUDGED = ("*_study", "independent_motion", "near", "search_reproductions")
 collect_ignore_glob = [] if shutil.which("cc") else [f"test_{name}.py" for name in JUDGED]
-PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 
 
 @pytest.fixture(scope="session")
@@ -61,24 +60,9 @@ def r1(build_r1):
     return problem
 
 
-@pytest.fixture(scope="session")
-def cotton(tmp_path_factory):
-    """Solve the cotton subsoiler without its damper, which leaves more optima."""
-    text = (PROBLEMS / "cotton_subsoiler.toml").read_text(encoding="utf-8")
-    lines = [line for line in text.splitlines() if not line.startswith("damping")]
-    file = tmp_path_factory.mktemp("problems") / "undamped.toml"
-    file.write_text("\n".join(lines), encoding="utf-8")
-    problem = po.read_problem(file)
-    assert problem.scene().effects.damping is None
-    design, run = problem.design()
-    return SimpleNamespace(problem=problem, design=design, run=run, best=design.solve())
-
-
-@pytest.fixture(scope="session")
-def program_of():
-    """Return the program of a design, not built yet."""
-
-    def program(d):
-        return Program(d.declared)
-
-    return program
+@pytest.fixture
+def build_nlp(monkeypatch):
+    """Return a mock that records the calls of `build_nlp`."""
+    mock = Mock(wraps=program.build_nlp)
+    monkeypatch.setattr(program, "build_nlp", mock)
+    return mock

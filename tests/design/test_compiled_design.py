@@ -1,15 +1,12 @@
 """Compiled designs: the same optimum, few evaluations, and a warning if there is no compiler."""
 
 import dataclasses
-import types
 
-import casadi as ca
 import numpy as np
 import pytest
 from helpers.small_designs import design
 
 import plough_opt as po
-from plough_opt.design.ipopt import LastPoint
 from plough_opt.motion.batch import many_runs
 from plough_opt.motion.equation import signals
 from plough_opt.motion.terms import Structure, parameters
@@ -49,29 +46,6 @@ def test_the_optimum_is_the_same(small, cache):
     again, expected = (small.solve(parameters=softer, compiled=how) for how in (True, False))
     assert again.objective == pytest.approx(expected.objective, rel=1e-10)
     assert again.objective < fast.objective
-
-
-def test_values_come_with_slopes_unless_a_point_was_rejected():
-    computed = []
-
-    def counted(name, count):
-        return types.SimpleNamespace(call=lambda at: computed.append(name) or [(name, float(at[0]))] * count)
-
-    last = LastPoint(types.SimpleNamespace(values=counted("values", 2), slopes=counted("slopes", 4)))
-
-    def check(x, *, sloping, source):
-        found = last([ca.DM(x)], sloping=sloping)
-        assert found == [(source, x)] * (4 if sloping else 2)
-
-    check(1.0, sloping=False, source="slopes")
-    check(1.0, sloping=True, source="slopes")
-    assert computed == ["slopes"]
-    check(2.0, sloping=False, source="slopes")  # rejected: its slopes are not asked for
-    check(3.0, sloping=False, source="values")
-    check(3.0, sloping=True, source="slopes")
-    check(3.0, sloping=False, source="slopes")
-    check(1.0, sloping=False, source="slopes")
-    assert computed == ["slopes", "slopes", "values", "slopes", "slopes"]
 
 
 def test_a_design_is_interpreted_without_a_compiler(small, cache, monkeypatch):

@@ -20,14 +20,10 @@ VALID = {"guess": 0.25, "lower": 0.1, "upper": 0.5, "unit": "m"}
     ("changes", "message"),
     [
         ({"guess": 0.6}, r"guess 0.6( m)? .*outside its bounds 0.1( m)? to 0.5 m"),
-        ({"guess": 0.09}, r"guess 0.09( m)? .*outside its bounds 0.1( m)? to 0.5 m"),
         ({"lower": 0.5, "guess": 0.5}, r"lower 0.5( m)? is not below upper 0.5 m"),
-        ({"lower": 0.7}, r"lower 0.7( m)? is not below upper 0.5 m"),
         ({"guess": math.nan}, "finite number"),
-        ({"lower": math.nan}, "finite number"),
         ({"upper": math.inf}, "finite number"),
         ({"lower": 0.0, "log": True}, "lower bound above 0, not 0"),
-        ({"lower": -1.0, "log": True}, "lower bound above 0, not -1"),
         ({"log": "yes"}, "log = 'yes' must be True or False"),
         ({"guess": "0.25"}, '= "0.25" has no unit'),
         ({"upper": np.array([0.5])}, r"array\(\[0.5\]\) is not a number"),
@@ -62,11 +58,9 @@ def test_every_declaration_needs_a_new_name(name):
     [
         ({}, "has no limit: give at_least, at_most or both"),
         ({"at_least": 2.0, "at_most": 1.0}, r"at least 2( m)? is above at most 1 m"),
-        ({"at_least": math.nan}, "at_least: nan must be a finite number"),
         ({"at_most": math.inf}, "at_most: inf must be a finite number"),
         ({"at_most": "0.12 kg"}, 'at_most = "0.12 kg" has the wrong unit: expected a quantity in m'),
         ({"at_most": np.array([0.1, 0.2])}, "at_most: .* is not a number"),
-        ({"at_least": ca.DM([0.1, 0.2])}, "at_least: .* is not a number"),
         ({"at_least": ca.MX.sym("limit")}, "at_least: .* is not a number"),
     ],
 )

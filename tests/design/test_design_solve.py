@@ -28,54 +28,23 @@ TRUE_ANGLE, TRUE_HEIGHT = po.deg(39.11469851), 0.2002828632
 # --- optima known without any simulation --------------------------------------------------------------------
 
 
-def test_minimum_of_a_quadratic_inside_its_bounds():
-    d, x, y = design(x=(0.9, 0.0, 1.0), y=(-3.0, -5.0, 5.0))
-    d.minimise(7.0 + (x - 0.25) ** 2 + 3.0 * (y - 2.0) ** 2)
-    best = d.solve()
-    # The gradient is within 1e-10 of the start's objective of 82, and the objective's error is its square.
-    assert best.variables == {"x": pytest.approx(0.25, abs=1e-8), "y": pytest.approx(2.0, abs=1e-8)}
-    assert best.objective == pytest.approx(7.0, rel=1e-15)
-    assert best.active == ()
-    assert (best.status, best.name, best.flat_directions) == ("solved", "optimum", ())
-
-
-def test_an_active_bound_is_kept_exactly_and_the_objective_never_undercuts_the_truth():
-    d, x = design(x=(0.5, 0.2, 1.0))
+def test_active_bounds_are_kept_exactly_and_their_multipliers_are_the_slopes_of_the_objective():
+    d, x, z = design(x=(0.5, 0.2, 1.0, "m"), z=(2.0, 1.0, 3.0))
     y = d.variable("y", guess=2.0, lower=1.0, upper=3.0, log=True)
-    d.minimise(2.0 + x**2 - y)
+    d.minimise(x**2 - 5.0 * ca.log(y) + (z - 2.5) ** 2)
     best = d.solve()
-    truth = 2.0 + 0.2**2 - 3.0
     assert 0.2 <= best.variables["x"] <= 0.2 * (1 + 1e-8)
     assert 3.0 * (1 - 1e-8) <= best.variables["y"] <= 3.0
-    assert 0.0 <= best.objective - truth < 1e-8
-    assert set(best.active) == {"x", "y"}
-
-
-def test_multipliers_of_bounds_are_the_slopes_of_the_objective():
-    d, x = design(x=(0.5, 0.2, 1.0, "m"))
-    y = d.variable("y", guess=2.0, lower=1.0, upper=3.0, log=True)
-    z = d.variable("z", guess=2.0, lower=1.0, upper=3.0)
-    d.minimise(x**2 - 5.0 * ca.log(y) + (z - 2.5) ** 2)
-    limits = {limit.name: limit for limit in d.solve().limits}
+    # The objective never undercuts the truth.
+    assert 0.0 <= best.objective - (0.2**2 - 5.0 * math.log(3.0)) < 1e-8
+    assert (best.status, best.name, best.flat_directions, set(best.active)) == ("solved", "optimum", (), {"x", "y"})
+    limits = {limit.name: limit for limit in best.limits}
     assert {limit.kind for limit in limits.values()} == {"bound"}
     # The barrier leaves the multiplier wrong by its own size over the margin, 1e-9 here.
     assert limits["x"].multiplier == pytest.approx(2.0 * 0.2, rel=1e-7)
     assert limits["y"].multiplier == pytest.approx(5.0 / 3.0, rel=1e-7)
     assert limits["z"].multiplier == pytest.approx(0.0, abs=1e-7)
-    assert [limits[name].active for name in "xyz"] == [True, True, False]
     assert limits["x"].limits in ("0.2 to 1 m", "0.2 m to 1 m")
-
-
-def test_rosenbrock_with_log_scaled_variables():
-    d = po.Design()
-    x = d.variable("x", guess=0.02, lower=0.01, upper=10.0, log=True)
-    y = d.variable("y", guess=8.0, lower=0.01, upper=10.0, log=True)
-    d.minimise((1.0 - x) ** 2 + 100.0 * (y - x**2) ** 2)
-    best = d.solve()
-    # The smallest curvature is 1/2500 of the largest; the start's objective of 6400 scales the tolerance.
-    assert best.variables == {"x": pytest.approx(1.0, abs=1e-5), "y": pytest.approx(1.0, abs=1e-5)}
-    assert best.objective == pytest.approx(0.0, abs=1e-10)
-    assert best.status == "solved"
 
 
 def test_an_objective_may_be_zero_at_the_start():
@@ -113,17 +82,6 @@ def test_a_limit_of_zero_on_a_large_quantity(size):
     assert best.active == ("reserve",)
 
 
-def test_a_quantity_may_be_required_to_have_one_value():
-    d, x, y = design(x=(0.9, 0.0, 1.0), y=(0.9, 0.0, 1.0))
-    d.minimise(x**2 + 2.0 * y**2)
-    d.require("sum", x + y, at_least=0.9, at_most=0.9)
-    best = d.solve()
-    assert best.variables == {"x": pytest.approx(0.6, rel=1e-8), "y": pytest.approx(0.3, rel=1e-8)}
-    assert best.margins["sum"] == pytest.approx(0.0, abs=1e-9)
-    assert best.active == ("sum",)
-    assert next(limit.multiplier for limit in best.limits if limit.name == "sum") == pytest.approx(1.2, rel=1e-7)
-
-
 @pytest.mark.parametrize("stacked", [ca.vertcat, ca.horzcat])
 def test_a_column_or_row_is_required_in_every_entry(stacked):
     d, x = design(x=(0.5, 0.0, 1.0))
@@ -137,23 +95,24 @@ def test_a_column_or_row_is_required_in_every_entry(stacked):
     assert limit.multiplier == pytest.approx(0.5, rel=1e-7)
 
 
-def test_a_requirement_may_be_a_number():
-    d, x = design(x=(0.5, 0.0, 1.0))
-    d.minimise((x - 0.25) ** 2)
-    d.require("given", 3.0, at_most=4.0)
-    best = d.solve()
-    assert best.margins == {"given": pytest.approx(1.0)}
-    assert best.active == ()
-
-
 @pytest.mark.parametrize("constant", [0.0, 1.0])
 def test_a_constant_objective_leaves_a_feasible_design(constant):
     d, x = design(x=(0.5, 0.0, 1.0))
     d.minimise(constant)
     d.require("least", x, at_least=0.7)
+    d.require("given", 3.0, at_most=4.0)
     best = d.solve()
     assert best.objective == constant
     assert best.variables["x"] > 0.7
+    assert best.margins["given"] == pytest.approx(1.0)
+
+
+def _least_squares(a, b):
+    """Return the best objective 1 + |a x - b|^2 for x between 0 and 1, by a design and by SciPy."""
+    d = po.Design()
+    x = ca.vertcat(*(d.variable(f"x{k}", guess=0.5, lower=0.0, upper=1.0) for k in range(3)))
+    d.minimise(1.0 + ca.sumsqr(ca.mtimes(ca.DM(a), x) - ca.DM(b)))
+    return d.solve().objective, 1.0 + 2.0 * lsq_linear(a, b, (0.0, 1.0), tol=1e-14).cost
 
 
 # Of two digits: a slope of 1e-6 is within the optimiser's tolerance of being flat, and may leave that much to gain.
@@ -166,39 +125,16 @@ COEFFICIENTS = st.integers(-200, 200).map(lambda hundredths: hundredths / 100.0)
 )
 @settings(max_examples=25, deadline=None)
 def test_bounded_least_squares_as_scipy_solves_them(rows, target):
-    a, b = np.array(rows), np.array(target[: len(rows)])
-    d = po.Design()
-    x = ca.vertcat(*(d.variable(f"x{k}", guess=0.5, lower=0.0, upper=1.0) for k in range(3)))
-    d.minimise(1.0 + ca.sumsqr(ca.mtimes(ca.DM(a), x) - ca.DM(b)))
-    best = d.solve()
-    truth = 1.0 + 2.0 * lsq_linear(a, b, (0.0, 1.0), tol=1e-14).cost
-    assert truth - 1e-9 <= best.objective <= truth * (1.0 + 1e-7)
-    assert all(0.0 <= value <= 1.0 for value in best.variables.values())
+    found, truth = _least_squares(np.array(rows), np.array(target[: len(rows)]))
+    assert truth - 1e-9 <= found <= truth * (1.0 + 1e-7)
 
 
-@pytest.mark.parametrize("slope", [1.4622579343563752e-06, 1e-6, 3e-7])
+@pytest.mark.parametrize("slope", [1.4622579343563752e-06, 3e-7])
 def test_a_slope_within_the_tolerance_leaves_hardly_anything_to_gain(slope):
     a = np.array([(1.0, 1.0, 0.0)] * 3 + [(0.0, -slope, 0.0), (1.0, 1.0, 0.0)])
-    b = np.array([0.0, 0.0, 0.0, 1.0, 1.5])
-    d = po.Design()
-    x = ca.vertcat(*(d.variable(f"x{k}", guess=0.5, lower=0.0, upper=1.0) for k in range(3)))
-    d.minimise(1.0 + ca.sumsqr(ca.mtimes(ca.DM(a), x) - ca.DM(b)))
-    truth = 1.0 + 2.0 * lsq_linear(a, b, (0.0, 1.0), tol=1e-14).cost
+    found, truth = _least_squares(a, np.array([0.0, 0.0, 0.0, 1.0, 1.5]))
     # Two variables trade places along a valley that falls by twice the slope, over some 0.2: at most 2e-7 of 3.7.
-    assert truth - 1e-9 <= d.solve().objective <= truth * (1.0 + 2e-7)
-
-
-def test_the_order_of_declaration_does_not_matter():
-    found = []
-    for names in (("x", "y", "z"), ("z", "x", "y")):
-        d = po.Design()
-        v = {name: d.variable(name, guess=0.5, lower=0.1, upper=2.0, log=name == "y") for name in names}
-        d.minimise(ca.exp(v["x"]) + v["y"] ** 2 / v["z"] + v["z"] * v["x"])
-        d.require("sum", v["x"] + v["y"], at_least=1.0)
-        found.append(d.solve())
-    one, other = found
-    assert one.objective == pytest.approx(other.objective, rel=1e-9)
-    assert one.variables == pytest.approx(other.variables, rel=1e-7)
+    assert truth - 1e-9 <= found <= truth * (1.0 + 2e-7)
 
 
 def test_an_objective_may_contain_a_lookup_table():
@@ -235,6 +171,8 @@ def test_r1_is_solved_to_its_global_optimum_and_has_three_in_order(r1):
         assert optimum.variables["stiffness"] == pytest.approx(truth["stiffness"], rel=3e-9)
         assert optimum.variables["wedge angle"] == pytest.approx(TRUE_ANGLE, rel=1e-9)
         assert optimum.variables["height"] == pytest.approx(TRUE_HEIGHT, rel=1e-8)
+        assert optimum.gap < 1e-8
+        assert optimum.error_estimate < 1e-10
     assert (optima[0].objective, optima[0].variables) == (best.objective, best.variables)
 
 
@@ -277,15 +215,15 @@ def test_r1_objects_come_back_with_numbers(r1):
     assert nested == {"a": [best.variables["height"], 3.0, "text"], "b": (best.variables["stiffness"], None)}
 
 
-def test_r1_run_at_the_optimum_is_a_checked_run_of_numbers(r1):
-    run = r1.best(r1.run)
-    assert isinstance(run.mean_draft, float)
+def test_r1_run_at_the_optimum_agrees_with_an_independent_integration(r1):
+    run, motion = r1.best(r1.run), follow(r1.best(r1.scene), 2.0)
     assert run.error_estimate < 1e-8
     assert len(run.time) == 401
-    # Two tight integrations, each good to 1e-10 or better.
-    assert run.mean_draft == pytest.approx(r1.best(r1.run.mean_draft), rel=1e-9)
-    assert run.force_rms == pytest.approx(r1.best(r1.run.force_rms), rel=1e-9)
-    assert (run.mean_draft + run.force_rms) / 1e3 == pytest.approx(r1.best.objective, rel=1e-9)
+    # Local errors of 1e-12 over some thousand steps.
+    assert (motion.mean_draft + motion.force_rms) / 1e3 == pytest.approx(r1.best.objective, rel=1e-9)
+    for name in ("mean_draft", "force_rms"):
+        assert getattr(motion, name) == pytest.approx(r1.best(getattr(r1.run, name)), rel=1e-9)
+        assert getattr(run, name) == pytest.approx(getattr(motion, name), rel=1e-9)
     assert run.mount_force == pytest.approx(r1.best(r1.run.mount_force), rel=1e-8)
 
 
@@ -297,27 +235,6 @@ def test_r1_expression_with_a_foreign_symbol_is_refused(r1):
     ):
         with pytest.raises(po.InputError, match=sentence):
             r1.best(foreign)
-
-
-def test_r1_objective_agrees_with_an_independent_integration(r1):
-    motion = follow(r1.best(r1.scene), 2.0)
-    # Local errors of 1e-12 over some thousand steps.
-    assert (motion.mean_draft + motion.force_rms) / 1e3 == pytest.approx(r1.best.objective, rel=1e-9)
-    assert motion.mean_draft == pytest.approx(r1.best(r1.run.mean_draft), rel=1e-9)
-    assert motion.force_rms == pytest.approx(r1.best(r1.run.force_rms), rel=1e-9)
-
-
-@pytest.mark.parametrize("guess", [6e3, 4e5])
-def test_r1_is_solved_from_every_start(build_r1, guess):
-    best = build_r1(guess=(25.0, 0.25, guess)).design.solve()
-    assert best.objective == pytest.approx(TRUTH[0]["J"], rel=2e-10)
-
-
-def test_r1_solved_or_built_twice_gives_identical_numbers(r1, build_r1):
-    for again in (r1.design.solve(), build_r1().design.solve()):
-        assert [o.objective for o in again.local_optima] == [o.objective for o in r1.best.local_optima]
-        assert [o.variables for o in again.local_optima] == [o.variables for o in r1.best.local_optima]
-        assert [o.limits for o in again.local_optima] == [o.limits for o in r1.best.local_optima]
 
 
 # --- in threads, and interrupted ----------------------------------------------------------------------------

@@ -2,8 +2,6 @@
 
 import math
 
-import casadi as ca
-import numpy as np
 import pytest
 
 import plough_opt as po
@@ -79,28 +77,18 @@ def test_a_design_inside_is_not_affected():
     assert implied(best).multiplier == pytest.approx(0.0, abs=1e-6)
 
 
-def test_several_results_imply_one_requirement_that_covers_them_all():
+def test_several_results_imply_one_requirement_that_covers_them_all_in_every_solve():
     d, v = of_speed(guess=10.0)
-    soft = po.Soil(1400.0, 0.8, 2e4, 0.5, 0.45, youngs_modulus=1e6, poisson_ratio=0.25)
+    modulus = d.parameter("modulus", 1e6, unit="Pa")
+    soft = po.Soil(1400.0, 0.8, 2e4, 0.5, 0.45, youngs_modulus=modulus, poisson_ratio=0.25)
     d.minimise(-v / 50.0)
     stress = elastic.wedge_stress(0.1, 0.1, NODES, SOIL, v)
-    d.require("xx", stress.xx, at_most=1e20)
     d.require("product", stress.xy * stress.zz, at_most=1e20)
     d.require("slower medium", elastic.wedge_pressure(0.1, NODES, soft, v), at_most=1e20)
-    best = d.solve()
-    assert [limit.name for limit in best.limits].count(NAME) == 1
-    # rho V^2 = LAST^2 mu with mu = E/(2 (1 + nu))
-    assert best.variables["speed"] == pytest.approx(LAST * math.sqrt(1e6 / 2.5 / 1400.0), rel=1e-9)
-
-
-def test_the_limit_holds_in_every_solve_and_for_parameters():
-    d, v = of_speed()
-    modulus = d.parameter("modulus", 1e7, unit="Pa")
-    soil = po.Soil(1400.0, 0.8, 2e4, 0.5, 0.45, youngs_modulus=modulus, poisson_ratio=0.25)
-    d.minimise(-v / 50.0)
-    d.require("pressure", elastic.wedge_pressure(0.1, NODES, soil, v), at_most=1e12, unit="Pa")
-    for value in (1e7, 4e6, 9e6, 1e7):
+    for value in (1e6, 4e5, 9e5, 1e6):
         best = d.solve(parameters={"modulus": value})
+        assert [limit.name for limit in best.limits].count(NAME) == 1
+        # rho V^2 = LAST^2 mu with mu = E/(2 (1 + nu))
         assert best.variables["speed"] == pytest.approx(LAST * math.sqrt(value / 2.5 / 1400.0), rel=1e-9)
         assert best.active == (NAME,)
 
@@ -134,18 +122,3 @@ def test_a_start_above_the_waves_speed_is_refused_by_the_limits_name(lower):
         d.solve(search="near")
     assert f"(speed = 70 m/s) '{NAME}' is {70.0 / FASTEST:.6g}" in str(caught.value)
     assert "only up to 0.9999" in str(caught.value)
-
-
-@pytest.mark.parametrize("result", QUICK)
-def test_the_label_changes_neither_values_nor_derivatives(result):
-    number, found = result(SOIL, 17.0), []
-    assert isinstance(number, float)
-    for speed in (ca.MX.sym("v"), ca.SX.sym("v")):
-        value = result(SOIL, speed)
-        hessian, gradient = ca.hessian(value, speed)
-        function = ca.Function("f", [speed], [value, gradient, hessian], {"never_inline": True})
-        found.append([float(part) for part in function(17.0)])
-    # Numbers and symbols differ by the last bits of a dozen functions.
-    assert found[0][0] == pytest.approx(number, rel=2e-13)
-    # Only MX carries the label. The operations are the same, but the chain rule takes them in another order.
-    np.testing.assert_allclose(found[0], found[1], rtol=1e-12)

@@ -57,15 +57,3 @@ def test_runs_agree_with_an_adaptive_integrator(start, ramp):
         for name, near in (("deflection", 1e-7), ("mount_force", 3e-6)):
             path = getattr(wanted, name)
             assert getattr(with_paths, name)[:, k] == pytest.approx(path, abs=near * np.max(np.abs(path))), name
-
-
-def test_runs_side_by_side_are_independent():
-    s = share(R1_SOIL, 0.5, 0.3, 0.25)
-    stiffness = np.geomspace(5e3, 5e6, 150)
-    motion = Motion(s.static, s.drag, 40.0, stiffness, 100.0, 2.0, 0.3, 0.4, 0.0, "rest", 1.0)
-    together = simulate(motion)
-    for number in (0, 13, 149):
-        alone = simulate(motion.take([number]))
-        # Sums over stages are taken in another order in shorter arrays.
-        assert alone.mean_draft[0] == pytest.approx(together.mean_draft[number], rel=1e-12)
-        assert alone.displacement_rms[0] == pytest.approx(together.displacement_rms[number], rel=1e-10)

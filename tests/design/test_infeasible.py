@@ -41,13 +41,6 @@ CONFLICTS = {
         {"large": 6.0},
         ["requirement 'small' at most 2 m"],
     ),
-    "bound": (
-        {"x": (0.5, 0.1, 1.0, "m")},
-        {"long": (lambda x: 3.0 * x, {"at_least": 4.0})},
-        {"long": 1.0},
-        ["upper bound 1 m of 'x'"],
-    ),
-    "number": ({"x": UNIT}, {"given": (lambda _: 3.0, {"at_most": 2.0})}, {"given": 1.0}, []),
     "no variable": ({"x": UNIT}, {"fixed": (lambda x: 0.0 * x + 2.0, {"at_most": 1.0})}, {"fixed": 1.0}, []),
     "equality": (
         {"x": UNIT},
@@ -109,15 +102,6 @@ def test_the_least_shortfall_is_found_beside_a_higher_hill_than_the_guess(r1_sce
     with pytest.raises(po.InfeasibleDesign) as caught:
         d.solve()
     assert caught.value.conflicts == {"high": pytest.approx(0.2, rel=1e-6)}
-
-
-def test_requirements_that_touch_in_one_point_are_feasible():
-    d, x = design(x=(0.9, 0.0, 1.0))
-    d.minimise(x**2)
-    d.require("least", x, at_least=0.4)
-    d.require("most", x, at_most=0.4)
-    best = d.solve()
-    assert best.variables["x"] == pytest.approx(0.4, rel=1e-8)
 
 
 def test_a_start_may_violate_every_requirement(build_r1):

@@ -57,13 +57,9 @@ def test_the_worst_of_a_parabola_lies_at_the_ends_of_its_box():
     assert list(best.variables) == ["x"]
     assert [limit.name for limit in best.limits] == ["x"]
     assert best.spread.worst == pytest.approx(best.objective, rel=1e-9)
-
-
-def test_parameters_move_the_worst():
-    d = _parabola("worst")
-    first, second = d.solve(), d.solve(parameters={"shift": 1.2})
-    assert second.variables["x"] - first.variables["x"] == pytest.approx(0.5, abs=1e-7)
-    assert second.objective == pytest.approx(first.objective, rel=1e-9)
+    moved = d.solve(parameters={"shift": 1.2})
+    assert moved.variables["x"] - best.variables["x"] == pytest.approx(0.5, abs=1e-7)
+    assert moved.objective == pytest.approx(best.objective, rel=1e-9)
 
 
 def test_a_worst_objective_below_the_first_bounds_is_found(monkeypatch):
@@ -213,9 +209,7 @@ def test_a_file_takes_the_variables_of_the_page_and_the_worst_within_tolerances(
     ("change", "words"),
     [
         ('minimise.over="best"', '"worst" or "mean"'),
-        ('variables.share.height.tolerance="5 kg"', "wrong unit"),
         ('variables.share.height.tolerance="-5 mm"', "must not be below 0"),
-        ("variables.share.height.tolerance=0.005", "has no unit"),
     ],
 )
 def test_files_with_wrong_tolerances_are_refused(change, words):

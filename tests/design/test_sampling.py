@@ -7,6 +7,7 @@ from scipy.stats.qmc import Sobol
 import plough_opt as po
 from plough_opt.design import population
 from plough_opt.design.landscape import Landscape, barriers, concatenated, end_straight_downhill
+from plough_opt.design.program import Program
 from plough_opt.design.sampling import MOST_DIMENSIONS, local_minima, sobol_points
 
 
@@ -38,8 +39,8 @@ def test_the_local_minima_of_a_grid_are_its_dips():
     assert np.all(np.diff(downhill) >= 0)
 
 
-def test_evaluation_in_small_chunks_changes_no_bit(build_r1, program_of, monkeypatch):
-    program, points = program_of(build_r1().design), np.random.default_rng(3).random((30, 3))
+def test_evaluation_in_small_chunks_changes_no_bit(build_r1, monkeypatch):
+    program, points = Program(build_r1().design.declared), np.random.default_rng(3).random((30, 3))
     for together in (1, 5):
         f, g = program.population(points, np.empty(0), together=together)
         with monkeypatch.context() as patch:

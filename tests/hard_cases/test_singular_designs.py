@@ -250,28 +250,3 @@ def test_a_pressure_between_bounds_far_beyond_the_shear_wave(sign, guess):
     best = d.solve()
     truth = by_scipy(lambda v: 1.0 + sign * elastic.wedge_pressure(0.1, NODES, LOESS, v) / 1e6, 1.0, 0.9999 * SHEAR)
     assert best.objective == pytest.approx(truth, rel=1e-8)
-
-
-DOMAINS = {
-    # the name, a guess, bounds of which one lies outside, and the sentence that says so
-    "amplitude": (0.3, 0.0, 1.5, "at the upper bound of 'amplitude': strength wave amplitude = 1.5 must be at most 1"),
-    "stiffness": (1e4, -1e4, 1e5, "at the lower bound of 'stiffness': stiffness = -10000 N/m must be above 0"),
-    "density_ratio": (0.5, 0.1, 1.0, "at the upper bound of 'density_ratio': density ratio b1 = 1 must be below 1"),
-    "angle": (0.5, 0.1, math.pi / 2, "at the upper bound of 'angle': wedge angle = 1.57"),
-}
-
-
-@motions
-@pytest.mark.parametrize("name", DOMAINS)
-def test_bounds_outside_the_domain_are_refused_by_name(name, motion, duration):
-    guess, lower, upper, sentence = DOMAINS[name]
-    d = po.Design()
-    values = {"amplitude": 0.3, "stiffness": 5e4, "angle": 0.4, "density_ratio": 0.8}
-    values[name] = d.variable(name, guess=guess, lower=lower, upper=upper)
-    soil = po.Soil(1400.0, values["density_ratio"], 15e3, 0.5, 0.5)
-    share = po.Wedge(values["angle"], 0.2, 0.25)
-    run = po.simulate(scene_of(values["amplitude"], share, values["stiffness"], soil, motion=motion), 0.7 * duration)
-    d.minimise(1.0 + run.mean_draft / 1e3 + run.force_rms / 1e3 + run.mean_deflection)
-    with pytest.raises(po.DomainError) as caught:
-        d.solve()
-    assert sentence in str(caught.value)

@@ -16,3 +16,9 @@ def differences(function, y, step=STEP):
         pairs = [np.ravel(function(y + m * unit) - function(y - m * unit)) for m in range(1, 5)]
         columns.append(sum(w * pair for w, pair in zip(WEIGHTS, pairs, strict=True)) / step)
     return np.column_stack(columns)
+
+
+def order_4(function, x, step):
+    """Return the derivative of a function at x by a central difference of order 4, of four values."""
+    one, two = (function(x + h) - function(x - h) for h in (step, 2.0 * step))
+    return (8.0 * one - two) / (12.0 * step)

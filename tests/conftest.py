@@ -35,6 +35,7 @@ def no_lines_that_depend_on_time():
 # File or test -> n: by default only every n-th case of a parametrised test runs; the slow tests run all.
 ONE_OF = {
     "cli/test_cli_files::test_environments_that_cannot_be_are_bad_input": 2,
+    "design/test_design_nlp::test_a_design_by_any_method_is_solved_to_the_same_optimum": 2,
     "design/test_design_nlp::test_methods_of_casadi_agree_with_order_8": 3,
     "design/test_implied_limits": 3,
     "design/test_independent_motion": 3,
@@ -48,7 +49,7 @@ ONE_OF = {
     "hard_cases/test_hard_designs::test_a_conflict_at_the_edge_of_the_tolerance_is_refused_or_within_it": 4,
     "hard_cases/test_hard_designs::test_a_small_conflict_is_reported_with_its_size": 3,
     "hard_cases/test_hard_designs::test_a_feasible_set_of_almost_no_width": 3,
-    "hard_cases/test_hard_designs::test_a_repeated_requirement_counts_once": 3,
+    "hard_cases/test_hard_designs::test_a_repeated_requirement_counts_once_and_one_that_another_implies_not_at_all": 3,
     "hard_cases/test_hard_designs::test_a_variable_between_bounds_that_nearly_touch": 3,
     "hard_cases/test_hard_designs::test_any_start_leads_to_the_optimum": 3,
     "hard_cases/test_hard_designs::test_optima_at_bounds": 3,

@@ -1,6 +1,7 @@
 """Designs that the tests of the design layer share; each expensive one is solved once."""
 
 import shutil
+from dataclasses import replace
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -30,16 +31,20 @@ def build_r1(r1_soil):
         outputs=400,
         wavelength=0.6,
         damping=None,
+        parameters=(),
     ):
         d = po.Design()
         angle = d.variable("wedge angle", guess=po.deg(guess[0]), lower=po.deg(5.0), upper=po.deg(60.0), unit="rad")
         height = d.variable("height", guess=guess[1], lower=0.10, upper=0.50, unit="m")
         k0 = d.variable("stiffness", guess=guess[2], lower=5e3, upper=5e5, unit="N/m", log=True)
+        given = {"cohesion": soil.cohesion, "tow speed": 2.0}
+        given |= {name: d.parameter(name, value) for name, value in given.items() if name in parameters}
+        soil = replace(soil, cohesion=given["cohesion"])
         share = po.Wedge(angle, po.deg(15.0), height)
         cone = share.equivalent_cone()
         wave = po.StrengthWave(amplitude=0.3, wavelength=wavelength) if wavelength else None
         effects = po.Effects(strength_wave=wave, damping=damping)
-        scene = po.Scene(soil, share, k0, 20.0 + cone.solid_mass(7850.0), 2.0, effects)
+        scene = po.Scene(soil, share, k0, 20.0 + cone.solid_mass(7850.0), given["tow speed"], effects)
         run = po.simulate(scene, duration, accuracy=accuracy, outputs=outputs)
         d.minimise(run.mean_draft / 1e3 + run.force_rms / 1e3)
         d.require("loosened radius", po.loosened_radius(cone, soil), at_least=radius, unit="m")

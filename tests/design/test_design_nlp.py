@@ -16,26 +16,13 @@ from plough_opt.motion.derivatives import difference_of_jets, finer_than, jets
 
 
 def _whole_by_ad(program):
-    """Return objective, requirements, gradient, Jacobian and Hessian by CasADi from the undivided expression."""
-    declared = program.declared
-    y, p = ca.MX.sym("y", len(declared.variables)), ca.MX.sym("p", len(declared.parameters))
-    unscaled = [v.unscaled(part) for v, part in zip(declared.variables, ca.vertsplit(y), strict=True)]
-    values = [*unscaled, *(ca.vertsplit(p) if declared.parameters else [])]
-    whole = ca.Function("whole", declared.symbols(), program.expressions)
-    objective, *requirements = whole.call(values)
-    f = objective / program.objective_scale
-    scales = [r.scale for r in declared.requirements]
-    g = ca.densify(ca.vertcat(ca.MX(0, 1), *(r / scale for r, scale in zip(requirements, scales, strict=True))))
+    """Return the program's objective, requirements and derivatives by CasADi from the undivided expression."""
+    y, p = ca.MX.sym("y", len(program.declared.variables)), ca.MX.sym("p", len(program.declared.parameters))
+    f, g = program.scaled(y, p)
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
-    lagrangian = lam_f * f + ca.dot(lam_g, g)
-    hessian = ca.jacobian(ca.gradient(lagrangian, y), y)
-    return SimpleNamespace(
-        f=ca.Function("f", [y, p], [f]),
-        g=ca.Function("g", [y, p], [g]),
-        grad_f=ca.Function("grad_f", [y, p], [ca.gradient(f, y)]),
-        jac_g=ca.Function("jac_g", [y, p], [ca.jacobian(g, y)]),
-        hess_lag=ca.Function("hess_lag", [y, p, lam_f, lam_g], [hessian]),
-    )
+    hessian, _ = ca.hessian(lam_f * f + ca.dot(lam_g, g), y)
+    results = [f, ca.densify(g), ca.gradient(f, y), ca.jacobian(g, y), hessian]
+    return ca.Function("whole", [y, p, lam_f, lam_g], results)
 
 
 def _symmetric(upper):
@@ -53,35 +40,26 @@ def _close(found, wanted, relative):
     assert error <= relative * max(np.max(np.abs(wanted), initial=0.0), 1e-8)
 
 
-def _evaluations(program, y):
-    """Return values and derivatives of a program at a point, with a multiplier for every row."""
-    p = np.array([q.value for q in program.declared.parameters])
-    nlp, rows = program.nlp, len(program.owner)
-    lam_f, lam_g = 0.7, np.cos(1.0 + np.arange(rows))
-    f, g, gradient, jacobian = nlp.slopes(y, p)
-    values = nlp.values(y, p)
-    assert float(f) == pytest.approx(float(values[0]), rel=1e-13)
-    # The two graphs sum the same averages in different order.
-    assert np.asarray(g) == pytest.approx(np.asarray(values[1]), rel=1e-12, abs=1e-13)
-    return SimpleNamespace(
-        p=p,
-        f=float(f),
-        g=np.asarray(g),
-        gradient=np.asarray(gradient).reshape(1, -1),
-        jacobian=np.asarray(jacobian),
-        lam_f=lam_f,
-        lam_g=lam_g,
-        hessian=_symmetric(nlp.hess_lag(y, p, lam_f, lam_g)),
-    )
+def _evaluations(program, y, *, by_ad=False):
+    """Return objective, requirements, gradient, Jacobian and Hessian at a point, with a multiplier for every row."""
+    p, nlp = np.array([q.value for q in program.declared.parameters]), program.nlp
+    multipliers = 0.7, np.cos(1.0 + np.arange(len(program.owner)))
+    if by_ad:
+        return _whole_by_ad(program)(y, p, *multipliers)
+    found = nlp.slopes(y, p)
+    for own, alone in zip(found, nlp.values(y, p), strict=False):
+        # The two graphs sum the same averages in different order.
+        assert np.asarray(own) == pytest.approx(np.asarray(alone), rel=1e-12, abs=1e-13)
+    return *found, _symmetric(nlp.hess_lag(y, p, *multipliers))
+
+
+def _check(found, wanted, values, first, second):
+    for own, other, relative in zip(found, wanted, (values, values, first, first, second), strict=True):
+        _close(own, other, relative)
 
 
 def _check_against_ad(program, y, *, values=1e-11, first=1e-9, second=1e-8):
-    at, whole = _evaluations(program, y), _whole_by_ad(program)
-    assert at.f == pytest.approx(float(whole.f(y, at.p)), rel=values)
-    _close(at.g, whole.g(y, at.p), values)
-    _close(at.gradient, np.asarray(whole.grad_f(y, at.p)).reshape(1, -1), first)
-    _close(at.jacobian, whole.jac_g(y, at.p), first)
-    _close(at.hessian, whole.hess_lag(y, at.p, at.lam_f, at.lam_g), second)
+    _check(_evaluations(program, y), _evaluations(program, y, by_ad=True), values, first, second)
 
 
 def _built(d):
@@ -231,14 +209,9 @@ def test_every_combination_of_effects(small, effects):
     ],
 )
 def test_methods_of_casadi_agree_with_order_8(small, accuracy, values, first, second):
-    own, reference = (
-        _evaluations(_built(usual(small(method))), POINT[:3]) for method in (accuracy, po.Accuracy("dop853", steps=400))
-    )
-    assert own.f == pytest.approx(reference.f, rel=values)
-    _close(own.g, reference.g, values)
-    _close(own.gradient, reference.gradient, first)
-    _close(own.jacobian, reference.jacobian, first)
-    _close(own.hessian, reference.hessian, second)
+    methods = (accuracy, po.Accuracy("dop853", steps=400))
+    found = (_evaluations(_built(usual(small(method))), POINT[:3]) for method in methods)
+    _check(*found, values, first, second)
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 
 import math
 import pickle
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -83,46 +83,34 @@ def test_a_nested_run_is_simulated_and_checked_as_it_is_alone(build_r1):
 
 
 @pytest.fixture
-def with_parameter():
+def with_parameter(build_r1, r1_soil):
     """Build R1 with the soil's cohesion as a parameter."""
 
     def build(value):
-        d = po.Design()
-        cohesion = d.parameter("cohesion", value, unit="Pa")
-        height = d.variable("height", guess=0.25, lower=0.10, upper=0.50, unit="m")
-        k0 = d.variable("stiffness", guess=5e4, lower=1e4, upper=5e5, unit="N/m", log=True)
-        soil = po.Soil(1400.0, 0.8, cohesion, po.deg(30.0), 0.5, 1e4)
-        share = po.Wedge(po.deg(30.0), po.deg(15.0), height)
-        cone = share.equivalent_cone()
-        effects = po.Effects(strength_wave=po.StrengthWave(0.3, 0.6), damping=300.0)
-        run = po.simulate(po.Scene(soil, share, k0, 20.0 + cone.solid_mass(7850.0), 2.0, effects), 1.0, outputs=20)
-        d.minimise(run.mean_draft / 1e3 + run.force_rms / 1e3)
-        d.require("loosened radius", po.loosened_radius(cone, soil), at_least=0.12, unit="m")
-        return d, run, soil
+        soil = replace(r1_soil, cohesion=value)
+        return build_r1(soil=soil, parameters=["cohesion"], duration=1.0, outputs=20, damping=300.0)
 
     return build
 
 
 def test_a_parameter_of_a_solve_acts_as_if_declared_and_only_in_that_solve(with_parameter):
-    d, run, soil = with_parameter(15e3)
-    first = d.solve()
+    question, harder = with_parameter(15e3), with_parameter(30e3)
+    d, run = question.design, question.run
+    first, fresh = d.solve(), harder.design.solve()
     before, other, again = first(run.mean_draft), d.solve(parameters={"cohesion": 30_000}), d.solve()
     assert first(run.mean_draft) == before
     assert (again.objective, again.variables) == (first.objective, first.variables)
-    fresh_design, fresh_run, _ = with_parameter(30e3)
-    fresh = fresh_design.solve()
     assert other.objective > 1.2 * first.objective
     # The program is scaled by the first solve's objective; both are good to the optimiser's 1e-10.
     assert other.objective == pytest.approx(fresh.objective, rel=1e-9)
     assert other.variables == pytest.approx(fresh.variables, rel=1e-7)
     assert len(other.local_optima) == len(fresh.local_optima)
-    assert other(run.mean_draft) == pytest.approx(fresh(fresh_run.mean_draft), rel=1e-9)
-    assert other(soil).cohesion == 30e3
-    assert first(soil).cohesion == 15e3
+    assert other(run.mean_draft) == pytest.approx(fresh(harder.run.mean_draft), rel=1e-9)
+    assert (other(question.soil).cohesion, first(question.soil).cohesion) == (30e3, 15e3)
 
 
 def test_an_unknown_or_impossible_parameter_is_refused(with_parameter):
-    d, _, _ = with_parameter(15e3)
+    d = with_parameter(15e3).design
     for given, error, words in (
         ({"cohesoin": 20e3}, po.InputError, "'cohesoin' is not a parameter of this design: did you mean 'cohesion'"),
         ({"height": 0.2}, po.InputError, "'height' is not a parameter of this design"),
@@ -133,7 +121,7 @@ def test_an_unknown_or_impossible_parameter_is_refused(with_parameter):
 
 
 def test_the_program_is_built_once_for_all_solves(build_nlp, with_parameter):
-    d, _, _ = with_parameter(15e3)
+    d = with_parameter(15e3).design
     d.solve()
     program, written = d._program, build_nlp.call_count
     for cohesion in (14e3, 20e3, 15e3):

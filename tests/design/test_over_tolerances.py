@@ -118,12 +118,6 @@ def test_runs_under_a_wave_keep_their_limits_in_the_whole_box():
     runs = [at(k) for k in value + _offsets(d, value)[:, 0]]
     assert best.objective == pytest.approx(max(float(run.force_rms) for run in runs) / 1e3, rel=1e-7)
     assert max(float(run.mean_deflection) for run in runs) <= 0.1 + 1e-8
-    # No stiffness of a grid has a lower worst objective.
-    for k in np.geomspace(5e3, 1e5, 21):
-        around = [at(k + offset) for offset in _offsets(d, k)[::8, 0]]
-        if all(float(run.mean_deflection) <= 0.1 for run in around):
-            # The worst of eight of the 64 designs is within one per cent of the worst of all.
-            assert max(float(run.force_rms) for run in around) / 1e3 >= 0.99 * best.objective
 
 
 def test_sensitivities_and_catalogue_choices_account_for_the_whole_box():

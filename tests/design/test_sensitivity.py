@@ -1,7 +1,6 @@
 """Sensitivities of an optimum: against optima in closed form, and against designs solved again."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -173,22 +172,10 @@ def test_check_finds_a_wrong_derivative(monkeypatch, build, name, difference, ne
 
 
 @pytest.fixture(scope="module")
-def r1_parameters(r1_soil):
+def r1_parameters(build_r1):
     """R1, solved near its best optimum, with cohesion and speed as parameters."""
-    d = po.Design()
-    angle = d.variable("wedge angle", guess=po.deg(39.0), lower=po.deg(5.0), upper=po.deg(60.0), unit="rad")
-    height = d.variable("height", guess=0.2, lower=0.10, upper=0.50, unit="m")
-    k0 = d.variable("stiffness", guess=5.1e3, lower=5e3, upper=5e5, unit="N/m", log=True)
-    soil = replace(r1_soil, cohesion=d.parameter("cohesion", r1_soil.cohesion, unit="Pa"))
-    speed = d.parameter("tow speed", 2.0, unit="m/s")
-    share = po.Wedge(angle, po.deg(15.0), height)
-    cone, effects = share.equivalent_cone(), po.Effects(strength_wave=po.StrengthWave(0.3, 0.6))
-    run = po.simulate(po.Scene(soil, share, k0, 20.0 + cone.solid_mass(7850.0), speed, effects), 2.0)
-    d.minimise(run.mean_draft / 1e3 + run.force_rms / 1e3)
-    d.require("loosened radius", po.loosened_radius(cone, soil), at_least=0.12, unit="m")
-    d.require("mean deflection", run.mean_draft / k0, at_most=0.15, unit="m")
-    d.require("half angle", cone.half_angle, at_most=po.deg(15.0), unit="rad")
-    return SimpleNamespace(design=d, best=d.solve(search="local"))
+    design = build_r1(guess=(39.0, 0.2, 5.1e3), parameters=("cohesion", "tow speed")).design
+    return SimpleNamespace(design=design, best=design.solve(search="local"))
 
 
 @pytest.mark.parametrize(("name", "value", "step"), [("cohesion", 15e3, 75.0), ("tow speed", 2.0, 2e-3)])

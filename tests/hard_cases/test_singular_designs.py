@@ -163,21 +163,6 @@ def test_a_plain_has_two_flat_directions():
     assert len(best.flat_directions) == 2
 
 
-def test_a_valley_has_one_flat_direction_along_which_the_draft_stays():
-    best = of_angle_and_height(lambda force: 1.0 + (force - 1.0) ** 2)
-    assert best.status == "not unique"
-    assert draft(best.variables) == pytest.approx(1.0, abs=1e-7)
-    (direction,) = best.flat_directions
-    changes = []
-    for part in (1.0, 0.5):
-        moved = {name: best.variables[name] + part * step for name, step in direction.items()}
-        changes.append(abs(draft(moved) - 1.0))
-    # A tangent to the level line: half a step, a quarter of the change.
-    assert changes[1] / changes[0] == pytest.approx(0.25, rel=0.05)
-    across = {"wedge angle": best.variables["wedge angle"] + 0.009, "height": best.variables["height"] + 0.0034}
-    assert changes[0] < 0.05 * abs(draft(across) - 1.0)
-
-
 @pytest.mark.parametrize(("power", "within"), [(4, 1e-2), (6, 3e-2), (8, 6e-2)])
 def test_a_bottom_of_high_order_is_reached_to_rounding_of_the_objective(power, within):
     d = po.Design()

@@ -103,9 +103,9 @@ def thinned(*ranges, keep):
     ]
 
 
-def slow(cases):
-    """Return cases that run with the slow tests only."""
-    return [pytest.param(case, marks=pytest.mark.slow) for case in cases]
+def slow(cases, *first):
+    """Return cases that run with the slow tests only, each after the given arguments."""
+    return [pytest.param(*first, case, marks=pytest.mark.slow) for case in cases]
 
 
 def _pieces_of(field):

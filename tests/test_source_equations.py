@@ -74,6 +74,7 @@ RADII = pytest.mark.parametrize("r", [0.2 * FRONT, 0.6 * FRONT, 0.95 * FRONT])
 SPEED = 0.6 * elastic.shear_wave_speed(SOIL)
 ALPHA, ETA = math.sqrt(1 - (SPEED / elastic.longitudinal_wave_speed(SOIL)) ** 2), 0.8
 SLOPE, LENGTH, X, AWAY = 0.2, 0.25, 0.1, 0.08
+PROFILE = [(0.0, 0.0), (LENGTH, SLOPE * LENGTH)]
 
 
 def spectrum_of_wedge(p):
@@ -92,14 +93,14 @@ def j(k, sign):
 def test_equation_1():
     bracket = -((1 + ETA**2) ** 2) * j(ALPHA, -1) + 4 * ETA * ALPHA * j(ETA, -1)
     printed = -1j * bracket / ((1 - ETA**2) ** 2 * ALPHA)
-    found = elastic.wedge_stress(X, AWAY, [(0.0, 0.0), (LENGTH, SLOPE * LENGTH)], SOIL, SPEED)
+    found = elastic.wedge_stress(X, AWAY, PROFILE, SOIL, SPEED)
     assert RHO0 * SPEED**2 * printed.real == pytest.approx(found.yy, rel=DIGITS)
     assert abs(printed.imag) < DIGITS * abs(printed.real)
 
 
 def test_equation_2_with_its_factor_of_2():
     printed = (1 + ETA**2) * (j(ETA, 1) - j(ALPHA, 1)) / (1 - ETA**2) ** 2
-    found = elastic.wedge_stress(X, AWAY, [(0.0, 0.0), (LENGTH, SLOPE * LENGTH)], SOIL, SPEED)
+    found = elastic.wedge_stress(X, AWAY, PROFILE, SOIL, SPEED)
     assert 2.0 * RHO0 * SPEED**2 * printed.real == pytest.approx(found.xy, rel=DIGITS)
 
 
@@ -128,7 +129,7 @@ def test_equation_3_is_the_axial_displacement():
         return bessel * (ahead - behind)  # `behind` carries the sign of p, which (3) lacks
 
     printed = over_all_p(kernel) / ((1 - ETA**2) * math.sqrt(2 * math.pi))
-    found = elastic.cone_displacement(X, AWAY, [(0.0, 0.0), (LENGTH, SLOPE * LENGTH)], SOIL, SPEED)
+    found = elastic.cone_displacement(X, AWAY, PROFILE, SOIL, SPEED)
     assert printed.real == pytest.approx(found.axial, rel=DIGITS)
 
 
@@ -139,7 +140,7 @@ def test_equation_4_is_the_radial_displacement_with_its_missing_term():
 
     printed = -1j * over_all_p(kernel) / ((1 - ETA**2) * math.sqrt(2 * math.pi))
     missing = 0.5 * (SLOPE * LENGTH) ** 2 / (2.0 * AWAY)
-    found = elastic.cone_displacement(X, AWAY, [(0.0, 0.0), (LENGTH, SLOPE * LENGTH)], SOIL, SPEED)
+    found = elastic.cone_displacement(X, AWAY, PROFILE, SOIL, SPEED)
     assert printed.real + missing == pytest.approx(found.radial, rel=DIGITS)
 
 
@@ -235,9 +236,8 @@ def test_equation_18(r):
 
 
 def test_equation_19():
-    assert plastic.particle_velocity(FRONT, CAVITY, SOIL) == pytest.approx(
-        CAVITY.radius * CAVITY.rate / FRONT, rel=DIGITS
-    )
+    wanted = CAVITY.radius * CAVITY.rate / FRONT
+    assert plastic.particle_velocity(FRONT, CAVITY, SOIL) == pytest.approx(wanted, rel=DIGITS)
 
 
 def test_equation_20():
@@ -251,15 +251,19 @@ def test_equation_21():
     assert sigma(FRONT) == pytest.approx(-RHO0 * velocity**2 / (1.0 - B1) - PA, rel=DIGITS)
 
 
+def pressure_22(r, end, radius_of_powers, cohesive):
+    """Return the right side of (22) with the upper limit, the R or R^2 in its powers, and the term with tau0."""
+    big_r, rate, rise = CAVITY.radius, CAVITY.rate, CAVITY.acceleration
+    first = integral(lambda s: s / (B1 * s**2 + radius_of_powers) ** (1.0 - NU / 2.0), r, end)
+    second = integral(lambda s: s / (B1 * s**2 + radius_of_powers) ** (2.0 - NU / 2.0), r, end)
+    right = RHO0 * (big_r * rise + rate**2) * first - RHO0 * (big_r * rate) ** 2 * second
+    return right + RHO0 / (1.0 - B1) * (big_r * rate) ** 2 / FRONT ** (2.0 - NU) + cohesive + PA * FRONT**NU
+
+
 @RADII
 def test_equation_22_corrected(r):
-    big_r, rate, rise = CAVITY.radius, CAVITY.rate, CAVITY.acceleration
-    first = integral(lambda s: s / (B1 * s**2 + big_r**2) ** (1.0 - NU / 2.0), r, FRONT)
-    second = integral(lambda s: s / (B1 * s**2 + big_r**2) ** (2.0 - NU / 2.0), r, FRONT)
-    right = RHO0 * (big_r * rise + rate**2) * first - RHO0 * (big_r * rate) ** 2 * second
-    right += RHO0 / (1.0 - B1) * (big_r * rate) ** 2 / FRONT ** (2.0 - NU)
-    right += TAU0 / (1.0 + MU) * (FRONT**NU - y(r) ** NU) / NU + PA * FRONT**NU
-    assert -(y(r) ** NU) * sigma(r) == pytest.approx(right, rel=DIGITS)
+    cohesive = TAU0 / (1.0 + MU) * (FRONT**NU - y(r) ** NU) / NU
+    assert -(y(r) ** NU) * sigma(r) == pytest.approx(pressure_22(r, FRONT, CAVITY.radius**2, cohesive), rel=DIGITS)
 
 
 def test_equation_23():
@@ -284,9 +288,8 @@ def test_equation_24():
         return pressure * x * slope * math.sqrt(1.0 + slope**2)
 
     face = 2.0 * math.pi * (math.sin(beta) + SOIL.tool_friction * math.cos(beta))
-    assert po.resistance(CONE, SOIL, speed, rise) == pytest.approx(
-        face * integral(integrand, 0.0, CONE.height), rel=DIGITS
-    )
+    wanted = face * integral(integrand, 0.0, CONE.height)
+    assert po.resistance(CONE, SOIL, speed, rise) == pytest.approx(wanted, rel=DIGITS)
 
 
 def test_equation_25_with_pi_once():

@@ -8,6 +8,7 @@ import casadi as ca
 import pytest
 from helpers import high_precision as hp
 from helpers import precise_field as pf
+from helpers.density_profiles import field
 
 import plough_opt as po
 from plough_opt.soil import plastic
@@ -19,22 +20,21 @@ NAMES = pf.Particle._fields
 STRESS, KINEMATIC = len(NAMES), NAMES.index("density_ratio") + 1
 
 
-def field(r, radius, rate, acceleration, b1, friction_angle=0.5, cohesion=0.0, ambient_pressure=0.0, density=1.0):
-    """Return cavity and soil of the arguments in the order of `precise_field.Particle`, and r."""
-    cavity = plastic.Cavity(radius, rate, acceleration)
-    return r, cavity, po.Soil(density, b1, cohesion, friction_angle, 0.5, ambient_pressure)
+def toolkit(name):
+    """Return the toolkit's function for a quantity; its arguments are in the order of `precise_field.Particle`."""
+
+    def at(r, radius, rate, acceleration, b1, friction_angle=0.5, cohesion=0.0, ambient_pressure=0.0, density=1.0):
+        soil = po.Soil(density, b1, cohesion, friction_angle, 0.5, ambient_pressure)
+        return field(name, r, plastic.Cavity(radius, rate, acceleration), soil)
+
+    return at
 
 
-QUANTITIES = {
-    "radial": (lambda *v: plastic.stress(*field(*v)).radial, STRESS),
-    "tangential": (lambda *v: plastic.stress(*field(*v)).tangential, STRESS),
-    "surface_pressure": (lambda *v: plastic.surface_pressure(*field(*v)[1:]), STRESS),
-    "current_radius": (lambda *v: plastic.current_radius(*field(*v)), KINEMATIC),
-    "particle_velocity": (lambda *v: plastic.particle_velocity(*field(*v)), KINEMATIC),
-    "particle_acceleration": (lambda *v: plastic.particle_acceleration(*field(*v)), KINEMATIC),
-    "front_radius": (lambda *v: plastic.front_radius(*field(*v)[1:]), KINEMATIC),
-    "front_speed": (lambda *v: plastic.front_speed(*field(*v)[1:]), KINEMATIC),
-}
+# Quantity -> number of arguments on which it depends.
+QUANTITIES = dict.fromkeys(("radial", "tangential", "surface_pressure"), STRESS)
+QUANTITIES |= dict.fromkeys(("current_radius", "particle_velocity", "particle_acceleration"), KINEMATIC)
+QUANTITIES |= dict.fromkeys(("front_radius", "front_speed"), KINEMATIC)
+
 
 ORDINARY = {
     "radius": 0.05,
@@ -46,9 +46,6 @@ ORDINARY = {
     "ambient_pressure": 101325.0,
     "density": 1400.0,
 }
-RATIOS = [1e-9, 1e-3, 0.5, 1 - 1e-6]
-ANGLES = [0.0, 1e-9, 1.5]
-PLACES = [0.0, 0.6, 1.0]
 
 
 def point(place, **changes):
@@ -58,29 +55,24 @@ def point(place, **changes):
     return (place * front, *values.values())
 
 
-def names_of(**changes):
-    return " ".join(f"{name}={value:g}" for name, value in changes.items()) or "ordinary"
-
-
-def points():
-    """Yield ordinary points, ends of each property, corners and motions; with the slow tests also at wall and front."""
-    corners = {(1e-9, 0.0): 0.0, (1e-9, 1.5): 1.0, (1 - 1e-6, 0.0): 1.0, (1 - 1e-6, 1.5): 0.0}
-    cases = [({}, PLACES), *(({"density_ratio": b}, [0.6]) for b in RATIOS)]
-    cases += [({"friction_angle": angle}, [0.6]) for angle in ANGLES]
-    cases += [({"density_ratio": b, "friction_angle": angle}, [place]) for (b, angle), place in corners.items()]
-    for (changes, default), place in itertools.product(cases, PLACES):
-        marks = [] if place in default else [pytest.mark.slow]
-        yield pytest.param(point(place, **changes), id=f"{names_of(**changes)} at {place}", marks=marks)
-    yield pytest.param(point(1e-6), id="beside the wall")
-    yield pytest.param(point(0.4, rate=0.0, acceleration=0.0), id="at rest")
-    yield pytest.param(point(0.7, acceleration=-40.0, cohesion=0.0, ambient_pressure=0.0), id="slowing down")
-    yield pytest.param(point(0.9, radius=0.2, rate=30.0, acceleration=-500.0, density_ratio=0.95), id="fast")
+POINTS = [
+    *[point(place) for place in (0.0, 1e-6, 0.6, 1.0)],
+    *[point(0.6, density_ratio=b1) for b1 in (1e-9, 1e-3, 0.5, 1 - 1e-6)],
+    *[point(0.6, friction_angle=angle) for angle in (0.0, 1e-9, 1.5)],
+    point(0.0, density_ratio=1e-9, friction_angle=0.0),
+    point(1.0, density_ratio=1e-9, friction_angle=1.5),
+    point(1.0, density_ratio=1 - 1e-6, friction_angle=0.0),
+    point(0.0, density_ratio=1 - 1e-6, friction_angle=1.5),
+    point(0.4, rate=0.0, acceleration=0.0),
+    point(0.7, acceleration=-40.0, cohesion=0.0, ambient_pressure=0.0),
+    point(0.9, radius=0.2, rate=30.0, acceleration=-500.0, density_ratio=0.95),
+]
 
 
 @pytest.fixture(scope="module", params=QUANTITIES)
 def quantity(request):
     """Return the toolkit's function, the precise one, its number of arguments, and its derivatives as SX and MX."""
-    function, size = QUANTITIES[request.param]
+    function, size = toolkit(request.param), QUANTITIES[request.param]
     return function, request.param, size, [hp.differentiated(function, symbol, size) for symbol in (ca.SX, ca.MX)]
 
 
@@ -130,7 +122,7 @@ def precise(name, x):
     return hp.derivatives(lambda *values: getattr(pf.Particle(*values), name), x)
 
 
-@pytest.mark.parametrize("arguments", [*points()])
+@pytest.mark.parametrize("arguments", POINTS)
 def test_value_gradient_and_hessian(quantity, arguments):
     function, name, size, symbolic = quantity
     x = arguments[:size]

@@ -6,6 +6,7 @@ import plough_opt as po
 from helpers import high_precision as hp
 from helpers import precise_field as pf
 from plough_opt.core.expressions import exp
+from plough_opt.soil import plastic
 
 DENSITY = 1400.0
 """Density of the undisturbed soil [kg/m^3]."""
@@ -53,3 +54,11 @@ class Ground(NamedTuple):
 def ground(name, **strength):
     """Return a profile with its default parameters."""
     return Ground(name, DENSITIES[name][1], **strength)
+
+
+def field(quantity, r, cavity, soil):
+    """Return a quantity of the toolkit's field by its name, at a Lagrangian radius if it depends on that."""
+    if quantity in ("radial", "tangential"):
+        return getattr(plastic.stress(r, cavity, soil), quantity)
+    of_cavity = quantity in ("surface_pressure", "front_radius", "front_speed")
+    return getattr(plastic, quantity)(*([] if of_cavity else [r]), cavity, soil)

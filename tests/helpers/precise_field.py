@@ -165,17 +165,19 @@ def _gauss_legendre():
 
 
 class Field:
-    """The field around a cavity in soil of a density profile; arguments are numbers of `high_precision.exact`."""
+    """The field around a cavity in soil of a density profile; arguments are numbers of `high_precision.exact`.
+
+    Quantities have the toolkit's names, and all take a Lagrangian radius.
+    """
 
     def __init__(self, profile, c, w, radius, rate, acceleration, friction_angle, cohesion, ambient_pressure, density):
         self.profile, self.parameters = profile, (c, w)
         self.radius, self.rate, self.acceleration = radius, rate, acceleration
         self.mu, self.nu, self.tau0 = _friction(friction_angle, cohesion)
-        self.ambient_pressure, self.density = ambient_pressure, density
+        self.ambient_pressure, self.undisturbed = ambient_pressure, density
         self.front = self._front()
 
     def ratio(self, s):
-        """Equation (9)."""
         return self.profile.ratio(s, *self.parameters)
 
     def swept(self, s):
@@ -193,8 +195,15 @@ class Field:
                     return r
         raise AssertionError("no front")
 
-    @property
-    def front_speed(self):
+    def density(self, r):
+        """Equation (9)."""
+        return self.undisturbed / self.ratio(r)
+
+    def front_radius(self, _):
+        """Equation (16)."""
+        return self.front
+
+    def front_speed(self, _):
         """Equations (19)-(21)."""
         return self.radius * self.rate / (self.front * (1 - self.ratio(self.front)))
 
@@ -202,11 +211,11 @@ class Field:
         """Equation (15)."""
         return mp.sqrt(self.swept(r) + self.radius**2)
 
-    def velocity(self, r):
+    def particle_velocity(self, r):
         """Equation (17)."""
         return self.radius * self.rate / self.current_radius(r)
 
-    def acceleration_of(self, r):
+    def particle_acceleration(self, r):
         """Equation (18)."""
         y = self.current_radius(r)
         return (self.rate**2 + self.radius * self.acceleration) / y - (self.radius * self.rate) ** 2 / y**3
@@ -216,17 +225,23 @@ class Field:
         nu, front, y = self.nu, self.front, self.current_radius(r)
 
         def momentum(s):
-            y = self.current_radius(s)
-            acceleration = (self.rate**2 + self.radius * self.acceleration) / y - (self.radius * self.rate) ** 2 / y**3
-            return y ** (nu - 1) * s * acceleration
+            return self.current_radius(s) ** (nu - 1) * s * self.particle_acceleration(s)
 
         with mp.workdps(_DIGITS + 5):
             middle, half = (front + r) / 2, (front - r) / 2
-            carried = self.density * half * mp.fsum(w * momentum(middle + half * x) for x, w in _gauss_legendre())
-            jump = self.density * (self.radius * self.rate / front) ** 2 / (1 - self.ratio(front))
+            carried = self.undisturbed * half * mp.fsum(w * momentum(middle + half * x) for x, w in _gauss_legendre())
+            jump = self.undisturbed * (self.radius * self.rate / front) ** 2 / (1 - self.ratio(front))
             shear = self.tau0 / (1 + self.mu) * _power_integral(y, front, nu)
             return (front**nu * (self.ambient_pressure + jump) + carried + shear) / y**nu
 
-    def tangential_pressure(self, r):
-        """Equation (10)."""
-        return ((1 - self.mu) * self.pressure(r) - self.tau0) / (1 + self.mu)
+    def radial(self, r):
+        """Radial stress, tension positive."""
+        return -self.pressure(r)
+
+    def tangential(self, r):
+        """Tangential stress from the yield condition (10), tension positive."""
+        return -((1 - self.mu) * self.pressure(r) - self.tau0) / (1 + self.mu)
+
+    def surface_pressure(self, _):
+        """Gauge pressure on the wall."""
+        return self.pressure(mp.mpf(0)) - self.ambient_pressure

@@ -2,9 +2,11 @@
 
 import collections
 import itertools
+import math
 import signal
 from pathlib import Path
 
+import casadi as ca
 import pytest
 
 import plough_opt as po
@@ -92,6 +94,24 @@ def pytest_collection_modifyitems(items):
             if seen[name] % step:
                 item.add_marker(pytest.mark.slow)
             seen[name] += 1
+
+
+@pytest.fixture
+def no_compiler(monkeypatch, tmp_path):
+    """Hide the C compilers."""
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+
+
+@pytest.fixture
+def batch_of(r1_scene):
+    """Build a batch of the wedge angle, the height and the stiffness of a scene of problem R1."""
+
+    def build(duration=1.0, error=1e-9, **effects):
+        angle, height, k0 = inputs = [ca.MX.sym(name) for name in ("angle", "height", "k0")]
+        return po.Batch(r1_scene(angle * (180.0 / math.pi), height, k0, **effects), duration, inputs, error=error)
+
+    return build
 
 
 FLAGS = ("drag", "rate", "wave", "ramp", "damper", "rest")

@@ -1,6 +1,5 @@
 """Batches against single simulations: equal results, honest error estimates, and failures with their reasons."""
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -13,25 +12,6 @@ from plough_opt.core.expressions import maximum, minimum, sin, where
 
 NAMES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
 DESIGNS = np.array([[po.deg(25.0), 0.25, 5e4], [po.deg(45.0), 0.15, 8e3], [po.deg(10.0), 0.4, 3e5]])
-
-
-@pytest.fixture
-def no_compiler(monkeypatch, tmp_path):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.delenv("CC", raising=False)
-
-
-@pytest.fixture
-def batch_of(r1_scene):
-    """Build a batch of the wedge angle, the height and the stiffness of a scene of problem R1."""
-
-    def build(duration=1.0, error=1e-9, kind=ca.MX, tow_speed=2.0, **effects):
-        inputs = [kind.sym(name) for name in ("angle", "height", "k0")]
-        angle, height, k0 = inputs
-        scene = r1_scene(angle * (180.0 / math.pi), height, k0, tow_speed=tow_speed, **effects)
-        return po.Batch(scene, duration, inputs, error=error)
-
-    return build
 
 
 def single(r1_scene, design, duration=1.0, **effects):
@@ -70,27 +50,10 @@ def test_combinations_of_effects(batch_of, r1_scene, effects):
     assert np.all(result.error_estimate < 1e-9)
 
 
-def test_compiled_or_not(batch_of, monkeypatch, tmp_path):
-    wave = po.StrengthWave(0.3, 0.6)
-    effects = {"strength_wave": wave, "tow_ramp": 0.2, "damping": 250.0, "rate_term": 0.05, "start": "rest"}
-    batch = batch_of(**effects)
-    assert batch.compiled
-    monkeypatch.setenv("PATH", str(tmp_path))
-    interpreted = batch_of(**effects)
-    assert not interpreted.compiled
-    first, second = batch(DESIGNS), interpreted(DESIGNS)
-    # C fuses a product and a sum into one rounding, NumPy does not; there are some hundred steps.
-    for name in NAMES:
-        scale = np.max(np.abs(getattr(first, name)))
-        assert getattr(second, name) == pytest.approx(getattr(first, name), rel=1e-11, abs=1e-13 * scale)
-
-
 SMOOTH = [
     {"start": "rest", "rate_term": 0.05},
     {"start": "towed", "tow_ramp": 0.2, "damping": 200.0},
     {"start": "equilibrium", "tow_ramp": 0.2},
-    {"start": "equilibrium", "damping": 200.0},
-    {"start": "rest", "tow_ramp": 0.8},
 ]
 
 
@@ -147,21 +110,6 @@ def test_a_column_of_symbols(r1_scene, r1_wave, batch_of):
     batch = po.Batch(r1_scene(x[0] * (180.0 / math.pi), x[1], x[2], strength_wave=r1_wave), 1.0, [x], error=1e-9)
     expected = batch_of(strength_wave=r1_wave)(DESIGNS)
     assert batch(DESIGNS).mean_draft == pytest.approx(expected.mean_draft, rel=1e-12)
-
-
-@pytest.mark.parametrize("error", [pytest.param(1e-3, marks=pytest.mark.slow), 1e-6])
-def test_the_estimate_is_honest(batch_of, r1_wave, error):
-    random = np.random.default_rng(3)
-    values = random.uniform([po.deg(5.0), 0.1, math.log(5e3)], [po.deg(60.0), 0.5, math.log(5e5)], (3000, 3))
-    values[:, 2] = np.exp(values[:, 2])
-    result, finer = (batch_of(2.0, strength_wave=r1_wave, error=e)(values) for e in (error, 1e-10))
-    size = np.maximum(finer.mean_draft, finer.force_rms)
-    made = np.maximum(abs(result.mean_draft - finer.mean_draft), abs(result.force_rms - finer.force_rms)) / size
-    assert not result.missed.any()
-    assert np.all(made < error)
-    assert np.all(made < result.error_estimate)
-    # A bound, but a useful one: for half of the designs it is less than some hundred times the error.
-    assert np.median(result.error_estimate / made) < 1000.0
 
 
 def test_designs_outside_the_domain(batch_of, r1_scene, r1_wave):
@@ -263,11 +211,6 @@ def test_streams_equal_one_call(batch_of, r1_wave):
         joined = np.concatenate([getattr(part, name) for part in parts])
         assert np.array_equal(joined, getattr(whole, name), equal_nan=True)
     assert parts[1].reasons[16] == whole.reasons[17]
-    # Results hold arrays, so they are compared by identity.
-    assert whole == whole
-    assert whole != dataclasses.replace(whole)
-    assert repr(whole).startswith("<BatchResult: 39 designs in ")
-    assert len(repr(whole)) < 120
 
 
 def test_threads_share_many_designs(batch_of, r1_wave):

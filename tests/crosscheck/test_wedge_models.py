@@ -115,11 +115,6 @@ def test_godwin_is_the_printed_formula():
 
 
 @pytest.mark.parametrize("draft", DRAFTS)
-def test_ambient_pressure_does_not_enter(draft):
-    assert draft(dataclasses.replace(SOIL, ambient_pressure=0.0), LOADED, 1.0) == draft(SOIL, LOADED, 1.0)
-
-
-@pytest.mark.parametrize("draft", DRAFTS)
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX])
 def test_symbols_give_numbers_and_exact_derivatives(draft, kind):
     """Gradient and Hessian against central differences of the numeric path, whose truncation is some 1e-8 and 1e-6."""
@@ -151,19 +146,6 @@ def test_arrays_give_what_their_elements_give(draft):
     found = draft(SOIL, dataclasses.replace(LOADED, depth=depths), 1.0)
     one_by_one = [draft(SOIL, dataclasses.replace(LOADED, depth=d), 1.0) for d in depths]
     assert found == pytest.approx(one_by_one, rel=1e-14)
-
-
-def test_a_design_can_require_a_wedge_models_draft():
-    """The deepest tine for a pull of 5 kN has a draft of 5 kN."""
-    design = po.Design()
-    depth = design.variable("depth", guess=0.2, lower=0.1, upper=0.4, unit="m")
-    draft = mckyes_ali_draft(SOIL, Tine(0.06, depth, po.deg(45.0)), 1.5)
-    design.minimise(-depth)
-    design.require("draft", draft, at_most=5e3, unit="N")
-    best = design.solve()
-    # IPOPT's tolerance of 1e-8, relative to a draft in N.
-    assert best(draft) == pytest.approx(5e3, rel=1e-6)
-    assert mckyes_ali_draft(SOIL, Tine(0.06, best(depth), po.deg(45.0)), 1.5) == pytest.approx(best(draft), rel=1e-10)
 
 
 def test_a_design_keeps_the_rupture_angle_inside_its_range():

@@ -160,6 +160,7 @@ def test_a_picture_has_one_of_three_formats(tmp_path):
             plots.save(Figure(figsize=(2, 1)), tmp_path / "new" / name)
     assert list(tmp_path.iterdir()) == []
     assert plots.save(Figure(figsize=(2, 1)), tmp_path / "a" / "RUN.PNG").read_bytes().startswith(b"\x89PNG")
+    assert plots.save(Figure(figsize=(2, 1)), tmp_path / "run.svg").read_bytes().startswith(b"<?xml")
 
 
 class TestWedgeField:

@@ -25,27 +25,32 @@ SECTIONS = {part.partition("\n")[0]: BLOCKS.findall(part) for part in PARTS}
 REGISTRIES = (OWN_EFFECTS, LAWS, MEASURES, FORMATS, METHODS)
 
 
+def module_of(section):
+    """Return the name and the text of the one file that a section adds."""
+    (text,) = (text for language, text in SECTIONS[section] if language == "python" and text.startswith("# "))
+    return re.match(r"# (\w+)\.py\n", text)[1], text
+
+
 @pytest.fixture
 def workshop(tmp_path, monkeypatch):
     """Return a function that puts a section's modules and files where a user would, and removes what they add."""
-    before = [dict(registry) for registry in REGISTRIES]
-    known = {*sys.modules}
+    before, known = [dict(registry) for registry in REGISTRIES], {*sys.modules}
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
     kinds = dict(BLOCKS.findall(INTRODUCTION[INTRODUCTION.index("The examples below") :]))
-    (tmp_path / "tine.toml").write_text(kinds["toml"], encoding="utf-8")
-    (tmp_path / "scene_of_mine.py").write_text(kinds["python"], encoding="utf-8")
 
     def install(section):
-        modules = [text for language, text in SECTIONS[section] if language == "python" and text.startswith("# ")]
-        (module,) = modules
-        name = re.match(r"# (\w+)\.py\n", module)[1]
-        (tmp_path / f"{name}.py").write_text(module, encoding="utf-8")
+        name, text = module_of(section)
         # An installed package, as its entry points are found.
-        package = tmp_path / "mine-1.0.dist-info"
-        package.mkdir()
-        (package / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n", encoding="utf-8")
-        (package / "entry_points.txt").write_text(f"[plough_opt]\n{name} = {name}\n", encoding="utf-8")
+        Path("mine-1.0.dist-info").mkdir()
+        for file, content in {
+            "tine.toml": kinds["toml"],
+            "scene_of_mine.py": kinds["python"],
+            f"{name}.py": text,
+            "mine-1.0.dist-info/METADATA": "Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n",
+            "mine-1.0.dist-info/entry_points.txt": f"[plough_opt]\n{name} = {name}\n",
+        }.items():
+            Path(file).write_text(content, encoding="utf-8")
         return name
 
     yield install
@@ -53,36 +58,35 @@ def workshop(tmp_path, monkeypatch):
         registry.clear()
         registry.update(own)
     for name in {*sys.modules} - known:
-        if getattr(sys.modules[name], "__file__", None) and str(tmp_path) in sys.modules[name].__file__:
+        if str(tmp_path) in (getattr(sys.modules[name], "__file__", None) or ""):
             del sys.modules[name]
 
 
-def use(section, capsys, wanted=("python", "sh")):
-    """Run a section's other blocks in order; return what each of them printed."""
+def use(section, capsys, long=False):
+    """Run a section's other blocks in order, or only its lines that take long; return what each of them printed."""
     printed = []
     for language, text in SECTIONS[section]:
-        if language not in wanted or text.startswith("# "):
-            continue
         if language == "sh":
             for line in text.splitlines():
-                if "accuracy tine" in line:
-                    continue
-                assert main(shlex.split(line)[1:]) == 0, capsys.readouterr().err
-        else:
+                if ("accuracy tine" in line) is long:
+                    assert main(shlex.split(line)[1:]) == 0, capsys.readouterr().err
+        elif not long and not text.startswith("# "):
             exec(compile(text, f"CONTRIBUTING.md, {section}", "exec"), {})  # the page's own text
         printed.append(capsys.readouterr().out)
-    return printed
+    return [text for text in printed if text]
+
+
+def refused(capsys, line, told):
+    """Check that a command refuses its arguments with some words."""
+    assert main(shlex.split(line)) == 2
+    assert told in " ".join(capsys.readouterr().err.split())
 
 
 def test_the_page_shows_five_additions_each_one_file_and_one_line():
     assert list(SECTIONS) == ["An effect", "A resistance law", "A measure", "An export format", "An integrator"]
-    for section, blocks in SECTIONS.items():
-        modules = [text for language, text in blocks if language == "python" and text.startswith("# ")]
-        assert len(modules) == 1, section
-        lines = re.findall(
-            r"^(?:po\.laws\.)?(OWN_EFFECTS|LAWS|MEASURES|FORMATS|METHODS)\[", modules[0], flags=re.MULTILINE
-        )
-        assert len(lines) == 1, section
+    for section in SECTIONS:
+        line = r"^(?:po\.laws\.)?(OWN_EFFECTS|LAWS|MEASURES|FORMATS|METHODS)\["
+        assert len(re.findall(line, module_of(section)[1], flags=re.MULTILINE)) == 1, section
     named = re.findall(r"`(plough_opt/[\w/]+\.py)`", TEXT)
     assert len(named) == 5
     assert all((ROOT / path).exists() for path in named)
@@ -107,8 +111,7 @@ def test_effect(workshop, capsys):
         ("[{effect='shank', static='150 m', viscous='1 N*s/m'}]", "'static' = \"150 m\" has the wrong unit"),
         ("[{effect='shank', statik='150 N'}]", "'statik' is not a quantity of Shank: did you mean 'static'"),
     ):
-        assert main(["check", "tine.toml", "--set", f"effects.own={wrong}"]) == 2
-        assert told in " ".join(capsys.readouterr().err.split())
+        refused(capsys, f'check tine.toml --set effects.own="{wrong}"', told)
 
 
 def test_resistance_law(workshop, capsys):
@@ -122,8 +125,7 @@ def test_resistance_law(workshop, capsys):
     own = po.read_problem("tine.toml", [table])
     # 250 kPa on 12 cm by 25 cm, and a twentieth of that per (m/s)^2.
     assert own.simulate().mean_draft == pytest.approx(250e3 * 0.12 * 0.25 * 1.2, rel=1e-9)
-    assert main(["check", "tine.toml", "--set", "scene.medium='per_with'"]) == 2
-    assert "did you mean 'per_width'" in capsys.readouterr().err
+    refused(capsys, "check tine.toml --set scene.medium='per_with'", "did you mean 'per_width'")
 
 
 def test_measure(workshop, capsys):
@@ -132,32 +134,31 @@ def test_measure(workshop, capsys):
     # At a steady speed the work per metre is the draft.
     own = po.read_problem("tine.toml").optimise()[0].objective
     assert float(objective) == pytest.approx(own, rel=1e-7)
-    with Path("swept.csv").open(encoding="utf-8") as file:
-        rows = list(csv.reader(line for line in file if not line.startswith("#")))
-    column = next(k for k, heading in enumerate(rows[0]) if heading.startswith("work_per_metre"))
-    draft = next(k for k, heading in enumerate(rows[0]) if heading.startswith("mean_draft"))
-    assert len(rows) == 4
-    assert [float(row[column]) for row in rows[1:]] == pytest.approx([float(row[draft]) for row in rows[1:]], rel=1e-9)
+    lines = Path("swept.csv").read_text(encoding="utf-8").splitlines()
+    rows = [*csv.DictReader(line for line in lines if not line.startswith("#"))]
+    assert len(rows) == 3
+    for row in rows:
+        found = {heading.partition(" ")[0]: value for heading, value in row.items()}
+        assert float(found["work_per_metre"]) == pytest.approx(float(found["mean_draft"]), rel=1e-9)
     assert main(["simulate", "tine.toml"]) == 0
     assert "towing work per metre" in capsys.readouterr().out
     told = po.Measurements("work_per_metre", [3e3, 4e3], {"scene.tow_speed": [1.0, 2.0]}, sigma=100.0)
     assert told.result == "work_per_metre"
-    assert main(["check", "tine.toml", "--set", "require.work_per_meter.at_most=5 kN"]) == 2
-    assert "did you mean 'work_per_metre'" in capsys.readouterr().err
+    wrong = "check tine.toml --set 'require.work_per_meter.at_most=5 kN'"
+    refused(capsys, wrong, "did you mean 'work_per_metre'")
 
 
 def test_export_format(workshop, capsys):
     workshop("An export format")
     use("An export format", capsys)
-    with Path("tine.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = csv.DictReader(Path("tine.csv").read_text(encoding="utf-8").splitlines())
     values = {row["name"]: float(row["value"]) for row in rows}
     assert values["share.height"] == 0.25
     assert values["mean_draft"] == pytest.approx(po.read_problem("tine.toml").simulate().mean_draft, rel=1e-6)
-    assert main(["export", "tine.toml", "--to", "table", "--output", "a.txt"]) == 2
-    assert "end in .csv" in capsys.readouterr().err
-    assert main(["export", "tine.toml", "--to", "table", "--output", "a.csv", "--strut", "speed"]) == 2
-    assert "--strut cannot be used with --to table" in capsys.readouterr().err
+    refused(capsys, "export tine.toml --to table --output a.txt", "end in .csv")
+    refused(
+        capsys, "export tine.toml --to table --output a.csv --strut speed", "--strut cannot be used with --to table"
+    )
 
 
 def test_integrator(workshop, capsys):
@@ -167,25 +168,19 @@ def test_integrator(workshop, capsys):
     assert 0.0 < error < 1e-6
     assert draft > 0.0
     assert "stiffness" in script
-    assert main(["simulate", "tine.toml", "--set", "accuracy.method=three_eights"]) == 2
-    assert "did you mean 'three_eighths'" in capsys.readouterr().err
+    refused(capsys, "simulate tine.toml --set accuracy.method=three_eights", "did you mean 'three_eighths'")
 
 
 @pytest.mark.slow
 def test_integrator_takes_part_in_the_accuracy_study(workshop, capsys):
     workshop("An integrator")
-    (line,) = (
-        line for language, text in SECTIONS["An integrator"] if language == "sh"
-        for line in text.splitlines() if "accuracy tine" in line
-    )  # fmt: skip
-    assert main(shlex.split(line)[1:]) == 0
-    assert "three_eighths" in capsys.readouterr().out
+    (printed,) = use("An integrator", capsys, long=True)
+    assert "three_eighths" in printed
     assert "three_eighths" in json.dumps(json.loads(Path("accuracy.json").read_text(encoding="utf-8")))
 
 
 def test_addition_that_cannot_be_imported_is_named(workshop, capsys, tmp_path):
     name = workshop("An integrator")
     (tmp_path / f"{name}.py").write_text("import no_such_module\n", encoding="utf-8")
-    assert main(["soils"]) == 2
-    told = " ".join(capsys.readouterr().err.split())
-    assert f"the addition '{name}' = {name} of mine cannot be imported (ModuleNotFoundError" in told
+    told = f"the addition '{name}' = {name} of mine cannot be imported (ModuleNotFoundError"
+    refused(capsys, "soils", told)

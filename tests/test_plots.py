@@ -17,9 +17,8 @@ from plough_opt.design import Limit
 
 @pytest.fixture(scope="module")
 def scene():
-    share = po.Wedge(angle=po.deg(25), chisel_angle=po.deg(15), height=0.25)
     effects = po.Effects(strength_wave=po.StrengthWave(amplitude=0.3, wavelength=0.6))
-    return po.Scene(po.named_soil("serozem"), share, stiffness=5e4, mass=23.0, tow_speed=2.0, effects=effects)
+    return po.Scene(po.named_soil("serozem"), po.Wedge(po.deg(25), po.deg(15), 0.25), 5e4, 23.0, 2.0, effects)
 
 
 @pytest.fixture(scope="module")
@@ -28,14 +27,11 @@ def run(scene):
 
 
 @pytest.fixture(scope="module")
-def optimum():
+def optimum(scene):
     """Return an optimum, with a scan over a log-scaled stiffness, and its run."""
     design = po.Design()
     stiffness = design.variable("mount", guess=5e4, lower=5e3, upper=5e5, unit="N/m", log=True)
-    share = po.Wedge(angle=po.deg(39), chisel_angle=po.deg(15), height=0.2)
-    soil = po.Soil(1400.0, 0.8, 15e3, po.deg(30), 0.5, ambient_pressure=10e3)
-    effects = po.Effects(strength_wave=po.StrengthWave(amplitude=0.3, wavelength=0.6))
-    found = po.simulate(po.Scene(soil, share, stiffness, 22.0, 2.0, effects), 1.0, outputs=100)
+    found = po.simulate(dataclasses.replace(scene, stiffness=stiffness), 1.0, outputs=100)
     design.minimise(found.mean_draft / 1e3 + found.force_rms / 1e3)
     best = design.solve()
     return best, best(found)
@@ -55,103 +51,95 @@ def words(axes):
     return "\n".join(texts if axes.get_legend() is None else texts + legend(axes))
 
 
-def panel(figure, title):
-    """Return the axes with a title."""
-    return next(axes for axes in figure.axes if axes.get_title() == title)
-
-
 def line(axes, label):
     """Return the data of the line with a label."""
     return next(found.get_xydata() for found in axes.get_lines() if found.get_label() == label)
 
 
-class TestRun:
-    """plot_run: force, deflection and speed over time."""
-
-    def test_its_lines_are_the_run_in_the_units_of_its_axes(self, run):
-        force, deflection, speed = plots.plot_run(run).axes
-        assert matplotlib.pyplot.get_fignums() == []
-        assert (force.get_ylabel(), deflection.get_ylabel()) == ("force [kN]", "deflection [m]")
-        assert labels(speed) == ("time [s]", "speed [m/s]")
-        np.testing.assert_allclose(line(force, "mount force"), np.c_[run.time, run.mount_force / 1000])
-        np.testing.assert_allclose(line(force, "soil resistance"), np.c_[run.time, run.soil_resistance / 1000])
-        np.testing.assert_allclose(deflection.get_lines()[0].get_xydata(), np.c_[run.time, run.deflection])
-        np.testing.assert_allclose(line(speed, "share"), np.c_[run.time, run.speed])
-        np.testing.assert_allclose(line(speed, "strut")[:, 1], 2.0)
-        assert f"mean draft {run.mean_draft / 1000:.3g} kN" in legend(force)
-        assert f"± RMS {run.force_rms / 1000:.3g} kN" in legend(force)
-
-    def test_it_uses_the_units_and_the_title_of_its_problem_file(self, run):
-        origin = Origin("Two shares", {"deflection": Display("cm", 0.01), "scene.tow_speed": Display("km/h", 1 / 3.6)})
-        figure = plots.plot_run(dataclasses.replace(run, origin=origin))
-        assert figure.get_suptitle() == "Two shares\nserozem, 7.2 km/h"
-        np.testing.assert_allclose(line(figure.axes[1], "deflection")[:, 1], 100.0 * run.deflection)
-        assert figure.axes[2].get_ylabel() == "speed [km/h]"
-
-    def test_legends_hide_no_line(self, run):
-        figure = plots.plot_run(run)
-        figure.savefig(io.BytesIO(), format="png")
-        for axes in figure.axes:
-            box = axes.get_legend().get_window_extent()
-            for drawn in axes.get_lines():
-                assert not any(box.contains(*point) for point in axes.transData.transform(drawn.get_xydata()))
-
-    def test_constant_panels_are_omitted(self, scene):
-        still = dataclasses.replace(scene, effects=dataclasses.replace(scene.effects, motion=False))
-        force, deflection = plots.plot_run(po.simulate(still, 0.5, outputs=40)).axes
-        assert (force.get_ylabel(), deflection.get_ylabel()) == ("force [kN]", "deflection [m]")
+def test_its_lines_are_the_run_in_the_units_of_its_axes(run):
+    force, deflection, speed = plots.plot_run(run).axes
+    assert matplotlib.pyplot.get_fignums() == []
+    assert (force.get_ylabel(), deflection.get_ylabel()) == ("force [kN]", "deflection [m]")
+    assert labels(speed) == ("time [s]", "speed [m/s]")
+    np.testing.assert_allclose(line(force, "mount force"), np.c_[run.time, run.mount_force / 1000])
+    np.testing.assert_allclose(line(force, "soil resistance"), np.c_[run.time, run.soil_resistance / 1000])
+    np.testing.assert_allclose(deflection.get_lines()[0].get_xydata(), np.c_[run.time, run.deflection])
+    np.testing.assert_allclose(line(speed, "share"), np.c_[run.time, run.speed])
+    np.testing.assert_allclose(line(speed, "strut")[:, 1], 2.0)
+    assert f"mean draft {run.mean_draft / 1000:.3g} kN" in legend(force)
+    assert f"± RMS {run.force_rms / 1000:.3g} kN" in legend(force)
 
 
-class TestShare:
-    """plot_share: the wedge's faces beside the equivalent cone."""
-
-    def test_it_shows_faces_of_the_shares_area_and_the_cone_at_the_same_scale(self, scene):
-        wedge, cone = plots.plot_share(scene).axes
-        assert wedge.get_aspect() == cone.get_aspect() == 1.0
-        assert wedge.get_ylim() == cone.get_ylim()
-        assert "λ = 25.0°" in words(wedge)
-        assert f"β = {np.degrees(scene.cone.half_angle):.1f}°" in words(cone)
-        assert f"r* = {po.loosened_radius(scene.cone, scene.soil):.3f} m" in words(cone)
-        corners = [patch.get_xy() for patch in wedge.patches]
-        (x0, y0), (x1, y1), (x2, y2) = corners[0][:3]
-        one_face = abs((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)) / 2
-        assert len(corners) == 2
-        assert 2 * one_face == pytest.approx(scene.share.area, rel=1e-12)
-
-    def test_a_share_given_as_a_cone_has_no_faces_to_show(self, scene):
-        left, right = plots.plot_share(dataclasses.replace(scene, share=po.Cone(po.deg(10), 0.25))).axes
-        assert "given as a cone" in words(left)
-        assert not left.axison
-        assert "β = 10.0°" in words(right)
+def test_it_uses_the_units_and_the_title_of_its_problem_file(run):
+    origin = Origin("Two shares", {"deflection": Display("cm", 0.01), "scene.tow_speed": Display("km/h", 1 / 3.6)})
+    figure = plots.plot_run(dataclasses.replace(run, origin=origin))
+    assert figure.get_suptitle() == "Two shares\nserozem, 7.2 km/h"
+    np.testing.assert_allclose(line(figure.axes[1], "deflection")[:, 1], 100.0 * run.deflection)
+    assert figure.axes[2].get_ylabel() == "speed [km/h]"
 
 
-class TestOptimum:
-    """plot_optimum: the share, the response and the search."""
+def test_legends_hide_no_line(run):
+    figure = plots.plot_run(run)
+    figure.savefig(io.BytesIO(), format="png")
+    for axes in figure.axes:
+        box = axes.get_legend().get_window_extent()
+        for drawn in axes.get_lines():
+            assert not any(box.contains(*point) for point in axes.transData.transform(drawn.get_xydata()))
 
-    def test_it_shows_the_response_and_the_search_with_every_optimum(self, optimum):
-        best, run = optimum
-        two = (best.local_optima[0], dataclasses.replace(best.local_optima[0], variables={"mount": 1e5}, objective=2.0))
-        figure = plots.plot_optimum(dataclasses.replace(best, local_optima=two), run)
-        _, _, force, deflection, search = figure.axes
-        assert labels(force) == ("time [s]", "force [N]")
-        assert labels(deflection) == ("time [s]", "deflection [mm]")
-        assert labels(search) == ("mount [kN/m]", "objective")
-        assert search.get_xscale() == "log"
-        np.testing.assert_allclose(line(search, "best"), [[best.variables["mount"] / 1e3, best.objective]])
-        np.testing.assert_allclose(line(search, "other local optima"), [[1e2, 2.0]])
 
-    def test_it_shows_requirements_and_the_limits_of_what_it_draws(self, optimum):
-        best, run = optimum
-        peak = run.peak_deflection
-        high = Limit("deflection", "requirement", peak, "", 0.25 * peak, 0.0, False, "m", high=1.25 * peak)
-        # An active limit is met to the optimiser's rounding, which must not be shown.
-        zero = Limit("loosening", "requirement", 6e-13, "", 6e-13, 1.0, True, "m", low=0.0)
-        figure = plots.plot_optimum(dataclasses.replace(best, limits=(*best.limits, high, zero)), run)
-        required, deflection = panel(figure, "Requirements"), figure.axes[3]
-        assert f"limit of the deflection {1250 * peak:.4g} mm" in legend(deflection)
-        assert line(deflection, legend(deflection)[-1])[0, 1] == pytest.approx(1250 * peak)
-        assert required.patches[0].get_width() == pytest.approx(20.0)  # per cent of the limit
-        assert words(required).splitlines()[1] == "loosening 0 mm ≥ 0 mm: decides"
+def test_constant_panels_are_omitted(scene):
+    still = dataclasses.replace(scene, effects=dataclasses.replace(scene.effects, motion=False))
+    force, deflection = plots.plot_run(po.simulate(still, 0.5, outputs=40)).axes
+    assert (force.get_ylabel(), deflection.get_ylabel()) == ("force [kN]", "deflection [m]")
+
+
+def test_it_shows_faces_of_the_shares_area_and_the_cone_at_the_same_scale(scene):
+    wedge, cone = plots.plot_share(scene).axes
+    assert wedge.get_aspect() == cone.get_aspect() == 1.0
+    assert wedge.get_ylim() == cone.get_ylim()
+    assert "λ = 25.0°" in words(wedge)
+    assert f"β = {np.degrees(scene.cone.half_angle):.1f}°" in words(cone)
+    assert f"r* = {po.loosened_radius(scene.cone, scene.soil):.3f} m" in words(cone)
+    corners = [patch.get_xy() for patch in wedge.patches]
+    (x0, y0), (x1, y1), (x2, y2) = corners[0][:3]
+    one_face = abs((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)) / 2
+    assert len(corners) == 2
+    assert 2 * one_face == pytest.approx(scene.share.area, rel=1e-12)
+
+
+def test_a_share_given_as_a_cone_has_no_faces_to_show(scene):
+    left, right = plots.plot_share(dataclasses.replace(scene, share=po.Cone(po.deg(10), 0.25))).axes
+    assert "given as a cone" in words(left)
+    assert not left.axison
+    assert "β = 10.0°" in words(right)
+
+
+def test_it_shows_the_response_and_the_search_with_every_optimum(optimum):
+    best, run = optimum
+    two = (best.local_optima[0], dataclasses.replace(best.local_optima[0], variables={"mount": 1e5}, objective=3.0))
+    figure = plots.plot_optimum(dataclasses.replace(best, local_optima=two), run)
+    _, _, force, deflection, search = figure.axes
+    assert labels(force) == ("time [s]", "force [kN]")
+    assert labels(deflection) == ("time [s]", "deflection [mm]")
+    assert labels(search) == ("mount [kN/m]", "objective")
+    assert search.get_xscale() == "log"
+    np.testing.assert_allclose(line(search, "best"), [[best.variables["mount"] / 1e3, best.objective]])
+    np.testing.assert_allclose(line(search, "other local optima"), [[1e2, 3.0]])
+
+
+def test_it_shows_requirements_and_the_limits_of_what_it_draws(optimum):
+    best, run = optimum
+    peak = run.peak_deflection
+    high = Limit("deflection", "requirement", peak, "", 0.25 * peak, 0.0, False, "m", high=1.25 * peak)
+    # An active limit is met to the optimiser's rounding, which must not be shown.
+    zero = Limit("loosening", "requirement", 6e-13, "", 6e-13, 1.0, True, "m", low=0.0)
+    figure = plots.plot_optimum(dataclasses.replace(best, limits=(*best.limits, high, zero)), run)
+    deflection = figure.axes[3]
+    (required,) = (axes for axes in figure.axes if axes.get_title() == "Requirements")
+    assert f"limit of the deflection {1250 * peak:.4g} mm" in legend(deflection)
+    assert line(deflection, legend(deflection)[-1])[0, 1] == pytest.approx(1250 * peak)
+    assert required.patches[0].get_width() == pytest.approx(20.0)  # per cent of the limit
+    assert words(required).splitlines()[1] == "loosening 0 mm ≥ 0 mm: decides"
 
 
 def test_a_picture_has_one_of_three_formats(tmp_path):
@@ -163,14 +151,11 @@ def test_a_picture_has_one_of_three_formats(tmp_path):
     assert plots.save(Figure(figsize=(2, 1)), tmp_path / "run.svg").read_bytes().startswith(b"<?xml")
 
 
-class TestWedgeField:
-    def test_it_draws_both_stresses_around_the_body(self):
-        nodes = [(0.0, 0.0), (0.1, 0.02), (0.2, 0.02)]
-        figure = plots.plot_wedge_field(nodes, po.named_soil("serozem"), 2.0)
-        labels = [axes.get_ylabel() for axes in figure.axes]
-        assert sum("sigma_{yy}" in label for label in labels) == 1
-        assert sum("sigma_{xy}" in label for label in labels) == 1
-        for axes in figure.axes[:2]:
-            assert axes.get_aspect() == 1.0
-            assert axes.get_xlim()[0] < 0.0
-            assert axes.get_xlim()[1] > 0.2
+def test_it_draws_both_stresses_around_the_body():
+    nodes = [(0.0, 0.0), (0.1, 0.02), (0.2, 0.02)]
+    figure = plots.plot_wedge_field(nodes, po.named_soil("serozem"), 2.0)
+    labels = " ".join(axes.get_ylabel() for axes in figure.axes)
+    assert labels.count("sigma_{yy}") == labels.count("sigma_{xy}") == 1
+    for axes in figure.axes[:2]:
+        assert axes.get_aspect() == 1.0
+        assert axes.get_xlim()[0] < 0.0 < 0.2 < axes.get_xlim()[1]

@@ -274,23 +274,11 @@ def test_designs_in_python_keep_their_declarations(tmp_path):
     assert "x [mm]" in str(front())
 
 
-@pytest.mark.parametrize(
-    ("scene", "duration", "error"),
-    [
-        pytest.param(
-            po.Scene(po.Soil(1350.0, 0.8, 0.0, po.deg(28), 0.5, ambient_pressure=0.0), po.Cone(po.deg(10), 0.25),
-                     stiffness=5e4, mass=20.0, tow_speed=0.0), 0.5, 0.0, id="soil without strength",
-        ),
-        pytest.param(
-            po.Scene(po.named_soil("serozem"), po.Cone(po.deg(12), 0.25), 2e3, 25.0, 0.3,
-                     po.Effects(strength_wave=po.StrengthWave(1.0, 0.02), orbit="linearised")), None, math.inf,
-            id="approximation of an orbit that does not exist",
-        ),
-    ],
-)  # fmt: skip
-def test_runs_with_extreme_numbers_read_back(tmp_path, scene, duration, error):
-    made = po.simulate(scene, duration)
-    assert made.error_estimate == pytest.approx(error, abs=1e-6)
+def test_a_run_with_an_unknown_error_reads_back(tmp_path):
+    # An approximation of an orbit that does not exist.
+    effects = po.Effects(strength_wave=po.StrengthWave(1.0, 0.02), orbit="linearised")
+    made = po.simulate(po.Scene(po.named_soil("serozem"), po.Cone(po.deg(12), 0.25), 2e3, 25.0, 0.3, effects))
+    assert made.error_estimate == math.inf
     strict(made.to_json())
     assert po.load(made.save(tmp_path / "run.json")).to_json() == made.to_json()
 
@@ -304,7 +292,6 @@ def test_missing_effects_are_named_and_not_run(tmp_path):
     assert own in text
     path.write_text(text.replace(own, "elsewhere:Drag"), encoding="utf-8")
     found = po.load(path)
-    assert "mean draft" in str(found)
     (effect,) = found.scene.effects.own
     assert effect.newtons == 30.0
     with pytest.raises(po.InputError, match="'elsewhere:Drag', which is not defined here"):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import re
 import warnings
 
 import casadi as ca
@@ -12,7 +13,7 @@ import pytest
 import plough_opt as po
 from plough_opt.app.main import main
 from plough_opt.core.quantities import EVERY
-from plough_opt.motion.scene_quantities import with_quantities
+from plough_opt.motion.scene_quantities import quantities_of, with_quantities
 from plough_opt.problem_file import TEMPLATE
 
 U = pint.UnitRegistry()
@@ -20,37 +21,21 @@ SOIL = po.named_soil("serozem")
 
 
 def test_texts_pint_quantities_and_si_numbers_make_the_same_scene():
-    texts = po.Scene(
-        po.Soil("1.35 g/cm^3", 0.794, "20 kPa", "28 deg", "50 %", youngs_modulus="10 MPa"),
-        po.Wedge("25 deg", "15 deg", "250 mm"),
-        stiffness="50 kN/m",
-        mass="0.02 t",
-        tow_speed="7.2 km/h",
-        effects=po.Effects(strength_wave=po.StrengthWave("30 %", "20 cm", "90 deg"), damping="0.4 kN*s/m"),
-    )
-    quantities = po.Scene(
-        po.Soil(1.35 * U("g/cm^3"), 0.794, 20 * U.kPa, 28 * U.deg, 50 * U.percent, youngs_modulus=10 * U.MPa),
-        po.Wedge(25 * U.deg, 15 * U.deg, 25 * U.cm),
-        stiffness=50 * U.kN / U.m,
-        mass=20 * U.kg,
-        tow_speed=7.2 * U.km / U.h,
-        effects=po.Effects(strength_wave=po.StrengthWave(0.3, 0.2 * U.m, math.pi / 2), damping=400 * U.N * U.s / U.m),
-    )
-    numbers = po.Scene(
-        po.Soil(1350.0, 0.794, 20e3, po.deg(28), 0.5, youngs_modulus=10e6),
-        po.Wedge(po.deg(25), po.deg(15), 0.25),
-        stiffness=5e4,
-        mass=20.0,
-        tow_speed=2.0,
-        effects=po.Effects(strength_wave=po.StrengthWave(0.3, 0.2, math.pi / 2), damping=400.0),
-    )
-    wanted = numbers.steady_resistance
+    def scene(soil, angles, height, stiffness, mass, speed, wave, damping):
+        effects = po.Effects(strength_wave=po.StrengthWave(*wave), damping=damping)
+        return po.Scene(po.Soil(*soil), po.Wedge(*angles, height), stiffness, mass, speed, effects)
+
+    numbers = scene((1350.0, 0.794, 20e3, po.deg(28), 0.5, 1e5, 10e6), (po.deg(25), po.deg(15)), 0.25, 5e4, 20.0, 2.0,
+                    (0.3, 0.2, math.pi / 2), 400.0)  # fmt: skip
+    texts = scene(("1.35 g/cm^3", 0.794, "20 kPa", "28 deg", "50 %", "1 bar", "10 MPa"), ("25 deg", "15 deg"), "250 mm",
+                  "50 kN/m", "0.02 t", "7.2 km/h", ("30 %", "20 cm", "90 deg"), "0.4 kN*s/m")  # fmt: skip
+    soil = (1.35 * U("g/cm^3"), 0.794, 20 * U.kPa, 28 * U.deg, 50 * U.percent, 1 * U.bar, 10 * U.MPa)
+    quantities = scene(soil, (25 * U.deg, 15 * U.deg), 25 * U.cm, 50 * U.kN / U.m, 20 * U.kg, 7.2 * U.km / U.h,
+                       (0.3, 0.2 * U.m, math.pi / 2), 400 * U.N * U.s / U.m)  # fmt: skip
     # Products of decimal unit factors round by about 1e-16.
-    for scene in (texts, quantities):
-        assert scene.steady_resistance == pytest.approx(wanted, rel=1e-14)
-        assert scene.natural_frequency == pytest.approx(numbers.natural_frequency, rel=1e-14)
-        assert scene.effects.damping == pytest.approx(400.0, rel=1e-15)
-    assert po.simulate(texts, "0.1 s", outputs=2).duration == 0.1
+    wanted = {name: pytest.approx(value, rel=1e-15) for name, value in quantities_of(numbers).items() if value}
+    for made in (texts, quantities):
+        assert {name: value for name, value in quantities_of(made).items() if value} == wanted
 
 
 def test_symbols_and_arrays_are_kept():
@@ -65,16 +50,14 @@ def test_symbols_and_arrays_are_kept():
     ("value", "words"),
     [
         ("50 kg", 'stiffness = "50 kg" has the wrong unit: expected a quantity in N/m, like "50 kN/m"'),
-        ("50 kN/mm^9^9", "stiffness"),
         ("fifty", 'stiffness = "fifty" is not a quantity: write it like "50 kN/m"'),
         ("50", 'stiffness = "50" has no unit: write it like "50 kN/m"'),
         (50 * U.kg, 'stiffness = "50 kilogram" has the wrong unit'),
     ],
 )
 def test_invalid_quantities_are_refused(value, words):
-    with pytest.raises(po.InputError) as caught:
+    with pytest.raises(po.InputError, match=re.escape(words)):
         po.Scene(SOIL, po.Cone(0.2, 0.25), value, 20.0, 2.0)
-    assert words in str(caught.value)
 
 
 SLIPS = {
@@ -83,9 +66,6 @@ SLIPS = {
     "share height": (lambda x: po.Cone(0.2, x), 250.0, "250 mm"),
     "height in cm": (lambda x: po.Cone(0.2, x), 5.0, "5 cm"),
     "cohesion": (lambda x: po.Soil(1350.0, 0.794, x, 0.5, 0.5), 20, "20 kPa"),
-    "soil density": (lambda x: po.Soil(x, 0.794, 2e4, 0.5, 0.5), 1.35, "1.35 g/cm^3"),
-    "ambient pressure": (lambda x: po.Soil(1350.0, 0.794, 2e4, 0.5, 0.5, x), 101.325, "101.325 kPa"),
-    "strength wavelength": (lambda x: po.StrengthWave(0.3, x), 200.0, "200 mm"),
     "density of the share's material": (lambda x: po.Cone(0.2, 0.25).solid_mass(x), 7.85, "7.85 g/cm^3"),
     "cone index": (lambda x: po.Soil.from_cone_index(x, SOIL), 1500.0, "1500 kPa"),
 }
@@ -122,15 +102,13 @@ def test_a_design_accepts_texts_quantities_and_numbers():
     d = po.Design()
     height = d.variable("height", guess="250 mm", lower="100 mm", upper="0.5 m", tolerance="2 mm")
     d.variable("stiffness", guess=50 * U.kN / U.m, lower="10 kN/m", upper=1e6, unit="N/m", log=True)
-    cohesion = d.parameter("cohesion", "20 kPa")
-    d.minimise(height * cohesion)
+    d.minimise(height * d.parameter("cohesion", "20 kPa"))
     d.require("half height", height / 2.0, at_least="60 mm")
-    declared = d.declared
-    first, second = declared.variables
+    (first, second), (parameter,) = d.declared.variables, d.declared.parameters
     assert (first.guess, first.lower, first.upper, first.unit, first.tolerance) == (0.25, 0.1, 0.5, "m", 0.002)
     assert (second.guess, second.lower, second.upper, second.unit) == (5e4, 1e4, 1e6, "N/m")
-    assert (declared.parameters[0].value, declared.parameters[0].unit) == (2e4, "Pa")
-    assert declared.requirements[0].limits_text() == "at least 60 mm"
+    assert (parameter.value, parameter.unit) == (2e4, "Pa")
+    assert d.declared.requirements[0].limits_text() == "at least 60 mm"
     best = d.solve(search="near")
     assert best.variables["height"] == pytest.approx(0.12, rel=1e-7)
     assert "120 mm" in str(best)
@@ -139,14 +117,20 @@ def test_a_design_accepts_texts_quantities_and_numbers():
 
 def test_plain_numbers_with_a_unit_that_is_not_si_are_refused_with_the_remedy():
     d = po.Design()
-    with pytest.raises(po.InputError, match=r'"200 mm" as a string, or 0.2 with unit="m"'):
-        d.variable("height", guess=200, lower=100, upper=300, unit="mm")
-    with pytest.raises(po.InputError, match=r'"5 kN" as a string, or 5000 with unit="N"'):
-        d.require("draft", d.variable("x", guess=1.0, lower=0.0, upper=2.0), at_most=5, unit="kN")
-    with pytest.raises(po.InputError, match=r'"28 deg" as a string, or 0.488692 with unit="rad"'):
-        d.parameter("friction", 28, unit="deg")
-    with pytest.raises(po.InputError, match="variable 'mixed': lower = \"1 kg\" has the wrong unit"):
-        d.variable("mixed", guess="2 m", lower="1 kg", upper="3 m")
+    for declare, remedy in (
+        (lambda: d.variable("height", guess=200, lower=100, upper=300, unit="mm"), '"200 mm" as a string, or 0.2 with'),
+        (lambda: d.require("draft", ca.MX.sym("x"), at_most=5, unit="kN"), '"5 kN" as a string, or 5000 with unit="N"'),
+        (lambda: d.parameter("friction", 28, unit="deg"), '"28 deg" as a string, or 0.488692 with unit="rad"'),
+        (lambda: d.variable("mixed", guess="2 m", lower="1 kg", upper="3 m"), 'lower = "1 kg" has the wrong unit'),
+        (
+            lambda: po.Input("gap", 1.0, 2.0, unit="mm", symbol=ca.MX.sym("gap")),
+            "a plain number, but 'mm' is not an SI",
+        ),
+        (lambda: po.Input("scene.stiffness", "20 kN"), "wrong unit"),
+        (lambda: po.Output("mean_draft", upper="8 m"), "wrong unit"),
+    ):
+        with pytest.raises(po.InputError, match=re.escape(remedy)):
+            declare()
     # A unit outside physics only labels reports.
     d.variable("price", guess=2.0, lower=1.0, upper=3.0, unit="EUR")
 
@@ -164,32 +148,15 @@ def test_an_implausible_value_in_a_file_is_noted(capsys, tmp_path):
 
 
 def test_durations_bounds_and_limits_accept_texts_and_pint():
-    scene = po.Scene(po.named_soil("serozem"), po.Cone("10 deg", "25 cm"), "50 kN/m", "30 kg", "2 m/s")
+    scene = po.Scene(SOIL, po.Cone("10 deg", "25 cm"), "50 kN/m", "30 kg", "2 m/s")
     stiffness = ca.MX.sym("stiffness")
     varied = dataclasses.replace(scene, stiffness=stiffness, effects=po.Effects(damping=400.0))
+    given = po.Input("scene.stiffness", "20 kN/m", 200.0 * U.kN / U.m)
+    assert (given.lower, given.upper) == pytest.approx((2e4, 2e5), rel=1e-15)
+    assert po.Output("mean_draft", upper="8 kN").upper == 8e3
+    wanted = po.Batch(varied, 0.2, [stiffness])([[5e4]]).mean_draft
     for duration in ("200 ms", 0.2 * U.s):
-        run = po.simulate(scene, duration)
-        assert run.duration == 0.2
-        batch = po.Batch(varied, duration, [stiffness])([[5e4]])
-        assert batch.mean_draft == po.Batch(varied, 0.2, [stiffness])([[5e4]]).mean_draft
-        given = po.Input("scene.stiffness", "20 kN/m", 200.0 * U.kN / U.m)
-        assert (given.lower, given.upper) == pytest.approx((2e4, 2e5), rel=1e-15)
-        made = po.component(scene, duration, inputs=[given], outputs=[po.Output("mean_draft", upper="8 kN")])
-        assert made.outputs[0].upper == 8e3
+        assert po.simulate(scene, duration).duration == 0.2
+        assert po.Batch(varied, duration, [stiffness])([[5e4]]).mean_draft == wanted
+        made = po.component(scene, duration, inputs=[given], outputs=["mean_draft"])
         assert made(5e4) == po.component(scene, 0.2, inputs=["scene.stiffness"], outputs=["mean_draft"])(5e4)
-
-
-@pytest.mark.parametrize(
-    ("make", "said"),
-    [
-        (lambda: po.Input("scene.stiffness", "20 kN"), "wrong unit"),
-        (lambda: po.Output("mean_draft", upper="8 m"), "wrong unit"),
-        (
-            lambda: po.Input("gap", 1.0, 2.0, unit="mm", symbol=ca.MX.sym("gap")),
-            "is a plain number, but 'mm' is not an SI",
-        ),
-    ],
-)
-def test_bounds_of_another_unit_are_refused(make, said):
-    with pytest.raises(po.InputError, match=said):
-        make()

@@ -84,14 +84,9 @@ def test_effects_that_are_off_add_no_variables(tmp_path):
     bare = po.Effects(inertial_drag=False, added_mass=False, ambient_pressure=False)
     written = write_fmu(scene_with(bare), tmp_path / "bare.fmu", binary=False)
     names = {variable.name for variable in fmpy.read_model_description(str(written)).modelVariables}
-    assert names == {
-        *("time", "travel", "speed", "deflection", "der(travel)", "der(speed)", "der(deflection)"),
-        *("mount_force", "soil_resistance", "strut_position", "strut_speed"),
-        *("share.half_angle", "share.loosened_radius", "share.static_resistance"),
-        *("share.wedge_angle", "share.chisel_angle", "share.height", "scene.stiffness", "scene.mass"),
-        *("soil.density_ratio", "soil.cohesion", "soil.friction_angle", "soil.tool_friction"),
-        "soil.strength_factor",
-    }
+    assert not [name for name in names if name.startswith(("effects.", "event_indicator", "mode"))]
+    assert not names & {"soil.density", "soil.ambient_pressure", "share.drag_coefficient", "share.added_mass"}
+    assert len(names) == 24
 
 
 def test_derivatives_are_those_of_the_values(instance):

@@ -1,7 +1,5 @@
 """Every code block of the README runs."""
 
-import contextlib
-import io
 import os
 import re
 import shlex
@@ -11,8 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from plough_opt.app import main
+from helpers.commands import line_of_a_page
 
 ROOT = Path(__file__).parents[1]
 BLOCKS = re.findall(r"```(\w+)\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.DOTALL)
@@ -23,15 +20,8 @@ ENVIRONMENT = Path(sys.prefix)
 
 def shell(line: str) -> str:
     """Run a line in the present folder, one of the toolkit's commands in this process; return what it prints."""
-    command, _, target = line.partition(" > ")
-    program, *arguments = shlex.split(command)
-    if program == "plough-opt":
-        out = io.StringIO()
-        with contextlib.redirect_stdout(out):
-            assert main(arguments) == 0, line
-        if target:
-            Path(target).write_text(out.getvalue(), encoding="utf-8")
-        return out.getvalue()
+    if line.startswith("plough-opt "):
+        return line_of_a_page(line)
     environment = os.environ | {"PATH": f"{ENVIRONMENT / 'bin'}{os.pathsep}{os.environ['PATH']}"}
     done = subprocess.run(line, shell=True, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"

@@ -3,23 +3,20 @@
 A warning counts as a failure. Every case is seeded by its number.
 """
 
-import contextlib
 import dataclasses
-import io
 import json
 import random
 import re
 import shutil
-from pathlib import Path
 
 import pytest
+from helpers.commands import call, printed
 from helpers.mutations import NUMBERS, UNITS, mutated, mutated_json
+from helpers.problem_files import PROBLEMS, SUBSOILER
 
 import plough_opt as po
-from plough_opt.app import main
 from plough_opt.core.quantities import quantities
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 TEXTS = [path.read_text(encoding="utf-8") for path in sorted(PROBLEMS.glob("*.toml"))]
 TABLES = [
     (PROBLEMS / "synthetic_draft.csv").read_text(encoding="utf-8"),
@@ -60,11 +57,9 @@ def judge(status, message):
 
 def answered(verb, *arguments):
     """Run a command; return status and message."""
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        status = main([verb, *map(str, arguments)])
-    assert status == 0 or out.getvalue() == ""
-    return status, err.getvalue()
+    done = call(verb, *arguments)
+    assert done.status == 0 or done.out == ""
+    return done.status, done.err
 
 
 def refused(read, path):
@@ -117,7 +112,7 @@ def test_changes_on_the_command_line(count, tmp_path):
 
     def answer(rng, _):
         changes = [change(rng) for _ in range(rng.choice([1, 1, 2]))]
-        return answered("check", PROBLEMS / "cotton_subsoiler.toml", *(f"--set={text}" for text in changes))
+        return answered("check", SUBSOILER, *(f"--set={text}" for text in changes))
 
     run(count, answer, tmp_path)
 
@@ -126,45 +121,37 @@ RIG = ["--mass=20 kg", "--stiffness=50 kN/m", "--damping=400 N*s/m", "--tow-spee
 INSERTIONS, TRANSECT = ((PROBLEMS / name).read_text(encoding="utf-8") for name in ("insertions.csv", "transect.csv"))
 
 
-def measured(_, path):
-    return refused(po.read_measurements, path)
-
-
-def penetrated(_, path):
-    return refused(lambda file: po.read_penetrometer(file, (0.25, 0.45)).mean, path)
-
-
-def followed(_, path):
-    waves = po.strength_waves
-    return refused(lambda file: waves(po.read_strength_record(file), 0.1, base_diameter=0.13), path)
-
-
-def felt(rng, path):
+def force_on_a_rig(rng, path):
     return answered("waves", path, *rng.choice((RIG, RIG, [], ["--tow-speed=5 km/h", "--base-diameter=120 mm"])))
 
 
 @pytest.mark.parametrize(
-    ("texts", "answer"),
-    [(TABLES, measured), ([INSERTIONS], penetrated), ([TRANSECT], followed), (RECORDS, felt)],
+    ("texts", "read"),
+    [
+        (TABLES, po.read_measurements),
+        ([INSERTIONS], lambda file: po.read_penetrometer(file, (0.25, 0.45)).mean),
+        ([TRANSECT], lambda file: po.strength_waves(po.read_strength_record(file), 0.1, base_diameter=0.13)),
+        (RECORDS, None),
+    ],
     ids=["measurements", "penetrometer", "strength along a path", "force on a rig"],
 )
 @thinned(30, 300)
-def test_tables_of_readings(count, texts, answer, tmp_path):
+def test_tables_of_readings(count, texts, read, tmp_path):
     def changed(rng, path):
         path.write_text(mutated(rng.choice(texts), rng), encoding="utf-8", errors="surrogatepass", newline="")
-        return answer(rng, path)
+        return force_on_a_rig(rng, path) if read is None else refused(read, path)
 
     run(count, changed, tmp_path)
 
 
 SHORT = ("--set=scene.duration=0.1 s", "--set=scene.outputs=10")
-RUN = ("simulate", "cotton_subsoiler.toml", *SHORT, "--json")
+RUN = ("simulate", SUBSOILER, *SHORT, "--json")
 SAVED = [
     RUN,
-    ("optimise", "reference.toml", *SHORT, "--sensitivity", "--json"),
-    ("tradeoff", "draft_against_loosening.toml", "--points=5", "--json"),
-    ("optimise", "uncertain_field.toml", "--set=uncertain.samples=8", *SHORT, "--json"),
-    ("calibrate", "calibration.toml", f"--data={PROBLEMS / 'synthetic_draft.csv'}", "--json"),
+    ("optimise", PROBLEMS / "reference.toml", *SHORT, "--sensitivity", "--json"),
+    ("tradeoff", PROBLEMS / "draft_against_loosening.toml", "--points=5", "--json"),
+    ("optimise", PROBLEMS / "uncertain_field.toml", "--set=uncertain.samples=8", *SHORT, "--json"),
+    ("calibrate", PROBLEMS / "calibration.toml", f"--data={PROBLEMS / 'synthetic_draft.csv'}", "--json"),
 ]
 
 
@@ -177,13 +164,6 @@ def numbers_in(data, path=()):
             yield (*path, key)
 
 
-def printed_by(verb, name, *options):
-    out = io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
-        assert main([verb, str(PROBLEMS / name), *options]) == 0
-    return out.getvalue()
-
-
 # Fields that may be infinite: undetermined parameters, unpredictable motions, designs without a value.
 UNBOUNDED = {"error_estimate", "standard_error", "sigma", "interval", "errors", "search"}
 
@@ -191,10 +171,10 @@ UNBOUNDED = {"error_estimate", "standard_error", "sigma", "interval", "errors", 
 @pytest.mark.parametrize(
     "command",
     [pytest.param(one, marks=() if one is RUN else pytest.mark.slow) for one in SAVED],
-    ids=lambda command: " ".join(command[:2]),
+    ids=lambda command: f"{command[0]} {command[1].stem}",
 )
 def test_texts_instead_of_numbers_in_saved_results_are_refused(command, tmp_path):
-    text = printed_by(*command)
+    text = printed(*command)
     path, kinds = tmp_path / "saved.json", {}
     path.write_text(text, encoding="utf-8")
     # Other parts are for other readers and are not loaded.
@@ -221,7 +201,7 @@ def test_texts_instead_of_numbers_in_saved_results_are_refused(command, tmp_path
     ("count", "commands"), [(40, [RUN]), pytest.param(200, SAVED, marks=pytest.mark.slow)], ids=["run", "all kinds"]
 )
 def test_saved_results(count, commands, tmp_path):
-    texts = [printed_by(*command) for command in commands]
+    texts = [printed(*command) for command in commands]
 
     def answer(rng, path):
         text = rng.choice(texts)

@@ -1,12 +1,8 @@
-"""docs/crosscheck.md: its functions exist, its tables are those of the code."""
+"""docs/crosscheck.md: its tables are those of the code."""
 
 import re
-from functools import reduce
 from pathlib import Path
 
-import pytest
-
-import plough_opt as po
 from plough_opt.laws import LAWS
 from plough_opt.laws.asabe import POINTS, TEXTURES
 
@@ -21,11 +17,6 @@ def test_the_table_of_laws_matches_the_laws():
         assert type(law).__name__ == kind
         for cell, what in zip(cells, ("motion", "added_mass", "loosened_radius", "entry"), strict=True):
             assert (cell.strip() == "yes") != law.lacks(what), (name, what)
-
-
-@pytest.mark.parametrize("name", sorted(set(re.findall(r"`(crosscheck\.\w+)`", TEXT))))
-def test_a_named_function_exists(name):
-    assert callable(reduce(getattr, name.split("."), po))
 
 
 def test_the_rows_of_the_standard_match_the_code():

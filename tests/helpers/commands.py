@@ -3,7 +3,9 @@
 import contextlib
 import io
 import re
+import shlex
 from dataclasses import dataclass
+from pathlib import Path
 
 from plough_opt.app import main
 
@@ -35,6 +37,17 @@ def printed(*arguments):
     done = call(*arguments)
     assert done.status == 0, done.err
     return done.out
+
+
+def line_of_a_page(line, *more):
+    """Run a line such as "plough-opt check FILE > TEXT" with more arguments; return what it prints."""
+    command, _, target = line.partition(" > ")
+    program, *arguments = shlex.split(command)
+    assert program == "plough-opt"
+    out = printed(*arguments, *more)
+    if target:
+        Path(target).write_text(out, encoding="utf-8")
+    return out
 
 
 def cells(out, row):

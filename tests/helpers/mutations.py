@@ -19,26 +19,9 @@ UNITS = [
     "m**99", "((m^9)^9)^9",
 ]  # fmt: skip
 VALUES = [
-    None,
-    0,
-    -1,
-    1e308,
-    math.nan,
-    math.inf,
-    "x",
-    "",
-    [],
-    {},
-    True,
-    [[1]],
-    {"a": 1},
-    "NaN",
-    "Infinity",
-    "1e400",
-    10**400,
-    "1",
-    "\x1b[2J",
-]
+    None, 0, -1, 1e308, math.nan, math.inf, "x", "", [], {}, True, [[1]], {"a": 1}, "NaN", "Infinity", "1e400", 10**400,
+    "1", "\x1b[2J",
+]  # fmt: skip
 
 
 def mutated(text, rng):

@@ -53,16 +53,6 @@ def test_the_methods_of_a_motion_and_of_its_gradients():
         assert f" {method}" in out
 
 
-@pytest.mark.parametrize(
-    ("option", "value", "said"),
-    [("--error", "2", "wanted error = 2 must be at most 0.1"), ("--seconds", "0", "time allowed to a method")],
-)
-def test_bad_input(option, value, said):
-    done = call("accuracy", SUBSOILER, option, value)
-    assert (done.status, done.out) == (2, "")
-    assert said in done.said
-
-
 def test_a_design_instead_of_a_scene(written, tmp_path):
     output = tmp_path / "cost.json"
     out = printed("accuracy", written(STATIC), "--design", "--seconds", "0.3", "--output", output)

@@ -1,6 +1,5 @@
 """`plough-opt check FILE --against`: other draft models beside a file's scene."""
 
-import pytest
 from helpers.commands import call, printed
 from helpers.problem_files import SUBSOILER
 
@@ -30,19 +29,3 @@ def test_without_options_it_says_what_it_estimated_of_which_design_and_what_it_c
     fixed = ("share.wedge_angle=39.1 deg", "share.height=0.254 m", "scene.stiffness=50.8 kN/m")
     assert "guess" not in printed("check", SUBSOILER, "--against", *(f"--set={text}" for text in fixed))
     assert "ASABE" not in printed("check", SUBSOILER)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--depth", "0.4 m"), "--depth belongs to a comparison: add --against"),
-        (("--against", "--depth", "0.4"), '--depth = "0.4" has no unit: write it like "0.3 m"'),
-        (("--against", "--width", "-8 cm"), "tool width = -0.08 m must be above 0 m"),
-        (("--against", "--texture", "fin"), "did you mean 'fine'?"),
-        (("--against", "--rupture-ratio", "0.5"), "rupture distance ratio m = 0.5 must be at least 1"),
-    ],
-)
-def test_wrong_input_is_refused_before_anything_is_printed(arguments, words):
-    done = call("check", SUBSOILER, *arguments)
-    assert (done.status, done.out) == (2, "")
-    assert words in done.err

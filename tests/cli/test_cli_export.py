@@ -87,34 +87,6 @@ def test_parts_have_units_and_bodies(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("changes", "text"),
-    [
-        (["--output", "a.txt"], "end in .casadi"),
-        (["--output", "folder.casadi"], "is a folder"),
-        (["--to", "c", "--output", "folder.casadi"], "exists already and is left as it is"),
-        (["--to", "fmu", "--output", "a.fmu", "--inputs", "share.height"], "--inputs cannot be used with --to fmu"),
-        (["--inputs", "share.hight"], "no quantity is named 'share.hight': did you mean 'share.height'"),
-        (["--inputs", ""], "--inputs '' has an empty name"),
-        (["--inputs", "effects.damping"], "'effects.damping' cannot be an input"),
-        (["--name", "2nd"], "name = '2nd' cannot be the name of a CasADi Function"),
-        (["--to", "gltf", "--output", "a.stl"], "end in .gltf or .glb"),
-        (["--to", "stl", "--output", "a.stl", "--opening", "60 mm"], '--opening = "60 mm" has the wrong unit'),
-        (["--to", "stl", "--output", "a.stl", "--at", "guess", "--thickness", "1 m"], "leaves nothing of the faces"),
-    ],
-    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
-)
-def test_bad_input_is_told_and_leaves_nothing(tmp_path, monkeypatch, changes, text):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "folder.casadi").mkdir()
-    options = {"--to": "casadi", "--output": "a.casadi"} | dict(zip(changes[::2], changes[1::2], strict=True))
-    done = call("export", REFERENCE, *(word for pair in options.items() for word in pair))
-    assert (done.status, done.out) == (2, "")
-    assert text in done.err
-    assert [path.name for path in tmp_path.iterdir()] == ["folder.casadi"]
-    assert not list((tmp_path / "folder.casadi").iterdir())
-
-
-@pytest.mark.parametrize(
     ("part", "words"), [("[variables]", "nothing to vary"), ("[minimise]", "minimises, trades and requires nothing")]
 )
 def test_a_file_without_variables_or_results_needs_names_of_inputs_and_outputs(tmp_path, part, words):

@@ -85,25 +85,3 @@ def test_failures_are_reported(tmp_path, monkeypatch):
     assert "note: 'share.height' is a variable of the file: every point fixes it" in done.err
     assert "note: 3 samples are not a power of two" in done.err
     assert "no solution: every point failed" in done.err
-
-
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        (("--over", "soil.cohesoin=5..45 kPa:9"), "'soil.cohesoin' cannot be swept: did you mean 'soil.cohesion'"),
-        (("--over", "soil.cohesion=5..45 kPa:1000000000000"), "at most 1000000; use a sample"),
-        ((*COHESION, *COHESION), "'soil.cohesion' is swept twice"),
-        ((*COHESION, "--set", "soil.cohesion=5 kPa"), "'soil.cohesion' is also fixed by --set"),
-        (("--over", "soil.density_ratio=0.5..1.5:3"), "density ratio b1 = 1.5 must be below 1"),
-        ((*COHESION, "--workers", "2", "--scheduler", "tcp://x:1"), "remove one of the two"),
-        ((*COHESION, "--store", __file__), "file is not a database"),
-    ],
-    ids=["name", "too many", "twice", "fixed", "domain", "both", "no store"],
-)
-def test_what_is_wrong_is_refused_before_anything_is_computed(tmp_path, monkeypatch, options, expected):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("plough_opt.studies.sweep.engine.Engine.run", None)
-    done = call("sweep", SUBSOILER, *options)
-    assert (done.status, done.out) == (2, "")
-    assert expected in done.said
-    assert list(tmp_path.iterdir()) == []

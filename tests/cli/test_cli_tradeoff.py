@@ -1,7 +1,6 @@
 """`plough-opt tradeoff`, and the [trade_off] table of a problem file."""
 
 import json
-import re
 
 import numpy as np
 import pytest
@@ -55,31 +54,6 @@ def test_a_problem_without_solution():
     done = call("tradeoff", LOOSENING, *BRIEF, "--set", "require.loosened_radius.at_least=2 m")
     assert done.status == 1
     assert "'loosened_radius' (at least 2 m) fails by" in done.err
-
-
-@pytest.mark.parametrize(
-    ("table", "expected"),
-    [
-        (None, "nothing to trade: add a table [trade_off] with two or three results, such as mean_draft = {}"),
-        ("mean_draft = {}\nlosened_radius = {}", "line 27: 'losened_radius' cannot be traded: did you mean"),
-        ("mean_draft = {}", "line 25: a front needs two or three results, not 1: give [trade_off]"),
-        ("mean_draft = {}\nforce_rms = {}\ntow_power = {}\nmean_deflection = {}", "not 4: put the others into [req"),
-        ("mean_draft = 3\nforce_rms = {}", "line 26: 'trade_off.mean_draft' must be {} or { maximise = true }"),
-        ("mean_draft = { maximize = true }\nforce_rms = {}", "not a known key: did you mean 'maximise'?"),
-        ('mean_draft = { maximise = "yes" }\nforce_rms = {}', "line 26: 'trade_off.mean_draft.maximise' = 'yes' must"),
-        ("mean_draft = {}\nforce_rms = {}\npoints = 2", "line 28: 'trade_off.points' = 2 must be a whole number"),
-        ("mean_draft = {}\nforce_rms = {}\npoint = 9", "line 28: 'point' cannot be traded: did you mean 'points'"),
-    ],
-    ids=["none", "misspelt", "one", "four", "no table", "key", "no truth", "few", "point"],
-)
-def test_a_wrong_table_is_refused_with_its_line(tmp_path, table, expected):
-    traded = "" if table is None else f"[trade_off]\n{table}\n\n"
-    file = tmp_path / "wrong.toml"
-    text = re.sub(r"\[trade_off\].*?\n\n", traded, LOOSENING.read_text(encoding="utf-8"), flags=re.DOTALL)
-    file.write_text(text, encoding="utf-8")
-    done = call("tradeoff", file)
-    assert done.status == 2
-    assert expected in done.said
 
 
 @pytest.mark.slow

@@ -61,6 +61,27 @@ DOMAIN = [
     (ACCURACY, f"[accuracy]\nmethod = 'cvode'\n{ACCURACY}", "cvode", "is named 'cvode': did you mean 'cvodes'?"),
     (ACCURACY, f"[accuracy]\nerror = 2.0\n{ACCURACY}", "error", "error = 2 must lie between 1e-12 and 0.1"),
 ]
+TRADED = [
+    (ACCURACY, f"[trade_off]\n{table}\n{ACCURACY}", *pieces)
+    for table, *pieces in (
+        ("mean_draft = {}\nlosened_radius = {}", "losened", "'losened_radius' cannot be traded: did you mean"),
+        ("mean_draft = {}", "[trade_off]", "a front needs two or three results, not 1: give [trade_off]"),
+        (
+            "mean_draft = {}\nforce_rms = {}\ntow_power = {}\nmean_deflection = {}",
+            "[trade_off]",
+            "not 4: put the others",
+        ),
+        (
+            "mean_draft = 3\nforce_rms = {}",
+            "mean_draft = 3",
+            "'trade_off.mean_draft' must be {} or { maximise = true }",
+        ),
+        ("mean_draft = { maximize = true }\nforce_rms = {}", "maximize", "not a known key: did you mean 'maximise'?"),
+        ('mean_draft = { maximise = "yes" }\nforce_rms = {}', "yes", "'trade_off.mean_draft.maximise' = 'yes' must be"),
+        ("mean_draft = {}\nforce_rms = {}\npoints = 2", "points", "'trade_off.points' = 2 must be a whole number"),
+        ("mean_draft = {}\nforce_rms = {}\npoint = 9", "point =", "'point' cannot be traded: did you mean 'points'"),
+    )
+]
 # In the words of the file, and not of Python.
 TABLES = [
     (f"[soil]\n{SOIL}", 'soil = "serozem"', "soil = ", "'soil' must be a table of keys"),
@@ -71,7 +92,7 @@ TABLES = [
 @pytest.mark.parametrize(
     ("old", "new", "fragment", "pieces"),
     [(old, new, fragment, pieces) for old, new, fragment, *pieces in
-     (*MISSPELT, *QUANTITIES, *CONTRADICTIONS, *MISSING, *DOMAIN, *TABLES)],
+     (*MISSPELT, *QUANTITIES, *CONTRADICTIONS, *MISSING, *DOMAIN, *TRADED, *TABLES)],
     ids=lambda value: value[:30] if isinstance(value, str) else "",
 )  # fmt: skip
 def test_what_is_wrong_is_refused_at_its_line_with_what_was_expected(blames, old, new, fragment, pieces):

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from helpers.commands import call, printed
+from helpers.commands import printed
 from helpers.problem_files import STATIC, changed
 
 import plough_opt as po
@@ -165,15 +165,6 @@ def test_the_commands_show_them_side_by_side(read, tmp_path):
     found = json.loads(printed("check", path, "--json"))
     assert found["quantities"]["rear.soil.cohesion"] == 30e3
     assert "soil.cohesion" not in found["quantities"]
-    for verb, *options in (
-        ("export", "--to", "c", "--output", tmp_path / "share.c"),
-        ("sweep", "--over", "soil.cohesion=5..45 kPa:2"),
-        ("report", "-o", tmp_path / "share.html"),
-        ("accuracy",),
-    ):
-        done = call(verb, path, *options)
-        assert done.status == 2
-        assert "--set shares=front" in done.err
 
 
 def test_a_machine_adds_up_what_adds_up(read):

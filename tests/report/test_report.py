@@ -8,7 +8,7 @@ import shutil
 from html.parser import HTMLParser
 
 import pytest
-from helpers.commands import call, printed
+from helpers.commands import printed
 from helpers.problem_files import PROBLEMS, SUBSOILER, changed
 
 import plough_opt as po
@@ -110,22 +110,6 @@ def test_no_text_leaves_its_place_and_nothing_is_asked_of_a_network(written):
     assert policy.startswith("default-src 'none'")
     pictures = [attributes for tag, attributes in found.tags if tag in ("figure", "canvas")]
     assert all(attributes["aria-label"] for attributes in pictures)  # a text in the place of each
-
-
-@pytest.mark.parametrize(
-    ("name", "changes", "text"),
-    [
-        ("draft_against_loosening.toml", (), "add a table [minimise]"),
-        ("uncertain_field.toml", (), "remove the table [uncertain]"),
-        ("cotton_subsoiler.toml", ("-o", "a.txt"), "end in .html"),
-    ],
-)
-def test_what_is_no_report_is_refused(name, changes, text, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    done = call("report", PROBLEMS / name, "-o", "a.html", *changes)
-    assert done.status == 2
-    assert text in done.said
-    assert not list(tmp_path.iterdir())
 
 
 def test_scripts_by_others_are_small_and_licensed():

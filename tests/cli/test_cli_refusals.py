@@ -1,0 +1,96 @@
+"""Bad input of every command: exit status 2, one sentence, nothing computed, nothing written."""
+
+import shlex
+import shutil
+
+import pytest
+from helpers.commands import call
+from helpers.problem_files import PROBLEMS
+
+import plough_opt as po
+from plough_opt.studies.sweep.engine import Engine
+
+# Command line in a folder with the shipped problem files, and what the message contains.
+REFUSED = [
+    ("check cotton_subsoler.toml", "no file 'cotton_subsoler.toml': did you mean 'cotton_subsoiler.toml'"),
+    ("check \x1b[31m.toml", "\\x1b"),  # no command to the terminal comes out of a name
+    ("check FILE --set \x1b]0;x\x07=1", "\\x1b"),
+    ("init \x1b[2J/a", "\\x1b"),
+    ("init FILE", "'cotton_subsoiler.toml' exists already and is left as it is: name another file"),
+    ("init nowhere/share.toml", "cannot be written"),
+    ("optimise FILE --set minimise={}", "nothing to minimise: add a table [minimise]"),
+    ("optimize FILE --set 'scene.tow_sped=1 m/s'", "'scene.tow_sped' is not a known key"),
+    ("simulate FILE --plot run.jpg", "'run.jpg' has no known picture format: end its name in"),
+    ("optimise FILE --plot ''", "picture"),
+    ("optimise FILE --plot insertions.csv/new/a.png", "insertions.csv' is not a folder"),
+    # No output overwrites an input or another output; a link is what it leads to, even in a circle.
+    (
+        "tradeoff TRADE --csv TRADE",
+        "--csv 'draft_against_loosening.toml' is the problem file, which it would overwrite",
+    ),
+    ("tradeoff TRADE --csv x --output x", "--output 'x' is also the file of --csv, which it would overwrite: name"),
+    ("tradeoff TRADE --csv link.csv", "is the problem file"),
+    ("tradeoff TRADE --csv round.csv", "round.csv' cannot be written: the link leads in a circle"),
+    ("sweep TRADE COHESION --store TRADE", "--store 'draft_against_loosening.toml' is the problem file"),
+    ("calibrate calibration.toml --data synthetic_draft.csv --output synthetic_draft.csv", "is a data file"),
+    ("tradeoff reference.toml", "add a table [trade_off] with two or three results, such as mean_draft = {}"),
+    ("accuracy FILE --error 2", "wanted error = 2 must be at most 0.1"),
+    ("accuracy FILE --seconds 0", "time allowed to a method"),
+    ("check FILE --depth '0.4 m'", "--depth belongs to a comparison: add --against"),
+    ("check FILE --against --depth 0.4", '--depth = "0.4" has no unit: write it like "0.3 m"'),
+    ("check FILE --against --width '-8 cm'", "tool width = -0.08 m must be above 0 m"),
+    ("check FILE --against --texture fin", "did you mean 'fine'?"),
+    ("check FILE --against --rupture-ratio 0.5", "rupture distance ratio m = 0.5 must be at least 1"),
+    ("report TRADE -o a.html", "add a table [minimise]"),
+    ("report uncertain_field.toml -o a.html", "remove the table [uncertain]"),
+    ("report FILE -o a.txt", "end in .html"),
+    # Several shares.
+    ("export two_shares.toml --to c --output share.c", "--set shares=front"),
+    ("sweep two_shares.toml --over 'soil.cohesion=5..45 kPa:2'", "--set shares=front"),
+    ("report two_shares.toml -o share.html", "--set shares=front"),
+    ("accuracy two_shares.toml", "--set shares=front"),
+    # Exports.
+    ("export FILE --to casadi --output a.txt", "end in .casadi"),
+    ("export FILE --to casadi --output folder.casadi", "is a folder"),
+    ("export FILE --to c --output folder.casadi", "exists already and is left as it is"),
+    ("export FILE --to fmu --output a.fmu --inputs share.height", "--inputs cannot be used with --to fmu"),
+    ("export FILE --to casadi --output a.casadi --inputs share.hight", "'share.hight': did you mean 'share.height'"),
+    ("export FILE --to casadi --output a.casadi --inputs ''", "--inputs '' has an empty name"),
+    ("export reference.toml --to casadi --output a.casadi --inputs effects.damping", "cannot be an input"),
+    ("export FILE --to casadi --output a.casadi --name 2nd", "name = '2nd' cannot be the name of a CasADi Function"),
+    ("export FILE --to gltf --output a.stl", "end in .gltf or .glb"),
+    ("export FILE --to stl --output a.stl --opening '60 mm'", '--opening = "60 mm" has the wrong unit'),
+    ("export FILE --to stl --output a.stl --at guess --thickness '1 m'", "leaves nothing of the faces"),
+    # Sweeps.
+    ("sweep FILE --over 'soil.cohesoin=5..45 kPa:9'", "cannot be swept: did you mean 'soil.cohesion'"),
+    ("sweep FILE --over 'soil.cohesion=5..45 kPa:1000000000000'", "at most 1000000; use a sample"),
+    ("sweep FILE COHESION COHESION", "'soil.cohesion' is swept twice"),
+    ("sweep FILE COHESION --set 'soil.cohesion=5 kPa'", "'soil.cohesion' is also fixed by --set"),
+    ("sweep FILE --over soil.density_ratio=0.5..1.5:3", "density ratio b1 = 1.5 must be below 1"),
+    ("sweep FILE COHESION --workers 2 --scheduler tcp://x:1", "remove one of the two"),
+    ("sweep FILE COHESION --store insertions.csv", "file is not a database"),
+]
+SHORT = {"FILE": "cotton_subsoiler.toml", "TRADE": "draft_against_loosening.toml",
+         "COHESION": "--over 'soil.cohesion=5..45 kPa:3'"}  # fmt: skip
+
+
+@pytest.mark.parametrize(("line", "expected"), REFUSED, ids=[line for line, _ in REFUSED])
+def test_bad_input_is_refused_in_a_sentence_before_anything_is_computed(tmp_path, monkeypatch, line, expected):
+    shutil.copytree(PROBLEMS, tmp_path, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder.casadi").mkdir()
+    (tmp_path / "link.csv").symlink_to("draft_against_loosening.toml")
+    (tmp_path / "round.csv").symlink_to("round.csv")
+    before = {path: path.read_bytes() for path in tmp_path.glob("*.*") if path.is_file()}
+    for owner, name in ((po.Problem, "simulate"), (po.Design, "solve"), (Engine, "run")):
+        monkeypatch.setattr(owner, name, None)
+    for short, long in SHORT.items():
+        line = line.replace(short, long)
+    done = call(*shlex.split(line))
+    assert (done.status, done.out) == (2, "")
+    assert done.err.startswith("bad input: ")
+    assert len(done.err.splitlines()) == 1
+    assert expected in done.err
+    assert "\x1b" not in done.err
+    assert {path: path.read_bytes() for path in tmp_path.glob("*.*") if path.is_file()} == before
+    assert not [*(tmp_path / "folder.casadi").iterdir()]

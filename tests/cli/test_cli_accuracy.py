@@ -56,7 +56,7 @@ def test_the_methods_of_a_motion_and_of_its_gradients():
 def test_a_design_instead_of_a_scene(written, tmp_path):
     output = tmp_path / "cost.json"
     out = printed("accuracy", written(STATIC), "--design", "--seconds", "0.3", "--output", output)
-    for words in ("optimum of the design: relative error against time", "(default)", "a warm-up: one local solve"):
+    for words in ("optimum of the design: relative error against time", "(default)", "several: one local solve"):
         assert words in out
     study = AccuracyStudy.load(output)
     assert (study.duration, study.title) == (None, "Quasi-static")

@@ -2,14 +2,13 @@
 
 Each contestant is measured at a few of its settings in any case. Contestants that may be the cheapest are then narrowed
 down by halving, to two neighbouring settings that differ by a tenth in cost, of which only the finer one reaches the
-wanted error. Where that ends depends on the errors alone, not on the clock or on what else was measured. Last, the
-coarsest good setting of each is timed again in turns with the others, so that other work on the machine disturbs all of
-them alike.
+wanted error. Where that ends depends on the errors alone, not on the clock or on what else was measured. Last, good
+settings that may be the cheapest are timed again in turns, so that other work on the machine disturbs all of them
+alike.
 """
 
 import contextlib
 import math
-import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,21 +22,16 @@ _EQUAL_TIMES: Final = 1.1
 _SMALLER: Final = 0.9
 # Factor by which the next finer setting may be expected to take longer.
 _NEXT_SETTING: Final = 3.0
-# Contestants within this factor of the least time are narrowed down; their coarsest good setting is timed again.
-_WORTH_NARROWING: Final = 4.0
-# Other settings within this factor of the least time are timed again too.
-_CLOSE: Final = 1.6
-# Turns in which settings are timed again, fewer if they take long.
+# Contestants within this factor of the least time are narrowed down, and their good settings within it timed again.
+_CLOSE: Final = 4.0
+# Turns in which settings are timed; fewer if they take long, but at least so many of settings that are timed again.
 _TURNS: Final = 15
 _FEWEST_TURNS: Final = 3
 # Least time of one setting in a turn [s]: a shorter use is repeated.
 _LEAST_TURN: Final = 3e-3
-# Time of all turns, in allowances of one use, after which no further turn begins.
-_ALL_TURNS: Final = 2.0
-# Part of the allowance of one use that its repetitions may take.
+# Time after which no further turn begins, in allowances of one use: of one setting alone, and of those timed again.
 _REPETITIONS: Final = 0.1
-# Fewest and most repetitions for a median time.
-_LEAST_REPETITIONS, _MOST_REPETITIONS = 3, 15
+_ALL_TURNS: Final = 2.0
 # Exponent of the coarsest number of steps, in eighths of a power of two: a 128th of the usual number.
 _COARSEST: Final = -56
 
@@ -56,14 +50,13 @@ class Entry:
         family: kind of choice, such as ``"integrator"`` or ``"quadrature"``.
         method: name of the method.
         setting: setting as text, such as ``"tolerance 1e-08"`` or ``"40 steps"``.
-        seconds: processor time of one use after a warm-up [s]: the median of repetitions or, for what may be the
-            cheapest, the least of several turns; infinite for a failure.
+        seconds: processor time of one use after a warm-up [s], the least of several; infinite for a failure.
         setup: time to build the method once, with that of a compiler [s].
         errors: relative errors by name [-]; empty for a failure.
         failure: reason why there is no result, or None.
         elsewhere: for a solve that ended in another local optimum than the reference, a clause that says so. Its
             errors are relative to that optimum, and it is not ranked.
-        checked: median time of `simulate` with this method, which checks the result [s]; None if not measured.
+        checked: time of `simulate` with this method, which checks the result [s]; None if not measured.
     """
 
     family: str
@@ -80,6 +73,10 @@ class Entry:
     def label(self) -> str:
         """Method and setting."""
         return f"{self.method}, {self.setting}" if self.setting else self.method
+
+    def reaches(self, error: str, wanted: float) -> bool:
+        """Return whether there is a result whose error of a name is at most a wanted one [-]."""
+        return self.failure is None and self.errors.get(error, math.inf) <= wanted
 
 
 @dataclass(frozen=True)
@@ -160,9 +157,9 @@ def measured(
         trial.measure_always()
     best = min((trial.least for trial in trials), default=math.inf)
     for trial in trials:
-        if trial.contestant.always is not None and trial.least <= _WORTH_NARROWING * best < math.inf:
+        if trial.contestant.always is not None and trial.least <= _CLOSE * best < math.inf:
             trial.narrow()
-    _measure_in_turns(trials, allowance)
+    _time_again(trials, allowance)
     entries = [entry for trial in trials for entry in trial.entries.values()]
     for family in dict.fromkeys(contestant.family for contestant in contestants):
         front = efficient([entry for entry in entries if entry.family == family], key, floor)
@@ -215,9 +212,7 @@ class _Trial:
             self._fail(place, _reason(error))
             return time.process_time() - started
         first = solving + seconds - started
-        # A repetition may exceed a time limit that the first use just kept.
-        with contextlib.suppress(PloughError, RuntimeError):
-            seconds = median_time(use, budget=_REPETITIONS * self._allowance, warm=True)
+        seconds = min(seconds, *least_times([use], _REPETITIONS * self._allowance))
         setup, label = max(built, first - seconds), contestant.label(setting)
         entry = Entry(contestant.family, contestant.method, label, seconds, setup, errors, elsewhere=elsewhere)
         self.entries[place], self.uses[place] = entry, use
@@ -231,10 +226,7 @@ class _Trial:
     @property
     def good(self) -> dict[int, Entry]:
         """Entries that reach the wanted error, by place."""
-        reached = (
-            (place, entry) for place, entry in self.entries.items() if cheapest([entry], self._key, self._wanted)
-        )
-        return dict(reached)
+        return {place: own for place, own in self.entries.items() if own.reaches(self._key, self._wanted)}
 
     @property
     def least(self) -> float:
@@ -250,13 +242,10 @@ class _Trial:
         known, bad, good = min(self.good), -1, len(self.contestant.settings) - 1
         while good - bad > 1:
             middle = (good + bad) // 2
-            if middle >= known:
-                good = middle
-                continue
             measured_before = middle in self.entries
-            if not measured_before:
+            if middle < known and not measured_before:
                 self._measure(middle)
-            if middle in self.good:
+            if middle >= known or middle in self.good:
                 good = middle
             else:
                 bad = middle
@@ -269,41 +258,20 @@ class _Trial:
         for place, entry in self.entries.items():
             if check is not None and entry in front:
                 with contextlib.suppress(PloughError):
-                    seconds = median_time(check(self.contestant.settings[place]), budget=_REPETITIONS * self._allowance)
-                    self.entries[place] = replace(entry, checked=seconds)
-
-
-def _measure_in_turns(trials: list[_Trial], allowance: float) -> None:
-    """Time again, in several turns, the settings that may be the cheapest.
-
-    Those are the coarsest good setting of each contestant within `_WORTH_NARROWING` of the best, and every good setting
-    within `_CLOSE`. The least time of each counts, because other work on the machine only adds to it.
-    """
-    best = min((trial.least for trial in trials), default=math.inf)
-    taken: dict[tuple[int, int], list[float]] = {}
-    for number, trial in enumerate(trials):
-        good = trial.good
-        for place, entry in good.items():
-            if entry.seconds <= (_WORTH_NARROWING if place == min(good) else _CLOSE) * best:
-                taken[number, place] = []
-    if len(taken) < 2:
-        return
-    spent = 0.0
-    for turn in range(_TURNS):
-        if turn >= _FEWEST_TURNS and spent > _ALL_TURNS * allowance:
-            break
-        for (number, place), seconds in taken.items():
-            # Repeat by the clock rather than by the time measured before: a coarse clock shows 0 for a short use.
-            use, often, started = trials[number].uses[place], 0, time.process_time()
-            while not often or time.process_time() - started < _LEAST_TURN:
-                with contextlib.suppress(PloughError, RuntimeError):
+                    use = check(self.contestant.settings[place])
                     use()
-                often += 1
-            seconds.append((time.process_time() - started) / often)
-            spent += often * seconds[-1]
-    for (number, place), seconds in taken.items():
-        entries = trials[number].entries
-        entries[place] = replace(entries[place], seconds=min(seconds))
+                    checked = least_times([use], _REPETITIONS * self._allowance)[0]
+                    self.entries[place] = replace(entry, checked=checked)
+
+
+def _time_again(trials: list[_Trial], allowance: float) -> None:
+    """Time the settings that may be the cheapest again, in turns."""
+    best = min((trial.least for trial in trials), default=math.inf)
+    close = [(t, place) for t in trials for place, entry in t.good.items() if entry.seconds <= _CLOSE * best]
+    if len(close) > 1:
+        seconds = least_times([trial.uses[place] for trial, place in close], _ALL_TURNS * allowance, _FEWEST_TURNS)
+        for (trial, place), least in zip(close, seconds, strict=True):
+            trial.entries[place] = replace(trial.entries[place], seconds=least)
 
 
 def _reason(error: Exception) -> str:
@@ -314,27 +282,31 @@ def _reason(error: Exception) -> str:
     return f"CasADi failed: {lines[-1] if lines else type(error).__name__}"
 
 
-def median_time(action: Use, *, budget: float = 0.5, warm: bool = False) -> float:
-    """Return the median processor time of an action after a warm-up [s].
+def least_times(uses: Sequence[Use], enough: float, fewest: int = 1) -> list[float]:
+    """Return the least processor time of each use in several turns [s]: other work on the machine only adds to it.
 
-    Processor time is that of this process, so it excludes other work on the machine.
+    Processor time is that of this process.
 
     Args:
-        action: what to time, 3 to 15 times, or fewer if the first repetitions take very long.
-        budget: time after which no repetition begins beyond the third [s]; after ten budgets none begins at all.
-        warm: whether the action was done before, so that it needs no warm-up.
+        uses: what to time, each used before, so that it needs no warm-up.
+        enough: time of all turns after which no further turn begins [s].
+        fewest: number of turns in any case.
     """
-    if not warm:
-        action()
-    seconds: list[float] = []
-    while not seconds or (
-        len(seconds) < _MOST_REPETITIONS
-        and sum(seconds) < budget * (1.0 if len(seconds) >= _LEAST_REPETITIONS else 10.0)
-    ):
-        started = time.process_time()
-        action()
-        seconds.append(time.process_time() - started)
-    return statistics.median(seconds)
+    least, spent = [math.inf] * len(uses), 0.0
+    for turn in range(_TURNS):
+        if turn >= fewest and spent > enough:
+            break
+        for k, use in enumerate(uses):
+            # Repeat by the clock rather than by the time measured before: a coarse clock shows 0 for a short use.
+            often, taken, started = 0, 0.0, time.process_time()
+            while taken < _LEAST_TURN:
+                # A repetition may exceed a time limit that the first use just kept.
+                with contextlib.suppress(PloughError, RuntimeError):
+                    use()
+                often, taken = often + 1, time.process_time() - started
+            least[k] = min(least[k], taken / often)
+            spent += taken
+    return least
 
 
 def efficient(entries: Sequence[Entry], error: str, floor: float = 0.0) -> list[Entry]:
@@ -367,7 +339,7 @@ def cheapest(entries: Sequence[Entry], error: str, wanted: float) -> Entry | Non
     If several are equally fast within the noise of the clock, it is the first of them, so that the choice is
     repeatable.
     """
-    good = [entry for entry in entries if entry.failure is None and entry.errors.get(error, math.inf) <= wanted]
+    good = [entry for entry in entries if entry.reaches(error, wanted)]
     least = min((entry.seconds for entry in good), default=math.inf)
     return next((entry for entry in good if entry.seconds <= _EQUAL_TIMES * least), None)
 

@@ -151,7 +151,7 @@ def design_contest(
     Args:
         design: design with an objective; its parameters have their declared values.
         wanted: relative error of the objective; the methods that reach it soonest are timed again [-].
-        budget: time after which a solve is repeated at most thrice for its median [s], as in `median_time`.
+        budget: time of a solve's repetitions after which no further one begins [s].
         limit: time after which IPOPT gives up [s]; the entry says so.
         near: whether to start near the optimum, as after a small change of parameters, instead of at the guess.
         thin: whether to leave out every other setting of a method.

@@ -201,7 +201,7 @@ class AccuracyStudy(Saveable):
         if self.duration is not None:
             timed = "a named method integrates once, auto is all of simulate with its check"
         parts: list[Part] = [self.table(question) for question in self.questions]
-        parts.append(f"Times are medians after a warm-up: {timed}. Set-up is done once.")
+        parts.append(f"Times are the least of several: {timed}. Set-up is done once.")
         if self.thoroughness:
             efforts = Grid.of("What thoroughness costs", "search", "designs tried", "found the best", "time")
             for row in self.thoroughness:

@@ -1,7 +1,8 @@
 """Reference motion of a scene, to all digits of the widest floats.
 
 Each smooth piece of the motion is a chain of Chebyshev polynomials (`plough_opt.studies.accuracy.wide`). An event ends
-a piece at the root of its polynomial. Averages are Gauss-Legendre quadratures of the polynomials.
+a piece at the root of its polynomial. Averages are quadratures of the polynomials by the rule of
+Clenshaw and Curtis.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ from plough_opt.studies.accuracy.wide import (
     EPS,
     PI,
     WIDE,
+    Basis,
     Step,
     Wide,
     WideGraph,
     first_end,
-    gauss,
     in_wide_floats,
     step,
 )
@@ -247,11 +248,14 @@ def _stopped(what: str, now: Wide, why: str) -> IntegrationError:
 
 
 def _integrands(motion: Motion, done: Step, end: Wide) -> tuple[Wide, Wide]:
-    """Return Gauss weights for a step up to its end or an event [s], and the signals at their nodes."""
-    nodes, weights = gauss(done.coefficients.shape[1] + 1)
+    """Return weights of an integral over a step up to its end or an event [s], and the signals at its nodes.
+
+    The rule of Clenshaw and Curtis has twice the degree of the polynomials, because variances are squares.
+    """
+    basis = Basis.of(2 * done.coefficients.shape[1] - 2)
     half = (end - done.start) / 2
-    inner = done.start + half * (nodes + 1)
-    return half * weights, motion.signals(inner, done.at(inner))
+    inner = done.start + half * (basis.nodes + 1)
+    return half * basis.integral[-1], motion.signals(inner, done.at(inner))
 
 
 def _moments(motion: Motion, integrals: list[tuple[Wide, Wide]]) -> tuple[Wide, Wide]:

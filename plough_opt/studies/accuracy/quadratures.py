@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import as_number
 from plough_opt.laws.forces import soil_reaction
 from plough_opt.laws.law import SoilReaction
@@ -23,7 +22,6 @@ from plough_opt.soil.soil import Soil
 from plough_opt.studies.accuracy.contest import Contestant, Entry
 from plough_opt.studies.accuracy.methods import Task
 from plough_opt.studies.accuracy.reference import errors_of
-from plough_opt.studies.accuracy.wide import EPS, PI, WIDE, Wide, gauss
 
 ORDERS: Final = (2, 4, 8, 16, 32, 64)
 """Orders of the quadrature over a density profile."""
@@ -48,6 +46,7 @@ _CONTACT_TOLERANCE: Final = 1e-17
 # Relative tolerance of the reference for the contact force.
 _TIGHT: Final = 1e-14
 
+Vector = NDArray[np.float64]
 Found = tuple[list[Entry], float]
 """Entries of one kind of quadrature, and the relative error of their reference [-]."""
 
@@ -72,7 +71,7 @@ def density_profile(task: Task) -> Found:
 
     orders = tuple(dict.fromkeys(sorted((*task.some(ORDERS), profile.order))))
     contestant = Contestant("quadrature", "density profile", reaction, errors, orders, label="order {}".format)
-    return task.ranked([contestant], "reaction"), max(errors(check)["reaction"], float(EPS))
+    return task.ranked([contestant], "reaction"), max(errors(check)["reaction"], float(np.finfo(float).eps))
 
 
 def quasi_static_course(task: Task) -> Found:
@@ -112,11 +111,11 @@ def elastic_contact(task: Task) -> Found:
     )
     face = 2.0 * math.pi * (slope + friction) * slope
 
-    def pressure(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def pressure(x: Vector) -> Vector:
         return np.asarray(elastic.cone_pressure(x, scene.cone, scene.soil, scene.tow_speed))
 
-    def integrand(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        held: NDArray[np.float64] = face * x * np.maximum(pressure(x), -ambient)
+    def integrand(x: Vector) -> Vector:
+        held: Vector = face * x * np.maximum(pressure(x), -ambient)
         return held
 
     # The rule of Takahasi and Mori suits integrands that are singular at the edges.
@@ -142,7 +141,7 @@ def elastic_contact(task: Task) -> Found:
     return task.ranked(contestants, "contact force"), floor
 
 
-def _edges(total: Callable[[NDArray[np.float64]], NDArray[np.float64]], height: float) -> list[float]:
+def _edges(total: Callable[[Vector], Vector], height: float) -> list[float]:
     """Return the ends of the face, and the places between them where contact begins or ends."""
     from scipy.optimize import brentq  # slow to import
 
@@ -156,7 +155,7 @@ def _edges(total: Callable[[NDArray[np.float64]], NDArray[np.float64]], height: 
 
 
 def profile_reaction(cone: Cone, soil: Soil, panels: int, count: int) -> SoilReaction:
-    """Return the soil's reaction with a density profile in the widest floats, from equations (14) to (24) as printed.
+    """Return the soil's reaction with a density profile, from equations (14) to (24) as printed.
 
     This shares nothing with the nested Gauss rules of `soil.plastic` and `laws.forces`, which have transformed
     variables. Here psi is integrated separately for each radius, Newton's method finds the front, and the integrals
@@ -167,76 +166,46 @@ def profile_reaction(cone: Cone, soil: Soil, panels: int, count: int) -> SoilRea
         soil: soil with numbers and a density profile.
         panels: number of panels of every integral.
         count: number of points in each panel.
-
-    Raises:
-        InputError: the profile cannot compute in wide floats.
     """
-    height, slope, friction, density = (
-        WIDE(float(as_number(value))) for value in (cone.height, cone.slope, soil.tool_friction, soil.density)
-    )
+    height, slope, friction, density, angle, cohesion, ambient = (
+        float(as_number(value))
+        for value in (cone.height, cone.slope, soil.tool_friction, soil.density, soil.friction_angle, soil.cohesion,
+                      soil.ambient_pressure)
+    )  # fmt: skip
     profile = soil.density_profile
     assert profile is not None
+    nodes, gauss = np.polynomial.legendre.leggauss(count)
+    parts = ((2.0 * np.arange(panels)[:, None] + nodes + 1.0) / (2.0 * panels)).ravel()
+    weights = np.tile(gauss / (2.0 * panels), panels)
 
-    def ratio(r: Wide) -> Wide:
-        try:
-            found = np.asarray(profile.at(r), WIDE)
-        except (TypeError, NotImplementedError, AttributeError) as error:
-            raise InputError(f"the density profile cannot compute in wide floats: {error}") from None
-        return density / (found.reshape(r.shape) if found.size == r.size else found + 0 * r)
+    def ratio(r: Vector) -> Vector:
+        return density / (np.asarray(profile.at(r.ravel()), float).ravel() + np.zeros(r.size)).reshape(r.shape)
 
-    parts, weights = _panels(WIDE(1), panels, count)
-
-    def psi(r: Wide) -> Wide:
+    def psi(r: Vector) -> Vector:
         s = r[..., None] * parts
-        return r * ((ratio(s) * s) @ weights)
+        return np.asarray(r * ((ratio(s) * s) @ weights))
 
     points, shares = height * parts, height * weights
     radius = points * slope
-    # Start from the front in doubles; Newton's method adds the digits of wide floats.
+    # Start from the package's front; Newton's method adds its own digits.
     cavities = (plastic.Cavity(float(r), 0.0, 0.0) for r in radius)
-    front = np.array([float(as_number(plastic.front_radius(cavity, soil))) for cavity in cavities], WIDE)
+    front = np.array([float(as_number(plastic.front_radius(cavity, soil))) for cavity in cavities])
     for _ in range(_NEWTON):
-        front = front - (front**2 - 2 * psi(front) - radius**2) / (2 * front * (1 - ratio(front)))
+        front = front - (front**2 - 2.0 * psi(front) - radius**2) / (2.0 * front * (1.0 - ratio(front)))
     s = front[:, None] * parts
-    y = np.sqrt(radius[:, None] ** 2 + 2 * psi(s))
-    strength, rate, inertia = _wall(soil, radius, front, 1 - ratio(front), (s, y, weights))
-    face = 2 * PI * slope * (slope + friction)
+    y = np.sqrt(radius[:, None] ** 2 + 2.0 * psi(s))
+    # The wall's gauge pressure at rest [Pa], and its coefficients of rho0 R'^2 and rho0 R R''.
+    mu = math.sin(angle)
+    nu, tau = 2.0 * mu / (1.0 + mu), 2.0 * cohesion * math.cos(angle)
+    log = np.log(front / radius)
+    strength = (np.expm1(nu * log) / nu if nu > 0.0 else log) * (nu * ambient + tau / (1.0 + mu))
+    share = (y / radius[:, None]) ** nu * s / y**2 * front[:, None]
+    inertia = share @ weights
+    slowing = (share * (radius[:, None] / y) ** 2) @ weights
+    rate = np.exp(nu * log) * (radius / front) ** 2 / (1.0 - ratio(front)) + inertia - slowing
+    face = 2.0 * math.pi * slope * (slope + friction)
     return SoilReaction(
         static=face * (shares @ (points * strength)),
         drag=face * slope**2 * density * (shares @ (points * rate)),
         added_mass=face * slope**2 * density * (shares @ (points**2 * inertia)),
     )
-
-
-def _panels(end: Wide, panels: int, count: int) -> tuple[Wide, Wide]:
-    """Return Gauss points in panels from 0 to an end, and their weights."""
-    nodes, weights = gauss(count)
-    half = end / panels / 2
-    return ((2 * np.arange(panels)[:, None] + nodes + 1) * half).ravel(), np.tile(weights * half, panels)
-
-
-def _wall(
-    soil: Soil, radius: Wide, front: Wide, jump: Wide, particles: tuple[Wide, Wide, Wide]
-) -> tuple[Wide, Wide, Wide]:
-    """Return the wall's gauge pressure at rest [Pa], and its coefficients of rho0 R'^2 and rho0 R R''.
-
-    Args:
-        soil: soil with numbers.
-        radius: radius R of the wall at each point of the face [m].
-        front: radius of the front there [m].
-        jump: 1 - b at the front.
-        particles: initial radii s and present radii y, a row for each point of the face [m]; weights of their integral.
-    """
-    angle, cohesion, ambient = (
-        WIDE(float(as_number(value))) for value in (soil.friction_angle, soil.cohesion, soil.ambient_pressure)
-    )
-    mu = np.sin(angle)
-    nu, tau = 2 * mu / (1 + mu), 2 * cohesion * np.cos(angle)
-    log = np.log(front / radius)
-    growth = np.expm1(nu * log) / nu if nu > 0 else log
-    s, y, weights = particles
-    share = (y / radius[:, None]) ** nu * s / y**2 * front[:, None]
-    inertia = share @ weights
-    slowing = (share * (radius[:, None] / y) ** 2) @ weights
-    driven = np.exp(nu * log) * (radius / front) ** 2 / jump
-    return growth * (nu * ambient + tau / (1 + mu)), driven + inertia - slowing, inertia

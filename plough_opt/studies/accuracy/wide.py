@@ -47,13 +47,10 @@ _DIVERGED = 1e40
 _TAIL = 4.0
 # Values below this many units in the last place of the largest value have no certain sign.
 _ROUNDING = 1e3
-# Fractions of a step at which the sign of an event function is checked: dense towards both ends, without 0.
-_CHECKED = (1 - np.cos(PI * np.arange(1, 97) / 96)) / 2
-# Parts of each subdivision of an interval that holds an event, and most subdivisions: enough for one unit in the last
-# place.
-_PARTS, _SUBDIVISIONS = 32, 14
-# If the least value is below this part of the largest, a dip below zero may hide between two checked places.
-_DIP = 0.05
+# Degree of the polynomial that locates events in a step, and steps of Newton's method to their last digits.
+_EVENT_DEGREE, _NEWTON = 48, 4
+# Complex roots this close to the real axis may be a pair of real ones; one too many does no harm.
+_TANGENT = 1e-6
 
 _OPERATIONS: Final[dict[int, Callable[..., Wide]]] = {
     ca.OP_ADD: np.add, ca.OP_SUB: np.subtract, ca.OP_MUL: np.multiply, ca.OP_DIV: np.divide, ca.OP_NEG: np.negative,
@@ -114,20 +111,6 @@ def in_wide_floats(arguments: Sequence[ca.SX], results: Sequence[Any]) -> WideGr
         return found
 
     return evaluate
-
-
-@lru_cache(maxsize=8)
-def gauss(count: int) -> tuple[Wide, Wide]:
-    """Return Gauss-Legendre nodes on [-1, 1] and weights: NumPy's, refined by Newton's method."""
-    x: Wide = np.polynomial.legendre.leggauss(count)[0].astype(WIDE)
-    for _ in range(3):
-        # NumPy's evaluation of the polynomial rounds its factors to doubles.
-        before, now = np.ones_like(x), x
-        for k in range(2, count + 1):
-            before, now = now, ((2 * k - 1) * x * now - (k - 1) * before) / k
-        slope = count * (before - x * now) / (1 - x**2)
-        x = x - now / slope
-    return x, 2 / ((1 - x**2) * slope**2)
 
 
 @dataclass(frozen=True)
@@ -226,64 +209,33 @@ def _solved(integral: Wide, times: Wide, first: Wide, rates: Rates, scales: Wide
 def first_end(function: Callable[[Wide], Wide], start: Wide, size: Wide) -> Wide | None:
     """Return the first time in a step after which a smooth function is negative, or None.
 
+    The roots of its Chebyshev interpolant, in doubles, part the step into pieces without a change of sign. Newton's
+    method on the function itself adds the digits of wide floats.
+
     Args:
         function: function of an array of times; positive or zero at the start.
         start: start of the step [s].
         size: length of the step [s].
     """
-    times = start + size * _CHECKED
-    values = function(times)
-    largest = np.max(np.abs(values))
-    zero = _ROUNDING * EPS * largest
-    negative = np.flatnonzero(values < -zero)
+
+    def at(places: Wide) -> Wide:
+        return function(start + size * (places + 1) / 2)
+
+    basis = Basis.of(_EVENT_DEGREE)
+    values = at(basis.nodes)
+    zero = _ROUNDING * EPS * np.max(np.abs(values))
+    series = chebyshev.chebtrim((basis.coefficients @ values).astype(float), float(zero))
+    if series[0] > np.sum(np.abs(series[1:])):
+        return None
+    roots = chebyshev.chebroots(series)
+    within = np.sort(roots.real[(np.abs(roots.imag) < _TANGENT) & (np.abs(roots.real) < 1.0)])
+    ends = np.concatenate([[-1.0], within, [1.0]])
+    middles = (ends[1:] + ends[:-1]) / WIDE(2)
+    negative = np.flatnonzero(at(middles) < -zero)
     if not negative.size:
-        k = int(np.argmin(values))
-        if not 0 < k < len(times) - 2 or values[k] > _DIP * largest:
-            return None
-        lowest = sum(_narrowed(function, times[k - 1], times[k + 1], _valley)) / 2
-        return _crossing(function, times[k - 1], lowest) if function(np.array([lowest]))[0] < -zero else None
-    positive = np.flatnonzero(values[: negative[0]] > zero)
-    if positive.size:
-        return _crossing(function, times[positive[-1]], times[negative[0]])
-    starts_positive = function(np.array([start]))[0] > zero
-    return _crossing(function, start, times[negative[0]]) if starts_positive else start
-
-
-def _crossing(function: Callable[[Wide], Wide], low: Wide, high: Wide) -> Wide:
-    """Return the zero of a function that is positive at low and negative at high."""
-    low, high = _narrowed(function, low, high, _change)
-    # Rounding of the time allows no further subdivision, so end with a chord.
-    one, other = function(np.array([low, high]))
-    return low + (high - low) * one / (one - other) if one > other else high
-
-
-def _narrowed(
-    function: Callable[[Wide], Wide], low: Wide, high: Wide, choose: Callable[[Wide], tuple[int, int]]
-) -> tuple[Wide, Wide]:
-    """Return the ends of an interval after repeated subdivision, of which one part is kept each time.
-
-    Args:
-        function: function of an array of times.
-        low: start of the interval.
-        high: end of the interval.
-        choose: values at the ends of all parts -> places of the two ends to keep.
-    """
-    for _ in range(_SUBDIVISIONS):
-        times = low + (high - low) * np.arange(_PARTS + 1) / WIDE(_PARTS)
-        first, last = choose(function(times))
-        low, high = times[first], times[last]
-        if high - low <= 2 * EPS * abs(high):
-            break
-    return low, high
-
-
-def _change(values: Wide) -> tuple[int, int]:
-    """Return the places before and after the first change to negative values."""
-    k = max(1, int(np.argmax(values < 0.0))) if np.any(values < 0.0) else len(values) - 1
-    return k - 1, k
-
-
-def _valley(values: Wide) -> tuple[int, int]:
-    """Return the places on both sides of the least value."""
-    k = min(max(int(np.argmin(values)), 1), len(values) - 2)
-    return k - 1, k + 1
+        return None
+    k = int(negative[0])
+    place, slope = WIDE(ends[k]), chebyshev.chebval(ends[k], chebyshev.chebder(series))
+    for _ in range(_NEWTON if k else 0):
+        place = np.clip(place - at(np.array([place]))[0] / slope, middles[k - 1], middles[k])
+    return start + size * (place + 1) / 2

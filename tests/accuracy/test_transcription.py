@@ -124,13 +124,14 @@ def rich(r1_soil, r1_wave):
 def test_every_result_of_a_run_is_that_of_the_tight_integration(rich, form):
     own = transcribe(rich, form)
     # With the variable fixed at its guess, IPOPT solves for the run alone.
-    held = np.r_[own.start[:1], own.lower[1:]], np.r_[own.start[:1], own.upper[1:]]
+    start = own.given["x0"]
+    held = {end: np.r_[start[:1], own.given[end][1:]] for end in ("lbx", "ubx")}
     options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
     options |= {"ipopt.fixed_variable_treatment": "make_constraint"}
     solver = ca.nlpsol("held", "ipopt", {"x": own.x, "f": own.f, "g": ca.vertcat(*own.g)}, options)
-    found = solver(x0=own.start, lbx=held[0], ubx=held[1], lbg=own.low, ubg=own.high)
+    found = solver(**own.given | held)
     assert solver.stats()["return_status"] == "Solve_Succeeded"
-    (objective, *requirements), _ = rich.program.exact_values(own.start[:1], rich.p)
+    (objective, *requirements), _ = rich.program.exact_values(start[:1], rich.p)
     scales = rich.program.scales
     truth = np.concatenate([(v / s).ravel() for v, s in zip(requirements, scales, strict=True)])
     # The ramp ends at a node of every mesh. Collocation of order 9 or 10 leaves some 1e-9.

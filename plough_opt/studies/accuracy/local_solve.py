@@ -59,8 +59,7 @@ def solve_nlp(nlp: Nlp, question: Question, start: Start, derivatives: Derivativ
         given["hess_lag"] = nlp.hess_lag
     y, none = ca.MX.sym("y", count), ca.MX.sym("p", 0)
     f, g = (ca.densify(own[name](y, none)) for name in ("f", "g"))
-    limits = question.program.low, question.program.high
-    form = Transcribed(y, f, (g,), *limits, np.zeros(count), np.ones(count), start.y)
+    form = Transcribed.of(question, y, f, (g,), start.y)
     return _ipopt({"x": y, "p": none, "f": f, "g": g}, given, form, start, exact=derivatives == "exact", tol=tolerance)
 
 
@@ -92,12 +91,11 @@ def solve_transcribed(
     kind: Any = ca.SX if scalar else ca.MX
     x, none = kind.sym("x", form.x.numel()), kind.sym("p", 0)
     f, *blocks = (whole.expand() if scalar else whole).call([x])
-    g, given = ca.vertcat(*blocks), {}
-    if len(blocks) > 1:
-        # Differentiate block by block, so that CasADi takes the cheaper mode for each. In one block the dense rows and
-        # dense columns would spoil both modes.
-        jacobian = ca.vertcat(*(ca.jacobian(block, x) for block in blocks))
-        given["jac_g"] = ca.Function("jac_g", [x, none], [ca.densify(g), jacobian], ["x", "p"], ["g", "jac_g_x"])
+    g = ca.vertcat(*blocks)
+    # Differentiate block by block, so that CasADi takes the cheaper mode for each. In one block the dense rows and
+    # dense columns would spoil both modes.
+    jacobian = ca.vertcat(*(ca.jacobian(block, x) for block in blocks))
+    given = {"jac_g": ca.Function("jac_g", [x, none], [ca.densify(g), jacobian], ["x", "p"], ["g", "jac_g_x"])}
     return _ipopt({"x": x, "f": f, "g": g}, given, form, start, exact=exact, tol=tolerance)
 
 
@@ -111,10 +109,9 @@ def _ipopt(
     if not exact:
         options["ipopt.hessian_approximation"] = "limited-memory"
     solver = ca.nlpsol("contestant", "ipopt", problem, options)
-    bounds = {"x0": form.start, "lbx": form.lower, "ubx": form.upper, "lbg": form.low, "ubg": form.high}
 
     def solve() -> Point:
-        result = solver(**bounds)
+        result = solver(**form.given)
         point = Point.of(result, solver.stats())
         if point.solved:
             return replace(point, y=np.clip(point.y[: len(start.y)], 0.0, 1.0))

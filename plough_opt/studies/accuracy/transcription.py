@@ -124,28 +124,29 @@ class Question:
 
 @dataclass(frozen=True)
 class Transcribed:
-    """Nonlinear program: minimise f over x with low <= g <= high and lower <= x <= upper.
+    """Nonlinear program: minimise f over x with limits on g and x.
 
     Attributes:
         x: unknowns: the scaled variables, then those that the transcription adds, of order 1.
         f: scaled objective.
         g: blocks of constraints: the scaled requirements; then for each run the equalities of its motion, whose rows
             depend on few unknowns, and those of its averages, whose rows depend on all.
-        low: lower limits of g.
-        high: upper limits of g.
-        lower: lower bounds of x.
-        upper: upper bounds of x.
-        start: initial x: a design, and the states of its run.
+        given: bounds of x and g, and the start (a design, and the states of its run), by CasADi's names.
     """
 
     x: ca.MX
     f: ca.MX
     g: tuple[ca.MX, ...]
-    low: Vector
-    high: Vector
-    lower: Vector
-    upper: Vector
-    start: Vector
+    given: dict[str, Vector]
+
+    @classmethod
+    def of(cls, question: Question, x: ca.MX, f: ca.MX, g: tuple[ca.MX, ...], start: Vector) -> Transcribed:
+        """Return the program with the limits of a design: further unknowns are free, further constraints are zero."""
+        low, high = question.program.low, question.program.high
+        variables = question.y.numel()
+        free, zeros = np.full(len(start) - variables, np.inf), np.zeros(sum(block.numel() for block in g) - len(low))
+        bounds = {"lbx": np.r_[np.zeros(variables), -free], "ubx": np.r_[np.ones(variables), free]}
+        return cls(x, f, g, {"x0": start, **bounds, "lbg": np.r_[low, zeros], "ubg": np.r_[high, zeros]})
 
 
 @dataclass(frozen=True)
@@ -184,20 +185,9 @@ def transcribe(question: Question, form: Transcription, first: Vector | None = N
         for k, run in enumerate(question.parts.runs)
     ]
     f, g = question.full(question.y, *(lift.results for lift in lifts))
-    ties = [block for lift in lifts for block in lift.ties]
-    start = np.concatenate([first, *(lift.start for lift in lifts)])
-    free = np.full(len(start) - len(first), np.inf)
-    zeros = np.zeros(sum(block.numel() for block in ties))
-    return Transcribed(
-        x=ca.vertcat(question.y, *(lift.unknowns for lift in lifts)),
-        f=f,
-        g=(g, *ties),
-        low=np.r_[question.program.low, zeros],
-        high=np.r_[question.program.high, zeros],
-        lower=np.r_[np.zeros(len(first)), -free],
-        upper=np.r_[np.ones(len(first)), free],
-        start=start,
-    )
+    ties = (block for lift in lifts for block in lift.ties)
+    x = ca.vertcat(question.y, *(lift.unknowns for lift in lifts))
+    return Transcribed.of(question, x, f, (g, *ties), np.concatenate([first, *(lift.start for lift in lifts)]))
 
 
 def _shot_once(run: EmbeddedRun, accuracy: Accuracy, outputs: int) -> _Lift:
@@ -232,35 +222,32 @@ def _meshed(run: EmbeddedRun, form: Mesh, outputs: int, inputs: ca.DM) -> _Lift:
         what = "events" if structure.events else "a periodic orbit"
         raise InputError(f"a run with {what} cannot be put on a mesh: use single shooting")
     observed, kink = signals(structure), run.integration.timeline.kink
-    path = _Path.of(structure, inputs, kink)
     function, points = _segment(structure, form.steps) if form.steps else _collocated(structure, form)
     mesh = Timeline(outputs, form.intervals, kink)
     lengths = np.diff(mesh.nodes)
-    count, inner = len(lengths), 2 * len(points)
-    nodes, within = ca.MX.sym("nodes", 2 * count), ca.MX.sym("within", inner * count)
-    mean, variance = ca.MX.sym("mean", observed.count), ca.MX.sym("variance", observed.squared)
+    # In each interval the unknowns are the state at its end, and those at the points inside it.
+    places = (mesh.nodes[:-1, None] + lengths[:, None] * np.r_[1.0, points]).ravel()
+    path, unit, averages, size = _path(structure, inputs, kink, places)
+    count, each = len(lengths), 2 * (1 + len(points))
+    unknowns, averaged = ca.MX.sym("states", each * count), ca.MX.sym("averages", len(size))
 
-    unit, inner_unit = ca.DM(path.units), ca.DM(np.tile(path.units, len(points)))
-    scaled = ca.reshape(nodes, 2, count) * ca.repmat(unit, 1, count)
-    states = ca.horzcat(start_state(structure, observed.named(run.inputs)), scaled)
+    units = ca.repmat(ca.DM(unit), 1 + len(points), count)
+    own = ca.reshape(unknowns, each, count) * units
+    states = ca.horzcat(start_state(structure, observed.named(run.inputs)), own[:2, :])
     following, residual, means, spreads = function.map(count)(
         states[:, :count],
-        ca.reshape(within, inner, count) * ca.repmat(inner_unit, 1, count),
+        own[2:, :],
         ca.DM(np.vstack([mesh.nodes[:-1], lengths])),
         ca.repmat(run.inputs, 1, count),
     )
-    size, square = ca.DM(path.sizes), ca.DM(path.sizes[: observed.squared] ** 2)
-    drift = means[: observed.squared, :] - ca.repmat((mean * size)[: observed.squared], 1, count)
-    gaps = (following - states[:, 1:]) / ca.repmat(unit, 1, count)
-    motion = ca.vertcat(ca.vec(gaps), ca.vec(residual / ca.repmat(inner_unit, 1, count)))
-    pooled = [means @ ca.DM(lengths) / size - mean, (spreads + drift**2) @ ca.DM(lengths) / square - variance]
-    places = (mesh.nodes[:-1, None] + lengths[:, None] * points).ravel()
-    averages = [path.means / path.sizes, path.variances / path.sizes[: observed.squared] ** 2]
+    found = averaged * size
+    drift = means[: observed.squared, :] - ca.repmat(found[: observed.squared], 1, count)
+    pooled = ca.vertcat(means, spreads + drift**2) @ ca.DM(lengths) / size - averaged
     return _Lift(
-        results=_as_written(run, [ca.vec(states[:, mesh.output_columns]), mean * size, variance * square]),
-        unknowns=ca.vertcat(nodes, within, mean, variance),
-        ties=(motion, ca.vertcat(*pooled)),
-        start=np.concatenate([path.at(mesh.nodes[1:]), path.at(places), *averages]),
+        results=_as_written(run, [ca.vec(states[:, mesh.output_columns]), found]),
+        unknowns=ca.vertcat(unknowns, averaged),
+        ties=(ca.vec(ca.vertcat(following - states[:, 1:], residual) / units), pooled),
+        start=np.concatenate([path, averages / size]),
     )
 
 
@@ -316,39 +303,27 @@ def _collocated(structure: Structure, form: Mesh) -> _Piece:
     return ca.Function("interval", [state, inner, span, p], results), np.array(nodes)
 
 
-@dataclass(frozen=True)
-class _Path:
-    """Run of the start design, which gives the further unknowns their initial values and units.
+def _path(
+    structure: Structure, inputs: ca.DM, kink: float | None, places: Vector
+) -> tuple[Vector, Vector, Vector, Vector]:
+    """Return the run of the start design, which gives the further unknowns their initial values and units.
 
-    Attributes:
-        fractions: times as fractions of the duration.
-        states: states at these times, a row for each state.
-        means: means of the signals.
-        variances: variances of the signals with an RMS.
-        units: largest value of each state; 1 if it is always zero.
-        sizes: root mean square of each signal; 1 if it is always zero.
+    Args:
+        structure: structure of the run's motion.
+        inputs: numeric inputs of the run.
+        kink: fraction of the duration at which the motion is not smooth, or None.
+        places: times as fractions of the duration.
+
+    Returns:
+        States at the times in their units, one time after another; the largest value of each state; means and variances
+        of the signals; and their sizes, from the root mean square of each signal. A unit that would be 0 is 1.
     """
-
-    fractions: Vector
-    states: Vector
-    means: Vector
-    variances: Vector
-    units: Vector
-    sizes: Vector
-
-    @classmethod
-    def of(cls, structure: Structure, inputs: ca.DM, kink: float | None) -> _Path:
-        """Return the path of a run with numeric inputs."""
-        timeline = Timeline(_START_STEPS, _START_STEPS, kink)
-        solver = integration(structure, Accuracy("dop853", steps=_START_STEPS), timeline)
-        states, means, variances = (np.asarray(result) for result in solver.function.call([inputs]))
-        squares = means.ravel() ** 2
-        squares[: len(variances)] += variances.ravel()
-        largest, sizes = np.max(np.abs(states), axis=1), np.sqrt(squares)
-        units, sizes = (np.where(found > 0.0, found, 1.0) for found in (largest, sizes))
-        return cls(timeline.output_fractions, states, means.ravel(), variances.ravel(), units, sizes)
-
-    def at(self, fractions: Vector) -> Vector:
-        """Return the states at some fractions of the duration, in their units, one time after another."""
-        rows = [np.interp(fractions, self.fractions, row) for row in self.states]
-        return (np.array(rows) / self.units[:, None]).ravel(order="F")
+    timeline = Timeline(_START_STEPS, _START_STEPS, kink)
+    solver = integration(structure, Accuracy("dop853", steps=_START_STEPS), timeline)
+    states, means, variances = (np.asarray(result) for result in solver.function.call([inputs]))
+    averages, squares = np.concatenate([means.ravel(), variances.ravel()]), means.ravel() ** 2
+    squares[: variances.size] += variances.ravel()
+    size = np.concatenate([np.sqrt(squares), squares[: variances.size]])
+    unit, size = (np.where(sizes > 0.0, sizes, 1.0) for sizes in (np.max(np.abs(states), axis=1), size))
+    rows = [np.interp(places, timeline.output_fractions, row) for row in states]
+    return (np.array(rows) / unit[:, None]).ravel(order="F"), unit, averages, size

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
+import plough_opt as po
 from plough_opt.studies.accuracy import contest
 from plough_opt.studies.accuracy.contest import Contestant, Entry, cheapest, efficient, measured, step_counts
 from plough_opt.studies.accuracy.methods import FACTORS, Task
@@ -153,3 +154,14 @@ def test_a_clock_that_ticks_coarsely_still_tells_short_uses_apart(clock, monkeyp
     # A turn is one tick: some 160 uses of one setting and 80 of the other.
     assert {e.setting: e.seconds for e in entries}["40 steps"] == pytest.approx(1e-4, rel=0.05)
     assert {e.setting: e.seconds for e in entries}["80 steps"] == pytest.approx(2e-4, rel=0.05)
+
+
+def test_a_repetition_that_takes_too_long_leaves_the_first_time(clock):
+    def seconds(_steps, number):
+        if number:
+            clock.now += 5.0
+            raise po.NotConverged("no optimum after 5 s", "Maximum_WallTime_Exceeded")
+        return 1.0
+
+    (only,) = measured([clock.contestant(factors=(0.0078125,), seconds=seconds)], "error", 1e9, 10.0)
+    assert (only.failure, only.seconds) == (None, 1.0)

@@ -8,7 +8,6 @@ import pytest
 import plough_opt as po
 from plough_opt.core import compiler
 from plough_opt.core.compiler import find_compiler
-from plough_opt.studies.accuracy import contest as contests
 from plough_opt.studies.accuracy import optimum
 from plough_opt.studies.accuracy.optimum import REPORTED, REQUIREMENTS, TRUE, VARIABLES, design_contest
 
@@ -134,17 +133,6 @@ def test_a_solve_that_takes_too_long_is_a_row_with_its_reason(bowl, monkeypatch)
     monkeypatch.setattr(compiler, "find_compiler", lambda: None)
     rows = [entry for entry in design_contest(bowl, budget=0.0, limit=1e-9).entries if entry.family == "derivatives"]
     assert all("no optimum after 1e-09 s" in entry.failure for entry in rows)
-
-
-def test_a_repetition_that_takes_too_long_leaves_the_first_time(bowl, monkeypatch):
-    monkeypatch.setattr(compiler, "find_compiler", lambda: None)
-
-    def too_long(*_, **__):
-        raise po.NotConverged("no optimum after 1 s and 4 iterations", "Maximum_WallTime_Exceeded")
-
-    monkeypatch.setattr(contests, "median_time", too_long)
-    rows = [entry for entry in design_contest(bowl).entries if entry.family == "derivatives"]
-    assert all(entry.failure is None and 0.0 < entry.seconds < math.inf for entry in rows)
 
 
 def test_an_optimum_elsewhere_is_named_and_measured_against_itself(monkeypatch):

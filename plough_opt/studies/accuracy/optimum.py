@@ -5,7 +5,7 @@ the true objective at the design that it found; of the variables; and the true v
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
@@ -165,12 +165,16 @@ def design_contest(
     judge = _Judge(design)
     best, question = judge.optima[0], judge.question
     y = best.y + _NEAR_START * np.where(best.y < 0.5, 1.0, -1.0) if near else question.program.start()
+    settings: dict[tuple[str, str], list[tuple[str, Callable[[], Solve]]]] = {}
+    total = max(map(question.phase, (best.y, y)))
+    for family, name, words, build in _Settings(question, Start(y, near, limit), total).rows():
+        settings.setdefault((family, name), []).append((words, build))
     contestants = [
         Contestant(
-            family, name, lambda setting: setting[1](), judge.errors, settings[:: 2 if thin else 1],
+            family, name, lambda setting: setting[1](), judge.errors, own[:: 2 if thin else 1],
             label=lambda setting: setting[0], patience=lambda _: math.inf, elsewhere=judge.elsewhere,
         )
-        for (family, name), settings in _Settings(question, best, Start(y, near, limit)).all().items()
+        for (family, name), own in settings.items()
     ]  # fmt: skip
     entries = measured(contestants, REPORTED, wanted, 10.0 * budget, progress=progress or (lambda _stage, _part: None))
     return DesignContest(tuple(judge.optima), tuple(entries))
@@ -201,11 +205,10 @@ class _Judge:
             raise NotConverged("the reference was lost when the steps were refined: tighten the bounds", point.status)
         self._slopes = _tight_slopes(self.question, point.y)
         self.optima = [self._optimum(point)]
-        self._basins: dict[bytes, int] = {}
 
     def errors(self, found: Point) -> Mapping[str, float]:
         """Return the errors of the point that a contestant found."""
-        best, program = self.optima[self._basin(found.y)], self._tight
+        best, program = self._basin(found.y), self._tight
         values, _ = program.exact_values(found.y, self._p)
         size = max(abs(best.objective), program.objective_scale * _LEAST_SIZE)
         limits = [r.margin(v) for r, v in zip(program.declared.requirements, values[1:], strict=True)]
@@ -219,28 +222,25 @@ class _Judge:
 
     def elsewhere(self, found: Point) -> str:
         """Return a clause on where a contestant ended; empty if in the reference."""
-        first, own = self.optima[0], self.optima[self._basin(found.y)]
+        first, own = self.optima[0], self._basin(found.y)
         return "" if own is first else f"ended in another optimum, {own.objective:.7g} instead of {first.objective:.7g}"
 
-    def _basin(self, y: Vector) -> int:
-        """Return the number of the accurate optimum to which a design leads, adding it if it is new."""
-        key = y.tobytes()
-        if key not in self._basins:
-            number = self._known(y)
-            if number is None:
-                point = self._tight.solve(y, self._p, SolveOptions(near=True))
-                if not point.solved:
-                    raise NotConverged("it stopped at a design that leads to no true optimum", point.status)
-                number = self._known(point.y)
-                if number is None:
-                    number = len(self.optima)
-                    self.optima.append(self._optimum(point))
-            self._basins[key] = number
-        return self._basins[key]
+    def _basin(self, y: Vector) -> TightOptimum:
+        """Return the accurate optimum to which a design leads, adding it if it is new."""
+        known = self._known(y)
+        if known is None:
+            point = self._tight.solve(y, self._p, SolveOptions(near=True))
+            if not point.solved:
+                raise NotConverged("it stopped at a design that leads to no true optimum", point.status)
+            known = self._known(point.y)
+            if known is None:
+                known = self._optimum(point)
+                self.optima.append(known)
+        return known
 
-    def _known(self, y: Vector) -> int | None:
-        """Return the number of the accurate optimum at a design, or None if there is none yet."""
-        return next((k for k, own in enumerate(self.optima) if np.max(np.abs(y - own.y)) < _SAME), None)
+    def _known(self, y: Vector) -> TightOptimum | None:
+        """Return the accurate optimum at a design, or None if there is none yet."""
+        return next((own for own in self.optima if np.max(np.abs(y - own.y)) < _SAME), None)
 
     def _optimum(self, point: Point) -> TightOptimum:
         """Return the accurate optimum near the point where IPOPT stopped on the tight program."""
@@ -291,64 +291,62 @@ def _active_limits(program: Program, point: Point, g: Vector) -> tuple[Vector, V
     """
     low = np.r_[program.low, np.zeros(len(point.y))]
     high = np.r_[program.high, np.ones(len(point.y))]
-    values, pulls = np.r_[g, point.y], np.r_[point.lam_g, point.lam_y]
-    limits = np.asarray(np.where(pulls < 0.0, low, high))
-    rows = [
-        row
-        for row, margin in enumerate(np.abs(values - limits))
-        if decides(margin, abs(pulls[row])) or low[row] == high[row]
-    ]
-    chosen = np.array(rows, int)
+    pulls = np.r_[point.lam_g, point.lam_y]
+    limits = np.where(pulls < 0.0, low, high)
+    margins = np.abs(np.r_[g, point.y] - limits)
+    chosen = np.flatnonzero(np.vectorize(decides)(margins, np.abs(pulls)) | (low == high))
     return chosen, limits[chosen]
 
 
-Setting = tuple[str, Callable[[], Solve]]
-"""A setting as text, and a function that builds its solve."""
+_Row = tuple[str, str, str, Callable[[], Solve]]
+"""Family, method, setting as text, and a function that builds its solve."""
 
 
+@dataclass(frozen=True)
 class _Settings:
-    """Settings of all contestants. A design without a motion has nothing to transcribe or integrate."""
+    """Settings of all contestants. A design without a motion has nothing to transcribe or integrate.
 
-    def __init__(self, question: Question, best: TightOptimum, start: Start) -> None:
-        self._question, self._start = question, start
-        self._total = max(question.phase(y) for y in (best.y, start.y))
-        self._found: dict[tuple[str, str], list[Setting]] = {}
+    Attributes:
+        question: program of the design.
+        start: start of every solve.
+        total: largest phase of a run at the start and at the reference [rad].
+    """
 
-    def all(self) -> dict[tuple[str, str], list[Setting]]:
-        """Return all settings by family and method."""
-        if self._question.parts.runs:
-            self._transcriptions()
-            self._integrators()
-        self._derivatives()
-        return self._found
+    question: Question
+    start: Start
+    total: float
 
-    def _add(self, family: str, name: str, setting: str, build: Callable[[], Solve]) -> None:
-        self._found.setdefault((family, name), []).append((setting, build))
+    def rows(self) -> Iterator[_Row]:
+        """Yield all settings of all methods."""
+        if self.question.parts.runs:
+            yield from self._transcriptions()
+            yield from self._integrators()
+        yield from self._derivatives()
 
     def _steps(self, angle: float) -> int:
         """Return the number of steps of a run, each of a phase [rad]."""
-        return self._question.intervals(steps_for(self._total, angle))
+        return self.question.intervals(steps_for(self.total, angle))
 
-    def _transcriptions(self) -> None:
-        """Add the transcriptions of the program, each with exact derivatives by CasADi."""
+    def _transcriptions(self) -> Iterator[_Row]:
+        """Yield the transcriptions of the program, each with exact derivatives by CasADi."""
         count = self._steps(_SINGLE_PHASE)
         single, words = Accuracy("dop853", steps=count), f"{count} steps of order 8"
-        if self._question.refusal("dop853"):
+        if self.question.refusal("dop853"):
             single, words = Accuracy("erk", tolerance=_SINGLE_TOLERANCE), f"erk, tolerance {_SINGLE_TOLERANCE:.0e}"
-        self._add("transcription", "single shooting", words, partial(self._by_casadi, single))
-        for segments in dict.fromkeys(map(self._question.intervals, _SEGMENTS)):
+        forms: list[tuple[str, str, Transcription]] = [("single shooting", words, single)]
+        for segments in dict.fromkeys(map(self.question.intervals, _SEGMENTS)):
             each = math.ceil(count / segments)
             words = f"{segments} segments of {each} step{'s' * (each > 1)}"
-            build = partial(self._by_casadi, Mesh(segments, steps=each))
-            self._add("transcription", "multiple shooting", words, build)
+            forms.append(("multiple shooting", words, Mesh(segments, steps=each)))
         for points, degree, angles in _MESHES:
             for intervals in dict.fromkeys(map(self._steps, angles)):
-                build = partial(self._by_casadi, Mesh(intervals, degree=degree, points=points))
                 words = f"{intervals} intervals of degree {degree}"
-                self._add("transcription", f"collocation, {points.title()}", words, build)
+                forms.append((f"collocation, {points.title()}", words, Mesh(intervals, degree=degree, points=points)))
+        for name, words, form in forms:
+            yield "transcription", name, words, partial(self._by_casadi, form)
 
-    def _integrators(self) -> None:
-        """Add single shooting by other integrators, each with an exact gradient and limited-memory BFGS."""
+    def _integrators(self) -> Iterator[_Row]:
+        """Yield single shooting by other integrators, each with an exact gradient and limited-memory BFGS."""
         others = {name: METHODS[name].finer for name in METHODS if is_stepped(name) and name not in ("auto", "dop853")}
         fixed = (*_FIXED, *((name, (1.0 / by, 0.5 / by)) for name, by in others.items()))
         counts = [(method, dict.fromkeys(map(self._steps, angles))) for method, angles in fixed]
@@ -357,13 +355,13 @@ class _Settings:
         for accuracy in settings:
             tolerance = _TIGHT if accuracy.steps else _NOISY
             build = partial(self._by_casadi, accuracy, exact=False, tolerance=tolerance)
-            if reason := self._question.refusal(accuracy.method):
+            if reason := self.question.refusal(accuracy.method):
                 build = partial(_refuse, reason)
-            self._add("integrator", accuracy.method, text(accuracy), build)
+            yield "integrator", accuracy.method, text(accuracy), build
 
-    def _derivatives(self) -> None:
-        """Add the choices of derivatives, interpreted and compiled, of the program that `Design.solve` uses."""
-        question = self._question
+    def _derivatives(self) -> Iterator[_Row]:
+        """Yield the choices of derivatives, interpreted and compiled, of the program that `Design.solve` uses."""
+        question = self.question
         counts = [count for count in question.steps if count is not None]
         unit = "harmonics" if question.orbits else "steps of order 8"
         words = ", ".join(f"{count} {unit}" for count in dict.fromkeys(counts))
@@ -371,21 +369,21 @@ class _Settings:
         def built(derivatives: Derivatives, tolerance: float, change: Callable[[Nlp], Nlp] = lambda nlp: nlp) -> Solve:
             # In this program derivatives are carried along the steps of a run.
             nlp = build_nlp(question.parts, question.y, ca.MX.sym("p", 0), list(question.steps))
-            return solve_nlp(change(nlp), question, self._start, derivatives, tolerance)
+            return solve_nlp(change(nlp), question, self.start, derivatives, tolerance)
 
         for name, derivatives, tolerance in _CARRIED:
-            self._add("derivatives", name, words, partial(built, derivatives, tolerance))
+            yield "derivatives", name, words, partial(built, derivatives, tolerance)
         if counts and not question.orbits:
-            build = partial(self._by_casadi, Accuracy("dop853", steps=max(counts)))
-            self._add("derivatives", _OF_GRAPH, words, build)
+            of_graph = partial(self._by_casadi, Accuracy("dop853", steps=max(counts)))
+            yield "derivatives", _OF_GRAPH, words, of_graph
         build = partial(_refuse, _NO_CODE) if question.orbits else partial(built, "gradient", _TIGHT, compiled)
-        self._add("compiled", f"{GRADIENT}, compiled", words, build)
+        yield "compiled", f"{GRADIENT}, compiled", words, build
 
     def _by_casadi(self, form: Transcription, *, exact: bool = True, tolerance: float = _TIGHT) -> Solve:
         """Return the solve of a transcription. Collocation, with its many small pieces, is expanded into scalars."""
-        own = transcribe(self._question, form, self._start.y)
+        own = transcribe(self.question, form, self.start.y)
         scalar = isinstance(form, Mesh) and not form.steps
-        return solve_transcribed(own, self._start, exact=exact, tolerance=tolerance, scalar=scalar)
+        return solve_transcribed(own, self.start, exact=exact, tolerance=tolerance, scalar=scalar)
 
 
 def _refuse(reason: str) -> Solve:

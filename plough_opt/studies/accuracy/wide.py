@@ -47,10 +47,10 @@ _DIVERGED = 1e40
 _TAIL = 4.0
 # Values below this many units in the last place of the largest value have no certain sign.
 _ROUNDING = 1e3
-# Degree of the polynomial that locates events in a step, and steps of Newton's method to their last digits.
-_EVENT_DEGREE, _NEWTON = 48, 4
-# Complex roots this close to the real axis may be a pair of real ones; one too many does no harm.
-_TANGENT = 1e-6
+# Degree of the polynomial that locates events in a step.
+_EVENT_DEGREE = 48
+# Parts of each subdivision of the interval around an event, and subdivisions: enough for one unit in the last place.
+_PARTS, _SUBDIVISIONS = 32, 14
 
 _OPERATIONS: Final[dict[int, Callable[..., Wide]]] = {
     ca.OP_ADD: np.add, ca.OP_SUB: np.subtract, ca.OP_MUL: np.multiply, ca.OP_DIV: np.divide, ca.OP_NEG: np.negative,
@@ -209,8 +209,8 @@ def _solved(integral: Wide, times: Wide, first: Wide, rates: Rates, scales: Wide
 def first_end(function: Callable[[Wide], Wide], start: Wide, size: Wide) -> Wide | None:
     """Return the first time in a step after which a smooth function is negative, or None.
 
-    The roots of its Chebyshev interpolant, in doubles, part the step into pieces without a change of sign. Newton's
-    method on the function itself adds the digits of wide floats.
+    The roots of its Chebyshev interpolant, in doubles, part the step into pieces without a change of sign. Repeated
+    subdivision around one of them adds the digits of wide floats.
 
     Args:
         function: function of an array of times; positive or zero at the start.
@@ -227,15 +227,18 @@ def first_end(function: Callable[[Wide], Wide], start: Wide, size: Wide) -> Wide
     series = chebyshev.chebtrim((basis.coefficients @ values).astype(float), float(zero))
     if series[0] > np.sum(np.abs(series[1:])):
         return None
-    roots = chebyshev.chebroots(series)
-    within = np.sort(roots.real[(np.abs(roots.imag) < _TANGENT) & (np.abs(roots.real) < 1.0)])
-    ends = np.concatenate([[-1.0], within, [1.0]])
+    # Keep complex roots too: rounding may make them of two real ones, and one piece more does no harm.
+    roots = chebyshev.chebroots(series).real
+    ends = np.concatenate([[-1.0], np.sort(roots[np.abs(roots) < 1.0]), [1.0]])
     middles = (ends[1:] + ends[:-1]) / WIDE(2)
     negative = np.flatnonzero(at(middles) < -zero)
     if not negative.size:
         return None
-    k = int(negative[0])
-    place, slope = WIDE(ends[k]), chebyshev.chebval(ends[k], chebyshev.chebder(series))
-    for _ in range(_NEWTON if k else 0):
-        place = np.clip(place - at(np.array([place]))[0] / slope, middles[k - 1], middles[k])
-    return start + size * (place + 1) / 2
+    if not negative[0]:
+        return start
+    low, high = middles[negative[0] - 1], middles[negative[0]]
+    for _ in range(_SUBDIVISIONS):
+        places = low + (high - low) * np.arange(_PARTS + 1) / WIDE(_PARTS)
+        first = max(1, int(np.argmax(at(places) < 0.0)))
+        low, high = places[first - 1], places[first]
+    return start + size * (high + 1) / 2

@@ -12,6 +12,7 @@ from typing import Final
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.design import Design
@@ -284,7 +285,7 @@ def _tight_slopes(question: Question, y: Vector) -> ca.Function:
     return ca.Function("slopes", [own.x], [ca.gradient(own.f, own.x), own.g[0], ca.jacobian(own.g[0], own.x)])
 
 
-def _active_limits(program: Program, point: Point, g: Vector) -> tuple[Vector, Vector]:
+def _active_limits(program: Program, point: Point, g: Vector) -> tuple[NDArray[np.intp], Vector]:
     """Return the numbers of active limits, of requirements and after them of variables, and the limits themselves.
 
     Multipliers where IPOPT stopped show which limit is active: they are negative at a lower limit.
@@ -292,7 +293,7 @@ def _active_limits(program: Program, point: Point, g: Vector) -> tuple[Vector, V
     low = np.r_[program.low, np.zeros(len(point.y))]
     high = np.r_[program.high, np.ones(len(point.y))]
     pulls = np.r_[point.lam_g, point.lam_y]
-    limits = np.where(pulls < 0.0, low, high)
+    limits = np.asarray(np.where(pulls < 0.0, low, high))
     margins = np.abs(np.r_[g, point.y] - limits)
     chosen = np.flatnonzero(np.vectorize(decides)(margins, np.abs(pulls)) | (low == high))
     return chosen, limits[chosen]

@@ -293,7 +293,7 @@ def _active_limits(program: Program, point: Point, g: Vector) -> tuple[NDArray[n
     low = np.r_[program.low, np.zeros(len(point.y))]
     high = np.r_[program.high, np.ones(len(point.y))]
     pulls = np.r_[point.lam_g, point.lam_y]
-    limits = np.asarray(np.where(pulls < 0.0, low, high))
+    limits = np.asarray(np.where(pulls < 0.0, low, high), dtype=float)
     margins = np.abs(np.r_[g, point.y] - limits)
     chosen = np.flatnonzero(np.vectorize(decides)(margins, np.abs(pulls)) | (low == high))
     return chosen, limits[chosen]

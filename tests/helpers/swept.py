@@ -109,6 +109,21 @@ class Counted:
         return waves(values)
 
 
+def process_of(number):
+    """Return state, parent and command of a process, from /proc; the state is "X" if it has ended."""
+    try:
+        fields = Path("/proc", str(number), "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+        return fields[0], int(fields[1]), Path("/proc", str(number), "cmdline").read_text(encoding="utf-8")
+    except OSError:
+        return "X", 0, ""
+
+
+def workers_of(parent):
+    """Return the workers of a sweep that a process has started."""
+    every = ((int(entry.name), *process_of(entry.name)) for entry in Path("/proc").iterdir() if entry.name.isdigit())
+    return [number for number, _, by, command in every if by == parent and "plough_opt.studies.sweep.pool" in command]
+
+
 def stored(path, columns="point"):
     """Return columns of the points in a store, even while others write to it."""
     if not path.exists():

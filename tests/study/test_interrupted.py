@@ -13,38 +13,21 @@ from plough_opt.studies.sweep.database import About
 from plough_opt.studies.sweep.store import Store
 from plough_opt.studies.sweep.work import Done
 
-PROCESSES = Path("/proc")
 VALUES = 60
 OVER = {"a": po.Range(0.0, 1.0, VALUES), "b": [1.0, 2.0]}
 
 
 def calls(path):
     """Return how often each point was evaluated."""
-    lines = path.read_text().splitlines()
-    return collections.Counter(tuple(map(float, line.split())) for line in lines)
+    return collections.Counter(tuple(map(float, line.split())) for line in path.read_text().splitlines())
 
 
-def state_of(process):
-    """Return the state and the parent of a process, from /proc."""
-    try:
-        fields = (PROCESSES / str(process) / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-    except OSError:
-        return "X", 0
-    return fields[0], int(fields[1])
-
-
-def children_of(parent):
-    return [
-        int(entry.name) for entry in PROCESSES.iterdir() if entry.name.isdigit() and state_of(entry.name)[1] == parent
-    ]
-
-
-@pytest.mark.skipif(not PROCESSES.is_dir(), reason="looks for the workers in /proc")
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for the workers in /proc")
 def test_a_killed_sweep_resumes_without_repeating_stored_points(script, counted_text, inline, tmp_path):
     store, file = tmp_path / "sweep.db", tmp_path / "calls"
     process = script(counted_text(store, file, 0.02, VALUES))
     swept.until(lambda: len(swept.stored(store)) >= 10, process)
-    workers = children_of(process.pid)
+    workers = swept.workers_of(process.pid)
     process.kill()
     process.wait()
     kept = swept.stored(store, "a, b")
@@ -52,20 +35,18 @@ def test_a_killed_sweep_resumes_without_repeating_stored_points(script, counted_
     assert 10 <= len(kept) < 2 * VALUES
     # Workers end with their parent.
     end = time.monotonic() + 30.0
-    while any(state_of(worker)[0] not in "XZ" for worker in workers):
+    while any(swept.process_of(worker)[0] not in "XZ" for worker in workers):
         assert time.monotonic() < end
         time.sleep(0.01)
 
     with po.sweep(swept.Counted(file, 0.02), OVER, store=store, executor=inline, workers=1) as resumed:
-        assert resumed.already == len(kept)
-        assert resumed.complete
-        found = resumed.table
+        assert (resumed.already, resumed.complete) == (len(kept), True)
+        np.testing.assert_array_equal(resumed.table, po.sweep(swept.waves, OVER, executor=inline).table)
     evaluated = calls(file)
     assert len(evaluated) == 2 * VALUES
     assert all(evaluated[row] == 1 for row in kept)
     # Points that were computed twice were under way: six tasks for two workers, each of at most 0.25 s of pauses.
     assert sum(evaluated.values()) - 2 * VALUES <= 6 * int(0.25 / 0.02)
-    np.testing.assert_array_equal(found, po.sweep(swept.waves, OVER, executor=inline).table)
 
 
 def test_two_runs_at_once_share_the_points(script, counted_text, inline, tmp_path):

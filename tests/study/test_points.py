@@ -1,4 +1,4 @@
-"""Points of grids and samples, against itertools, NumPy and SciPy; and invalid ranges."""
+"""Points of grids and samples, against itertools, NumPy and SciPy; and invalid sweeps of functions."""
 
 import itertools
 
@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import qmc
 
 import plough_opt as po
-from plough_opt.studies.sweep.points import Grid, Sample, points_of
+from plough_opt.studies.sweep.points import Grid, Sample
 
 
 def test_a_grid_has_all_combinations_and_the_last_quantity_changes_fastest():
@@ -41,54 +41,29 @@ def test_a_sample_is_that_of_scipy(blocks):
 
 
 @pytest.mark.parametrize(
-    ("over", "samples", "expected"),
+    ("over", "options", "expected"),
     [
-        ({}, None, "over is empty"),
-        ({"a": po.Range(0.0, 1.0)}, None, "without a number of values"),
-        ({"a": po.Range(0.0, 1.0, 3)}, 8, "a sample fills the range"),
-        ({"a": (0.0, 1.0)}, 8, "a range with two ends"),
-        ({"a": po.Range(0.0, 1.0)}, 1, "1 samples: give a whole number from 2"),
-        ({"a": po.Range(0.0, 1.0)}, 2.5, "2.5 samples"),
+        ({}, {}, "over is empty"),
+        ({"a": po.Range(0.0, 1.0)}, {}, "without a number of values"),
+        ({"a": po.Range(0.0, 1.0, 3)}, {"samples": 8}, "a sample fills the range"),
+        ({"a": (0.0, 1.0)}, {"samples": 8}, "a range with two ends"),
+        ({"a": po.Range(0.0, 1.0)}, {"samples": 1}, "1 samples: give a whole number from 2"),
+        ({"a": po.Range(0.0, 1.0)}, {"samples": 2.5}, "2.5 samples"),
+        ({"a": po.Range(0.0, 1.0)}, {"samples": 8, "seed": -1}, "seed -1"),
+        ({"a": [1.0]}, {}, "1 value"),
+        ({"a": [1.0, 2.0, 1.0]}, {}, "same value twice"),
+        ({"a": [1.0, float("nan")]}, {}, "must be finite"),
+        ({"a": ["1", "2"]}, {}, "not all numbers"),
+        ({"a": "5..45:9"}, {}, "give a po.Range or a list"),
+        ({"a": [1.0, 2.0], "A": [1.0, 2.0]}, {}, "'a' cannot name"),
+        ({"reason": [1.0, 2.0]}, {}, "'reason' cannot name"),
+        ({"": [1.0, 2.0]}, {}, "'' cannot name"),
+        (["a"], {}, r"over = \['a'\] must be a dictionary"),
+        ({"a": [1.0, 2.0]}, {"units": "m"}, "units = 'm' must be a dictionary"),
+        ({"a": [1.0, 2.0]}, {"workers": 1.5}, "workers = 1.5 must be 1 or more"),
+        ({"a": [1.0, 2.0]}, {"executor": "processes"}, "executor = 'processes' must be an executor"),
     ],
 )
-def test_invalid_grids_and_samples_are_refused(over, samples, expected):
+def test_invalid_sweeps_of_functions_are_refused(inline, over, options, expected):
     with pytest.raises(po.InputError, match=expected):
-        points_of(over, samples, 0)
-
-
-def test_a_negative_seed_is_refused():
-    with pytest.raises(po.InputError, match="seed -1"):
-        points_of({"a": po.Range(0.0, 1.0)}, 8, -1)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        ((2.0, 1.0), "from 2 to 1 is empty"),
-        ((1.0, 1.0, 3), "is empty"),
-        ((0.0, 1.0, 1), "number of values is 1"),
-        ((0.0, 1.0, 2.5), "number of values is 2.5"),
-        ((0.0, 1.0, 3, True), "begin above 0"),
-        ((0.0, float("inf")), "must be a finite number"),
-        ((0.0, "1"), "'1' is not a number"),
-    ],
-)
-def test_wrong_ranges_are_refused(arguments, expected):
-    with pytest.raises(po.InputError, match=expected):
-        po.Range(*arguments)
-
-
-@pytest.mark.parametrize(
-    ("values", "expected"),
-    [
-        ([1.0], "1 value"),
-        ([1.0, 2.0, 1.0], "same value twice"),
-        ([1.0, float("nan")], "must be finite"),
-        (["1", "2"], "not all numbers"),
-        ("5..45:9", "give a po.Range or a list"),
-        (3.0, "give a po.Range or a list"),
-    ],
-)
-def test_wrong_values_are_refused(inline, values, expected):
-    with pytest.raises(po.InputError, match=expected):
-        po.sweep(len, {"a": values}, executor=inline)
+        po.sweep(len, over, **{"executor": inline} | options)

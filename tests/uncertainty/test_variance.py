@@ -1,4 +1,4 @@
-"""Sobol indices of results over the soil's distribution, against closed forms, through the same path as a scene."""
+"""Sobol indices of results over the soil's distribution, against SciPy and a closed form."""
 
 import math
 
@@ -28,24 +28,15 @@ def ishigami():
     return po.Robust(po.SoilDistribution(SEROZEM, **uniform), response, samples=8)
 
 
-def test_indices_are_those_of_the_closed_form(ishigami):
-    found = sobol_indices(ishigami, {"x": 1.7}, samples=1024, seed=1)
-    assert set(found) == {"y"}  # what does not vary has no indices
-    a, b = 7.0, 0.1
-    v1, v2, v13 = 0.5 * (1 + b * math.pi**4 / 5) ** 2, a**2 / 8, 8 * b**2 * math.pi**8 / 225
-    v = v1 + v2 + v13
-    # Estimates over 1024 points of a Sobol sequence: errors of some 1e-2.
-    assert found["y"].first == pytest.approx([v1 / v, v2 / v, 0.0], abs=0.025)
-    assert found["y"].total == pytest.approx([(v1 + v13) / v, v2 / v, v13 / v], abs=0.025)
-    assert "cohesion" in str(found["y"])
-
-
 def test_indices_and_intervals_are_those_of_scipy(ishigami):
     def response(uniforms):
         return ishigami.values({"x": 1.7}, ishigami.field.at(uniforms.T))["y"]
 
     others = stats.sobol_indices(func=response, n=1024, dists=[stats.uniform()] * 3, rng=np.random.default_rng(3))
-    own = sobol_indices(ishigami, {"x": 1.7}, samples=1024, seed=3)["y"]
+    found = sobol_indices(ishigami, {"x": 1.7}, samples=1024, seed=3)
+    assert set(found) == {"y"}  # what does not vary has no indices
+    own = found["y"]
+    assert str(own).index("friction_angle") < str(own).index("tool_friction")  # by size: 0.44 and 0.24
     # The same points and estimators: they differ by rounding.
     assert own.first == pytest.approx(others.first_order, rel=1e-11, abs=1e-13)
     assert own.total == pytest.approx(others.total_order, rel=1e-11, abs=1e-13)
@@ -88,10 +79,10 @@ def test_correlated_properties_are_refused_or_taken_in_order():
     assert "before it" in own.note
 
 
-@pytest.mark.parametrize("samples", [0, 1, 100])
-def test_the_number_of_samples_must_be_a_power_of_two(samples):
-    with pytest.raises(po.InputError, match="power of two"):
-        sobol_indices(_linear(), {}, samples=samples)
+def test_the_number_of_samples_must_be_a_power_of_two():
+    for samples in (1, 100):
+        with pytest.raises(po.InputError, match="power of two"):
+            sobol_indices(_linear(), {}, samples=samples)
     assert "y" in sobol_indices(_linear(), {}, samples=2)
 
 

@@ -25,26 +25,23 @@ EFFECTS = {
 }
 
 
+def _run(soil, height, k0, effects, accuracy=None):
+    share = po.Wedge(po.deg(35), po.deg(15), height)
+    mass = 20.0 + share.equivalent_cone().solid_mass(7850.0)
+    return po.simulate(po.Scene(soil, share, k0, mass, 2.0, po.Effects(**effects)), 0.5, accuracy=accuracy, outputs=10)
+
+
 def _robust(count=8, accuracy=None, path=False, **effects):
     d = po.Design()
     height = d.variable("height", guess=0.25, lower=0.1, upper=0.4)
     k0 = d.variable("stiffness", guess=4e4, lower=1e4, upper=1e6, log=True)
-    share = po.Wedge(po.deg(35), po.deg(15), height)
-    mass = 20.0 + share.equivalent_cone().solid_mass(7850.0)
 
     def response(soil):
-        scene = po.Scene(soil, share, k0, mass, 2.0, po.Effects(**effects))
-        run = po.simulate(scene, 0.5, accuracy=accuracy, outputs=10)
+        run = _run(soil, height, k0, effects, accuracy)
         found = {"draft": run.mean_draft, "rms": run.force_rms, "deflection": run.mean_deflection}
         return found | {"power": run.tow_power, "last": run.deflection[10] if path else 0.0 * k0}
 
     return d, po.Robust(FIELD, response, samples=count, seed=1)
-
-
-def _alone(soil, **effects):
-    share = po.Wedge(po.deg(35), po.deg(15), AT["height"])
-    mass = 20.0 + share.equivalent_cone().solid_mass(7850.0)
-    return po.simulate(po.Scene(soil, share, AT["stiffness"], mass, 2.0, po.Effects(**effects)), 0.5, outputs=10)
 
 
 # Each further structure is translated by the C compiler once.
@@ -56,7 +53,7 @@ def test_values_over_samples_agree_with_single_simulations(name):
     _, robust = _robust(3, **EFFECTS[name])
     values = robust.values(AT)
     for k, soil in enumerate(robust.samples):
-        run = _alone(soil, **EFFECTS[name])
+        run = _run(soil, *AT.values(), EFFECTS[name])
         # By four times a search's steps averages are right to some 1e-10 of the larger of mean and RMS.
         assert values["draft"][k] == pytest.approx(run.mean_draft, rel=1e-9)
         assert values["rms"][k] == pytest.approx(run.force_rms, abs=1e-9 * run.mean_draft)
@@ -69,7 +66,7 @@ def test_values_along_the_path_and_by_a_named_method():
     _, named = _robust(3, accuracy=po.Accuracy("dop853", steps=200), **EFFECTS["damper, wave"])
     values, by_name = robust.values(AT), named.values(AT)
     for k, soil in enumerate(robust.samples):
-        run = _alone(soil, **EFFECTS["damper, wave"])
+        run = _run(soil, *AT.values(), EFFECTS["damper, wave"])
         assert values["last"][k] == pytest.approx(run.deflection[10], rel=1e-8)
         assert by_name["draft"][k] == pytest.approx(run.mean_draft, rel=1e-8)
 
@@ -136,17 +133,14 @@ def test_a_claim_that_does_not_hold_is_not_confirmed():
 
 def test_refusals():
     _, robust = _robust(4, motion=False)
-    with pytest.raises(po.InputError, match="at least 100"):
-        verify(robust, AT, samples=50)
-    with pytest.raises(po.InputError, match="'stiffness'"):
-        robust.values({"height": 0.25, "stifness": 4e4})
-    with pytest.raises(po.InputError, match="'draft'"):
-        robust.expected("drafts")
-    with pytest.raises(po.InputError, match="results by name"):
-        po.Robust(FIELD, lambda soil: soil.cohesion, samples=4)
-    with pytest.raises(po.InputError, match="one number"):
-        po.Robust(FIELD, lambda _: {"a": np.ones(3)}, samples=4)
-    with pytest.raises(po.InputError, match="one limit"):
-        robust.require_probability(po.Design(), "x", "draft", 0.9, width=1.0)
-    with pytest.raises(po.InputError, match="has no result"):
-        robust.values({"height": 0.25, "stiffness": -1.0})
+    for call, words in (
+        (lambda: verify(robust, AT, samples=50), "at least 100"),
+        (lambda: robust.values({"height": 0.25, "stifness": 4e4}), "'stiffness'"),
+        (lambda: robust.expected("drafts"), "'draft'"),
+        (lambda: po.Robust(FIELD, lambda soil: soil.cohesion, samples=4), "results by name"),
+        (lambda: po.Robust(FIELD, lambda _: {"a": np.ones(3)}, samples=4), "one number"),
+        (lambda: robust.require_probability(po.Design(), "x", "draft", 0.9, width=1.0), "one limit"),
+        (lambda: robust.values({"height": 0.25, "stiffness": -1.0}), "has no result"),
+    ):
+        with pytest.raises(po.InputError, match=words):
+            call()

@@ -35,15 +35,6 @@ def test_quadratic_programs_meet_their_first_order_conditions():
         assert values[pulled] == pytest.approx(met[pulled], abs=1e-12)
 
 
-def test_an_equality_and_a_contradiction():
-    row = np.ones((1, 2))
-    step, multipliers = quadratic_program(np.eye(2), np.zeros(2), row, (np.array([3.0]), np.array([3.0])))
-    assert step == pytest.approx([1.5, 1.5], rel=1e-14)
-    assert multipliers == pytest.approx([-1.5], rel=1e-14)
-    both = np.ones((2, 2))
-    assert quadratic_program(np.eye(2), np.zeros(2), both, (np.array([1.0, -np.inf]), np.array([np.inf, 0.5]))) is None
-
-
 # --- warm starts --------------------------------------------------------------------------------------------
 
 
@@ -124,7 +115,11 @@ def test_another_question_is_built_anew():
     front = po.trade_off(d, first, second, **local)
     assert 0.0 < front.seconds <= time.perf_counter() - began
     assert "Only the basin of the guess was searched" in front.search
-    other = po.trade_off(d, po.Goal("a", first), po.Goal("b", -second, maximise=True), **local)
-    assert other.objectives[:, 1] == pytest.approx(-front.objectives[:, 1], abs=1e-9)
+    most = po.trade_off(d, first, po.Goal("b", -second, maximise=True), **local)
+    assert most.objectives * [1.0, -1.0] == pytest.approx(front.objectives, abs=1e-9)
+    assert -most.rates == pytest.approx(front.rates, rel=1e-6)
+    assert most.hypervolume() == pytest.approx(front.hypervolume(), rel=1e-9)
+    assert most.hypervolume((2.0, -3.0)) == pytest.approx(front.hypervolume((2.0, 3.0)), rel=1e-9)
+    assert most.in_words(4).endswith("less b")
     d.require("kept", first, at_least=0.25)
     assert po.trade_off(d, first, second, **local).objectives[0, 0] == pytest.approx(0.25, rel=1e-8)

@@ -17,13 +17,10 @@ def small():
     return po.trade_off(d, power, po.Goal("deflection", (x - 1.0) ** 2 + y**2, unit="m"), points=11)
 
 
-def test_a_conflict_too_small_to_act_on_is_said_with_its_size(small):
+def test_a_small_conflict_is_traced_and_its_size_given(small):
     assert small.notes == (
         "'power' hardly conflicts with the rest: along the whole front it changes by 0.003 % of its value",
     )
-
-
-def test_the_front_is_right_all_the_same(small):
     power, deflection = small.objectives.T
     # Efficient designs lie between both optima. The power's change of 3e-5 is known to its rounding, 1e-12.
     assert np.sqrt((power / 4073.0 - 1.0) / 3e-5) + np.sqrt(deflection) == pytest.approx(1.0, abs=1e-4)
@@ -55,35 +52,24 @@ def test_the_picture_has_no_offset_and_ticks_that_do_not_touch(small):
     assert high - low == pytest.approx(0.01 * 4.073, rel=0.01)
 
 
-def test_a_conflict_below_the_optimisers_tolerance_is_none_and_its_size_is_given():
+# An objective that is 0 at its best changes by more than 5 % at every other design, which would all be needles.
+CONFLICTS = {
+    "none": (lambda x, y: (x**2 + y**2, 2.0 * (x**2 + y**2) + 3.0), [0.0, 0.0], ""),
+    "less than the optimiser's tolerance": (
+        lambda x, y: (1.0 + 2e-6 * (x**2 + y**2), (x - 1.0) ** 2 + y**2), [1.0, 0.0], ", to within 0.0002 %",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CONFLICTS)
+def test_objectives_that_do_not_conflict_give_one_design_and_say_so(name, tmp_path):
+    objectives, best, size = CONFLICTS[name]
     d = po.Design()
     x, y = (d.variable(name, guess=0.4, lower=-2.0, upper=2.0) for name in "xy")
-    front = po.trade_off(d, 1.0 + 2e-6 * (x**2 + y**2), 1.0 + (x - 1.0) ** 2 + y**2, points=9)
-    (note,) = front.notes
-    assert (
-        note
-        == "'first objective' and 'second objective' do not conflict: one design is best in both, to within 0.0002 %"
-    )
-    assert front.designs[0] == pytest.approx([1.0, 0.0], abs=1e-3)
-
-
-def test_objectives_near_zero_make_no_needle():
-    # An objective that is 0 at its best changes by more than 5 % at every other design, which would all be needles.
-    d = po.Design()
-    x, y = (d.variable(name, guess=0.4, lower=0.0, upper=1.0) for name in "xy")
-    both = (x - 0.3) ** 2 + (y - 0.2) ** 2
-    front = po.trade_off(d, both, 2.0 * both + 3.0)
-    assert front.notes == ("'first objective' and 'second objective' do not conflict: one design is best in both",)
-    front = po.trade_off(d, 100.0 + 1e-3 * x, (1.0 - x) ** 2 + y**2)
-    assert len(front.notes) == 1
-    assert front.notes[0].endswith("do not conflict: one design is best in both, to within 0.001 %")
-
-
-def test_objectives_that_do_not_conflict_give_one_design_and_say_so(alone, tmp_path):
-    assert alone.objectives == pytest.approx(np.array([[1.0, 3.0]]), abs=1e-9)
-    assert alone.notes == ("'draft' and 'power' do not conflict: one design is best in both",)
-    assert alone.holes == ()
-    assert alone.knee is None
-    assert alone.points[0].rate is None
-    assert "no finite rate" in alone.in_words(0)
-    assert po.TradeOff.load(alone.save(tmp_path / "one.json")).points == alone.points
+    front = po.trade_off(d, *objectives(x, y), points=9)
+    words = f"'first objective' and 'second objective' do not conflict: one design is best in both{size}"
+    assert front.notes == (words,)
+    assert front.designs == pytest.approx(np.array([best]), abs=1e-3)
+    assert (front.holes, front.knee, front.points[0].rate) == ((), None, None)
+    assert "no finite rate" in front.in_words(0)
+    assert po.TradeOff.load(front.save(tmp_path / "one.json")).points == front.points

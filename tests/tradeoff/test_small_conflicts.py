@@ -56,7 +56,7 @@ def test_the_picture_has_no_offset_and_ticks_that_do_not_touch(small):
 CONFLICTS = {
     "none": (lambda x, y: (x**2 + y**2, 2.0 * (x**2 + y**2) + 3.0), [0.0, 0.0], ""),
     "less than the optimiser's tolerance": (
-        lambda x, y: (1.0 + 2e-6 * (x**2 + y**2), (x - 1.0) ** 2 + y**2), [1.0, 0.0], ", to within 0.0002 %",
+        lambda x, y: (1.0 + 2e-6 * (x**2 + y**2), 1.0 + (x - 1.0) ** 2 + y**2), [1.0, 0.0], ", to within 0.0002 %",
     ),
 }  # fmt: skip
 

@@ -3,7 +3,7 @@
 import hashlib
 import html
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from importlib.metadata import version
 from importlib.resources import files
 from typing import Final
@@ -39,18 +39,8 @@ def model_description(model: Model, name: str, token: str, description: str, dur
         description: what the FMU is, in a sentence.
         duration: proposed duration of a simulation [s], or None.
     """
-    root = ElementTree.Element(
-        "fmiModelDescription",
-        fmiVersion="3.0",
-        modelName=name,
-        instantiationToken=token,
-        description=description,
-        generationTool=f"plough_opt {version('plough_opt')}",
-        variableNamingConvention="structured",
-    )
     has_derivatives = str("forward_derive" in model.functions).lower()
-    ElementTree.SubElement(
-        root,
+    exchange = _tag(
         "ModelExchange",
         modelIdentifier=name,
         canGetAndSetFMUState="true",
@@ -59,26 +49,31 @@ def model_description(model: Model, name: str, token: str, description: str, dur
         providesAdjointDerivatives=has_derivatives,
         needsCompletedIntegratorStep="true",
     )
-    _units(ElementTree.SubElement(root, "UnitDefinitions"), model)
-    categories = ElementTree.SubElement(root, "LogCategories")
-    for category, text in _CATEGORIES.items():
-        ElementTree.SubElement(categories, "Category", name=category, description=text)
-    experiment = {"startTime": "0.0", "tolerance": repr(_TOLERANCE)}
-    if duration is not None:
-        experiment["stopTime"] = repr(float(duration))
-    ElementTree.SubElement(root, "DefaultExperiment", experiment)
-    _variables(ElementTree.SubElement(root, "ModelVariables"), model)
-    _structure(ElementTree.SubElement(root, "ModelStructure"), model)
+    categories = (_tag("Category", name=category, description=text) for category, text in _CATEGORIES.items())
+    end = {} if duration is None else {"stopTime": repr(float(duration))}
+    root = _tag(
+        "fmiModelDescription",
+        exchange,
+        _tag("UnitDefinitions", *_units(model)),
+        _tag("LogCategories", *categories),
+        _tag("DefaultExperiment", startTime="0.0", tolerance=repr(_TOLERANCE), **end),
+        _tag("ModelVariables", *_variables(model)),
+        _tag("ModelStructure", *_structure(model)),
+        fmiVersion="3.0",
+        modelName=name,
+        instantiationToken=token,
+        description=description,
+        generationTool=f"plough_opt {version('plough_opt')}",
+        variableNamingConvention="structured",
+    )
     return _xml(root)
 
 
 def build_description(name: str, source: str) -> bytes:
     """Return sources/buildDescription.xml, which tells a tool how to compile the FMU for its platform."""
-    root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=name)
-    file_set = ElementTree.SubElement(configuration, "SourceFileSet", language="C11")
-    ElementTree.SubElement(file_set, "SourceFile", name=source)
-    return _xml(root)
+    file_set = _tag("SourceFileSet", _tag("SourceFile", name=source), language="C11")
+    configuration = _tag("BuildConfiguration", file_set, modelIdentifier=name)
+    return _xml(_tag("fmiBuildDescription", configuration, fmiVersion="3.0"))
 
 
 def documentation(model: Model, name: str, description: str, notes: Iterable[str]) -> bytes:
@@ -98,6 +93,13 @@ def documentation(model: Model, name: str, description: str, notes: Iterable[str
     return text.encode()
 
 
+def _tag(name: str, /, *children: ElementTree.Element, **attributes: str) -> ElementTree.Element:
+    """Return an element with its attributes and children, both in the given order."""
+    element = ElementTree.Element(name, attributes)
+    element.extend(children)
+    return element
+
+
 def _xml(root: ElementTree.Element) -> bytes:
     """Return an element as an indented XML document."""
     ElementTree.indent(root)
@@ -110,28 +112,27 @@ def _spelled(unit: str) -> str:
     return unit.replace("^", "").replace("*", ".")
 
 
-def _units(parent: ElementTree.Element, model: Model) -> None:
-    """Define the variables' units by SI base units, each with the display units that its variables propose."""
+def _units(model: Model) -> Iterator[ElementTree.Element]:
+    """Yield the variables' units in SI base units, each with the display units that its variables propose."""
     shown: dict[str, set[str]] = {"s": set()}
     for kind in KINDS:
         for variable in model.of_kind[kind]:
             shown.setdefault(variable.unit, set()).add(variable.shown)
-    for unit, others in shown.items():
-        if not unit:
-            continue
-        element = ElementTree.SubElement(parent, "Unit", name=_spelled(unit))
-        powers = dict(registry().Quantity(1.0, unit).to_base_units().unit_items())
+    for unit in filter(None, shown):
+        one = registry().Quantity(1.0, unit)
+        powers = dict(one.to_base_units().unit_items())
         base = {symbol: f"{powers[name]:g}" for symbol, name in _BASE_UNITS.items() if name in powers}
-        ElementTree.SubElement(element, "BaseUnit", base)
-        for other in sorted(others - {""}):
-            factor = registry().Quantity(1.0, unit).to(other).magnitude
-            ElementTree.SubElement(element, "DisplayUnit", name=other, factor=repr(factor))
+        displays = (
+            _tag("DisplayUnit", name=other, factor=repr(one.to(other).magnitude))
+            for other in sorted(shown[unit] - {""})
+        )
+        yield _tag("Unit", _tag("BaseUnit", **base), *displays, name=_spelled(unit))
 
 
-def _variables(parent: ElementTree.Element, model: Model) -> None:
-    """Describe time and every variable."""
+def _variables(model: Model) -> Iterator[ElementTree.Element]:
+    """Yield time and every variable."""
     time = {"name": "time", "valueReference": "0", "causality": "independent", "variability": "continuous"}
-    ElementTree.SubElement(parent, "Float64", time | {"unit": "s", "description": "time"})
+    yield _tag("Float64", **time, unit="s", description="time")
     for kind, (causality, variability, initial) in KINDS.items():
         for variable in model.of_kind[kind]:
             attributes = {
@@ -150,11 +151,11 @@ def _variables(parent: ElementTree.Element, model: Model) -> None:
                 "derivative": model.references.get(variable.derivative, ""),
                 "reinit": "true" if variable.name == "speed" and model.of_kind["discrete"] else "",
             }
-            ElementTree.SubElement(parent, "Float64", {name: text for name, text in attributes.items() if text})
+            yield _tag("Float64", **{name: text for name, text in attributes.items() if text})
 
 
-def _structure(parent: ElementTree.Element, model: Model) -> None:
-    """List outputs, rates, initial unknowns and event indicators with their dependencies."""
+def _structure(model: Model) -> Iterator[ElementTree.Element]:
+    """Yield outputs, rates, initial unknowns and event indicators with their dependencies."""
     of_kind, reference = model.of_kind, model.references
     unknown = (*model.visible, *of_kind["rates"], *of_kind["calculated"])
     for name, variables in (
@@ -167,7 +168,7 @@ def _structure(parent: ElementTree.Element, model: Model) -> None:
             attributes = {"valueReference": reference[variable.name]}
             if name != "InitialUnknown" and variable.name in model.depends:
                 attributes["dependencies"] = " ".join(reference[on] for on in model.depends[variable.name])
-            ElementTree.SubElement(parent, name, attributes)
+            yield _tag(name, **attributes)
 
 
 def c_source(model: Model, *, pushes: bool, by_speed: bool) -> tuple[str, str]:

@@ -55,14 +55,7 @@ if TYPE_CHECKING:
     from plough_opt.studies import crosscheck
     from plough_opt.studies.accuracy.result import AccuracyStudy
     from plough_opt.studies.accuracy.study import study_accuracy, study_design
-    from plough_opt.studies.calibration import (
-        Calibration,
-        Candidate,
-        Fit,
-        Measurements,
-        calibrate,
-        read_measurements,
-    )
+    from plough_opt.studies.calibration import Calibration, Candidate, Fit, Measurements, calibrate, read_measurements
     from plough_opt.studies.sweep.points import Range
     from plough_opt.studies.sweep.result import Sweep
     from plough_opt.studies.tradeoff import Goal, TradeOff, trade_off
@@ -74,12 +67,7 @@ _NAMES_LATER = {
     "plough_opt.studies.accuracy.result": ("AccuracyStudy",),
     "plough_opt.studies.accuracy.study": ("study_accuracy", "study_design"),
     "plough_opt.studies.calibration": (
-        "Calibration",
-        "Candidate",
-        "Fit",
-        "Measurements",
-        "calibrate",
-        "read_measurements",
+        "Calibration", "Candidate", "Fit", "Measurements", "calibrate", "read_measurements",
     ),
     "plough_opt.problem_file": ("Problem", "read_problem"),
     "plough_opt.problem_file.readings": ("Penetrometer", "read_penetrometer", "read_strength_record"),
@@ -91,7 +79,7 @@ _NAMES_LATER = {
     "plough_opt.problem_file.sweeping": ("sweep",),
     "plough_opt.studies.tradeoff": ("Goal", "TradeOff", "trade_off"),
     "plough_opt.studies.uncertainty": ("Robust", "SoilDistribution"),
-}
+}  # fmt: skip
 _LATER = {name: module for module, names in _NAMES_LATER.items() for name in names}
 _MODULES_LATER = {
     "export": "plough_opt.export",

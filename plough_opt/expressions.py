@@ -19,19 +19,6 @@ from plough_opt.core.expressions import (
 )
 
 __all__ = [
-    "Expression",
-    "absolute",
-    "arcsinh",
-    "arctan",
-    "arctan2",
-    "arctanh",
-    "cos",
-    "exp",
-    "log",
-    "maximum",
-    "minimum",
-    "sin",
-    "sqrt",
-    "tan",
-    "where",
-]
+    "Expression", "absolute", "arcsinh", "arctan", "arctan2", "arctanh", "cos", "exp", "log", "maximum", "minimum",
+    "sin", "sqrt", "tan", "where",
+]  # fmt: skip

@@ -343,5 +343,5 @@ def refused(path, words):
 
 
 def test_folders_and_missing_files_are_refused(tmp_path):
-    refused(tmp_path, "cannot be read")
-    refused(tmp_path / "nothing.json", "cannot be read")
+    refused(tmp_path, "is a folder")
+    refused(tmp_path / "nothing.json", "there is no file")

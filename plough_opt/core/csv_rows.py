@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import shown
 from plough_opt.core.errors import InputError, nearest, short
+from plough_opt.core.files import read_text
 from plough_opt.core.units import Unit
 
 HEADING: Final = re.compile(r"\s*(?P<name>[\w.]+)\s*(?:\[(?P<unit>[^\]]*)\])?\s*")
@@ -38,22 +38,7 @@ def read_rows(path: Path, what: str) -> list[tuple[int, list[str]]]:
     Raises:
         InputError: the file is missing, too large or not UTF-8 text.
     """
-    try:
-        with path.open("rb") as file:
-            content = file.read(_MOST_BYTES + 1)
-        text = content.decode("utf-8-sig")
-    except FileNotFoundError:
-        there = sorted(p.name for p in path.parent.glob("*.csv")) if path.parent.is_dir() else []
-        hint = nearest(path.name, there) if there else "its folder does not contain any .csv file; check the path"
-        raise InputError(f"there is no file {shown(str(path), 200)}: {hint}") from None
-    except IsADirectoryError:
-        raise InputError(f"{shown(str(path), 200)} is a folder: name a file of {what} in it") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{shown(str(path), 200)} cannot be read as text: it is not UTF-8") from None
-    except OSError as error:
-        raise InputError(f"'{path}' cannot be read: {error.strerror}") from None
-    if len(content) > _MOST_BYTES:
-        raise InputError(f"'{path}' is too long: at most {_MOST_BYTES // 1_000_000} MB of {what} can be read")
+    text = read_text(path, f"a file of {what}", ".csv", _MOST_BYTES)
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
     for number, line in lines:
         if len(line) > _LONGEST_LINE:

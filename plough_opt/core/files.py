@@ -1,7 +1,8 @@
-"""Atomic writing of files and pictures: each file is written under a temporary name, then renamed."""
+"""Reading of text files, and atomic writing: each file is written under a temporary name, then renamed."""
 
 from __future__ import annotations
 
+import difflib
 import os
 import secrets
 import shutil
@@ -16,6 +17,7 @@ from pathlib import Path
 from types import FrameType
 from typing import IO, TYPE_CHECKING, Any, Final, TypeAlias
 
+from plough_opt.core.checks import shown
 from plough_opt.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,6 +34,43 @@ PICTURE_FORMATS = ("png", "svg", "pdf")
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8A8A8A")
 """The colours of Okabe and Ito (2008), which colour-blind readers can distinguish, and a grey."""
+
+
+def read_text(path: Path, kind: str, ending: str, most: int, missing: str = "check the path") -> str:
+    """Return the content of a text file.
+
+    Args:
+        path: the file.
+        kind: what it should be, such as "a problem file".
+        ending: usual ending of such files; if the file is missing, the message suggests similar names with it.
+        most: largest size [B].
+        missing: what to do if there is none with that ending in the folder.
+
+    Raises:
+        InputError: the file does not exist, is a folder, JSON under another ending, too long, or not UTF-8.
+    """
+    name = shown(str(path), 200)
+    try:
+        with path.open("rb") as file:
+            content = file.read(most + 1)
+        if ending != ".json" and content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
+            raise InputError(f"{name} is JSON, not {kind}: print a saved result by plough-opt show")
+        if len(content) > most:
+            size = f"{most // 1000} kB" if most < 1_000_000 else f"{most // 1_000_000} MB"
+            raise InputError(f"{name} is too long for {kind}: at most {size} can be read")
+        return content.decode("utf-8-sig")
+    except FileNotFoundError:
+        there = sorted(one.name for one in path.parent.glob(f"*{ending}")) if path.parent.is_dir() else []
+        close = [repr(str(path.parent / one)) for one in difflib.get_close_matches(path.name, there, n=2, cutoff=0.7)]
+        others = f"that folder contains {', '.join(there)}" if there else missing
+        hint = f"did you mean {' or '.join(close)}?" if close else others
+        raise InputError(f"there is no file {name}: {hint}") from None
+    except IsADirectoryError:
+        raise InputError(f"{name} is a folder: name {kind} in it") from None
+    except UnicodeError:
+        raise InputError(f"{name} cannot be read as text: it is not UTF-8") from None
+    except OSError as error:
+        raise InputError(f"{name} cannot be read: {error.strerror}") from None
 
 
 def write_file(path: str | Path, kind: str, content: Content) -> Path:

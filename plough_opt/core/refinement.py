@@ -1,14 +1,14 @@
 """Convergence studies: error and time of a result over quadrature order, number of knots or any other size."""
 
-import sys
-import time
+import timeit
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import NOT_NUMBERS, check_callable, check_kind, shown
+from plough_opt.core.checks import NOT_NUMBERS, check_callable, check_kind, plain_number, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_count
 
@@ -50,13 +50,7 @@ class Refinement:
         Raises:
             InputError: the error is invalid, or not reached at any size.
         """
-        error = float(error) if isinstance(error, np.floating) else error  # short types would round the comparison
-        if (
-            not isinstance(error, int | float | np.number)
-            or isinstance(error, bool)
-            or not 0.0 <= error <= sys.float_info.max
-        ):
-            raise InputError(f"error = {shown(error)} must be a finite number of at least 0")
+        error = plain_number("error", error)
         for size, own in zip(self.sizes, self.errors, strict=True):
             if own <= error:
                 return size
@@ -105,7 +99,7 @@ def refine(quantity: Callable[[int], Expression], sizes: Sequence[int]) -> Refin
     errors, seconds = [], []
     for size in tried:
         errors.append(float(np.max(np.abs(_value(quantity, size) - reference))) / (largest or 1.0))
-        seconds.append(float(np.median([_timed(quantity, size) for _ in range(_REPEATS)])))
+        seconds.append(float(np.median(timeit.repeat(partial(quantity, size), number=1, repeat=_REPEATS))))
     return Refinement(tried, np.array(errors), np.array(seconds))
 
 
@@ -120,9 +114,3 @@ def _value(quantity: Callable[[int], Expression], size: int) -> NDArray[np.float
     if not np.all(np.isfinite(value)):
         raise InputError(f"the result at size {size} is not finite: refine a quantity that is finite at every size")
     return value
-
-
-def _timed(quantity: Callable[[int], Expression], size: int) -> float:
-    started = time.perf_counter()
-    quantity(size)
-    return time.perf_counter() - started

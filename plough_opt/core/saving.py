@@ -14,9 +14,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, ClassVar, Final, Self, TypeVar
 
-from plough_opt.core.checks import path_of, shown
+from plough_opt.core.checks import path_of
 from plough_opt.core.errors import InputError, short
-from plough_opt.core.files import write_file, write_new
+from plough_opt.core.files import read_text, write_file, write_new
 from plough_opt.core.plain_data import Misfit, fields_of, from_plain, to_plain
 from plough_opt.core.tables import Page, Readable
 from plough_opt.core.units import Display, customary
@@ -227,14 +227,7 @@ def read_result(path: str | Path, kinds: dict[str, type[_Result]]) -> _Result:
         InputError: the file does not exist, or holds another kind or layout.
     """
     path = path_of("the result", path)
-    try:
-        with path.open("rb") as file:
-            content = file.read(_MOST_BYTES + 1)
-        text = content.decode("utf-8")
-    except (OSError, ValueError) as error:
-        raise InputError(f"the result {shown(str(path), 200)} cannot be read: {short(str(error), 200)}") from None
-    if len(content) > _MOST_BYTES:
-        raise InputError(f"the result '{path}' is too long: at most {_MOST_BYTES // 1_000_000} MB can be read")
+    text = read_text(path, "a saved result", ".json", _MOST_BYTES)
     try:
         return _result_of(_parsed(text), kinds)
     except (ValueError, RecursionError, TypeError) as error:

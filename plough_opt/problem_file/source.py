@@ -13,8 +13,8 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
-from plough_opt.core.checks import shown
 from plough_opt.core.errors import DomainError, InputError, nearest, short, unprintable
+from plough_opt.core.files import read_text
 from plough_opt.core.units import Unit
 
 Keys = tuple[str, ...]
@@ -103,26 +103,8 @@ class Source:
             InputError: the file does not exist (the message suggests similar names), is a folder, is JSON, is too
                 long, or is not text.
         """
-        try:
-            with path.open("rb") as file:
-                content = file.read(_MAX_BYTES + 1)
-            if content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
-                where = shown(str(path), 200)
-                raise InputError(f"{where} is JSON, not a problem file (TOML): print a saved result by plough-opt show")
-            if len(content) > _MAX_BYTES:
-                most = f"{_MAX_BYTES // 1000} kB"
-                raise InputError(f"'{path}' is too long for a problem file: at most {most} can be read")
-            return cls(content.decode("utf-8-sig"), str(path))
-        except FileNotFoundError:
-            there = sorted(p.name for p in path.parent.glob("*.toml")) if path.parent.is_dir() else []
-            hint = _nearest_file(path, there) if there else "plough-opt init FILE writes one"
-            raise InputError(f"there is no file {shown(str(path), 200)}: {hint}") from None
-        except IsADirectoryError:
-            raise InputError(f"{shown(str(path), 200)} is a folder: name a problem file in it") from None
-        except UnicodeDecodeError:
-            raise InputError(f"{shown(str(path), 200)} cannot be read as text: it is not UTF-8") from None
-        except OSError as error:
-            raise InputError(f"'{path}' cannot be read: {error.strerror}") from None
+        missing = "plough-opt init FILE writes one"
+        return cls(read_text(path, "a problem file", ".toml", _MAX_BYTES, missing), str(path))
 
     def line_of(self, keys: Sequence[str]) -> int | None:
         """Return the line on which a key begins, or else the line of the innermost table around it that is found."""
@@ -335,14 +317,6 @@ def _paths(parsed: Any, before: Sequence[str] = ()) -> Iterator[tuple[str, ...]]
         for name, value in parsed.items():
             yield (*before, name)
             yield from _paths(value, (*before, name))
-
-
-def _nearest_file(path: Path, names: Sequence[str]) -> str:
-    """Return a clause that suggests files in the folder of a path."""
-    close = difflib.get_close_matches(path.name, names, n=2, cutoff=0.7)
-    if not close:
-        return f"that folder contains {', '.join(names)}"
-    return f"did you mean {' or '.join(repr(str(path.parent / name)) for name in close)}?"
 
 
 class PlacedError(InputError):

@@ -184,7 +184,7 @@ def test_what_exceeds_a_limit_is_refused_at_its_line(refusal, inserted, expected
     assert expected in message
 
 
-JSON = "file.json' is JSON, not a problem file (TOML): print a saved result by plough-opt show"
+JSON = "file.json' is JSON, not a problem file: print a saved result by plough-opt show"
 
 
 @pytest.mark.parametrize(

@@ -1,20 +1,17 @@
 """Searches, catalogues and fronts on random problems, compared with truths from independent code.
 
-The problems and their truths are in `independent/*_problems.json`, written by `independent/make_truth.py` and
-`independent/catalogues.py`; `reproduction_problems.json` holds problems on which searches have gone wrong. An answer is
-right if it meets the requirements and is as good as the truth, bare or over the tolerance box: see
-`independent/study.py`.
+The problems and their truths are in `independent/*_problems.json`; `independent/truth.py` finds a truth again.
+`reproduction_problems.json` holds problems on which searches have gone wrong. An answer is right if it meets the
+requirements and is as good as the truth, bare or over the tolerance box: see `independent/study.py`.
 """
 
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from independent import catalogues, study
-from independent.build import as_design, as_trade_off, verdict_on
-from independent.fronts import objectives_of
-from independent.problem import box_sample, evaluate, measure
-from independent.truth import sample
+from independent import study, truth
+from independent.build import as_design, verdict_on
+from independent.problem import box_quartiles, box_sample, evaluate, measure, objectives_of, sign_of
 
 import plough_opt as po
 
@@ -49,17 +46,28 @@ def test_the_best_or_the_least_shortfall_is_found(kind, numbers):
 @pytest.mark.parametrize("kind", ["search", "edge"])
 def test_truths_agree_with_the_simulator(kind):
     for number in sorted(KNOWN[kind])[:3]:
-        problem, truth = KNOWN[kind][number]
-        found = evaluate(problem, problem.positions([truth["design"]]))
+        problem, known = KNOWN[kind][number]
+        y, broad = problem.positions([known["design"], known["best_median_design"]])
+        found = evaluate(problem, y)
         # Positions take the logarithm of a stiffness and back; the objective keeps twelve digits.
-        assert found.objective[0] == pytest.approx(truth["objective"], rel=1e-10)
+        assert found.objective[0] == pytest.approx(known["objective"], rel=1e-10)
         assert found.worst[0] <= 1e-8
+        medians = [box_quartiles(problem, design, phase=1.6)[1] for design in (y, broad)]
+        assert medians == pytest.approx([known["median"], known["best_median"]], rel=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "number"), [("search", 22), ("edge", 6), ("infeasible", 7)])
+def test_a_truth_is_found_again(kind, number):
+    problem, known = KNOWN[kind][number]
+    wanted = known["shortfall" if kind == "infeasible" else "objective"]
+    assert truth.optima(problem, giving=kind == "infeasible")[1][0] == pytest.approx(wanted, rel=1e-7)
 
 
 # --- catalogues of which every combination was optimised ------------------------------------------------------
 
 
-PROBLEMS = catalogues.problems()
+PROBLEMS = study.problems("catalogue")
 # One that takes a second; the rest take half a minute.
 QUICK = (6,)
 
@@ -68,7 +76,7 @@ QUICK = (6,)
     "number", [number if number in QUICK else pytest.param(number, marks=pytest.mark.slow) for number in PROBLEMS]
 )
 def test_no_combination_of_the_catalogue_is_better(number):
-    problem, offered, truth = PROBLEMS[number]
+    problem, truth, offered = PROBLEMS[number]
     best = as_design(problem)[0].solve(search="near", judge="bare")
     found = best.rounded(offered)
     y = problem.positions([[found.variables[v.name] for v in problem.variables]])
@@ -76,6 +84,14 @@ def test_no_combination_of_the_catalogue_is_better(number):
     assert seen.worst[0] <= study.RELATIVE
     assert (seen.objective[0] - truth["objective"]) / abs(truth["objective"]) <= study.RELATIVE
     assert found.screened == np.prod([len(values) for values in offered.values()])
+
+
+@pytest.mark.slow
+def test_the_best_combination_of_a_catalogue_is_found_again():
+    problem, known, offered = PROBLEMS[6]
+    objective, values = truth.best_of_catalogue(problem, offered)
+    assert objective == pytest.approx(known["objective"], rel=1e-7)
+    assert list(values) == known["values"]
 
 
 # --- fronts of two objectives and of three, by brute force --------------------------------------------------
@@ -109,7 +125,11 @@ def drawn(front):
 @pytest.mark.parametrize(("kind", "number"), [case(*key) for key in sorted(FRONTS)])
 def test_the_whole_front_is_found(kind, number):
     problem, truth = FRONTS[kind, number]
-    design, goals = as_trade_off(problem, truth["names"])
+    design, run, geometry = as_design(problem)
+    goals = [
+        po.Goal(name, geometry[name] if name in geometry else getattr(run, name), maximise=sign_of(name) < 0.0)
+        for name in truth["names"]
+    ]
     front = po.trade_off(design, *goals, points=study.POINTS[len(goals)])
     verdict = study.judge_front(problem, truth, front)
     assert verdict.right, (verdict, front.failures)
@@ -118,6 +138,17 @@ def test_the_whole_front_is_found(kind, number):
         wanted = np.array(truth["objectives"])
         behind = (drawn(front)[:, None, :] - wanted[None, :, :]) / np.ptp(wanted, axis=0)
         assert np.max(np.min(np.max(behind, axis=2), axis=0)) <= BESIDE_A_BEND.get(number, BESIDE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "number", "row"), [("front", 6, 16), ("surface", 0, 0)])
+def test_a_point_of_a_front_is_the_optimum_that_its_other_objectives_leave(kind, number, row):
+    problem, known = study.problems(kind)[number]
+    *others, last = known["objectives"][row]
+    found = truth.least_of(problem, known["names"][-1], dict(zip(known["names"], others, strict=False)))
+    size = np.ptp(np.array(known["objectives"])[:, -1])
+    # The sample of a surface leaves more than that of a curve.
+    assert found == pytest.approx(last, abs=(1e-6 if kind == "front" else 1e-4) * size)
 
 
 # --- conflicts that exist, and conflicts that do not ----------------------------------------------------------
@@ -130,12 +161,12 @@ HARDPAN, FREE_MASS = (study.problems("reproduction")[number][0] for number in (0
 
 
 def test_objectives_do_not_conflict_if_only_needles_do():
-    design, run = as_design(HARDPAN)
+    design, run, _ = as_design(HARDPAN)
     front = po.trade_off(design, po.Goal("deflection", run.mean_deflection), po.Goal("force", run.force_rms))
     best = np.array(front.points[0].objectives)
     assert len(front.points) == 1
     assert front.notes[0] == "'deflection' and 'force' do not conflict: one design is best in both"
-    y = sample(HARDPAN, 15, np.random.default_rng(0))
+    y = truth.sample(HARDPAN, 15, np.random.default_rng(0))
     y = np.vstack([y, HARDPAN.positions([[0.6545926, 0.1692840, 20000.0]])])
     found = objectives_of(HARDPAN, ("mean_deflection", "force_rms"), y)
     assert np.all(found[:, 0] >= best[0] * (1.0 - BEATEN))
@@ -148,10 +179,12 @@ def test_objectives_do_not_conflict_if_only_needles_do():
 
 @pytest.mark.slow
 def test_more_mass_on_a_softer_mount_conflicts():
-    design, run = as_design(FREE_MASS)
+    design, run, _ = as_design(FREE_MASS)
     (mass,) = [v.symbol for v in design.declared.variables if v.name == "frame mass"]
     front = po.trade_off(design, po.Goal("force", run.force_rms), po.Goal("mass", mass))
-    found = objectives_of(FREE_MASS, ("force_rms", "mean_deflection"), sample(FREE_MASS, 15, np.random.default_rng(0)))
+    found = objectives_of(
+        FREE_MASS, ("force_rms", "mean_deflection"), truth.sample(FREE_MASS, 15, np.random.default_rng(0))
+    )
     least = front.points[0]
     assert least.variables["frame mass"] == pytest.approx(120.0)
     assert least.objectives[0] <= np.min(found[:, 0])

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from helpers.equations import SOIL, forces, half_angle
 from helpers.three_modes import follow
-from independent.fast import simulate
-from independent.motion import NAMES, Motion, share
+from independent.motion import AVERAGES, simulate
 
 import plough_opt as po
 
@@ -19,19 +19,24 @@ R1_ROWS = (
 )
 
 
+def runs_of(angle, chisel_angle, height, frame, *mount):
+    """Return the first arguments of `simulate`: of shares in R1's soil with a frame and a solid steel cone."""
+    values = {"wedge_angle": angle, "chisel_angle": chisel_angle, "height": height}
+    static, drag, added = forces(dict(zip(SOIL, R1_SOIL, strict=True)) | values, np)
+    steel = 7850.0 * np.pi / 3.0 * height**3 * np.tan(half_angle(angle, chisel_angle, np)) ** 2
+    return static, drag, frame + steel + added, *mount
+
+
 def test_r1_has_its_published_averages():
     angle, height, stiffness, mean, rms = np.array(R1_ROWS).T
-    s = share(R1_SOIL, np.radians(angle), np.radians(15.0), height)
-    motion = Motion(
-        s.static, s.drag, 20.0 + s.steel + s.added_mass, stiffness, 0.0, 2.0, 0.3, 0.6, 0.0, "equilibrium", 2.0
-    )
-    found = simulate(motion)
+    runs = runs_of(np.radians(angle), np.radians(15.0), height, 20.0, stiffness, 0.0, 2.0, 0.3, 0.6, 0.0)
+    found = simulate(*runs, "equilibrium", 2.0)
     # The table has twelve digits; at 0.7 rad in a step the method has eight and more.
-    assert found.mean_draft == pytest.approx(mean, rel=3e-9)
-    assert found.force_rms == pytest.approx(rms, rel=3e-8)
-    fine = simulate(motion, phase=0.3)
-    assert fine.mean_draft == pytest.approx(mean, rel=1e-11)
-    assert fine.force_rms == pytest.approx(rms, rel=1e-11)
+    assert found["mean_draft"] == pytest.approx(mean, rel=3e-9)
+    assert found["force_rms"] == pytest.approx(rms, rel=3e-8)
+    fine = simulate(*runs, "equilibrium", 2.0, phase=0.3)
+    assert fine["mean_draft"] == pytest.approx(mean, rel=1e-11)
+    assert fine["force_rms"] == pytest.approx(rms, rel=1e-11)
 
 
 @pytest.mark.parametrize("start", ["equilibrium", "rest", "towed"])
@@ -40,20 +45,20 @@ def test_runs_agree_with_an_adaptive_integrator(start, ramp):
     random = np.random.default_rng(5)
     angle, height = random.uniform(0.2, 0.9, 2), random.uniform(0.15, 0.4, 2)
     stiffness, damping, speed = 10.0 ** random.uniform(4.0, 6.0, 2), random.uniform(50, 500, 2), random.uniform(1, 3, 2)
-    amplitude, s = np.array([0.4, 0.2]), share(R1_SOIL, angle, 0.3, height)
-    mass = 40.0 + s.steel
-    motion = Motion(s.static, s.drag, mass + s.added_mass, stiffness, damping, speed, amplitude, 0.5, ramp, start, 0.8)
-    with_paths, without = simulate(motion, paths=True), simulate(motion)
+    amplitude = np.array([0.4, 0.2])
+    runs = runs_of(angle, 0.3, height, 40.0, stiffness, damping, speed, amplitude, 0.5, ramp)
+    with_paths, without = simulate(*runs, start, 0.8, paths=True), simulate(*runs, start, 0.8)
     for k in range(2):
         effects = po.Effects(
             strength_wave=po.StrengthWave(amplitude[k], 0.5), damping=damping[k], tow_ramp=ramp or None, start=start
         )
         wedge = po.Wedge(angle[k], 0.3, height[k])
-        wanted = follow(po.Scene(po.Soil(*R1_SOIL), wedge, stiffness[k], mass[k], speed[k], effects), 0.8, outputs=400)
-        for name in NAMES:
-            assert getattr(with_paths, name)[k] == pytest.approx(getattr(wanted, name), rel=1e-8), name
-            assert getattr(without, name)[k] == pytest.approx(getattr(wanted, name), rel=1e-7), name
+        mass = 40.0 + wedge.equivalent_cone().solid_mass(7850.0)
+        wanted = follow(po.Scene(po.Soil(*R1_SOIL), wedge, stiffness[k], mass, speed[k], effects), 0.8, outputs=400)
+        for name in AVERAGES:
+            assert with_paths[name][k] == pytest.approx(getattr(wanted, name), rel=1e-8), name
+            assert without[name][k] == pytest.approx(getattr(wanted, name), rel=1e-7), name
         # Degree 5 between steps of 0.3 rad: some 1e-8 of the oscillation.
-        for name, near in (("deflection", 1e-7), ("mount_force", 3e-6)):
-            path = getattr(wanted, name)
-            assert getattr(with_paths, name)[:, k] == pytest.approx(path, abs=near * np.max(np.abs(path))), name
+        for name, near in (("deflection", 1e-7), ("mount force", 3e-6)):
+            path = getattr(wanted, name.replace(" ", "_"))
+            assert with_paths[name][:, k] == pytest.approx(path, abs=near * np.max(np.abs(path))), name

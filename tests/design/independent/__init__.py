@@ -1,5 +1,5 @@
 """Design problems and their true optima, from formulas and searches that share no code with the package under test.
 
-`motion` integrates the equation of motion with NumPy, `problem` turns variables into objective and requirements,
-`generate` draws problems, `truth` searches them with SciPy, `build` states them as a `plough_opt.Design`.
+`motion` integrates the equation of motion in C, `problem` turns variables into objective and requirements, `truth`
+searches them with SciPy, `study` judges answers, `build` states the problems as a `plough_opt.Design`.
 """

@@ -1,24 +1,33 @@
 """The same problems as designs of the package under test. No other module here imports the package."""
 
 import plough_opt as po
-from independent.problem import PATHS, UNITS, sign_of
-from independent.study import POINTS, judge, judge_front, judge_shortfall, name_of
-
-_LIMIT_UNITS = {"loosened radius": "m", "half angle": "rad", "mean_deflection": "m", "deflection": "m",
-                "mount force": "N", "tow_power": "W", "force_rms": "N", "mean_draft": "N"}  # fmt: skip
+from independent.motion import PATHS
+from independent.study import judge, judge_shortfall, name_of
 
 
 def as_design(problem):
-    """Return a problem as a `po.Design`, and its run."""
-    d, run, _ = _built(problem)
-    return d, run
-
-
-def as_trade_off(problem, names):
-    """Return a problem as a `po.Design`, and its goals."""
-    d, run, geometry = _built(problem)
-    of = {name: geometry[name] if name in geometry else getattr(run, name) for name in names}
-    return d, [po.Goal(name, of[name], maximise=sign_of(name) < 0.0) for name in names]
+    """Return a problem as a `po.Design`, its run, and the measures of its geometry by name."""
+    d = po.Design()
+    x = dict(problem.fixed)
+    for v in problem.variables:
+        x[v.name] = d.variable(v.name, guess=v.guess, lower=v.lower, upper=v.upper, log=v.log)
+    soil = po.Soil(*problem.soil)
+    share = po.Wedge(x["wedge angle"], x["chisel angle"], x["height"])
+    cone = share.equivalent_cone()
+    mass = x["frame mass"] + (cone.solid_mass(7850.0) if problem.steel else 0.0)
+    damping, ramp = (None if isinstance(x[name], float) and x[name] == 0.0 else x[name]
+                     for name in ("damping", "ramp time"))  # fmt: skip
+    wave = po.StrengthWave(*problem.wave) if problem.wave else None
+    effects = po.Effects(strength_wave=wave, damping=damping, tow_ramp=ramp, start=problem.start)
+    run = po.simulate(po.Scene(soil, share, x["stiffness"], mass, x["tow speed"], effects), problem.duration)
+    geometry = {"loosened radius": po.loosened_radius(cone, soil), "half angle": cone.half_angle}
+    d.minimise(sum(weight * getattr(run, name) for name, weight in problem.objective.items()))
+    for r in problem.limits:
+        expression = geometry.get(r.measure)
+        if expression is None:
+            expression = getattr(run, r.measure.replace(" ", "_") if r.measure in PATHS else r.measure)
+        d.require(name_of(r), expression, **{r.side: r.limit})
+    return d, run, geometry
 
 
 def verdict_on(problem, truth, **how):
@@ -27,12 +36,9 @@ def verdict_on(problem, truth, **how):
     Args:
         problem: the problem.
         truth: its truth.
-        how: options of `po.Design.solve` or, for several objectives, of `po.trade_off`.
+        how: options of `po.Design.solve`.
     """
     try:
-        if "names" in truth:
-            design, goals = as_trade_off(problem, truth["names"])
-            return judge_front(problem, truth, po.trade_off(design, *goals, points=POINTS[len(goals)], **how))
         best = as_design(problem)[0].solve(**how)
     except po.InfeasibleDesign as error:
         return judge_shortfall(problem, truth, error.conflicts) if "shortfall" in truth else f"refused: {error}"
@@ -45,35 +51,3 @@ def verdict_on(problem, truth, **how):
         # With 64 samples its median cannot be distinguished from the truth's.
         return verdict_on(problem, truth, **how, judge="bare")
     return verdict
-
-
-def _built(problem):
-    """Return a problem as a `po.Design`, its run, and the measures of its geometry."""
-    d = po.Design()
-    x = dict(problem.fixed)
-    for v in problem.variables:
-        x[v.name] = d.variable(v.name, guess=v.guess, lower=v.lower, upper=v.upper, unit=UNITS[v.name], log=v.log)
-    soil = po.Soil(*problem.soil)
-    share = po.Wedge(x["wedge angle"], x["chisel angle"], x["height"])
-    cone = share.equivalent_cone()
-    mass = x["frame mass"] + (cone.solid_mass(7850.0) if problem.steel else 0.0)
-
-    def optional(name):
-        value = x[name]
-        return None if isinstance(value, float) and value == 0.0 else value
-
-    effects = po.Effects(
-        strength_wave=po.StrengthWave(*problem.wave) if problem.wave else None,
-        damping=optional("damping"),
-        tow_ramp=optional("ramp time"),
-        start=problem.start,
-    )
-    run = po.simulate(po.Scene(soil, share, x["stiffness"], mass, x["tow speed"], effects), problem.duration)
-    geometry = {"loosened radius": po.loosened_radius(cone, soil), "half angle": cone.half_angle}
-    d.minimise(sum(weight * getattr(run, name) for name, weight in problem.objective.items()))
-    for r in problem.limits:
-        expression = geometry.get(r.measure)
-        if expression is None:
-            expression = getattr(run, r.measure.replace(" ", "_") if r.measure in PATHS else r.measure)
-        d.require(name_of(r), expression, **{r.side: r.limit}, unit=_LIMIT_UNITS[r.measure])
-    return d, run, geometry

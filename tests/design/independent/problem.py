@@ -1,23 +1,11 @@
-"""Design problems as plain data, and the evaluation of their designs by the independent simulator."""
+"""Design problems as plain data, and the evaluation of their designs by formulas and a simulator of their own."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 
 import numpy as np
+from helpers.equations import SOIL, forces, half_angle
 
-from independent import fast, motion
-
-QUANTITIES = (
-    "wedge angle",
-    "height",
-    "stiffness",
-    "tow speed",
-    "frame mass",
-    "damping",
-    "ramp time",
-    "chisel angle",
-)
-PATHS = ("deflection", "mount force")
-UNITS = dict(zip(QUANTITIES, ("rad", "m", "N/m", "m/s", "kg", "N s/m", "s", "rad"), strict=True))
+from independent.motion import PATHS, simulate
 
 
 def sign_of(name):
@@ -90,16 +78,9 @@ class Problem:
     limits: tuple[Limit, ...] = ()
     objective: dict[str, float] = field(default_factory=dict)
 
-    def plain(self):
-        """Return the problem as JSON data; see `of_plain`."""
-        data = asdict(self)
-        data["variables"] = [list(asdict(v).values()) for v in self.variables]
-        data["limits"] = [list(asdict(r).values()) for r in self.limits]
-        return data
-
     @classmethod
     def of_plain(cls, data):
-        """Return the problem that `plain` wrote."""
+        """Return a problem from JSON data."""
         own = dict(data, soil=tuple(data["soil"]), wave=data["wave"] and tuple(data["wave"]))
         own["variables"] = tuple(Variable(*v) for v in data["variables"])
         own["limits"] = tuple(Limit(*r) for r in data["limits"])
@@ -121,43 +102,30 @@ class Found:
     Attributes:
         objective: objective; infinite if a share runs away.
         violations: a row for each requirement, as a fraction of its limit; the largest one of a path.
-        rows: the violations of paths at every output time by number of the requirement, if requested.
     """
 
     objective: np.ndarray
     violations: np.ndarray
-    rows: dict[int, np.ndarray]
 
     @property
     def worst(self):
         """Return each design's largest violation, 0 if all requirements are met."""
         return np.max(self.violations, axis=0, initial=0.0)
 
-    @property
-    def shortfall(self):
-        """Return the sum over the requirements of what is lacking."""
-        return np.sum(np.maximum(self.violations, 0.0), axis=0)
+
+def evaluate(problem, y, phase=0.5):
+    """Return objective and violations of designs at positions, a row each; see `simulate` for the phase."""
+    objective, gaps = gaps_of(problem, y, phase)
+    violations = np.array([np.max(own, axis=0) for own in gaps]).reshape(len(gaps), len(objective))
+    bad = ~(np.isfinite(objective) & np.all(np.isfinite(violations), axis=0))
+    return Found(np.where(bad, np.inf, objective), np.where(bad, np.inf, violations))
 
 
-def evaluate(problem, y, *, phase=0.5, rows=False):
-    """Return objective and violations of designs.
-
-    Args:
-        problem: the problem.
-        y: positions between the bounds, a row for each design.
-        phase: see `fast.simulate`.
-        rows: whether to return the violations of paths at every output.
-    """
-    y = np.atleast_2d(y)
+def gaps_of(problem, y, phase):
+    """Return the objective of designs, and the violations of each requirement, a row for each output of a path."""
     measures = measure(problem, y, phase, paths=any(r.measure in PATHS for r in problem.limits))
     objective = sum(weight * measures[name] for name, weight in problem.objective.items())
-    all_rows = {k: r.violation(measures[r.measure]) for k, r in enumerate(problem.limits)}
-    worst = [np.max(v, axis=0) if v.ndim == 2 else v for v in all_rows.values()]
-    violations = np.array(worst).reshape(len(problem.limits), len(y))
-    bad = ~np.isfinite(objective) | ~np.all(np.isfinite(violations), axis=0)
-    objective = np.where(bad, np.inf, objective)
-    violations = np.where(bad, np.inf, violations)
-    return Found(objective, violations, {k: v for k, v in all_rows.items() if v.ndim == 2} if rows else {})
+    return objective, [np.atleast_2d(r.violation(measures[r.measure])) for r in problem.limits]
 
 
 def measure(problem, y, phase=0.5, *, paths=False):
@@ -165,21 +133,17 @@ def measure(problem, y, phase=0.5, *, paths=False):
     y = np.atleast_2d(y)
     x = {name: np.full(len(y), value) for name, value in problem.fixed.items()}
     x |= dict(zip((v.name for v in problem.variables), problem.values(y).T, strict=True))
-    s = motion.share(problem.soil, x["wedge angle"], x["chisel angle"], x["height"])
-    amplitude, wavelength = problem.wave or (0.0, 1.0)
-    mass = x["frame mass"] + (s.steel if problem.steel else 0.0) + s.added_mass
-    runs = motion.Motion(
-        s.static, s.drag, mass, x["stiffness"], x["damping"], x["tow speed"], amplitude, wavelength, x["ramp time"],
-        problem.start, problem.duration,
+    shares = {name.replace(" ", "_"): x[name] for name in ("wedge angle", "chisel angle", "height")}
+    soil = dict(zip(SOIL, problem.soil, strict=True))
+    static, drag, added = forces(soil | shares, np)
+    half = half_angle(x["wedge angle"], x["chisel angle"], np)
+    base = x["height"] * np.tan(half)
+    mass = x["frame mass"] + added + (7850.0 * np.pi / 3.0 * x["height"] * base**2 if problem.steel else 0.0)
+    found = simulate(
+        static, drag, mass, x["stiffness"], x["damping"], x["tow speed"], *(problem.wave or (0.0, 1.0)), x["ramp time"],
+        problem.start, problem.duration, phase=phase, paths=paths,
     )  # fmt: skip
-    found = fast.simulate(runs, phase=phase, paths=paths)
-    return {
-        **{name: getattr(found, name) for name in motion.NAMES},
-        "deflection": found.deflection,
-        "mount force": found.mount_force,
-        "loosened radius": s.loosened_radius,
-        "half angle": s.half_angle,
-    }
+    return found | {"loosened radius": base / np.sqrt(1.0 - soil["density_ratio"]), "half angle": half}
 
 
 def box_sample(problem, y, count=256, half_width=3e-3, seed=0):
@@ -193,3 +157,11 @@ def box_quartiles(problem, y, **options):
     values = np.sort(evaluate(problem, box_sample(problem, y), **options).objective)
     # Interpolation could meet infinite values, so only the median is interpolated.
     return values[len(values) // 4], float(np.median(values)), values[3 * len(values) // 4]
+
+
+def objectives_of(problem, names, y, phase=1.6):
+    """Return the objectives of designs, a row each, all to be minimised; infinite if a requirement is violated."""
+    measures = measure(problem, y, phase)
+    values = np.array([sign_of(name) * measures[name] for name in names]).T
+    values[~(evaluate(problem, y, phase).worst <= 1e-9) | ~np.all(np.isfinite(values), axis=1)] = np.inf
+    return values

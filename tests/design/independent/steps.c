@@ -1,4 +1,4 @@
-/* Steps of order 8 for 16 designs at once. fast.py replaces @...@ by code with the method's weights. */
+/* Steps of order 8 for 16 designs at once. motion.py replaces @...@ by code with the method's weights. */
 #include <math.h>
 #define LANES 16
 #define STRUT(l, t, path, speed, extra) \

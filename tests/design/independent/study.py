@@ -18,21 +18,11 @@ _OF_A_MEDIAN = 1e-2
 _OF_A_DIFFERENCE = 0.33
 
 
-def path_of(kind):
-    """Return the file of a kind of problems."""
-    return Path(__file__).with_name(f"{kind}_problems.json")
-
-
-def read_lines(path):
-    """Return the lines of a file of problems, by number."""
-    data = json.loads(path.read_text(encoding="utf-8"))
-    return {int(k): json.dumps(v, separators=(",", ":")) for k, v in data.items()}
-
-
 def problems(kind):
-    """Return problems and truths of a kind, by number."""
-    data = json.loads(path_of(kind).read_text(encoding="utf-8"))
-    return {int(k): (Problem.of_plain(v["problem"]), v["truth"]) for k, v in data.items()}
+    """Return problems and truths of a kind, and the catalogues offered if it has any, by number."""
+    data = json.loads(Path(__file__).with_name(f"{kind}_problems.json").read_text(encoding="utf-8"))
+    others = ("truth", "catalogues") if kind == "catalogue" else ("truth",)
+    return {int(k): (Problem.of_plain(v["problem"]), *(v[name] for name in others)) for k, v in data.items()}
 
 
 @dataclass(frozen=True)
@@ -61,7 +51,7 @@ def judge(problem, truth, variables):
 
     Args:
         problem: the problem.
-        truth: the result of `truth.truth_of`.
+        truth: as stored, see `problems`.
         variables: the answer's variables by name.
     """
     y = problem.positions([[variables[v.name] for v in problem.variables]])

@@ -12,57 +12,38 @@ from pathlib import Path
 
 import casadi as ca
 import pytest
-from helpers.field_cases import EPS
+from helpers.field_cases import EPS, cone, nodes_of, soil_of, wedge
 
 import plough_opt as po
 
 CASES = json.loads((Path(__file__).parents[1] / "reference" / "elastic.json").read_text(encoding="utf-8"))["cases"]
 ROUNDINGS = 4.0 * EPS
 
-WEDGE = {"sxx": "xx", "syy": "yy", "sxy": "xy", "szz": "zz"}
-CONE = {"sxx": "xx", "srr": "rr", "stt": "tt", "srx": "rx"}
+# Names of the field's displacements in the table; those of its stresses begin with an s.
+RENAMED = {"axial": "ux", "radial": "ur"}
 
 
 def numbers(inputs):
-    """Return Young's modulus, Poisson's ratio, density, speed, the point if any, and the nodes but the first."""
+    """Return the flat input of `field_cases`; a force has no point."""
     lam, mu, rho, speed = (float(inputs[name]) for name in ("lam", "mu", "rho", "V0"))
     moduli = (mu * (3.0 * lam + 2.0 * mu) / (lam + mu), lam / (2.0 * (lam + mu)))
-    point = (float(inputs[name]) for name in ("x", "y", "r") if name in inputs)
-    nodes = (float(number) for node in inputs["nodes"][1:] for number in node)
-    return [*moduli, rho, speed, *point, *nodes]
+    point = float(inputs.get("x", 0.0)), float(inputs.get("y", inputs.get("r", 0.0)))
+    positions, heights = zip(*inputs["nodes"][1:], strict=True)
+    return [*point, *moduli, rho, speed, *map(float, positions), *map(float, heights)]
 
 
 def found(case, values):
-    """Return the toolkit's results for a case under the table's names, from the entries of `numbers`."""
-    inputs, elastic = case["inputs"], po.elastic
-    E, nu, density, speed, *rest = values
-    count = len(rest) - 2 * (len(inputs["nodes"]) - 1)
-    point, ends = rest[:count], rest[count:]
-    nodes = [(0.0, 0.0), *zip(ends[::2], ends[1::2], strict=True)]
-    soil = po.Soil(
-        density=density,
-        density_ratio=0.8,
-        cohesion=0.0,
-        friction_angle=0.5,
-        tool_friction=float(inputs.get("mu0", 0.0)),
-        ambient_pressure=float(inputs.get("p0", 0.0)),
-        youngs_modulus=E,
-        poisson_ratio=nu,
-    )
-    at = (*point, nodes, soil, speed)
-    if case["kind"] == "wedge_stress":
-        stress, gradient = elastic.wedge_stress(*at), elastic.wedge_gradient(*at)
-        stresses = {name: getattr(stress, ours) for name, ours in WEDGE.items()}
-        return {**stresses, **vars(gradient), "uy": elastic.wedge_displacement(*at)}
-    if case["kind"] == "cone_field":
-        stress, displacement = elastic.cone_stress(*at), elastic.cone_displacement(*at)
-        stresses = {name: getattr(stress, ours) for name, ours in CONE.items()}
-        return {**stresses, "ux": displacement.axial, "ur": displacement.radial}
-    if case["kind"] == "wedge_pressure":
-        return {"p": elastic.wedge_pressure(*at)}
-    if case["kind"] == "wedge_drag":
-        force = {"signed": elastic.wedge_force(*at, separation=False), "unilateral": elastic.wedge_force(*at)}
-        return {name: force[name] for name in case["outputs"]}
+    """Return the toolkit's results for a case under the table's names."""
+    inputs, kind, elastic = case["inputs"], case["kind"], po.elastic
+    if kind in ("wedge_stress", "cone_field"):
+        field = (wedge if kind == "wedge_stress" else cone)(*values)._asdict()
+        return {RENAMED.get(name, name if name[0] == "u" else f"s{name}"): value for name, value in field.items()}
+    pressure, friction = float(inputs.get("p0", 0.0)), float(inputs.get("mu0", 0.0))
+    at = nodes_of(values), soil_of(values, ambient_pressure=pressure, tool_friction=friction), values[5]
+    if kind == "wedge_pressure":
+        return {"p": elastic.wedge_pressure(values[0], *at)}
+    if kind == "wedge_drag":
+        return {"signed": elastic.wedge_force(*at, separation=False), "unilateral": elastic.wedge_force(*at)}
     return {"F": elastic.cone_force(*at)}
 
 

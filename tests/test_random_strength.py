@@ -7,6 +7,7 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.differences import differences
 from helpers.random_motion import realisation
 from scipy.integrate import quad
 
@@ -122,9 +123,8 @@ def test_expressions_have_the_values_of_numbers_and_exact_slopes(random, kind):
     found, slopes = (np.array(one) for one in ca.Function("f", [x], [symbolic, ca.jacobian(symbolic, x)])(values))
     # Symbolic roots are rounded below 1e-12 of the steady force.
     assert found.ravel() == pytest.approx(rms(*values), rel=1e-10)
-    for step in np.diag(1e-5 * values):
-        wanted = np.subtract(rms(*(values + step)), rms(*(values - step))) / 2.0
-        assert slopes @ step == pytest.approx(wanted, rel=1e-7)  # the error of the differences
+    wanted = differences(lambda y: np.array(rms(*(values * (1.0 + y)))), np.zeros(4))
+    np.testing.assert_allclose(slopes * values, wanted, rtol=1e-9)  # the error of the differences
 
 
 @pytest.mark.parametrize(("draws", "near"), [(2, 0.06), pytest.param(20, 0.02, marks=pytest.mark.slow)])

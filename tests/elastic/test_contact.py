@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from helpers import high_precision as hp
 from helpers import oracle
+from helpers.differences import order_4
 from helpers.field_cases import (
     BODIES,
     EPS,
@@ -30,7 +31,6 @@ import plough_opt as po
 
 mp = hp.mp
 
-PLACES = [1e-9, 0.03, 0.15, 0.33, 0.4999]
 SPEEDS = [0.0, 1e-6, 0.3, 0.9274, 0.95, 0.9999]
 FRICTION = 0.3
 
@@ -46,17 +46,29 @@ def exact_medium(speed=0.3, nu=0.3):
 # --- pressure on a wedge ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("body", "speed", "nu"), thinned(BODIES, SPEEDS, [0.0, 0.3, 0.49], keep=5))
-def test_wedge_pressure(body, speed, nu):
+@pytest.mark.parametrize(
+    ("kind", "body", "speed", "nu"),
+    [
+        *thinned(["wedge"], BODIES, SPEEDS, [0.0, 0.3, 0.49], keep=5),
+        *thinned(["cone"], BODIES, SPEEDS, [0.0, 0.3, 0.49], keep=7),
+    ],
+)
+def test_pressure(kind, body, speed, nu):
     soil, V0 = ground(speed, nu)
-    nodes = nodes_of(inputs(0, 0, body))
-    for x in PLACES:
+    nodes, is_cone = nodes_of(inputs(0, 0, body)), kind == "cone"
+    of_face, stress = (getattr(po.elastic, f"{kind}_{what}") for what in ("pressure", "stress"))
+    names, normal = (oracle.Cone._fields, "rr") if is_cone else (oracle.Wedge._fields, "yy")
+    k = names.index(normal)
+    for x in (1e-6 if is_cone else 1e-9, 0.03, 0.15, 0.33, 0.4999):
+        away = float(oracle.radius(mp.mpf(x), exact_nodes(body))) if is_cone else 0.0
         # At rest the limit of slow motion.
-        wanted, size = precise(precise_wedge, inputs(x, 0.0, body, speed or 1e-15, nu))
-        yy = oracle.Wedge._fields.index("yy")
-        pressure = po.elastic.wedge_pressure(x, nodes, soil, V0)
-        assert_accurate([pressure], [-wanted[0, yy]], [size[0, yy]], [f"p({x})"], 4)
-        assert pressure == pytest.approx(-po.elastic.wedge_stress(x, 0.0, nodes, soil, V0).yy, rel=4 * EPS)
+        wanted, size = precise(precise_cone if is_cone else precise_wedge, inputs(x, away, body, speed or 1e-15, nu))
+        # R(x) is computed from differences of the nodes' radii and so rounded.
+        rounded = 4 * abs(wanted[0, k]) * max(BODIES[body][1]) / away if is_cone else 0
+        pressure = of_face(x, nodes, soil, V0)
+        assert_accurate([pressure], [-wanted[0, k]], [size[0, k] + rounded], [f"p({x})"], 16 if is_cone else 4)
+        here = getattr(stress(x, away, nodes, soil, V0), normal)
+        assert pressure == pytest.approx(-here, rel=1e-12 if is_cone else 4 * EPS)
 
 
 # --- force on a wedge ------------------------------------------------------------------------------------------------
@@ -157,21 +169,6 @@ def test_gradient_and_hessian_of_the_force_on_a_straight_wedge(speed):
 # --- pressure and force on a cone ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("body", "speed", "nu"), thinned(BODIES, SPEEDS, [0.0, 0.3, 0.49], keep=7))
-def test_cone_pressure(body, speed, nu):
-    soil, V0 = ground(speed, nu)
-    nodes = nodes_of(inputs(0, 0, body))
-    for x in (1e-6, 0.03, 0.15, 0.33, 0.4999):
-        radius = oracle.radius(mp.mpf(x), exact_nodes(body))
-        wanted, size = precise(precise_cone, inputs(x, float(radius), body, speed or 1e-15, nu))
-        rr = oracle.Cone._fields.index("rr")
-        # R(x) is computed from differences of the nodes' radii and so rounded.
-        rounded = 4 * abs(wanted[0, rr]) * max(BODIES[body][1]) / radius
-        pressure = po.elastic.cone_pressure(x, nodes, soil, V0)
-        assert_accurate([pressure], [-wanted[0, rr]], [size[0, rr] + rounded], [f"p({x})"], 16)
-        assert pressure == pytest.approx(-po.elastic.cone_stress(x, float(radius), nodes, soil, V0).rr, rel=1e-12)
-
-
 BLUNT = ((0.2,), (0.2,))
 """So steep that the soil would be in tension at the tip."""
 CONE_CASES = [(BLUNT, 0.1, 1e6)]
@@ -208,14 +205,11 @@ def test_gradient_of_the_force_on_a_cone(speed):
     force = force_of_cone(*ca.vertsplit(v))
     value, gradient = ca.Function("force", [v], [force, ca.gradient(force, v)])(values)
     assert float(value) == pytest.approx(force_of_cone(*values), rel=1e-14)
-    slopes = np.asarray(gradient).ravel()
     for i in (2, 4):
-        xi, slope = values[i], slopes[i]
-        # Order 4: with a step of 1e-3 truncation is 1e-12 of the terms, and rounding 1e-13 over the step.
-        h = 1e-3 * xi
-        moved = [force_of_cone(*values[:i], xi + k * h, *values[i + 1 :]) for k in (-2, -1, 1, 2)]
-        difference = (moved[0] - 8.0 * moved[1] + 8.0 * moved[2] - moved[3]) / (12.0 * h)
-        assert slope * xi == pytest.approx(difference * xi, rel=1e-9, abs=1e-9 * float(value))
+        # With a step of 1e-3 truncation is 1e-12 of the terms, and rounding 1e-13 over the step.
+        wanted = order_4(lambda x, i=i: force_of_cone(*values[:i], x, *values[i + 1 :]), values[i], 1e-3 * values[i])
+        scale = float(value) / values[i]
+        assert float(gradient[i]) == pytest.approx(wanted, rel=1e-9, abs=1e-9 * scale)
 
 
 # --- numbers, symbols, shares, refusals ------------------------------------------------------------------------------

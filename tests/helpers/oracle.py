@@ -10,6 +10,8 @@ every formula here is 0/0. The field is even and analytic in V0, so use 1e-15 c2
 import itertools
 from collections import namedtuple
 
+from scipy.optimize import minimize_scalar
+
 from helpers import high_precision as hp
 
 mp = hp.mp
@@ -150,7 +152,11 @@ def touching(absolute_pressure, a, b):
     for (before, p), (_, q), (after, r) in zip(found, found[1:], found[2:], strict=False):
         side = 1 if q > 0 else -1
         if 0 < side * q < min(side * p, side * r):
-            extra.append(_nearest_to_zero(lambda x, side=side: side * absolute_pressure(x), before, after))
+            ends = float(before), float(after)
+            least = minimize_scalar(
+                lambda x, side=side: float(side * absolute_pressure(x)), bounds=ends, method="bounded"
+            )
+            extra.append(mp.mpf(least.x))
     found = sorted([*found, *((x, absolute_pressure(x)) for x in extra)])
     changes = [
         _root(absolute_pressure, before, after)
@@ -159,18 +165,6 @@ def touching(absolute_pressure, a, b):
     ]
     edges = [a, *changes, b]
     return list(itertools.pairwise(edges))[0 if found[0][1] > 0 else 1 :: 2]
-
-
-def _nearest_to_zero(function, low, high):
-    """Return a place where a function with one minimum is negative, else its minimum, by golden section search."""
-    golden = (mp.sqrt(5) - 1) / 2
-    for _ in range(60):
-        left, right = high - golden * (high - low), low + golden * (high - low)
-        at_left, at_right = function(left), function(right)
-        if min(at_left, at_right) < 0:
-            return left if at_left < at_right else right
-        low, high = (low, right) if at_left < at_right else (left, high)
-    return (low + high) / 2
 
 
 def _root(function, low, high):

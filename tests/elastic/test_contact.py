@@ -7,25 +7,11 @@ from functools import partial
 import casadi as ca
 import numpy as np
 import pytest
+from helpers import field_cases as cases
 from helpers import high_precision as hp
 from helpers import oracle
 from helpers.differences import order_4
-from helpers.field_cases import (
-    BODIES,
-    EPS,
-    MU,
-    RHO,
-    SHEAR_WAVE,
-    assert_accurate,
-    ground,
-    inputs,
-    nodes_of,
-    precise,
-    precise_cone,
-    precise_wedge,
-    slow,
-    thinned,
-)
+from helpers.field_cases import BODIES, EPS, MU, RHO, SHEAR_WAVE, ground, inputs, nodes_of, slow
 
 import plough_opt as po
 
@@ -49,24 +35,24 @@ def exact_medium(speed=0.3, nu=0.3):
 @pytest.mark.parametrize(
     ("kind", "body", "speed", "nu"),
     [
-        *thinned(["wedge"], BODIES, SPEEDS, [0.0, 0.3, 0.49], keep=5),
-        *thinned(["cone"], BODIES, SPEEDS, [0.0, 0.3, 0.49], keep=7),
+        *cases.thinned(["wedge"], BODIES, SPEEDS, [0.0, 0.3, 0.49], keep=5),
+        *cases.thinned(["cone"], BODIES, SPEEDS, [0.0, 0.3, 0.49], keep=7),
     ],
 )
 def test_pressure(kind, body, speed, nu):
     soil, V0 = ground(speed, nu)
     nodes, is_cone = nodes_of(inputs(0, 0, body)), kind == "cone"
     of_face, stress = (getattr(po.elastic, f"{kind}_{what}") for what in ("pressure", "stress"))
-    names, normal = (oracle.Cone._fields, "rr") if is_cone else (oracle.Wedge._fields, "yy")
-    k = names.index(normal)
+    normal, precisely = ("rr", cases.precise_cone) if is_cone else ("yy", cases.precise_wedge)
+    k = (oracle.Cone if is_cone else oracle.Wedge)._fields.index(normal)
     for x in (1e-6 if is_cone else 1e-9, 0.03, 0.15, 0.33, 0.4999):
         away = float(oracle.radius(mp.mpf(x), exact_nodes(body))) if is_cone else 0.0
         # At rest the limit of slow motion.
-        wanted, size = precise(precise_cone if is_cone else precise_wedge, inputs(x, away, body, speed or 1e-15, nu))
+        wanted, size = cases.precise(precisely, inputs(x, away, body, speed or 1e-15, nu))
         # R(x) is computed from differences of the nodes' radii and so rounded.
         rounded = 4 * abs(wanted[0, k]) * max(BODIES[body][1]) / away if is_cone else 0
         pressure = of_face(x, nodes, soil, V0)
-        assert_accurate([pressure], [-wanted[0, k]], [size[0, k] + rounded], [f"p({x})"], 16 if is_cone else 4)
+        cases.assert_accurate([pressure], [-wanted[0, k]], [size[0, k] + rounded], [f"p({x})"], 16 if is_cone else 4)
         here = getattr(stress(x, away, nodes, soil, V0), normal)
         assert pressure == pytest.approx(-here, rel=1e-12 if is_cone else 4 * EPS)
 
@@ -104,7 +90,7 @@ MANY = ((0.05, 0.1, 0.2, 0.3, 0.42, 0.5), (0.02, 0.021, 0.05, 0.045, 0.07, 0.071
 
 @pytest.mark.parametrize(
     ("body", "speed", "ambient_pressure"),
-    [(MANY, 0.3, 2e5), *thinned(BODIES, [1e-6, 0.3, 0.95], [*PRESSURES, 1e6, 1e7], keep=7)],
+    [(MANY, 0.3, 2e5), *cases.thinned(BODIES, [1e-6, 0.3, 0.95], [*PRESSURES, 1e6, 1e7], keep=7)],
 )
 def test_force_on_any_wedge_against_precise_integration(body, speed, ambient_pressure):
     soil, V0 = ground(speed, ambient_pressure=ambient_pressure)

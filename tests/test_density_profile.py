@@ -142,7 +142,7 @@ def test_slopes_at_wall_and_front(place):
     _, found, _ = hp.differentiated(lambda *x: toolkit("radial", name)(*x, *rest), ca.SX, len(point))(point)
     for k, slope in enumerate(wanted):
         scale = max(abs(slope), abs(value) / (10 * max(STATE["radius"], point[k])))
-        assert abs(mp.mpf(found[k]) - slope) <= 1e-14 * scale, NAMES[k]
+        hp.assert_close(found[k], slope, 1e-14, NAMES[k], scale)
 
 
 # --- the error of the quadrature ---

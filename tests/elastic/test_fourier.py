@@ -15,7 +15,6 @@ LENGTH, HALF_THICKNESS = 0.5, 0.05
 PROFILES = {
     "straight": lambda x: 0.1 * x,
     "parabolic arc": lambda x: 4.0 * HALF_THICKNESS * x * (LENGTH - x) / LENGTH**2,
-    "half a wave": lambda x: HALF_THICKNESS * math.sin(math.pi * x / LENGTH),
     "shoulder": lambda x: HALF_THICKNESS * math.sin(math.pi * x / (2.0 * LENGTH)) ** 2,
 }
 POINTS = np.array([[0.2, 0.1], [-0.3, 0.2], [0.9, 0.3], [0.5, 0.05]])
@@ -41,7 +40,7 @@ def test_straight_profiles_agree_with_the_closed_form(field, speed):
     assert relative(as_columns(by_waves), as_columns(closed)) < 2e-14
 
 
-@pytest.mark.parametrize("profile", ["parabolic arc", *slow(["half a wave", "shoulder"])])
+@pytest.mark.parametrize("profile", ["parabolic arc", *slow(["shoulder"])])
 @pytest.mark.parametrize("field", FIELDS)
 def test_knots_converge_with_the_square_of_their_number(field, profile):
     soil, V0 = ground(0.3)
@@ -67,15 +66,12 @@ def test_higher_orders_give_more_digits():
 
 
 def test_floats_arrays_and_planes():
-    soil, V0 = ground(0.3)
+    given = (PROFILES["parabolic arc"], LENGTH, *ground(0.3))
     x, y = np.meshgrid([0.1, 0.3, 0.7], [0.2, 0.4])
-    plane = fourier.wedge_stress(x, y, PROFILES["parabolic arc"], LENGTH, soil, V0).yy
-    single = fourier.wedge_stress(0.3, 0.4, PROFILES["parabolic arc"], LENGTH, soil, V0).yy
+    plane = fourier.cone_stress(x, y, *given, section_factor=1.0).rr
+    single = fourier.cone_stress(0.3, 0.4, *given).rr
     assert plane.shape == (2, 3)
     assert isinstance(single, float)
-    assert plane[1, 1] == pytest.approx(single, rel=0, abs=1e-14 * MU)
-    plane = fourier.cone_stress(x, y, PROFILES["parabolic arc"], LENGTH, soil, V0, section_factor=1.0).rr
-    single = fourier.cone_stress(0.3, 0.4, PROFILES["parabolic arc"], LENGTH, soil, V0).rr
     assert plane[1, 1] == pytest.approx(2.0 * single, rel=0, abs=1e-14 * MU)
 
 
@@ -106,7 +102,6 @@ def test_arguments_that_the_integrals_cannot_handle_are_refused(change, sentence
     ("profile", "length", "count", "sentence"),
     [
         (PROFILES["straight"], 0.5, 0, "count = 0 of straight pieces must be"),
-        (PROFILES["straight"], 0.5, 2.5, r"count = 2\.5 of straight pieces must be"),
         (PROFILES["straight"], 0.0, 4, "length of the profile = 0 m"),
         (lambda x: -x, 0.5, 4, "half thickness or radius at x"),
         (lambda x: math.nan * x, 0.5, 4, "= nan m must be finite"),

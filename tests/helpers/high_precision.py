@@ -170,10 +170,11 @@ def assert_close(got, want, relative, label="", scale=None):
     """
     got, want = float(got), mp.mpf(want)
     assert math.isfinite(got), f"{label}: {got}"
-    if abs(want) < mp.mpf(10) ** -35:
+    size = abs(want) if scale is None else mp.mpf(scale)
+    if size < mp.mpf(10) ** -35:
         assert abs(got) < 1e-35, f"{label}: {got:.17g} instead of zero"
         return
-    error = float(abs(mp.mpf(got) - want) / (abs(want) if scale is None else mp.mpf(scale)))
+    error = float(abs(mp.mpf(got) - want) / size)
     assert error <= relative, f"{label}: {got:.17g} instead of {mp.nstr(want, 20)}, off by {error:.1e} relative"
 
 

@@ -80,6 +80,16 @@ def test_elastic_soil_ahead_is_the_published_form():
     assert cavity.inertia == pytest.approx(3 / k + x / g**2 * (c1 + c2), rel=3e-6)
 
 
+def test_without_friction_and_compaction_it_is_the_cavity_of_bishop_hill_and_mott_and_of_rayleigh():
+    """(2Y/3)(1 + ln(2E/3Y)) with Y = 2k, less the order of strain Y/2E = 1e-6; Rayleigh's cavity in a fluid has 3/2."""
+    solid = po.Soil(1500.0, 1 - 1e-13, 10e3, 0.0, 0.0, ambient_pressure=0.0, youngs_modulus=1e10)
+    expected = 2 * 20e3 / 3 * (1 + math.log(2 * 1e10 / (3 * 20e3)))
+    assert spherical_cavity(solid).static == pytest.approx(expected, rel=1e-6)
+    fluid = dataclasses.replace(solid, cohesion=0.0, youngs_modulus=None)
+    # The front at x = 2e4 leaves terms of 1/x.
+    assert spherical_cavity(fluid).inertia == pytest.approx(1.5, rel=1e-3)
+
+
 def test_the_draft_is_the_pressure_over_the_face():
     cone, soil, speed = po.Cone(po.deg(15.0), 0.25), NAMED[2], 2.0
     cavity = spherical_cavity(soil)

@@ -21,8 +21,6 @@ def _falling_bell(r, c, w):
 DENSITIES = {
     "exponential, b rising": (lambda r, c, w: DENSITY / (c - exp(-r / w) / 4.0), (0.9, 0.1)),
     "exponential, b falling": (lambda r, c, w: DENSITY / (c + exp(-r / w) / 4.0), (0.55, 0.1)),
-    "linear, b rising": (lambda r, c, w: DENSITY * c * (1.0 - r / w), (1.5, 0.8)),
-    "linear, b falling": (lambda r, c, w: DENSITY * c * (1.0 + r / w), (1.12, 1.0)),
     "quadratic, b rising": (lambda r, c, w: DENSITY * c * (1.0 - (r / w) ** 2), (1.4, 0.4)),
     "quadratic, b falling": (lambda r, c, w: DENSITY * c * (1.0 + (r / w) ** 2), (1.1, 0.2)),
     "bell": (_falling_bell, (1.1, 0.05)),

@@ -115,17 +115,6 @@ def _exponential(sign):
     return Profile(ratio, swept)
 
 
-def _linear(sign):
-    def ratio(s, c, w):
-        return 1 / (c * (1 + sign * s / w))
-
-    def swept(s, c, w):
-        x = sign * s / w
-        return 2 * w**2 / c * (x - mp.log(1 + x))
-
-    return Profile(ratio, swept)
-
-
 def _quadratic(sign):
     def ratio(s, c, w):
         return 1 / (c * (1 + sign * (s / w) ** 2))
@@ -147,8 +136,6 @@ def _bell_swept(s, c, w):
 PROFILES = {
     "exponential, b rising": _exponential(-1),
     "exponential, b falling": _exponential(1),
-    "linear, b rising": _linear(-1),
-    "linear, b falling": _linear(1),
     "quadratic, b rising": _quadratic(-1),
     "quadratic, b falling": _quadratic(1),
     "bell": Profile(_bell, _bell_swept),

@@ -84,12 +84,6 @@ class TestClaims:
         reasons = dict.fromkeys(range(len(numbers)), "no")
         return store.keep(numbers, numbers[:, None] * 1.0, Done(len(numbers), reasons=reasons))
 
-    def test_a_point_stored_twice_is_one_row(self, open_store):
-        one, two = open_store(), open_store()
-        assert self.keep(one, 0, 4) == 4
-        assert self.keep(two, 2, 6) == 2
-        assert two.counts() == (6, 6, 0)
-
     def test_released_points_are_taken_over_unless_they_are_stored(self, open_store):
         one, two = open_store(), open_store()
         one.claim(10)

@@ -52,22 +52,27 @@ def test_the_picture_has_no_offset_and_ticks_that_do_not_touch(small):
     assert high - low == pytest.approx(0.01 * 4.073, rel=0.01)
 
 
+BOTH = "'first objective' and 'second objective' do not conflict: one design is best in both"
 # An objective that is 0 at its best changes by more than 5 % at every other design, which would all be needles.
 CONFLICTS = {
-    "none": (lambda x, y: (x**2 + y**2, 2.0 * (x**2 + y**2) + 3.0), [0.0, 0.0], ""),
+    "none": (lambda x, y: (x**2 + y**2, 2.0 * (x**2 + y**2) + 3.0), [0.0, 0.0], BOTH),
     "less than the optimiser's tolerance": (
-        lambda x, y: (1.0 + 2e-6 * (x**2 + y**2), 1.0 + (x - 1.0) ** 2 + y**2), [1.0, 0.0], ", to within 0.0002 %",
+        lambda x, y: (1.0 + 2e-6 * (x**2 + y**2), 1.0 + (x - 1.0) ** 2 + y**2), [1.0, 0.0],
+        f"{BOTH}, to within 0.0002 %",
+    ),
+    "none of three": (
+        lambda x, y: (1.0 + x**2 + y**2, 2.0 + x**2 + y**2, 3.0 + x**4 + y**2), [0.0, 0.0],
+        "'first objective', 'second objective' and 'third objective' do not conflict: one design is best in all three",
     ),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", CONFLICTS)
 def test_objectives_that_do_not_conflict_give_one_design_and_say_so(name, tmp_path):
-    objectives, best, size = CONFLICTS[name]
+    objectives, best, words = CONFLICTS[name]
     d = po.Design()
     x, y = (d.variable(name, guess=0.4, lower=-2.0, upper=2.0) for name in "xy")
     front = po.trade_off(d, *objectives(x, y), points=9)
-    words = f"'first objective' and 'second objective' do not conflict: one design is best in both{size}"
     assert front.notes == (words,)
     assert front.designs == pytest.approx(np.array([best]), abs=1e-3)
     assert (front.holes, front.knee, front.points[0].rate) == ((), None, None)

@@ -48,11 +48,9 @@ class Range:
     log: bool = False
 
     def __post_init__(self) -> None:
-        for end in (self.lower, self.upper):
-            plain_number("the end of a range", end)
         for side in ("lower", "upper"):
-            # So that 1, 1.0 and NumPy's 1.0 give the same question in a store.
-            object.__setattr__(self, side, float(getattr(self, side)))
+            # As floats, so that 1, 1.0 and NumPy's 1.0 give the same question in a store.
+            object.__setattr__(self, side, plain_number("the end of a range", getattr(self, side)))
         if not self.lower < self.upper:
             raise InputError(
                 f"the range from {self.lower:g} to {self.upper:g} is empty: the first end must be the lower one"

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
-from plough_opt.core.checks import check_switch, path_of, shown
+from plough_opt.core.checks import check_kind, check_switch, path_of, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
 from plough_opt.core.process import available, heartbeat
@@ -151,21 +151,16 @@ def _check_arguments(evaluation: object, over: object, executor: object, workers
     """Raise InputError if an argument has the wrong type."""
     if not callable(evaluation) and not isinstance(evaluation, ManyPoints):
         raise InputError(f"{shown(evaluation)} cannot be swept: use a problem, or a function of named numbers")
-    for name, given in (("over", over), ("units", {} if units is None else units)):
-        if not isinstance(given, Mapping):
-            raise InputError(f"{name} = {shown(given)} must be a dictionary with names as keys")
+    check_kind("over", over, Mapping, "a dictionary with names as keys")
+    check_kind("units", units, Mapping | None, "a dictionary with names as keys")
     if executor is not None and not callable(getattr(executor, "submit", None)):
         raise InputError(
             f"executor = {shown(executor)} must be an executor of concurrent.futures, or have a method submit"
         )
     if workers is not None and not is_count(workers):
         raise InputError(f"workers = {shown(workers)} must be 1 or more")
-    if executor is None:
-        _check_picklable(evaluation)
-
-
-def _check_picklable(evaluation: object) -> None:
-    """Raise InputError if an evaluation cannot be sent to another process."""
+    if executor is not None:
+        return
     try:
         pickle.dumps(evaluation)
     except Exception as error:

@@ -238,19 +238,16 @@ def _limits_table(best: Optimum, requirements: Mapping[str, tuple[str, str]], or
 
 
 def _checks_table(checks: Sequence[Check], nominal: Sequence[Check], samples: int, origin: Origin) -> Grid:
-    """Return a table of a design's checks on fresh samples, beside those of the nominal design if they are given."""
-    beside = ["nominal design"] if nominal else []
-    title = f"Verification on {samples} fresh samples" + (": robust design and nominal design" if nominal else "")
-    table = Grid.of(
-        title, "result", "measure", "the optimiser saw", "fresh samples", "95 % interval", *beside, "",
-        left=("measure",), fold=("measure",),
-    )  # fmt: skip
-    for k, check in enumerate(checks):
+    """Return a table of a design's checks on fresh samples, beside those of the nominal design."""
+    title = f"Verification on {samples} fresh samples: robust design and nominal design"
+    headings = "result", "measure", "the optimiser saw", "fresh samples", "95 % interval", "nominal design", ""
+    table = Grid.of(title, *headings, left=("measure",), fold=("measure",))
+    for check, other in zip(checks, nominal, strict=True):
         ends = [None if end is None else _value_text(origin, check, end) for end in (check.low, check.high)]
         interval = "" if None in ends else f"{ends[0]} to {ends[1]}"
-        numbers = [_value_text(origin, check, x) for x in (check.seen, check.fresh)]
-        other = [_value_text(origin, nominal[k], nominal[k].fresh)] if nominal else []
-        table.row(check.result, check.text, *numbers, interval, *other, check.verdict)
+        seen, fresh = (_value_text(origin, check, x) for x in (check.seen, check.fresh))
+        beside = _value_text(origin, other, other.fresh)
+        table.row(check.result, check.text, seen, fresh, interval, beside, check.verdict)
     return table
 
 

@@ -66,11 +66,6 @@ class Check:
     worse: int | None = None
 
     @property
-    def optimism(self) -> float:
-        """The value over fresh samples minus the optimiser's value."""
-        return self.fresh - self.seen
-
-    @property
     def confirmed(self) -> bool:
         """Whether the optimiser's value is in the interval; for a worst case, whether no fresh sample is worse."""
         if self.low is None or self.high is None:
@@ -179,23 +174,17 @@ def _checked(requested: RequestedMeasure, own: Vector, fresh: Vector, seed: int)
     seen, sharp = float(requested.smoothed(own)), float(requested.exact(own))
     found = float(requested.exact(fresh))
     rounding = float(requested.smoothed(fresh)) - found if requested.width else 0.0
-    low: float | None
-    high: float | None
-    worse: int | None = None
+    ends: tuple[float, float] | tuple[None, None] = None, None
+    worse = None
     if requested.kind == "probability":
-        low, high = _binomial(round(found * len(fresh)), len(fresh))
-        note = "Clopper and Pearson"
-    elif requested.kind in ("largest", "smallest"):
-        worse = int(np.sum(fresh > seen if requested.kind == "largest" else fresh < seen))
-        share_low, share_high = _binomial(worse, len(fresh))
-        low = high = None
-        note = (
-            f"{worse} of {len(fresh)} are worse: {100 * share_low:.2g} to {100 * share_high:.2g} % of the whole"
-            " distribution"
-        )
+        ends, note = _binomial(round(found * len(fresh)), len(fresh)), "Clopper and Pearson"
+    elif requested.kind == "mean":
+        ends, note = _bootstrap(requested, fresh, seed), "bootstrap"
     else:
-        low, high = _bootstrap(requested, fresh, seed)
-        note = "bootstrap"
+        worse = int(np.sum(fresh > seen if requested.kind == "largest" else fresh < seen))
+        least, most = _binomial(worse, len(fresh))
+        note = f"{worse} of {len(fresh)} are worse: {100 * least:.2g} to {100 * most:.2g} % of the whole distribution"
+    low, high = ends
     return Check(
         requested.result, requested.text, seen, sharp, found, low, high, requested.width, rounding, note, worse
     )
@@ -211,13 +200,9 @@ def _bootstrap(requested: RequestedMeasure, values: Vector, seed: int) -> tuple[
     """Return the percentile interval of a measure; if all values are equal, their range."""
     if float(np.ptp(values)) <= _NEGLIGIBLE * float(np.max(np.abs(values))):
         return float(np.min(values)), float(np.max(values))
-
-    def measure(resampled: Vector, axis: int = -1) -> Vector:
-        return np.apply_along_axis(requested.exact, axis, resampled)
-
     generator = np.random.default_rng([seed, 1])
     interval = stats.bootstrap(
-        (values,), measure, n_resamples=_RESAMPLES, batch=_BATCH, vectorized=True, confidence_level=CONFIDENCE,
+        (values,), requested.exact, n_resamples=_RESAMPLES, batch=_BATCH, vectorized=False, confidence_level=CONFIDENCE,
         method="percentile", rng=generator,
     ).confidence_interval  # fmt: skip
     return float(interval.low), float(interval.high)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import casadi as ca
 import pytest
+from helpers.scenes import R1_SOIL
 
 import plough_opt as po
 from plough_opt.core import process as heartbeat
@@ -117,14 +118,7 @@ def _is_covering(drag, rate, wave, ramp, damper, rest):
 
 @pytest.fixture(scope="session")
 def r1_soil():
-    return po.Soil(
-        density=1400.0,
-        density_ratio=0.8,
-        cohesion=15e3,
-        friction_angle=po.deg(30.0),
-        tool_friction=0.5,
-        ambient_pressure=1e4,
-    )
+    return R1_SOIL
 
 
 @pytest.fixture(scope="session")

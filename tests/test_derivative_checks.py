@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.scenes import scene_of
 from scipy.optimize import brentq
 
 import plough_opt as po
@@ -13,13 +14,11 @@ from plough_opt.motion.runge_kutta import crossings, step
 from plough_opt.motion.terms import Structure, parameters
 from plough_opt.motion.timeline import Timeline
 
-SHARE = po.Wedge(po.deg(30.0), po.deg(15.0), 0.25)
 DURATION = 0.5
 
 
-def scene_of(stiffness=5e4, **effects):
-    chosen = po.Effects(**({"start": "rest", "damping": 300.0} | effects))
-    return po.Scene(po.named_soil("serozem"), SHARE, stiffness, 45.0, 2.0, chosen)
+def scene(stiffness=5e4, **effects):
+    return scene_of(stiffness=stiffness, mass=45.0, **{"start": "rest", "damping": 300.0} | effects)
 
 
 @pytest.mark.parametrize(
@@ -27,8 +26,8 @@ def scene_of(stiffness=5e4, **effects):
 )
 @pytest.mark.parametrize(("outputs", "steps"), [(1, 16), (1, 24), (1, 48), (24, 8)])
 def test_the_error_is_that_of_the_means_from_many_steps(effects, outputs, steps):
-    scene = scene_of(**effects)
-    structure, p = Structure.of(scene), parameters(scene)
+    own = scene(**effects)
+    structure, p = Structure.of(own), parameters(own)
     names = signals(structure).parameters
     given = np.array([*(float(p[name]) for name in names), DURATION])
     varying = tuple(names.index(name) for name in ("stiffness", "static"))
@@ -50,7 +49,7 @@ def test_the_error_is_that_of_the_means_from_many_steps(effects, outputs, steps)
 def design(accuracy, **effects):
     d = po.Design()
     stiffness = d.variable("stiffness", guess=5e4, lower=3e4, upper=1e5, unit="N/m", log=True)
-    run = po.simulate(scene_of(stiffness, **effects), DURATION, accuracy=accuracy, outputs=4)
+    run = po.simulate(scene(stiffness, **effects), DURATION, accuracy=accuracy, outputs=4)
     d.minimise(run.mean_draft / 1e3 + run.force_rms / 1e2)
     return d
 
@@ -82,7 +81,7 @@ def test_a_design_takes_as_many_steps_as_derivatives_need(effects):
 def test_a_component_takes_as_many_steps_as_derivatives_need():
     def made(accuracy):
         return po.component(
-            scene_of(), DURATION, inputs=["scene.stiffness"], outputs=["mean_draft", "force_rms"], accuracy=accuracy
+            scene(), DURATION, inputs=["scene.stiffness"], outputs=["mean_draft", "force_rms"], accuracy=accuracy
         )
 
     few, many = (made(po.Accuracy(derivatives=wanted)) for wanted in (1e-2, 1e-10))
@@ -95,9 +94,9 @@ def test_a_component_takes_as_many_steps_as_derivatives_need():
 def test_a_step_is_cut_where_the_smooth_contacts_step_ends():
     """Against halving of the step itself, which reads no polynomial: a cubic errs by the fourth power of a step."""
     width, size = 0.4, 0.0025
-    effects = po.Effects(contact=po.Smooth(width), start="towed", damping=100.0)
-    scene = po.Scene(po.named_soil("serozem"), po.Cone("10 deg", "25 cm"), 2e4, 30.0, 1.0, effects)
-    structure, known = Structure.of(scene), parameters(scene)
+    effects = {"contact": po.Smooth(width), "start": "towed", "damping": 100.0}
+    own = scene_of(share=po.Cone("10 deg", "25 cm"), stiffness=2e4, mass=30.0, tow_speed=1.0, **effects)
+    structure, known = Structure.of(own), parameters(own)
     p, one = [*(float(known[name]) for name in signals(structure).parameters), 1.0], step(structure)
 
     def beyond(part, state, start):

@@ -1,9 +1,9 @@
 """Cost of each effect: nodes, states and events of the equation, operations of a run, and refusals."""
 
 import math
-from dataclasses import replace
 
 import pytest
+from helpers.scenes import scene_of
 
 import plough_opt as po
 from plough_opt.app import main
@@ -13,23 +13,18 @@ from plough_opt.motion.integrators import integration
 from plough_opt.motion.runge_kutta import step
 from plough_opt.motion.terms import Structure
 
-SCENE = po.Scene(
-    po.named_soil("serozem"),
-    po.Wedge(po.deg(30), po.deg(15), 0.25),
-    5e4,
-    20.0,
-    2.0,
-    po.Effects(strength_wave=po.StrengthWave(0.3, 0.2), damping=300.0),
-)
+
+def scene(**changes):
+    return scene_of(**{"strength_wave": po.StrengthWave(0.3, 0.2), "damping": 300.0} | changes)
 
 
 @pytest.fixture(scope="module")
 def costs():
-    return {cost.name: cost for cost in effect_costs.effect_costs(SCENE, 0.1)}
+    return {cost.name: cost for cost in effect_costs.effect_costs(scene(), 0.1)}
 
 
 def nodes(**changes):
-    equation = equation_of_motion(Structure.of(replace(SCENE, effects=replace(SCENE.effects, **changes))))
+    equation = equation_of_motion(Structure.of(scene(**changes)))
     return equation.function.n_nodes() + (0 if equation.events is None else equation.events.n_nodes())
 
 
@@ -60,10 +55,10 @@ def test_only_events_add_states(costs):
 
 def test_operations_are_those_of_the_steps_of_a_run_and_its_check(costs):
     def operations(**changes):
-        scene = replace(SCENE, effects=replace(SCENE.effects, **changes))
-        steps = po.simulate(scene, 0.1).accuracy.steps
+        run = po.simulate(scene(**changes), 0.1)
         # Three quarters of the steps check.
-        return (steps + math.ceil(0.75 * steps)) * step(Structure.of(scene)).n_instructions()
+        steps = run.accuracy.steps + math.ceil(0.75 * run.accuracy.steps)
+        return steps * step(Structure.of(run.scene)).n_instructions()
 
     assert costs["strength wave"].operations == operations() / operations(strength_wave=None)
 
@@ -77,14 +72,12 @@ def test_operations_of_an_adaptive_method_are_those_of_the_run_and_its_check(mon
             return integration(structure, accuracy, timeline)
 
         monkeypatch.setattr(module, "integration", noted)
-    slips = replace(SCENE, effects=replace(SCENE.effects, contact=po.StickSlip()))
-    effect_costs._operations(slips, 0.1)
+    effect_costs._operations(scene(contact=po.StickSlip()), 0.1)
     assert sorted(tolerances[effect_costs]) == pytest.approx(sorted(tolerances[following][-2:]), rel=1e-12)
 
 
 def test_a_periodic_orbit_is_measured_too():
-    orbit = replace(SCENE, effects=replace(SCENE.effects, orbit="periodic"))
-    found = {cost.name: cost for cost in effect_costs.effect_costs(orbit, None)}
+    found = {cost.name: cost for cost in effect_costs.effect_costs(scene(orbit="periodic"), None)}
     assert found["periodic orbit"].on
     assert not found["periodic orbit"].refused
     assert "has no start" in found["start at rest"].refused

@@ -5,54 +5,6 @@ import casadi as ca
 import pytest
 
 import plough_opt as po
-from plough_opt.core.quantities import QUANTITIES
-from plough_opt.motion.scene_quantities import with_quantities
-
-# --- refusals ---
-
-STILL = {"motion": False}
-REFUSED = [
-    *[({"contact": law}, r"must be 'resisting', Smooth\(width\) or StickSlip\(breakaway\)")
-      for law in ("stick_slip", None)],
-    *[({"start": start}, "must be 'equilibrium', 'rest' or 'towed'") for start in ("steady", None)],
-    *[(STILL | {"start": start}, f"start = '{start}' needs motion") for start in ("rest", "towed")],
-    *[(STILL | {"contact": law}, "a contact law needs motion") for law in (po.StickSlip(), po.Smooth(0.1))],
-    *[(STILL | {"damping": value}, "damping needs motion") for value in (100.0, 0.0)],
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("changes", "words"), REFUSED)
-def test_effects_that_exclude_each_other_are_refused_with_the_reason(changes, words):
-    with pytest.raises(po.InputError, match=words):
-        po.Effects(**changes)
-
-
-OUTSIDE = {
-    "scene.stiffness": [0.0, -5e4],
-    "scene.mass": [0.0],
-    "scene.tow_speed": [-2.0],
-    "share.height": [0.0],
-    "effects.strength_wave.amplitude": [-0.1, 1.1],
-    "effects.strength_wave.wavelength": [0.0, -0.6],
-    "effects.random_strength.rms": [-0.1, 1.2],
-    "effects.random_strength.correlation_length": [0.0],
-    "effects.tow_ramp": [-1e-3],
-    "effects.damping": [-1e-3],
-    "effects.rate_term": [-1e-3],
-    "effects.contact_width": [0.0],
-    "effects.breakaway": [0.999],
-}
-
-
-@pytest.mark.parametrize("name", OUTSIDE)
-def test_numbers_outside_their_domain_are_refused_by_name(r1_scene, name):
-    contact = po.StickSlip() if name == "effects.breakaway" else po.Smooth(0.1)
-    effects = {"strength_wave": po.StrengthWave(0.3, 0.6), "random_strength": po.RandomStrength(0.1, 0.3)}
-    scene = r1_scene(contact=contact, tow_ramp=0.1, damping=400.0, rate_term=0.01, **effects)
-    for wrong in (*OUTSIDE[name], math.nan, math.inf):
-        with pytest.raises(po.DomainError, match=f"{QUANTITIES[name].called} = {wrong:g}.* must be"):
-            with_quantities(scene, {name: wrong})
-
 
 # --- properties ---
 
@@ -108,14 +60,6 @@ def test_a_blunt_share_carries_a_warning(r1_scene, half_angle, warned):
     found = scene.warnings()
     assert bool(found) == warned
     assert not warned or (f"half angle is {half_angle:.1f} deg" in found[0] and "plane sections" in found[0])
-
-
-def test_a_scene_without_any_force_runs(r1_scene, r1_soil):
-    soil = dataclasses.replace(r1_soil, cohesion=0.0, ambient_pressure=0.0)
-    run = po.simulate(r1_scene(soil=soil, inertial_drag=False), 1.0)
-    assert run.mean_draft == run.force_rms == 0.0
-    assert run.error_estimate == 0.0
-    assert list(run.speed) == [2.0] * 401
 
 
 @pytest.mark.parametrize("kind", [ca.DM, ca.SX, ca.MX, float])

@@ -1,29 +1,24 @@
-"""Scenes in the elastic medium: the steady contact force, and refusals of effects without meaning there."""
+"""Scenes in the elastic medium: the steady contact force, and what it lacks beside the plastic gas."""
 
-import dataclasses
 import json
 import math
 
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.scenes import SEROZEM, SHARE, scene_of
 
 import plough_opt as po
 from plough_opt.soil import elastic
 
-SOIL = po.named_soil("serozem")
-SHARE = po.Wedge(po.deg(30), po.deg(15), 0.25)
-STEADY = po.Effects(motion=False)
 
-
-def scene(**changes):
-    return po.Scene(**({"soil": SOIL, "share": SHARE, "stiffness": 5e5, "mass": 20.0, "tow_speed": 2.0,
-                        "effects": STEADY, "medium": "elastic"} | changes))  # fmt: skip
+def scene(medium="elastic", **changes):
+    return scene_of(**{"medium": medium, "stiffness": 5e5, "motion": False} | changes)
 
 
 @pytest.mark.parametrize("share", [SHARE, SHARE.equivalent_cone()], ids=["wedge", "cone"])
 def test_draft_is_the_contact_force_on_the_equivalent_cone(share):
-    force = elastic.cone_force(SHARE.equivalent_cone(), SOIL, 2.0)
+    force = elastic.cone_force(SHARE.equivalent_cone(), SEROZEM, 2.0)
     run = po.simulate(scene(share=share), duration=1.0)
     assert run.mean_draft == pytest.approx(force, rel=1e-14)
     np.testing.assert_allclose(run.mount_force, force, rtol=1e-14)
@@ -38,50 +33,14 @@ def test_scene_carries_no_part_of_the_plastic_gas():
     assert own.inertia == 20.0
     assert own.reaction.drag == own.reaction.added_mass == own.ambient_share == 0.0
     assert any("order of magnitude" in warning for warning in own.warnings())
-    assert not any("order of magnitude" in warning for warning in scene(medium="plastic").warnings())
-
-
-def test_ambient_pressure_only_keeps_the_contact():
+    assert not any("order of magnitude" in warning for warning in scene("plastic").warnings())
     # The soil presses on the whole cone, so contact is never lost and the force above ambient pressure stays.
-    without = scene(effects=po.Effects(motion=False, ambient_pressure=False))
-    assert without.steady_resistance == pytest.approx(scene().steady_resistance, rel=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"effects": po.Effects()}, r"motion has no meaning in the elastic medium.*Effects\(motion=False\)"),
-        (
-            {"effects": po.Effects(motion=False, strength_wave=po.StrengthWave(0.3, 0.2))},
-            "strength_wave has no meaning",
-        ),
-        ({"effects": po.Effects(motion=False, tow_ramp=0.1)}, "tow_ramp has no meaning"),
-        ({"effects": po.Effects(motion=False, rate_term=0.1)}, "rate_term has no meaning"),
-        (
-            {"effects": po.Effects(motion=False, formulation=po.Printed(repelling_spring=False))},
-            "printed formulation is one of the plastic gas",
-        ),
-        ({"medium": "viscous"}, "no resistance law is named 'viscous'.*elastic.*plastic"),
-    ],
-)
-def test_effects_without_meaning_are_refused(changes, message):
-    with pytest.raises(po.InputError, match=message):
-        scene(**changes)
-
-
-def test_it_has_no_loosened_section():
-    run = po.simulate(scene(), duration=1.0)
-    with pytest.raises(po.InputError, match="no compaction front"):
-        _ = run.specific_draft
-    with pytest.raises(po.InputError, match="no compaction front"):
-        _ = scene().loosened_radius
-
-
-def test_soil_without_elastic_constants_and_a_speed_beyond_the_shear_wave_are_refused():
-    with pytest.raises(po.InputError, match="needs youngs_modulus"):
-        po.simulate(scene(soil=dataclasses.replace(SOIL, youngs_modulus=None)), duration=1.0)
-    with pytest.raises(po.DomainError, match=r"speed over shear wave speed = 1\.1"):
-        po.simulate(scene(tow_speed=1.1 * elastic.shear_wave_speed(SOIL)), duration=1.0)
+    assert scene(ambient_pressure=False).steady_resistance == pytest.approx(own.steady_resistance, rel=1e-14)
+    run = po.simulate(own, duration=1.0)
+    for loosened in (lambda: run.specific_draft, lambda: own.loosened_radius):
+        with pytest.raises(po.InputError, match="no compaction front"):
+            loosened()
+    assert json.loads(run.to_json())["specific_draft"] is None
 
 
 def test_symbolic_scene_has_the_force_and_its_derivatives():
@@ -92,7 +51,7 @@ def test_symbolic_scene_has_the_force_and_its_derivatives():
     value, first = ca.Function("f", [speed, slope], [run.mean_draft, gradient])(20.0, 0.2)
 
     def force(v, t):
-        return elastic.cone_force(po.Cone(math.atan(t), 0.25), SOIL, v)
+        return elastic.cone_force(po.Cone(math.atan(t), 0.25), SEROZEM, v)
 
     step = 1e-3
     assert float(value) == pytest.approx(force(20.0, 0.2), rel=1e-13)
@@ -110,10 +69,6 @@ def test_a_design_keeps_below_the_shear_wave():
     design.minimise(draft / 1e4)
     best = design.solve(search="local")
     assert best.margins["elastic medium: speed over shear wave speed"] == pytest.approx(
-        0.9999 - best.variables["speed"] / elastic.shear_wave_speed(SOIL), rel=1e-9
+        0.9999 - best.variables["speed"] / elastic.shear_wave_speed(SEROZEM), rel=1e-9
     )
     assert best.objective == pytest.approx(po.simulate(scene(tow_speed=1.0), 1.0).mean_draft / 1e4, rel=1e-7)
-
-
-def test_a_saved_run_has_no_specific_draft():
-    assert json.loads(po.simulate(scene(), 1.0).to_json())["specific_draft"] is None

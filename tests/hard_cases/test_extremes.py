@@ -8,10 +8,10 @@ import signal
 import numpy as np
 import pytest
 from helpers import three_modes, wild_scenes
+from helpers.scenes import R1_SOIL, SHARP, scene_of
 
 import plough_opt as po
 
-SHARE = po.Wedge(po.deg(25.0), po.deg(15.0), 0.25)
 WAVE = po.StrengthWave(0.5, 0.3)
 LIMIT = 30
 pytestmark = pytest.mark.usefixtures("clock")
@@ -19,12 +19,8 @@ AVERAGES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "t
 ARRAYS = ("travel", "speed", "deflection", "mount_force", "soil_resistance", "opening", "mode")
 
 
-def largest(values):
-    return float(np.max(np.abs(values)))
-
-
-def scene_of(soil, *, share=SHARE, stiffness=5e4, mass=24.0, speed=2.0, **effects):
-    return po.Scene(soil, share, stiffness, mass, speed, po.Effects(**effects))
+def scene(soil=R1_SOIL, share=SHARP, mass=24.0, **changes):
+    return scene_of(soil, share, mass=mass, **changes)
 
 
 def assert_finite(run):
@@ -59,53 +55,35 @@ def clock():
 
 
 @pytest.mark.parametrize("exponent", range(0, 13, 4))
-def test_every_stiffness_from_a_steady_start(r1_soil, exponent):
-    run = po.simulate(scene_of(r1_soil, stiffness=10.0**exponent), 1.0)
+def test_every_stiffness_from_a_steady_start(exponent):
+    run = po.simulate(scene(stiffness=10.0**exponent), 1.0)
     assert run.mount_force == pytest.approx(run.scene.steady_resistance, rel=1e-12)
     assert run.force_rms == 0.0
 
 
-@pytest.mark.parametrize("stiffness", [1.0, 1e2, 1e7])
-@pytest.mark.parametrize("contact", ["resisting", po.Smooth(0.5), po.StickSlip()], ids=lambda law: type(law).__name__)
-def test_soft_and_stiff_mounts_under_a_wave(r1_soil, stiffness, contact):
-    duration = 0.02 if stiffness > 1e5 else 1.0
-    scene = scene_of(r1_soil, stiffness=stiffness, contact=contact, strength_wave=WAVE)
-    three_modes.agreed(scene, duration, allowed=5e-8, resistance=20.0)
-
-
-def test_the_stiffest_mount_is_rigid(r1_soil):
-    scene = scene_of(r1_soil, stiffness=1e8, damping=2e4, strength_wave=WAVE, tow_ramp=0.2)
-    run = po.simulate(scene, 0.6)
-    rigid = po.simulate(scene_of(r1_soil, stiffness=1e8, motion=False, strength_wave=WAVE, tow_ramp=0.2), 0.6)
+def test_the_stiffest_mount_is_rigid():
+    run = po.simulate(scene(stiffness=1e8, damping=2e4, strength_wave=WAVE, tow_ramp=0.2), 0.6)
+    rigid = po.simulate(scene(stiffness=1e8, motion=False, strength_wave=WAVE, tow_ramp=0.2), 0.6)
     # The difference is the inertial force M s'' of the ramp, whose mean is M V0/0.6 s.
-    inertial = scene.inertia * scene.tow_speed / 0.6
+    inertial = run.scene.inertia * run.scene.tow_speed / 0.6
     assert run.mean_draft - inertial == pytest.approx(rigid.mean_draft, rel=1e-4)
 
 
-def test_a_wall_without_damper_ends(r1_soil):
-    rigid = po.simulate(scene_of(r1_soil, stiffness=1e12, motion=False, strength_wave=WAVE), 0.1)
-    run, reason = run_or_reason(scene_of(r1_soil, stiffness=1e12, strength_wave=WAVE), 0.1)
+def test_a_wall_without_damper_ends():
+    rigid = po.simulate(scene(stiffness=1e12, motion=False, strength_wave=WAVE), 0.1)
+    run, reason = run_or_reason(scene(stiffness=1e12, strength_wave=WAVE), 0.1)
     if run is None:
         assert "quasi-static" in reason
     else:
         assert run.mean_draft == pytest.approx(rigid.mean_draft, rel=max(1e-4, run.error_estimate))
 
 
-def test_a_share_of_no_weight(r1_soil):
-    # Only the soil that it carries has mass, until it leaves the soil and a gap opens.
-    scene = scene_of(r1_soil, mass=1e-6, stiffness=1e3, contact=po.StickSlip(1.2), strength_wave=WAVE)
-    three_modes.agreed(scene, 0.01, allowed=5e-8, resistance=20.0)
-    damped = scene_of(r1_soil, mass=1e-6, stiffness=1e5, damping=300.0, strength_wave=WAVE)
-    three_modes.agreed(damped, 0.1, allowed=5e-8, resistance=20.0)
-
-
-def test_soil_that_pushes_a_light_share_away_is_refused(r1_soil):
-    scene = scene_of(r1_soil, mass=1e-6, stiffness=1e3, strength_wave=WAVE)
+def test_soil_that_pushes_a_light_share_away_is_refused():
     with pytest.raises(po.IntegrationError, match="the resistance drives the share away"):
-        po.simulate(scene, 0.3, outputs=10)
+        po.simulate(scene(mass=1e-6, stiffness=1e3, strength_wave=WAVE), 0.3, outputs=10)
 
 
-# --- soils and shares ---
+# --- soils, shares, mounts and speeds ---
 
 SOILS = {
     "loosest": {"density_ratio": 1e-12},
@@ -119,46 +97,54 @@ SOILS = {
 }
 
 
-@pytest.mark.parametrize("changes", SOILS.values(), ids=SOILS)
-@pytest.mark.parametrize("contact", ["resisting", po.StickSlip(1.2)], ids=["resisting", "stick_slip"])
-def test_every_soil(r1_soil, changes, contact):
-    soil = dataclasses.replace(r1_soil, **changes)
-    scene = scene_of(soil, contact=contact, strength_wave=WAVE, start="towed")
-    _, reason = run_or_reason(scene, 0.3)
-    if reason is None:
-        three_modes.agreed(scene, 0.3, allowed=5e-8, resistance=20.0)
+LAWS = {"resisting": "resisting", "smooth": po.Smooth(0.5), "stick and slip": po.StickSlip(1.2)}
+TOWED = {"strength_wave": WAVE, "start": "towed"}
+FAST = {"tow_speed": 1e3, "strength_wave": po.StrengthWave(0.5, 3.0), "start": "towed"}
+
+
+def cases():
+    """Yield name -> changes of the scene and duration; by default every second case runs."""
+    # Only the soil that it carries has mass, until it leaves the soil and a gap opens.
+    yield "no weight", ({"mass": 1e-6, "stiffness": 1e3, "contact": po.StickSlip(1.2), "strength_wave": WAVE}, 0.01)
+    for law in ("resisting", "stick and slip"):
+        yield f"a thousand metres a second, {law}", (FAST | {"contact": LAWS[law]}, 0.05)
+        for angle in (1e-8, 1e-3, po.deg(89.0), po.deg(89.99)):
+            share = po.Wedge(angle, po.deg(15.0), 0.25)
+            yield f"wedge of {angle:g}, {law}", (TOWED | {"share": share, "contact": LAWS[law]}, 0.3)
+        for name, changes in SOILS.items():
+            soil = dataclasses.replace(R1_SOIL, **changes)
+            yield f"{name}, {law}", (TOWED | {"soil": soil, "contact": LAWS[law]}, 0.3)
+    yield "no weight, damped", ({"mass": 1e-6, "stiffness": 1e5, "damping": 300.0, "strength_wave": WAVE}, 0.1)
+    for name, law in LAWS.items():
+        for stiffness, duration in ((1.0, 1.0), (1e2, 1.0), (1e7, 0.02)):
+            changes = {"stiffness": stiffness, "contact": law, "strength_wave": WAVE}
+            yield f"{stiffness:g} N/m, {name}", (changes, duration)
+        for start in ("rest", "towed", "equilibrium"):
+            if name != "stick and slip":
+                yield f"a strut at rest, {start}, {name}", ({"tow_speed": 0.0, "contact": law, "start": start}, 0.5)
+
+
+CASES = dict(cases())
+# Resistance that keeps its sign, with this much drag, pushes a retreating share ever faster.
+REFUSED = {"densest, resisting"}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_an_independent_solver_agrees_at_the_ends(name):
+    changes, duration = CASES[name]
+    if name in REFUSED:
+        with pytest.raises(po.IntegrationError, match="the resistance drives the share away"):
+            po.simulate(scene(**changes), duration)
     else:
-        # Resistance that keeps its sign, with this much drag, pushes a retreating share ever faster.
-        assert contact == "resisting"
-        assert "the resistance drives the share away" in reason
+        assert_finite(three_modes.agreed(scene(**changes), duration, allowed=5e-8, resistance=20.0)[0])
 
 
-@pytest.mark.parametrize("angle", [1e-8, 1e-3, po.deg(89.0), po.deg(89.99)])
-@pytest.mark.parametrize("contact", ["resisting", po.StickSlip(1.2)], ids=["resisting", "stick_slip"])
-def test_every_wedge(r1_soil, angle, contact):
-    share = po.Wedge(angle, po.deg(15.0), 0.25)
-    scene = scene_of(r1_soil, share=share, contact=contact, strength_wave=WAVE, start="towed")
-    three_modes.agreed(scene, 0.3, allowed=5e-8, resistance=20.0)
-
-
-# --- speeds ---
-
-
-@pytest.mark.parametrize(
-    "contact", ["resisting", po.Smooth(0.1), po.StickSlip(1.2)], ids=lambda law: type(law).__name__
-)
-@pytest.mark.parametrize("start", ["rest", "towed", "equilibrium"])
-def test_a_strut_at_rest(r1_soil, contact, start):
-    scene = scene_of(r1_soil, speed=0.0, contact=contact, start=start)
-    run, expected = po.simulate(scene, 0.5, outputs=10), three_modes.follow(scene, 0.5, outputs=10)
-    assert_finite(run)
-    assert largest(run.mount_force - expected.mount_force) <= 2e-8 * scene.reaction.static
-
-
-@pytest.mark.parametrize("contact", ["resisting", po.StickSlip()], ids=["resisting", "stick_slip"])
-def test_a_thousand_metres_a_second(r1_soil, contact):
-    scene = scene_of(r1_soil, speed=1e3, contact=contact, strength_wave=po.StrengthWave(0.5, 3.0), start="towed")
-    three_modes.agreed(scene, 0.05, allowed=5e-8, resistance=20.0)
+@pytest.mark.parametrize("entry", [False, True])
+def test_a_strut_at_rest_does_not_move_a_share_that_sticks(entry):
+    for start in ("rest", "towed", "equilibrium")[: 3 - entry]:
+        run = po.simulate(scene(tow_speed=0.0, contact=po.StickSlip(1.5), start=start, entry=entry), 1.0, outputs=10)
+        assert np.ptp(run.travel) == 0.0
+        assert run.mount_force == pytest.approx(run.scene.reaction.static if start == "equilibrium" else 0.0)
 
 
 # --- events by the thousand ---
@@ -168,17 +154,17 @@ def test_a_thousand_metres_a_second(r1_soil, contact):
     ("breakaway", "speed", "cycles"),
     [(1.2, 0.1, 10), (1.5, 0.05, 200), pytest.param(1.5, 0.2, 1500, marks=pytest.mark.slow)],
 )
-def test_breakaway_keeps_an_exact_cycle_alive_for_thousands_of_events(r1_soil, breakaway, speed, cycles):
-    effects = po.Effects(contact=po.StickSlip(breakaway), start="rest", inertial_drag=False, added_mass=False)
-    scene = po.Scene(r1_soil, SHARE, 2e4, 24.0, speed, effects)
-    static, k = scene.reaction.static, scene.stiffness
-    omega, excess = math.sqrt(k / scene.mass), (breakaway - 1.0) * static / k
+def test_breakaway_keeps_an_exact_cycle_alive_for_thousands_of_events(breakaway, speed, cycles):
+    effects = {"contact": po.StickSlip(breakaway), "inertial_drag": False, "added_mass": False}
+    sticky = scene(stiffness=2e4, tow_speed=speed, start="rest", **effects)
+    static, k = sticky.reaction.static, sticky.stiffness
+    omega, excess = math.sqrt(k / sticky.mass), (breakaway - 1.0) * static / k
     # It sticks until the spring has stretched by twice the excess, and slips for part of a period in between.
     stuck = 2.0 * excess / speed
     slipping = 2.0 / omega * (math.pi - math.atan(excess * omega / speed))
     first = breakaway * static / (k * speed)
     before_next = 0.4 * stuck
-    run = po.simulate(scene, first + cycles * (stuck + slipping) - before_next, outputs=50)
+    run = po.simulate(sticky, first + cycles * (stuck + slipping) - before_next, outputs=50)
     assert run.mode[-1] == three_modes.STICK
     assert run.mount_force[-1] == pytest.approx(breakaway * static - k * speed * before_next, rel=1e-8 * cycles)
     assert run.travel[-1] == pytest.approx(cycles * speed * (stuck + slipping), rel=1e-8 * cycles)

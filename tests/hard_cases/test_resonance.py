@@ -2,15 +2,16 @@
 
 import cmath
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.scenes import SHARP, scene_of
 from scipy.integrate import DOP853
 
 import plough_opt as po
 
-SHARE = po.Wedge(po.deg(25.0), po.deg(15.0), 0.25)
-STIFFNESS, MASS, WAVELENGTH = 5e4, 24.0, 0.6
+STIFFNESS, WAVELENGTH = 5e4, 0.6
 # Errors of amplitude, relative, and of phase [rad] after a thousand periods, by steps per period: what a reader may
 # expect of fixed steps of order 8. They grow with the time, and fall by 2^9 and 2^8 where the steps double.
 STATED = {
@@ -26,12 +27,10 @@ ROUNDING = 3e-9
 
 def resonance(soil, growth, periods):
     """Return a scene whose wave passes at its natural frequency and makes the force grow by a part of F0."""
-    bare = po.Scene(soil, SHARE, STIFFNESS, MASS, 1.0, po.Effects(inertial_drag=False))
-    omega = bare.natural_frequency
     wave = po.StrengthWave(growth / (math.pi * periods), WAVELENGTH)
-    effects = po.Effects(inertial_drag=False, strength_wave=wave)
-    scene = po.Scene(soil, SHARE, STIFFNESS, MASS, omega * WAVELENGTH / (2.0 * math.pi), effects)
-    return scene, periods * 2.0 * math.pi / omega
+    scene = scene_of(soil, SHARP, STIFFNESS, 24.0, 1.0, inertial_drag=False, strength_wave=wave)
+    omega = scene.natural_frequency
+    return replace(scene, tow_speed=omega * WAVELENGTH / (2.0 * math.pi)), periods * 2.0 * math.pi / omega
 
 
 def exact(scene, t):

@@ -221,7 +221,7 @@ def follow(scene, duration, outputs=20, tolerance=TIGHT):
 
 
 def agreed(scene, duration, outputs=10, allowed=2e-8, resistance=1.0):
-    """Return a run and the `Motion` that it agrees with: force, resistance, averages and power, and modes if any.
+    """Return a run and the `Motion` that it agrees with: force, resistance, averages, power, and modes if any.
 
     A run promises 1e-8 of both force and averages; the motion is exact to some 1e-11 of them.
 
@@ -231,7 +231,7 @@ def agreed(scene, duration, outputs=10, allowed=2e-8, resistance=1.0):
         outputs: at which they are compared.
         allowed: difference in parts of the largest mount force, and of the mean draft or RMS.
         resistance: by how much more the soil's resistance may differ; modes and resistance jump at an event, and are
-            compared off it.
+            compared off it, and so are speeds.
     """
     run, expected = po.simulate(scene, duration, outputs=outputs), follow(scene, duration, outputs=outputs)
     far = ~expected.near_a_change(1e-7 * duration)
@@ -246,8 +246,18 @@ def agreed(scene, duration, outputs=10, allowed=2e-8, resistance=1.0):
     assert abs(run.mean_deflection - expected.mean_deflection) <= size / scene.stiffness
     assert abs(run.displacement_rms - expected.displacement_rms) <= size / scene.stiffness
     assert abs(run.tow_power - expected.tow_power) <= size * scene.tow_speed
+    fastest = np.max(np.abs(expected.speed))
+    apart = np.max(np.abs(run.speed - expected.speed)[far], initial=0.0)
+    assert apart <= 5.0 * allowed * resistance * fastest + 1e-12 * scene.tow_speed
     if isinstance(scene.effects.contact, po.StickSlip):
         assert list(np.round(run.mode[far])) == list(expected.mode[far])
+        # The definition of each mode holds exactly.
+        gap, stick = run.mode == GAP, run.mode == STICK
+        assert np.all(run.speed[stick] == 0.0)
+        assert np.all(run.soil_resistance[stick] == run.mount_force[stick])
+        assert np.all(run.soil_resistance[gap] == 0.0)
+        assert np.all((run.opening > 0.0) == gap)
+        assert np.max(np.abs(run.opening - expected.opening)) < allowed * np.max(np.abs(expected.deflection))
     return run, expected
 
 

@@ -1,11 +1,11 @@
 """Scenes sampled over the whole domain and all combinations of effects, and the errors of their runs."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 import plough_opt as po
+from helpers.scenes import Shank
 from plough_opt.motion.plan import numbers_of, phase
 
 # Largest phase [rad] of the fastest oscillation; the reference, in Python and the widest floats, then takes seconds.
@@ -14,17 +14,6 @@ MOST_PHASE = 1500.0
 ROUNDING = 1e-13
 # Outputs this close to an event, relative to the duration, may lie on either side of its jump.
 BESIDE = 1e-9
-
-
-@dataclass(frozen=True)
-class Shank:
-    """An own effect."""
-
-    static: float
-    viscous: float
-
-    def force(self, travel, speed):
-        return self.static + self.viscous * speed + 0.0 * travel
 
 
 def sampled(seed, most_phase=MOST_PHASE):

@@ -11,32 +11,26 @@ import zlib
 import casadi as ca
 import numpy as np
 import pytest
-from test_effect_combinations import ALL, COVERING, label, refused
+from helpers.differences import differences
+from test_effect_combinations import ALL, COVERING, choices, label, refused, thinned
 
 import plough_opt as po
 
 # Quantities of every scene, SI. About two waves pass, and the mount makes one and a half oscillations.
-NUMBERS = {
+SOIL = {
     "density": 1400.0,
-    "density ratio": 0.8,
+    "density_ratio": 0.8,
     "cohesion": 15e3,
-    "friction angle": po.deg(30.0),
-    "tool friction": 0.5,
-    "ambient pressure": 1e4,
-    "wedge angle": po.deg(45.0),
-    "chisel angle": po.deg(15.0),
-    "height": 0.15,
-    "stiffness": 8e4,
-    "mass": 24.0,
-    "tow speed": 1.2,
-    "duration": 0.2,
+    "friction_angle": po.deg(30.0),
+    "tool_friction": 0.5,
+    "ambient_pressure": 1e4,
 }
-SOIL = ("density", "density ratio", "cohesion", "friction angle", "tool friction", "ambient pressure")
+SHARE = {"angle": po.deg(45.0), "chisel_angle": po.deg(15.0), "height": 0.15}
+NUMBERS = SOIL | SHARE | {"stiffness": 8e4, "mass": 24.0, "tow_speed": 1.2, "duration": 0.2}
+# Those of effects. The ramp ends neither at an output nor at the end of a step.
+OWN = {"tow_ramp": 0.061, "damping": 120.0, "rate_term": 0.08}
 OUTPUTS, INNER = 4, 2
 STEP = 3e-4
-# Differences of order 6 over three steps on either side.
-PLACES = STEP * np.array((-3, -2, -1, 1, 2, 3))
-WEIGHTS = np.array((-1, 9, -45, 45, -9, 1)) / (60 * STEP)
 # Intervals on which events are told apart, and the fewest of them between two events or an event and an output.
 COURSE, NEAR = 400, 8
 # A share that does not stop must keep this part of its largest speed.
@@ -45,20 +39,10 @@ GRAZES = 0.03
 
 def numbers_of(effects):
     """Return the quantities, by name, around which the scenes of a combination are drawn."""
-    found = dict(NUMBERS)
+    found = NUMBERS | {name: value for name, value in OWN.items() if effects.get(name)}
     if effects.get("strength_wave"):
         found |= {"amplitude": 0.7, "wavelength": 0.1}
-    if effects.get("tow_ramp"):
-        # Ends neither at an output nor at the end of a step.
-        found["ramp time"] = 0.061
-    if effects.get("damping"):
-        found["damping"] = 120.0
-    if effects.get("rate_term"):
-        found["rate term"] = 0.08
-    if isinstance(effects.get("contact"), po.Smooth):
-        found["width"] = 0.3
-    if isinstance(effects.get("contact"), po.StickSlip):
-        found["breakaway"] = 1.2
+    found |= {po.Smooth: {"width": 0.3}, po.StickSlip: {"breakaway": 1.2}}.get(type(effects.get("contact")), {})
     if effects.get("formulation") == "printed":
         # Its spring repels: two e-foldings are enough. The share starts so far ahead that a short wave turns too fast.
         found |= {"stiffness": 2e4, "mass": 500.0} | ({"wavelength": 1.0} if "wavelength" in found else {})
@@ -67,22 +51,14 @@ def numbers_of(effects):
 
 def scene_of(effects, x):
     """Return the scene of a combination with the quantities x, floats or expressions."""
-    own = {}
+    effects = effects | {name: x[name] for name in OWN if name in x}
     if "amplitude" in x:
-        own["strength_wave"] = po.StrengthWave(x["amplitude"], x["wavelength"])
-    if "ramp time" in x:
-        own["tow_ramp"] = x["ramp time"]
-    if "damping" in x:
-        own["damping"] = x["damping"]
-    if "rate term" in x:
-        own["rate_term"] = x["rate term"]
-    if "width" in x:
-        own["contact"] = po.Smooth(x["width"])
-    if "breakaway" in x:
-        own["contact"] = po.StickSlip(x["breakaway"])
-    soil = po.Soil(*(x[name] for name in SOIL))
-    share = po.Wedge(x["wedge angle"], x["chisel angle"], x["height"])
-    return po.Scene(soil, share, x["stiffness"], x["mass"], x["tow speed"], po.Effects(**(effects | own)))
+        effects["strength_wave"] = po.StrengthWave(x["amplitude"], x["wavelength"])
+    for name, law in (("width", po.Smooth), ("breakaway", po.StickSlip)):
+        if name in x:
+            effects["contact"] = law(x[name])
+    soil, share = po.Soil(**{name: x[name] for name in SOIL}), po.Wedge(**{name: x[name] for name in SHARE})
+    return po.Scene(soil, share, x["stiffness"], x["mass"], x["tow_speed"], po.Effects(**effects))
 
 
 def has_events(effects):
@@ -139,7 +115,7 @@ def is_clear(effects, at, direction):
     if not has_events(effects):
         return True
     middle = events(effects, at)
-    ends = (along(at, direction, t) for t in (PLACES[0], PLACES[-1]))
+    ends = (along(at, direction, t) for t in (-4.0 * STEP, 4.0 * STEP))
     return middle is not None and all(events(effects, end) == middle for end in ends)
 
 
@@ -173,25 +149,11 @@ def title(effects):
     return "+".join(f"{name}={effects[name]}" for name in sorted(effects))
 
 
-def choices(effects):
-    return {(name, repr(choice)) for name, choice in effects.items()}
-
-
 def meetings(effects):
     """Return the choices of a combination, and the pairs of those that bring events, kinks and waves."""
     found = choices(effects)
     meet = sorted(choice for choice in found if choice[0] in ("contact", "entry", "tow_ramp", "strength_wave"))
     return found | set(itertools.combinations(meet, 2))
-
-
-def thinned(rows, held=choices):
-    """Return rows, chosen greedily, that together hold everything that any row holds."""
-    wanted, chosen = set().union(*map(held, rows)), []
-    while wanted:
-        best = max(rows, key=lambda row: len(held(row) & wanted))
-        wanted -= held(best)
-        chosen.append(best)
-    return chosen
 
 
 def products(**choices):
@@ -239,9 +201,12 @@ def check_slope_and_curvature(effects, at, direction):
     assert values == pytest.approx(results(run), rel=0, abs=2e-8 * np.max(np.abs(run.mount_force)))
     size = max(abs(values[0]), values[1])
     weights = np.cos(np.arange(4)) / size
-    beside = [[np.asarray(result).ravel() for result in first(t)] for t in PLACES]
-    expected = WEIGHTS @ [value for value, _ in beside] / size
-    bend = float(WEIGHTS @ [slope @ weights for _, slope in beside])
+
+    def beside(t):
+        value, slope = (np.asarray(result).ravel() for result in first(*t))
+        return np.append(value / size, slope @ weights)
+
+    *expected, bend = differences(beside, np.zeros(1), STEP).ravel()
     if is_smooth(effects):
         # Tolerance 1e-13 over the step. Where a step of integration meets an end of the smooth contact's step, a fifth
         # derivative jumps: a local error of 1e-13, differentiated twice by its place in the step. It leaves 1e-9 to
@@ -257,16 +222,17 @@ def check_slope_and_curvature(effects, at, direction):
     assert abs(float(second(0.0, weights)) - bend) < allowed[1] * max(1.0, abs(bend))
     if effects in THIN and not is_smooth(effects) and not effects["entry"]:
         # The default accuracy gives derivatives to 1e-6.
-        own_first, own_second = derivatives(effects, at, direction, None)
-        parts = [slopes, [float(second(0.0, unit)) for unit in np.eye(4)]]
-        own_parts = [own_first(0.0)[1].full().ravel(), [float(own_second(0.0, unit)) for unit in np.eye(4)]]
-        for one, truth in zip(np.array(own_parts), np.array(parts), strict=True):
-            assert np.max(np.abs(one - truth) / np.maximum(size, np.abs(truth))) < 1e-6
+        default = derivatives(effects, at, direction, None)
+        found, truth = (
+            np.array([one(0.0)[1].full().ravel(), [float(two(0.0, unit)) for unit in np.eye(4)]])
+            for one, two in (default, (first, second))
+        )
+        assert np.max(np.abs(found - truth) / np.maximum(size, np.abs(truth))) < 1e-6
 
 
 def test_slope_and_curvature_of_a_share_that_leaves_a_gap():
     effects = {**MOVING[0], "contact": po.StickSlip(1.2), "start": "rest", "strength_wave": WAVE[1]}
-    numbers = {"wedge angle": po.deg(25.0), "height": 0.25, "stiffness": 1e4, "tow speed": 2.0, "wavelength": 0.6}
+    numbers = {"angle": po.deg(25.0), "height": 0.25, "stiffness": 1e4, "tow_speed": 2.0, "wavelength": 0.6}
     at, direction = drawn(effects)
     at |= numbers | {"amplitude": 0.95, "duration": 0.5}
     assert 2.0 in simulated(effects, at, None, COURSE).mode

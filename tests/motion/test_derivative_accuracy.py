@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.scenes import scene_of
 
 import plough_opt as po
 
@@ -15,16 +16,11 @@ SUDDEN = {
 }
 
 
-def scene_of(stiffness=5e4, speed=2.0, **effects):
-    share = po.Wedge(po.deg(30.0), po.deg(15.0), 0.25)
-    return po.Scene(po.named_soil("serozem"), share, stiffness, 45.0, speed, po.Effects(**effects))
-
-
 @pytest.mark.parametrize("case", ["stick and slip", "entry"])
 def test_second_derivatives_through_events_are_those_of_a_gradient(case):
     t = ca.MX.sym("t", 2)
     effects = SUDDEN[case] | {"strength_wave": WAVE, "tow_ramp": 0.2 * (1.0 + t[1])}
-    draft = po.simulate(scene_of(5e4 * (1.0 + t[0]), 1.5, **effects), 0.5, outputs=4).mean_draft
+    draft = po.simulate(scene_of(stiffness=5e4 * (1.0 + t[0]), tow_speed=1.5, **effects), 0.5, outputs=4).mean_draft
     gradient, units = ca.gradient(draft, t), ca.horzsplit(ca.DM.eye(2))
     ways = [
         ca.hessian(draft, t)[0],

@@ -1,4 +1,4 @@
-"""Entry from first contact: both sides of its kink, shares that turn back, and a strut at rest.
+"""Entry from first contact: both sides of its kink, and shares that turn back.
 
 `test_effect_combinations` compares entry beside every other effect with an independent solver.
 """
@@ -6,27 +6,16 @@
 import numpy as np
 import pytest
 from helpers import three_modes
+from helpers.scenes import SHARP, scene_of
 
 import plough_opt as po
-
-SHARE = po.Wedge(po.deg(25.0), po.deg(15.0), 0.25)
-BLUNT = po.Wedge(po.deg(70.0), po.deg(15.0), 0.40)
-WAVE = po.StrengthWave(0.6, 0.2)
-LAWS = {"resisting": "resisting", "smooth": po.Smooth(0.05), "stick_slip": po.StickSlip(1.2)}
-
-
-def scene_of(soil, share=SHARE, stiffness=2e4, mass=24.0, speed=1.0, **effects):
-    return po.Scene(soil, share, stiffness, mass, speed, po.Effects(**({"entry": True, "start": "towed"} | effects)))
-
-
-def largest(values):
-    return float(np.max(np.abs(values)))
 
 
 def test_both_sides_of_the_kink_against_an_exact_solution(r1_soil):
     # The spring is so soft that the share only follows its momentum. Without wave, drag and added mass its energy
     # m v^2/2 falls by the work F0 L^3/(3 h^2) and, beyond h, by F0 (L - h) too.
-    scene = scene_of(r1_soil, stiffness=1e-6, mass=100.0, speed=3.0, inertial_drag=False, added_mass=False)
+    effects = {"start": "towed", "entry": True, "inertial_drag": False, "added_mass": False}
+    scene = scene_of(r1_soil, SHARP, 1e-6, 100.0, 3.0, **effects)
     static, height = scene.reaction.static, scene.cone.height
     run = po.simulate(scene, 0.12, outputs=240)
     depth = np.minimum(run.travel, height)
@@ -39,14 +28,9 @@ def test_both_sides_of_the_kink_against_an_exact_solution(r1_soil):
 @pytest.mark.parametrize("start", ["rest", "towed"])
 @pytest.mark.parametrize("stiffness", [1e3, 5e3, 2e4])
 def test_a_share_that_turns_back_stays_as_deep_as_it_was(r1_soil, start, stiffness):
-    steep = {"share": po.Wedge(po.deg(60.0), po.deg(15.0), 0.5), "strength_wave": po.StrengthWave(0.9, 0.11)}
-    scene = scene_of(r1_soil, stiffness=stiffness, speed=1.5, start=start, inertial_drag=False, **steep)
+    steep = po.Wedge(po.deg(60.0), po.deg(15.0), 0.5)
+    effects = {"start": start, "entry": True, "inertial_drag": False, "strength_wave": po.StrengthWave(0.9, 0.11)}
+    scene = scene_of(r1_soil, steep, stiffness, 24.0, 1.5, **effects)
     run, _ = three_modes.agreed(scene, 0.6, outputs=24)
     furthest = np.maximum.accumulate(po.simulate(scene, 0.6, outputs=2400).travel)[::100]
     assert np.any((run.travel < furthest - 0.01) & (furthest < scene.cone.height))
-
-
-def test_without_tow_speed_nothing_happens(r1_soil):
-    for contact in LAWS.values():
-        run = po.simulate(scene_of(r1_soil, contact=contact, speed=0.0, start="rest"), 1.0, outputs=5)
-        assert largest(run.mount_force) == largest(run.travel) == largest(run.soil_resistance) == 0.0

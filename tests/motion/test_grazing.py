@@ -11,44 +11,34 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers import three_modes
+from helpers.scenes import scene_of
 from scipy.interpolate import CubicHermiteSpline
 
 import plough_opt as po
 from plough_opt.motion import estimate
 
-SHARE = po.Wedge(po.deg(30.0), po.deg(15.0), 0.25)
-MASS, STIFFNESS, SPEED = 20.0, 5e4, 2.0
+STIFFNESS, SPEED = 5e4, 2.0
 TIGHT = po.Accuracy("erk", tolerance=1e-13)
-RESULTS = ("mount_force", "travel", "mean_draft", "force_rms")
 
 
-def scene_of(stiffness=STIFFNESS, speed=SPEED, damping=0.0, breakaway=1.0, inertial_drag=False, **effects):
-    contact = po.StickSlip(breakaway)
-    chosen = po.Effects(start="rest", contact=contact, damping=damping, inertial_drag=inertial_drag, **effects)
-    return po.Scene(po.named_soil("serozem"), SHARE, stiffness, MASS, speed, chosen)
+def scene(stiffness=STIFFNESS, speed=SPEED, damping=0.0, breakaway=1.0, inertial_drag=False, **effects):
+    sticky = {"start": "rest", "contact": po.StickSlip(breakaway), "inertial_drag": inertial_drag}
+    return scene_of(stiffness=stiffness, tow_speed=speed, damping=damping, **sticky, **effects)
 
 
 def waved(amplitude, wavelength):
-    return scene_of(strength_wave=po.StrengthWave(amplitude, wavelength))
-
-
-def moments():
-    """Return the time at which the share breaks loose, and its period [s]."""
-    scene = scene_of()
-    return scene.reaction.static / (STIFFNESS * SPEED), 2.0 * math.pi / scene.natural_frequency
+    return scene(strength_wave=po.StrengthWave(amplitude, wavelength))
 
 
 def duration(cycles=3.3):
-    loose, period = moments()
-    return loose + cycles * period
+    """Return the time in which the share breaks loose and swings so many times [s]."""
+    own = scene()
+    return own.reaction.static / (STIFFNESS * SPEED) + cycles * 2.0 * math.pi / own.natural_frequency
 
 
-def results_of(scene, cycles=3.3, accuracy=TIGHT):
-    run = po.simulate(scene, duration(cycles), accuracy=accuracy, outputs=1)
-    values = [getattr(run, name) for name in RESULTS]
-    return [
-        value[-1] if name in ("mount_force", "travel") else value for name, value in zip(RESULTS, values, strict=True)
-    ]
+def results_of(own, cycles=3.3, accuracy=TIGHT):
+    run = po.simulate(own, duration(cycles), accuracy=accuracy, outputs=1)
+    return [run.mount_force[-1], run.travel[-1], run.mean_draft, run.force_rms]
 
 
 def slopes(build, at, cycles=3.3, accuracy=TIGHT):
@@ -61,19 +51,16 @@ def slopes(build, at, cycles=3.3, accuracy=TIGHT):
 def exact(x, cycles):
     """Return expressions of mount force and travel of a share that breaks loose once and slips on, in closed form."""
     stiffness, speed, damping = ca.vertsplit(x)
-    scene = scene_of()
-    inertia, z_s = scene.inertia, scene.reaction.static / stiffness
+    static, inertia = scene().reaction.static, scene().inertia
     # It sticks while k0 V0 t + c V0 is below F0.
-    loose = (scene.reaction.static - damping * speed) / (stiffness * speed)
+    loose = (static - damping * speed) / (stiffness * speed)
     d = damping / (2.0 * inertia)
     omega, since = ca.sqrt(stiffness / inertia - d**2), duration(cycles) - loose
-    a = speed * loose - z_s
+    a = speed * loose - static / stiffness
     b = (speed + d * a) / omega
-    wave, turned = (
-        a * ca.cos(omega * since) + b * ca.sin(omega * since),
-        b * ca.cos(omega * since) - a * ca.sin(omega * since),
-    )
-    z, rate = z_s + ca.exp(-d * since) * wave, ca.exp(-d * since) * (omega * turned - d * wave)
+    cosine, sine, decay = ca.cos(omega * since), ca.sin(omega * since), ca.exp(-d * since)
+    z = static / stiffness + decay * (a * cosine + b * sine)
+    rate = decay * (omega * (b * cosine - a * sine) - d * (a * cosine + b * sine))
     return ca.vertcat(stiffness * z + damping * rate, speed * duration(cycles) - z)
 
 
@@ -88,19 +75,19 @@ def test_value_and_derivatives_are_those_of_the_exact_motion(cycles, accuracy, a
     motion = exact(x, cycles)
     value, expected = (np.array(part) for part in ca.Function("exact", [x], [motion, ca.jacobian(motion, x)])(at))
     # Rounding decides whether a touch of zero counts as a stop, whose duration is then zero.
-    found = np.array(results_of(scene_of(), cycles))[:2]
+    found = np.array(results_of(scene(), cycles))[:2]
     assert found == pytest.approx(value.ravel(), rel=1e-11)
-    derivatives = slopes(scene_of, at, cycles, accuracy)
+    derivatives = slopes(scene, at, cycles, accuracy)
     assert np.all(np.isfinite(derivatives))
     # Relative to the results, by relative changes of stiffness and speed, and by critical damping.
-    scales = np.array([STIFFNESS, SPEED, 2.0 * math.sqrt(STIFFNESS * scene_of().inertia)])
+    scales = np.array([STIFFNESS, SPEED, 2.0 * math.sqrt(STIFFNESS * scene().inertia)])
     difference = (derivatives[:2] - expected) * scales / value
     assert np.max(np.abs(difference)) < allowed
 
 
 def test_a_wave_that_keeps_it_moving_has_that_derivative():
     wavelength = 0.3
-    here = np.array(results_of(scene_of()))
+    here = np.array(results_of(scene()))
     derivatives = slopes(lambda amplitude: waved(amplitude, wavelength), [0.0])[:, 0]
     assert three_modes.follow(waved(1e-4, wavelength), duration()).count(0, 1) == 0
     size = np.max(np.abs(derivatives / here)) * np.abs(here)
@@ -113,7 +100,7 @@ def test_a_wave_that_keeps_it_moving_has_that_derivative():
 def test_a_wave_that_makes_it_stop_has_another():
     wavelength = 0.1
     # On the side that stops there is a slope too, but another one: the share waits until the mount pulls enough.
-    here = results_of(scene_of())[0]
+    here = results_of(scene())[0]
     derivative = slopes(lambda amplitude: waved(amplitude, wavelength), [0.0])[0, 0]
     assert math.isfinite(derivative)
     books = [three_modes.follow(waved(h, wavelength), duration()) for h in (1e-3, 1e-4)]
@@ -131,13 +118,9 @@ def grazes(run):
 
 
 def test_a_warning_names_the_first_touch():
-    own = scene_of()
-    run = po.simulate(own, 2.0)
-    (text,) = grazes(run)
+    (text,) = grazes(po.simulate(scene(), 2.0))
     # The mount stretches to the static force, then the share swings about the tow speed: L' = V0 (1 - cos(omega t)).
-    released = own.reaction.static / (own.stiffness * own.tow_speed)
-    period = 2.0 * math.pi / own.natural_frequency
-    assert f"t = {released + period:.2g}" in text
+    assert f"t = {duration(1.0):.2g}" in text
     assert "has no derivative, and derivatives are those of slipping on" in text
 
 
@@ -155,7 +138,7 @@ def test_a_speed_is_least_where_its_cubic_between_two_outputs_is(seed):
     "changes", [{"damping": 300.0}, {"breakaway": 1.2}, {"breakaway": 2.0, "damping": 50.0}], ids=str
 )
 def test_a_motion_that_stops_or_keeps_going_has_no_warning(changes):
-    assert not grazes(po.simulate(scene_of(inertial_drag=True, **changes), 2.0))
+    assert not grazes(po.simulate(scene(inertial_drag=True, **changes), 2.0))
 
 
 def test_a_share_that_begins_to_move_behind_a_ramp_has_no_warning():
@@ -163,7 +146,7 @@ def test_a_share_that_begins_to_move_behind_a_ramp_has_no_warning():
     soil = po.Soil(
         density=1500, density_ratio=0.6, cohesion=3.0, friction_angle=0.3, tool_friction=0.5, ambient_pressure=0.0
     )
-    effects = po.Effects(contact=po.StickSlip(), tow_ramp=0.0068, inertial_drag=False, added_mass=False)
-    for speed in np.linspace(0.6, 0.8, 9):
-        run = po.simulate(po.Scene(soil, SHARE, 2930.0, 59.2, float(speed), effects), 0.00473)
-        assert not grazes(run)
+    effects = {"contact": po.StickSlip(), "tow_ramp": 0.0068, "inertial_drag": False, "added_mass": False}
+    for speed in np.linspace(0.6, 0.8, 9).tolist():
+        own = scene_of(soil, stiffness=2930.0, mass=59.2, tow_speed=speed, **effects)
+        assert not grazes(po.simulate(own, 0.00473))

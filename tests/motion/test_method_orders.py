@@ -16,17 +16,14 @@ PARTS = (0.7, 0.85, 1.0)
 # The ramp lasts a third of the duration. No number of steps is a multiple of 3, so it always ends a third of a step
 # from the end of a step, and the inserted end divides a step in the same proportion.
 RAMP = 1.0 / 3.0
-SMOOTH = {
+SCENES = {
     "wave": {"strength_wave": WAVE},
     "wave, from rest": {"strength_wave": WAVE, "start": "rest"},
     "linear damper, from rest": {"inertial_drag": False, "start": "rest", "damping": 250.0},
     "all, from rest": {"strength_wave": WAVE, "start": "rest", "rate_term": 0.05, "damping": 100.0},
-}
-RAMPED = {
     "ramp": {"strength_wave": WAVE, "tow_ramp": RAMP},
     "ramp and all": {"strength_wave": WAVE, "tow_ramp": RAMP, "damping": 100.0, "rate_term": 0.05},
 }
-SCENES = SMOOTH | RAMPED
 # Longest duration and first number of steps. The fewest are in the asymptotic range, and the most leave an error above
 # rounding. Collocation solves its equations to about 1e-12 only, so its run is longer.
 RANGES = {"dop853": (0.24, 8), "collocation": (0.40, 32), "rk": (0.12, 128)}
@@ -42,12 +39,6 @@ ORDERS = {"dop853": 8, "collocation": 5, "rk": 4}
 # 2 rad), and rounding, which is a tenth of the finest error of order 8. A ramp's parts do not take exactly twice as
 # many steps each.
 BANDS = {"dop853": 0.4, "collocation": 0.05, "rk": 0.03}
-RAMPED_BANDS = BANDS | {"dop853": 0.9}
-
-
-def scene_of(r1_scene, effects, duration):
-    ramp = {"tow_ramp": effects["tow_ramp"] * duration} if "tow_ramp" in effects else {}
-    return r1_scene(**(effects | ramp))
 
 
 def fitted(errors, steps):
@@ -57,17 +48,13 @@ def fitted(errors, steps):
     return np.linalg.lstsq(unknowns, np.log(errors), rcond=None)[0][1]
 
 
-def leaves_at_once(effects):
-    """Return whether the mount force has a slope at the start."""
-    return effects.get("start") == "rest" and "tow_ramp" not in effects
-
-
 @pytest.mark.parametrize("method", ORDERS)
 @pytest.mark.parametrize("name", SCENES)
 def test_orders(r1_scene, method, name):
     longest, first = RANGES_OF_DOP853.get(name, RANGES[method]) if method == "dop853" else RANGES[method]
-    durations = [part * longest for part in PARTS]
-    scenes = [scene_of(r1_scene, SCENES[name], duration) for duration in durations]
+    effects, durations = SCENES[name], [part * longest for part in PARTS]
+    ramped = "tow_ramp" in effects
+    scenes = [r1_scene(**effects | ({"tow_ramp": RAMP * duration} if ramped else {})) for duration in durations]
 
     def runs(accuracy):
         return [po.simulate(scene, d, accuracy=accuracy, outputs=1) for scene, d in zip(scenes, durations, strict=True)]
@@ -88,9 +75,10 @@ def test_orders(r1_scene, method, name):
     assert np.all(found[0] < 0.05)
     assert np.all(found[-1] > 2e-15)
     orders = [ORDERS[method]] * 3
-    if method == "rk" and leaves_at_once(SCENES[name]):
+    if method == "rk" and effects.get("start") == "rest":
+        # The mount force has a slope at the start.
         # The deviation is taken from a running mean, an integral divided by the elapsed time. In the first step Euler's
         # stage leaves h^2 in that integral and so h in the mean, whose square counts for one step.
         orders[-1] = 3
-    bands = RAMPED_BANDS if name in RAMPED else BANDS
-    assert fitted(found, steps) == pytest.approx(orders, rel=0, abs=bands[method])
+    band = 0.9 if ramped and method == "dop853" else BANDS[method]
+    assert fitted(found, steps) == pytest.approx(orders, rel=0, abs=band)

@@ -1,15 +1,15 @@
 """Where a share that starts from equilibrium ends up, compared with the periodic orbit that was found."""
 
-import casadi as ca
 import numpy as np
 import pytest
 from helpers.orbit_oracle import follow, period
+from helpers.scenes import scene_of
 
 import plough_opt as po
 from plough_opt.motion import settling
 
 # The orbit is stable (its larger multiplier is 0.73) and never retreats, but equilibrium leads to another motion.
-TWO_MOTIONS = po.Scene(
+TWO_MOTIONS = scene_of(
     po.Soil(
         density=1285.32,
         density_ratio=0.829167,
@@ -19,24 +19,18 @@ TWO_MOTIONS = po.Scene(
         ambient_pressure=0.0,
     ),
     po.Wedge(0.859646, 0.30097, 0.332078),
-    8856.09,
-    18.1717,
-    1.13819,
-    po.Effects(strength_wave=po.StrengthWave(0.262576, 0.0633886), damping=153.44, orbit="periodic"),
+    *(8856.09, 18.1717, 1.13819),
+    strength_wave=po.StrengthWave(0.262576, 0.0633886),
+    damping=153.44,
+    orbit="periodic",
 )
 WAVE = po.StrengthWave(0.3, 0.2)
 
 
 def settled_on(scene, after, over):
-    """Return the states of a share from equilibrium at the ends of wavelengths, and its last motion, by SciPy.
+    """Return, by SciPy, the states of a share from equilibrium at the ends of so many wavelengths.
 
-    Args:
-        scene: scene with an orbit.
-        after: number of wavelengths to integrate.
-        over: number of the last wavelengths over which the mount force is averaged.
-
-    Returns:
-        The states, the RMS of the mount force [N], and whether the share retreats.
+    Beside them stand the RMS of the mount force [N] over the last wavelengths, and whether the share then retreats.
     """
     each = 60
     equilibrium = (scene.reaction.static + scene.reaction.drag * scene.tow_speed**2) / scene.stiffness
@@ -62,8 +56,7 @@ def test_another_motion_than_the_stable_orbit_is_named():
     assert "although the orbit is stable" in warning
 
 
-@pytest.mark.parametrize("damping", [1.0, 20.0, 400.0])
-@pytest.mark.parametrize("stiffness", [5e4, 3e5])
+@pytest.mark.parametrize(("stiffness", "damping"), [(5e4, 1.0), (5e4, 20.0), (3e5, 400.0)])
 def test_a_share_that_comes_to_the_orbit(r1_scene, damping, stiffness):
     run = po.simulate(r1_scene(stiffness=stiffness, strength_wave=WAVE, damping=damping, orbit="periodic"))
     assert run.settles.orbit is True
@@ -87,9 +80,7 @@ def test_an_undamped_share_never_settles(r1_scene):
 
 
 def test_a_share_near_an_unstable_orbit_is_followed_for_the_stated_time():
-    effects = po.Effects(strength_wave=WAVE, damping=20.0, orbit="periodic")
-    share = po.Wedge(po.deg(30.0), po.deg(15.0), 0.25)
-    run = po.simulate(po.Scene(po.named_soil("serozem"), share, 2e4, 20.0, 2.0, effects))
+    run = po.simulate(scene_of(stiffness=2e4, strength_wave=WAVE, damping=20.0, orbit="periodic"))
     found = run.settles
     assert max(map(abs, run.floquet)) > 1.5
     assert found.orbit is not True
@@ -97,16 +88,3 @@ def test_a_share_near_an_unstable_orbit_is_followed_for_the_stated_time():
     if found.orbit is None:
         assert f"has not settled after {found.wavelengths} wavelengths" in found.text
         assert found.averaged == 256
-
-
-def test_only_a_numeric_periodic_orbit_has_multipliers_and_settles(r1_scene):
-    stiffness = ca.MX.sym("stiffness")
-    transient = po.simulate(r1_scene(strength_wave=WAVE), 0.3, outputs=4)
-    linearised = po.simulate(r1_scene(strength_wave=WAVE, orbit="linearised"), outputs=4)
-    symbolic = po.simulate(r1_scene(stiffness=stiffness, strength_wave=WAVE, orbit="periodic"), outputs=4)
-    for name in ("floquet", "settles"):
-        for run in (transient, linearised):
-            with pytest.raises(po.InputError, match="periodic orbit"):
-                getattr(run, name)
-        with pytest.raises(po.InputError, match="a symbolic run has no"):
-            getattr(symbolic, name)

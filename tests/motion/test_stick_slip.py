@@ -1,172 +1,89 @@
 """Stick, slip and gap: an independent event-driven solver, hard starts, refusals and a design."""
 
-import dataclasses
-import math
+from dataclasses import replace
 from pathlib import Path
 
-import casadi as ca
 import numpy as np
 import pytest
 from helpers import three_modes
-from helpers.three_modes import GAP, SLIP, STICK
+from helpers.scenes import BLUNT, R1_SOIL, SHARP, scene_of
 
 import plough_opt as po
 from plough_opt.motion.judgement import refuse_missed_event
-
-SHARP = po.Wedge(po.deg(25.0), po.deg(15.0), 0.25)
-MIDDLE = po.Wedge(po.deg(45.0), po.deg(15.0), 0.40)
-BLUNT = po.Wedge(po.deg(70.0), po.deg(15.0), 0.40)
 
 
 def wave(amplitude, wavelength=0.6):
     return po.StrengthWave(amplitude, wavelength)
 
 
-def law(breakaway=1.0):
-    return po.StickSlip(breakaway)
-
-
-# share, cohesion [Pa], ambient pressure [Pa], stiffness [N/m], mass [kg], speed [m/s], duration [s], effects
+FIFTH, DOUBLE = {"contact": po.StickSlip(1.2)}, {"contact": po.StickSlip(2.0)}
+ENTERS = {"entry": True, "strength_wave": wave(0.8)}
+WEAK = {
+    "soil": replace(R1_SOIL, cohesion=300.0, ambient_pressure=0.0),
+    "share": po.Wedge(po.deg(45.0), po.deg(15.0), 0.40),
+    "strength_wave": wave(1.0, 0.1),
+}
+# stiffness [N/m], mass [kg], speed [m/s], duration [s], and what differs from stick and slip from rest
 SCENES = {
-    "strong wave, slow": (SHARP, 15e3, 1e4, 2e3, 24.0, 0.1, 6.0, {"strength_wave": wave(1.0, 0.3), "start": "rest"}),
-    "gap and recapture": (SHARP, 15e3, 1e4, 2e3, 24.0, 2.0, 3.0, {"strength_wave": wave(1.0)}),
-    "many gaps": (SHARP, 15e3, 1e4, 1e4, 24.0, 2.0, 3.0, {"strength_wave": wave(1.0), "start": "rest"}),
-    "stiff": (SHARP, 15e3, 1e4, 1e6, 24.0, 2.0, 0.5, {"strength_wave": wave(0.8), "start": "rest"}),
-    "damped": (
-        SHARP, 15e3, 1e4, 2e4, 24.0, 1.0, 2.0,
-        {"contact": law(2.0), "strength_wave": wave(0.8, 0.1), "start": "rest", "damping": 100.0},
-    ),
+    "strong wave, slow": (2e3, 24.0, 0.1, 6.0, {"strength_wave": wave(1.0, 0.3)}),
+    "gap and recapture": (2e3, 24.0, 2.0, 3.0, {"strength_wave": wave(1.0), "start": "equilibrium"}),
+    "many gaps": (1e4, 24.0, 2.0, 3.0, {"strength_wave": wave(1.0)}),
+    "stiff": (1e6, 24.0, 2.0, 0.5, {"strength_wave": wave(0.8)}),
+    "damped": (2e4, 24.0, 1.0, 2.0, DOUBLE | {"strength_wave": wave(0.8, 0.1), "damping": 100.0}),
     "ramp and rate": (
-        SHARP, 15e3, 1e4, 2e4, 24.0, 1.0, 2.0,
-        {"contact": law(2.0), "strength_wave": wave(0.8), "start": "rest", "tow_ramp": 0.5, "rate_term": 0.1},
+        2e4, 24.0, 1.0, 2.0, DOUBLE | {"strength_wave": wave(0.8), "tow_ramp": 0.5, "rate_term": 0.1}
     ),
-    "soil caught again": (
-        MIDDLE, 300.0, 0.0, 1e5, 20.0, 1.0, 1.0,
-        {"strength_wave": wave(1.0, 0.1), "start": "rest", "inertial_drag": False},
-    ),
+    "soil caught again": (1e5, 20.0, 1.0, 1.0, WEAK | {"inertial_drag": False}),
     "soil caught again, damped ramp": (
-        MIDDLE, 300.0, 0.0, 1e5, 20.0, 1.0, 1.0,
-        {"contact": law(1.2), "strength_wave": wave(1.0, 0.1), "damping": 40.0, "tow_ramp": 0.05},
+        1e5, 20.0, 1.0, 1.0, WEAK | FIFTH | {"start": "equilibrium", "damping": 40.0, "tow_ramp": 0.05}
     ),
-    "sticks while it enters": (
-        BLUNT, 15e3, 1e4, 2e4, 20.0, 1.0, 2.0,
-        {"contact": law(1.2), "strength_wave": wave(0.8), "start": "rest", "entry": True},
-    ),
-    "gap while it enters": (
-        SHARP, 15e3, 1e4, 2e4, 22.0, 1.0, 1.0,
-        {"contact": law(1.2), "strength_wave": wave(0.8), "start": "rest", "entry": True},
-    ),
+    "sticks while it enters": (2e4, 20.0, 1.0, 2.0, FIFTH | ENTERS | {"share": BLUNT}),
+    "gap while it enters": (2e4, 22.0, 1.0, 1.0, FIFTH | ENTERS),
 }  # fmt: skip
 
 
-def scene_of(soil, name, **changes):
-    share, cohesion, pressure, stiffness, mass, speed, duration, effects = SCENES[name]
-    soil = dataclasses.replace(soil, cohesion=cohesion, ambient_pressure=pressure)
-    effects = po.Effects(**({"contact": law()} | effects | changes))
-    return po.Scene(soil, share, stiffness, mass, speed, effects), duration
-
-
-def largest(values):
-    return float(np.max(np.abs(values)))
-
-
-# --- an independent solver ---
-
-
 @pytest.mark.parametrize("name", SCENES)
-def test_an_independent_solver_agrees(r1_soil, name):
-    scene, duration = scene_of(r1_soil, name)
-    run, expected = three_modes.agreed(scene, duration, outputs=40)
-    # Events are located to about 1e-12 of the duration.
-    far = ~expected.near_a_change(1e-7 * run.duration)
-    assert np.count_nonzero(far) >= 35
-    assert largest(run.opening - expected.opening) < 2e-8 * largest(expected.deflection)
-    assert largest((run.speed - expected.speed)[far]) < 1e-7 * largest(expected.speed) + 1e-12 * scene.tow_speed
-    # The definition of each mode holds exactly.
-    gap, stick = run.mode == GAP, run.mode == STICK
-    assert np.all(run.speed[stick] == 0.0)
-    assert np.all(run.soil_resistance[stick] == run.mount_force[stick])
-    assert np.all(run.soil_resistance[gap] == 0.0)
-    assert np.all((run.opening > 0.0) == gap)
-
-
-# --- hard starts ---
+def test_an_independent_solver_agrees(name):
+    stiffness, mass, speed, duration, changes = SCENES[name]
+    given = {"soil": R1_SOIL, "share": SHARP, "contact": po.StickSlip(), "start": "rest"} | changes
+    scene = scene_of(stiffness=stiffness, mass=mass, tow_speed=speed, **given)
+    _, expected = three_modes.agreed(scene, duration, outputs=40)
+    # Modes, speeds and resistances are compared at the others.
+    assert np.count_nonzero(expected.near_a_change(1e-7 * duration)) <= 6
 
 
 @pytest.mark.parametrize("density_ratio", [1e-3, 1e-6, 0.1])
 @pytest.mark.parametrize("stiffness", [5e4, 1e7])
-def test_a_share_breaks_loose_soon_after_the_start(r1_soil, density_ratio, stiffness):
-    effects = po.Effects(start="rest", contact=law(), damping=200.0, inertial_drag=False)
-    loose = dataclasses.replace(r1_soil, density_ratio=density_ratio)
-    scene = po.Scene(loose, SHARP, stiffness, 20.0, 2.0, effects)
-    run = po.simulate(scene, 0.5)
-    assert run.mode[-1] == SLIP
-    # Amplitude of the oscillation about steady sliding that begins at rest under the static force.
-    swing = scene.tow_speed * math.sqrt(scene.stiffness * scene.inertia)
-    damper = 200.0 * 2.0 * scene.tow_speed
-    assert np.max(run.mount_force) < scene.reaction.static + swing + damper
-    decay = math.exp(-100.0 * 0.45 / scene.inertia)
-    assert abs(run.mount_force[-1] - scene.reaction.static) < decay * (swing + scene.reaction.static)
+def test_a_share_breaks_loose_soon_after_the_start(density_ratio, stiffness):
+    loose = replace(R1_SOIL, density_ratio=density_ratio)
+    effects = {"start": "rest", "contact": po.StickSlip(), "damping": 200.0, "inertial_drag": False}
+    run, _ = three_modes.agreed(scene_of(loose, SHARP, stiffness, **effects), 0.05)
+    assert run.mode[-1] == three_modes.SLIP
 
 
-def test_a_share_that_hardly_moves_has_not_stopped(r1_soil):
+def test_a_share_that_hardly_moves_has_not_stopped():
     # In the first milliseconds of a ramp the share's speed is a rounded difference, which must not trigger an event.
-    strong = dataclasses.replace(r1_soil, cohesion=4e4, ambient_pressure=3e5)
-    effects = po.Effects(contact=law(2.5), start="towed", entry=True, tow_ramp=0.07, added_mass=False)
-    scene = po.Scene(strong, po.Wedge(po.deg(4.0), po.deg(15.0), 0.05), 260.0, 13.0, 0.2, effects)
+    strong, slender = replace(R1_SOIL, cohesion=4e4, ambient_pressure=3e5), po.Wedge(po.deg(4.0), po.deg(15.0), 0.05)
+    effects = {"start": "towed", "entry": True, "tow_ramp": 0.07, "added_mass": False}
+    scene = scene_of(strong, slender, 260.0, 13.0, 0.2, contact=po.StickSlip(2.5), **effects)
     for duration in (0.045, 0.06, 0.3, 2.0):
         run, _ = three_modes.agreed(scene, duration)
         assert run.error_estimate < 1e-8
 
 
-def test_a_standing_strut_does_not_move_the_share(r1_soil):
-    for start in ("rest", "towed", "equilibrium"):
-        scene = po.Scene(r1_soil, SHARP, 2e4, 24.0, 0.0, po.Effects(contact=law(1.5), start=start))
-        run = po.simulate(scene, 1.0, outputs=10)
-        assert np.ptp(run.travel) == 0.0
-        assert run.mount_force == pytest.approx(scene.reaction.static if start == "equilibrium" else 0.0)
-
-
-# --- a problem file, and refusals ---
-
 COTTON = Path(__file__).parents[2] / "problems" / "cotton_subsoiler.toml"
-SLIPS, SMOOTH = "contact = 'stick_slip'", "contact = 'smooth'"
 
 
 @pytest.mark.parametrize(
     ("changes", "contact", "entry"),
     [
-        ([SLIPS], po.StickSlip(1.0), False),
-        ([SLIPS, "breakaway = 1.2"], po.StickSlip(1.2), False),
-        ([SLIPS, "breakaway = 1.2", "entry = true", "start = 'towed'"], po.StickSlip(1.2), True),
-        ([SMOOTH, "contact_width = '5 cm/s'"], po.Smooth(0.05), False),
-        (["entry = true", "start = 'rest'"], "resisting", True),
+        (["contact = 'stick_slip'", "breakaway = 1.2", "entry = true", "start = 'towed'"], po.StickSlip(1.2), True),
+        (["contact = 'smooth'", "contact_width = '5 cm/s'"], po.Smooth(0.05), False),
     ],
 )
 def test_a_problem_file_names_contact_and_entry(changes, contact, entry):
     effects = po.read_problem(COTTON, [f"effects.{change}" for change in changes]).scene().effects
     assert (effects.contact, effects.entry) == (contact, entry)
-
-
-@pytest.mark.parametrize("method", ["dop853", "cvodes", "idas", "collocation", "rk"])
-@pytest.mark.parametrize("effects", [{"contact": law()}, {"entry": True}], ids=["contact", "entry"])
-@pytest.mark.parametrize("speed", [1.0, ca.MX.sym("speed")], ids=["number", "symbol"])
-def test_methods_that_cannot_locate_events_are_refused(r1_soil, method, effects, speed):
-    scene = po.Scene(r1_soil, SHARP, 2e4, 24.0, speed, po.Effects(start="rest", **effects))
-    with pytest.raises(po.InputError, match=f"'{method}' cannot locate.*'erk' or 'rosenbrock'"):
-        po.simulate(scene, 1.0, accuracy=po.Accuracy(method))
-
-
-@pytest.mark.parametrize(
-    ("build", "said"),
-    [
-        (lambda: po.Effects(contact=po.StickSlip), "must be 'resisting', Smooth"),
-        (lambda: po.Effects(contact=po.Smooth(0.1), formulation="printed"), "the print has no contact law"),
-    ],
-)
-def test_contacts_without_meaning_are_refused(build, said):
-    with pytest.raises(po.PloughError, match=said):
-        build()
 
 
 # --- designs ---
@@ -179,11 +96,11 @@ def test_contacts_without_meaning_are_refused(build, said):
         pytest.param(po.Smooth(0.2), id="smooth"),
     ],
 )
-def test_a_design_finds_what_brute_force_finds(r1_soil, contact):
-    effects = po.Effects(contact=contact, start="rest", strength_wave=wave(0.6, 0.3), damping=200.0)
+def test_a_design_finds_what_brute_force_finds(contact):
+    effects = {"contact": contact, "start": "rest", "strength_wave": wave(0.6, 0.3), "damping": 200.0}
 
     def cost(stiffness):
-        run = po.simulate(po.Scene(r1_soil, SHARP, stiffness, 24.0, 1.0, effects), 1.0, outputs=10)
+        run = po.simulate(scene_of(R1_SOIL, SHARP, stiffness, 24.0, 1.0, **effects), 1.0, outputs=10)
         return (run.mean_draft + run.force_rms) / 1e3
 
     d = po.Design()
@@ -199,12 +116,12 @@ def test_a_design_finds_what_brute_force_finds(r1_soil, contact):
 
 
 def test_a_missed_event_is_an_error():
-    effects = po.Effects(contact=law(1.3), start="rest", strength_wave=wave(0.7, 0.4))
-    scene = po.Scene(po.named_soil("serozem"), SHARP, 1e6, 30.0, 2.0, effects)
+    effects = {"contact": po.StickSlip(1.3), "start": "rest", "strength_wave": wave(0.7, 0.4)}
+    scene = scene_of(share=SHARP, stiffness=1e6, mass=30.0, **effects)
     with pytest.raises(po.IntegrationError, match=r"'erk' missed that the share stopped before t = .*: .* tighter"):
         po.simulate(scene, 1.0, accuracy=po.Accuracy("erk", tolerance=6e-3))
     run = po.simulate(scene, 1.0)
-    held = dataclasses.replace(run, mode=np.full_like(run.mode, STICK))
+    held = replace(run, mode=np.full_like(run.mode, three_modes.STICK))
     with pytest.raises(po.IntegrationError, match=r"'erk' missed that the share broke loose before t = "):
         refuse_missed_event(held)
     refuse_missed_event(run)

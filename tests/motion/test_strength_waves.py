@@ -1,22 +1,22 @@
 """Several strength waves: their sum in every kind of run, against an independent solver and linear series."""
 
 import math
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
 from helpers import three_modes
+from helpers.scenes import scene_of
 
 import plough_opt as po
 
 WAVES = (po.StrengthWave(0.2, 0.2), po.StrengthWave(0.1, 0.3, 0.7), po.StrengthWave(0.05, 0.12, -2.0))
-SHARE = po.Wedge(po.deg(30), po.deg(15), 0.25)
 
 
 def scene(waves=WAVES, **effects):
     """Return a scene of a damped share in serozem under strength waves."""
-    own = po.Effects(**{"strength_wave": waves, "damping": 400.0, **effects})
-    return po.Scene(po.named_soil("serozem"), SHARE, 5e4, 20.0, 2.0, own)
+    return scene_of(**{"strength_wave": waves, "damping": 400.0} | effects)
 
 
 @pytest.mark.parametrize("effects", [{}, {"contact": po.StickSlip(1.1)}, {"entry": True, "start": "rest"}], ids=str)
@@ -61,8 +61,7 @@ def test_derivatives_by_each_number(name):
     value = getattr(WAVES[1], name)
 
     def changed(new):
-        numbers = {key: getattr(WAVES[1], key) for key in ("amplitude", "wavelength", "phase")}
-        return scene((WAVES[0], po.StrengthWave(**{**numbers, name: new}), WAVES[2]))
+        return scene((WAVES[0], replace(WAVES[1], **{name: new}), WAVES[2]))
 
     rms = po.simulate(changed(x), 1.0).force_rms
     slope = float(ca.Function("slope", [x], [ca.jacobian(rms, x)])(value))
@@ -70,35 +69,3 @@ def test_derivatives_by_each_number(name):
     runs = [float(po.simulate(changed(value + k * step), 1.0).force_rms) for k in (-2, -1, 1, 2)]
     # Differences of order 4 with steps of 1e-3 have an error of about 1e-9.
     assert slope == pytest.approx((runs[0] - 8 * runs[1] + 8 * runs[2] - runs[3]) / (12 * step), rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("waves", "words"),
-    [
-        ((), "strength_wave = ()"),
-        ((0.3,), "must be None or a StrengthWave"),
-        ((WAVES[0],) * 9, "9 waves"),
-    ],
-)
-def test_invalid_strength_waves_are_refused(waves, words):
-    with pytest.raises(po.InputError, match=words.replace("(", r"\(").replace(")", r"\)")):
-        scene(waves)
-
-
-def test_strength_stays_above_zero_along_the_path():
-    deep = (po.StrengthWave(0.8, 0.2), po.StrengthWave(0.5, 0.3, 0.7))
-    with pytest.raises(po.DomainError, match=r"strength by a factor of -0\.156\d at a travel of 0\.15[78]\d m"):
-        po.simulate(scene(deep), 1.0)
-    # A run that ends before that place is valid.
-    assert po.simulate(scene(deep, motion=False, damping=None), 0.07).mean_draft > 0.0
-    symbol = ca.MX.sym("k")
-    made = po.Scene(po.named_soil("serozem"), SHARE, symbol, 20.0, 2.0, po.Effects(strength_wave=deep))
-    with pytest.raises(po.DomainError, match=r"amplitudes is 1\.3"):
-        po.simulate(made, 1.0)
-
-
-def test_orbits_without_a_common_length_are_refused():
-    with pytest.raises(po.InputError, match="no common period within 100"):
-        scene((po.StrengthWave(0.2, 0.2), po.StrengthWave(0.1, 0.2 * math.sqrt(2))), orbit="periodic")
-    with pytest.raises(po.InputError, match=r"HarmonicBalance\(5\)"):
-        scene(orbit=po.HarmonicBalance(3))

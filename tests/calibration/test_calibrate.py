@@ -12,18 +12,13 @@ PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
 
 
 def test_scene_problem_and_function_give_the_same(measured, three, fitted):
-    from_function = po.calibrate(
-        lambda values: steady_scene(
-            values["scene.tow_speed"], values["share.wedge_angle"], cohesion=values["soil.cohesion"],
-            tool_friction=values["soil.tool_friction"],
-        ),
-        measured, {name: three[name] for name in ("soil.cohesion", "soil.tool_friction")},
-    )  # fmt: skip
-    from_scene = po.calibrate(
-        steady_scene(), measured, {name: three[name] for name in ("soil.cohesion", "soil.tool_friction")}
-    )
-    for name, value in from_function.values.items():
-        assert value == pytest.approx(from_scene.values[name], rel=1e-7)
+    def scene_of(values):
+        soil = {name: values[f"soil.{name}"] for name in ("cohesion", "tool_friction")}
+        return steady_scene(values["scene.tow_speed"], values["share.wedge_angle"], **soil)
+
+    two = {name: three[name] for name in ("soil.cohesion", "soil.tool_friction")}
+    from_function, from_scene = (po.calibrate(given, measured, two).values for given in (scene_of, steady_scene()))
+    assert from_function == pytest.approx(from_scene, rel=1e-7)
     problem = po.read_problem(
         PROBLEMS / "calibration.toml", ["soil.ambient_pressure=60 kPa", "variables.soil.cohesion.guess=40 kPa"]
     )
@@ -40,7 +35,6 @@ def test_scene_problem_and_function_give_the_same(measured, three, fitted):
         ({"soil.cohesion": (2e3, 1e3)}, {}, "the lower bound 2000 must be below the upper bound 1000"),
         ({"soil.cohesion": 5.0}, {}, "must be (lower, upper) or (lower, upper, guess)"),
         ({"soil.cohesion": (1e3, 2e3, 3e3)}, {}, "the guess 3000 must lie between"),
-        ({"soil.cohesion": ("1 kg", "2 kPa")}, {}, "lower bound of 'soil.cohesion' = \"1 kg\" has the wrong unit"),
         ({"soil.cohesion": (1e3, float("inf"))}, {}, "upper bound of 'soil.cohesion' = inf Pa must be finite"),
         ({"scene.tow_speed": (1.0, 2.0)}, {}, "plane: 'scene.tow_speed' is a column of the data"),
         ({"scene.frame_mass": (1.0, 2.0)}, {}, "a scene has no quantity 'scene.frame_mass': did you mean 'scene.mass'"),
@@ -48,7 +42,6 @@ def test_scene_problem_and_function_give_the_same(measured, three, fitted):
         ({}, {}, "no unknowns"),
         ({"soil.cohesion": (1e3, 80e3)}, {"loss": "huberr"}, "no loss is named 'huberr': did you mean 'huber'?"),
         ({"soil.cohesion": (1e3, 80e3)}, {"starts": 0}, "starts = 0 must be a whole number from 1 to 16"),
-        ({"soil.density_ratio": (0.5, 1.5)}, {}, "density ratio b1"),
         ({"soil.cohesion": (-5e3, 80e3)}, {}, "cohesion"),
     ],
 )

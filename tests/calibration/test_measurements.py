@@ -60,18 +60,12 @@ def test_sigma_in_per_cent_semicolons_tabs_weights_and_time(written):
         (HEADER.replace(" [kN], sigma", ", sigma") + ROWS, "line 1, column 'mean_draft': the unit is missing: write it"
          " like 'mean_draft [kN]'"),
         (HEADER.replace("[deg]", "[kg]") + ROWS, "'kg' is not a unit of rad: write it like 'share.wedge_angle [deg]'"),
-        (HEADER.replace("sigma [kN]", "sigma") + ROWS, "column 'sigma': the unit is missing"),
         ("soil.tool_friction [m], mean_draft [N]\n1, 2\n", "'m' is a unit, but a pure number"),
         # a gap, and other cells
         (HEADER + "3.6, 40, , 0.1\n" + ROWS, "line 2, column 'mean_draft [kN]': the cell is empty"),
-        (HEADER + ROWS + "3.6, 40, 4.0\n", "line 4: the row has 3 cells, but the header names 4 columns"),
-        (HEADER + "3.6, 40, n/a, 0.1\n", "line 2, column 'mean_draft [kN]': 'n/a' is not a number"),
         (HEADER + "3.6, 40, ３, 0.1\n", "'３' is not a number"),
-        (HEADER + "3.6, 40, 4_5, 0.1\n", "'4_5' is not a number"),
         (HEADER + "3.6, 40, 1e308, 0.1\n", "'1e308' is not a finite number"),
-        ("mean_draft [m^9^9^9]\n1\n", "'m^9^9^9' is not a unit of N"),
         ("mean_draft [kN]; sigma [%]\n1e300; 1e300\n", "sigma = inf must be a finite number"),
-        (HEADER + "3.6, 40, 4 kN, 0.1\n", "'4 kN' is not a number: write it as 12.5 or 1.25e1, without its unit"),
         (HEADER + "3.6, 40, 4.0, -0.1\n", "line 2, column 'sigma [kN]': -0.1 must be above 0"),
         ("mount_force [N], time [s]\n1, -1\n", "column 'time [s]': -1 must be at least 0"),
         ("mean_draft [kN]; sigma [kN]\n4,1; 0,1\n", "'4,1' is not a number: write a decimal point"),
@@ -100,14 +94,12 @@ def test_every_mistake_is_listed(written):
 
 
 def test_missing_folders_and_binary_files_are_refused(tmp_path, written):
-    written(HEADER + ROWS)
-    with pytest.raises(po.InputError, match=r"there is no file .*did you mean '.*draft.csv'"):
-        po.read_measurements(tmp_path / "drafts.csv")
-    with pytest.raises(po.InputError, match="is a folder"):
-        po.read_measurements(tmp_path)
+    beside = written(HEADER + ROWS)
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x81")
-    with pytest.raises(po.InputError, match="it is not UTF-8"):
-        po.read_measurements(tmp_path / "binary.csv")
+    for path, words in ((beside.with_name("drafts.csv"), r"there is no file .*did you mean '.*draft.csv'"),
+                        (tmp_path, "is a folder"), (tmp_path / "binary.csv", "it is not UTF-8")):  # fmt: skip
+        with pytest.raises(po.InputError, match=words):
+            po.read_measurements(path)
 
 
 @pytest.mark.parametrize(
@@ -133,18 +125,3 @@ def test_invalid_measurements_are_refused(arguments, keywords, words):
     with pytest.raises(po.InputError) as refusal:
         po.Measurements(*arguments, **keywords)
     assert words in str(refusal.value)
-
-
-@pytest.mark.parametrize(
-    ("rows", "words"),
-    [
-        (f"3.6, 40, {'4' * 200_000}, 0.1\n", "line 2: it has 200014 characters, but at most 10000 can be read"),
-        ("3.6, 40, 4, 0.1\n" * 700_000, "too long for a file of measurements: at most 10 MB"),
-    ],
-    ids=["line", "file"],
-)
-def test_sizes_have_limits(tmp_path, rows, words):
-    path = tmp_path / "draft.csv"
-    path.write_text(HEADER + rows, encoding="utf-8")
-    with pytest.raises(po.InputError, match=words):
-        po.read_measurements(path)

@@ -39,8 +39,6 @@ def from_record(record):
 def test_a_record_gives_strength_and_damping(from_record):
     truth = {"soil.cohesion": 20e3, "effects.damping": 400.0}
     for name, value in truth.items():
-        # Of normal errors 3.5 standard errors in one of two thousand; the seed is fixed.
-        assert abs(from_record.values[name] - value) < 3.5 * from_record.standard_errors[name]
         assert value in from_record.intervals(0.999)[name]
     assert from_record.values["effects.damping"] == pytest.approx(400.0, rel=0.1)
     assert not any("differ from the fitted" in warning for warning in from_record.warnings)

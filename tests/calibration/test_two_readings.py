@@ -31,21 +31,16 @@ def ratio_of(radius, cone=CONE):
 
 
 def fitted(indices, radii, errors):
-    data = [
-        po.Measurements(name, values, sigma=error)
-        for name, values, error in zip(("cone_index", "loosened_radius"), (indices, radii), errors, strict=True)
-    ]
-    return po.calibrate(SCENE, data, UNKNOWN)
+    columns = zip(("cone_index", "loosened_radius"), (indices, radii), errors, strict=True)
+    return po.calibrate(SCENE, [po.Measurements(name, own, sigma=error) for name, own, error in columns], UNKNOWN)
 
 
 def test_one_reading_of_each_determines_both():
     fit = fitted([INDEX], [RADIUS], (1e5, 5e-3))
-    ratio, found = ratio_of(RADIUS), {one.name: one.value for one in fit.unknowns}
-    assert found["soil.density_ratio"] == pytest.approx(ratio, rel=1e-7)  # of the least squares' steps
-    assert found["soil.strength_factor"] == pytest.approx(INDEX / float(index_of(ratio)), rel=1e-7)
-    values = {name.removeprefix("soil."): value for name, value in found.items()}
-    soil = dataclasses.replace(BASE, **values)
-    assert [po.cone_index(soil), po.loosened_radius(CONE, soil)] == pytest.approx([INDEX, RADIUS], rel=1e-7)
+    ratio = ratio_of(RADIUS)
+    truth = {"soil.strength_factor": INDEX / float(index_of(ratio)), "soil.density_ratio": ratio}
+    assert fit.values == pytest.approx(truth, rel=1e-7)  # of the least squares' steps
+    assert [po.cone_index(fit.soil), po.loosened_radius(CONE, fit.soil)] == pytest.approx([INDEX, RADIUS], rel=1e-7)
 
 
 def test_intervals_agree_with_error_propagation():
@@ -89,8 +84,7 @@ def test_with_the_cone_index_in_the_file_the_trench_gives_the_density_ratio(tmp_
     problem = po.read_problem(path)
     data = po.Measurements("loosened_radius", [RADIUS], sigma=3e-3)
     fit = po.calibrate(problem, data, {"soil.density_ratio": (0.4, 0.97)})
-    (ratio,) = (one.value for one in fit.unknowns)
-    assert ratio == pytest.approx(ratio_of(RADIUS, problem.scene().cone), rel=1e-7)
+    ratio = fit.values["soil.density_ratio"]
     soil = problem.scene({"soil.density_ratio": ratio}).soil
     assert po.cone_index(soil) == pytest.approx(INDEX, rel=1e-12)
     assert soil.strength_factor == pytest.approx(INDEX / float(index_of(ratio)), rel=1e-9)

@@ -51,42 +51,22 @@ def solved(question, form, truth):
     return found.f * question.program.objective_scale, question.program.values(found.y)
 
 
-def single(steps, method="dop853"):
-    return po.Accuracy(method, steps=steps)
-
-
-def shots(segments, steps):
-    return Mesh(segments, steps=steps)
-
-
-def collocation(intervals, degree, points="radau"):
-    return Mesh(intervals, degree=degree, points=points)
-
-
 # The finer mesh leaves errors of 1e-8 to 1e-4, far above those of the true optimum, 5e-11.
 @pytest.mark.parametrize(
-    ("form", "order", "mesh"),
-    [
-        pytest.param(lambda n: collocation(n, 2, "legendre"), 4, 100, id="legendre-2"),
-        pytest.param(lambda n: collocation(n, 4, "legendre"), 8, 30, id="legendre-4"),
-        pytest.param(lambda n: collocation(n, 3, "radau"), 5, 60, id="radau-3"),
-        pytest.param(lambda n: collocation(n, 2, "radau"), 3, 200, id="radau-2", marks=pytest.mark.slow),
-        pytest.param(lambda n: collocation(n, 4, "radau"), 7, 40, id="radau-4", marks=pytest.mark.slow),
-        pytest.param(lambda n: collocation(n, 3, "legendre"), 6, 40, id="legendre-3", marks=pytest.mark.slow),
-    ],
+    ("points", "degree", "order", "mesh"), [("legendre", 2, 4, 100), ("legendre", 4, 8, 30), ("radau", 3, 5, 60)]
 )
-def test_error_of_the_optimum_falls_in_the_order_of_the_collocation(r1, form, order, mesh):
+def test_error_of_the_optimum_falls_in_the_order_of_the_collocation(r1, points, degree, order, mesh):
     errors = []
     for intervals in (mesh, 2 * mesh):
-        objective, values = solved(r1, form(intervals), L3)
+        objective, values = solved(r1, Mesh(intervals, degree=degree, points=points), L3)
         errors.append([abs(objective - L3[3]), abs(values[2] - L3[2]) / L3[2]])
     # With half a step per radian convergence is not quite asymptotic. The next possible order differs by 1 or 2.
     np.testing.assert_allclose(np.log2(np.array(errors[0]) / errors[1]), order, atol=0.3)
 
 
 def test_shooting_by_segments_has_the_optimum_of_shooting_once(r1):
-    coarse, fine = (solved(r1, single(steps), L3) for steps in (48, 96))
-    segments, values = solved(r1, shots(8, 12), L3)
+    coarse, fine = (solved(r1, po.Accuracy("dop853", steps=steps), L3) for steps in (48, 96))
+    segments, values = solved(r1, Mesh(8, steps=12), L3)
     # The same steps in another form differ by IPOPT's tolerance.
     assert segments == pytest.approx(fine[0], abs=1e-11)
     np.testing.assert_allclose(values, fine[1], rtol=1e-8)
@@ -114,10 +94,10 @@ def rich(r1_soil, r1_wave):
 @pytest.mark.parametrize(
     "form",
     [
-        single(200),
-        shots(20, 10),
-        collocation(40, 5, "radau"),
-        collocation(40, 5, "legendre"),
+        po.Accuracy("dop853", steps=200),
+        Mesh(20, steps=10),
+        Mesh(40, degree=5, points="radau"),
+        Mesh(40, degree=5, points="legendre"),
     ],
     ids=str,
 )
@@ -146,6 +126,6 @@ def test_a_run_with_events_is_not_put_on_a_mesh(r1_soil, r1_wave):
     effects = po.Effects(strength_wave=r1_wave, contact=po.StickSlip())
     d.minimise(po.simulate(po.Scene(r1_soil, share, k0, 25.0, 2.0, effects), 0.2).mean_draft / 1e3)
     question = question_of(d)
-    for form in (shots(4, 5), collocation(4, 3)):
+    for form in (Mesh(4, steps=5), Mesh(4, degree=3)):
         with pytest.raises(InputError, match="events cannot be put on a mesh"):
             transcribe(question, form)

@@ -1,38 +1,27 @@
 """The larger design: parts against closed forms, a certified optimum, and no better design by brute force."""
 
-import sys
-from pathlib import Path
-from types import SimpleNamespace
-
 import matplotlib.image
 import numpy as np
 import pytest
+from helpers.scripts import imported
 
 import plough_opt as po
-
-FOLDER = Path(__file__).parents[1] / "problems"
-NAMES = ("subsoiler_frame", "subsoiler_frame_check", "subsoiler_frame_picture")
 
 
 @pytest.fixture(scope="module")
 def scripts():
-    sys.path.insert(0, str(FOLDER))
-    try:
-        yield SimpleNamespace(**{name: __import__(name) for name in NAMES})
-    finally:
-        sys.path.remove(str(FOLDER))
-        for name in NAMES:
-            del sys.modules[name]
+    with imported("subsoiler_frame") as frame, imported("subsoiler_frame_check") as checks:
+        yield frame, checks
 
 
 @pytest.fixture(scope="module")
 def frame(scripts):
-    return scripts.subsoiler_frame
+    return scripts[0]
 
 
 @pytest.fixture(scope="module")
 def checks(scripts):
-    return scripts.subsoiler_frame_check
+    return scripts[1]
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +116,8 @@ def test_brute_force_finds_the_same_design(checks, solved):
 
 @pytest.mark.slow
 def test_the_script_prints_certifies_and_draws(frame, tmp_path, capsys):
-    frame.main(["--check", "--plot", str(tmp_path / "frame.png")])
+    with imported("subsoiler_frame_picture"):
+        frame.main(["--check", "--plot", str(tmp_path / "frame.png")])
     said = capsys.readouterr().out
     assert "MJ/ha" in said
     assert "no limit balances" in said

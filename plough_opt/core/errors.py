@@ -18,6 +18,10 @@ class PloughError(Exception):
         True
     """
 
+    def __str__(self) -> str:
+        """Return the message, without the further arguments of a subclass."""
+        return str(self.args[0]) if self.args else ""
+
 
 class DomainError(PloughError, ValueError):
     """A value lies outside the domain in which the model's equations hold.
@@ -94,9 +98,6 @@ class InfeasibleDesign(PloughError, RuntimeError):
         self.conflicts = conflicts
         self.blockers = blockers
 
-    def __str__(self) -> str:
-        return str(self.args[0])
-
 
 class NotConverged(PloughError, RuntimeError):
     """The optimiser stopped before it reached an optimum; ``status`` is IPOPT's return status.
@@ -110,9 +111,6 @@ class NotConverged(PloughError, RuntimeError):
     def __init__(self, message: str, status: str) -> None:
         super().__init__(message, status)
         self.status = status
-
-    def __str__(self) -> str:
-        return str(self.args[0])
 
 
 def short(text: str, most: int = 60) -> str:

@@ -8,7 +8,7 @@ import os
 import platform
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -68,31 +68,11 @@ class Origin:
     machine: str = ""
     made: str = ""
 
-    @classmethod
-    def now(
-        cls,
-        title: str = "",
-        displays: Mapping[str, Display] | None = None,
-        *,
-        file: str = "",
-        text: str = "",
-        seed: int | None = None,
-        **more: Any,
-    ) -> Origin:
-        """Return the origin of a result computed now, on this machine.
-
-        Args:
-            title: title of the question.
-            displays: key or result -> unit in which the question writes it.
-            file: name of the problem file, without its folder.
-            text: contents of the problem file.
-            seed: seed of the random samples.
-            more: other attributes.
-        """
-        digest = hashlib.sha256(text.encode()).hexdigest() if text else ""
+    def now(self) -> Origin:
+        """Return the origin of a result computed now, on this machine."""
+        digest = hashlib.sha256(self.text.encode()).hexdigest() if self.text else ""
         machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors"
-        made = datetime.now(UTC).isoformat(timespec="seconds")
-        return cls(title, displays or {}, file, text, digest, seed=seed, machine=machine, made=made, **more)
+        return replace(self, sha256=digest, machine=machine, made=datetime.now(UTC).isoformat(timespec="seconds"))
 
     def lines(self, made_by: Mapping[str, str]) -> tuple[str, ...]:
         """Return sentences that say from which file, when and with which versions a result was computed.

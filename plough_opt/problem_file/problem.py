@@ -133,8 +133,8 @@ class Problem:
             seed: seed of the random samples, if any.
         """
         limits = {name: limit.ends(self._measure(name).unit) for name, limit in self.table.require.items()}
-        return Origin.now(self.title, self.displays, file=Path(self.name).name, text=self.text, seed=seed,
-                          overrides=self.overrides, data=self.data, limits=limits)  # fmt: skip
+        return Origin(self.title, self.displays, Path(self.name).name, self.text, seed=seed, overrides=self.overrides,
+                      data=self.data, limits=limits).now()  # fmt: skip
 
     def _measure(self, name: str) -> Measure:
         """Return the measure of a result such as "mean_draft" or "front.loosened_radius"."""

@@ -118,7 +118,7 @@ def _origin(front: FrontProgram, goals: Sequence[Goal], title: str) -> Origin:
     for goal in goals:
         aim = "maximise" if goal.maximise else "minimise"
         found[goal.name] = {"kind": "objective", "aim": aim, "unit": goal.unit}
-    return Origin.now(title, displays, declarations=found)
+    return Origin(title, displays, declarations=found).now()
 
 
 def hole(before: FrontPoint, after: FrontPoint, failures: Sequence[Failure], signs: Array) -> Hole:

@@ -3,7 +3,6 @@
 import io
 import itertools
 import os
-import re
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -52,42 +51,6 @@ def test_runs_of_a_design_use_the_available_processors(monkeypatch, r1_scene):
 
 NOTICE = 'CasADi - 2026-01-01 00:00:00 WARNING("Event support is experimental") [.../core/integrator.cpp:755]\n'
 OTHER = 'CasADi - 2026-01-01 00:00:00 WARNING("Something else") [.../core/function.cpp:1]\n'
-
-# Thread A builds integrators with events, one for each number of outputs; thread B prints meanwhile, and more after.
-TALK = """
-import sys, threading
-import plough_opt as po
-
-effects = po.Effects(start="rest", contact=po.StickSlip(), damping=400.0)
-scene = po.Scene(po.named_soil("serozem"), po.Cone(0.2, 0.25), 5e4, 25.0, 2.0, effects)
-out, err, done = sys.stdout, sys.stderr, threading.Event()
-
-def build():
-    for outputs in range(10, 14):
-        po.simulate(scene, 0.05, outputs=outputs)
-        assert sys.stdout is out and sys.stderr is err
-    done.set()
-
-builder = threading.Thread(target=build)
-builder.start()
-count = 0
-while count < 100 or not done.is_set():
-    for stream in (out, err):
-        print(f"line {count}.", file=stream)
-    count += 1
-    done.wait(0.0005)
-builder.join()
-print(count)
-"""
-
-
-def test_output_of_other_threads_arrives_whole_while_integrators_with_events_are_built():
-    done = subprocess.run([sys.executable, "-c", TALK], capture_output=True, text=True, check=True)
-    *lines, count = done.stdout.splitlines()
-    assert lines == [f"line {k}." for k in range(int(count))]
-    # Pieces of CasADi's own lines stand between them.
-    assert re.findall(r"line \d+\.", done.stderr) == lines
-    assert "Event support is experimental" in done.stderr
 
 
 @pytest.mark.parametrize("cuts", [(), (9, 40, 60)])

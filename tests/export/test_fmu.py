@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import fmpy
 import numpy as np
 import pytest
 from fmpy.fmi3 import FMU3Model
@@ -9,6 +10,7 @@ from fmpy.validation import validate_fmu
 from helpers.fmu_tools import ARRAYS, CLOSELY, WITHIN, Stepped, differences, instance_of, scene_with, simulated
 
 import plough_opt as po
+from plough_opt.exchange.named_scene import NamedScene
 from plough_opt.export import write_fmu
 
 DURATION = 1.2
@@ -90,24 +92,13 @@ def test_another_scene_by_its_parameters_starts_from_its_own_equilibrium(r1_soil
     share = po.Wedge(po.deg(35.0), po.deg(20.0), 0.2)
     mass = 25.0 + share.equivalent_cone().solid_mass(7800.0)
     second = po.Scene(r1_soil, share, 8e4, mass, 2.0, effects)
-    values = {
-        **{f"soil.{name}": getattr(r1_soil, name)
-           for name in ("density", "density_ratio", "cohesion", "tool_friction", "ambient_pressure")},
-        # FMPy takes a value in a display unit too.
-        "soil.friction_angle": (np.degrees(r1_soil.friction_angle), "deg"),
-        "share.wedge_angle": (35.0, "deg"),
-        "share.chisel_angle": (20.0, "deg"),
-        "share.height": 0.2,
-        "scene.stiffness": (80.0, "kN/m"),
-        "scene.frame_mass": 25.0,
-        "scene.steel_density": 7800.0,
-        "effects.strength_wave.amplitude": 0.4,
-        "effects.strength_wave.wavelength": 0.25,
-        "effects.damping": 700.0,
-        "effects.rate_term": 0.03,
-        "strut_speed": (7.2, "km/h"),
-    }  # fmt: skip
     fmu = write_fmu(first, tmp_path / "share.fmu", steel_density=7850.0)
+    variables = fmpy.read_model_description(str(fmu)).modelVariables
+    numbers = NamedScene(second, steel_density=7800.0).values
+    values = {one.name: numbers[one.name] for one in variables if one.causality == "parameter"}
+    # FMPy takes a value in a display unit too.
+    values |= {"soil.friction_angle": (np.degrees(r1_soil.friction_angle), "deg"), "share.wedge_angle": (35.0, "deg")}
+    values |= {"scene.stiffness": (80.0, "kN/m"), "strut_speed": (7.2, "km/h")}
     calculated = {
         "share.half_angle": second.cone.half_angle,
         "share.loosened_radius": second.loosened_radius,

@@ -9,7 +9,16 @@ import casadi as ca
 
 from plough_opt.core.checks import check_named
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Column, Expression, as_number, holds_casadi, is_symbolic, map_expressions
+from plough_opt.core.expressions import (
+    Column,
+    Expression,
+    as_number,
+    holds_casadi,
+    is_casadi,
+    is_symbolic,
+    map_expressions,
+    template_of,
+)
 from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.scene_quantities import quantities_of, with_quantities
@@ -74,14 +83,7 @@ class NamedScene:
     @cached_property
     def _expressions(self) -> list[Any]:
         """The CasADi expressions in scene and duration."""
-        found: list[Any] = []
-
-        def collect(expression: Expression) -> Expression:
-            found.append(expression)
-            return expression
-
-        map_expressions((self.scene, self.duration), collect)
-        return found
+        return [*filter(is_casadi, template_of((self.scene, self.duration))[1])]
 
     @cached_property
     def _of_symbols(self) -> ca.Function:

@@ -50,12 +50,6 @@ class Component(ca.Function):
         ['share.height']
     """
 
-    inputs: tuple[Port, ...]
-    outputs: tuple[Port, ...]
-    accuracy: Accuracy
-    error_estimate: float
-    warnings: tuple[str, ...]
-
     def __init__(
         self,
         function: ca.Function,

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Column, is_quantity, map_expressions
+from plough_opt.core.expressions import Column, is_quantity, template_of
 from plough_opt.core.quantities import EVERY
 from plough_opt.exchange.export.fmu_share import Share
 from plough_opt.exchange.named_scene import NamedScene
@@ -250,13 +250,8 @@ def _with_parameters(named: NamedScene) -> tuple[dict[Variable, ca.SX], Scene]:
 
 def _with_symbols(part: Any) -> tuple[Any, list[tuple[float, ca.SX]]]:
     """Return a part of a scene with a symbol in place of each number, and the pairs of number and symbol."""
-    pairs: list[tuple[float, ca.SX]] = []
-
-    def symbol(value: float) -> ca.SX:
-        pairs.append((float(value), ca.SX.sym("number")))
-        return pairs[-1][1]
-
-    return map_expressions(part, symbol, is_quantity), pairs
+    template, values = template_of(part)
+    return template, [*zip(map(float, values), template_of(template)[1], strict=True)]
 
 
 def _varying(share: Share, scene: Scene) -> dict[str, Mapping[Variable, Column]]:

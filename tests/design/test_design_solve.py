@@ -202,17 +202,22 @@ def test_r1_limits_that_decide(r1):
         assert pull.multiplier > 1.0
 
 
-def test_r1_objects_come_back_with_numbers(r1):
+def test_r1_objects_and_expressions_come_back_with_numbers(r1):
     best = r1.best
     share, cone, scene = best(r1.share), best(r1.cone), best(r1.scene)
     assert isinstance(share, po.Wedge)
     assert share == po.Wedge(best.variables["wedge angle"], po.deg(15.0), best.variables["height"])
     assert cone.half_angle == pytest.approx(po.deg(15.0), rel=1e-9)
     assert po.loosened_radius(cone, r1.soil) == pytest.approx(0.12, rel=1e-9)
-    assert scene.stiffness == best.variables["stiffness"]
-    assert scene.soil == r1.soil
+    assert (scene.stiffness, scene.soil) == (best.variables["stiffness"], r1.soil)
     nested = best({"a": [r1.height, 3.0, "text"], "b": (r1.k0, None)})
     assert nested == {"a": [best.variables["height"], 3.0, "text"], "b": (best.variables["stiffness"], None)}
+    deflection = best(r1.run.deflection)
+    assert deflection.shape == (401,)
+    assert deflection[0] == pytest.approx(scene.steady_resistance / scene.stiffness, rel=1e-12)
+    assert best(r1.run.time) == pytest.approx(np.linspace(0.0, 2.0, 401), rel=1e-14)
+    assert best(r1.cone.area) == pytest.approx(cone.area, rel=1e-14)
+    assert best(r1.run.specific_draft) == pytest.approx(best(r1.run.mean_draft) / (math.pi * 0.12**2), rel=1e-8)
 
 
 def test_r1_run_at_the_optimum_agrees_with_an_independent_integration(r1):

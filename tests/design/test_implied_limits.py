@@ -26,8 +26,6 @@ RESULTS = {
     "cone pressure": lambda soil, v: elastic.cone_pressure(0.1, NODES, soil, v),
     "cone force": lambda soil, v: elastic.cone_force(NODES, soil, v),
 }
-SLOW = [pytest.param(result, id=name, marks=pytest.mark.slow) for name, result in RESULTS.items() if "force" in name]
-QUICK = [pytest.param(result, id=name) for name, result in RESULTS.items() if "force" not in name]
 
 
 def of_speed(guess=20.0, lower=1.0, upper=100.0):
@@ -39,7 +37,7 @@ def implied(best):
     return {limit.name: limit for limit in best.limits if limit.kind == "requirement"}[NAME]
 
 
-@pytest.mark.parametrize("result", [*QUICK, *SLOW])
+@pytest.mark.parametrize("result", RESULTS.values(), ids=RESULTS)
 def test_fastest_design_stops_at_the_shear_waves_speed(result):
     d, v = of_speed()
     d.minimise(-v / 50.0)

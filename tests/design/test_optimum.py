@@ -1,6 +1,5 @@
 """Optimum: limits with multipliers, expressions evaluated at it, and solves with other parameters."""
 
-import math
 import pickle
 from dataclasses import dataclass, replace
 
@@ -47,17 +46,6 @@ def test_an_inactive_limit_has_no_multiplier(r1):
 
 
 # --- an expression, a run ---------------------------------------------------------------------------------
-
-
-def test_arrays_and_expressions_outside_the_design_are_evaluated(r1):
-    deflection = r1.best(r1.run.deflection)
-    assert deflection.shape == (401,)
-    at_start = r1.best(r1.scene.steady_resistance) / r1.best.variables["stiffness"]
-    assert deflection[0] == pytest.approx(at_start, rel=1e-12)
-    assert r1.best(r1.run.time) == pytest.approx(np.linspace(0.0, 2.0, 401), rel=1e-14)
-    assert r1.best(r1.cone.area) == pytest.approx(r1.best(r1.cone).area, rel=1e-14)
-    wanted = r1.best(r1.run.mean_draft) / (math.pi * 0.12**2)
-    assert r1.best(r1.run.specific_draft) == pytest.approx(wanted, rel=1e-8)
 
 
 @dataclass(frozen=True)

@@ -131,6 +131,14 @@ def test_a_share_without_variables_that_does_not_move_has_no_empty_pictures():
     assert "requirements" not in found.text
 
 
+def test_an_objective_over_the_tolerances_is_named():
+    over = po.read_problem(
+        PROBLEMS / "cotton_subsoiler.toml", (*FIXED, "effects={motion=false}", 'minimise.over="mean"', "require={}")
+    )
+    asked = Page(page(reported(over, lambda *_: None, accuracy=False))).text["question"]
+    assert "The objective is the mean of 64 designs within the tolerances, all of which meet the requirements." in asked
+
+
 @pytest.fixture(scope="module")
 def browser():
     """Return a headless Chromium."""

@@ -91,7 +91,7 @@ def question(report: Report) -> list[str]:
     if limits:
         text.append(f"Required: {_listed(limits)}.")
     if report.best.over:
-        text.append(f"The {report.best.over} value of the objective over the tolerances is minimised.")
+        text.append(f"{report.best.over.capitalize()}.")
     return text
 
 

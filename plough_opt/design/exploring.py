@@ -141,12 +141,9 @@ class Explorer:
     ) -> Evaluations | None:
         """Return feasible designs from a search for the least violation, or None if it finds none."""
         shortfall = Shortfall(landscape)
-        search = replace(
-            self._sub_search(self.start, self.variables, replace(self.effort, followed=0)),
-            landscape=shortfall,
-            criterion=lambda y: shortfall(y).merit,
-            stop=lambda: shortfall.feasible_seen >= self.effort.population,
-        )
+        effort, criterion = replace(self.effort, followed=0), lambda y: shortfall(y).merit
+        search = Explorer(shortfall, self.start, self.variables, criterion, effort, self.progress, self.seed)
+        search.stop = lambda: shortfall.feasible_seen >= self.effort.population
         search._search(points, sampled.without_objective(), rng, further=[self.start])
         self._feasible_rare, self._most_violation = True, float(sampled.violation.min())
         feasible = shortfall.feasible_designs()
@@ -155,10 +152,6 @@ class Explorer:
             known = self._least_violating
             self._least_violating = least if known is None else concatenated([known, least])
         return feasible
-
-    def _sub_search(self, start: Vector, variables: Sequence[int], effort: Effort) -> "Explorer":
-        """Return a fresh search of the same landscape, with another start, variables or effort."""
-        return Explorer(self.landscape, start, variables, self.criterion, effort, self.progress, self.seed, self.stop)
 
     def _search(
         self,
@@ -244,7 +237,7 @@ class Explorer:
         self.progress("searching among the variables that are not at a bound", 0.0)
         designs, islands = min(self.effort.designs, _FACE_DESIGNS), min(self.effort.islands, _FACE_ISLANDS)
         effort = replace(self.effort, designs=designs, islands=islands, descents=_FACE_DESCENTS, followed=0)
-        face = self._sub_search(best, free, effort)
+        face = Explorer(self.landscape, best, free, self.criterion, effort, self.progress, self.seed, self.stop)
         face._feasible_rare, face._most_violation = self._feasible_rare, self._most_violation
         points, _ = sample(len(free), designs, best[free], rng)
         face._search(points, self.landscape(face._full_designs(points)), rng)

@@ -130,14 +130,6 @@ class Landscape:
         f, g = self.program.population(points, self.p, finer=finer, together=together)
         return f / self.objective_scale, g / self._scale
 
-    def of_single_design(self) -> Landscape:
-        """Return the landscape of the bare design if this one is of a whole tolerance box, else this one."""
-        bare = self.program.bare
-        if bare is None:
-            return self
-        bare.prepare(self.p)
-        return Landscape(bare, self.p)
-
     def violations(self, g: Vector) -> Vector:
         """Return each requirement's largest violation, a row for each design; infinite where g is not finite."""
         if not self.first_rows:

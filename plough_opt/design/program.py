@@ -192,8 +192,10 @@ class Program:
 
     def exact_values(self, y: Vector, p: Vector) -> tuple[list[Vector], list[Vector]]:
         """Return objective and requirements by tight integration, and again by the method that checks it."""
+        numbers = [*self.values(y), *p]
+        evaluate = self.exact.values
         at = y.tobytes(), p.tobytes()
-        return _cached(self._exact_values, at, 1, lambda: self.exact([*self.values(y), *p]))
+        return _cached(self._exact_values, at, 1, lambda: (evaluate(numbers), evaluate(numbers, check=True)))
 
     def prepare(self, p: Vector, *, any_guess: bool = False) -> None:
         """Check the bounds and set the scales from the values at the guess.

@@ -117,8 +117,10 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
     """
     if not landscape.vectorised:
         return None
-    landscape = landscape.of_single_design()
     program = landscape.program
+    if program.bare is not None:
+        program.bare.prepare(landscape.p)
+        program, landscape = program.bare, Landscape(program.bare, landscape.p)
     y = y[: len(program.declared.variables)]
     _, f, g = landscape.rows_after_elimination(boxes(program.declared.variables, y[None]), finer=FINER)
     valid = np.isfinite(f)

@@ -124,15 +124,6 @@ class TightEvaluation:
         fractions = own.timeline.output_fractions
         return assemble(scene, float(parameters[-1]), fractions, states, means, variances, Accuracy(error=TIGHT))
 
-    def __call__(self, numbers: Sequence[float]) -> tuple[list[Vector], list[Vector]]:
-        """Return the expressions' values twice, the second time by the method that checks the integration.
-
-        Raises:
-            DomainError: a run has no finite result because these numbers lie outside the model's domain.
-            IntegrationError: a run has no finite result although they lie inside it.
-        """
-        return self.values(numbers), self.values(numbers, check=True)
-
     def values(self, numbers: Sequence[float], *, check: bool = False) -> list[Vector]:
         """Return the expressions' values.
 

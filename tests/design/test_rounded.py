@@ -76,13 +76,6 @@ def test_steps_for_all_variables_give_the_best_combination(x_step, y_step):
         assert choice.conflicts == {"yield": pytest.approx(3.0 - x * y, rel=1e-6)}
 
 
-def test_an_optimum_in_the_catalogue_costs_nothing():
-    best, _, _ = _solved()
-    found = best.rounded({"share.tip width": [1.0, math.sqrt(1.5), 2.0]})
-    assert found.variables["share.tip width"] == math.sqrt(1.5)
-    assert found.cost_percent == pytest.approx(0.0, abs=1e-7)
-
-
 def test_an_optimum_on_its_bound_is_a_multiple_of_the_step():
     d, x = design(x=(0.5, 0.3, 1.0))
     d.minimise(x)
@@ -100,19 +93,6 @@ def test_an_infeasible_value_is_named():
     assert failed.conflicts == {"yield": pytest.approx(0.5, rel=1e-6)}
     assert "share.tip width = 1 m is infeasible: 'yield' fails by 0.5 m" in str(found)
     assert "2.06 % above that of the optimum" in str(found)
-
-
-def test_a_far_value_that_others_make_better_is_found():
-    """The best value lies in another basin than the optimum; with the other variable held it would be the worst."""
-    d, x, y = design(x=(0.1, 0.0, 1.0), y=(0.1, 0.0, 1.0))
-    near, far = (x - 0.11) ** 2 + (y - 0.1) ** 2, (x - 0.9) ** 2 + (y - 0.9) ** 2
-    # The narrower of two wells is deeper by 0.1, but its bottom lies between the values of the catalogue.
-    d.minimise(2.0 - 1.1 * ca.exp(-near / 0.0005) - ca.exp(-far / 0.005))
-    best = d.solve(judge="bare")
-    assert best.variables["x"] == pytest.approx(0.11, abs=1e-4)
-    found = best.rounded(x=[0.01, 0.2, 0.5, 0.9])
-    assert found.variables["x"] == 0.9
-    assert found.objective == pytest.approx(1.0, rel=1e-8)
 
 
 def test_the_lowest_of_many_basins_of_several_free_variables_is_found():

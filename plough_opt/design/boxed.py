@@ -101,10 +101,7 @@ def over_box(declared: Declarations, over: Over, count: int, bounds: tuple[float
     worst = Variable(WORST, ca.MX.sym(WORST), bounds[1], *bounds, "", False, 0.0, auxiliary=True)
     below = Requirement("objective below its worst", objectives - worst.symbol, None, 0.0, "", auxiliary=True)
     return replace(
-        declared,
-        variables=(*declared.variables, worst),
-        objective=worst.symbol,
-        requirements=(*everywhere, below),
+        declared, variables=(*declared.variables, worst), objective=worst.symbol, requirements=(*everywhere, below)
     )
 
 

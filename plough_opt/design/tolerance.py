@@ -117,10 +117,10 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
     """
     if not landscape.vectorised:
         return None
-    program = landscape.program
-    if program.bare is not None:
-        program.bare.prepare(landscape.p)
-        program, landscape = program.bare, Landscape(program.bare, landscape.p)
+    program = landscape.program.bare or landscape.program
+    if program is not landscape.program:
+        program.prepare(landscape.p)
+        landscape = Landscape(program, landscape.p)
     y = y[: len(program.declared.variables)]
     _, f, g = landscape.rows_after_elimination(boxes(program.declared.variables, y[None]), finer=FINER)
     valid = np.isfinite(f)

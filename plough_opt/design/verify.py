@@ -49,11 +49,7 @@ class TightEvaluation:
     """
 
     def __init__(
-        self,
-        expressions: Sequence[ca.MX],
-        symbols: Sequence[ca.MX],
-        *,
-        shared: TightEvaluation | None = None,
+        self, expressions: Sequence[ca.MX], symbols: Sequence[ca.MX], *, shared: TightEvaluation | None = None
     ) -> None:
         """Split expressions around their runs.
 

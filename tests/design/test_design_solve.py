@@ -120,8 +120,7 @@ COEFFICIENTS = st.integers(-200, 200).map(lambda hundredths: hundredths / 100.0)
 
 
 @given(
-    rows=st.lists(st.tuples(*[COEFFICIENTS] * 3), min_size=3, max_size=5),
-    target=st.tuples(*[st.floats(-3.0, 3.0)] * 5),
+    rows=st.lists(st.tuples(*[COEFFICIENTS] * 3), min_size=3, max_size=5), target=st.tuples(*[st.floats(-3.0, 3.0)] * 5)
 )
 @settings(max_examples=25, deadline=None)
 def test_bounded_least_squares_as_scipy_solves_them(rows, target):

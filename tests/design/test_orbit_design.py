@@ -125,20 +125,19 @@ def test_a_local_search_stays_on_the_branch_of_its_guess(build, guess):
     assert best.active == ("stiffness",)
 
 
-def test_a_periodic_orbit_is_found_by_harmonic_balance_and_with_own_steps_by_shooting(build):
-    automatic, stepped = (program_of(build("periodic", accuracy=a)) for a in (None, po.Accuracy("dop853", steps=96)))
-    y = np.array([0.6])
-    assert automatic.built.steps == [12]
-    assert stepped.built.steps == [None]
-    by_harmonics, by_steps = (np.asarray(p.nlp.slopes(y, [])[2]).item() for p in (automatic, stepped))
-    assert by_harmonics == pytest.approx(by_steps, rel=1e-9)
-    curvatures = [np.asarray(p.nlp.hess_lag(y, [], 1.0, [])).item() for p in (automatic, stepped)]
-    assert curvatures[0] == pytest.approx(curvatures[1], rel=1e-8)
-
-
-@pytest.mark.parametrize("name", CHOICES)
-def test_derivatives_of_the_program_are_those_of_differences(build, name):
-    program = program_of(build(CHOICES[name], limit=LIMIT))
+@pytest.mark.parametrize(
+    ("name", "accuracy", "steps"),
+    [
+        ("linearised", None, [56]),
+        # A periodic orbit is found by harmonic balance or, with the user's own steps, by shooting.
+        ("periodic", None, [12]),
+        ("periodic", po.Accuracy("dop853", steps=96), [None]),
+        ("harmonic balance", None, [56]),
+    ],
+)
+def test_derivatives_of_the_program_are_those_of_differences(build, name, accuracy, steps):
+    program = program_of(build(CHOICES[name], limit=LIMIT, accuracy=accuracy))
+    assert program.built.steps == steps
     weights = np.linspace(-1.0, 1.0, program.nlp.values(0.5, [])[1].numel())
 
     def lagrangian(y):

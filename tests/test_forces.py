@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers import high_precision as hp
-from helpers.high_precision import FIRM, NAMES, assert_close, assert_derivatives, in_order
+from helpers.equations import FIRM, resistance
+from helpers.high_precision import assert_close, assert_derivatives
 
 import plough_opt as po
 
@@ -47,27 +48,27 @@ def outputs(values):
 @pytest.fixture(scope="module", params=[ca.SX, ca.MX], ids=["SX", "MX"])
 def symbolic(request):
     """Return a Function from the eleven values to the outputs and to gradient and Hessian of the resistance."""
-    x = request.param.sym("x", len(NAMES))
-    out = outputs(dict(zip(NAMES, ca.vertsplit(x), strict=True)))
+    x = request.param.sym("x", len(FIRM))
+    out = outputs(dict(zip(FIRM, ca.vertsplit(x), strict=True)))
     hessian, gradient = ca.hessian(out["resistance"], x)
     return ca.Function("f", [x], [*out.values(), gradient, hessian], ["x"], [*out, "gradient", "hessian"])
 
 
 def by_automatic_differentiation(symbolic, values):
     """Return the outputs with the derivatives under the names of the reference file."""
-    out = symbolic(x=in_order(values))
+    out = symbolic(x=list(values.values()))
     gradient, hessian = out.pop("gradient").full()[:, 0], out.pop("hessian").full()
     named = {name: float(value) for name, value in out.items()}
-    for i, name in enumerate(NAMES):
+    for i, name in enumerate(FIRM):
         named[f"d_resistance_d_{name}"] = gradient[i]
         named[f"d2_resistance_d_{name}2"] = hessian[i, i]
-        named |= {f"d2_resistance_d_{name}_d_{other}": hessian[i, j] for j, other in enumerate(NAMES)}
+        named |= {f"d2_resistance_d_{name}_d_{other}": hessian[i, j] for j, other in enumerate(FIRM)}
     return named
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_reference_from_numbers_and_symbols(symbolic, case):
-    values, wanted = {name: float(case["inputs"][name]) for name in NAMES}, case["outputs"]
+    values, wanted = {name: float(case["inputs"][name]) for name in FIRM}, case["outputs"]
     found, numbers = by_automatic_differentiation(symbolic, values), outputs(values)
     for name, value in wanted.items():
         assert_close(found[name], value, DIGITS, name)
@@ -98,16 +99,16 @@ BESIDE_90 = [{"wedge_angle": NEAR_90}, {"wedge_angle": NEAR_90, "density_ratio":
 
 @cache
 def precise_derivatives(*point):
-    return hp.derivatives(hp.resistance, point)
+    return hp.derivatives(resistance, point)
 
 
 @pytest.mark.parametrize("change", [*SINGULAR, *BESIDE_90], ids=str)
 def test_gradient_and_hessian_up_to_the_singularities(symbolic, change):
     values = FIRM | change
-    wanted, out = precise_derivatives(*in_order(values)), symbolic(x=in_order(values))
+    wanted, out = precise_derivatives(*values.values()), symbolic(x=list(values.values()))
     assert_close(outputs(values)["resistance"], wanted[0], DIGITS, "float")
     got = (out["resistance"].full()[0, 0], out["gradient"].full()[:, 0], out["hessian"].full())
-    assert_derivatives(got, wanted, DIGITS, NAMES)
+    assert_derivatives(got, wanted, DIGITS, FIRM)
 
 
 # A cone of half angle 15 degrees and base radius 50 mm at 2 m/s: locked density; force [N], with and without ambient
@@ -135,8 +136,8 @@ def test_named_soil_resists_as_a_locked_cylindrical_cavity(name):
 
 
 def test_arrays_are_computed_element_by_element():
-    cases = [{name: float(case["inputs"][name]) for name in NAMES} for case in REFERENCE]
-    together = outputs({name: np.array([case[name] for case in cases]) for name in NAMES})
+    cases = [{name: float(case["inputs"][name]) for name in FIRM} for case in REFERENCE]
+    together = outputs({name: np.array([case[name] for case in cases]) for name in FIRM})
     one_by_one = [outputs(case) for case in cases]
     for name, values in together.items():
         # NumPy may use different code for whole registers and for single numbers; the steepest cone

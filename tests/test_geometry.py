@@ -4,6 +4,7 @@ import math
 
 import casadi as ca
 import pytest
+from helpers import equations
 from helpers import high_precision as hp
 from helpers.high_precision import assert_close, assert_derivatives, differentiated
 
@@ -33,16 +34,16 @@ def half_angle(wedge_angle, chisel_angle):
 
 
 EQUATIONS = [
-    *[(wedge_area, hp.wedge_area, (*point, 0.3)) for point in WEDGES],
-    *[(cone_area, hp.cone_area, (angle, 0.3)) for angle in CONES],
-    *[(half_angle, hp.half_angle, point) for point in WEDGES],
+    *[(wedge_area, equations.wedge_area, (*point, 0.3)) for point in WEDGES],
+    *[(cone_area, equations.cone_area, (angle, 0.3)) for angle in CONES],
+    *[(half_angle, equations.half_angle, point) for point in WEDGES],
 ]
 
 
 @pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
 @pytest.mark.parametrize(("equation", "precise", "point"), EQUATIONS)
 def test_value_gradient_and_hessian(equation, precise, point, symbol):
-    assert_close(equation(*point), precise(*hp.exact(point)), 1e-15, "float")
+    assert_close(equation(*point), precise(*map(hp.mp.mpf, point)), 1e-15, "float")
     # An angle is an exact float, so its tangent is rounded only once and accurate even near 90 degrees.
     found = differentiated(equation, symbol, len(point))(point)
     assert_derivatives(found, hp.derivatives(precise, point), ROUNDING, range(len(point)))
@@ -51,7 +52,7 @@ def test_value_gradient_and_hessian(equation, precise, point, symbol):
 @pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
 @pytest.mark.parametrize("point", STEEP_CHISELS)
 def test_half_angle_with_the_chisel_beside_90_degrees(point, symbol):
-    value, gradient, hessian = hp.derivatives(hp.half_angle, point)
+    value, gradient, hessian = hp.derivatives(equations.half_angle, point)
     got_value, got_gradient, got_hessian = differentiated(half_angle, symbol, 2)(point)
     assert_close(got_value, value, 1e-15, "value")
     # The curvature along the chisel angle is a small difference of terms as large as slope * tan(chisel).

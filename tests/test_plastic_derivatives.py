@@ -7,8 +7,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers import high_precision as hp
-from helpers import precise_field as pf
 from helpers.density_profiles import field
+from helpers.precise_field import Constant
 
 import plough_opt as po
 from plough_opt.soil import plastic
@@ -16,24 +16,15 @@ from plough_opt.soil import plastic
 # Every entry has some fifty roundings of 1.1e-16 of either sign; the largest error found is 1.6e-15.
 DIGITS = 4e-15
 
-NAMES = pf.Particle._fields
-STRESS, KINEMATIC = len(NAMES), NAMES.index("density_ratio") + 1
-
 
 def toolkit(name):
-    """Return the toolkit's function for a quantity; its arguments are in the order of `precise_field.Particle`."""
+    """Return the toolkit's function for a quantity; its arguments are in the order of `NAMES`."""
 
     def at(r, radius, rate, acceleration, b1, friction_angle=0.5, cohesion=0.0, ambient_pressure=0.0, density=1.0):
         soil = po.Soil(density, b1, cohesion, friction_angle, 0.5, ambient_pressure)
         return field(name, r, plastic.Cavity(radius, rate, acceleration), soil)
 
     return at
-
-
-# Quantity -> number of arguments on which it depends.
-QUANTITIES = dict.fromkeys(("radial", "tangential", "surface_pressure"), STRESS)
-QUANTITIES |= dict.fromkeys(("current_radius", "particle_velocity", "particle_acceleration"), KINEMATIC)
-QUANTITIES |= dict.fromkeys(("front_radius", "front_speed"), KINEMATIC)
 
 
 ORDINARY = {
@@ -46,6 +37,12 @@ ORDINARY = {
     "ambient_pressure": 101325.0,
     "density": 1400.0,
 }
+NAMES = ("r", *ORDINARY)
+STRESS, KINEMATIC = len(NAMES), NAMES.index("density_ratio") + 1
+# Quantity -> number of arguments on which it depends.
+QUANTITIES = dict.fromkeys(("radial", "tangential", "surface_pressure"), STRESS)
+QUANTITIES |= dict.fromkeys(("current_radius", "particle_velocity", "particle_acceleration"), KINEMATIC)
+QUANTITIES |= dict.fromkeys(("front_radius", "front_speed"), KINEMATIC)
 
 
 def point(place, **changes):
@@ -103,8 +100,11 @@ def natural_sizes(at, wall, per):
 @cache
 def precise(name, x):
     """Return value, gradient and Hessian in 120 digits, as floats."""
-    found = hp.derivatives(lambda *values: getattr(pf.Particle(*values), name), x)
-    return [np.array(one, dtype=float) for one in found]
+
+    def at(r, radius, rate, acceleration, density_ratio, *strength):
+        return getattr(Constant(density_ratio, radius, rate, acceleration, *strength), name)(r)
+
+    return [np.array(one, dtype=float) for one in hp.derivatives(at, x)]
 
 
 @pytest.mark.parametrize("arguments", POINTS)

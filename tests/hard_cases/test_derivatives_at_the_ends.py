@@ -12,10 +12,10 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers import high_precision as hp
+from helpers.equations import forces, mp
 
 import plough_opt as po
 
-mp = hp.mp
 # Ordinary numbers, and those to differentiate by, each with the size of a typical change.
 FIXED = {"chisel_angle": 0.2, "density": 1400.0, "duration": 0.3, "wavelength": 0.5}
 VARIED = {
@@ -157,19 +157,15 @@ def exact(end, function):
     numbers, sizes = numbers_of(end)
     chosen = [k for k, name in enumerate(NAMES) if name in ALWAYS or name in ENDS[end][0]]
     names, sizes = [NAMES[k] for k in chosen], sizes[chosen]
-    fixed, known, answers = hp.exact(numbers), {}, []
+    fixed = {name: mp.mpf(float(number)) for name, number in numbers.items()}
 
     def of(*point):
-        if point not in known:
-            known[point] = function(fixed | dict(zip(names, point, strict=True)))
-        return known[point]
+        return np.array(function(fixed | dict(zip(names, point, strict=True))))
 
-    point = [numbers[name] for name in names]
-    for k in range(len(of(*hp.exact(point)))):
-        value, slopes, bends = hp.derivatives(lambda *x, k=k: of(*x)[k], point)
-        slopes, bends = np.array([float(s) for s in slopes]), np.array([[float(b) for b in row] for row in bends])
-        answers.append((float(value), slopes * sizes, bends * np.outer(sizes, sizes)))
-    return chosen, *(np.array(parts) for parts in zip(*answers, strict=True))
+    # Each has the entries of the answer in its first axis.
+    found = hp.derivatives(of, [fixed[name] for name in names])
+    values, slopes, bends = (np.moveaxis(np.array(part, dtype=float), -1, 0) for part in found)
+    return chosen, values, slopes * sizes, bends * np.outer(sizes, sizes)
 
 
 def largest(values):
@@ -180,7 +176,7 @@ def largest(values):
 
 
 def steady(v):
-    static, drag, _ = hp.resistance_terms(v | {"speed": mp.mpf(1), "acceleration": mp.mpf(1)})
+    static, drag, _ = forces(v)
     force = static * (1 + v["rate_term"] * v["speed"] ** 2) + drag * v["speed"] ** 2
     return [force, force, force / v["stiffness"]]
 
@@ -218,7 +214,7 @@ def test_a_steady_start(end, kind):
 
 def oscillation(v, first):
     """Return mean, RMS and last value of P = F0 + Re(a exp(x t)) in closed form, and F0."""
-    static, _, carried = hp.resistance_terms(v | {"speed": mp.mpf(1), "acceleration": mp.mpf(1)})
+    static, _, carried = forces(v)
     inertia, k, c, duration = v["mass"] + carried, v["stiffness"], v["damping"], v["duration"]
     at, d = static / k, c / (2 * inertia)
     w = mp.sqrt(k / inertia - d**2)

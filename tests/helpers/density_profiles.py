@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import plough_opt as po
-from helpers import high_precision as hp
-from helpers import precise_field as pf
+from helpers.equations import mp
+from helpers.precise_field import Field
 from plough_opt.core.expressions import exp
 from plough_opt.soil import plastic
 
@@ -44,9 +44,7 @@ class Ground(NamedTuple):
     def field(self, radius, rate, acceleration):
         """Return the precise field around a cavity."""
         values = (*self.parameters, radius, rate, acceleration, self.friction_angle, self.cohesion)
-        rest = hp.exact([STRENGTH["ambient_pressure"], DENSITY])
-        exact = [hp.mp.mpf(value) for value in values]
-        return pf.Field(pf.PROFILES[self.name], *exact, *rest)
+        return Field(self.name, *map(mp.mpf, (*values, STRENGTH["ambient_pressure"], DENSITY)))
 
 
 def ground(name, **strength):

@@ -13,6 +13,14 @@ SOIL = ("density", "density_ratio", "cohesion", "friction_angle", "tool_friction
 """The properties of a soil that `forces` takes, in the order of `po.Soil`."""
 
 
+FIRM = {
+    "wedge_angle": 0.5, "chisel_angle": 0.2, "height": 0.3,
+    "density": 1400.0, "density_ratio": 0.8, "friction_angle": 0.5, "cohesion": 2e4, "tool_friction": 0.45,
+    "ambient_pressure": 101325.0, "speed": 2.0, "acceleration": 3.0,
+}  # fmt: skip
+"""An ordinary share in an ordinary soil: the arguments of `resistance`, in order."""
+
+
 def wedge_area(wedge_angle, chisel_angle, height):
     """Equation (5)."""
     return height**2 * mp.tan(wedge_angle) / mp.cos(chisel_angle) ** 2
@@ -47,3 +55,10 @@ def forces(v, m=mp):
     face = m.pi * (1 + v["tool_friction"] / slope) * h**2 * slope**2
     carried = face * slope**2 * v["density"]
     return face * strength, carried * rate, carried * h * phi / b1 * 2 / 3
+
+
+def resistance(*values):
+    """Equation (25) [N], arguments in the order of `FIRM`."""
+    v = dict(zip(FIRM, values, strict=True))
+    static, drag, added = forces(v)
+    return static + drag * v["speed"] ** 2 + added * v["acceleration"]

@@ -15,8 +15,8 @@ import pytest
 import plough_opt as po
 from helpers import high_precision as hp
 from helpers import oracle
+from helpers.equations import mp
 
-mp = hp.mp
 EPS = 2.0**-52
 
 BODIES = {
@@ -158,7 +158,7 @@ def precise(field, point, chosen=()):
     derivatives in r, which near the axis are small differences of singular terms. The radial stress is as accurate as
     the axial stress, with which it shares the dilatation.
     """
-    exact = hp.exact(point)
+    exact = [mp.mpf(value) for value in point]
     found = _tensors(field, exact, chosen)
     step = mp.mpf(10) ** -20
     change = 0
@@ -181,24 +181,15 @@ def precise(field, point, chosen=()):
 
 
 def _tensors(field, at, chosen):
-    """Return values, gradients and Hessians of every piece: central differences as in `high_precision.derivatives`."""
-    h, n = mp.mpf(10) ** -25, len(chosen)
+    """Return values, gradients and Hessians of every piece in the chosen inputs."""
 
-    def moved(*moves):
+    def pieces(*moved):
         values = list(at)
-        for i, sign in moves:
-            values[chosen[i]] += sign * h
+        for i, value in zip(chosen, moved, strict=True):
+            values[i] = value
         return np.array(field(*values), dtype=object)
 
-    value = moved()
-    ahead, behind = [moved((i, 1)) for i in range(n)], [moved((i, -1)) for i in range(n)]
-    gradient = [(p - q) / (2 * h) for p, q in zip(ahead, behind, strict=True)]
-    hessian = [[None] * n for _ in range(n)]
-    for i in range(n):
-        hessian[i][i] = (ahead[i] - 2 * value + behind[i]) / h**2
-        for j in range(i):
-            ends = moved((i, 1), (j, 1)) + moved((i, -1), (j, -1)) + 2 * value
-            hessian[i][j] = hessian[j][i] = (ends - ahead[i] - ahead[j] - behind[i] - behind[j]) / (2 * h**2)
+    value, gradient, hessian = hp.derivatives(pieces, [at[i] for i in chosen])
     return np.stack([value, *gradient, *itertools.chain.from_iterable(hessian)], axis=1)
 
 

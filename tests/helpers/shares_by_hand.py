@@ -12,6 +12,7 @@ import pytest
 from scipy.optimize import minimize
 
 import plough_opt as po
+from helpers import equations
 
 SOIL = po.Soil(1400.0, 0.8, 15e3, po.deg(30.0), 0.5, 1e4)
 CHISEL, SPEED, AMPLITUDE, WAVELENGTH, DURATION = po.deg(15.0), 2.0, 0.3, 0.5, 2.0
@@ -20,20 +21,14 @@ LOWER, UPPER = np.array([po.deg(5.0), 0.1, 5e3]), np.array([po.deg(60.0), 0.5, 5
 
 
 def half_angle(wedge_angle):
-    """Return the equivalent cone's half angle by equation (7)."""
-    p = math.pi * math.cos(CHISEL) ** 2 / (2.0 * math.tan(wedge_angle))
-    return math.asin(math.sqrt(p * p + 1.0) - p)
+    """Return the equivalent cone's half angle."""
+    return equations.half_angle(wedge_angle, CHISEL, math)
 
 
 def forces(wedge_angle, height):
-    """Return F0 [N] and Fd [N s^2/m^2] of equations (25) and (26)."""
-    slope, mu, b1 = math.tan(half_angle(wedge_angle)), math.sin(SOIL.friction_angle), SOIL.density_ratio
-    nu, a = 2.0 * mu / (1.0 + mu), 1.0 / (1.0 - b1)
-    phi = (a ** (nu / 2.0) - 1.0) / nu
-    strength = nu * SOIL.ambient_pressure + 2.0 * SOIL.cohesion * math.cos(SOIL.friction_angle) / (1.0 + mu)
-    inertia = phi / b1 + a ** (nu / 2.0) + (1.0 - a ** (nu / 2.0 - 1.0)) / (b1 * (nu - 2.0))
-    face = math.pi * (1.0 + SOIL.tool_friction / slope) * height**2 * slope**2
-    return face * phi * strength, face * slope**2 * inertia * SOIL.density
+    """Return F0 [N] and Fd [N s^2/m^2]."""
+    share = {"wedge_angle": wedge_angle, "chisel_angle": CHISEL, "height": height}
+    return equations.forces(vars(SOIL) | share, math)[:2]
 
 
 def draft(x):

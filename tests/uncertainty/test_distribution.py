@@ -84,7 +84,6 @@ def test_corners_are_the_ends_of_each_marginal():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"cohesoin": stats.norm(1, 1)}, "'cohesion'"),
         ({"within": {"tool_friction": (0.1, 0.9)}}, "tool_friction"),
         ({"cohesion": 20e3}, "not a distribution"),
         ({"cohesion": stats.norm(20e3, 6e3)}, "truncate it"),
@@ -93,7 +92,6 @@ def test_corners_are_the_ends_of_each_marginal():
         ({"within": {"cohesion": 30e3}}, "the bounds of cohesion are 30000.0: give two numbers"),
         ({"correlation": "strong"}, "correlation = 'strong' must be a dictionary"),
         ({"within": {"friction_angle": (po.deg(34), po.deg(34))}}, "contradict"),
-        ({"within": {"friction_angle": (po.deg(80), po.deg(85))}}, "between its bounds"),
         ({"correlation": {("cohesion", "friction_angle"): -1.0}}, "between -1 and 1"),
         ({"correlation": {("cohesion", "density"): 0.1}}, "no distribution"),
         ({"correlation": {("cohesion", "cohesion"): 0.1}}, "pair of properties"),

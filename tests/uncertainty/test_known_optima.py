@@ -1,16 +1,18 @@
-"""Robust optima with known closed forms, found by the design's own solver.
+"""Robust optima with known closed forms, or found by hand on a grid.
 
-The soil's properties stand for the uncertain numbers of textbook problems; no run takes part. They have one optimum
-each, which is found from the guess.
+The soil's properties stand for the uncertain numbers of textbook problems; no run takes part.
 """
 
 import math
 
+import casadi as ca
+import numpy as np
 import pytest
 from scipy import stats
 
 import plough_opt as po
 from plough_opt.studies.uncertainty import measures
+from plough_opt.studies.uncertainty.robust import best_robust
 
 MEAN, STD = 20e3, 4e3
 # A normal distribution in units of 10 kPa, and its cohesion as that number.
@@ -108,3 +110,73 @@ def test_smoothed_worst_case_over_a_set():
     # Nine tenths of the distribution lie within the box, whose worst the rounding lifts a little.
     assert check.worse == pytest.approx(0.1 * 4000, abs=90)
     assert not check.confirmed
+
+
+# --- searched over all variables, and smoothed by the spread of the results ----------------------------------
+
+
+GRID = np.linspace(0.0, 1.0, 20_001)
+
+
+def _valleys(x, theta):
+    """Two valleys that the number moves to and fro: the narrow one is deeper, the broad one forgives more."""
+    moved = x - 0.03 * (theta - M) / S
+    exp = ca.exp if isinstance(x, ca.MX) else np.exp
+    return 2.0 - 1.2 * exp(-(((moved - 0.25) / 0.01) ** 2)) - exp(-(((moved - 0.75) / 0.15) ** 2))
+
+
+def _by_hand(samples):
+    """Return the losses on a grid of designs, a row each, over samples."""
+    return _valleys(GRID[:, None], _numbers(samples))
+
+
+@pytest.mark.parametrize("guess", [0.25, 0.5, 0.99])
+def test_the_best_over_samples_is_found_from_the_other_valley(guess):
+    d, x = _design(guess, 0.0, 1.0)
+    robust = po.Robust(FIELD, lambda soil: {"loss": _valleys(x, soil.cohesion / 1e4)}, samples=32, seed=2)
+    d.minimise(robust.expected("loss"))
+    best, means = d.solve(), _by_hand(robust.samples).mean(axis=1)
+    # Beside a minimum the grid is off by half its curvature times half a position's square, some 1e-8.
+    assert best.objective == pytest.approx(means.min(), abs=1e-7)
+    assert best.variables["x"] == pytest.approx(GRID[means.argmin()], abs=1e-4)
+
+
+def test_the_sharp_worst_case_is_searched_without_its_bound():
+    d, x = _design(0.25, 0.0, 1.0)
+    robust = po.Robust(FIELD, lambda soil: {"loss": _valleys(x, soil.cohesion / 1e4)}, samples=16, seed=2)
+    d.minimise(robust.bound_from_above(d, "loss", lower=-50.0, upper=50.0))
+    best, least = d.solve(), _by_hand(robust.samples).max(axis=1).min()
+    assert best.search.variables == ("x",)
+    # At the corner of a maximum the grid is off by its slope times half a position.
+    assert least - 1e-3 <= best.objective <= least + 1e-9
+
+
+def test_widths_follow_from_the_design_that_is_found():
+    """The loss is x^2/2 + 4/x times a number whose spread the design scales: far from the start, far from its width."""
+    made = []
+
+    def build(start, spreads):
+        d, x = _design(start["x"], 0.1, 50.0)
+        robust = _robust(x)
+        made.append(spreads["loss"])
+        d.minimise(robust.cvar("loss", 0.9, width=0.5 * spreads["loss"]))
+        return d, robust, frozenset({"loss"})
+
+    def _robust(x):
+        return po.Robust(FIELD, lambda soil: {"loss": (x**2 / 2 + 4.0 / x) * soil.cohesion / MEAN}, samples=16, seed=2)
+
+    known = _robust(_design(1.0, 0.1, 50.0)[1])
+
+    def spreads(at):
+        return {name: float(np.std(values)) for name, values in known.values(at).items()}
+
+    best, robust, failures = best_robust({"x": 40.0}, build, spreads, lambda *_: None)
+    assert failures == ()
+    assert len(made) > 1
+    own = robust.values(best)["loss"]
+    (requested,) = robust.requested
+    assert requested.width == pytest.approx(0.5 * np.std(own), rel=0.02)
+    assert best.objective == pytest.approx(measures.cvar(own, 0.9, width=requested.width), rel=1e-9)
+    # Whatever its width, the CVaR goes with x^2/2 + 4/x, which is least at x = 4^(1/3): that with the nominal width of
+    # 40^2/2 does not.
+    assert best.variables["x"] == pytest.approx(4.0 ** (1.0 / 3.0), rel=1e-3)

@@ -129,7 +129,7 @@ def waves_command(tmp_path, capsys):
         ("time [s], cone_index [kPa]\n1, 2\n", (), "need the tow speed"),
         (None, ("--mass", "20 kg"), "a rig also needs --stiffness, --tow-speed"),
         (None, ("--part", "2"), "part = 2.0"),
-        (None, ("--plot", "x.bmp"), "no known picture format"),
+        (None, ("--plot", "x.bmp"), "it must end in .png"),
     ],
 )
 def test_errors_give_file_and_line(waves_command, text, options, words):

@@ -42,7 +42,7 @@ def write_animation(run: Run, target: str | Path, slower: float) -> Path:
         from plough_opt.app.page.writing import motion_page
 
         return write_file(path, "animation", motion_page(run, subject(run).replace("\n", ": ")))
-    check_file(path, ".gif", "animation, which is .html or .gif")
+    check_file(path, "animation", ".html", ".gif")
     return write_file(path, "animation", _gif(run, slower))
 
 

@@ -101,7 +101,7 @@ def _options(options: argparse.Namespace) -> dict[str, Any]:
             others = ", ".join(other for other, own in FORMATS.items() if name in own.options)
             raise InputError(f"--{name} cannot be used with --to {options.to}, only with {others}")
     if options.description is not None:
-        check_file(options.description, ".json", "description")
+        check_file(options.description, "description", ".json")
     given = {name: getattr(options, name) for name in chosen.options} | given_quantities(options, _PART_OPTIONS)
     if chosen.check is not None:
         chosen.check(given)

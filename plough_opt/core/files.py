@@ -164,15 +164,16 @@ def check_new_folder(path: str | Path, kind: str) -> Path:
     return target
 
 
-def check_file(path: str | Path, ending: str, kind: str) -> Path:
+def check_file(path: str | Path, kind: str, *endings: str) -> Path:
     """Return the path of a file to be written.
 
     Raises:
         InputError: the path has another ending, or is a folder.
     """
     target = Path(path)
-    if target.suffix.lower() != ending:
-        raise InputError(f"'{target}' is not a valid file name for the {kind}: it must end in {ending}")
+    if target.suffix.lower() not in endings:
+        valid = " or ".join(endings)
+        raise InputError(f"'{path}' is not a valid file name for the {kind}: it must end in {valid}")
     if target.is_dir():
         raise InputError(f"'{target}' is a folder: name a file in it")
     return target
@@ -301,15 +302,14 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
     Raises:
         InputError: the ending is not a known format, or the file cannot be written.
     """
-    check_format(path)
-    ending = Path(path).suffix[1:].lower()
+    ending = check_format(path).suffix[1:].lower()
     return write_file(path, "plot", lambda file: figure.savefig(file, dpi=130, format=ending))
 
 
-def check_format(path: str | Path) -> None:
-    """Raise InputError if a path does not end in a picture format, or is a folder."""
-    if Path(path).suffix[1:].lower() not in PICTURE_FORMATS:
-        endings = ", ".join(f".{ending}" for ending in PICTURE_FORMATS)
-        raise InputError(f"the plot '{path}' has no known picture format: end its name in one of {endings}")
-    if Path(path).is_dir():
-        raise InputError(f"the plot '{path}' is a folder: name a file in it")
+def check_format(path: str | Path) -> Path:
+    """Return the path of a picture to be written.
+
+    Raises:
+        InputError: the path does not end in a picture format, or is a folder.
+    """
+    return check_file(path, "picture", *(f".{ending}" for ending in PICTURE_FORMATS))

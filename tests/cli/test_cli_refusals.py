@@ -20,7 +20,7 @@ REFUSED = [
     ("init nowhere/share.toml", "cannot be written"),
     ("optimise FILE --set minimise={}", "nothing to minimise: add a table [minimise]"),
     ("optimize FILE --set 'scene.tow_sped=1 m/s'", "'scene.tow_sped' is not a known key"),
-    ("simulate FILE --plot run.jpg", "'run.jpg' has no known picture format: end its name in"),
+    ("simulate FILE --plot run.jpg", "'run.jpg' is not a valid file name for the picture: it must end in .png"),
     ("optimise FILE --plot ''", "picture"),
     ("optimise FILE --plot insertions.csv/new/a.png", "insertions.csv' is not a folder"),
     # No output overwrites an input or another output; a link is what it leads to, even in a circle.

@@ -30,7 +30,7 @@ def report(options: argparse.Namespace) -> None:
     """
     from plough_opt.app.page.writing import reported, write_page  # the studies are slow to import
 
-    check_file(options.output, ".html", "page")
+    check_file(options.output, "page", ".html")
     problem = read(options)
     _check(problem)
     text = Path(options.file).read_text(encoding="utf-8")

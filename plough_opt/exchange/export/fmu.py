@@ -67,7 +67,7 @@ def write_fmu(
             as input where its speed is needed; a name that is not a C identifier; a missing compiler; or a path that
             cannot be written.
     """
-    target, scene, by_speed = check_file(path, ".fmu", "FMU"), _numeric(scene), strut == "speed"
+    target, scene, by_speed = check_file(path, "FMU", ".fmu"), _numeric(scene), strut == "speed"
     _check(scene, strut, duration, name)
     model = model_of(NamedScene(scene, steel_density=steel_density), by_speed=by_speed)
     source, token = c_source(model, pushes=scene.effects.contact == "resisting", by_speed=by_speed)

@@ -85,8 +85,7 @@ class Format:
             InputError: the folder exists already, or the file's name has another ending.
         """
         if self.endings:
-            own = Path(path).suffix.lower()
-            check_file(path, own if own in self.endings else " or ".join(self.endings), self.what)
+            check_file(path, self.what, *self.endings)
         else:
             check_new_folder(path, self.what.removeprefix("a new folder with "))
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from plough_opt.core.checks import check_kind, path_of
 from plough_opt.core.errors import InputError
-from plough_opt.core.files import write_file
+from plough_opt.core.files import check_file, write_file
 from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.solid import Solid
 
@@ -58,9 +58,7 @@ def write_part(
         DomainError: as `Wedge.mesh`.
     """
     check_kind("the share", share, Wedge | Cone, "a Wedge or a Cone")
-    ending = path_of("the part", path).suffix.lower()
-    if ending not in WRITERS:
-        raise InputError(f"the part '{path}' has no known format: end its name in one of {', '.join(WRITERS)}")
+    ending = check_file(path_of("the part", path), "part", *WRITERS).suffix.lower()
     if isinstance(share, Wedge):
         body = share.mesh(opening=opening, thickness=thickness)
         part = _Part(share, body, share.opening if opening is None else opening, thickness)

@@ -34,10 +34,10 @@ def write_casadi(component: Component, path: str | Path, description: str | Path
     Raises:
         InputError: a path with another ending, or one that cannot be written.
     """
-    target = check_file(path, ".casadi", "serialised Function")
+    target = check_file(path, "serialised Function", ".casadi")
     files: dict[Path, Content] = {target: serialised(component)}
     if description is not None:
-        files[check_file(description, ".json", "description")] = json.dumps(described(component), indent=2) + "\n"
+        files[check_file(description, "description", ".json")] = json.dumps(described(component), indent=2) + "\n"
     write_files(files, "serialised Function")
     return target
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from plough_opt.core.expressions import as_number
-from plough_opt.motion.batch.c_source import Kernels
 from plough_opt.motion.batch.engine import Engine, Interpreter
 from plough_opt.motion.batch.series import Graph, series_of
 
@@ -76,12 +75,11 @@ def test_operations_in_c_and_numpy(tmp_path, monkeypatch):
     function = _operations()
     x, p = ca.SX.sym("x", 2), ca.SX.sym("p", 2)
     step = ca.Function("step", [x, p], [ca.vertcat(x[0] + 1.0, x[1] + x[0] / p[1])])
-    kernels = Kernels({"operations": function}, ((step, 0),), 2)
-    engine = Engine({"operations": function}, kernels)
+    engine = Engine({"operations": function}, [(step, 0)], 2)
     assert engine.compiled
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
-    plain = Engine({"operations": function}, kernels)
+    plain = Engine({"operations": function}, [(step, 0)], 2)
     assert not plain.compiled
     random = np.random.default_rng(0)
     rows = random.uniform([[-3.0], [-3.0], [0.1]], [[3.0], [3.0], [5.0]], (3, 203))

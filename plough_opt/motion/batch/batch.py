@@ -23,7 +23,6 @@ from plough_opt.core.expressions import (
 )
 from plough_opt.core.quantities import BESIDE
 from plough_opt.motion.batch.advance import advance
-from plough_opt.motion.batch.c_source import Kernels
 from plough_opt.motion.batch.domain_check import DomainCheck
 from plough_opt.motion.batch.engine import Array, Engine
 from plough_opt.motion.batch.equations import RESULTS, StartValues, function_of_column, setup
@@ -106,8 +105,7 @@ class Batch:
         # One order more for every digit of the wanted error, and ten because a step may make only a small part of it.
         order = round(10.0 - math.log10(error))
         phases = tuple((advance(self._layout, order, phase), end) for phase, end in enumerate(self._layout.ends))
-        maps = {name: one for name, one in functions.items() if one.is_a("SXFunction")}
-        self._engine = Engine(functions, Kernels(maps, phases, self._layout.parameters))
+        self._engine = Engine(functions, phases, self._layout.parameters)
 
     @property
     def compiled(self) -> bool:

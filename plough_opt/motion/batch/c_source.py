@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 
+from plough_opt.core.compiler import Variant
 from plough_opt.core.errors import InputError
+
+Phase = tuple[ca.Function, int]
+"""A phase of a motion: (Function of SX for one step, position of the phase's end time among its parameters)."""
 
 _BINARY = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
 _COMPARISONS = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
@@ -126,40 +131,50 @@ _PHASE = """    {{
     }}"""
 
 
-@dataclass(frozen=True)
-class Kernels:
-    """The Functions that a batch compiles.
+def variants(*flags: str, scheduling: tuple[str, ...] = ()) -> tuple[Variant, ...]:
+    """Return how to compile: with the vector functions of the GNU C library, without them, and for any processor.
 
-    Attributes:
-        maps: Functions of SX of one argument, by name.
-        phases: of the motion, in their order: (Function of SX for one step, position of the phase's end time among the
-            step's parameters).
-        parameters: number of a step's parameters.
+    Args:
+        flags: flags of every attempt, besides those that let floating-point operations be reordered.
+        scheduling: flags of a first attempt, which not every compiler has.
     """
+    flags = (*flags, "-ffp-contract=fast", "-fno-signed-zeros", "-fno-trapping-math", "-fno-math-errno")
+    own, vector = (*flags, "-march=native"), (*flags, "-march=native", "-DVECTOR_LIBRARY")
+    first = [(*vector, *scheduling)] if scheduling else []
+    return (*((one, ("-lmvec", "-lm")) for one in (*first, vector)), (own, ("-lm",)), (flags, ("-lm",)))
 
-    maps: dict[str, ca.Function]
-    phases: tuple[tuple[ca.Function, int], ...]
-    parameters: int
+
+def instructions(function: ca.Function) -> Iterator[tuple[int, list[int], list[int], float]]:
+    """Yield each operation of a Function of SX: its code, the places of results and operands, and its constant."""
+    for k in range(function.n_instructions()):
+        code = function.instruction_id(k)
+        constant = function.instruction_constant(k) if code == ca.OP_CONST else 0.0
+        yield code, function.instruction_output(k), function.instruction_input(k), constant
 
 
-def c_source(kernels: Kernels) -> str:
+def c_source(maps: Mapping[str, ca.Function], phases: Sequence[Phase], parameters: int) -> str:
     """Return the C source of a library with a function for each map and the function ``run``, which takes all steps.
+
+    Args:
+        maps: Functions of SX of one argument, by name.
+        phases: of the motion, in their order.
+        parameters: number of a step's parameters.
 
     Raises:
         InputError: an operation without a vector form.
     """
     lines = [head()]
-    for name, one in kernels.maps.items():
+    for name, one in maps.items():
         text = Statements(one, ("x",))
         body = "\n".join([*text.once, *text.each])
         lines.append(_MAP.format(name=name, inputs=one.numel_in(0), results=one.numel_out(), body=body))
-    state = kernels.phases[0][0].numel_out()
-    phases = []
-    for step, end in kernels.phases:
+    state = phases[0][0].numel_out()
+    loops = []
+    for step, end in phases:
         text = Statements(step, ("x", "p"))
         once, each = "\n".join(text.once), "\n".join(text.each)
-        phases.append(_PHASE.format(once=once, each=each, end=end, state=state))
-    lines.append(_RUN.format(parameters=kernels.parameters, state=state, phases="\n".join(phases)))
+        loops.append(_PHASE.format(once=once, each=each, end=end, state=state))
+    lines.append(_RUN.format(parameters=parameters, state=state, phases="\n".join(loops)))
     return "\n".join(lines)
 
 
@@ -231,12 +246,11 @@ class Statements:
         self._inverses: dict[str, _Value] = {}
         work: dict[int, _Value] = {}
         results = []
-        for k in range(function.n_instructions()):
-            code, into, of = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
+        for code, into, of, constant in instructions(function):
             if code == ca.OP_INPUT:
                 work[into[0]] = _Value(f"{arrays[of[0]]}[{of[1]}]", once=of[0] == function.n_in() - 1)
             elif code == ca.OP_CONST:
-                work[into[0]] = _Value.of(function.instruction_constant(k))
+                work[into[0]] = _Value.of(constant)
             elif code == ca.OP_OUTPUT:
                 results.append(f"y[{into[1]}] = (V){{0}} + {work[of[0]].number};")
             else:

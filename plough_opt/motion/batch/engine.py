@@ -1,35 +1,29 @@
 """The arithmetic of a batch: compiled C, or NumPy without a compiler, for many designs side by side."""
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.compiler import Variant, library
-from plough_opt.motion.batch.c_source import LANE_BY_LANE, LIBRARY, LIBRARY_OF_TWO, Kernels, c_source
+from plough_opt.core.compiler import library
+from plough_opt.motion.batch.c_source import (
+    LANE_BY_LANE,
+    LIBRARY,
+    LIBRARY_OF_TWO,
+    Phase,
+    c_source,
+    instructions,
+    variants,
+)
 
 Array = NDArray[np.float64]
 
-_FLAGS = (
-    "-O3",
-    "-ffp-contract=fast",
-    "-fassociative-math",
-    "-fno-signed-zeros",
-    "-fno-trapping-math",
-    "-fno-math-errno",
-)
-# Only GCC has these. They reorder the long sequences of sums and products so that the processor waits less.
-_SCHEDULING = ("-fschedule-insns", "-fsched-pressure")
-# Fastest first: with the vector functions of the GNU C library, without them, and for any processor.
-_VARIANTS: tuple[Variant, ...] = (
-    ((*_FLAGS, *_SCHEDULING, "-march=native", "-DVECTOR_LIBRARY"), ("-lmvec", "-lm")),
-    ((*_FLAGS, "-march=native", "-DVECTOR_LIBRARY"), ("-lmvec", "-lm")),
-    ((*_FLAGS, "-march=native"), ("-lm",)),
-    (_FLAGS, ("-lm",)),
-)
+# Only GCC has the flags of the first attempt, which reorder the long sequences of sums and products so that the
+# processor waits less.
+_VARIANTS = variants("-O3", "-fassociative-math", scheduling=("-fschedule-insns", "-fsched-pressure"))
 # Designs that NumPy evaluates at once: enough to outweigh the cost of its calls, few enough for the processor's cache.
 _BLOCK = 4096
 
@@ -44,24 +38,26 @@ class Engine:
         compiled: whether a compiler was found.
     """
 
-    def __init__(self, functions: dict[str, ca.Function], kernels: Kernels) -> None:
-        """Compile the kernels, if there is a compiler.
+    def __init__(self, functions: dict[str, ca.Function], phases: Sequence[Phase], parameters: int) -> None:
+        """Compile the steps and the Functions of SX, if there is a compiler.
 
         Args:
-            functions: all Functions by name, each of one column; those of SX are in ``kernels.maps`` too.
-            kernels: what is compiled.
+            functions: all Functions by name, each of one column.
+            phases: of the motion, in their order.
+            parameters: number of a step's parameters.
         """
-        path = library(c_source(kernels), _VARIANTS)
+        self._functions, self._phases = functions, phases
+        self._compiled = {name: one for name, one in functions.items() if one.is_a("SXFunction")}
+        path = library(c_source(self._compiled, phases, parameters), _VARIANTS)
         self.compiled = path is not None
-        self._functions, self._kernels = functions, kernels
         self._library = None if path is None else ctypes.CDLL(str(path))
 
     def evaluate(self, name: str, rows: Array) -> Array:
         """Return the results of a Function, a row each."""
-        if self._library is None or name not in self._kernels.maps:
+        if self._library is None or name not in self._compiled:
             return np.asarray(self._functions[name].map(rows.shape[1])(rows))
         rows = np.ascontiguousarray(rows)
-        results = np.empty((self._kernels.maps[name].numel_out(), rows.shape[1]))
+        results = np.empty((self._compiled[name].numel_out(), rows.shape[1]))
         function = getattr(self._library, name)
         function.restype = None
         function(ctypes.c_int64(rows.shape[1]), _pointer(rows), _pointer(results))
@@ -87,7 +83,7 @@ class Engine:
 
     def _run_by_numpy(self, p: Array, states: Array, order: NDArray[np.int64], most: int, taken: Array) -> None:
         with np.errstate(all="ignore"):
-            for step, end in self._kernels.phases:
+            for step, end in self._phases:
                 interpreted = Interpreter(step)
                 for first in range(0, len(order), _BLOCK):
                     which = order[first : first + _BLOCK]
@@ -142,15 +138,7 @@ class Interpreter:
     def __init__(self, function: ca.Function) -> None:
         """Read the Function's operations; intermediate results share places as in CasADi's own evaluation."""
         self._results, self._places = function.numel_out(), function.sz_w()
-        self._operations = [
-            (
-                code := function.instruction_id(k),
-                function.instruction_output(k),
-                function.instruction_input(k),
-                function.instruction_constant(k) if code == ca.OP_CONST else 0.0,
-            )
-            for k in range(function.n_instructions())
-        ]
+        self._operations = [*instructions(function)]
 
     def __call__(self, *arguments: Array) -> Array:
         """Return the result, a row for each element; arguments have a row for each element too."""

@@ -16,9 +16,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.compiler import Variant, library
+from plough_opt.core.compiler import library
 from plough_opt.motion.accuracy import Accuracy
-from plough_opt.motion.batch.c_source import Statements, head
+from plough_opt.motion.batch.c_source import Statements, head, variants
 from plough_opt.motion.batch.engine import Array
 from plough_opt.motion.equation import equation_of_motion, signals, start_state
 from plough_opt.motion.integrators import integration
@@ -41,12 +41,7 @@ _LASTING_PHASE = 70.0
 _LOSS_ORDER = 9.0
 
 # -O3 doubles the time of compilation and does not speed up the runs.
-_FLAGS = ("-O2", "-ffp-contract=fast", "-fno-signed-zeros", "-fno-trapping-math", "-fno-math-errno")
-_VARIANTS: tuple[Variant, ...] = (
-    ((*_FLAGS, "-march=native", "-DVECTOR_LIBRARY"), ("-lmvec", "-lm")),
-    ((*_FLAGS, "-march=native"), ("-lm",)),
-    (_FLAGS, ("-lm",)),
-)
+_VARIANTS = variants("-O2")
 _FEWEST_STEPS = 16
 # A run that needs more than this number, before any refinement, is not integrated.
 _MOST_STEPS = 20_000

@@ -17,6 +17,7 @@ from functools import partial
 import casadi as ca
 
 from plough_opt.core.errors import InputError
+from plough_opt.motion.batch.c_source import instructions
 
 _ZERO, _ONE = ca.SX(0), ca.SX(1)
 
@@ -142,10 +143,6 @@ class Graph:
         inverse = self._add(Series(lambda _, k: 1.0 / b[0] if k == 0 else _ZERO))
         return self._add(Series(lambda q, k: (a[k] - _convolved(b, q, k, 1)) * inverse[0]))
 
-    def inverse(self, x: Series) -> Series:
-        """Return 1/x."""
-        return self.quotient(self.constant(_ONE), x)
-
     def root(self, x: Series) -> Series:
         """Return r = sqrt(x), from x = r^2."""
         return self._add(Series(lambda r, k: (x[k] - _self_convolved(r, k, 1)) / (2.0 * r[0]) if k else ca.sqrt(x[0])))
@@ -221,13 +218,11 @@ def series_of(graph: Graph, function: ca.Function, inputs: Sequence[Sequence[Ser
     """
     work: dict[int, Series] = {}
     results: list[list[Series]] = [[] for _ in range(function.n_out())]
-    for k in range(function.n_instructions()):
-        operation = function.instruction_id(k)
-        into, of = function.instruction_output(k), function.instruction_input(k)
+    for operation, into, of, constant in instructions(function):
         if operation == ca.OP_INPUT:
             work[into[0]] = inputs[of[0]][of[1]]
         elif operation == ca.OP_CONST:
-            work[into[0]] = graph.constant(ca.SX(function.instruction_constant(k)))
+            work[into[0]] = graph.constant(ca.SX(constant))
         elif operation == ca.OP_OUTPUT:
             results[into[0]].append(work[of[0]])
         else:
@@ -277,11 +272,6 @@ def _power(graph: Graph, x: Series, exponent: Series) -> Series:
     return result
 
 
-def _hyperbolic_cosine(graph: Graph, x: Series) -> Series:
-    rising, falling = _elementary(graph, ca.OP_EXP, x), _elementary(graph, ca.OP_EXP, graph.scaled(x, -1.0))
-    return graph.scaled(graph.total(rising, falling), 0.5)
-
-
 def _smaller(graph: Graph, a: Series, b: Series) -> Series:
     return graph.chosen(graph.switch(graph.total(a, b, -1.0)), a, b)
 
@@ -314,14 +304,13 @@ _RULES: dict[int, Callable[..., Series]] = {
     ca.OP_MUL: Graph.product,
     ca.OP_SQ: Graph.square,
     ca.OP_DIV: Graph.quotient,
-    ca.OP_INV: Graph.inverse,
+    ca.OP_INV: lambda graph, x: graph.quotient(graph.constant(_ONE), x),
     ca.OP_SQRT: Graph.root,
     ca.OP_HYPOT: lambda graph, a, b: graph.root(graph.total(graph.square(a), graph.square(b))),
     ca.OP_POW: _power,
     ca.OP_CONSTPOW: _power,
     ca.OP_SIN: lambda graph, x: graph.sine_and_cosine(x)[0],
     ca.OP_COS: lambda graph, x: graph.sine_and_cosine(x)[1],
-    ca.OP_COSH: _hyperbolic_cosine,
     ca.OP_FMIN: _smaller,
     ca.OP_FMAX: _larger,
     ca.OP_FABS: _absolute,
@@ -339,6 +328,7 @@ _DERIVATIVES = {
     ca.OP_LOG: 1.0 / _X,
     ca.OP_LOG1P: 1.0 / (1.0 + _X),
     ca.OP_SINH: ca.sqrt(1.0 + _Y**2),
+    ca.OP_COSH: ca.sinh(_X),
     ca.OP_TAN: 1.0 + _Y**2,
     ca.OP_TANH: 1.0 - _Y**2,
     ca.OP_ATAN: 1.0 / (1.0 + _X**2),

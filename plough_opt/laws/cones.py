@@ -133,8 +133,7 @@ def spherical_cavity_draft(cone: Cone, soil: Soil, speed: Expression) -> Express
         DomainError: the speed is negative, elastic strains are large, or the front is as fast as elastic waves,
             sqrt(E/rho0).
     """
-    found = _reaction(cone, soil, speed)
-    return found.static + found.drag * speed**2
+    return _reaction(cone, soil, speed).at(speed)
 
 
 def _reaction(cone: Cone, soil: Soil, speed: Expression) -> SoilReaction:

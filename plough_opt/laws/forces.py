@@ -148,8 +148,7 @@ def resistance(cone: Cone, soil: Soil, speed: Expression, acceleration: Expressi
     """
     check_domain("speed", speed, "m/s", at_least=0.0, why="the plastic gas does not follow a retreating share")
     check_domain("acceleration", acceleration, "m/s^2")
-    f = soil_reaction(cone, soil)
-    return f.static + f.drag * speed**2 + f.added_mass * acceleration
+    return soil_reaction(cone, soil).at(speed, acceleration)
 
 
 @checked_in_designs

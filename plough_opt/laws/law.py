@@ -31,6 +31,10 @@ class SoilReaction:
     drag: Expression = 0.0
     added_mass: Expression = 0.0
 
+    def at(self, speed: Expression, acceleration: Expression = 0.0) -> Expression:
+        """Return the resistance [N] at a speed [m/s] and an acceleration [m/s^2]."""
+        return self.static + self.drag * speed**2 + self.added_mass * acceleration
+
 
 @dataclass(frozen=True)
 class ShareInSoil:
@@ -158,12 +162,6 @@ class ResistanceLaw(Protocol):
         remedy = "use effects = Effects(motion=False), or" if what == "motion" else "leave it out, or use"
         name = f"'{name}'" if name else what
         return f"{name} has no meaning in {self.label}, which {self.lacking[what]}: {remedy} medium = 'plastic'"
-
-
-def force_of(law: ResistanceLaw, at: ShareInSoil) -> Expression:
-    """Return the resistance [N] of a share that slides steadily."""
-    found = law.reaction(at)
-    return found.static + found.drag * at.speed**2
 
 
 def without_pressure(at: ShareInSoil) -> ShareInSoil:

@@ -1,7 +1,6 @@
 """Resistance laws by name, for problem files and ``Scene(medium=...)``."""
 
 import dataclasses
-from functools import lru_cache
 from typing import Final
 
 from plough_opt.core.checks import check_named, shown
@@ -32,16 +31,10 @@ def law_of(medium: str | ResistanceLaw) -> ResistanceLaw:
     """
     if isinstance(medium, str):
         check_named("no resistance law is named {}", medium, LAWS)
-        return _made(LAWS[medium])
+        return LAWS[medium]()
     if isinstance(medium, type) or not (dataclasses.is_dataclass(medium) and isinstance(medium, ResistanceLaw)):
         names = ", ".join(map(repr, LAWS))
         raise InputError(
             f"medium = {shown(medium)} must be a ResistanceLaw, such as McKyesAli(depth=0.35), or one of {names}"
         )
     return medium
-
-
-@lru_cache(maxsize=32)
-def _made(law: type[ResistanceLaw]) -> ResistanceLaw:
-    """Return a law created without arguments; all scenes share one object."""
-    return law()

@@ -58,8 +58,7 @@ def mckyes_ali_draft(soil: Soil, tine: Tine, speed: Expression) -> Expression:
             that the factor of the weight is least at the end of the possible angles. For MX symbols a `Design` enforces
             this limit.
     """
-    found = _mckyes_ali(soil, tine, speed)
-    return found.static + found.drag * speed**2
+    return _mckyes_ali(soil, tine, speed).at(speed)
 
 
 def _mckyes_ali(soil: Soil, tine: Tine, speed: Expression) -> SoilReaction:
@@ -146,8 +145,7 @@ def godwin_draft(soil: Soil, tine: Tine, speed: Expression, *, rupture_ratio: Ex
     Raises:
         DomainError: an argument is outside the domain of a wedge, or the depth exceeds six widths.
     """
-    found = _godwin(soil, tine, speed, rupture_ratio)
-    return found.static + found.drag * speed**2
+    return _godwin(soil, tine, speed, rupture_ratio).at(speed)
 
 
 def _godwin(soil: Soil, tine: Tine, speed: Expression, rupture_ratio: Expression | None) -> SoilReaction:

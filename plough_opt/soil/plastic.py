@@ -5,7 +5,6 @@ front. There the stresses satisfy the Mohr-Coulomb yield condition. For a consta
 closed form; for a density profile (`Soil.with_density_profile`) they are Gauss-Legendre quadratures.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -324,36 +323,26 @@ def _pressure(r: Expression, radius: Expression, r_front: Expression, soil: Soil
 def _inertia_of_profile(
     r: Expression, r_front: Expression, radius: Expression, soil: Soil
 ) -> tuple[Expression, Expression]:
-    """Return the integrals from r to r* of (y_s/y)^nu s/y_s^2 ds, and of that integrand times 2 psi(s)/y_s^2 [-]."""
-    nu = soil.yielding.nu
-    wall = radius**2
-    y_squared = wall + mean_ratio(r, soil) * r**2
-    swelling: Expression = 0.0
-    spreading: Expression = 0.0
-    for square, weight in _squares(r, r_front, radius, soil):
-        compacted = mean_ratio(sqrt(square), soil) * square
-        here = wall + compacted
-        share = weight * exp(nu * log1p((here - y_squared) / y_squared) / 2.0) / here
-        swelling, spreading = swelling + share, spreading + share * compacted / here
-    return swelling, spreading
+    """Return the integrals from r to r* of (y_s/y)^nu s/y_s^2 ds, and of that integrand times 2 psi(s)/y_s^2 [-].
 
-
-def _squares(
-    r: Expression, r_front: Expression, radius: Expression, soil: Soil
-) -> Iterator[tuple[Expression, Expression]]:
-    """Yield s^2 and the weight of s ds at quadrature nodes between r and the front.
-
-    The nodes are Gauss-Legendre nodes in sigma, where s^2 = R^2 (e^(2 l sigma^2) - 1)/b, l = ln(r*/R) and b is the mean
-    1 - (R/r*)^2. In sigma the integrands are entire functions for a constant density, and profiles given in r or r^2
-    are both smooth.
+    The quadrature nodes are Gauss-Legendre nodes in sigma, where s^2 = R^2 (e^(2 l sigma^2) - 1)/b, l = ln(r*/R) and b
+    is the mean 1 - (R/r*)^2. In sigma the integrands are entire functions for a constant density, and profiles given in
+    r or r^2 are both smooth.
     """
     profile = soil.density_profile
     assert profile is not None
-    mean = mean_ratio(r_front, soil)
-    per_mean = log1p_ratio(-mean)
+    nu, wall, mean = soil.yielding.nu, radius**2, mean_ratio(r_front, soil)
+    y_squared, per_mean = wall + mean_ratio(r, soil) * r**2, log1p_ratio(-mean)
     first = r / radius * sqrt(log1p_ratio(mean * (r / radius) ** 2) / per_mean)
+    swelling: Expression = 0.0
+    spreading: Expression = 0.0
     for node, weight in zip(*gauss_legendre(profile.order), strict=True):
         sigma = first + (1.0 - first) * node
         exponent = mean * per_mean * sigma**2
-        square = radius**2 * per_mean * sigma**2 * expm1_ratio(exponent)
-        yield square, weight * (1.0 - first) * radius**2 * per_mean * sigma * exp(exponent)
+        square = wall * per_mean * sigma**2 * expm1_ratio(exponent)
+        of_square = weight * (1.0 - first) * wall * per_mean * sigma * exp(exponent)
+        compacted = mean_ratio(sqrt(square), soil) * square
+        here = wall + compacted
+        share = of_square * exp(nu * log1p((here - y_squared) / y_squared) / 2.0) / here
+        swelling, spreading = swelling + share, spreading + share * compacted / here
+    return swelling, spreading

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from plough_opt.core.files import COLOURS
+from plough_opt.core.files import COLOURS, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -126,10 +125,7 @@ class Comparison:
         Raises:
             InputError: the file's ending is not a picture format, or the file cannot be written.
         """
-        from plough_opt.core.files import save_figure
-
-        speeds = [KM_PER_H * speed for speed in self.speeds]
-        figure = _figure_of(self.own, self.others, speeds, self.depths, self.scene)
+        figure = _figure_of(self)
         if path is not None:
             save_figure(figure, path)
         return figure
@@ -147,55 +143,46 @@ def _family(row: ModelDraft) -> str:
     return row.model.split(",")[0]
 
 
-def _figure_of(
-    own: ModelDraft, others: Sequence[ModelDraft], speeds: Sequence[float], depths: Sequence[float], title: str = ""
-) -> Figure:
-    """Return the picture; speeds are in km/h. A model has the same colour and marker in every panel."""
+def _figure_of(found: Comparison) -> Figure:
+    """Return the picture. A model has the same colour and marker in every panel."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    numbers = {name: k for k, name in enumerate(dict.fromkeys(row.model for row in others))}
-    panels = depths or (None,)
+    panels = found.depths or (None,)
     figure = Figure(figsize=(5.2 * len(panels) + 3.6, 5.0), layout="constrained")
     grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for axes, depth in zip(grid, panels, strict=True):
-        rows = [row for row in others if row.depth in (depth, None)]
-        _draw(axes, own, rows, speeds, numbers)
+        _draw(axes, found, depth)
         axes.set_title("" if depth is None else f"working depth {depth:.3g} m")
-    drafts = [d for row in (own, *others) for d in row.drafts if math.isfinite(d) and d > 0.0]
+    drafts = [d for row in (found.own, *found.others) for d in row.drafts if math.isfinite(d) and d > 0.0]
     if drafts and max(drafts) > _LARGEST_LINEAR_RATIO * min(drafts):
         grid[0].set_yscale("log")
-        plain = FuncFormatter(lambda value, _: f"{value:g}")
         grid[0].yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        grid[0].yaxis.set_major_formatter(plain)
+        grid[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         grid[0].yaxis.set_minor_formatter(NullFormatter())
     else:
         grid[0].set_ylim(bottom=0.0)
     grid[0].set_ylabel("mean draft [kN]")
     # A model may have values at one depth only; it is marked as refused only if it has none at any depth.
-    found: dict[str, tuple[Artist, str]] = {}
+    shown: dict[str, tuple[Artist, str]] = {}
     for axes in grid:
         for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
             model = name.removesuffix(_REFUSED)
-            if model not in found or found[model][1].endswith(_REFUSED):
-                found[model] = (handle, name)
-    handles, names = zip(*found.values(), strict=True)
+            if model not in shown or shown[model][1].endswith(_REFUSED):
+                shown[model] = (handle, name)
+    handles, names = zip(*shown.values(), strict=True)
     figure.legend(handles, names, loc="outside right upper", fontsize="small")
-    if title:
-        figure.suptitle(
-            textwrap.fill(title, int(_CHARACTERS_PER_INCH * figure.get_figwidth())),
-            x=0.01,
-            ha="left",
-            fontsize="medium",
-        )
+    title = textwrap.fill(found.scene, int(_CHARACTERS_PER_INCH * figure.get_figwidth()))
+    figure.suptitle(title, x=0.01, ha="left", fontsize="medium")
     return figure
 
 
-def _draw(axes: Axes, own: ModelDraft, rows: Sequence[ModelDraft], speeds: Sequence[float],
-          numbers: Mapping[str, int]) -> None:  # fmt: skip
-    axes.plot(speeds, [draft / 1e3 for draft in own.drafts], color="black", linewidth=2.2, label=own.model)
-    for row in rows:
-        k = numbers[row.model]
+def _draw(axes: Axes, found: Comparison, depth: float | None) -> None:
+    """Draw the models at a depth, and those without one."""
+    speeds, models = [KM_PER_H * speed for speed in found.speeds], list(dict.fromkeys(r.model for r in found.others))
+    axes.plot(speeds, [draft / 1e3 for draft in found.own.drafts], color="black", linewidth=2.2, label=found.own.model)
+    for row in (row for row in found.others if row.depth in (depth, None)):
+        k = models.index(row.model)
         # Markers shift by one each time the colours repeat.
         marker = _MARKERS[(k + k // len(COLOURS)) % len(_MARKERS)]
         colour = COLOURS[k % len(COLOURS)]

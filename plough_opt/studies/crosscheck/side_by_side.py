@@ -22,7 +22,6 @@ from plough_opt.laws import (
     UniversalEarthmoving,
 )
 from plough_opt.laws.asabe import POINTS, TEXTURES
-from plough_opt.laws.law import force_of
 from plough_opt.motion.scene import Scene
 from plough_opt.studies.crosscheck.comparison import KM_PER_H, Comparison, ModelDraft
 from plough_opt.studies.crosscheck.reasons import estimates, reasons
@@ -150,7 +149,7 @@ def _own_draft(scene: Scene, speed: float) -> float:
 
 def _steady(law: ResistanceLaw, at: ShareInSoil, speed: float) -> float:
     """Return a law's draft [N] for a share that slides steadily at a speed [m/s]."""
-    return float(force_of(law, dataclasses.replace(at, speed=speed)))
+    return float(law.reaction(dataclasses.replace(at, speed=speed)).at(speed))
 
 
 def _drafts(draft: Callable[[float], float], speeds: Sequence[float]) -> tuple[tuple[float, ...], str]:

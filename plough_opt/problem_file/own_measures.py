@@ -1,11 +1,13 @@
 """The table [measures]: results that a file defines as expressions of other results and quantities."""
 
 import ast
+import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
+
+import numpy as np
 
 from plough_opt.core import expressions
 from plough_opt.core.errors import InputError, nearest, short
@@ -24,33 +26,16 @@ _MAX_LENGTH: Final = 300
 _MAX_DEPTH: Final = 20
 # No physical result needs a higher power.
 _MAX_POWER: Final = 8.0
-_OPERATORS: Final[dict[type, Callable[[Any, Any], Any]]] = {
+# Type of an operator, or name of a function -> function from the values of the operands to the result.
+_Rules: TypeAlias = dict[Any, Callable[..., Any]]
+_ARITHMETIC: Final[_Rules] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
     ast.Div: operator.truediv,
-}
-_FUNCTIONS: Final[dict[str, Callable[..., Expression]]] = {
-    name: getattr(expressions, name) for name in ("sqrt", "exp", "log", "absolute", "minimum", "maximum")
-}
-# Functions that require a dimensionless argument.
-_DIMENSIONLESS: Final = ("exp", "log")
+} | {name: getattr(expressions, name) for name in ("sqrt", "exp", "log", "absolute", "minimum", "maximum")}
+_FUNCTIONS: Final = tuple(name for name in _ARITHMETIC if isinstance(name, str))
 _EXAMPLE: Final = '"tow_power / (2 * loosened_radius)"'
-
-
-@dataclass(frozen=True)
-class _Evaluator:
-    """What names, function calls and powers in an expression evaluate to: numbers, units, or nothing.
-
-    Attributes:
-        name: function from a name, such as "mean_draft" or "share.height", to its value.
-        call: function from the name of a function and its arguments to the value.
-        power: function from base and exponent to the value.
-    """
-
-    name: Callable[[str], Any]
-    call: Callable[[str, list[Any]], Any]
-    power: Callable[[Any, float], Any] = operator.pow
 
 
 @lru_cache(maxsize=128)
@@ -71,40 +56,29 @@ def own_measure(text: str, unit: str) -> Measure:
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError):
         raise InputError(f"= {short(repr(text))} cannot be read: write an expression like {_EXAMPLE}") from None
-    names = _names(tree)
     Unit(unit).split(f"1 {unit}")  # raises InputError for an unreadable unit
-    _check_unit(tree, text, unit)
+    parts = [MEASURES[name] for name in _checked_names(tree, text, unit) if name in MEASURES]
 
     def of(run: Run) -> Expression:
-        value: Expression = _value(tree, _Evaluator(lambda name: _of_run(run, name), _applied))
+        def leaf(what: str | float) -> Expression:
+            if isinstance(what, float):
+                return what
+            return MEASURES[what].of(run) if what in MEASURES else quantity_of(run.scene, what)
+
+        try:
+            with np.errstate(all="ignore"):
+                value: Expression = _value(tree, leaf, _ARITHMETIC)
+        except ArithmeticError:  # division by 0, overflow
+            value = math.nan
+        if isinstance(value, complex) or (isinstance(value, float) and not math.isfinite(value)):
+            raise InputError(
+                f"{short(repr(text))} has no finite value in this run: check it for division by 0, overflow, and roots"
+                " or logarithms of what is not positive"
+            )
         return value
 
-    parts = [MEASURES[name] for name in names if name in MEASURES]
     needs = tuple(dict.fromkeys(what for one in parts for what in one.needs))
     return Measure(Unit(_si(unit)), of, needs, random=any(one.random for one in parts))
-
-
-def _of_run(run: Run, name: str) -> Expression:
-    return MEASURES[name].of(run) if name in MEASURES else quantity_of(run.scene, name)
-
-
-def _applied(name: str, arguments: list[Any]) -> Expression:
-    return _FUNCTIONS[name](*arguments)
-
-
-def _names(tree: ast.expr) -> set[str]:
-    """Return the names of results and quantities in an expression; raise InputError if one is unknown."""
-    found: set[str] = set()
-
-    def note(name: str) -> float:
-        single = [one for one, measure in MEASURES.items() if not measure.everywhere]
-        if name not in single and name not in QUANTITIES:
-            raise InputError(f"'{name}' has no single value to compute with: {nearest(name, [*single, *QUANTITIES])}")
-        found.add(name)
-        return 1.0
-
-    _value(tree, _Evaluator(note, lambda _, arguments: arguments[0], lambda base, _: base))
-    return found
 
 
 def display_of_own(unit: str) -> Display:
@@ -118,54 +92,68 @@ def _si(unit: str) -> str:
     return unit if base.magnitude == 1.0 else f"{base.units:~C}"
 
 
-def _check_unit(tree: ast.expr, text: str, unit: str) -> None:
-    """Raise InputError if an expression adds unlike units, or its unit differs in dimension from the stated one."""
-    import pint
+def _checked_names(tree: ast.expr, text: str, unit: str) -> dict[str, None]:
+    """Return the names of results and quantities in an expression, in order.
 
-    quantity = registry().Quantity
+    Raises:
+        InputError: a name is unknown, unlike units are added, or the result's unit differs from the stated one.
+    """
+    unit_of, names = registry().Unit, dict[str, None]()
+    plain = unit_of("dimensionless")
 
-    def of_name(name: str) -> Any:
-        symbol = MEASURES[name].unit.symbol if name in MEASURES else QUANTITIES[name].unit
-        return quantity(1.0, symbol or "dimensionless")
+    def leaf(what: str | float) -> Any:
+        if isinstance(what, float):
+            return plain
+        single = [name for name, measure in MEASURES.items() if not measure.everywhere]
+        if what not in single and what not in QUANTITIES:
+            raise InputError(f"'{what}' has no single value to compute with: {nearest(what, [*single, *QUANTITIES])}")
+        names[what] = None
+        return unit_of((MEASURES[what].unit.symbol if what in MEASURES else QUANTITIES[what].unit) or "dimensionless")
 
-    def of_call(name: str, arguments: list[Any]) -> Any:
-        if name in _DIMENSIONLESS:
-            return arguments[0].to("dimensionless")
-        if name == "sqrt":
-            return arguments[0] ** 0.5
-        return sum(arguments[1:], arguments[0])  # minimum and maximum: raises an error unless the units agree
+    def alike(one: Any, other: Any = plain) -> Any:
+        if one.dimensionality != other.dimensionality:
+            raise InputError(f"= {short(repr(text))} combines unlike units, {one} and {other}")
+        return one
 
-    try:
-        found = quantity(1.0, "dimensionless") * _value(tree, _Evaluator(of_name, of_call))
-    except pint.DimensionalityError as error:
-        raise InputError(f"= {short(repr(text))} combines unlike units, {error.units1} and {error.units2}") from None
-    except (ZeroDivisionError, OverflowError):
-        found = None  # caused by the placeholder values of 1, so the units remain unchecked
-    kind = quantity(1.0, unit or "dimensionless")
-    if found is not None and found.dimensionality != kind.dimensionality:
-        stated, given = (f"the unit '{one}'" if one else "no unit" for one in (unit, f"{found.units:~P}"))
+    rules = dict.fromkeys((ast.Add, ast.Sub, "exp", "log", "minimum", "maximum"), alike)
+    powers = {"sqrt": lambda own: own**0.5, "absolute": lambda own: own}
+    found = _value(tree, leaf, _ARITHMETIC | rules | powers)
+    if found.dimensionality != unit_of(unit or "dimensionless").dimensionality:
+        stated, given = (f"the unit '{one}'" if one else "no unit" for one in (unit, f"{found:~P}"))
         raise InputError(f"has {stated}, but its expression has {given}: change one of the two")
+    return names
 
 
-def _value(tree: ast.expr, evaluator: _Evaluator, depth: int = 0) -> Any:
-    """Return the value of an expression under an evaluator."""
+def _value(tree: ast.expr, leaf: Callable[[str | float], Any], rules: _Rules, depth: int = 0) -> Any:
+    """Return the value of an expression: a number, a symbol, or its unit.
+
+    Args:
+        tree: the expression.
+        leaf: function from a name, such as "mean_draft" or "share.height", or a number to its value.
+        rules: how operators and functions compute.
+        depth: how deep the expression is nested in others.
+    """
     if depth > _MAX_DEPTH:
         raise InputError(f"the expression is nested more than {_MAX_DEPTH} deep: define its parts as separate results")
+
+    def inner(part: ast.expr) -> Any:
+        return _value(part, leaf, rules, depth + 1)
+
     match tree:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
-            return float(number)
+            return leaf(float(number))
         case ast.Name() | ast.Attribute():
-            return evaluator.name(ast.unparse(tree))
+            return leaf(ast.unparse(tree))
         case ast.UnaryOp(op=ast.USub(), operand=operand):
-            return -_value(operand, evaluator, depth + 1)
+            return rules[ast.Mult](leaf(-1.0), inner(operand))
         case ast.BinOp(left=base, op=ast.Pow(), right=power):
-            return evaluator.power(_value(base, evaluator, depth + 1), _power(power))
-        case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
-            return _OPERATORS[type(op)](_value(left, evaluator, depth + 1), _value(right, evaluator, depth + 1))
+            return inner(base) ** _power(power)
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in rules:
+            return rules[type(op)](inner(left), inner(right))
         case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in _FUNCTIONS:
             if len(arguments) != (2 if name in ("minimum", "maximum") else 1):
                 raise InputError(f"'{ast.unparse(tree)}' has the wrong number of arguments")
-            return evaluator.call(name, [_value(one, evaluator, depth + 1) for one in arguments])
+            return rules[name](*map(inner, arguments))
     functions = ", ".join(_FUNCTIONS)
     raise InputError(f"'{short(ast.unparse(tree), 60)}' cannot be computed: use + - * / **, and {functions}")
 

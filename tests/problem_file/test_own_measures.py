@@ -15,6 +15,7 @@ RIGHT = {
     "slender": ("share.height / sqrt(loosened_radius**2)", ""),
     "uneven": ("force_rms / mean_draft + exp(-force_rms / mean_draft)", ""),
     "draft_per_depth": ("maximum(mean_draft, 2 * force_rms) / share.height", "N/cm"),
+    "excess": ("mean_draft / (mean_draft - force_rms)", ""),
     "spare": ("0.2e0 * mean_draft - -1 * force_rms**1", "kN"),
 }
 
@@ -34,6 +35,7 @@ def by_hand(run):
         "slender": height / radius,
         "uneven": uneven + math.exp(-uneven),
         "draft_per_depth": max(run.mean_draft, 2.0 * run.force_rms) / height / 100.0,
+        "excess": run.mean_draft / (run.mean_draft - run.force_rms),
         "spare": (0.2 * run.mean_draft + run.force_rms) / 1e3,
     }
 
@@ -71,6 +73,15 @@ def test_it_stands_in_the_response_and_in_a_sweep(read):
 
 def test_brackets_alone_nest_nothing(read):
     assert read(written({"mine": ("(" * 90 + "force_rms" + ")" * 90, "N")}))
+
+
+@pytest.mark.parametrize(
+    "value", ["1 / 0", "exp(2000)", "(0 - 8) ** 0.5", "sqrt(0 - 1)", "log(force_rms / force_rms - 1)"]
+)
+def test_what_has_no_finite_value_is_refused_when_it_is_computed(read, value):
+    problem = read(written({"mine": (value, "")}), "scene.duration=0.1 s")
+    with pytest.raises(po.InputError, match="has no finite value in this run"):
+        measures_of(problem.table)["mine"].of(problem.simulate())
 
 
 @pytest.mark.parametrize(

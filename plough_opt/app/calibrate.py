@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from plough_opt.app.options import add_shared
+from plough_opt.app.options import add_option, add_shared
 from plough_opt.app.terminal import LOG, give, progress, read
 from plough_opt.core.errors import InputError, NotConverged, nearest
 from plough_opt.core.quantities import quantities
@@ -24,40 +24,19 @@ _LOSSES: Final = ("squares", "huber", "soft_l1", "cauchy")
 
 def add_options(verb: argparse.ArgumentParser) -> None:
     """Add the options of a calibration."""
-    verb.add_argument(
-        "--data",
-        action="append",
-        required=True,
-        metavar="FILE.csv",
-        help="CSV file of one measured result, with names and units in its header; repeatable",
+    data = "CSV file of one measured result, with names and units in its header; repeatable"
+    add_option(verb, "data", "FILE.csv", data, action="append", required=True)
+    unknown = (
+        'quantity to estimate, with its bounds: soil.cohesion="1..80 kPa"; repeatable (default: the [variables] of the'
+        " file that are not columns of the data)"
     )
-    verb.add_argument(
-        "--unknown",
-        action="append",
-        default=[],
-        metavar='KEY="RANGE"',
-        help='quantity to estimate, with its bounds: soil.cohesion="1..80 kPa"; repeatable (default: the [variables] of'
-        " the file that are not columns of the data)",
-    )
-    verb.add_argument(
-        "--known",
-        action="append",
-        default=[],
-        metavar='KEY="VALUE"',
-        help='separate measurement of an unknown, with one standard deviation: soil.friction_angle="28 +- 1 deg"',
-    )
-    verb.add_argument(
-        "--loss",
-        choices=_LOSSES,
-        default="squares",
-        help="loss function; all but squares give outliers less weight (default: squares)",
-    )
-    verb.add_argument(
-        "--level", type=float, default=0.95, metavar="P", help="confidence level of the intervals (default: 0.95)"
-    )
-    verb.add_argument(
-        "--folds", type=int, metavar="N", help="number of folds in cross-validation (default: leave one row out)"
-    )
+    add_option(verb, "unknown", 'KEY="RANGE"', unknown, action="append", default=[])
+    known = 'separate measurement of an unknown, with one standard deviation: soil.friction_angle="28 +- 1 deg"'
+    add_option(verb, "known", 'KEY="VALUE"', known, action="append", default=[])
+    loss = "loss function; all but squares give outliers less weight (default: squares)"
+    verb.add_argument("--loss", choices=_LOSSES, default="squares", help=loss)
+    add_option(verb, "level", "P", "confidence level of the intervals (default: 0.95)", type=float, default=0.95)
+    add_option(verb, "folds", "N", "number of folds in cross-validation (default: leave one row out)", type=int)
     add_shared(verb, "json", "output", plot="draw the residuals: .png, .svg or .pdf")
 
 

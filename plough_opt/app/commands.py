@@ -10,7 +10,7 @@ from typing import Any, Final
 import shtab
 
 from plough_opt.app import report
-from plough_opt.app.options import QuantityOption, add_quantities, add_shared, given_quantities
+from plough_opt.app.options import QuantityOption, add_option, add_quantities, add_shared, given_quantities
 from plough_opt.app.terminal import console, give, printable, progress, read, wrote
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import write_new
@@ -79,9 +79,8 @@ def completion(options: argparse.Namespace) -> None:
 def add_check(verb: argparse.ArgumentParser) -> None:
     """Add the options of a check, and of the comparison with other draft models."""
     verb.add_argument("--effects", action="store_true", help="print which effects are on, and the cost of each")
-    verb.add_argument(
-        "--against", action="store_true", help="compare with other draft models; the options below need this one"
-    )
+    against = "compare with other draft models; the options below need this one"
+    verb.add_argument("--against", action="store_true", help=against)
     add_quantities(verb, _AGAINST)
     add_shared(verb, plot="draw the comparison: .png, .svg or .pdf",
                json="print the scene's quantities as JSON (SI units)")  # fmt: skip
@@ -141,24 +140,15 @@ def simulate(options: argparse.Namespace) -> None:
 
 def add_optimise(verb: argparse.ArgumentParser) -> None:
     """Add the options of an optimisation."""
-    verb.add_argument(
-        "--search",
-        metavar="HOW",
-        default="auto",
-        help="effort of the search: auto, thorough (four times the designs), near (only the guess's basin), a number of"
-        ' designs, a time such as "20 s", or the variables to sample, with commas (default: auto)',
+    search = (
+        "effort of the search: auto, thorough (four times the designs), near (only the guess's basin), a number of"
+        ' designs, a time such as "20 s", or the variables to sample, with commas (default: auto)'
     )
-    verb.add_argument(
-        "--judge",
-        choices=("tolerance", "bare"),
-        default="tolerance",
-        help="rank optima by their median within the tolerances, or by their own objective (default: tolerance)",
-    )
-    verb.add_argument(
-        "--sensitivity",
-        action="store_true",
-        help="print the change of the optimum in per cent for one per cent more of every quantity and limit",
-    )
+    add_option(verb, "search", "HOW", search, default="auto")
+    judge = "rank optima by their median within the tolerances, or by their own objective (default: tolerance)"
+    verb.add_argument("--judge", choices=("tolerance", "bare"), default="tolerance", help=judge)
+    change = "print the change of the optimum in per cent for one per cent more of every quantity and limit"
+    verb.add_argument("--sensitivity", action="store_true", help=change)
     add_shared(verb, "seed", "json", "plot")
 
 
@@ -206,7 +196,7 @@ def _search_of(text: str) -> Search:
 
 def add_tradeoff(verb: argparse.ArgumentParser) -> None:
     """Add the options of a front."""
-    verb.add_argument("--points", type=int, metavar="N", help="positions on the front (default: the file's)")
+    add_option(verb, "points", "N", "positions on the front (default: the file's)", type=int)
     add_shared(verb, "json", "plot", "csv", "output")
 
 
@@ -222,14 +212,9 @@ def tradeoff(options: argparse.Namespace) -> None:
 
 def add_accuracy(verb: argparse.ArgumentParser) -> None:
     """Add the options of the accuracy study."""
-    verb.add_argument("--error", type=float, default=1e-6, metavar="E", help="relative error to reach (default: 1e-6)")
-    verb.add_argument(
-        "--seconds",
-        type=float,
-        default=1.0,
-        metavar="S",
-        help="time limit of one use of a method; a solve may take ten times as long (default: 1)",
-    )
+    add_option(verb, "error", "E", "relative error to reach (default: 1e-6)", type=float, default=1e-6)
+    limit = "time limit of one use of a method; a solve may take ten times as long (default: 1)"
+    add_option(verb, "seconds", "S", limit, type=float, default=1.0)
     verb.add_argument("--design", action="store_true", help="study the optimum of the design instead of its scene")
     verb.add_argument("--thin", action="store_true", help="try only every other setting")
     add_shared(verb, "json", "plot", output="write all results as JSON")

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
 
-from plough_opt.app.options import QuantityOption, add_quantities, add_shared, given_quantities
+from plough_opt.app.options import QuantityOption, add_option, add_quantities, add_shared, given_quantities
 from plough_opt.app.terminal import console, printable, progress, read, wrote
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import check_file
@@ -31,27 +31,19 @@ def add_options(verb: argparse.ArgumentParser) -> None:
     formats_text = "; ".join(f"{name}: {own}" for name, own in FORMATS.items())
     add_shared(verb, json="print the paths of the files as JSON")
     verb.add_argument("--to", required=True, choices=FORMATS, metavar="FORMAT", help=formats_text)
-    verb.add_argument("--output", required=True, metavar="PATH", help="file or folder to write")
-    verb.add_argument(
-        "--inputs", metavar="NAMES", help="inputs, such as share.height,soil.cohesion (default: the variables)"
-    )
-    verb.add_argument(
-        "--outputs",
-        metavar="NAMES",
-        help="results, such as mean_draft,force_rms (default: those that the file minimises, trades and requires)",
-    )
-    verb.add_argument("--description", metavar="FILE.json", help="for casadi: also write names, units and bounds here")
-    verb.add_argument("--name", metavar="NAME", help="name of the function or model (default: share)")
-    verb.add_argument("--strut", choices=("speed", "position"), help="for an FMU: whether its"
-                      " input is the strut's speed or position (default: speed)")  # fmt: skip
+    add_option(verb, "output", "PATH", "file or folder to write", required=True)
+    add_option(verb, "inputs", "NAMES", "inputs, such as share.height,soil.cohesion (default: the variables)")
+    results = "results, such as mean_draft,force_rms (default: those that the file minimises, trades and requires)"
+    add_option(verb, "outputs", "NAMES", results)
+    add_option(verb, "description", "FILE.json", "for casadi: also write names, units and bounds here")
+    add_option(verb, "name", "NAME", "name of the function or model (default: share)")
+    strut = "for an FMU: whether its input is the strut's speed or position (default: speed)"
+    verb.add_argument("--strut", choices=("speed", "position"), help=strut)
     verb.add_argument("--sources", action="store_true", help="for an FMU: only its C source, which needs no compiler")
     add_quantities(verb, _PART_OPTIONS)
     verb.add_argument("--body", choices=("share", "cone"), help="for a part: which body (default: share)")
-    verb.add_argument(
-        "--at",
-        choices=("best", "guess"),
-        help="for a part: the best design, or the variables' guesses (default: best, if the file minimises)",
-    )
+    at = "for a part: the best design, or the variables' guesses (default: best, if the file minimises)"
+    verb.add_argument("--at", choices=("best", "guess"), help=at)
 
 
 def export(options: argparse.Namespace) -> None:

@@ -22,7 +22,7 @@ from plough_opt.app import commands, saved
 from plough_opt.app import export as exports
 from plough_opt.app import sweep as sweeps
 from plough_opt.app import waves as strengths
-from plough_opt.app.options import add_shared
+from plough_opt.app.options import add_option, add_shared
 from plough_opt.app.page import command as pages
 from plough_opt.app.terminal import add_how_much, interruptible, messages, printable, what_was_written
 from plough_opt.core.errors import DomainError, InputError, PloughError
@@ -96,8 +96,8 @@ def _parser() -> argparse.ArgumentParser:
         ("waves", strengths.waves, strengths.add_options, "find the strength waves in a record along a field"),
         ("show", saved.show, saved.add_show, "print a saved result again, and its origin"),
         ("compare", saved.compare, saved.add_compare, "print saved designs or runs side by side"),
-        ("schema", commands.schema, none, "print the JSON schema of problem files, for completion and checks in an"
-         " editor"),
+        ("schema", commands.schema, none,
+         "print the JSON schema of problem files, for completion and checks in an editor"),
         ("completion", commands.completion, shells, "print a script for completion of this command in a shell"),
     ):  # fmt: skip
         verb = verbs.add_parser(name, help=text, parents=[common])
@@ -118,13 +118,8 @@ def _parser() -> argparse.ArgumentParser:
         verb = verbs.add_parser(name, help=text, parents=[common], aliases=["optimize"] if name == "optimise" else [])
         file = verb.add_argument("file", metavar="FILE", help="problem file (TOML)")
         file.complete = shtab.FILE  # type: ignore[attr-defined]  # makes shtab complete file names
-        verb.add_argument(
-            "--set",
-            action="append",
-            default=[],
-            metavar='KEY="VALUE"',
-            help='change a key of the file, such as scene.tow_speed="2.5 m/s"; a variable becomes fixed; repeatable',
-        )
+        change = 'change a key of the file, such as scene.tow_speed="2.5 m/s"; a variable becomes fixed; repeatable'
+        add_option(verb, "set", 'KEY="VALUE"', change, action="append", default=[])
         add(verb)
         verb.set_defaults(run=run)
     return parser

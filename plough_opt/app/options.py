@@ -30,6 +30,19 @@ def add_shared(verb: argparse.ArgumentParser, *names: str, **helps: str) -> None
         verb.add_argument(f"--{name}", **(_SHARED[name] | own))
 
 
+def add_option(verb: argparse.ArgumentParser, name: str, value: str, text: str, **more: Any) -> None:
+    """Add an option with a value.
+
+    Args:
+        verb: the parser of the command.
+        name: name of the option.
+        value: placeholder of its value in the help.
+        text: its help text.
+        more: further arguments of ``add_argument``.
+    """
+    verb.add_argument(f"--{name}", metavar=value, help=text, **more)
+
+
 @dataclass(frozen=True)
 class QuantityOption:
     """An option whose value is a quantity with a unit, or a plain text.
@@ -53,7 +66,7 @@ def add_quantities(verb: argparse.ArgumentParser, known: Mapping[str, QuantityOp
     """Add options whose values are quantities; ``known`` maps names to options."""
     for name, own in known.items():
         example = own.example if own.unit is None else f'"{own.example}"'
-        verb.add_argument(f"--{name}", action="append" if own.several else "store", metavar=example, help=own.help)
+        add_option(verb, name, example, own.help, action="append" if own.several else "store")
 
 
 def given_quantities(options: argparse.Namespace, known: Mapping[str, QuantityOption]) -> dict[str, Any]:

@@ -9,20 +9,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from plough_opt.app.run_picture import (
-    SIDE_BY_SIDE,
-    changing,
-    draw_panel,
-    draw_side_by_side,
-    plot_designs,
-    plot_forces,
-    plot_run,
-    subject,
-)
+from plough_opt.app.run_picture import SIDE_BY_SIDE, changing, draw_panel, draw_side_by_side, subject
+from plough_opt.app.run_picture import plot_designs as plot_designs
+from plough_opt.app.run_picture import plot_forces as plot_forces
+from plough_opt.app.run_picture import plot_run as plot_run
 from plough_opt.core.checks import check_kind
 from plough_opt.core.expressions import absolute, as_number
-from plough_opt.core.files import COLOURS, check_format
-from plough_opt.core.files import save_figure as save
+from plough_opt.core.files import COLOURS
+from plough_opt.core.files import check_format as check_format
 from plough_opt.design import Limit, Optimum
 from plough_opt.design.landscape import FEASIBLE
 from plough_opt.motion import Run
@@ -35,24 +29,6 @@ from plough_opt.soil.elastic.profile import Profile, body
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.soil import Soil
 from plough_opt.studies.sweep.result import Sweep
-
-__all__ = [
-    "check_format",
-    "draw_cone",
-    "draw_margins",
-    "draw_search",
-    "draw_wedge",
-    "plot_batch",
-    "plot_designs",
-    "plot_forces",
-    "plot_machine",
-    "plot_optimum",
-    "plot_run",
-    "plot_share",
-    "plot_sweep",
-    "plot_wedge_field",
-    "save",
-]
 
 # Results of a sweep that one picture shows: with more panels none is legible.
 _MOST_PANELS = 6

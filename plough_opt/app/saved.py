@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from plough_opt.app.options import add_shared
+from plough_opt.app.options import add_option, add_shared
 from plough_opt.app.report import runs_of
 from plough_opt.app.terminal import check_outputs, console, give, printable, wrote
 from plough_opt.core.errors import InputError
@@ -40,7 +40,7 @@ def add_show(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("file", metavar="FILE", help="a saved result (JSON), or the store of a sweep")
     add_shared(verb, json="print the result as JSON (SI units)")
     verb.add_argument("--problem", action="store_true", help="print the problem file and its data instead")
-    verb.add_argument("--restore", metavar="FOLDER", help="write the problem file and its data, to compute it again")
+    add_option(verb, "restore", "FOLDER", "write the problem file and its data, to compute it again")
 
 
 def add_compare(verb: argparse.ArgumentParser) -> None:

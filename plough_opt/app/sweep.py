@@ -8,7 +8,7 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from pathlib import Path
 
-from plough_opt.app.options import add_shared
+from plough_opt.app.options import add_option, add_shared
 from plough_opt.app.terminal import LOG, give, quiet, read, wrote
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.problem_file.sweeping import ProblemSweep, What
@@ -16,29 +16,20 @@ from plough_opt.problem_file.sweeping import ProblemSweep, What
 
 def add_options(verb: argparse.ArgumentParser) -> None:
     """Add the options of a sweep."""
-    verb.add_argument(
-        "--over",
-        action="append",
-        required=True,
-        metavar='KEY="RANGE"',
-        help='quantity and its values: soil.cohesion="5..45 kPa:9", scene.stiffness="10..1000 kN/m:7 log",'
-        ' scene.tow_speed="1 m/s, 2 m/s"; repeatable, for all combinations',
+    over = (
+        'quantity and its values: soil.cohesion="5..45 kPa:9", scene.stiffness="10..1000 kN/m:7 log",'
+        ' scene.tow_speed="1 m/s, 2 m/s"; repeatable, for all combinations'
     )
-    verb.add_argument(
-        "--samples", type=int, metavar="N", help="size of a Sobol sample of the ranges, preferably a power of two"
-    )
+    add_option(verb, "over", 'KEY="RANGE"', over, action="append", required=True)
+    add_option(verb, "samples", "N", "size of a Sobol sample of the ranges, preferably a power of two", type=int)
     verb.add_argument("--optimise", action="store_true", help="optimise at every point instead of simulating")
-    verb.add_argument(
-        "--method",
-        choices=("auto", "each", "batch"),
-        default="auto",
-        help="simulate each point by itself, or many at once by po.Batch (default: decided by their number)",
-    )
-    verb.add_argument("--workers", type=int, metavar="N", help="processes on this machine (default: all cores)")
-    verb.add_argument("--scheduler", metavar="ADDRESS", help="use the workers of a dask scheduler: tcp://host:8786")
-    verb.add_argument("--store", metavar="FILE", help="database of finished points (default: named after the sweep)")
+    how = "simulate each point by itself, or many at once by po.Batch (default: decided by their number)"
+    verb.add_argument("--method", choices=("auto", "each", "batch"), default="auto", help=how)
+    add_option(verb, "workers", "N", "processes on this machine (default: all cores)", type=int)
+    add_option(verb, "scheduler", "ADDRESS", "use the workers of a dask scheduler: tcp://host:8786")
+    add_option(verb, "store", "FILE", "database of finished points (default: named after the sweep)")
     verb.add_argument("--retry", action="store_true", help="repeat points that failed, are undetermined or are damaged")
-    verb.add_argument("--npz", metavar="FILE", help="write an array for each column")
+    add_option(verb, "npz", "FILE", "write an array for each column")
     every = "draw every result: .png, .svg or .pdf"
     add_shared(verb, "json", "csv", seed="seed of the sample (default: 0)", plot=every)
 

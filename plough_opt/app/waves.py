@@ -7,11 +7,11 @@ import json
 import math
 from typing import TYPE_CHECKING
 
-from plough_opt.app.options import QuantityOption, add_quantities, add_shared, given_quantities
-from plough_opt.app.terminal import check_outputs, console, wrote
+from plough_opt.app.options import QuantityOption, add_option, add_quantities, add_shared, given_quantities
+from plough_opt.app.terminal import check_outputs, give, wrote
 from plough_opt.core.errors import InputError
 from plough_opt.core.quantities import wave_table
-from plough_opt.core.tables import Grid
+from plough_opt.core.tables import Grid, Page
 
 if TYPE_CHECKING:
     from plough_opt.soil.record_waves import RecordWaves
@@ -30,12 +30,9 @@ _SHARE = {
 
 def add_options(verb: argparse.ArgumentParser) -> None:
     """Add the options of a record's waves."""
-    verb.add_argument(
-        "file", metavar="FILE.csv", help="record: position [m] or time [s], and cone_index [kPa] or force [kN]"
-    )
-    verb.add_argument(
-        "--part", type=float, default=0.8, metavar="P", help="fraction of the variance to represent (default: 0.8)"
-    )
+    record = "record: position [m] or time [s], and cone_index [kPa] or force [kN]"
+    verb.add_argument("file", metavar="FILE.csv", help=record)
+    add_option(verb, "part", "P", "fraction of the variance to represent (default: 0.8)", type=float, default=0.8)
     add_quantities(verb, _SHARE | _RIG)
     add_shared(verb, "json", "plot")
 
@@ -49,10 +46,7 @@ def waves(options: argparse.Namespace) -> None:
     rig = given_quantities(options, _RIG)
     record = read_strength_record(options.file, _rig(rig), tow_speed=rig.get("tow_speed"))
     found = strength_waves(record, options.part, **given_quantities(options, _SHARE))
-    if options.json:
-        print(json.dumps(_plain(found), indent=2, allow_nan=False))
-    else:
-        _print(found)
+    give(options, _page(found), lambda: json.dumps(_plain(found), indent=2, allow_nan=False))
     if options.plot is not None:
         wrote(found.plot(options.plot))
 
@@ -68,34 +62,27 @@ def _rig(given: dict[str, float]) -> Rig | None:
     return Rig(given["mass"], given["stiffness"], given.get("damping", 0.0), given["tow_speed"])
 
 
-def _print(found: RecordWaves) -> None:
-    """Print the waves as a table and as entries of a problem file."""
+def _page(found: RecordWaves) -> Page:
+    """Return the waves as a table and as entries of a problem file."""
     table = Grid.of("Strength waves, with 95 % intervals", "amplitude", "wavelength", "phase", "part of the variance")
-    for one in found.found:
+    entries = []
+    for number, one in enumerate(found.found, start=1):
+        amplitude, wavelength, phase = one.wave.amplitude, one.wave.wavelength, math.degrees(float(one.wave.phase))
         table.row(
-            f"{one.wave.amplitude:.3g} ± {one.amplitude:.1g}",
-            f"{one.wave.wavelength:.4g} ± {one.wavelength:.1g} m",
-            f"{math.degrees(float(one.wave.phase)):.0f} ± {math.degrees(one.phase):.1g} deg",
+            f"{amplitude:.3g} ± {one.amplitude:.1g}",
+            f"{wavelength:.4g} ± {one.wavelength:.1g} m",
+            f"{phase:.0f} ± {math.degrees(one.phase):.1g} deg",
             f"{100.0 * one.part:.0f} %",
         )
-    out = console()
-    out.print(table)
-    out.print(
-        f"The strength has a standard deviation of {100.0 * math.sqrt(found.variance):.3g} % of its trend; the waves"
-        f" omit {100.0 * found.left_out:.0f} % of the variance.",
-        soft_wrap=True,
-    )
-    for note in found.notes:
-        out.print(f"Note: {note}.", soft_wrap=True)
-    if found.found:
-        out.print("\n\\[effects]", soft_wrap=True)
-    for number, one in enumerate(found.found, start=1):
         name = wave_table(number).removeprefix("effects.")
-        out.print(
-            f"{name} = {{ amplitude = {one.wave.amplitude:.4g}, wavelength = \"{one.wave.wavelength:.5g} m\","
-            f' phase = "{math.degrees(float(one.wave.phase)):.4g} deg" }}',
-            soft_wrap=True, markup=False,
-        )  # fmt: skip
+        written = f'amplitude = {amplitude:.4g}, wavelength = "{wavelength:.5g} m", phase = "{phase:.4g} deg"'
+        entries.append(f"{name} = {{ {written} }}")
+    spread = (
+        f"The strength has a standard deviation of {100.0 * math.sqrt(found.variance):.3g} % of its trend; the waves"
+        f" omit {100.0 * found.left_out:.0f} % of the variance."
+    )
+    footer = "\n".join(["\n[effects]", *entries]) if entries else ""
+    return Page("", parts=(table, spread), notes=found.notes, footer=footer)
 
 
 def _plain(found: RecordWaves) -> dict[str, object]:

@@ -15,8 +15,7 @@ from plough_opt.app.run_picture import plot_forces as plot_forces
 from plough_opt.app.run_picture import plot_run as plot_run
 from plough_opt.core.checks import check_kind
 from plough_opt.core.expressions import absolute, as_number
-from plough_opt.core.files import COLOURS
-from plough_opt.core.files import check_format as check_format
+from plough_opt.core.files import COLOURS, save_figure
 from plough_opt.design import Limit, Optimum
 from plough_opt.design.landscape import FEASIBLE
 from plough_opt.motion import Run
@@ -29,6 +28,8 @@ from plough_opt.soil.elastic.profile import Profile, body
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.soil import Soil
 from plough_opt.studies.sweep.result import Sweep
+
+save = save_figure
 
 # Results of a sweep that one picture shows: with more panels none is legible.
 _MOST_PANELS = 6

@@ -19,7 +19,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from plough_opt import design as designs
 from plough_opt.core.errors import InputError, short, unprintable
-from plough_opt.core.files import save_figure, write_file
+from plough_opt.core.files import check_format, save_figure, write_file
 from plough_opt.core.process import heartbeat
 from plough_opt.core.tables import Page
 from plough_opt.problem_file import Problem, read_problem
@@ -120,9 +120,7 @@ def check_outputs(options: argparse.Namespace) -> None:
     """
     if getattr(options, "plot", None) is not None:
         _check_matplotlib()
-        from plough_opt.app import plots
-
-        plots.check_format(options.plot)
+        check_format(options.plot)
     if isinstance(options.file, list):
         taken = {_place(path): "an input file" for path in options.file}
     else:

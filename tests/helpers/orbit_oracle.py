@@ -5,19 +5,18 @@ from types import SimpleNamespace
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from helpers.forces import Forces
+
 
 def rates(scene):
-    """Return the function (t, (z, z')) -> (z', z'') of the spring's deflection, with all forces written out."""
-    reaction, effects, wave = scene.reaction, scene.effects, scene.effects.strength_wave
-    inertia, damping, rate_term = scene.mass + reaction.added_mass, effects.damping or 0.0, effects.rate_term or 0.0
-    number = 2 * np.pi / wave.wavelength
+    """Return the function (t, (z, z')) -> (z', z'') of the spring's deflection."""
+    share = Forces(scene)
+    inertia = share.m + share.added
 
     def rates(t, state):
         z, rate = state
-        speed = scene.tow_speed - rate
-        static = reaction.static * (1 + wave.amplitude * np.sin(number * (scene.tow_speed * t - z)))
-        resistance = static * (1 + rate_term * speed**2) + reaction.drag * speed**2
-        return np.array([rate, (resistance - scene.stiffness * z - damping * rate) / inertia])
+        soil = share.soil(share.v0 * t - z, share.v0 - rate)
+        return [rate, (soil - share.k * z - share.c * rate) / inertia]
 
     return rates
 

@@ -8,27 +8,23 @@ energy: what the strut delivers, what the damper takes, and what is work on the 
 import itertools
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
 import plough_opt as po
+from helpers.forces import GAP, SLIP, STICK, Forces
 
-SLIP, STICK, GAP = 0, 1, 2
-RAMP = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
-RAMP_PATH, RAMP_RATE = RAMP.integ(), RAMP.deriv()
 TIGHT = 1e-12
 
 
-@dataclass(frozen=True)
-class Change:
-    """An event: when, between which modes, and the share's speed before and after."""
+class Change(NamedTuple):
+    """An event: when and where, and between which modes."""
 
     time: float
     old: int
     new: int
-    speed: float
-    after: float
     travel: float
 
 
@@ -52,7 +48,6 @@ class Motion:
     changes: tuple[Change, ...]
     damper_work: float
     soil_work: float
-    capture_loss: float
 
     def near_a_change(self, within):
         """Tell of each output time whether an event is that near [s]."""
@@ -64,78 +59,8 @@ class Motion:
         return sum((change.old, change.new) == (old, new) for change in self.changes)
 
 
-class _Share:
-    """The forces of a numeric scene, written from the model's equations."""
-
-    def __init__(self, scene):
-        e, reaction = scene.effects, scene.reaction
-        self.k, self.c = float(scene.restoring_stiffness), float(e.damping or 0.0)
-        self.m, self.added = float(scene.mass), float(reaction.added_mass)
-        self.static, self.drag = float(reaction.static), float(reaction.drag)
-        self.rate, self.ramp = float(e.rate_term or 0.0), float(e.tow_ramp or 0.0)
-        self.v0, self.height = float(scene.tow_speed), float(scene.cone.height)
-        self.entry = e.entry
-        waves = e.strength_wave if isinstance(e.strength_wave, tuple) else (e.strength_wave,) if e.strength_wave else ()
-        self.waves = [(float(w.amplitude), 2.0 * math.pi / float(w.wavelength), float(w.phase)) for w in waves]
-        self.width = float(e.contact.width) if isinstance(e.contact, po.Smooth) else None
-        self.breakaway = float(e.contact.breakaway) if isinstance(e.contact, po.StickSlip) else None
-        self.first_speed = 0.0 if self.ramp else self.v0
-        # The furthest travel of a share that has turned back, or has been wholly in the soil.
-        self.behind = -math.inf
-
-    def strut(self, t):
-        """Return path and speed of the strut."""
-        if t >= self.ramp:
-            return self.v0 * (t - self.ramp / 2.0), self.v0
-        u = t / self.ramp
-        return self.v0 * self.ramp * float(RAMP_PATH(u)), self.v0 * float(RAMP(u))
-
-    def strut_acceleration(self, t):
-        return self.v0 / self.ramp * float(RAMP_RATE(t / self.ramp)) if t < self.ramp else 0.0
-
-    def buried(self, travel):
-        return min(max(travel, self.behind, 0.0), self.height) / self.height if self.entry else 1.0
-
-    def step(self, speed):
-        if self.width is None:
-            return 1.0
-        u = min(max(speed / self.width, 0.0), 1.0)
-        return 70.0 * u**9 - 315.0 * u**8 + 540.0 * u**7 - 420.0 * u**6 + 126.0 * u**5
-
-    def strength(self, travel):
-        """Return the static resistance at a travel."""
-        return self.static * (1.0 + sum(a * math.sin(number * travel + phase) for a, number, phase in self.waves))
-
-    def soil(self, travel, speed):
-        """Return the resistance without the added mass."""
-        strength = self.strength(travel) * (1.0 + self.rate * speed**2)
-        return self.step(speed) * self.buried(travel) ** 2 * (strength + self.drag * speed**2)
-
-    def hold(self, travel):
-        """Return the mount force at which a sticking share moves."""
-        return self.breakaway * self.buried(travel) ** 2 * self.strength(travel)
-
-    def carried(self, travel):
-        return self.added * self.buried(travel) ** 3
-
-    def pull(self, t, travel, speed):
-        path, tow = self.strut(t)
-        return self.k * (path - travel) + self.c * (tow - speed)
-
-    def start(self, kind):
-        """Return travel and speed at time 0."""
-        if kind != "equilibrium":
-            return 0.0, (0.0 if kind == "rest" else self.first_speed)
-        v = self.first_speed
-        steady = self.step(v) * (self.static * (1.0 + self.rate * v**2) + self.drag * v**2)
-        return -steady / self.k, v
-
-    def first_mode(self, kind, travel, speed):
-        """Return the mode at time 0: a share without speed sticks unless the mount already pulls enough."""
-        if self.breakaway is None or speed > 0.0:
-            return SLIP
-        pull = self.static if kind == "equilibrium" else self.pull(0.0, travel, speed)
-        return STICK if pull < self.hold(travel) else SLIP
+class _Share(Forces):
+    """The forces of a scene, the rates of its motion and the ends of its modes."""
 
     def rates(self, mode, about):
         """Return the rate of (L, L', sums of P, z, their squares about a mean, P s', damper's and soil's work)."""
@@ -146,15 +71,9 @@ class _Share:
             path, tow = self.strut(t)
             z, slide = path - travel, tow - v
             force = self.k * z + self.c * slide
-            if mode == SLIP:
-                a = (force - self.soil(travel, v)) / (self.m + self.carried(travel))
-            elif mode == STICK:
-                v, a = 0.0, 0.0
-            else:
-                a = force / self.m
-            taken = (force - self.m * a) * v
+            a = self.acceleration(mode, force, travel, v)
             squares = (force - mean_force) ** 2, (z - mean_deflection) ** 2
-            return [v, a, force, z, *squares, force * tow, self.c * slide**2, taken]
+            return [v, a, force, z, *squares, force * tow, self.c * slide**2, (force - self.m * a) * v]
 
         return rate
 
@@ -164,13 +83,16 @@ class _Share:
 
     def ends(self, mode, furthest, entered):
         """Return, by name, what crosses 0 upwards when a mode, or the entry, ends."""
+
+        # An event counts only where the share moves towards it, so that none repeats at its own start.
+        def halts(t, x):
+            return -x[1] if self.slows(t, x) < 0.0 else -1.0
+
         found = []
         if self.breakaway is not None:
-            # An event counts only where the share moves towards it, so that none repeats at its own start.
             if mode == SLIP:
-                found.append(("stop", lambda t, x: -x[1] if self.slows(t, x) < 0.0 else -1.0))
                 # A stop so short that both its crossings lie in one step shows where the slowing down ends.
-                found.append(("turn", self.slows))
+                found += [("stop", halts), ("turn", self.slows)]
             elif mode == STICK:
                 found.append(("move", lambda t, x: self.pull(t, x[0], 0.0) - self.hold(x[0])))
             else:
@@ -178,7 +100,7 @@ class _Share:
         if self.entry and not entered and mode != STICK:
             found.append(("buried", lambda _, x: x[0] - self.height))
             if self.breakaway is None and math.isinf(self.behind):
-                found.append(("back", lambda t, x: -x[1] if self.slows(t, x) < 0.0 else -1.0))
+                found.append(("back", halts))
             elif self.breakaway is None:
                 found.append(("forth", lambda _, x: x[0] - self.behind if x[1] > 0.0 else -1.0))
         return found
@@ -188,17 +110,17 @@ def follow(scene, duration, outputs=20, tolerance=TIGHT):
     """Return the `Motion` of a numeric scene."""
     share = _Share(scene)
     times = np.linspace(0.0, duration, outputs + 1)
-    rough = _path(share, scene, (duration, times), (share.static, share.static / share.k), 1e3 * tolerance)
+    rough = _path(share, (duration, times), (share.static, share.static / share.k), 1e3 * tolerance)
     about = tuple(rough[0][2:4, -1] / duration)
-    columns, modes, openings, changes, loss, depths = _path(share, scene, (duration, times), about, tolerance)
+    columns, modes, openings, changes, loss, depths = _path(share, (duration, times), about, tolerance)
     travel, speed = columns[:2]
     sums = columns[:, -1]
     means = sums[2:4] / duration
     spreads = np.maximum(sums[4:6] / duration - (means - np.array(about)) ** 2, 0.0)
     pull = np.array([share.pull(*point) for point in zip(times, travel, speed, strict=True)])
     acceleration = []
-    for t, x, mode, share.behind in zip(times, columns.T, modes, depths, strict=True):
-        acceleration.append(share.rates(mode, about)(t, x)[1])
+    for force, (x, v), mode, share.behind in zip(pull, columns[:2].T, modes, depths, strict=True):
+        acceleration.append(share.acceleration(mode, force, x, v))
     return Motion(
         time=times,
         travel=travel,
@@ -216,7 +138,6 @@ def follow(scene, duration, outputs=20, tolerance=TIGHT):
         changes=tuple(changes),
         damper_work=sums[7],
         soil_work=sums[8] + loss,
-        capture_loss=loss,
     )
 
 
@@ -261,13 +182,12 @@ def agreed(scene, duration, outputs=10, allowed=2e-8, resistance=1.0):
     return run, expected
 
 
-def _path(share, scene, when, about, tolerance):
+def _path(share, when, about, tolerance):
     """Return states at the output times, modes, openings, changes of mode and the loss at recapture."""
     duration, times = when
-    kind = scene.effects.start
-    travel, speed = share.start(kind)
-    furthest, entered, loss, share.behind = travel, False, 0.0, -math.inf
-    mode = share.first_mode(kind, travel, speed)
+    share.behind = -math.inf
+    travel, speed, mode = share.start()
+    furthest, entered, loss = travel, False, 0.0
     force = share.static + share.v0 * math.sqrt(abs(share.k) * share.m) + 1e-9
     sizes = np.array([force / abs(share.k), force / math.sqrt(abs(share.k) * share.m), *_sums(share, force, duration)])
     # The travel's own size does not matter: it is its difference from the strut's path that pulls.
@@ -325,7 +245,7 @@ def _path(share, scene, when, about, tolerance):
                 x[1] *= share.m / (share.m + share.carried(x[0]))
                 loss += share.m * (before**2 - x[1] ** 2) / 2.0
                 entered = entered or x[0] >= share.height
-            changes.append(Change(now, old, mode, before, x[1], x[0]))
+            changes.append(Change(now, old, mode, x[0]))
             assert len(changes) < 100_000, "events without end"
         if end in times:
             note()

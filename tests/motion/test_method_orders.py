@@ -8,8 +8,10 @@ import math
 
 import numpy as np
 import pytest
+from scipy.integrate import DOP853 as SCIPYS
 
 import plough_opt as po
+from plough_opt.motion.methods import DOP853
 
 WAVE = po.StrengthWave(0.3, 0.6)
 PARTS = (0.7, 0.85, 1.0)
@@ -82,3 +84,8 @@ def test_orders(r1_scene, method, name):
         orders[-1] = 3
     band = 0.9 if ramped and method == "dop853" else BANDS[method]
     assert fitted(found, steps) == pytest.approx(orders, rel=0, abs=band)
+
+
+def test_coefficients_of_order_8_are_scipys():
+    assert (DOP853.nodes, DOP853.weights) == (tuple(SCIPYS.C), tuple(SCIPYS.B))
+    assert DOP853.stages == tuple(tuple(row[:k]) for k, row in enumerate(SCIPYS.A))

@@ -29,27 +29,12 @@ X = ca.MX.sym("x")
 
 @dataclass(frozen=True)
 class Own:
-    """Resistance given by a function of travel and speed."""
+    """Resistance given by a function of travel and speed, if the field is one."""
 
     law: Callable
 
     def force(self, travel, speed):
         return self.law(travel, speed)
-
-
-@dataclass(frozen=True)
-class Silent:
-    value: float
-
-
-@dataclass(frozen=True)
-class Table:
-    """Resistance that calls its field, such as a lookup table."""
-
-    table: object
-
-    def force(self, travel, speed):
-        return self.table(travel) * speed
 
 
 @dataclass(frozen=True)
@@ -95,8 +80,8 @@ EFFECTS = [
      r"HarmonicBalance\(5\)"),
     ({"own": (3.0,)}, rf"own effect 3\.0 {OWN}"),
     ({"own": Own(steady)}, "must be a tuple of effects"),
-    *[({"own": (wrong,)}, OWN) for wrong in (Own, Silent(1.0))],
-    *[({"own": (Table(field),)}, "own effect Table holds a .*compared by their repr")
+    *[({"own": (wrong,)}, OWN) for wrong in (Own, SHARE)],
+    *[({"own": (Own(field),)}, "own effect Own holds a .*compared by their repr")
       for field in (ca.interpolant("table", "linear", [[-1.0, 3.0]], [1.0, 2.0]), np.zeros(5000), Named(),
                     (1.0, [np.zeros(2)]), {"x": ca.DM([1.0, 2.0])}, ca.MX.sym("x", 3))],
 ]  # fmt: skip
@@ -110,13 +95,7 @@ def test_effects_without_meaning_or_that_exclude_each_other_are_refused_with_the
 
 @pytest.mark.parametrize("field", [3.0, "text", None, (1.0, 2.0), {"a": 1.0}, ca.SX.sym("x"), np.float64(2.0)])
 def test_fields_of_own_effects_with_a_complete_repr_are_accepted(field):
-    assert po.Effects(own=(Table(field),)).own[0].table is field
-
-
-@pytest.mark.parametrize("harmonics", [0, 65, 2.5, "3", True, None])
-def test_harmonics_are_a_whole_number_up_to_64(harmonics):
-    with pytest.raises(po.InputError, match="must be a whole number from 1 to 64"):
-        po.HarmonicBalance(harmonics)
+    assert po.Effects(own=(Own(field),)).own[0].law is field
 
 
 OUTSIDE = {
@@ -195,6 +174,8 @@ ENTERS = {"start": "rest", "entry": True}
 SLIPS = {"start": "rest", "contact": po.StickSlip(1.2)}
 DEEP = (po.StrengthWave(0.8, 0.2), po.StrengthWave(0.5, 0.3, 0.7))
 INPUT = [
+    *[(lambda count=count: po.HarmonicBalance(count), "must be a whole number from 1 to 64")
+      for count in (0, 65, 2.5, "3", True, None)],
     (run(None), "the duration is missing"),
     (run(None, strength_wave=WAVE), "the duration is missing"),
     (run(None, motion=False), "the duration is missing"),

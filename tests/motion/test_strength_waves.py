@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers import three_modes
+from helpers.differences import order_4
 from helpers.scenes import scene_of
 
 import plough_opt as po
@@ -65,7 +66,6 @@ def test_derivatives_by_each_number(name):
 
     rms = po.simulate(changed(x), 1.0).force_rms
     slope = float(ca.Function("slope", [x], [ca.jacobian(rms, x)])(value))
-    step = 1e-3 * value
-    runs = [float(po.simulate(changed(value + k * step), 1.0).force_rms) for k in (-2, -1, 1, 2)]
-    # Differences of order 4 with steps of 1e-3 have an error of about 1e-9.
-    assert slope == pytest.approx((runs[0] - 8 * runs[1] + 8 * runs[2] - runs[3]) / (12 * step), rel=1e-6)
+    # Steps of 1e-3 have an error of about 1e-9.
+    expected = order_4(lambda new: float(po.simulate(changed(new), 1.0).force_rms), value, 1e-3 * value)
+    assert slope == pytest.approx(expected, rel=1e-6)

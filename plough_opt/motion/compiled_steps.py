@@ -132,11 +132,10 @@ def _times(timeline: Timeline) -> tuple[list[NDArray[Any]], list[int]]:
     pattern = read.w_by_w.sparsity()
     # The ends from which an output is read are consecutive.
     starts = np.array(pattern.colind(), dtype=np.int64)
-    weights = read.w_by_w, read.w_by_rate, read.rate_by_w, read.rate_by_rate
     arrays = [
         np.column_stack([nodes[:-1], np.diff(nodes)]),
         np.array(pattern.row(), dtype=np.int64)[starts[:-1]],
         np.diff(starts),
-        np.column_stack([part.nonzeros() for part in weights]),
+        np.column_stack([part.nonzeros() for part in read]),
     ]
     return arrays, [array.ctypes.data for array in arrays]

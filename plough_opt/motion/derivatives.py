@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -27,6 +28,7 @@ from plough_opt.motion.terms import Structure, start_deflection
 from plough_opt.motion.timeline import Timeline, at_outputs
 
 Vector = NDArray[np.float64]
+_Symbols = TypeVar("_Symbols", ca.SX, ca.MX)
 # Runs whose derivatives are checked, out of all that were given: as many as take this number of steps together, which
 # is a second, but within these limits.
 _MOST_STEPS = 10_000
@@ -43,37 +45,39 @@ def weighted_curvature(integration: Integration, varying: tuple[int, ...]) -> ca
 
     The derivatives are forward over adjoint, the only order that CasADi supports through events.
     """
-    p, shift, shifted = _shifts(integration, varying)
-    results = ca.vertcat(*(ca.vec(result) for result in integration.function.call([shifted])))
+    p, shift, results = _shifted(integration, varying)
     weights = ca.MX.sym("weights", results.numel())
     hessian, _ = ca.hessian(ca.dot(weights, results), shift)
     whole = ca.Function("whole", [p, shift, weights], [ca.densify(hessian)])
     return ca.Function("curvature", [p, weights], [whole(p, ca.DM.zeros(len(varying)), weights)])
 
 
-def _shifts(integration: Integration, varying: tuple[int, ...]) -> tuple[ca.MX, ca.MX, ca.MX]:
-    """Return symbols of the parameters, symbols of shifts of the varying ones, and the shifted parameters."""
+def _shifted(integration: Integration, varying: tuple[int, ...]) -> tuple[ca.MX, ca.MX, ca.MX]:
+    """Return symbols of the parameters, symbols of shifts of the varying ones, and the stacked results with both."""
     p = ca.MX.sym("p", integration.function.numel_in(0))
     shift = ca.MX.sym("shift", len(varying))
     chosen = ca.DM(p.numel(), len(varying))
     for column, position in enumerate(varying):
         chosen[position, column] = 1.0
-    return p, shift, p + ca.mtimes(chosen, shift)
+    results = integration.function.call([p + ca.mtimes(chosen, shift)])
+    return p, shift, ca.vertcat(*map(ca.vec, results))
 
 
 def jets_of(integration: Integration, varying: tuple[int, ...], order: int) -> ca.Function:
     """Return the jet of any integration: `jets` for steps of order 8, otherwise by differentiating the whole run."""
     if integration.accuracy.order_8 and integration.structure.orbit == "transient":
         return jets(integration.structure, integration.timeline, varying, order)
-    p, e, shifted = _shifts(integration, varying)
-    results = integration.function.call([shifted])
-    stacked = ca.vertcat(*(ca.vec(result) for result in results))
-    slopes = ca.jacobian(stacked, e)
-    columns = [stacked, slopes]
-    if order == 2:
-        columns += [ca.jacobian(slopes[:, a], e)[:, a:] for a in range(len(varying))]
-    whole = ca.Function("whole", [p, e], [ca.densify(ca.horzcat(*columns))])
+    p, shift, results = _shifted(integration, varying)
+    whole = ca.Function("whole", [p, shift], [ca.densify(_taylor(results, shift, order))])
     return ca.Function("jets", [p], [whole(p, ca.DM.zeros(len(varying)))])
+
+
+def _taylor(y: _Symbols, e: _Symbols, order: int) -> _Symbols:
+    """Return a column and its derivatives by e, as columns: its jet where e is 0."""
+    slopes = ca.jacobian(y, e)
+    bends = [ca.jacobian(slopes[:, a], e)[:, a:] for a in range(e.numel())] if order == 2 else []
+    columns: _Symbols = ca.horzcat(y, slopes, *bends)
+    return columns
 
 
 @lru_cache(maxsize=64)
@@ -163,16 +167,6 @@ def _read(
     return read
 
 
-def _expand(y: ca.SX, e: ca.SX, order: int) -> ca.SX:
-    """Return a column ``y`` and its derivatives by ``e`` at e = 0, as columns."""
-    slopes = ca.jacobian(y, e)
-    columns = [y, slopes]
-    if order == 2:
-        for a in range(e.numel()):
-            columns.append(ca.jacobian(slopes[:, a], e)[:, a:])
-    return ca.substitute(ca.horzcat(*columns), e, ca.SX.zeros(e.numel()))
-
-
 def _at_start(structure: Structure, varying: tuple[int, ...], order: int) -> ca.Function:
     """Return parameters -> (jet of the state at time 0, jet of the ramp's part of the duration, 0 without a ramp)."""
     names = signals(structure).parameters
@@ -181,8 +175,9 @@ def _at_start(structure: Structure, varying: tuple[int, ...], order: int) -> ca.
     shifted[list(varying)] = p[list(varying)] + e
     known = dict(zip(names, ca.vertsplit(shifted[:-1]), strict=True))
     part: Column = ramp_time(known) / shifted[-1] if structure.ramp else ca.SX(0)
-    results = (_expand(ca.densify(ca.SX(y)), e, order) for y in (start_state(structure, known), part))
-    return ca.Function("at_start", [p], [ca.densify(jet) for jet in results])
+    both = (_taylor(ca.densify(ca.SX(y)), e, order) for y in (start_state(structure, known), part))
+    nothing = ca.SX.zeros(e.numel())
+    return ca.Function("at_start", [p], [ca.densify(ca.substitute(jet, e, nothing)) for jet in both])
 
 
 @lru_cache(maxsize=64)
@@ -322,17 +317,17 @@ def derivative_error(solver: Integration, first: int, varying: tuple[int, ...], 
 
 def finer_than(solver: Integration) -> Integration:
     """Return the same integration with more steps or a tighter tolerance, which checks it."""
-    if solver.accuracy.order_8:
+    accuracy, timeline = solver.accuracy, solver.timeline
+    if accuracy.tolerance is not None:
+        return integration(solver.structure, finer(accuracy), timeline)
+    if accuracy.order_8:
         # Steps that end at the outputs may be more than were requested.
-        timeline = replace(solver.timeline, steps=math.ceil(_FINER * (len(solver.timeline.nodes) - 1)))
-        return integration(solver.structure, solver.accuracy, timeline)
-    if solver.accuracy.tolerance is not None:
-        return integration(solver.structure, finer(solver.accuracy), solver.timeline)
-    # CasADi's methods of fixed steps take a whole number of steps in each output interval.
-    outputs = solver.timeline.outputs
-    steps = outputs * math.ceil(_FINER * solver.timeline.steps / outputs)
-    timeline = replace(solver.timeline, steps=steps)
-    return integration(solver.structure, replace(solver.accuracy, steps=steps), timeline)
+        steps = math.ceil(_FINER * (len(timeline.nodes) - 1))
+    else:
+        # CasADi's methods of fixed steps take a whole number of steps in each output interval.
+        steps = timeline.outputs * math.ceil(_FINER * timeline.steps / timeline.outputs)
+        accuracy = replace(accuracy, steps=steps)
+    return integration(solver.structure, accuracy, replace(timeline, steps=steps))
 
 
 def difference_of_jets(solver: Integration, p: Vector, used: Vector, better: Vector, wanted: int) -> float:

@@ -18,6 +18,7 @@ from plough_opt.motion.equation import signals
 from plough_opt.motion.integrators import Integration, Sized, integration
 from plough_opt.motion.judgement import failed_by, refuse_missed_event, refuse_runaway, refuse_weak_rest
 from plough_opt.motion.plan import OUTPUTS, STIFF_PHASE, fastest_rate, most_steps, numbers_of, timeline_of
+from plough_opt.motion.run import OUTPUTS as ARRAYS
 from plough_opt.motion.run import Run
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure
@@ -147,8 +148,7 @@ def thinned(run: Run, outputs: int) -> Run:
     every = (len(run.time) - 1) // outputs
     if every == 1:
         return run
-    arrays = ("time", "travel", "speed", "deflection", "mount_force", "soil_resistance", "opening", "mode")
-    return replace(run, **{name: getattr(run, name)[::every] for name in arrays})
+    return replace(run, **{name: getattr(run, name)[::every] for name in ARRAYS})
 
 
 def _sized(sized: Sized, p: list[float], sizes: Array | None) -> tuple[list[Array] | None, Array | None]:

@@ -16,7 +16,7 @@ from plough_opt.motion.integrators import Integration
 from plough_opt.motion.methods import METHODS
 from plough_opt.motion.run import Run
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.terms import Structure, hold, own_force, parameters, start_deflection
+from plough_opt.motion.terms import Structure, hold, parameters, start_deflection
 
 # exp of a larger exponent overflows.
 _MOST_GROWTH: Final = 700.0
@@ -233,14 +233,14 @@ def refuse_drifting_own(scene: Scene) -> None:
     if not scene.effects.own:
         return
     structure, p = Structure.of(scene), plan.numbers_of(scene)
+
+    def force(place: float, speed: float) -> float:
+        return float(as_number(sum(term.force(p, place, speed) for term in structure.own)))
+
     places = [k / _OWN_PLACES * p["wavelength"] for k in range(_OWN_PLACES)]
-    both = [
-        [float(as_number(own_force(structure, p, place + on, part * p["tow_speed"]))) for on in (0.0, p["wavelength"])]
-        for place in places
-        for part in (0.5, 1.0, 1.5)
-    ]
-    size = max(abs(force) for pair in both for force in pair)
-    if any(abs(before - after) > _OWN_ROUNDING * size for before, after in both):
+    at = [(place, part * p["tow_speed"]) for place in places for part in (0.5, 1.0, 1.5)]
+    both = np.array([(force(place, speed), force(place + p["wavelength"], speed)) for place, speed in at])
+    if np.any(np.abs(both[:, 0] - both[:, 1]) > _OWN_ROUNDING * np.max(np.abs(both))):
         names = ", ".join(type(effect).__name__ for effect in scene.effects.own)
         raise InputError(
             f"own effects ({names}) have another resistance one wavelength ({p['wavelength']:g} m) further on, so no"

@@ -80,6 +80,12 @@ def _wave(structure: Structure) -> StrengthWaves:
     return structure.wave
 
 
+def _frequency(structure: Structure, p: dict[str, Column]) -> Column:
+    """Return the angular frequency of an orbit [rad/s]."""
+    found: Column = 2.0 * math.pi * p["tow_speed"] / _wave(structure).repeats(p)
+    return found
+
+
 def _turns(structure: Structure) -> list[int]:
     """Return how many turns each wave makes in the common length, ascending, each number once."""
     return sorted({*(_wave(structure).turns or (1,))})
@@ -119,7 +125,7 @@ def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
     """Return the Function of the orbit whose state returns to itself after one period of steps."""
     (p, known), x = signals(structure).symbols(ca.MX), ca.MX.sym("x", 2)
     mean, sines, cosines = _response(structure, known)
-    omega: Column = 2.0 * math.pi * known["tow_speed"] / _wave(structure).repeats(known)
+    omega = _frequency(structure, known)
     size = _size(structure, known)
     unit = stacked(size, size * omega)
     once = run_from(structure, Timeline(1, timeline.steps))
@@ -146,7 +152,7 @@ def _balanced(structure: Structure) -> ca.Function:
     basis, slope, bend = _basis(count, phases)
     (p, known), x = signals(structure).symbols(ca.MX), ca.MX.sym("x", 2 * count + 1)
     mean, sines, cosines = _response(structure, known)
-    omega: Column = 2.0 * math.pi * known["tow_speed"] / _wave(structure).repeats(known)
+    omega = _frequency(structure, known)
     size = _size(structure, known)
     w, rate, acceleration = (size * ca.mtimes(ca.DM(b), x) for b in (basis, slope, bend))
     rate, acceleration = rate * omega, acceleration * omega**2
@@ -186,7 +192,7 @@ def _basis(count: int, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
 def _from_series(structure: Structure, timeline: Timeline, series: ca.Function) -> ca.Function:
     """Return parameters -> states at the outputs, means and variances of a Fourier series of w."""
     p, known = signals(structure).symbols(ca.MX)
-    omega: Column = 2.0 * math.pi * known["tow_speed"] / _wave(structure).repeats(known)
+    omega = _frequency(structure, known)
     x = series(p)
     count = (x.numel() - 1) // 2
     basis, slope, _ = _basis(count, 2.0 * math.pi * timeline.output_fractions)

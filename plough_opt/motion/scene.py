@@ -82,26 +82,18 @@ class Scene:
     medium: str | ResistanceLaw = "plastic"
 
     def __post_init__(self) -> None:
-        self._check_types()
-        self._check_effects()
-        read_fields(self, **{name: f"scene.{name}" for name in ("stiffness", "mass", "tow_speed")})
-        if self.effects.random_strength is not None:
-            self.check_stationary()
-
-    def _check_types(self) -> None:
-        """Raise InputError if soil, share or effects has the wrong type."""
         check_kind("the scene's soil", self.soil, Soil, "a Soil, for instance named_soil('serozem')")
         check_kind("the scene's share", self.share, Wedge | Cone, "a Wedge or a Cone")
         check_kind("the scene's effects", self.effects, Effects, "an Effects")
-
-    def _check_effects(self) -> None:
-        """Raise InputError if the law of resistance does not cover one of the effects."""
         effects = self.effects
         for name in ("motion", "strength_wave", "random_strength", "tow_ramp", "rate_term", "own", "entry"):
             if self.law.lacks(name) and getattr(effects, name) not in (None, False, ()):
                 raise InputError(self.law.refusal(name))
         if effects.printed.errors and not isinstance(self.law, PlasticGas):
             raise InputError("the printed formulation is one of the plastic gas: use medium = 'plastic' with it")
+        read_fields(self, **{name: f"scene.{name}" for name in ("stiffness", "mass", "tow_speed")})
+        if effects.random_strength is not None:
+            self.check_stationary()
 
     @cached_property
     def law(self) -> ResistanceLaw:

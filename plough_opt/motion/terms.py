@@ -245,11 +245,6 @@ def hold(structure: Structure, p: Parameters, travel: Expression) -> Expression:
     return force
 
 
-def own_force(structure: Structure, p: Parameters, travel: Expression, speed: Expression) -> Expression:
-    """Return the sum of the user's own resistances [N]."""
-    return sum(term.force(p, travel, speed) for term in structure.own)
-
-
 def pull(structure: Structure, p: Parameters, deflection: Expression, rate: Expression) -> Expression:
     """Return the mount force [N] at a deflection [m] and its rate [m/s], or its change for changes of both."""
     force = p["stiffness"] * deflection

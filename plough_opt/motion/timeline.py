@@ -8,7 +8,7 @@ size than that of the method. Interpolated states are linear in those at the end
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Final
+from typing import Final, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -102,8 +102,7 @@ class Timeline:
         return [int(i) for i in np.searchsorted(self.nodes, self.output_fractions - 1e-12)]
 
 
-@dataclass(frozen=True)
-class Readings:
+class Readings(NamedTuple):
     """Interpolation weights: ends of steps in rows, outputs in columns.
 
     The unit of time is the duration, in rates too.

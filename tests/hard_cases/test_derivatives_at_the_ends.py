@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers import high_precision as hp
+from helpers.differences import differences
 from helpers.equations import forces, mp
 
 import plough_opt as po
@@ -252,11 +253,13 @@ def test_under_a_wave(end, kind):
     turn = 2.0 * math.pi * scene.steady_resistance / numbers["stiffness"] / numbers["wavelength"]
     step = 2.0 ** -(11 + math.ceil(math.log2(1.0 + turn)) * (kind == "waves"))
     direction = np.array([1.0, -0.75, 0.5, -1.0, 0.75, 1.0, -0.5, 1.0, 0.5, -0.75, 1.0, -1.0, 0.5])
-    beside = []
-    for place in step * np.array((-3, -2, -1, 1, 2, 3)):
-        moved = {name: numbers[name] + place * d * size for name, d, size in zip(NAMES, direction, sizes, strict=True)}
-        beside.append(first_of(numbers | moved, sizes, kind))
-    weights = np.array((-1, 9, -45, 45, -9, 1)) / (60.0 * step)
+
+    def beside(place):
+        moves = zip(NAMES, direction, sizes, strict=True)
+        moved = {name: numbers[name] + float(place[0]) * d * size for name, d, size in moves}
+        return np.column_stack(first_of(numbers | moved, sizes, kind))
+
+    changes = differences(beside, np.zeros(1), step).reshape(3, -1)
     all_bends = [second_of(numbers, sizes, kind, unit) for unit in np.eye(3)]
     assert all(np.all(np.isfinite(part)) for part in (values, slopes, *all_bends))
     # Rounding over the step. A soft mount takes steps of 1e-7, and changes beside 90 degrees are rounded themselves.
@@ -265,7 +268,7 @@ def test_under_a_wave(end, kind):
         if k == RMS and end in KINKS[kind]:
             assert 0.0 <= values[k] <= 1e-14 * max(1.0, abs(values[0]))
             continue
-        slope, row = weights @ [value[k] for value, _ in beside], weights @ [gradient[k] for _, gradient in beside]
+        slope, row = changes[k, 0], changes[k, 1:]
         for got, true, size in ((slopes[k] @ direction, slope, slopes), (bends @ direction, row, all_bends)):
             # The RMS and its derivatives are known to 1e-12 of the force and of its own.
             least = largest(size[0]) * (0.1 if k == RMS else 0.0)

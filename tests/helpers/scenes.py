@@ -1,7 +1,10 @@
-"""An ordinary scene, of which a test gives only what it changes, and own effects."""
+"""An ordinary scene, of which a test gives only what it changes; results of a run, and own effects."""
 
 import math
 from dataclasses import dataclass
+
+import numpy as np
+import pytest
 
 import plough_opt as po
 from plough_opt.expressions import Expression, cos, sin
@@ -22,6 +25,22 @@ SHARP, BLUNT = (po.Wedge(po.deg(angle), po.deg(15.0), height) for angle, height 
 
 def scene_of(soil=SEROZEM, share=SHARE, stiffness=5e4, mass=20.0, tow_speed=2.0, medium="plastic", **effects):
     return po.Scene(soil, share, stiffness, mass, tow_speed, po.Effects(**effects), medium)
+
+
+ARRAYS = ("time", "travel", "speed", "deflection", "mount_force", "soil_resistance")
+AVERAGES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
+RESULTS = (*ARRAYS, *AVERAGES)
+
+
+def results_of(run):
+    return [getattr(run, name) for name in RESULTS]
+
+
+def assert_alike(found, run, allowed):
+    """Assert that results, in the order of `RESULTS`, are those of a run up to a part of the largest of each."""
+    for name, values, expected in zip(RESULTS, found, results_of(run), strict=True):
+        size = np.max(np.abs(expected))
+        assert np.ravel(values) == pytest.approx(np.ravel(expected), rel=0, abs=allowed * size), name
 
 
 @dataclass(frozen=True)

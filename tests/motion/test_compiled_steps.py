@@ -4,36 +4,20 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from helpers.scenes import assert_alike, results_of
 
 import plough_opt as po
 from plough_opt.motion.compiled_steps import compiled_steps
-
-ARRAYS = ("time", "travel", "speed", "deflection", "mount_force", "soil_resistance")
-# Average -> the average that sets the scale of its rounding.
-AVERAGES = {
-    "mean_draft": "mean_draft",
-    "force_rms": "mean_draft",
-    "mean_deflection": "mean_deflection",
-    "displacement_rms": "mean_deflection",
-    "tow_power": "tow_power",
-}
-# The operations are the same, in the same order and not fused, so on most machines every bit agrees. A compiler's own
-# sine may round its last digit differently, over a few hundred steps.
-ROUNDED = 1e-12
 
 
 def test_every_combination_of_effects(r1_scene, effects):
     scene = r1_scene(**effects)
     found, expected = (po.simulate(scene, 0.7, outputs=60, compiled=compiled) for compiled in (True, False))
-    for name in ARRAYS:
-        values = getattr(expected, name)
-        allowed = ROUNDED * np.max(np.abs(values))
-        np.testing.assert_allclose(getattr(found, name), values, rtol=0.0, atol=allowed, err_msg=name)
-    for name, beside in AVERAGES.items():
-        least = ROUNDED * abs(getattr(expected, beside))
-        assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=ROUNDED, abs=least), name
+    # The operations are the same, in the same order and not fused, so on most machines every bit agrees. A compiler's
+    # own sine may round its last digit differently, over a few hundred steps.
+    assert_alike(results_of(found), expected, 1e-12)
     # The difference of two runs that agree to eight digits has about eight digits left.
-    assert found.error_estimate == pytest.approx(expected.error_estimate, rel=1e-3, abs=ROUNDED)
+    assert found.error_estimate == pytest.approx(expected.error_estimate, rel=1e-3, abs=1e-12)
     assert (found.accuracy, found.warnings) == (expected.accuracy, expected.warnings)
 
 

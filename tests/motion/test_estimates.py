@@ -12,7 +12,7 @@ import math
 import numpy as np
 import pytest
 from helpers import wild_scenes
-from helpers.scenes import scene_of
+from helpers.scenes import AVERAGES, scene_of
 
 import plough_opt as po
 from plough_opt.motion import verified
@@ -86,15 +86,19 @@ def gapped():
 
 @pytest.mark.parametrize("name", ["mount_force", "soil_resistance", "deflection", "speed", "travel", "opening"])
 def test_every_array_counts_on_its_own_scale(gapped, name):
-    values = getattr(gapped, name).copy()
+    values, mode = getattr(gapped, name).copy(), gapped.mode.copy()
     size = max(np.max(np.abs(values)), np.max(np.abs(gapped.deflection)) if name in ("travel", "opening") else 0.0)
     values[30] += 1e-3 * size
+    mode[30] += 1.0
     assert difference(gapped, dataclasses.replace(gapped, **{name: values})) == pytest.approx(1e-3, rel=1e-9)
+    # Speed and soil resistance jump from mode to mode.
+    found = difference(gapped, dataclasses.replace(gapped, **{name: values}, mode=mode))
+    assert found == (0.0 if name in ("soil_resistance", "speed") else pytest.approx(1e-3, rel=1e-9))
     values[3] = np.nan
     assert difference(gapped, dataclasses.replace(gapped, **{name: values})) == np.inf
 
 
-@pytest.mark.parametrize("name", ["mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power"])
+@pytest.mark.parametrize("name", AVERAGES)
 def test_every_average_counts_on_its_own_scale(gapped, name):
     averages = dataclasses.replace(gapped.averages, **{name: getattr(gapped.averages, name) * 1.001})
     found = difference(gapped, dataclasses.replace(gapped, averages=averages))

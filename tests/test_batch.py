@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.scenes import R1_RUNS
 
 import plough_opt as po
 from plough_opt.core.expressions import maximum, minimum, sin, where
@@ -31,11 +32,8 @@ def errors(result, runs, stiffness):
 
 
 def test_truth_of_r1(batch_of, r1_wave):
-    values = [[25, 0.25, 5e4], [25, 0.25, 6e3], [25, 0.25, 4e5], [10, 0.40, 1e4], [40, 0.15, 5e3]]
-    result = batch_of(2.0, strength_wave=r1_wave)(np.array(values) * [math.pi / 180.0, 1.0, 1.0])
-    # Reference values with all their digits, about 1e-12.
-    mean = [531.047098354, 525.384371406, 530.442387539, 530.957907066, 405.636319546]
-    rms = [145.439117595, 209.467549465, 113.154184492, 921.978274273, 107.584572626]
+    *values, mean, rms = np.array(R1_RUNS).T
+    result = batch_of(2.0, strength_wave=r1_wave)(np.column_stack(values) * [math.pi / 180.0, 1.0, 1.0])
     assert result.mean_draft == pytest.approx(mean, rel=2e-9)
     assert result.force_rms == pytest.approx(rms, rel=2e-9)
     assert np.all(result.error_estimate < 1e-9)

@@ -2,33 +2,24 @@
 
 import numpy as np
 import pytest
-from helpers.equations import SOIL, forces, half_angle
+from helpers.equations import forces, half_angle
+from helpers.scenes import R1_RUNS, R1_SOIL
 from helpers.three_modes import follow
 from independent.motion import AVERAGES, simulate
 
 import plough_opt as po
 
-R1_SOIL = (1400.0, 0.8, 15e3, np.radians(30.0), 0.5, 1e4)
-# Wedge angle [deg], height [m], stiffness [N/m]; mean and RMS [N] of a reference integration at 1e-11.
-R1_ROWS = (
-    (25.0, 0.25, 5e4, 531.047098354, 145.439117595),
-    (25.0, 0.25, 6e3, 525.384371406, 209.467549465),
-    (25.0, 0.25, 4e5, 530.442387539, 113.154184492),
-    (10.0, 0.40, 1e4, 530.957907066, 921.978274273),
-    (40.0, 0.15, 5e3, 405.636319546, 107.584572626),
-)
-
 
 def runs_of(angle, chisel_angle, height, frame, *mount):
     """Return the first arguments of `simulate`: of shares in R1's soil with a frame and a solid steel cone."""
     values = {"wedge_angle": angle, "chisel_angle": chisel_angle, "height": height}
-    static, drag, added = forces(dict(zip(SOIL, R1_SOIL, strict=True)) | values, np)
+    static, drag, added = forces(vars(R1_SOIL) | values, np)
     steel = 7850.0 * np.pi / 3.0 * height**3 * np.tan(half_angle(angle, chisel_angle, np)) ** 2
     return static, drag, frame + steel + added, *mount
 
 
 def test_r1_has_its_published_averages():
-    angle, height, stiffness, mean, rms = np.array(R1_ROWS).T
+    angle, height, stiffness, mean, rms = np.array(R1_RUNS).T
     runs = runs_of(np.radians(angle), np.radians(15.0), height, 20.0, stiffness, 0.0, 2.0, 0.3, 0.6, 0.0)
     found = simulate(*runs, "equilibrium", 2.0)
     # The table has twelve digits; at 0.7 rad in a step the method has eight and more.
@@ -54,7 +45,7 @@ def test_runs_agree_with_an_adaptive_integrator(start, ramp):
         )
         wedge = po.Wedge(angle[k], 0.3, height[k])
         mass = 40.0 + wedge.equivalent_cone().solid_mass(7850.0)
-        wanted = follow(po.Scene(po.Soil(*R1_SOIL), wedge, stiffness[k], mass, speed[k], effects), 0.8, outputs=400)
+        wanted = follow(po.Scene(R1_SOIL, wedge, stiffness[k], mass, speed[k], effects), 0.8, outputs=400)
         for name in AVERAGES:
             assert with_paths[name][k] == pytest.approx(getattr(wanted, name), rel=1e-8), name
             assert without[name][k] == pytest.approx(getattr(wanted, name), rel=1e-7), name

@@ -19,6 +19,14 @@ R1_SOIL = po.Soil(
     tool_friction=0.5,
     ambient_pressure=1e4,
 )
+# Wedge angle [deg], height [m], stiffness [N/m]; mean and RMS [N] of a reference integration of R1 at 1e-11.
+R1_RUNS = (
+    (25.0, 0.25, 5e4, 531.047098354, 145.439117595),
+    (25.0, 0.25, 6e3, 525.384371406, 209.467549465),
+    (25.0, 0.25, 4e5, 530.442387539, 113.154184492),
+    (10.0, 0.40, 1e4, 530.957907066, 921.978274273),
+    (40.0, 0.15, 5e3, 405.636319546, 107.584572626),
+)
 SHARE = po.Wedge(po.deg(30.0), po.deg(15.0), 0.25)
 SHARP, BLUNT = (po.Wedge(po.deg(angle), po.deg(15.0), height) for angle, height in ((25.0, 0.25), (70.0, 0.40)))
 

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers.linear_motion import averages, oscillation, released
-from helpers.scenes import ARRAYS, AVERAGES, R1_SOIL, assert_alike, results_of
+from helpers.scenes import ARRAYS, AVERAGES, R1_RUNS, R1_SOIL, assert_alike, results_of
 
 import plough_opt as po
 
@@ -23,17 +23,8 @@ def close_to(expected, allowed):
 
 # --- published numbers of problem R1 ---
 
-R1 = [
-    # wedge angle deg, height m, stiffness N/m, mean N, RMS N
-    (25.0, 0.25, 5e4, 531.047098354, 145.439117595),
-    (25.0, 0.25, 6e3, 525.384371406, 209.467549465),
-    (25.0, 0.25, 4e5, 530.442387539, 113.154184492),
-    (10.0, 0.40, 1e4, 530.957907066, 921.978274273),
-    (40.0, 0.15, 5e3, 405.636319546, 107.584572626),
-]
 
-
-@pytest.mark.parametrize(("angle", "height", "stiffness", "mean", "rms"), R1)
+@pytest.mark.parametrize(("angle", "height", "stiffness", "mean", "rms"), R1_RUNS)
 def test_reference_values_to_every_digit(r1_scene, angle, height, stiffness, mean, rms):
     scene = r1_scene(angle, height, stiffness, strength_wave=WAVE)
     for accuracy in (FINE, po.Accuracy(error=1e-12)):

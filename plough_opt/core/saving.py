@@ -229,7 +229,7 @@ def _result_of(data: Any, kinds: dict[str, type[_Result]]) -> _Result:
     if not isinstance(data, dict):
         raise Misfit("", "Input should be an object")
     for key, known in (("schema", [SCHEMA]), ("kind", [*kinds])):
-        if data.get(key) not in known or isinstance(data[key], bool):
+        if data.get(key) not in known:
             raise Misfit(key, f"{key} = {data.get(key)!r:.60}: Input should be {' or '.join(map(repr, known))}")
     found: _Result = from_plain(kinds[data["kind"]], data)
     found.check_saved()

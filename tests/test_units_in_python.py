@@ -126,6 +126,7 @@ def test_plain_numbers_with_a_unit_that_is_not_si_are_refused_with_the_remedy():
             lambda: po.Input("gap", 1.0, 2.0, unit="mm", symbol=ca.MX.sym("gap")),
             "a plain number, but 'mm' is not an SI",
         ),
+        (lambda: d.variable("far", guess="2 furlongz", lower=0, upper=3), "variable 'far' = \"2 furlongz\" has an unk"),
         (lambda: po.Input("scene.stiffness", "20 kN"), "wrong unit"),
         (lambda: po.Output("mean_draft", upper="8 m"), "wrong unit"),
     ):

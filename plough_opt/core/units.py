@@ -88,26 +88,16 @@ class Unit:
         """
         if _is_pint(value):
             return value.magnitude, self._factor(str(value.units), value)
-        if isinstance(value, bool) or not isinstance(value, int | float | str):
+        if isinstance(value, str):
+            number, written = _parsed(value, self.example())
+            if self.symbol and not written:
+                raise InputError(f'= "{value}" has no unit: write it like {self.example()}')
+            return number, self._factor(written, value)
+        if isinstance(value, bool) or not isinstance(value, int | float):
             raise InputError(f"is not a quantity: write it like {self.example()}")
-        if not isinstance(value, str):
-            if self.symbol:
-                raise InputError(f"= {value} has no unit: write it like {self.example()}")
-            return _as_float(value), 1.0
-        if len(value) > _LONGEST:
-            raise InputError(
-                f'= "{short(value)}" has {len(value)} characters; a quantity may have at most {_LONGEST}: write it like'
-                f" {self.example()}"
-            )
-        match = _QUANTITY.fullmatch(value)
-        if match is None:
-            raise InputError(f'= "{value}" is not a quantity: write it like {self.example()}')
-        number, written = float(match["number"]), match["unit"]
-        if _POWER.search(written):
-            raise InputError(f'= "{value}" has an unreadable unit: write powers as one digit, like "kg/m^3"')
-        if not written and self.symbol:
-            raise InputError(f'= "{value}" has no unit: write it like {self.example()}')
-        return number, self._factor(written, value)
+        if self.symbol:
+            raise InputError(f"= {value} has no unit: write it like {self.example()}")
+        return _as_float(value), 1.0
 
     def _factor(self, written: str, value: object) -> float:
         """Return the conversion factor from a written unit to this one."""
@@ -129,10 +119,23 @@ def has_unit(value: Any) -> bool:
     return isinstance(value, str) or _is_pint(value)
 
 
-def _check_printable(what: str, value: Any) -> None:
-    """Raise InputError for a string that a message could not quote."""
-    if isinstance(value, str) and unprintable(value):
-        raise InputError(f'{what} = {short(ascii(value))} is not a quantity: write it like "50 kN/m"')
+def _parsed(text: str, example: str) -> tuple[float, str]:
+    """Return number and unit of a quantity, as written.
+
+    Raises:
+        InputError: the text is not a quantity; the message continues a sentence that begins with the value's name.
+    """
+    if unprintable(text):
+        raise InputError(f"= {short(ascii(text))} is not a quantity: write it like {example}")
+    if len(text) > _LONGEST:
+        length = f"has {len(text)} characters; a quantity may have at most {_LONGEST}"
+        raise InputError(f'= "{short(text)}" {length}: write it like {example}')
+    match = _QUANTITY.fullmatch(text)
+    if match is None:
+        raise InputError(f'= "{text}" is not a quantity: write it like {example}')
+    if _POWER.search(match["unit"]):
+        raise InputError(f'= "{text}" has an unreadable unit: write powers as one digit, like "kg/m^3"')
+    return float(match["number"]), match["unit"]
 
 
 def in_si(what: str, value: Any, unit: str) -> Any:
@@ -148,7 +151,6 @@ def in_si(what: str, value: Any, unit: str) -> Any:
     """
     if not has_unit(value):
         return value
-    _check_printable(what, value)
     try:
         number, factor = Unit(unit).split(value)
         return number * factor if factor != 1.0 else number
@@ -189,12 +191,12 @@ def _written_unit(what: str, value: Any) -> str:
     """Return the unit of a string or a pint quantity, as written."""
     if _is_pint(value):
         return f"{value.units:~}".replace(" ", "").replace("**", "^")
-    _check_printable(what, value)
-    match = _QUANTITY.fullmatch(value)
-    if match is None or len(value) > _LONGEST or _POWER.search(match["unit"]):
-        raise InputError(f'{what} = "{short(value)}" is not a quantity: write it like "50 kN/m"')
-    _root(match["unit"], value)  # raises if the unit is unknown
-    return match["unit"]
+    try:
+        unit = _parsed(value, '"50 kN/m"')[1]
+        _root(unit, value)  # raises if the unit is unknown
+    except InputError as error:
+        raise InputError(f"{what} {error}") from None
+    return unit
 
 
 @lru_cache(maxsize=128)

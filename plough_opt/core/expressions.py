@@ -309,9 +309,7 @@ def expm1_ratio(x: Expression) -> Expression:
     A power series is used for |x| < 1, because automatic differentiation of ``expm1(x)/x`` loses up to half the digits
     near zero. The relative accuracy is 1e-15 for the value and 1e-13 for gradient and Hessian.
     """
-    near_zero = absolute(x) < 1.0
-    small = where(near_zero, x, 0.0)
-    large = where(near_zero, 1.0, x)
+    near_zero, small, large = _split(x, 1.0)
     series: Expression = 1.0 / math.factorial(_EXPM1_TERMS)
     for n in range(_EXPM1_TERMS - 1, 0, -1):
         series = 1.0 / math.factorial(n) + small * series
@@ -324,9 +322,7 @@ def log1p_ratio(x: Expression) -> Expression:
     The series of 2 artanh(x/(2 + x))/x is used for |x| < 0.5, for the same reason and with the same accuracy as in
     `expm1_ratio`.
     """
-    near_zero = absolute(x) < _SERIES_BELOW
-    small = where(near_zero, x, 0.0)
-    large = where(near_zero, _SERIES_BELOW, x)
+    near_zero, small, large = _split(x)
     series = 2.0 * _arctanh_series((small / (2.0 + small)) ** 2) / (2.0 + small)
     return where(near_zero, series, log1p(large) / large)
 
@@ -353,10 +349,10 @@ def arcsinh_ratio(x: Expression) -> Expression:
     return where(near_zero, sqrt(scale) * _arctanh_series(small**2 * scale), arcsinh(large) / large)
 
 
-def _split(x: Expression) -> tuple[Expression, Expression, Expression]:
+def _split(x: Expression, below: float = _SERIES_BELOW) -> tuple[Expression, Expression, Expression]:
     """Return whether the series applies to x, x for the series (else 0), and x for the function (else a safe value)."""
-    near_zero = absolute(x) < _SERIES_BELOW
-    return near_zero, where(near_zero, x, 0.0), where(near_zero, _SERIES_BELOW, x)
+    near_zero = absolute(x) < below
+    return near_zero, where(near_zero, x, 0.0), where(near_zero, below, x)
 
 
 def _arctanh_series(square: Expression) -> Expression:

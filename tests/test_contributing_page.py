@@ -8,9 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers.commands import call, line_of_a_page, printed
 
 import plough_opt as po
-from plough_opt.app import main
 from plough_opt.exchange.export.formats import FORMATS
 from plough_opt.laws import LAWS
 from plough_opt.motion.effects import OWN_EFFECTS
@@ -64,22 +64,22 @@ def workshop(tmp_path, monkeypatch):
 
 def use(section, capsys, long=False):
     """Run a section's other blocks in order, or only its lines that take long; return what each of them printed."""
-    printed = []
+    said = []
     for language, text in SECTIONS[section]:
         if language == "sh":
-            for line in text.splitlines():
-                if ("accuracy tine" in line) is long:
-                    assert main(shlex.split(line)[1:]) == 0, capsys.readouterr().err
+            lines = [line for line in text.splitlines() if ("accuracy tine" in line) is long]
+            said.append("".join(map(line_of_a_page, lines)))
         elif not long and not text.startswith("# "):
             exec(compile(text, f"CONTRIBUTING.md, {section}", "exec"), {})  # the page's own text
-        printed.append(capsys.readouterr().out)
-    return [text for text in printed if text]
+            said.append(capsys.readouterr().out)
+    return said
 
 
-def refused(capsys, line, told):
+def refused(line, told):
     """Check that a command refuses its arguments with some words."""
-    assert main(shlex.split(line)) == 2
-    assert told in " ".join(capsys.readouterr().err.split())
+    done = call(*shlex.split(line))
+    assert done.status == 2
+    assert told in done.said
 
 
 def test_the_page_shows_five_additions_each_one_file_and_one_line():
@@ -111,7 +111,7 @@ def test_effect(workshop, capsys):
         ("[{effect='shank', static='150 m', viscous='1 N*s/m'}]", "'static' = \"150 m\" has the wrong unit"),
         ("[{effect='shank', statik='150 N'}]", "'statik' is not a quantity of Shank: did you mean 'static'"),
     ):
-        refused(capsys, f'check tine.toml --set effects.own="{wrong}"', told)
+        refused(f'check tine.toml --set effects.own="{wrong}"', told)
 
 
 def test_resistance_law(workshop, capsys):
@@ -121,11 +121,10 @@ def test_resistance_law(workshop, capsys):
     assert "does not include soil that moves with the share" in script
     assert "law of resistance" in command or "share.height" in command
     table = "scene.medium={law='per_width', width='12 cm'}"
-    assert main(["simulate", "tine.toml", "--set", table]) == 0
     own = po.read_problem("tine.toml", [table])
     # 250 kPa on 12 cm by 25 cm, and a twentieth of that per (m/s)^2.
     assert own.simulate().mean_draft == pytest.approx(250e3 * 0.12 * 0.25 * 1.2, rel=1e-9)
-    refused(capsys, "check tine.toml --set scene.medium='per_with'", "did you mean 'per_width'")
+    refused("check tine.toml --set scene.medium='per_with'", "did you mean 'per_width'")
 
 
 def test_measure(workshop, capsys):
@@ -140,12 +139,11 @@ def test_measure(workshop, capsys):
     for row in rows:
         found = {heading.partition(" ")[0]: value for heading, value in row.items()}
         assert float(found["work_per_metre"]) == pytest.approx(float(found["mean_draft"]), rel=1e-9)
-    assert main(["simulate", "tine.toml"]) == 0
-    assert "towing work per metre" in capsys.readouterr().out
+    assert "towing work per metre" in printed("simulate", "tine.toml")
     told = po.Measurements("work_per_metre", [3e3, 4e3], {"scene.tow_speed": [1.0, 2.0]}, sigma=100.0)
     assert told.result == "work_per_metre"
     wrong = "check tine.toml --set 'require.work_per_meter.at_most=5 kN'"
-    refused(capsys, wrong, "did you mean 'work_per_metre'")
+    refused(wrong, "did you mean 'work_per_metre'")
 
 
 def test_export_format(workshop, capsys):
@@ -155,10 +153,8 @@ def test_export_format(workshop, capsys):
     values = {row["name"]: float(row["value"]) for row in rows}
     assert values["share.height"] == 0.25
     assert values["mean_draft"] == pytest.approx(po.read_problem("tine.toml").simulate().mean_draft, rel=1e-6)
-    refused(capsys, "export tine.toml --to table --output a.txt", "end in .csv")
-    refused(
-        capsys, "export tine.toml --to table --output a.csv --strut speed", "--strut cannot be used with --to table"
-    )
+    refused("export tine.toml --to table --output a.txt", "end in .csv")
+    refused("export tine.toml --to table --output a.csv --strut speed", "--strut cannot be used with --to table")
 
 
 def test_integrator(workshop, capsys):
@@ -168,19 +164,19 @@ def test_integrator(workshop, capsys):
     assert 0.0 < error < 1e-6
     assert draft > 0.0
     assert "stiffness" in script
-    refused(capsys, "simulate tine.toml --set accuracy.method=three_eights", "did you mean 'three_eighths'")
+    refused("simulate tine.toml --set accuracy.method=three_eights", "did you mean 'three_eighths'")
 
 
 @pytest.mark.slow
 def test_integrator_takes_part_in_the_accuracy_study(workshop, capsys):
     workshop("An integrator")
-    (printed,) = use("An integrator", capsys, long=True)
-    assert "three_eighths" in printed
+    (said,) = use("An integrator", capsys, long=True)
+    assert "three_eighths" in said
     assert "three_eighths" in json.dumps(json.loads(Path("accuracy.json").read_text(encoding="utf-8")))
 
 
-def test_addition_that_cannot_be_imported_is_named(workshop, capsys, tmp_path):
+def test_addition_that_cannot_be_imported_is_named(workshop, tmp_path):
     name = workshop("An integrator")
     (tmp_path / f"{name}.py").write_text("import no_such_module\n", encoding="utf-8")
     told = f"the addition '{name}' = {name} of mine cannot be imported (ModuleNotFoundError"
-    refused(capsys, "soils", told)
+    refused("soils", told)

@@ -7,14 +7,12 @@ import signal
 import stat
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from helpers.problem_files import COTTON
 
 import plough_opt as po
 from plough_opt.core.files import write_file, write_files, write_folder, write_new
-
-PROBLEMS = Path(__file__).parents[1] / "problems"
 
 
 def _kept(folder):
@@ -146,9 +144,8 @@ def test_a_signal_that_ends_the_process_leaves_nothing_behind(tmp_path, kind, nu
 
 def test_json_is_the_same_whatever_the_streams_encoding(tmp_path):
     title = 'Grubber für Шымкент, ≤ 40 \N{TRACTOR} "quoted"'
-    text = (PROBLEMS / "cotton_subsoiler.toml").read_text(encoding="utf-8")
     path = tmp_path / "p.toml"
-    path.write_text(re.sub("^title = .*", f"title = '{title}'", text, flags=re.MULTILINE), encoding="utf-8")
+    path.write_text(re.sub("^title = .*", f"title = '{title}'", COTTON, flags=re.MULTILINE), encoding="utf-8")
     line = [sys.executable, "-m", "plough_opt", "simulate", str(path), *QUICK, "--json"]
     done = subprocess.run(line, capture_output=True, check=True, env=os.environ | {"PYTHONIOENCODING": "ascii"})
     assert json.loads(done.stdout.decode("ascii"))["title"] == title

@@ -6,6 +6,7 @@ import io
 import matplotlib.pyplot
 import numpy as np
 import pytest
+from helpers.scenes import SHARP, scene_of
 from matplotlib.figure import Figure
 
 import plough_opt as po
@@ -17,8 +18,7 @@ from plough_opt.design import Limit
 
 @pytest.fixture(scope="module")
 def scene():
-    effects = po.Effects(strength_wave=po.StrengthWave(amplitude=0.3, wavelength=0.6))
-    return po.Scene(po.named_soil("serozem"), po.Wedge(po.deg(25), po.deg(15), 0.25), 5e4, 23.0, 2.0, effects)
+    return scene_of(share=SHARP, mass=23.0, strength_wave=po.StrengthWave(amplitude=0.3, wavelength=0.6))
 
 
 @pytest.fixture(scope="module")

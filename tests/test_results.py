@@ -10,11 +10,12 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.problem_files import PROBLEMS
+from helpers.scenes import Shank, scene_of
 from helpers.strict_json import strict
 
 import plough_opt as po
@@ -22,21 +23,9 @@ from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.problem_file.robust_design import optimise_robust
 
 pandas = pytest.importorskip("pandas")
-ROOT = Path(__file__).parents[1]
 
 
-@dataclasses.dataclass(frozen=True)
-class Drag:
-    newtons: float
-
-    def force(self, travel, speed):
-        return self.newtons + 0.0 * travel * speed
-
-
-SCENE = po.Scene(
-    po.named_soil("serozem"), po.Cone(po.deg(10), 0.25), 5e4, 20.0, 2.0,
-    po.Effects(damping=400.0, strength_wave=po.StrengthWave(0.3, 0.2)),
-)  # fmt: skip
+SCENE = scene_of(share=po.Cone(po.deg(10), 0.25), damping=400.0, strength_wave=po.StrengthWave(0.3, 0.2))
 STILL = dataclasses.replace(SCENE, effects=po.Effects(motion=False))
 
 
@@ -91,7 +80,7 @@ def study():
 def robust():
     small = ("uncertain.samples=8", "uncertain.fresh=100", "effects={motion=false}", "scene.stiffness=200 kN/m",
              "share.wedge_angle=30 deg", "minimise={mean_draft={per='1 kN', measure='cvar 0.9'}}")  # fmt: skip
-    return optimise_robust(po.read_problem(ROOT / "problems" / "uncertain_field.toml", small), lambda *_: None)
+    return optimise_robust(po.read_problem(PROBLEMS / "uncertain_field.toml", small), lambda *_: None)
 
 
 EVERY = {
@@ -276,25 +265,27 @@ def test_designs_in_python_keep_their_declarations(tmp_path):
 
 def test_a_run_with_an_unknown_error_reads_back(tmp_path):
     # An approximation of an orbit that does not exist.
-    effects = po.Effects(strength_wave=po.StrengthWave(1.0, 0.02), orbit="linearised")
-    made = po.simulate(po.Scene(po.named_soil("serozem"), po.Cone(po.deg(12), 0.25), 2e3, 25.0, 0.3, effects))
+    wave = po.StrengthWave(1.0, 0.02)
+    scene = scene_of(share=po.Cone(po.deg(12), 0.25), stiffness=2e3, mass=25.0, tow_speed=0.3, strength_wave=wave,
+                     orbit="linearised")  # fmt: skip
+    made = po.simulate(scene)
     assert made.error_estimate == math.inf
     strict(made.to_json())
     assert po.load(made.save(tmp_path / "run.json")).to_json() == made.to_json()
 
 
 def test_missing_effects_are_named_and_not_run(tmp_path):
-    scene = dataclasses.replace(SCENE, effects=po.Effects(own=(Drag(30.0),)))
+    scene = scene_of(own=(Shank(30.0),))
     path = po.simulate(scene, 0.1).save(tmp_path / "own.json")
-    assert po.load(path).scene == scene  # this module is there
+    assert po.load(path).scene == scene  # its module is there
     text = path.read_text(encoding="utf-8")
-    own = f"{__name__}:Drag"
+    own = "helpers.scenes:Shank"
     assert own in text
-    path.write_text(text.replace(own, "elsewhere:Drag"), encoding="utf-8")
+    path.write_text(text.replace(own, "elsewhere:Shank"), encoding="utf-8")
     found = po.load(path)
     (effect,) = found.scene.effects.own
-    assert effect.newtons == 30.0
-    with pytest.raises(po.InputError, match="'elsewhere:Drag', which is not defined here"):
+    assert effect.static == 30.0
+    with pytest.raises(po.InputError, match="'elsewhere:Shank', which is not defined here"):
         effect.force(0.0, 1.0)
     # Nor is a class taken that belongs to Python, or is no effect.
     path.write_text(text.replace(own, "subprocess:Popen"), encoding="utf-8")

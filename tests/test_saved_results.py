@@ -1,21 +1,18 @@
 """Saved results: their origin, shown as they were printed, compared, in strictly valid JSON."""
 
-import contextlib
 import hashlib
-import io
 import platform
 import re
 import shutil
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
+from helpers.commands import call, cells, printed
+from helpers.problem_files import PROBLEMS, SUBSOILER
 from helpers.strict_json import strict
 
 import plough_opt as po
-from plough_opt.app.main import main
 
-ROOT = Path(__file__).parents[1]
 QUICK = ("--set", "effects.motion=false", "--set", "scene.outputs=10")
 
 
@@ -23,24 +20,10 @@ QUICK = ("--set", "effects.motion=false", "--set", "scene.outputs=10")
 def folder(tmp_path_factory):
     """A folder with a shipped problem file, without the lines that need motion."""
     where = tmp_path_factory.mktemp("saved")
-    text = (ROOT / "problems" / "cotton_subsoiler.toml").read_text(encoding="utf-8")
+    text = SUBSOILER.read_text(encoding="utf-8")
     still = re.sub(r"^(damping|force_rms|deflection).*\n", "", text, flags=re.MULTILINE)
     (where / "share.toml").write_text(still, encoding="utf-8")
     return where
-
-
-@pytest.fixture(scope="module")
-def printed():
-    """Return what a command prints."""
-
-    def run(*words):
-        out, err = io.StringIO(), io.StringIO()
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-            status = main([str(word) for word in words])
-        assert status == 0, err.getvalue()
-        return out.getvalue()
-
-    return run
 
 
 def optimised(folder, speed):
@@ -48,18 +31,12 @@ def optimised(folder, speed):
 
 
 @pytest.fixture(scope="module")
-def saved(folder, printed):
+def saved(folder):
     """Two optima that differ in the tow speed."""
     paths = {folder / "slow.json": "7.2 km/h", folder / "fast.json": "9 km/h"}
     for path, speed in paths.items():
         path.write_text(printed(*optimised(folder, speed), "--json"), encoding="utf-8")
     return [*paths]
-
-
-def cells(text, words):
-    """Return the second and third cell of the row of a table with some words."""
-    (row,) = [line for line in text.splitlines() if words in line]
-    return [cell.strip() for cell in row.split("│")[2:4]]
 
 
 def test_a_saved_result_holds_what_made_it(folder, saved):
@@ -75,7 +52,7 @@ def test_a_saved_result_holds_what_made_it(folder, saved):
         assert platform.node() == "" or platform.node() not in path.read_text(encoding="utf-8").split()
 
 
-def test_show_prints_the_same_tables(folder, saved, printed):
+def test_show_prints_the_same_tables(folder, saved):
     words = optimised(folder, "9 km/h")
     fresh, again = printed(*words).splitlines(), printed("show", saved[1]).splitlines()
     # The last line of the tables has the time that the solve took.
@@ -86,7 +63,7 @@ def test_show_prints_the_same_tables(folder, saved, printed):
     assert strict(printed("show", saved[1], "--json")) == strict(saved[1].read_text(encoding="utf-8"))
 
 
-def test_compare_sets_designs_side_by_side(saved, printed, tmp_path):
+def test_compare_sets_designs_side_by_side(saved, tmp_path):
     slow, fast = (po.load(path) for path in saved)
     picture = tmp_path / "both.svg"
     text = printed("compare", *saved, "--plot", picture)
@@ -100,21 +77,22 @@ def test_compare_sets_designs_side_by_side(saved, printed, tmp_path):
     assert found["fast.json"]["share.height"] == fast.variables["share.height"]
 
 
-def test_compare_refuses_one_file_and_an_output_that_is_an_input(saved, capsys, tmp_path):
+def test_compare_refuses_one_file_and_an_output_that_is_an_input(saved, tmp_path):
     other = shutil.copy(saved[0], tmp_path / "picture.png")
     for words, told in (([saved[0]], "two or more"), ([saved[0], other, "--plot", other], "would overwrite")):
-        assert main(["compare", *map(str, words)]) == 2
-        assert told in capsys.readouterr().err
+        done = call("compare", *words)
+        assert done.status == 2
+        assert told in done.said
 
 
-def test_json_of_every_command_is_strict(folder, printed, monkeypatch):
+def test_json_of_every_command_is_strict(folder, monkeypatch):
     monkeypatch.chdir(folder)
     for command, *rest in (("export", "--to", "stl", "--output", "share.stl"), ("check",)):
         strict(printed(command, "share.toml", *rest, "--json"))
     assert strict(printed("init", "new.toml", "--json")) == {"wrote": ["new.toml"]}
 
 
-def test_a_sweep_is_shown_from_its_store(printed, tmp_path):
+def test_a_sweep_is_shown_from_its_store(tmp_path):
     store, over = tmp_path / "s.db", {"a": [1.0, 2.0]}
     with ThreadPoolExecutor(1) as inline, po.sweep(lambda point: {"b": point["a"]}, over, store=store, executor=inline):
         pass
@@ -122,32 +100,32 @@ def test_a_sweep_is_shown_from_its_store(printed, tmp_path):
     assert strict(printed("show", store, "--json"))["points"] == 2
 
 
-def test_the_problem_is_saved_with_its_data_and_can_be_restored(printed, tmp_path, monkeypatch, capsys):
+def test_the_problem_is_saved_with_its_data_and_can_be_restored(tmp_path, monkeypatch):
     file, empty = tmp_path / "run.json", tmp_path / "empty"
     empty.mkdir()
-    file.write_text(printed("simulate", ROOT / "problems" / "field.toml", "--json"), encoding="utf-8")
+    file.write_text(printed("simulate", PROBLEMS / "field.toml", "--json"), encoding="utf-8")
     monkeypatch.chdir(empty)
     shown = printed("show", file, "--problem")
     for name in ("field.toml", "insertions.csv", "transect.csv"):
-        assert (ROOT / "problems" / name).read_text(encoding="utf-8").rstrip() in shown
+        assert (PROBLEMS / name).read_text(encoding="utf-8").rstrip() in shown
     printed("show", file, "--restore", "again")
     found = po.load(file)
     again = po.read_problem(empty / "again" / "field.toml", found.origin.overrides).simulate()
     assert again.mean_draft == found.mean_draft
-    assert main(["show", str(file), "--restore", "again"]) == 2  # nothing is overwritten
-    assert "again" in capsys.readouterr().err
+    done = call("show", file, "--restore", "again")
+    assert (done.status, "exists already" in done.said) == (2, True)  # nothing is overwritten
 
 
 def test_a_run_of_a_file_is_drawn_with_the_files_limits(tmp_path):
-    run = po.read_problem(ROOT / "problems" / "cotton_subsoiler.toml").simulate()
+    run = po.read_problem(SUBSOILER).simulate()
     for made in (run, po.load(run.save(tmp_path / "run.json"))):
         (axes,) = [axes for axes in made.plot().axes if axes.get_ylabel().startswith("deflection")]
         limit = [line for line in axes.lines if line.get_label().startswith("limit of the deflection")]
         assert [line.get_ydata()[0] for line in limit] == [0.12]  # in metres, as the file has it
 
 
-def test_shares_in_one_frame_are_saved_shown_and_compared(printed, tmp_path):
-    words = (ROOT / "problems" / "two_shares.toml", "--set", "scene.duration=0.1 s", "--json")
+def test_shares_in_one_frame_are_saved_shown_and_compared(tmp_path):
+    words = (PROBLEMS / "two_shares.toml", "--set", "scene.duration=0.1 s", "--json")
     slow, fast = tmp_path / "slow.json", tmp_path / "fast.json"
     slow.write_text(printed("simulate", *words), encoding="utf-8")
     fast.write_text(printed("simulate", *words, "--set", "scene.tow_speed=9 km/h"), encoding="utf-8")

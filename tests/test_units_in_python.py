@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pint
 import pytest
+from helpers.scenes import SEROZEM, scene_of
 
 import plough_opt as po
 from plough_opt.app.main import main
@@ -17,7 +18,6 @@ from plough_opt.motion.scene_quantities import quantities_of, with_quantities
 from plough_opt.problem_file import TEMPLATE
 
 U = pint.UnitRegistry()
-SOIL = po.named_soil("serozem")
 
 
 def test_texts_pint_quantities_and_si_numbers_make_the_same_scene():
@@ -40,7 +40,7 @@ def test_texts_pint_quantities_and_si_numbers_make_the_same_scene():
 
 def test_symbols_and_arrays_are_kept():
     k = ca.MX.sym("k")
-    assert po.Scene(SOIL, po.Cone(0.2, 0.25), k, 20.0, 2.0).stiffness is k
+    assert po.Scene(SEROZEM, po.Cone(0.2, 0.25), k, 20.0, 2.0).stiffness is k
     heights = np.array([0.2, 0.3])
     assert po.Cone(0.2, heights).height is heights
     np.testing.assert_allclose(po.Cone(0.2, U.Quantity(heights, "m")).height, heights)
@@ -57,17 +57,17 @@ def test_symbols_and_arrays_are_kept():
 )
 def test_invalid_quantities_are_refused(value, words):
     with pytest.raises(po.InputError, match=re.escape(words)):
-        po.Scene(SOIL, po.Cone(0.2, 0.25), value, 20.0, 2.0)
+        po.Scene(SEROZEM, po.Cone(0.2, 0.25), value, 20.0, 2.0)
 
 
 SLIPS = {
-    "stiffness": (lambda x: po.Scene(SOIL, po.Cone(0.2, 0.25), x, 20.0, 2.0), 50, "50 kN/m"),
-    "tow speed": (lambda x: po.Scene(SOIL, po.Cone(0.2, 0.25), 5e4, 20.0, x), 7.2, "7.2 km/h"),
+    "stiffness": (lambda x: po.Scene(SEROZEM, po.Cone(0.2, 0.25), x, 20.0, 2.0), 50, "50 kN/m"),
+    "tow speed": (lambda x: po.Scene(SEROZEM, po.Cone(0.2, 0.25), 5e4, 20.0, x), 7.2, "7.2 km/h"),
     "share height": (lambda x: po.Cone(0.2, x), 250.0, "250 mm"),
     "height in cm": (lambda x: po.Cone(0.2, x), 5.0, "5 cm"),
     "cohesion": (lambda x: po.Soil(1350.0, 0.794, x, 0.5, 0.5), 20, "20 kPa"),
     "density of the share's material": (lambda x: po.Cone(0.2, 0.25).solid_mass(x), 7.85, "7.85 g/cm^3"),
-    "cone index": (lambda x: po.Soil.from_cone_index(x, SOIL), 1500.0, "1500 kPa"),
+    "cone index": (lambda x: po.Soil.from_cone_index(x, SEROZEM), 1500.0, "1500 kPa"),
 }
 
 
@@ -83,7 +83,7 @@ def test_a_number_in_another_unit_warns_at_the_callers_line(name):
 
 
 def test_an_implausible_value_warns_once_and_not_where_the_toolkit_copies_it():
-    scene = po.Scene(SOIL, po.Cone(0.2, 0.25), "50 N/m", 20.0, 2.0, po.Effects(motion=False))
+    scene = scene_of(stiffness="50 N/m", motion=False)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         po.simulate(scene, 0.1)
@@ -149,9 +149,8 @@ def test_an_implausible_value_in_a_file_is_noted(capsys, tmp_path):
 
 
 def test_durations_bounds_and_limits_accept_texts_and_pint():
-    scene = po.Scene(SOIL, po.Cone("10 deg", "25 cm"), "50 kN/m", "30 kg", "2 m/s")
-    stiffness = ca.MX.sym("stiffness")
-    varied = dataclasses.replace(scene, stiffness=stiffness, effects=po.Effects(damping=400.0))
+    scene, stiffness = scene_of(), ca.MX.sym("stiffness")
+    varied = scene_of(stiffness=stiffness, damping=400.0)
     given = po.Input("scene.stiffness", "20 kN/m", 200.0 * U.kN / U.m)
     assert (given.lower, given.upper) == pytest.approx((2e4, 2e5), rel=1e-15)
     assert po.Output("mean_draft", upper="8 kN").upper == 8e3

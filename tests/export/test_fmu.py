@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from fmpy.fmi3 import FMU3Model
 from fmpy.validation import validate_fmu
-from helpers.fmu_tools import ARRAYS, CLOSELY, WITHIN, Stepped, differences, instance_of, scene_with, simulated
+from helpers.fmu_tools import ARRAYS, CLOSELY, WITHIN, Stepped, differences, fmu_scene, instance_of, simulated
+from helpers.scenes import Shank
 
 import plough_opt as po
 from plough_opt.exchange.named_scene import NamedScene
@@ -19,24 +20,13 @@ STRENGTHLESS = dataclasses.replace(po.named_soil("serozem"), cohesion=0.0, ambie
 REFERENCE = po.Accuracy(error=1e-10)
 
 
-@dataclasses.dataclass(frozen=True)
-class Shank:
-    """An own resistance."""
-
-    static: float
-    viscous: float
-
-    def force(self, travel, speed):
-        return self.static * (1.0 + 0.1 * travel) + self.viscous * speed
-
-
 CASES = {
     "every smooth effect": {"strength_wave": po.StrengthWave(0.3, 0.2), "damping": 400.0, "rate_term": 0.05,
                             "tow_ramp": 0.3},
     "smooth contact": {"contact": po.Smooth(0.1), "strength_wave": WAVE, "start": "towed"},
     "stick and slip": {"contact": po.StickSlip(1.3), "strength_wave": WAVE, "start": "rest"},
     "entry, stick and slip": {"contact": po.StickSlip(1.2), "strength_wave": WAVE, "start": "rest", "entry": True},
-    "own resistance": {"own": (Shank(150.0, 80.0),), "strength_wave": WAVE, "added_mass": False},
+    "own resistance": {"own": (Shank(150.0, 80.0, per_metre=15.0),), "strength_wave": WAVE, "added_mass": False},
 }  # fmt: skip
 MORE_CASES = {
     "from rest": {"start": "rest", "damping": 300.0, "inertial_drag": False, "ambient_pressure": False},
@@ -64,8 +54,8 @@ EDGES = {
     ],
 )
 def test_simulates_to_the_same_motion(effects, changes, tmp_path):
-    effects = po.Effects(**effects)
-    scene = scene_with(effects, **changes)
+    scene = fmu_scene(**effects, **changes)
+    effects = scene.effects
     fmu = write_fmu(scene, tmp_path / "share.fmu")
     assert validate_fmu(str(fmu)) == []
     run = po.simulate(scene, DURATION, accuracy=REFERENCE, outputs=200)
@@ -87,7 +77,7 @@ def test_simulates_to_the_same_motion(effects, changes, tmp_path):
 
 
 def test_another_scene_by_its_parameters_starts_from_its_own_equilibrium(r1_soil, tmp_path):
-    first = scene_with(po.Effects(strength_wave=po.StrengthWave(0.2, 0.3), damping=500.0, rate_term=0.01))
+    first = fmu_scene(strength_wave=po.StrengthWave(0.2, 0.3), damping=500.0, rate_term=0.01)
     effects = po.Effects(strength_wave=po.StrengthWave(0.4, 0.25), damping=700.0, rate_term=0.03)
     share = po.Wedge(po.deg(35.0), po.deg(20.0), 0.2)
     mass = 25.0 + share.equivalent_cone().solid_mass(7800.0)
@@ -143,7 +133,7 @@ def ramped(time, speed=1.5, ramp=0.4):
 def test_a_speed_signal_equals_a_tow_ramp(tmp_path):
     # A scene without events that never retreats.
     constant, ramping = (
-        scene_with(po.Effects(strength_wave=po.StrengthWave(0.3, 0.2), damping=900.0, tow_ramp=ramp), stiffness=1e5)
+        fmu_scene(strength_wave=po.StrengthWave(0.3, 0.2), damping=900.0, tow_ramp=ramp, stiffness=1e5)
         for ramp in (None, 0.4)
     )
     run = po.simulate(ramping, DURATION, accuracy=REFERENCE, outputs=200)
@@ -156,7 +146,7 @@ def test_a_speed_signal_equals_a_tow_ramp(tmp_path):
 
 
 def test_a_linear_position_equals_a_tow_speed(tmp_path):
-    scene = scene_with(po.Effects(strength_wave=WAVE, contact=po.StickSlip(1.3)))
+    scene = fmu_scene(strength_wave=WAVE, contact=po.StickSlip(1.3))
     fmu = write_fmu(scene, tmp_path / "share.fmu", strut="position")
     assert validate_fmu(str(fmu)) == []
     run = po.simulate(scene, DURATION, accuracy=REFERENCE, outputs=200)
@@ -166,7 +156,7 @@ def test_a_linear_position_equals_a_tow_speed(tmp_path):
 
 def test_a_parameter_may_change_at_an_event(tmp_path):
     # Without wave, drag and damper the deflection is a cosine about F0/k0, for each stiffness.
-    scene = scene_with(po.Effects(inertial_drag=False, start="towed"))
+    scene = fmu_scene(inertial_drag=False, start="towed")
     fmu = write_fmu(scene, tmp_path / "share.fmu")
     load, inertia, half = scene.reaction.static, scene.inertia, DURATION / 2.0
     first, second = 3e5, 1.2e6

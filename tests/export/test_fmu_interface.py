@@ -14,22 +14,23 @@ import pint
 import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
-from helpers.fmu_tools import DOUBLES, WITHIN, differences, instance_of, scene_with, simulated
+from helpers.fmu_tools import DOUBLES, WITHIN, differences, fmu_scene, instance_of, simulated
 
 import plough_opt as po
 from plough_opt.core.expressions import exp
 from plough_opt.export import write_fmu
 
 ROOT = Path(__file__).parents[2]
-EFFECTS = po.Effects(
-    strength_wave=po.StrengthWave(0.3, 0.2), damping=900.0, rate_term=0.05, contact=po.Smooth(0.2), tow_ramp=0.3
-)
+EFFECTS = {
+    "strength_wave": po.StrengthWave(0.3, 0.2), "damping": 900.0, "rate_term": 0.05, "contact": po.Smooth(0.2),
+    "tow_ramp": 0.3,
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def scene():
     """A scene with every effect that is smooth, at the end of the ramp where speeds are up."""
-    return scene_with(EFFECTS, stiffness=1e5)
+    return fmu_scene(**EFFECTS, stiffness=1e5)
 
 
 @pytest.fixture(scope="module")
@@ -81,8 +82,8 @@ def test_every_variable_is_described_and_every_quantity_has_its_unit(fmu):
 
 
 def test_effects_that_are_off_add_no_variables(tmp_path):
-    bare = po.Effects(inertial_drag=False, added_mass=False, ambient_pressure=False)
-    written = write_fmu(scene_with(bare), tmp_path / "bare.fmu", binary=False)
+    bare = fmu_scene(inertial_drag=False, added_mass=False, ambient_pressure=False)
+    written = write_fmu(bare, tmp_path / "bare.fmu", binary=False)
     names = {variable.name for variable in fmpy.read_model_description(str(written)).modelVariables}
     assert not [name for name in names if name.startswith(("effects.", "event_indicator", "mode"))]
     assert not names & {"soil.density", "soil.ambient_pressure", "share.drag_coefficient", "share.added_mass"}
@@ -113,7 +114,7 @@ def test_derivatives_are_those_of_the_values(instance):
 
 
 def test_derivatives_at_the_start_go_through_the_equilibrium(tmp_path):
-    scene = scene_with(po.Effects(rate_term=0.05))
+    scene = fmu_scene(rate_term=0.05)
     fmu, references = instance_of(write_fmu(scene, tmp_path / "share.fmu"))
     fmu.enterInitializationMode()
 
@@ -128,7 +129,7 @@ def test_derivatives_at_the_start_go_through_the_equilibrium(tmp_path):
     assert derivative("travel", "strut_speed") == pytest.approx(-by_speed, rel=1e-13)
     assert derivative("mount_force", "scene.stiffness") == pytest.approx(0.0, abs=1e-13 * deflection)
     # F0 is linear in the cohesion.
-    firmer = scene_with(po.Effects(), soil=dataclasses.replace(scene.soil, cohesion=scene.soil.cohesion + 1e4))
+    firmer = fmu_scene(soil=dataclasses.replace(scene.soil, cohesion=scene.soil.cohesion + 1e4))
     slope = (firmer.reaction.static - load) / 1e4
     assert derivative("share.static_resistance", "soil.cohesion") == pytest.approx(slope, rel=1e-12)
     fmu.freeInstance()
@@ -217,11 +218,8 @@ def test_calls_in_the_wrong_mode_are_refused(fmu):
 
 
 def test_a_retreating_share_is_logged(tmp_path, capsys):
-    for effects, warned in (
-        (po.Effects(start="rest"), True),
-        (po.Effects(start="rest", contact=po.Smooth(0.1)), False),
-    ):
-        simulated(write_fmu(scene_with(effects), tmp_path / "share.fmu"), 0.2)
+    for contact, warned in (("resisting", True), (po.Smooth(0.1), False)):
+        simulated(write_fmu(fmu_scene(start="rest", contact=contact), tmp_path / "share.fmu"), 0.2)
         assert ("[WARNING] the share retreats at" in capsys.readouterr().out) is warned
 
 
@@ -246,8 +244,8 @@ def test_a_density_profile_has_no_derivatives(tmp_path):
     soil = po.named_soil("serozem").with_density_profile(
         lambda r, width: 1450 + 250 * exp(-((r / width) ** 2)), 0.2, order=2
     )
-    effects = po.Effects(strength_wave=po.StrengthWave(0.3, 0.2), damping=900.0)
-    written = write_fmu(scene_with(effects, soil=soil), tmp_path / "profile.fmu")
+    effects = {"strength_wave": po.StrengthWave(0.3, 0.2), "damping": 900.0}
+    written = write_fmu(fmu_scene(**effects, soil=soil), tmp_path / "profile.fmu")
     assert validate_fmu(str(written)) == []
     exchange = ElementTree.fromstring(zipfile.ZipFile(written).read("modelDescription.xml")).find("ModelExchange")
     assert exchange.get("providesDirectionalDerivatives") == exchange.get("providesAdjointDerivatives") == "false"
@@ -257,7 +255,7 @@ def test_a_density_profile_has_no_derivatives(tmp_path):
         made.getDirectionalDerivative([references["deflection"]], [references["scene.stiffness"]], [1.0])
     made.freeInstance()
     wider = po.named_soil("serozem").with_density_profile(soil.density_profile.density, 0.3, order=2)
-    run = po.simulate(scene_with(effects, soil=wider), 0.6, accuracy=po.Accuracy(error=1e-10), outputs=200)
+    run = po.simulate(fmu_scene(**effects, soil=wider), 0.6, accuracy=po.Accuracy(error=1e-10), outputs=200)
     found = simulated(written, 0.6, start_values={"soil.density_profile.parameters[1]": 0.3})
     assert max(differences(found, run).values()) < WITHIN
 
@@ -265,7 +263,7 @@ def test_a_density_profile_has_no_derivatives(tmp_path):
 def test_the_same_scene_gives_the_same_file(scene, tmp_path):
     first, second = (write_fmu(scene, tmp_path / name, binary=False) for name in ("first.fmu", "second.fmu"))
     assert first.read_bytes() == second.read_bytes()
-    other = write_fmu(scene_with(EFFECTS), second, binary=False)
+    other = write_fmu(fmu_scene(**EFFECTS), second, binary=False)
     tokens = {fmpy.read_model_description(str(path)).instantiationToken for path in (first, other)}
     assert len(tokens) == 2
     page = zipfile.ZipFile(first).read("documentation/index.html").decode()
@@ -277,13 +275,13 @@ def test_the_same_scene_gives_the_same_file(scene, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "options", "words"),
     [
-        ({"effects": po.Effects(motion=False)}, {}, "has nothing to integrate"),
-        ({"effects": po.Effects(strength_wave=po.StrengthWave(0.3, 0.2), orbit="periodic")}, {}, "has no start"),
+        ({"motion": False}, {}, "has nothing to integrate"),
+        ({"orbit": "periodic"}, {}, "has no start"),
         ({"stiffness": ca.MX.sym("k")}, {}, "evaluate it with best"),
         ({"stiffness": np.array([1e4, 2e4])}, {}, "an array of 2 values"),
         ({}, {"strut": "acceleration"}, "must be 'speed' or 'position'"),
-        ({}, {"strut": "position"}, "a damper in the mount needs the strut's speed"),
-        ({"effects": po.Effects(tow_ramp=0.3)}, {"strut": "position"}, "leave tow_ramp out"),
+        ({"damping": 3.0}, {"strut": "position"}, "a damper in the mount needs the strut's speed"),
+        ({"tow_ramp": 0.3}, {"strut": "position"}, "leave tow_ramp out"),
         ({"mass": 1.0}, {"steel_density": 7850.0}, "more than the whole moving mass of 1 kg"),
         ({}, {"steel_density": -1.0}, "density of the share's material = -1 kg/m^3 must be at least 0"),
         ({}, {"duration": 0.0}, "duration = 0 s must be above 0"),
@@ -294,7 +292,7 @@ def test_bad_exports_are_refused_and_change_no_file(changes, options, words, tmp
     path = tmp_path / "share.fmu"
     path.write_text("as it was")
     with pytest.raises((po.InputError, po.DomainError), match=re.escape(words)):
-        write_fmu(scene_with(**{"effects": EFFECTS} | changes), path, **options)
+        write_fmu(fmu_scene(strength_wave=po.StrengthWave(0.3, 0.2), **changes), path, **options)
     assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("share.fmu", "as it was")]
 
 

@@ -8,6 +8,7 @@ from fmpy.fmi3 import FMU3Model
 from scipy.integrate import solve_ivp
 
 import plough_opt as po
+from helpers.scenes import scene_of
 
 # FMPy's CVode holds the absolute error to the relative tolerance times the nominal values. Of its relative tolerance of
 # 1e-11 some hundred steps of order 5 leave a few 1e-8.
@@ -20,9 +21,8 @@ ARRAYS = ("travel", "speed", "deflection", "mount_force", "soil_resistance")
 SHARE = po.Wedge(po.deg(45.0), po.deg(15.0), 0.25)
 
 
-def scene_with(effects, **changes):
-    given = {"soil": po.named_soil("serozem"), "share": SHARE, "stiffness": 3e5, "mass": 30.0, "tow_speed": 1.5}
-    return po.Scene(**given | changes, effects=effects)
+def fmu_scene(**changes):
+    return scene_of(**{"share": SHARE, "stiffness": 3e5, "mass": 30.0, "tow_speed": 1.5} | changes)
 
 
 def instance_of(path, kind=FMU3Model, log=None):

@@ -49,8 +49,6 @@ _USED = 0.9
 _STALLED = 1e4
 # Most iterations of Newton's method for a periodic orbit.
 _MOST_ITERATIONS = 20
-# If an iteration leaves more than this part of the mismatch, the derivative is computed anew.
-_SLOW = 0.1
 # Names of the events that end each mode of contact: with stick-slip, and for an entering share without it.
 _ENDS_OF_CONTACT: Final = {SLIP: "stop", STICK: "move", GAP: "recapture"}
 _ENDS_OF_ENTRY: Final = {SLIP: "retreat", GAP: "advance"}
@@ -284,19 +282,17 @@ def orbit(motion: Motion, guess: Wide, outputs: int, degree: int) -> IntegratedM
     def after(first: Wide) -> Wide:
         return follow(motion, period, 1, degree, first).states[-1]
 
-    least, slope = np.inf, np.zeros((2, 2))
-    for iteration in range(_MOST_ITERATIONS):
+    nudges = np.diag(WIDE(math.sqrt(EPS)) * unit)
+    columns = [(after(guess + nudge) - after(guess - nudge)) / (2 * np.max(nudge)) for nudge in nudges]
+    slope, least = np.array(columns, float).T - np.eye(2), np.inf
+    for _ in range(_MOST_ITERATIONS):
         miss = after(state) - state
         size = float(np.max(np.abs(miss) / unit))
         if size <= 2 * EPS or (size < _STALLED * EPS and size >= least):
             return follow(motion, period, outputs, degree, state)
-        if not iteration or size > _SLOW * least:
-            nudges = np.diag(WIDE(math.sqrt(EPS)) * unit)
-            columns = [(after(state + nudge) - after(state - nudge)) / (2 * np.max(nudge)) for nudge in nudges]
-            slope = np.array(columns, float).T
         least = size
-        # A step with the digits of a double is enough, because the next step adds as many again.
-        state = state - np.linalg.solve(slope - np.eye(2), miss.astype(float))
+        # The guess and a step have the digits of a double: each step adds as many again.
+        state = state - np.linalg.solve(slope, miss.astype(float))
     raise IntegrationError("no periodic orbit was found near that of the simulation")
 
 

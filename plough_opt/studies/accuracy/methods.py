@@ -8,7 +8,6 @@ from typing import Any, Final, TypeVar
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.compiler import find_compiler
 from plough_opt.core.errors import IntegrationError, PloughError
 from plough_opt.core.expressions import as_number
 from plough_opt.motion import Run, simulate
@@ -157,7 +156,7 @@ def integrators(task: Task, reference: Reference) -> list[Entry]:
     able, refused = _by_ability(task.scene)
     families: list[tuple[str, str, dict[str, str], bool]] = [("integrator", AUTO, {m: m for m in able}, False)]
     structure = Structure.of(task.scene)
-    if structure.stepped and find_compiler() is not None and compiled_steps(structure) is not None:
+    if structure.stepped and compiled_steps(structure) is not None:
         families.append((MACHINE_CODE, COMPILED, {BARE: "dop853"}, True))
     errors = partial(errors_of, reference=reference.run)
     entries = []

@@ -151,44 +151,36 @@ class AccuracyStudy(Saveable):
 
     def advise(self, question: Question) -> str:
         """Return a sentence on what to choose for the wanted error, and how the default compares."""
-        entries, key = self.of(question), question.error
+        entries, key, wanted = self.of(question), question.error, error_text(self.wanted)
         best = cheapest(entries, key, self.wanted)
         if best is None:
             nearest = min(entries, key=lambda entry: entry.errors[key])
-            advice = (
-                f"nothing tried reaches {error_text(self.wanted)}; the nearest is {nearest.label} with"
-                f" {nearest.errors[key]:.0e} in {duration_text(nearest.seconds)}"
-            )
+            clauses = [
+                f"nothing tried reaches {wanted}; the nearest is {nearest.label} with {nearest.errors[key]:.0e}"
+                f" in {duration_text(nearest.seconds)}"
+            ]
         else:
-            advice = f"for {error_text(self.wanted)} take {best.label}: {_result(best, key)}"
             # "auto" integrates twice by methods that stand here once. It is compared separately below.
             twice = () if best.checked is None else (AUTO, COMPILED)
             others = [entry for entry in entries if entry.method not in (best.method, *twice)]
             second = cheapest(others, key, self.wanted)
+            than = ", the only method that reaches it" if others else ""
             if second is not None:
-                advice += f", {_cheaper(second.seconds / best.seconds)} {second.label}"
-            elif others:
-                advice += ", the only method that reaches it"
+                than = f", {_cheaper(second.seconds / best.seconds)} {second.label}"
+            clauses = [f"for {wanted} take {best.label}: {_result(best, key)}{than}"]
             if best.checked is not None:
-                advice += f"; {duration_text(best.checked)} with the check of simulate"
-        return f"{question.title}: {advice}{self._compared_defaults(question, best)}."
-
-    def _compared_defaults(self, question: Question, best: Entry | None) -> str:
-        """Return clauses on `simulate` with the wanted error, and on the default, compared with the best entry."""
-        found = {(entry.method, entry.setting): entry for entry in self.of(question)}
-        setting = f"error {error_text(self.wanted)}"
-        aimed = found.get((AUTO, setting)) or found.get((COMPILED, setting))
+                clauses.append(f"{duration_text(best.checked)} with the check of simulate")
+        found = {(entry.method, entry.setting): entry for entry in entries}
         default = found.get(question.default)
-        clauses = ""
-        if aimed is not None and aimed is not default:
-            name = f"Accuracy(error={error_text(self.wanted)})"
-            name += ", compiled=True" if aimed.method == COMPILED else ""
-            clauses += f"; that is {name}" if aimed is best else f"; {name} takes {_compared(aimed, best, question)}"
-        if default is not None and default is best:
-            return f"{clauses}; that is the default"
+        for method, compiled in ((AUTO, ""), (COMPILED, ", compiled=True")):
+            aimed, name = found.get((method, f"error {wanted}")), f"Accuracy(error={wanted}){compiled}"
+            if aimed is not None and aimed is not default:
+                takes = f"{name} takes {_compared(aimed, best, question)}"
+                clauses.append(f"that is {name}" if aimed is best else takes)
         if default is not None:
-            clauses += f"; the default, {default.label}, takes {_compared(default, best, question)}"
-        return clauses
+            takes = f"the default, {default.label}, takes {_compared(default, best, question)}"
+            clauses.append("that is the default" if default is best else takes)
+        return f"{question.title}: {'; '.join(clauses)}."
 
     @property
     def advice(self) -> str:

@@ -1,5 +1,6 @@
 """Functions `study_accuracy` and `study_design`: what accuracy costs in time, and which method to choose."""
 
+import contextlib
 import platform
 import time
 from collections.abc import Callable
@@ -284,11 +285,9 @@ def _thoroughness(design: Design, *, limit: float, thin: bool, progress: Progres
 
 def _solved(design: Design, search: Search, seed: int) -> tuple[Optimum | None, float]:
     """Return the optimum that a search finds, or None, and its time [s]."""
-    began = time.perf_counter()
-    try:
+    began, best = time.perf_counter(), None
+    with contextlib.suppress(InfeasibleDesign, NotConverged):
         best = design.solve(search=search, seed=seed)
-    except (InfeasibleDesign, NotConverged):
-        return None, time.perf_counter() - began
     return best, time.perf_counter() - began
 
 

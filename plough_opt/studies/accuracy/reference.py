@@ -26,8 +26,10 @@ QUANTITIES: Final = ("stiffness", "mass", "tow_speed")
 AVERAGES: Final = ("mean_draft", "force_rms")
 """Averages whose gradients are taken."""
 
-# Weights of f(k) - f(-k) for k = 1 to 4 in the derivative at 0: central differences of order 8.
-_WEIGHTS: Final = (WIDE(4) / 5, -WIDE(1) / 5, WIDE(4) / 105, -WIDE(1) / 280)
+# Weights of f(k) for k = -4 to -1 and 1 to 4 in the derivative at 0: central differences of order 8.
+_HALF: Final = (WIDE(4) / 5, -WIDE(1) / 5, WIDE(4) / 105, -WIDE(1) / 280)
+_PLACES: Final = (-4, -3, -2, -1, 1, 2, 3, 4)
+_WEIGHTS: Final = np.sign(_PLACES) * np.array([*_HALF[::-1], *_HALF])
 
 
 def errors_of(found: Any, reference: Any) -> dict[str, float]:
@@ -133,25 +135,16 @@ def reference_gradient(scene: Scene, duration: float | None) -> ReferenceGradien
     """
     integrate = _integrator(scene, duration)
 
-    def averages(name: str, factor: Wide) -> tuple[Wide, list[str]]:
-        varied = replace(scene, **{name: WIDE(getattr(scene, name)) * factor})
-        found = integrate(varied, 1, DEGREE)
-        run = found.run()
-        return np.array([getattr(run, average) for average in AVERAGES]), [event for _, event in found.events]
+    def difference(name: str, h: Wide) -> Wide:
+        factors = [1 + k * h for k in _PLACES]
+        found = [integrate(replace(scene, **{name: WIDE(getattr(scene, name)) * f}), 1, DEGREE) for f in factors]
+        if len({tuple(event for _, event in motion.events) for motion in found}) > 1:
+            raise IntegrationError("the events change with the quantities of the scene, so there is no gradient")
+        runs = [motion.run() for motion in found]
+        return _WEIGHTS @ np.array([[getattr(run, average) for average in AVERAGES] for run in runs]) / h
 
     def differences(h: Wide) -> Wide:
-        columns = []
-        for name in QUANTITIES:
-            column = np.zeros(len(AVERAGES), WIDE)
-            for k, weight in enumerate(_WEIGHTS, start=1):
-                (up, one), (down, other) = (averages(name, 1 + sign * k * h) for sign in (1, -1))
-                if one != other:
-                    raise IntegrationError(
-                        "the events change with the quantities of the scene, so there is no gradient"
-                    )
-                column = column + weight * (up - down)
-            columns.append(column / h)
-        return np.array(columns).T
+        return np.array([difference(name, h) for name in QUANTITIES]).T
 
     # The quantities shift the phase of oscillation and wave, so the step shrinks with the whole phase. An orbit has one
     # turn.

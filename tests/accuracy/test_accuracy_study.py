@@ -4,11 +4,12 @@ import dataclasses
 import io
 import math
 import re
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.problem_files import PROBLEMS
+from helpers.scenes import SEROZEM, scene_of
 from matplotlib.figure import Figure
 from rich.console import Console
 
@@ -23,20 +24,13 @@ from plough_opt.studies.accuracy.methods import AUTO, COMPILED, Task, prepared
 from plough_opt.studies.accuracy.quadratures import profile_reaction
 from plough_opt.studies.accuracy.result import AccuracyStudy
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
-SOIL = po.named_soil("serozem")
 WAVE = po.StrengthWave(amplitude=0.3, wavelength=0.2)
-
-
-def scene(stiffness=5e4, tow_speed=2.0, soil=SOIL, medium="plastic", **effects):
-    share = po.Wedge(po.deg(30), po.deg(15), 0.25)
-    return po.Scene(soil, share, stiffness, 25.0, tow_speed, po.Effects(**effects), medium=medium)
 
 
 @pytest.fixture(scope="module", params=["thin", pytest.param("full", marks=pytest.mark.slow)])
 def linear(request):
     """Return a scene with a closed form, and its study, with a clock by which no method takes too long."""
-    plain = scene(start="rest", inertial_drag=False)
+    plain = scene_of(start="rest", inertial_drag=False)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(contest, "least_times", lambda uses, *_: [1e-3] * len(uses))
         study = po.study_accuracy(
@@ -94,9 +88,9 @@ class TestErrors:
         assert all(0.0 < e.checked < math.inf and e.setup > 0.0 for e in named)
 
     def test_the_wanted_error_is_one_that_auto_aims_at(self):
-        task = Task(scene(), 0.2, 4, 1.0, thin=True, wanted=3e-7)
+        task = Task(scene_of(), 0.2, 4, 1.0, thin=True, wanted=3e-7)
         assert [a.error for a in methods.automatic_settings(task)] == [1e-3, 1e-6, 3e-7, 1e-8, 1e-10]
-        task = Task(scene(), 0.2, 4, 1.0, thin=True, wanted=1e-15)
+        task = Task(scene_of(), 0.2, 4, 1.0, thin=True, wanted=1e-15)
         assert min(a.error for a in methods.automatic_settings(task)) == 1e-12
 
     def test_gradients_of_the_finest_settings_agree_with_the_reference(self, linear):
@@ -127,7 +121,7 @@ def test_thin_and_full_studies_and_a_repetition_give_the_same_advice(name):
 def damped():
     """Return the study of a transient that tends to a periodic orbit."""
     return po.study_accuracy(
-        scene(strength_wave=WAVE, damping=400.0), 0.5, outputs=8, thin=True, allowance=0.2, derivatives=False
+        scene_of(strength_wave=WAVE, damping=400.0), 0.5, outputs=8, thin=True, allowance=0.2, derivatives=False
     )
 
 
@@ -159,7 +153,7 @@ class TestModels:
 
     def test_a_stand_in_scene_is_measured_against_the_orbit(self):
         study = po.study_accuracy(
-            scene(strength_wave=WAVE, damping=400.0, orbit="linearised"),
+            scene_of(strength_wave=WAVE, damping=400.0, orbit="linearised"),
             outputs=8,
             thin=True,
             allowance=0.01,
@@ -176,30 +170,30 @@ class TestQuadratures:
     """Quadratures over the density profile, the path and the face."""
 
     def test_a_constant_profile_has_the_closed_form(self):
-        flat = SOIL.with_density_profile(lambda r: 1350.0 / 0.794 + 0.0 * r, order=8)
-        task = Task(scene(soil=flat), 1.0, 4, 1.0)
+        flat = SEROZEM.with_density_profile(lambda r: 1350.0 / 0.794 + 0.0 * r, order=8)
+        task = Task(scene_of(soil=flat), 1.0, 4, 1.0)
         found = quadratures.density_profile(task)
         assert all(e.errors["reaction"] < 1e-11 for e in found[0] if int(e.setting.split()[1]) >= 8)
         # Some units in the last place.
         assert found[1] < 1e-14
         exact = profile_reaction(task.scene.cone, flat, 4, 24)
-        plain = soil_reaction(task.scene.cone, SOIL)
+        plain = soil_reaction(task.scene.cone, SEROZEM)
         for name in ("static", "drag", "added_mass"):
             assert float(getattr(exact, name)) == pytest.approx(float(getattr(plain, name)), rel=2e-15)
 
     def test_the_reference_of_a_profile_has_another_rule_and_the_same_limit(self):
         # Soil without internal friction, with a dense core a third as wide as the front.
-        core = dataclasses.replace(SOIL, friction_angle=0.0).with_density_profile(
+        core = dataclasses.replace(SEROZEM, friction_angle=0.0).with_density_profile(
             lambda r, w: 1350 * (1.08 + 0.3 / (1.0 + (r / w) ** 2)), 0.05, order=64
         )
-        cone = scene().cone
+        cone = scene_of().cone
         exact, finest = profile_reaction(cone, core, 4, 24), soil_reaction(cone, core)
         for name in ("static", "drag", "added_mass"):
             assert float(getattr(exact, name)) == pytest.approx(float(getattr(finest, name)), rel=1e-13)
 
     def test_orders_of_a_profile_converge(self):
-        varied = SOIL.with_density_profile(lambda r, w: 1350 * (1.05 + 0.3 * exp(-((r / w) ** 2))), 0.15, order=12)
-        study = po.study_accuracy(scene(soil=varied, motion=False), 0.1, outputs=4, allowance=0.05)
+        varied = SEROZEM.with_density_profile(lambda r, w: 1350 * (1.05 + 0.3 * exp(-((r / w) ** 2))), 0.15, order=12)
+        study = po.study_accuracy(scene_of(soil=varied, motion=False), 0.1, outputs=4, allowance=0.05)
         (question,) = (q for q in study.questions if q.error == "reaction")
         errors = [e.errors["reaction"] for e in study.of(question)]
         assert errors[0] > 1e-4
@@ -208,7 +202,7 @@ class TestQuadratures:
 
     def test_a_quasi_static_course_in_closed_form(self):
         # Over ten whole waves the mean is that of the constant part, and the RMS eps F0/sqrt(2).
-        waves = scene(motion=False, strength_wave=WAVE)
+        waves = scene_of(motion=False, strength_wave=WAVE)
         study = po.study_accuracy(waves, 1.0, outputs=5, allowance=0.05)
         (question,) = study.questions
         static = float(waves.reaction.static)
@@ -222,7 +216,7 @@ class TestQuadratures:
 
     def test_the_elastic_contact_by_two_quadratures(self):
         # This blunt cone loses contact on a seventh of its face.
-        blunt = dataclasses.replace(scene(motion=False, medium="elastic"), share=po.Cone(po.deg(40), 0.25))
+        blunt = dataclasses.replace(scene_of(motion=False, medium="elastic"), share=po.Cone(po.deg(40), 0.25))
         study = po.study_accuracy(blunt, 1.0, thin=True, allowance=0.05)
         errors = {e.label: e.errors["contact force"] for e in study.entries}
         assert errors["graded cells"] < 1e-11
@@ -234,7 +228,7 @@ class TestWhatIsLeftOut:
     """Failures are rows with the reason."""
 
     def test_methods_without_events(self):
-        sticks = scene(tow_speed=0.5, start="rest", contact=po.StickSlip(1.2), damping=50.0)
+        sticks = scene_of(tow_speed=0.5, start="rest", contact=po.StickSlip(1.2), damping=50.0)
         study = po.study_accuracy(sticks, 0.05, outputs=2, thin=True, allowance=0.02)
         refused = {e.method: e.failure for e in study.failures}
         assert {"dop853", "collocation", "rk", "cvodes", "idas"} <= set(refused)
@@ -243,14 +237,14 @@ class TestWhatIsLeftOut:
         assert {e.method for e in study.entries if e.family == "derivatives"} == {"auto", "erk", "rosenbrock"}
 
     def test_what_enters_the_soil_has_no_quasi_static_limit(self):
-        enters = scene(start="towed", entry=True)
+        enters = scene_of(start="towed", entry=True)
         study = po.study_accuracy(enters, 0.05, outputs=2, thin=True, allowance=1e-4, derivatives=False)
         refused = {e.method: e.failure for e in study.failures}
         assert refused["quasi-static"] == "its share is wholly buried from the start, so it cannot enter"
 
     def test_what_takes_too_long_is_cut_off_and_the_default_late(self, monkeypatch):
         monkeypatch.setattr(studies, "WIDER", False)
-        study = po.study_accuracy(scene(), 0.1, outputs=4, allowance=1e-9, derivatives=False)
+        study = po.study_accuracy(scene_of(), 0.1, outputs=4, allowance=1e-9, derivatives=False)
         cut = {e.label: e for e in study.failures if "cut off" in e.failure}
         assert {"dop853", "rk", "auto"} <= {e.method for e in cut.values()}
         assert all(math.isinf(e.seconds) and not e.errors for e in cut.values())
@@ -263,7 +257,7 @@ class TestWhatIsLeftOut:
         assert any("no floats wider than a double" in note for note in study.notes)
 
     def test_a_method_that_breaks_down_says_so(self):
-        task = Task(scene(stiffness=5e6, strength_wave=WAVE), 0.5, 4, 1.0)
+        task = Task(scene_of(stiffness=5e6, strength_wave=WAVE), 0.5, 4, 1.0)
         method = contest.Contestant("integrator", "rk", lambda accuracy: prepared(task, accuracy), dict,
                               (po.Accuracy("rk", steps=40),))  # fmt: skip
         (entry,) = contest.measured([method], "averages", 1e-6, 1.0)
@@ -271,7 +265,7 @@ class TestWhatIsLeftOut:
 
     def test_without_a_reference_a_note_says_why(self):
         # The soil drives this share away without bound.
-        study = po.study_accuracy(scene(stiffness=50.0, start="rest", formulation="printed"), 0.5, outputs=4)
+        study = po.study_accuracy(scene_of(stiffness=50.0, start="rest", formulation="printed"), 0.5, outputs=4)
         assert study.questions == ()
         assert any("no reference for the motion: the reference stops at" in note for note in study.notes)
         assert study.advice == ""
@@ -284,12 +278,12 @@ class TestWhatIsLeftOut:
             ({"wanted": 0.5}, "wanted error"),
             ({"outputs": 0}, "outputs = 0"),
             ({"allowance": 0.0}, "time allowed"),
-            ({"scene": scene(strength_wave=WAVE, orbit="periodic")}, "duration must be omitted"),
-            ({"scene": scene(stiffness=ca.MX.sym("k"))}, "holds symbols"),
+            ({"scene": scene_of(strength_wave=WAVE, orbit="periodic")}, "duration must be omitted"),
+            ({"scene": scene_of(stiffness=ca.MX.sym("k"))}, "holds symbols"),
         ],
     )
     def test_wrong_inputs(self, change, said):
-        given = {"scene": scene(), "duration": 0.1} | change
+        given = {"scene": scene_of(), "duration": 0.1} | change
         with pytest.raises((po.InputError, po.DomainError), match=said):
             po.study_accuracy(given.pop("scene"), given.pop("duration"), **given)
 

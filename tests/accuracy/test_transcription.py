@@ -4,6 +4,8 @@ The true optimum of problem R1 is the best of 1.9 million simulations on a grid,
 residual of 1e-9 and checked in long double.
 """
 
+import math
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -25,20 +27,18 @@ def question_of(d):
 
 
 @pytest.fixture(scope="module")
-def r1(r1_soil, r1_wave):
-    """Build problem R1, with expressions of the run added to its requirements."""
+def r1(r1_scene, r1_wave):
+    """Build problem R1."""
     d = po.Design()
     angle = d.variable("wedge angle", guess=po.deg(25.0), lower=po.deg(5.0), upper=po.deg(60.0), unit="rad")
     height = d.variable("height", guess=0.25, lower=0.10, upper=0.50, unit="m")
     k0 = d.variable("stiffness", guess=5e4, lower=5e3, upper=5e5, unit="N/m", log=True)
-    share = po.Wedge(angle, po.deg(15.0), height)
-    cone = share.equivalent_cone()
-    mass = 20.0 + cone.solid_mass(7850.0)
-    run = po.simulate(po.Scene(r1_soil, share, k0, mass, 2.0, po.Effects(strength_wave=r1_wave)), 2.0)
+    scene = r1_scene(angle * (180.0 / math.pi), height, k0, strength_wave=r1_wave)
+    run = po.simulate(scene, 2.0)
     d.minimise(run.mean_draft / 1e3 + run.force_rms / 1e3)
-    d.require("loosened radius", po.loosened_radius(cone, r1_soil), at_least=0.12, unit="m")
+    d.require("loosened radius", scene.loosened_radius, at_least=0.12, unit="m")
     d.require("mean deflection", run.mean_draft / k0, at_most=0.15, unit="m")
-    d.require("half angle", cone.half_angle, at_most=po.deg(15.0), unit="rad")
+    d.require("half angle", scene.cone.half_angle, at_most=po.deg(15.0), unit="rad")
     return question_of(d)
 
 

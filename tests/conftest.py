@@ -107,7 +107,11 @@ def batch_of(r1_scene):
     return build
 
 
-FLAGS = ("drag", "rate", "wave", "ramp", "damper", "rest")
+# Argument of `plough_opt.Effects` -> its value without and with the effect, which is strong enough to matter.
+EFFECTS = {
+    "inertial_drag": (False, True), "rate_term": (None, 0.05), "strength_wave": (None, po.StrengthWave(0.3, 0.6)),
+    "tow_ramp": (None, 0.137), "damping": (None, 250.0), "start": ("equilibrium", "rest"),
+}  # fmt: skip
 
 
 def _is_covering(drag, rate, wave, ramp, damper, rest):
@@ -140,26 +144,13 @@ def r1_wave():
 @pytest.fixture(
     params=[
         pytest.param(
-            dict(zip(FLAGS, flags, strict=True)),
-            id="+".join(name for name, on in zip(FLAGS, flags, strict=True) if on) or "none",
+            {name: EFFECTS[name][on] for name, on in zip(EFFECTS, flags, strict=True)},
+            id="+".join(name for name, on in zip(EFFECTS, flags, strict=True) if on) or "none",
             marks=() if _is_covering(*flags) else pytest.mark.slow,
         )
-        for flags in itertools.product((False, True), repeat=len(FLAGS))
+        for flags in itertools.product((False, True), repeat=len(EFFECTS))
     ]
 )
-def combination(request):
-    """Return which effects are on: by default eight combinations that cover all pairs, with the slow tests all 64."""
+def effects(request):
+    """Return the arguments of `plough_opt.Effects`: eight combinations that cover all pairs, and in slow tests all."""
     return request.param
-
-
-@pytest.fixture
-def effects(combination):
-    """Return the arguments of `plough_opt.Effects` for a combination, each strong enough to matter."""
-    return {
-        "inertial_drag": combination["drag"],
-        "rate_term": 0.05 if combination["rate"] else None,
-        "strength_wave": po.StrengthWave(0.3, 0.6) if combination["wave"] else None,
-        "tow_ramp": 0.137 if combination["ramp"] else None,
-        "damping": 250.0 if combination["damper"] else None,
-        "start": "rest" if combination["rest"] else "equilibrium",
-    }

@@ -3,7 +3,7 @@
 import inspect
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, Field, fields, is_dataclass, make_dataclass
+from dataclasses import MISSING, fields, is_dataclass, make_dataclass
 from types import NoneType, UnionType
 from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -123,8 +123,9 @@ def _read(hint: Any, data: Any, place: str, infinite: Sequence[str]) -> Any:
         key = int if inner[0] is int else str
         return {key(name): from_plain(inner[1], own, _inside(place, name), infinite) for name, own in data.items()}
     if origin is Callable:
-        path = _name_in(data, _FUNCTION, place)
-        return _imported(path) or _missing(path)
+        path = data.get(_FUNCTION) if isinstance(data, dict) else None
+        _expect(isinstance(path, str), place, "must name a function")
+        return _imported(path) or _missing(str(path))
     return _object(hint, data, place)
 
 
@@ -145,9 +146,7 @@ def _object(hint: type, data: Any, place: str) -> Any:
                 given[key] = from_plain(own, data[key], _inside(place, key), infinite)
         else:
             _expect(default is not MISSING, _inside(place, key), "Field required")
-    given |= {one.name: None for one in (fields(kind) if unsaved_fields(kind) else ())
-              if one.name in unsaved_fields(kind) and _default(one) is MISSING}  # fmt: skip
-    found = kind(**given)
+    found = kind(**given, **dict.fromkeys(unsaved_fields(kind)))
     _expect(isinstance(found, hint), place, f"is not of type {hint.__name__}")
     return found
 
@@ -188,11 +187,6 @@ def _inside(place: str, key: object) -> str:
     return f"{place}.{key}" if place else str(key)
 
 
-def _name_in(data: Any, key: str, place: str) -> str:
-    _expect(isinstance(data, dict) and isinstance(data.get(key), str), place, f"must name a {key}")
-    return str(data[key])
-
-
 def _alternatives(hint: Any) -> tuple[Any, ...]:
     return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
 
@@ -229,12 +223,8 @@ def fields_of(kind: type[Any]) -> dict[str, Any]:
     """Return the saved fields of a dataclass with their defaults, or the constructor arguments of another class."""
     if not is_dataclass(kind):
         return dict.fromkeys(inspect.signature(kind).parameters, MISSING)
-    return {one.name: _default(one) for one in fields(kind) if one.init and one.name not in unsaved_fields(kind)}
-
-
-def _default(one: Field[Any]) -> Any:
-    """Return the default of a field, or MISSING."""
-    return one.default if one.default_factory is MISSING else one.default_factory
+    saved = [one for one in fields(kind) if one.init and one.name not in unsaved_fields(kind)]
+    return {one.name: one.default if one.default_factory is MISSING else one.default_factory for one in saved}
 
 
 def _path(thing: Any) -> str:

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, ClassVar, Final, Self, TypeVar
@@ -248,18 +249,14 @@ def _parsed(text: str) -> Any:
         ValueError: the text is not JSON, or holds NaN or a number beyond the range of floats.
     """
 
-    def refuse(constant: str) -> Any:
-        raise ValueError(f"Invalid JSON: {constant}")
+    def number(kind: type[float], digits: str) -> float:
+        value = kind(digits)
+        if not abs(value) <= sys.float_info.max:
+            raise ValueError(f"{short(digits)} is not a finite number")
+        return value
 
+    real = partial(number, float)
     try:
-        data = json.loads(text, parse_constant=refuse)
+        return json.loads(text, parse_int=partial(number, int), parse_float=real, parse_constant=real)
     except ValueError as error:
         raise ValueError(f"Invalid JSON: {error}") from None
-    waiting = [data]
-    while waiting:
-        value = waiting.pop()
-        if isinstance(value, dict | list):
-            waiting += value.values() if isinstance(value, dict) else value
-        elif isinstance(value, int | float) and not abs(value) <= sys.float_info.max:
-            raise ValueError("a number is beyond the range of floats")
-    return data

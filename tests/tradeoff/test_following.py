@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from helpers.small_designs import design
 
 import plough_opt as po
 from plough_opt.design import program as program_module
@@ -58,9 +59,7 @@ def test_a_front_is_followed_from_point_to_point_in_few_steps(plane, monkeypatch
 
 @pytest.mark.parametrize("batched", [True, False])
 def test_a_solve_from_afar_finds_the_optimum_or_says_that_there_is_none(batched):
-    d = po.Design()
-    height = d.variable("height", guess=0.25, lower=0.1, upper=0.5, unit="m")
-    speed = d.variable("speed", guess=1.2, lower=1.0, upper=3.0, unit="m/s")
+    d, height, speed = design(height=(0.25, 0.1, 0.5, "m"), speed=(1.2, 1.0, 3.0, "m/s"))
     share = po.Wedge(po.deg(30), po.deg(15), height)
     scene = po.Scene(po.named_soil("serozem"), share, 5e4, 25.0, speed, po.Effects(damping=400.0))
     # Least at a height of 0.3 m, and at a speed of 2 m/s.
@@ -89,8 +88,7 @@ def test_a_solve_from_afar_finds_the_optimum_or_says_that_there_is_none(batched)
 
 def shifted():
     """Return a design, and two objectives, the second of which has its optimum at a parameter."""
-    d = po.Design()
-    x, y = (d.variable(name, guess=0.4, lower=-4.0, upper=4.0) for name in "xy")
+    d, x, y = design(x=(0.4, -4.0, 4.0), y=(0.4, -4.0, 4.0))
     c = d.parameter("c", 1.0)
     return d, (x**2 + y**2, (x - c) ** 2 + y**2)
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.small_designs import design
 
 import plough_opt as po
 from plough_opt.studies.tradeoff.assembly import hole
@@ -54,9 +55,7 @@ def test_broken_front_and_its_hole(broken):
 
 
 def test_every_part_of_a_front_that_is_broken_four_times():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=1e-6, upper=1.0)
-    y = d.variable("y", guess=0.5, lower=0.0, upper=1.0)
+    d, x, y = design(x=(0.5, 1e-6, 1.0), y=(0.5, 0.0, 1.0))
     g = 1.0 + 9.0 * y
     second = g * (1.0 - ca.sqrt(x / g) - x / g * ca.sin(10.0 * ca.pi * x))
     front = po.trade_off(d, x, second, points=41, search=["x"])
@@ -67,9 +66,7 @@ def test_every_part_of_a_front_that_is_broken_four_times():
 
 
 def test_a_front_that_a_requirement_interrupts():
-    d = po.Design()
-    x = d.variable("x", guess=0.1, lower=0.0, upper=1.0)
-    y = d.variable("y", guess=0.1, lower=-1.0, upper=1.0)
+    d, x, y = design(x=(0.1, 0.0, 1.0), y=(0.1, -1.0, 1.0))
     d.require("outside", (x - 0.5) ** 2, at_least=0.04)
     front = po.trade_off(d, x + y**2, 1.0 - x + y**2, points=21, search=["x"])
     (hole,) = front.holes
@@ -166,8 +163,7 @@ def test_a_point_that_bends_down_is_no_optimum(convex, concave):
 
 
 def test_positions_without_a_design_are_named():
-    d = po.Design()
-    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d, x = design(x=(0.9, 0.0, 1.0))
     # The root has no value between 0.4 and 0.6, where both objectives lead from either side.
     second = 1.0 - x + 1e-3 * ca.sqrt((x - 0.5) ** 2 - 0.01)
     front = po.trade_off(d, x, second, points=11)

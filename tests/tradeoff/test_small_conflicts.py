@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from helpers.small_designs import design
 
 import plough_opt as po
 
@@ -11,8 +12,7 @@ import plough_opt as po
 @pytest.fixture(scope="module")
 def small():
     """Front of a power of 4073 that changes by 3e-5 of it, against a deflection between 0 and 1."""
-    d = po.Design()
-    x, y = (d.variable(name, guess=0.4, lower=-2.0, upper=2.0) for name in "xy")
+    d, x, y = design(x=(0.4, -2.0, 2.0), y=(0.4, -2.0, 2.0))
     power = po.Goal("power", 4073.0 * (1.0 + 3e-5 * (x**2 + y**2)), unit="W")
     return po.trade_off(d, power, po.Goal("deflection", (x - 1.0) ** 2 + y**2, unit="m"), points=11)
 
@@ -70,8 +70,7 @@ CONFLICTS = {
 @pytest.mark.parametrize("name", CONFLICTS)
 def test_objectives_that_do_not_conflict_give_one_design_and_say_so(name, tmp_path):
     objectives, best, words = CONFLICTS[name]
-    d = po.Design()
-    x, y = (d.variable(name, guess=0.4, lower=-2.0, upper=2.0) for name in "xy")
+    d, x, y = design(x=(0.4, -2.0, 2.0), y=(0.4, -2.0, 2.0))
     front = po.trade_off(d, *objectives(x, y), points=9)
     assert front.notes == (words,)
     assert front.designs == pytest.approx(np.array([best]), abs=1e-3)

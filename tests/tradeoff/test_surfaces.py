@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from helpers.small_designs import design
 from matplotlib.figure import Figure
 
 import plough_opt as po
@@ -24,8 +25,7 @@ def search(request):
 @pytest.fixture(scope="module")
 def sphere(search):
     """Concave front |f| = 1 outside the unit sphere, of which a weighted sum finds only the corners (DTLZ2)."""
-    d = po.Design()
-    x = [d.variable(name, guess=0.7, lower=0.0, upper=1.5) for name in "xyz"]
+    d, *x = design(**dict.fromkeys("xyz", (0.7, 0.0, 1.5)))
     d.require("outside", sum(own**2 for own in x), at_least=1.0)
     goals = (po.Goal(name, own) for name, own in zip("abc", x, strict=True))
     return po.trade_off(d, *goals, points=POINTS, search=search)
@@ -34,8 +34,7 @@ def sphere(search):
 @pytest.fixture(scope="module")
 def plane():
     """Front f1 + f2 + f3 = 1 (DTLZ1)."""
-    d = po.Design()
-    x = [d.variable(name, guess=0.5, lower=0.0, upper=1.0) for name in "xyz"]
+    d, *x = design(**dict.fromkeys("xyz", (0.5, 0.0, 1.0)))
     d.require("above", sum(x), at_least=1.0)
     return po.trade_off(d, *x, points=POINTS)
 
@@ -43,8 +42,7 @@ def plane():
 @pytest.fixture(scope="module")
 def convex(search):
     """Front of the squared distances from three corners, whose efficient designs are those of the triangle."""
-    d = po.Design()
-    x, y, z = (d.variable(name, guess=0.3, lower=-2.0, upper=2.0) for name in "xyz")
+    d, x, y, z = design(x=(0.3, -2.0, 2.0), y=(0.3, -2.0, 2.0), z=(0.3, -2.0, 2.0))
     corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]
     goals = [po.Goal(f"to {a:g}, {b:g}", (x - a) ** 2 + (y - b) ** 2 + z**2) for a, b in corners]
     return po.trade_off(d, *goals, points=45, search=search)
@@ -143,9 +141,7 @@ def test_the_knee_of_the_triangle(convex, sphere):
 
 @pytest.mark.slow
 def test_a_hole_between_two_parts():
-    d = po.Design()
-    x = d.variable("x", guess=0.2, lower=0.0, upper=1.0)
-    y = d.variable("y", guess=0.5, lower=0.0, upper=1.0)
+    d, x, y = design(x=(0.2, 0.0, 1.0), y=(0.5, 0.0, 1.0))
     d.require("outside", (x - 0.5) ** 2, at_least=0.09)
     front = po.trade_off(d, x, y, 2.0 - x - y, points=45, search=["x"])
     assert np.sum(front.objectives, axis=1) == pytest.approx(2.0, abs=1e-8)
@@ -159,8 +155,7 @@ def test_a_hole_between_two_parts():
 
 
 def test_a_tail_that_gains_little_is_followed_to_its_end():
-    d = po.Design()
-    s, t = (d.variable(name, guess=0.3, lower=0.0, upper=1.0) for name in "st")
+    d, s, t = design(s=(0.3, 0.0, 1.0), t=(0.3, 0.0, 1.0))
     # With t = 0 every s is efficient: from 0.6 to 1 the third objective gains 4 % for 40 and 64 % of the others.
     rest = 1.0 - s
     front = po.trade_off(d, s + t**2, s**2 + t**2, rest**4 + 0.03 * rest + t**2, points=45)
@@ -170,8 +165,7 @@ def test_a_tail_that_gains_little_is_followed_to_its_end():
 
 
 def test_an_objective_that_conflicts_with_none_leaves_a_curve():
-    d = po.Design()
-    x, y = (d.variable(name, guess=0.4, lower=-2.0, upper=2.0) for name in "xy")
+    d, x, y = design(x=(0.4, -2.0, 2.0), y=(0.4, -2.0, 2.0))
     idle = po.Goal("idle", 3.0 + y**2)
     front = po.trade_off(d, po.Goal("a", x**2 + y**2), idle, po.Goal("b", (x - 1.0) ** 2 + y**2), points=9)
     assert [goal.name for goal in front.goals] == ["a", "b"]

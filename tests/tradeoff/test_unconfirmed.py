@@ -5,6 +5,7 @@ import csv
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.small_designs import design
 from matplotlib.figure import Figure
 
 import plough_opt as po
@@ -19,8 +20,7 @@ DEPTH, WIDTH = 0.5, 0.002
 @pytest.fixture(scope="module")
 def front():
     """Front of x against 2 - x, with lower values in a dip along z that is too narrow to hit."""
-    d = po.Design()
-    x, z = d.variable("x", guess=0.4, lower=0.0, upper=1.0), d.variable("z", guess=0.47, lower=0.0, upper=1.0)
+    d, x, z = design(x=(0.4, 0.0, 1.0), z=(0.47, 0.0, 1.0))
     dip = DEPTH * ca.exp(-(((z - 0.5) / WIDTH) ** 2))
     return po.trade_off(d, po.Goal("a", x), po.Goal("b", 2.0 - x - dip), points=9)
 

@@ -84,6 +84,7 @@ def test_corners_are_the_ends_of_each_marginal():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
+        ({"cohesoin": stats.norm(1, 1)}, "'cohesion'"),
         ({"within": {"tool_friction": (0.1, 0.9)}}, "tool_friction"),
         ({"cohesion": 20e3}, "not a distribution"),
         ({"cohesion": stats.norm(20e3, 6e3)}, "truncate it"),

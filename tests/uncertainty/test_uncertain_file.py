@@ -27,6 +27,7 @@ QUICK = (
     'scene.stiffness="60 kN/m"', "minimise={mean_draft={per='1 kN', measure='cvar 0.9', width='100 N'}}",
     "require.specific_draft={at_most='1 MPa', measure='expected'}",
     "require.cone_index={at_least='1 Pa', measure='mean - 1.5 std'}",
+    "require.tow_power={at_least='1 W', measure='cvar 0.8', width='10 W'}",
     "require.added_mass={at_most='1000 kg', measure='worst', width='1 kg'}",
 )  # fmt: skip
 SET = [word for change in QUICK for word in ("--set", change)]
@@ -77,6 +78,7 @@ def test_the_command_saves_both_optima_and_every_check(command, tmp_path):
         "mean_deflection": "probability of at most 0.1",
         "specific_draft": "mean",
         "cone_index": "mean - 1.5 standard deviations",
+        "tow_power": "mean of the smallest 20 %",
         "added_mass": "largest of the samples",
     }
     assert saved["indices"]["mean_draft"]["names"] == ["cohesion", "friction_angle given cohesion", "density_ratio"]
@@ -98,6 +100,8 @@ def test_the_optimum_follows_from_the_samples(found):
     assert -measures.quantile(-radii * height, 0.95, width=width) == pytest.approx(0.15, abs=1e-9)
     draft = found.fresh["mean_draft", "mean of"]
     assert draft.low < draft.fresh < draft.high
+    power = found.robust.values(found.best)["tow_power"]
+    assert found.fresh["tow_power", "mean of"].sharp == pytest.approx(-measures.cvar(-power, 0.8), rel=1e-12)
 
 
 @pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.slow)])

@@ -108,7 +108,6 @@ SHORT = [
     (((0.11, 0.38, 0.57), (0.024, 0.047, 0.045)), 0.95),
     (((0.2, 0.38), (0.017, 0.056)), 0.1),
     (((0.16, 0.38, 0.62), (0.004, 0.034, 0.043)), 0.1),
-    (((0.1, 0.3, 0.5), (0.03, 0.05, 0.055)), 0.95),
 ]
 
 
@@ -157,21 +156,16 @@ def test_gradient_and_hessian_of_the_force_on_a_straight_wedge(speed):
 
 BLUNT = ((0.2,), (0.2,))
 """So steep that the soil would be in tension at the tip."""
-CONE_CASES = [(BLUNT, 0.1, 1e6)]
-MORE_CONE_CASES = [
-    (BLUNT, 0.95, 0.0),
+MORE_CONES = [
     (((0.2, 0.5), (0.15, 0.02)), 0.1, 8e6),
     ("wedge", 0.3, 1e4),
-    ("diamond", 0.3, 0.0),
     ("diamond", 0.95, 1e6),
     ("ogive", 0.3, 1e5),
-    ("ogive", 0.95, 0.0),
-    ("tapered", 0.3, 0.0),
     ("tapered", 0.95, 1e7),
 ]
 
 
-@pytest.mark.parametrize("case", [*CONE_CASES, *slow(MORE_CONE_CASES)], ids=str)
+@pytest.mark.parametrize("case", [(BLUNT, 0.1, 1e6), *slow(MORE_CONES)], ids=str)
 def test_force_on_a_cone_against_precise_quadrature(case):
     body, speed, ambient_pressure = case
     soil, V0 = ground(speed, ambient_pressure=ambient_pressure)
@@ -198,19 +192,7 @@ def test_gradient_of_the_force_on_a_cone(speed):
         assert float(gradient[i]) == pytest.approx(wanted, rel=1e-9, abs=1e-9 * scale)
 
 
-# --- numbers, symbols, shares, refusals ------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
-def test_numbers_arrays_and_symbols_give_the_same_pressure(symbol):
-    soil, speed = ground()
-    nodes = nodes_of(inputs(0, 0, "tapered"))
-    x, places = symbol.sym("x"), np.array([0.03, 0.25, 0.6])
-    for pressure in (po.elastic.wedge_pressure, po.elastic.cone_pressure):
-        evaluate = ca.Function("p", [x], [pressure(x, nodes, soil, speed)])
-        floats = [pressure(float(place), nodes, soil, speed) for place in places]
-        np.testing.assert_allclose(pressure(places, nodes, soil, speed), floats, rtol=1e-14)
-        np.testing.assert_allclose([float(evaluate(place)) for place in places], floats, rtol=1e-14)
+# --- refusals ------------------------------------------------------------------------------
 
 
 GOOD = [(0.0, 0.0), (0.25, 0.025), (0.5, 0.0)]

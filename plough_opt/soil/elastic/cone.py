@@ -13,8 +13,8 @@ part S(x)/r of the radial displacement is split off, so that digits are not lost
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
-from typing import TypeVar
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
 
 from plough_opt.core.checks import LEAST, check_domain
 from plough_opt.core.expressions import Expression, arcsinh, arcsinh_ratio, gauss_legendre, one_node, sqrt, where
@@ -178,8 +178,7 @@ def _around(
 # --- potentials of a line of sources ---------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Potentials:
+class Potentials(NamedTuple):
     """Functions whose linear combinations are the fields of a cone.
 
     Attributes:
@@ -198,18 +197,13 @@ class Potentials:
     n_r_change: Expression
     outward: Expression
 
-    @classmethod
-    def zero(cls) -> Potentials:
-        """Return potentials that are zero."""
-        return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-
     def plus(self, other: Potentials, weight: Expression = 1.0) -> Potentials:
         """Return the sum of these potentials and others multiplied by a weight."""
-        return Potentials(*(getattr(self, f.name) + weight * getattr(other, f.name) for f in fields(self)))
+        return Potentials(*(a + weight * b for a, b in zip(self, other, strict=True)))
 
     def where(self, condition: Expression, other: Potentials) -> Potentials:
         """Return these potentials where a condition holds, and the other ones elsewhere."""
-        return Potentials(*(where(condition, getattr(self, f.name), getattr(other, f.name)) for f in fields(self)))
+        return Potentials(*(where(condition, a, b) for a, b in zip(self, other, strict=True)))
 
 
 class _Point:
@@ -270,7 +264,7 @@ def potentials(
         soil: the medium.
         section_factor: S/R^2 [-].
     """
-    total = Potentials.zero()
+    total = Potentials(*[0.0] * 6)
     for segment in cone.segments:
         place = (offsets[segment.start], offsets[segment.start + 1], r)
         arguments = (*place, segment.length, *sources(segment, section_factor), *soil.in_order)
@@ -302,8 +296,7 @@ def _piece(
     soil = Ratios(*state)
     first, last = _Point(x0, r, soil), _Point(x1, r, soil)
     far = first.slow + last.slow > FAR * length
-    found = _far(first, last, length, (at_first, slope)).where(far, _near(first, last, (at_first, slope)))
-    return tuple(getattr(found, f.name) for f in fields(found))
+    return _far(first, last, length, (at_first, slope)).where(far, _near(first, last, (at_first, slope)))
 
 
 def _near(first: _Point, last: _Point, source: tuple[Expression, Expression]) -> Potentials:
@@ -351,7 +344,7 @@ def _far(first: _Point, last: _Point, length: Expression, source: tuple[Expressi
     at_first, slope = source
     soil, r = first.soil, first.r
     above = (first.x >= 0.0) * (last.x < 0.0)
-    total = Potentials.zero()
+    total = Potentials(*[0.0] * 6)
     for node, weight in zip(*gauss_legendre(FAR_NODES), strict=True):
         point = _Point(first.x - node * length, r, soil)
         cubed = 1.0 / point.fast**2 + 1.0 / (point.fast * point.slow) + 1.0 / point.slow**2

@@ -7,6 +7,7 @@ numbers; a design uses the closed forms with `knots` on its profile.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,46 +39,35 @@ _SLOPE_NODES = 10
 
 
 @dataclass(frozen=True)
-class _Places:
-    """Points beside a body in the medium that streams past.
+class _Waves:
+    """A body's Fourier transform at the quadrature nodes over the wave number, and the points around the body.
 
     Attributes:
         medium: the soil at a speed.
         at: rows (x, distance from the axis) [m], one per point.
         shape: shape of the arrays in which the user gave the points.
-        length: length of the body [m].
-        order: Gauss-Legendre nodes in a panel.
+        p: wave numbers [1/m], above 0.
+        transform: (1/pi) int h' exp(i p x) dx times the quadrature weight, or the same with S' for h'.
     """
 
     medium: Medium
     at: Array
     shape: tuple[int, ...]
-    length: float
-    order: int
-
-    def shaped(self, columns: Array) -> list[Expression]:
-        """Return columns of values at the points in the shape of the user's arrays, or floats for a single point."""
-        return [column.reshape(self.shape) if self.shape else float(column[0]) for column in columns.T]
-
-
-@dataclass(frozen=True)
-class _Spectrum:
-    """The Fourier transform of a profile's slope at the quadrature nodes over the wave number.
-
-    Attributes:
-        p: wave numbers [1/m], above 0.
-        weights: quadrature weights [1/m].
-        transform: (2 pi)^-1/2 int h' exp(i p x) dx, or the same with S' for h'.
-    """
-
     p: Array
-    weights: Array
     transform: NDArray[np.complex128]
 
-    def at(self, x: float) -> NDArray[np.complex128]:
-        """Return sqrt(2/pi) weight transform exp(-i p x), the factor of the integrand that depends on x."""
-        wave: NDArray[np.complex128] = np.exp(-1j * self.p * x)
-        return math.sqrt(2.0 / math.pi) * self.weights * self.transform * wave
+    def over_points(self, integrals: Callable[[Array, Array, float, float], list[Any]]) -> list[Expression]:
+        """Return integrals at all points, each in the shape of the user's arrays, or as a float for a single point.
+
+        Args:
+            integrals: real and imaginary part of the transform times exp(-i p x), x, and distance from the axis ->
+                the integrals at a point.
+        """
+        rows = []
+        for x, distance in self.at:
+            wave = self.transform * np.exp(-1j * self.p * x)
+            rows.append(integrals(wave.real, wave.imag, x, distance))
+        return [column.reshape(self.shape) if self.shape else float(column[0]) for column in np.array(rows).T]
 
 
 def wedge_stress(
@@ -98,22 +88,16 @@ def wedge_stress(
         DomainError: a number is outside its domain, or a point is so near that the quadrature would take too long.
         InputError: an argument holds symbols, or the soil lacks elastic constants.
     """
-    places = _places(x, y, length, soil, speed, order)
-    spectrum, state = _spectrum(profile, places, graded=False), places.medium
-    p, c = spectrum.p, state.slowing
-    found = np.empty((len(places.at), 4))
-    for k, (xk, yk) in enumerate(places.at):
-        wave = spectrum.at(xk)
-        fast, slow = np.exp(-p * state.alpha * yk), np.exp(-p * state.eta * yk)
+    waves = _waves(profile, x, y, length, soil, speed, order)
+    p, state = waves.p, waves.medium
+
+    def integrals(along: Array, across: Array, _: float, y: Any) -> list[Any]:
+        fast, slow = np.exp(-p * state.alpha * y), np.exp(-p * state.eta * y)
         # (exp(-p alpha y) - exp(-p eta y))/m, with alpha - eta = m c.
-        change = -p * c * yk * slow * expm1_ratio(-p * state.m * c * yk)
-        found[k] = [
-            -wave.imag @ fast,
-            -wave.imag @ change,
-            wave.real @ fast,
-            -(wave.real @ change),
-        ]
-    return wedges.stress_of(wedges.Potentials(*places.shaped(found)), state)
+        change = -p * state.slowing * y * slow * expm1_ratio(-p * state.m * state.slowing * y)
+        return [-across @ fast, -across @ change, along @ fast, -(along @ change)]
+
+    return wedges.stress_of(wedges.Potentials(*waves.over_points(integrals)), state)
 
 
 def cone_displacement(
@@ -142,7 +126,7 @@ def cone_displacement(
         DomainError: a number is outside its domain, or a point is so near that the quadrature would take too long.
         InputError: an argument holds symbols, or the soil lacks elastic constants.
     """
-    return cones.displacement_of(*_cone(_places(x, r, length, soil, speed, order), profile, section_factor))
+    return cones.displacement_of(*_cone(x, r, profile, length, soil, speed, order, section_factor))
 
 
 def cone_stress(
@@ -156,38 +140,36 @@ def cone_stress(
     section_factor: float = cones.SECTION_FACTOR,
 ) -> cones.ConeStress:
     """Return the stresses around a slender body with any profile; arguments and errors as for `cone_displacement`."""
-    return cones.stress_of(*_cone(_places(x, r, length, soil, speed, order), profile, section_factor))
+    return cones.stress_of(*_cone(x, r, profile, length, soil, speed, order, section_factor))
 
 
 def _cone(
-    places: _Places, profile: Curve, section_factor: float
+    x: Expression, r: Expression, profile: Curve, length: float, soil: Soil, speed: float, order: int, factor: float
 ) -> tuple[cones.Potentials, Expression, Expression, Medium]:
     """Return the potentials of a slender body, its displaced section S(x), r, and the medium."""
-    check_domain("section factor", section_factor, above=0.0)
-    state, length = places.medium, places.length
+    check_domain("section factor", factor, above=0.0)
 
     def section(x: float) -> float:
-        return section_factor * float(profile(min(max(x, 0.0), length))) ** 2
+        return factor * float(profile(min(max(x, 0.0), length))) ** 2
 
-    spectrum = _spectrum(section, places, graded=True)
-    p = spectrum.p
-    found, sections = np.empty((len(places.at), 6)), np.empty(len(places.at))
-    for k, (xk, rk) in enumerate(places.at):
-        wave = spectrum.at(xk)
-        along, across = wave.real, wave.imag
-        fast, change, turned, turned_change = _bessel(p * rk, state)
-        found[k] = [
+    waves = _waves(section, x, r, length, soil, speed, order, graded=True)
+    p, state = waves.p, waves.medium
+
+    def integrals(along: Array, across: Array, x: float, r: float) -> list[Any]:
+        fast, change, turned, turned_change = _bessel(p * r, state)
+        return [
             along @ fast,
             along @ change,
             across @ (p * fast),
             across @ (p * change),
             -(along @ (p * turned_change)),
-            across @ (2.0 * turned_change - turned),
+            across @ (2.0 * turned_change - turned) + (section(length) / 2.0 - section(x)) / r,
+            section(x),
+            r,
         ]
-        sections[k] = section(xk)
-        found[k, 5] += (section(length) / 2.0 - sections[k]) / rk
-    displaced, r = (places.shaped(values[:, None])[0] for values in (sections, places.at[:, 1]))
-    return cones.Potentials(*places.shaped(found)), displaced, r, state
+
+    *found, displaced, away = waves.over_points(integrals)
+    return cones.Potentials(*found), displaced, away, state
 
 
 def _bessel(z: Array, state: Medium) -> tuple[Array, Array, Array, Array]:
@@ -207,8 +189,22 @@ def _bessel(z: Array, state: Medium) -> tuple[Array, Array, Array, Array]:
     return fast, change, turned, turned_change
 
 
-def _places(x: Expression, distance: Expression, length: float, soil: Soil, speed: float, order: int) -> _Places:
-    """Check the arguments and return the points."""
+def _waves(
+    curve: Curve, x: Expression, distance: Expression, length: float, soil: Soil, speed: float, order: int,
+    *, graded: bool = False,
+) -> _Waves:  # fmt: skip
+    """Check the arguments, and return the transform of a curve's slope for integrals at all points.
+
+    Args:
+        curve: half thickness, or S, as a function of x.
+        x: distance of the points behind the tip [m].
+        distance: distance of the points from the axis [m].
+        length: length of the body [m].
+        soil: the soil.
+        speed: V0 [m/s].
+        order: Gauss-Legendre nodes in a panel.
+        graded: whether the panels become narrower towards a wave number of 0.
+    """
     if holds_casadi((x, distance, length, soil, speed)):
         raise InputError("the Fourier integrals need numbers: for symbols use the closed forms, with elastic.knots")
     x, distance = (np.asarray(value) if isinstance(value, list | tuple) else value for value in (x, distance))
@@ -221,30 +217,23 @@ def _places(x: Expression, distance: Expression, length: float, soil: Soil, spee
     state = medium(soil, speed)
     check_domain("speed over shear wave speed", state.mach, below=1.0, why="at 1 the integrals do not converge")
     across, away = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(distance, dtype=float))
-    return _Places(state, np.column_stack([across.ravel(), away.ravel()]), across.shape, length, order)
-
-
-def _spectrum(curve: Curve, places: _Places, *, graded: bool) -> _Spectrum:
-    """Return the transform of a curve's slope at wave numbers that resolve the integrals at all points."""
-    length, order, nearest = places.length, places.order, float(np.min(places.at[:, 1]))
-    last = _DECAY / (float(places.medium.eta) * nearest)
-    longest = max(length, *(float(np.max(np.abs(places.at[:, 0] - end))) for end in (0.0, length)))
-    waves, lengths = (order * last * longest / (2.0 * math.pi), order * length * last / (2.0 * math.pi))
+    last = _DECAY / (float(state.eta) * float(np.min(away)))
+    longest = max(length, *(float(np.max(np.abs(across - end))) for end in (0.0, length)))
+    waves, lengths = (order * last * extent / (2.0 * math.pi) for extent in (longest, length))
     if waves * lengths > _MOST_NODES:
         raise DomainError(
-            f"distance from the axis = {nearest:.3g} m must be larger for a body of {length:g} m:"
+            f"distance from the axis = {np.min(away):.3g} m must be larger for a body of {length:g} m:"
             f" the Fourier integrals would take {waves:.0f} by {lengths:.0f} nodes; the closed forms have no such limit"
         )
     p, weights = _panels(last, 2.0 * math.pi / longest, order, graded)
     s, s_weights = _panels(length, 2.0 * math.pi / last, order, False)
-    values = np.array([float(curve(place)) for place in s])
-    end = float(curve(length))
+    values, end = np.array([float(curve(place)) for place in s]), float(curve(length))
     check_domain("profile", np.append(values, end), "m")
     check_domain("profile at its tip", float(curve(0.0)), "m", at_least=0.0, at_most=0.0, why="a tip is sharp")
     # Integrated by parts, which avoids the profile's slope: int h' e = h(l) e(l) - i p int h e.
     moment = np.concatenate([np.exp(1j * np.outer(part, s)) @ (values * s_weights) for part in _chunks(p, s.size)])
-    transform = (end * np.exp(1j * p * length) - 1j * p * moment) / math.sqrt(2.0 * math.pi)
-    return _Spectrum(p, weights, transform)
+    transform = (end * np.exp(1j * p * length) - 1j * p * moment) / math.pi * weights
+    return _Waves(state, np.column_stack([across.ravel(), away.ravel()]), across.shape, p, transform)
 
 
 def _panels(length: float, width: float, order: int, graded: bool) -> tuple[Array, Array]:

@@ -164,16 +164,11 @@ def test_a_strength_factor_affects_this_model_only():
     assert level.own.drafts[0] > 5.0 * plain.own.drafts[0]
 
 
-def test_standings_name_what_is_not_verified(full):
-    text = " ".join(full.standings)
-    assert "ASABE D497: coefficients not verified against the standard's text" in text
-    assert len(full.standings) == 5
-    assert "validated" not in printed(full)
-
-
 def test_the_table_has_drafts_in_kilonewtons_and_ratios(full):
     text = printed(full)
     assert "calculated, not measured" in text
+    assert "validated" not in text
+    assert "ASABE D497: coefficients not verified against the standard's text" in " ".join(full.standings)
     deep = row(full, "McKyes-Ali", 0.4)
     assert f"{deep.drafts[0] / 1e3:.3g} ({full.ratios(deep)[0]:.2f})" in text
     # This model, four models at two depths, the standard's band at both depths, the cavity.
@@ -205,10 +200,8 @@ def test_the_picture_has_a_panel_for_each_depth(full, tmp_path):
         ({"depth": []}, po.InputError, "at least one depth"),
         ({"width": -0.1}, po.DomainError, "tool width"),
         ({"rake_angle": po.deg(95.0)}, po.DomainError, "rake angle"),
-        ({"speeds": [1.0, -1.0]}, po.DomainError, "speed"),
         ({"speeds": []}, po.InputError, "at least one speed"),
         ({"rupture_ratio": 0.5}, po.DomainError, "rupture distance ratio"),
-        ({"surcharge": -1.0}, po.DomainError, "surcharge"),
         ({"adhesion": math.inf}, po.DomainError, "adhesion"),
     ],
 )

@@ -37,8 +37,11 @@ def printed_factors(alpha, delta, phi, beta):
     }
 
 
-def angles_of(soil, tine):
-    return [mp.mpf(x) for x in (tine.rake_angle, math.atan(soil.tool_friction), soil.friction_angle)]
+def precise(soil, tine):
+    """Return alpha, delta, phi, w, d, unit weight, cohesion, adhesion and surcharge with 30 digits."""
+    angles = tine.rake_angle, math.atan(soil.tool_friction), soil.friction_angle
+    loads = soil.density * GRAVITY, soil.cohesion, tine.adhesion, tine.surcharge
+    return [mp.mpf(x) for x in (*angles, tine.width, tine.depth, *loads)]
 
 
 def least(function, start):
@@ -67,8 +70,7 @@ FALLS_AGAIN = Tine(width=0.08, depth=0.30, rake_angle=po.deg(32.0))
 
 @pytest.mark.parametrize("tine", [TINE, FALLS_AGAIN, LOADED])
 def test_mckyes_ali_is_the_printed_formula_at_its_least_angle(tine):
-    alpha, delta, phi = angles_of(SOIL, tine)
-    w, d = mp.mpf(tine.width), mp.mpf(tine.depth)
+    alpha, delta, phi, w, d, gamma, c, c_a, q = precise(SOIL, tine)
 
     def side(beta):
         r = d * (mp.cot(alpha) + mp.cot(beta))
@@ -78,39 +80,35 @@ def test_mckyes_ali_is_the_printed_formula_at_its_least_angle(tine):
     angles = wedge_angles(SOIL, tine, 0.0)
     assert rupture_angle(angles, tine.depth / tine.width) == pytest.approx(float(beta), rel=1e-12)
     n, v = printed_factors(alpha, delta, phi, beta), 1.5
-    gamma, s = mp.mpf(SOIL.density) * GRAVITY, side(beta)
+    s = side(beta)
     force = gamma * d**2 * n["weight"] * (1 + 2 * s / (3 * w))
-    force += d * (SOIL.cohesion * n["cohesion"] + tine.surcharge * n["surcharge"]) * (1 + s / w)
-    force += d * (tine.adhesion * n["adhesion"] + SOIL.density * v**2 * n["inertia"])
-    expected = w * force * mp.sin(alpha + delta) + tine.adhesion * w * d * mp.cot(alpha)
+    force += d * (c * n["cohesion"] + q * n["surcharge"]) * (1 + s / w)
+    force += d * (c_a * n["adhesion"] + SOIL.density * v**2 * n["inertia"])
+    expected = w * force * mp.sin(alpha + delta) + c_a * w * d * mp.cot(alpha)
     assert mckyes_ali_draft(SOIL, tine, v) == pytest.approx(float(expected), rel=1e-12)
 
 
 def test_swick_perumpral_is_the_printed_formula_at_its_least_angle():
-    b, delta, f = angles_of(SOIL, LOADED)
-    w, d, v = mp.mpf(LOADED.width), mp.mpf(LOADED.depth), mp.mpf(2)
-    gamma, c, ca_, q = (mp.mpf(x) for x in (SOIL.density * GRAVITY, SOIL.cohesion, LOADED.adhesion, LOADED.surcharge))
+    b, delta, f, w, d, gamma, c, c_a, q = precise(SOIL, LOADED)
 
     def force(r):
         weight = (gamma * d / 2 + q) * (mp.cot(b) + mp.cot(r)) * mp.sin(f + r)
-        strength = c * mp.cos(f) / mp.sin(r) - ca_ * mp.cos(b + f + r) / mp.sin(b)
-        inertia = gamma / GRAVITY * v**2 * mp.sin(b) * mp.cos(f) / mp.sin(b + r)
+        strength = c * mp.cos(f) / mp.sin(r) - c_a * mp.cos(b + f + r) / mp.sin(b)
+        inertia = gamma / GRAVITY * 2**2 * mp.sin(b) * mp.cos(f) / mp.sin(b + r)
         return w * d / mp.sin(b + f + r + delta) * (weight + strength + inertia)
 
-    expected = force(least(force, 0.5)) * mp.sin(b + delta) + ca_ * w * d * mp.cot(b)
+    expected = force(least(force, 0.5)) * mp.sin(b + delta) + c_a * w * d * mp.cot(b)
     assert swick_perumpral_draft(SOIL, LOADED, 2.0) == pytest.approx(float(expected), rel=1e-13)
 
 
 def test_godwin_is_the_printed_formula():
-    alpha, delta, phi = angles_of(SOIL, LOADED)
+    alpha, delta, phi, w, d, gamma, c, c_a, q = precise(SOIL, LOADED)
     beta = least(lambda b: printed_factors(alpha, delta, phi, b)["weight"], 0.5)
     n = printed_factors(alpha, delta, phi, beta)
-    w, d, v, m = (mp.mpf(x) for x in (LOADED.width, LOADED.depth, 2.0, 2.25))
-    gamma = mp.mpf(SOIL.density) * GRAVITY
-    still = gamma * d**2 * n["weight"] + d * (SOIL.cohesion * n["cohesion"] + LOADED.adhesion * n["adhesion"])
-    still += LOADED.surcharge * d * n["surcharge"]
+    v, m = 2, mp.mpf("2.25")
+    still = gamma * d**2 * n["weight"] + d * (c * n["cohesion"] + c_a * n["adhesion"] + q * n["surcharge"])
     total = still * (w + d * (m - (m - 1) / 3)) + gamma * v**2 / GRAVITY * n["inertia"] * d * (w + d * mp.mpf("0.6"))
-    expected = total * mp.sin(alpha + delta) + LOADED.adhesion * w * d * mp.cot(alpha)
+    expected = total * mp.sin(alpha + delta) + c_a * w * d * mp.cot(alpha)
     assert godwin_draft(SOIL, LOADED, 2.0, rupture_ratio=2.25) == pytest.approx(float(expected), rel=1e-12)
     plane = godwin_draft(SOIL, LOADED, 2.0, rupture_ratio=float(mp.cot(alpha) + mp.cot(beta)))
     assert godwin_draft(SOIL, LOADED, 2.0) == pytest.approx(plane, rel=1e-12)

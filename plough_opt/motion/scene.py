@@ -13,9 +13,9 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_symbolic, rms, sqrt
 from plough_opt.core.labels import checked_in_designs, unlabelled
 from plough_opt.core.quantities import read_fields
+from plough_opt.laws import law_of
 from plough_opt.laws.forces import PlasticGas
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction, without_pressure
-from plough_opt.laws.registry import law_of
 from plough_opt.motion.effects import Effects, Smooth
 from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.random_strength import Sliding, Stationary, stationary_response

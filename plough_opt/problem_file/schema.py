@@ -21,8 +21,8 @@ from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Expression
 from plough_opt.core.quantities import IN_FILES, MOST_WAVES, wave_table
 from plough_opt.core.units import Unit
+from plough_opt.laws import LAWS, law_of
 from plough_opt.laws.law import ResistanceLaw
-from plough_opt.laws.registry import LAWS, law_of
 from plough_opt.motion.effects import (
     MOST_HARMONICS,
     OWN_EFFECTS,

@@ -28,23 +28,8 @@ from plough_opt.soil.elastic.wedge import (
 )
 
 __all__ = [
-    "ConeDisplacement",
-    "ConeStress",
-    "WedgeGradient",
-    "WedgeStress",
-    "cone_displacement",
-    "cone_force",
-    "cone_pressure",
-    "cone_stress",
-    "fourier",
-    "knots",
-    "longitudinal_wave_speed",
-    "rayleigh_speed",
-    "shear_modulus",
-    "shear_wave_speed",
-    "wedge_displacement",
-    "wedge_force",
-    "wedge_gradient",
-    "wedge_pressure",
+    "ConeDisplacement", "ConeStress", "WedgeGradient", "WedgeStress", "cone_displacement", "cone_force",
+    "cone_pressure", "cone_stress", "fourier", "knots", "longitudinal_wave_speed", "rayleigh_speed",
+    "shear_modulus", "shear_wave_speed", "wedge_displacement", "wedge_force", "wedge_gradient", "wedge_pressure",
     "wedge_stress",
-]
+]  # fmt: skip

@@ -8,13 +8,6 @@ from plough_opt.studies.crosscheck.comparison import Comparison, ModelDraft
 from plough_opt.studies.crosscheck.side_by_side import compare
 
 __all__ = [
-    "Comparison",
-    "ModelDraft",
-    "Tine",
-    "asabe_draft",
-    "compare",
-    "godwin_draft",
-    "mckyes_ali_draft",
-    "spherical_cavity_draft",
-    "swick_perumpral_draft",
-]
+    "Comparison", "ModelDraft", "Tine", "asabe_draft", "compare", "godwin_draft", "mckyes_ali_draft",
+    "spherical_cavity_draft", "swick_perumpral_draft",
+]  # fmt: skip

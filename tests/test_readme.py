@@ -44,12 +44,6 @@ def rehearsed(line: str, brief: bool) -> str:
     return line.replace(".venv/bin/", "")
 
 
-def test_there_are_blocks_of_both_kinds_and_no_others():
-    assert PYTHON
-    assert LINES
-    assert {language for language, _ in BLOCKS} == {"python", "sh"}
-
-
 @pytest.mark.parametrize("block", PYTHON, ids=range(len(PYTHON)))
 def test_python_block_runs(block, capsys):
     exec(compile(block, "README.md", "exec"), {})  # the README's own text

@@ -91,9 +91,7 @@ def plot_wedge_field(profile: Profile, soil: Soil, speed: float) -> Figure:
         axes.fill_between(wedge.places, -heights, heights, facecolor=_STEEL, edgecolor="black")
         axes.annotate("", xy=(x[0] + 0.06 * length, 0), xytext=(x[0] + 0.3 * length, 0),
                       arrowprops={"arrowstyle": "->", "color": "black"})  # fmt: skip
-        axes.set_aspect("equal")
-        axes.set_xlabel("x behind the tip [m]")
-        axes.set_ylabel("y across [m]")
+        axes.set(aspect="equal", xlabel="x behind the tip [m]", ylabel="y across [m]")
     return figure
 
 
@@ -116,8 +114,7 @@ def plot_sweep(swept: Sweep) -> Figure:
         values, label = swept.shown(name)
         colours = _FORCE if shades is None else shades[::step]
         points = axes.scatter(places[::step], values[::step], c=colours, s=14, cmap="viridis")
-        axes.set_xlabel(heading)
-        axes.set_ylabel(label)
+        axes.set(xlabel=heading, ylabel=label)
         if 0.0 < _LOG_RATIO * np.min(places) < np.max(places):
             axes.set_xscale("log")
         # Show a constant result from 0, so that its rounding is not magnified.
@@ -136,8 +133,7 @@ def plot_batch(found: BatchResult) -> Figure:
     axes = figure.subplots()
     step = max(1, len(found) // _MOST_POINTS)
     axes.plot(found.mean_draft[::step] / 1e3, found.force_rms[::step] / 1e3, ".", color=_FORCE, markersize=4)
-    axes.set_xlabel("mean draft [kN]")
-    axes.set_ylabel("RMS of the mount force [kN]")
+    axes.set(xlabel="mean draft [kN]", ylabel="RMS of the mount force [kN]")
     return figure
 
 
@@ -203,11 +199,8 @@ def draw_margins(axes: Axes, required: Sequence[Limit]) -> None:
         ends = "".join(f"{sign}{limit.shown.text(end, 4)}" for sign, end in sides if end is not None)
         text = f"{called(limit.name)} {limit.shown.text(limit.rounded, 4)}{ends}: {words}"
         axes.text(0.01, k - 0.26, text, fontsize="small", transform=axes.get_yaxis_transform())
-    axes.set_ylim(len(required) - 0.5, -0.7)
-    axes.set_xlim(0.0, max(10.0, 1.1 * axes.get_xlim()[1]))
-    axes.set_yticks([])
-    axes.set_xlabel("margin [% of the limit]")
-    axes.set_title("Requirements")
+    axes.set(ylim=(len(required) - 0.5, -0.7), xlim=(0.0, max(10.0, 1.1 * axes.get_xlim()[1])), yticks=[])
+    axes.set(xlabel="margin [% of the limit]", title="Requirements")
 
 
 def draw_wedge(axes: Axes, scene: Scene) -> None:
@@ -227,12 +220,9 @@ def draw_wedge(axes: Axes, scene: Scene) -> None:
     axes.plot(0.3 * edge * np.cos(angles), 0.3 * edge * np.sin(angles), color="white", linewidth=1.2)
     axes.text(0.34 * edge * math.cos(angles[-1] / 2), 0.34 * edge * math.sin(angles[-1] / 2),
               f"λ = {math.degrees(share.angle):.1f}°", color="white", ha="left", va="center")  # fmt: skip
-    axes.set_xlabel(
-        f"along the edge $h/\\cos\\,\\beta_{{pl}}$ = {edge:.3f} m\nh = {share.height:.3f} m,"
-        f" $\\beta_{{pl}}$ = {math.degrees(share.chisel_angle):.0f}°"
-    )
-    axes.set_ylabel("[m]")
-    _pad(axes, edge, width)
+    angle = f"$\\beta_{{pl}}$ = {math.degrees(share.chisel_angle):.0f}°"
+    along = f"along the edge $h/\\cos\\,\\beta_{{pl}}$ = {edge:.3f} m\nh = {share.height:.3f} m, {angle}"
+    _scale(axes, along, edge, width)
 
 
 def draw_cone(axes: Axes, scene: Scene) -> None:
@@ -254,9 +244,8 @@ def draw_cone(axes: Axes, scene: Scene) -> None:
     axes.text(-0.165 * height, 0.04 * front, "travel", ha="center", va="bottom")
     axes.text(0.6 * height, 0, f"β = {math.degrees(cone.half_angle):.1f}°", color="white", ha="left", va="center")
     axes.set_title("Equivalent cone (equal height and surface)")
-    axes.set_xlabel(f"along the axis [m]\nh = {height:.3f} m, base radius {radius:.3f} m")
-    axes.set_ylabel("[m]")
-    _pad(axes, height, front, ahead=0.35 * height)
+    along = f"along the axis [m]\nh = {height:.3f} m, base radius {radius:.3f} m"
+    _scale(axes, along, height, front, ahead=0.35 * height)
 
 
 def draw_search(axes: Axes, best: Optimum, variable: int) -> None:
@@ -302,9 +291,8 @@ def _show_low_objectives(axes: Axes, tried: NDArray[np.float64], best: Optimum) 
     axes.set_ylim(low - room, high + room)
 
 
-def _pad(axes: Axes, length: float, half_width: float, ahead: float = 0.0) -> None:
-    """Set equal scales on both axes, with a margin around the drawing."""
-    axes.set_aspect("equal")
+def _scale(axes: Axes, along: str, length: float, half_width: float, ahead: float = 0.0) -> None:
+    """Set equal scales on both axes, with a margin around the drawing; ``along`` describes the horizontal one."""
     axes.locator_params(nbins=4)
-    axes.set_xlim(-ahead - 0.06 * length, 1.08 * length)
-    axes.set_ylim(-1.2 * half_width, 1.2 * half_width)
+    limits = {"xlim": (-ahead - 0.06 * length, 1.08 * length), "ylim": (-1.2 * half_width, 1.2 * half_width)}
+    axes.set(xlabel=along, ylabel="[m]", aspect="equal", **limits)

@@ -198,19 +198,15 @@ def _draw_limit(axes: Axes, limit: Limit, found: Sequence[Limit | None]) -> None
             # At different heights, so that equal designs do not hide each other.
             height = 0.0 if len(values) == 1 else 0.5 - k / (len(values) - 1)
             axes.plot(value, height, "o", color=COLOURS[k % len(COLOURS)], markersize=7, zorder=3, clip_on=False)
-    axes.set_ylim(-1.0, 1.0)
     for end in ends:
         axes.axvline(end, color="black", linewidth=2.0)
     every = [*ends, *(value for value in values if value is not None)]
     room = max(0.08 * (max(every) - min(every)), _LEAST_ROOM * max(map(abs, every))) or 1.0
-    axes.set_xlim(min(every) - room, max(every) + room)
+    axes.set(ylim=(-1.0, 1.0), yticks=[], xlim=(min(every) - room, max(every) + room))
     if limit.low is not None and limit.high is not None and 0.0 < 20.0 * limit.low < limit.high:
-        axes.set_xscale("log")
-        axes.set_xlim(0.8 * min(every), 1.25 * max(every))
-    axes.set_yticks([])
+        axes.set(xscale="log", xlim=(0.8 * min(every), 1.25 * max(every)))
     axes.set_ylabel(limit.shown.heading(called(limit.name)), rotation=0, ha="right", va="center")
-    for side in ("left", "right", "top"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["left", "right", "top"]].set_visible(False)
 
 
 def draw_side_by_side(axes: Axes, runs: Mapping[str, Run], name: str, origin: Origin) -> None:

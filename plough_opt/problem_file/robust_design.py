@@ -12,7 +12,7 @@ from plough_opt.design import Design, Progress
 from plough_opt.motion import Run
 from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.problem_file.problem import Problem
-from plough_opt.problem_file.schema import LimitTable, TermTable
+from plough_opt.problem_file.schema import LimitTable
 from plough_opt.problem_file.uncertain import ChosenMeasure, UncertainTable, distribution_of, measure_of, uncertain_of
 from plough_opt.soil.soil import Soil
 from plough_opt.studies.uncertainty import Robust, SoilDistribution, sobol_indices, verify
@@ -65,11 +65,10 @@ def _in_words(problem: Problem, varying: set[str]) -> dict[str, tuple[str, str]]
     """
     found = {}
     for name, own in problem.table.require.items():
-        limits = ", ".join(f"{side.replace('_', ' ')} {written}" for side, written in own.sides.items())
         how = f"{100 * own.probability:g} % of the soils" if own.probability is not None else own.measure
         if name not in varying:
             how = "the nominal soil" if own.measure == "nominal" else "every soil equally"
-        found[name] = (limits, how or "every sample")
+        found[name] = (own.words, how or "every sample")
     return found
 
 
@@ -108,8 +107,11 @@ class _RobustDesign:
         self._smoothed_by_spread: set[str] = set()
         design, robust, run = self._declared(start)
         tables = self._problem.table
-        parts = [self._term(robust, run, name, term) for name, term in tables.minimise.items()]
-        design.minimise(sum(parts[1:], parts[0]))
+        objective: Expression = 0.0
+        for name, term in tables.minimise.items():
+            value = self._measure(robust, run, name, measure_of(term.measure or "expected"), term.width)
+            objective = objective + value / self._measures[name].unit.parse(term.per)
+        design.minimise(objective)
         for name, limit in tables.require.items():
             self._require(design, robust, run, name, limit)
         return design, robust, frozenset(self._smoothed_by_spread)
@@ -131,10 +133,6 @@ class _RobustDesign:
             return {name: self._measures[name].of(run) for name in self._averages}
 
         return design, Robust(self._field, response, samples=self._samples, seed=self._table.seed), run_in(None)
-
-    def _term(self, robust: Robust, run: Run, name: str, term: TermTable) -> Expression:
-        per = self._measures[name].unit.parse(term.per)
-        return self._measure(robust, run, name, measure_of(term.measure or "expected"), term.width) / per
 
     def _measure(
         self, robust: Robust, run: Run, name: str, chosen: ChosenMeasure, written: object, low_is_bad: bool = False

@@ -251,6 +251,11 @@ class LimitTable(Table):
         both = {"at_least": self.at_least, "at_most": self.at_most}
         return {side: written for side, written in both.items() if written is not None}
 
+    @property
+    def words(self) -> str:
+        """The limits in words, such as "at least 0.15 m"."""
+        return ", ".join(f"{side.replace('_', ' ')} {written}" for side, written in self.sides.items())
+
     def ends(self, unit: Unit) -> tuple[float | None, float | None]:
         """Return the lower and upper limit in SI; None if absent."""
         low, high = (None if side is None else unit.parse(side) for side in (self.at_least, self.at_most))

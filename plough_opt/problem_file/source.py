@@ -277,33 +277,27 @@ def lines_of(text: str) -> dict[str, int]:
 
 def nested_line(text: str) -> int | None:
     """Return the first line of a TOML text on which more than `MOST_TABLES` brackets are open, or None."""
+    return next((line for _, line, depth in _tokens(text) if depth > MOST_TABLES), None)
+
+
+def _tokens(text: str) -> Iterator[tuple[re.Match[str], int, int]]:
+    """Yield each token of a TOML text with its line, and the number of brackets that are open after it."""
     depth, line = 0, 1
     for token in _TOKEN.finditer(text):
         depth += (token[0] in "[{") - (token[0] in "]}")
-        if depth > MOST_TABLES:
-            return line
+        yield token, line, depth
         line += token[0].count("\n")
-    return None
 
 
 def _statements(text: str) -> Iterator[tuple[int, str]]:
     """Yield the line and text of each statement: a key with its value, or a table heading."""
-    begin, line, depth, lines = 0, 1, 0, 1
-    for token in _TOKEN.finditer(f"{text}\n"):
-        mark = token[0]
-        if mark in "[{":
-            depth += 1
-        elif mark in "]}":
-            depth -= 1
-        elif mark != "\n":
-            lines += mark.count("\n")
-        else:
-            lines += 1
-            if depth == 0:
-                statement = text[begin : token.start()].strip()
-                if statement and not statement.startswith("#"):
-                    yield line, statement
-                begin, line = token.end(), lines
+    begin, first = 0, 1
+    for token, line, depth in _tokens(f"{text}\n"):
+        if token[0] == "\n" and depth == 0:
+            statement = text[begin : token.start()].strip()
+            if statement and not statement.startswith("#"):
+                yield first, statement
+            begin, first = token.end(), line + 1
 
 
 def _paths(parsed: Any, before: Sequence[str] = ()) -> Iterator[tuple[str, ...]]:

@@ -61,6 +61,20 @@ DOMAIN = [
     (ACCURACY, f"[accuracy]\nmethod = 'cvode'\n{ACCURACY}", "cvode", "is named 'cvode': did you mean 'cvodes'?"),
     (ACCURACY, f"[accuracy]\nerror = 2.0\n{ACCURACY}", "error", "error = 2 must lie between 1e-12 and 0.1"),
 ]
+NOT_TOML = [
+    (old, new, fragment, ": not valid TOML: ")
+    for old, new, fragment in (
+        (SPEED, "7.2 km/h", "7.2 km/h"),
+        ('"20 kg"', '"20 kg"\nframe_mass = "2 kg"', '"2 kg"'),
+        ("[effects]", "[effects]\n[share] # again", "again"),
+    )
+]
+LIMITS = [
+    ("[scene]", f"[scene]\nx = {'[' * 400}{']' * 400}", "x = ", "more than 8 deep"),
+    ("[scene]", f"[scene]\n{'.'.join('a' * 400)} = 1", "a.a", "more than 8 deep"),
+    ("[scene]", f"[scene]\nx = {'1' * 5000}", "x = ", "5004 characters; at most 1000"),
+    ("[scene]", '[scene]\nx = "\\u001b[31m"', "x = ", "'scene.x' holds U+001B, a character that cannot be printed"),
+]
 TRADED = [
     (ACCURACY, f"[trade_off]\n{table}\n{ACCURACY}", *pieces)
     for table, *pieces in (
@@ -92,7 +106,7 @@ TABLES = [
 @pytest.mark.parametrize(
     ("old", "new", "fragment", "pieces"),
     [(old, new, fragment, pieces) for old, new, fragment, *pieces in
-     (*MISSPELT, *QUANTITIES, *CONTRADICTIONS, *MISSING, *DOMAIN, *TRADED, *TABLES)],
+     (*MISSPELT, *QUANTITIES, *CONTRADICTIONS, *MISSING, *DOMAIN, *NOT_TOML, *LIMITS, *TRADED, *TABLES)],
     ids=lambda value: value[:30] if isinstance(value, str) else "",
 )  # fmt: skip
 def test_what_is_wrong_is_refused_at_its_line_with_what_was_expected(blames, old, new, fragment, pieces):
@@ -151,37 +165,8 @@ def test_many_mistakes_are_counted(refusal):
     assert lines[-1] == "... and 2980 more"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "blamed"),
-    [
-        (SPEED, "7.2 km/h", "7.2 km/h"),
-        ('"20 kg"', '"20 kg"\nframe_mass = "2 kg"', '"2 kg"'),
-        ("[effects]", "[effects]\n[share] # again", "again"),
-    ],
-    ids=["no quotes", "key twice", "table twice"],
-)
-def test_what_is_not_toml_is_refused_at_its_line(blames, old, new, blamed):
-    blames(changed((old, new)), blamed, ": not valid TOML: ")
-
-
 def test_a_text_that_ends_too_early(refusal):
     assert refusal('[scene]\ntow_speed = """7.2\n').startswith("share.toml, line 2: not valid TOML: ")
-
-
-@pytest.mark.parametrize(
-    ("inserted", "expected"),
-    [
-        ("x = " + "[" * 400 + "]" * 400, "more than 8 deep"),
-        (".".join("a" * 400) + " = 1", "more than 8 deep"),
-        ("x = " + "1" * 5000, "5004 characters; at most 1000"),
-        ('x = "\\u001b[31m"', "'scene.x' holds U+001B, a character that cannot be printed"),
-    ],
-    ids=["brackets", "dots", "long line", "escape character"],
-)
-def test_what_exceeds_a_limit_is_refused_at_its_line(refusal, inserted, expected):
-    message = refusal(changed(("[scene]", f"[scene]\n{inserted}")))
-    assert message.startswith("share.toml, line 10: ")
-    assert expected in message
 
 
 JSON = "file.json' is JSON, not a problem file: print a saved result by plough-opt show"

@@ -98,10 +98,7 @@ def question(report: Report) -> list[str]:
 def limits_of(problem: Problem, name: str) -> str:
     """Return a requirement's limits as the file writes them; a requirement not in the file comes from the model."""
     own = problem.table.require.get(name)
-    if own is None:
-        return "domain of the theory"
-    sides = (("at least", own.at_least), ("at most", own.at_most))
-    return ", ".join(nice(f"{word} {written}") for word, written in sides if written is not None)
+    return "domain of the theory" if own is None else nice(own.words).replace(",\u00a0", ", ")
 
 
 def variables(report: Report) -> list[dict[str, str | float | bool]]:
@@ -152,10 +149,8 @@ def response(report: Report) -> Grid:
 def share(report: Report) -> Grid:
     """Return a table of the dimensions of the share and of its cone."""
     body, cone = report.run.scene.share, report.run.scene.cone
-    length, angle = (
-        report.display("share.height", "m", float(cone.height)),
-        report.display("share.wedge_angle", "rad"),
-    )
+    length = report.display("share.height", "m", float(cone.height))
+    angle = report.display("share.wedge_angle", "rad")
     rows = []
     if isinstance(body, Wedge):
         rows = [
@@ -188,10 +183,9 @@ def optima(report: Report) -> Grid | None:
 
 def scene(report: Report) -> Grid:
     """Return a table of the fixed quantities and effects of the scene."""
-    fixed = [key for key in report.problem.fixed if not key.startswith("soil.")]
+    fixed = report.problem.fixed
     rows = [
-        (called(key), report.shown(key, report.problem.fixed[key], EVERY[key].unit if key in EVERY else ""))
-        for key in fixed
+        (called(key), report.shown(key, x, EVERY[key].unit)) for key, x in fixed.items() if EVERY[key].owner != "soil"
     ]
     effects = report.problem.table.effects
     rows += [("contact", effects.contact.replace("_", " and ")), ("start", effects.start)]
@@ -270,11 +264,7 @@ def notes(report: Report) -> list[str]:
 
 def searched(report: Report) -> str:
     """Return a sentence on the search, or ""."""
-    return "" if report.best is None or report.best.search is None else _in_words(str(report.best.search))
-
-
-def _in_words(text: str) -> str:
-    """Return a sentence with keys of quantities replaced by their names."""
+    text = "" if report.best is None or report.best.search is None else str(report.best.search)
     for key in sorted(EVERY, key=len, reverse=True):
         text = text.replace(key, EVERY[key].called)
     return text

@@ -2,6 +2,7 @@
 
 import dataclasses
 import io
+from concurrent.futures import ThreadPoolExecutor
 
 import matplotlib.pyplot
 import numpy as np
@@ -133,13 +134,23 @@ def test_it_shows_requirements_and_the_limits_of_what_it_draws(optimum):
     high = Limit("deflection", "requirement", peak, "", 0.25 * peak, 0.0, False, "m", high=1.25 * peak)
     # An active limit is met to the optimiser's rounding, which must not be shown.
     zero = Limit("loosening", "requirement", 6e-13, "", 6e-13, 1.0, True, "m", low=0.0)
-    figure = plots.plot_optimum(dataclasses.replace(best, limits=(*best.limits, high, zero)), run)
+    mean = dataclasses.replace(high, name="mean_deflection", low=0.75 * peak)
+    figure = plots.plot_optimum(dataclasses.replace(best, limits=(*best.limits, high, zero, mean)), run)
+    figure.savefig(io.BytesIO(), format="png")  # which warns of legends that do not fit
     deflection = figure.axes[3]
     (required,) = (axes for axes in figure.axes if axes.get_title() == "Requirements")
     assert f"limit of the deflection {1250 * peak:.4g} mm" in legend(deflection)
     assert line(deflection, legend(deflection)[-1])[0, 1] == pytest.approx(1250 * peak)
     assert required.patches[0].get_width() == pytest.approx(20.0)  # per cent of the limit
     assert words(required).splitlines()[1] == "loosening 0 mm ≥ 0 mm: decides"
+
+
+def test_a_sweep_of_one_quantity_is_drawn_in_one_colour():
+    with (
+        ThreadPoolExecutor(1) as inline,
+        po.sweep(lambda at: {"b": at["a"]}, {"a": [1.0, 2.0]}, executor=inline) as own,
+    ):
+        assert len(own.plot().axes[0].collections[0].get_facecolor()) == 1
 
 
 def test_a_picture_has_one_of_three_formats(tmp_path):

@@ -112,8 +112,8 @@ def plot_sweep(swept: Sweep) -> Figure:
         axes.set_visible(False)
     for axes, name in zip(every, names, strict=False):
         values, label = swept.shown(name)
-        colours = _FORCE if shades is None else shades[::step]
-        points = axes.scatter(places[::step], values[::step], c=colours, s=14, cmap="viridis")
+        colours = {"color": _FORCE} if shades is None else {"c": shades[::step], "cmap": "viridis"}
+        points = axes.scatter(places[::step], values[::step], s=14, **colours)
         axes.set(xlabel=heading, ylabel=label)
         if 0.0 < _LOG_RATIO * np.min(places) < np.max(places):
             axes.set_xscale("log")
@@ -174,7 +174,7 @@ def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
         draw_wedge(left[0], run.scene)
         draw_cone(left[1], run.scene)
         for k, panel in enumerate(response):
-            draw_panel(figure.add_subplot(grid[1, 6 * k : 6 * k + 6]), run, panel)
+            draw_panel(figure.add_subplot(grid[1, 6 * k : 6 * k + 6]), run, panel, columns=3)
     if required:
         draw_margins(figure.add_subplot(grid[0, right:]), required)
     for row in range(rows):
@@ -198,7 +198,8 @@ def draw_margins(axes: Axes, required: Sequence[Limit]) -> None:
         sides = ((" ≥ ", limit.low), (" ≤ ", limit.high))
         ends = "".join(f"{sign}{limit.shown.text(end, 4)}" for sign, end in sides if end is not None)
         text = f"{called(limit.name)} {limit.shown.text(limit.rounded, 4)}{ends}: {words}"
-        axes.text(0.01, k - 0.26, text, fontsize="small", transform=axes.get_yaxis_transform())
+        # A long text may leave the axes; it must not shrink them.
+        axes.text(0.01, k - 0.26, text, fontsize="small", transform=axes.get_yaxis_transform(), in_layout=False)
     axes.set(ylim=(len(required) - 0.5, -0.7), xlim=(0.0, max(10.0, 1.1 * axes.get_xlim()[1])), yticks=[])
     axes.set(xlabel="margin [% of the limit]", title="Requirements")
 

@@ -119,8 +119,8 @@ def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
     return figure
 
 
-def draw_panel(axes: Axes, run: Run, panel: Panel) -> None:
-    """Draw a panel: lines, mean with a band of ± RMS, limits, and a legend above all lines."""
+def draw_panel(axes: Axes, run: Run, panel: Panel, columns: int = 5) -> None:
+    """Draw a panel: lines, mean with a band of ± RMS, limits, and above all lines a legend in columns that fit."""
     unit = panel.unit
     for label, (values, colour, dashed) in reversed(panel.lines.items()):
         style, width = "--" if dashed else "-", 1.4 if colour == OWN else 1.0
@@ -143,8 +143,9 @@ def draw_panel(axes: Axes, run: Run, panel: Panel) -> None:
     least = _CONSTANT * max(abs(low), abs(high))
     if high - low < 0.1 * max(abs(low), abs(high)):
         low, high = low - 0.05 * abs(low) - least, high + 0.05 * abs(high) + least
-    axes.set_ylim(low, high + 0.26 * (high - low))
-    axes.legend(loc="upper right", ncols=5, fontsize="x-small")
+    rows = -(-len(axes.get_legend_handles_labels()[0]) // columns)
+    axes.set_ylim(low, high + (0.14 + 0.12 * rows) * (high - low))
+    axes.legend(loc="upper right", ncols=columns, fontsize="x-small")
 
 
 def limits_of(run: Run, limits: Sequence[Limit], *names: str) -> list[tuple[str, float]]:

@@ -7,7 +7,9 @@ import sys
 
 import casadi as ca
 import numpy as np
+import pytest
 
+import plough_opt as po
 from plough_opt.export import write_casadi
 
 READER = """
@@ -47,6 +49,8 @@ def test_names_units_and_bounds_are_written_on_request(around_r1, tmp_path):
     limits = [(p["name"], p["lower"], p["upper"]) for p in written["outputs"]]
     assert ("loosened_radius", 0.12, None) in limits
     assert ("mean_deflection", None, 0.15) in limits
+    with pytest.raises(po.InputError, match=r"end in \.json"):
+        write_casadi(around_r1, tmp_path / "r1.casadi", tmp_path / "a.txt")
     assert written["error_estimate"] == around_r1.error_estimate
     assert written["steps"] == around_r1.accuracy.steps
 

@@ -92,19 +92,20 @@ def without_notices() -> Iterator[None]:
 
 
 @contextmanager
-def heartbeat(write: Callable[[str], object], every: float | None = None) -> Iterator[Callable[[str], None]]:
+def heartbeat(write: Callable[[str], object]) -> Iterator[Callable[[str], None]]:
     """Write the current activity and the elapsed time every few seconds; yield a function that sets the activity.
+
+    A computation shorter than `INTERVAL` writes nothing.
 
     Args:
         write: called with each line, from another thread.
-        every: seconds between lines, default `INTERVAL`; a shorter computation writes nothing.
     """
     activity, done, started = "working", threading.Event(), time.monotonic()
 
     def beat() -> None:
         # If the stream is closed, writing the results raises the error.
         with contextlib.suppress(OSError, ValueError):
-            while not done.wait(INTERVAL if every is None else every):
+            while not done.wait(INTERVAL):
                 write(f"{activity}: {time.monotonic() - started:.0f} s so far")
 
     def note(text: str) -> None:

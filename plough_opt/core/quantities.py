@@ -349,19 +349,20 @@ def every_quantity() -> dict[str, Unit]:
     return {name: Unit(quantity.unit) for name, quantity in EVERY.items()}
 
 
-def warn_of_slips(what: str, unit: str, values: Iterable[Any], stacklevel: int = 2) -> None:
+def warn_of_slips(what: str, unit: str, values: Iterable[Any]) -> None:
     """Warn of plain numbers that are implausible for every quantity with their unit.
+
+    The warning names the line that calls the caller of this function.
 
     Args:
         what: name of the values, for the user.
         unit: SI unit.
         values: numbers, strings, pint quantities.
-        stacklevel: stack level of the warning, 2 for the line that calls the caller.
     """
     alike = [one for one in EVERY.values() if one.unit == unit and one.plausible != (-math.inf, math.inf)]
     for value in values:
         if alike and not has_unit(value) and all(slips := [one.slip(value) for one in alike]):
-            _warn_implausible(f"{what} = {value:g} {unit}: {slips[0]}", stacklevel + 1)
+            _warn_implausible(f"{what} = {value:g} {unit}: {slips[0]}", stacklevel=3)
             return
 
 

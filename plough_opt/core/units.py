@@ -229,9 +229,9 @@ class Display:
         """Return an SI value in this unit as text."""
         return f"{value / self.factor:.{digits}g} {self.symbol}".rstrip()
 
-    def number(self, value: float, digits: int = 5) -> str:
+    def number(self, value: float) -> str:
         """Return an SI value in this unit as text, without the unit's symbol."""
-        return f"{value / self.factor:.{digits}g}"
+        return f"{value / self.factor:.5g}"
 
     def heading(self, name: str) -> str:
         """Return a column heading for values in this unit."""

@@ -52,15 +52,22 @@ def test_bash_completes_commands_and_options(tmp_path):
         assert subprocess.check_output(shell, text=True).split() == expected.split()
 
 
+@pytest.fixture
+def soon(monkeypatch):
+    """Write lines of progress after hundredths of a second."""
+    monkeypatch.setattr(process, "INTERVAL", 0.01)
+
+
 def until(true):
     """Wait for what another thread does."""
     while not true():
         time.sleep(0.01)
 
 
+@pytest.mark.usefixtures("soon")
 def test_it_says_what_is_being_done_until_it_is_done():
     lines = []
-    with heartbeat(lines.append, every=0.01) as told:
+    with heartbeat(lines.append) as told:
         until(lambda: len(lines) >= 2)
         told("calibrating")
         until(lambda: lines[-1].startswith("calibrating: "))
@@ -70,6 +77,7 @@ def test_it_says_what_is_being_done_until_it_is_done():
     assert len(lines) == count
 
 
+@pytest.mark.usefixtures("soon")
 @pytest.mark.parametrize("error", [BrokenPipeError, ValueError("closed file")])
 def test_a_reader_that_went_away_is_no_matter(error):
     tried = []
@@ -78,14 +86,13 @@ def test_a_reader_that_went_away_is_no_matter(error):
         tried.append(line)
         raise error
 
-    with heartbeat(gone, every=0.01):
+    with heartbeat(gone):
         until(lambda: tried)
     assert len(tried) == 1
 
 
+@pytest.mark.usefixtures("soon")
 def test_commands_and_sweeps_say_it(monkeypatch):
-    monkeypatch.setattr(process, "INTERVAL", 0.01)
-
     def long(_):
         with commands.progress() as told:
             told("calibrating", 0.5)

@@ -126,11 +126,6 @@ class Fit(Saveable):
         """Predicted minus observed values, SI."""
         return np.array([row.residual for row in self.rows])
 
-    @property
-    def standardised(self) -> Vector:
-        """Residuals over the standard deviation of a measurement; 0 for rows of weight 0."""
-        return np.array([row.residual / row.sigma if row.sigma > 0.0 else 0.0 for row in self.rows])
-
     def intervals(self, level: float = 0.95, kind: Kind = "profile") -> dict[str, Interval]:
         """Return the confidence interval of every unknown, SI.
 

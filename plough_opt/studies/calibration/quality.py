@@ -167,7 +167,6 @@ class CrossValidation:
         folds: number of parts that were left out in turn; equal to the number of rows if each was left out alone.
         rows: numbers of the rows that were left out; rows that measure an unknown directly are never left out.
         errors: predicted minus observed values of these rows, by the fits without them, SI.
-        standardised: the errors over the standard deviation of a measurement.
         rms: result -> root mean square of its errors, SI.
         rms_fitted: result -> root mean square of its residuals in the fit to all rows, which is smaller, SI.
     """
@@ -175,7 +174,6 @@ class CrossValidation:
     folds: int
     rows: NDArray[np.intp]
     errors: Vector
-    standardised: Vector
     rms: Mapping[str, float]
     rms_fitted: Mapping[str, float]
 
@@ -217,5 +215,4 @@ def cross_validate(fit: Estimate, folds: int | None, seed: int) -> CrossValidati
         names = dict.fromkeys(results[rows])
         return {str(name): float(np.sqrt(np.mean(values[results == name] ** 2))) for name in names}
 
-    standardised = errors[rows] / fit.deviation[rows]
-    return CrossValidation(folds, rows, errors[rows], standardised, rms(errors), rms(fit.predicted - data.observed))
+    return CrossValidation(folds, rows, errors[rows], rms(errors), rms(fit.predicted - data.observed))

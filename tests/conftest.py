@@ -65,7 +65,6 @@ ONE_OF = {
     "motion/test_printed_motion": 3,
     "motion/test_smooth_contact": 3,
     "motion/test_stick_slip": 3,
-    "accuracy/test_accuracy_study": 2,
     "test_batch": 3,
     "test_density_profile": 2,
     "test_forces": 4,

@@ -42,6 +42,10 @@ Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction done."""
 
 
+def silent(_stage: str, _part: float) -> None:
+    """Report no progress."""
+
+
 @dataclass(frozen=True)
 class Entry:
     """Result of one method with one setting.
@@ -139,7 +143,7 @@ def measured(
     allowance: float,
     *,
     floor: float = 0.0,
-    progress: Progress = lambda _stage, _part: None,
+    progress: Progress = silent,
 ) -> list[Entry]:
     """Return the entries of contestants: settings measured in any case, and those that led to the cheapest good one.
 

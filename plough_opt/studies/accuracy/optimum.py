@@ -25,7 +25,7 @@ from plough_opt.design.program import Program
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.methods import METHODS, is_stepped
 from plough_opt.motion.plan import steps_for
-from plough_opt.studies.accuracy.contest import Contestant, Entry, Progress, measured
+from plough_opt.studies.accuracy.contest import Contestant, Entry, Progress, measured, silent
 from plough_opt.studies.accuracy.local_solve import (
     Derivatives,
     Solve,
@@ -145,7 +145,7 @@ def design_contest(
     limit: float = 10.0,
     near: bool = False,
     thin: bool = False,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> DesignContest:
     """Return error and time of every method that can solve a design locally.
 
@@ -177,7 +177,7 @@ def design_contest(
         )
         for (family, name), own in settings.items()
     ]  # fmt: skip
-    entries = measured(contestants, REPORTED, wanted, 10.0 * budget, progress=progress or (lambda _stage, _part: None))
+    entries = measured(contestants, REPORTED, wanted, 10.0 * budget, progress=progress)
     return DesignContest(tuple(judge.optima), tuple(entries))
 
 

@@ -47,8 +47,8 @@ _CONTACT_TOLERANCE: Final = 1e-17
 _TIGHT: Final = 1e-14
 
 Vector = NDArray[np.float64]
-Found = tuple[list[Entry], float]
-"""Entries of one kind of quadrature, and the relative error of their reference [-]."""
+Found = tuple[list[Entry], float, tuple[str, str]]
+"""Entries of one kind of quadrature, the relative error of their reference [-], and the default method and setting."""
 
 
 def density_profile(task: Task) -> Found:
@@ -71,12 +71,15 @@ def density_profile(task: Task) -> Found:
 
     orders = tuple(dict.fromkeys(sorted((*task.some(ORDERS), profile.order))))
     contestant = Contestant("quadrature", "density profile", reaction, errors, orders, label="order {}".format)
-    return task.ranked([contestant], "reaction"), max(errors(check)["reaction"], float(np.finfo(float).eps))
+    floor = max(errors(check)["reaction"], float(np.finfo(float).eps))
+    return task.ranked([contestant], "reaction"), floor, (contestant.method, f"order {profile.order}")
 
 
 def quasi_static_course(task: Task) -> Found:
     """Return the entries of quadratures for quasi-static averages; the reference has more points and panels."""
-    scene, usual = task.scene, usual_panels(task)
+    scene = task.scene
+    # What `simulate` takes for a quasi-static run.
+    usual = max(task.outputs, steps_for(forced_rate(numbers_of(scene)) * task.duration))
 
     def average(setting: tuple[int, int]) -> Callable[[], Run]:
         points, panels = setting
@@ -93,12 +96,7 @@ def quasi_static_course(task: Task) -> Found:
         "quadrature", "quasi-static", average, lambda run: errors_of(run, exact), settings, label=label
     )
     floor = max(float(np.finfo(float).eps), *errors_of(check, exact).values())
-    return task.ranked([contestant], "averages"), floor
-
-
-def usual_panels(task: Task) -> int:
-    """Return the number of panels that `simulate` takes for a quasi-static run."""
-    return max(task.outputs, steps_for(forced_rate(numbers_of(task.scene)) * task.duration))
+    return task.ranked([contestant], "averages"), floor, (contestant.method, label((POINTS[-1], usual)))
 
 
 def elastic_contact(task: Task) -> Found:
@@ -138,7 +136,7 @@ def elastic_contact(task: Task) -> Found:
               lambda _: lambda: float(elastic.cone_force(scene.cone, soil, scene.tow_speed)), errors),
     ]  # fmt: skip
     floor = max(off / abs(exact), float(np.finfo(float).eps))
-    return task.ranked(contestants, "contact force"), floor
+    return task.ranked(contestants, "contact force"), floor, (contestants[-1].method, "")
 
 
 def _edges(total: Callable[[Vector], Vector], height: float) -> list[float]:

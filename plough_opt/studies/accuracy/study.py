@@ -31,10 +31,10 @@ from plough_opt.laws.forces import PlasticGas
 from plough_opt.motion.accuracy import DEFAULT_ERROR
 from plough_opt.motion.plan import MOST_OUTPUTS
 from plough_opt.motion.scene import Scene
-from plough_opt.studies.accuracy.contest import Entry, Progress
-from plough_opt.studies.accuracy.methods import Task, gradients, integrators, models, periodic_orbit_of
+from plough_opt.studies.accuracy.contest import Entry, Progress, silent
+from plough_opt.studies.accuracy.methods import AUTO, Task, gradients, integrators, models, periodic_orbit_of
 from plough_opt.studies.accuracy.optimum import GRADIENT, VARIABLES, design_contest
-from plough_opt.studies.accuracy.quadratures import density_profile, elastic_contact, quasi_static_course, usual_panels
+from plough_opt.studies.accuracy.quadratures import density_profile, elastic_contact, quasi_static_course
 from plough_opt.studies.accuracy.reference import Reference, reference_gradient, reference_run
 from plough_opt.studies.accuracy.result import (
     CONTACT,
@@ -122,7 +122,7 @@ def study_accuracy(
         raise InputError("the duration is missing: give the time to simulate in seconds")
     duration = plain_number("duration", BESIDE["scene.duration"].read(duration))
     task = Task(scene, float(duration), int(outputs), float(allowance), thin, wanted)
-    entries, floors, notes = _contests(task, progress or (lambda _stage, _part: None), derivatives=derivatives)
+    entries, floors, defaults, notes = _contests(task, progress or silent, derivatives=derivatives)
     return AccuracyStudy(
         title=title,
         duration=task.duration,
@@ -130,7 +130,7 @@ def study_accuracy(
         entries=tuple(entries),
         floors=floors,
         notes=tuple(notes),
-        defaults=_defaults(task),
+        defaults=defaults,
         versions=_versions(),
     )
 
@@ -178,6 +178,7 @@ def study_design(
     check_kind("the design", design, Design, "a Design")
     _check(wanted, title, progress, near=near, thin=thin)
     check_domain("time allowed to a solve", plain_number("limit", limit), "s", above=0.0)
+    progress = progress or silent
     found = design_contest(design, wanted=wanted, limit=limit, near=near, thin=thin, progress=progress)
     ours = [(e.method, e.setting) for e in found.entries if (e.family, e.method) == ("derivatives", GRADIENT)]
     return AccuracyStudy(
@@ -192,12 +193,15 @@ def study_design(
     )
 
 
-def _contests(task: Task, progress: Progress, *, derivatives: bool) -> tuple[list[Entry], dict[str, float], list[str]]:
-    """Return the entries of all contests for a scene, the errors of their references by name, and notes.
+def _contests(
+    task: Task, progress: Progress, *, derivatives: bool
+) -> tuple[list[Entry], dict[str, float], dict[str, tuple[str, str]], list[str]]:
+    """Return the entries of all contests for a scene, the errors and defaults of their references by name, and notes.
 
     Notes say what has no reference.
     """
     scene, entries, floors, notes = task.scene, list[Entry](), dict[str, float](), list[str]()
+    defaults = {MOTION: (AUTO, f"error {DEFAULT_ERROR:.0e}"), DERIVATIVES: (AUTO, "default")}
 
     def found(name: str, find: Callable[[], _T]) -> _T | None:
         try:
@@ -241,11 +245,11 @@ def _contests(task: Task, progress: Progress, *, derivatives: bool) -> tuple[lis
         result = found(name, partial(measure, task)) if takes_part else None
         if result is not None:
             entries += result[0]
-            floors[name] = result[1]
-    return entries, floors, notes
+            floors[name], defaults[name] = result[1:]
+    return entries, floors, defaults, notes
 
 
-def _thoroughness(design: Design, *, limit: float, thin: bool, progress: Progress | None) -> tuple[Thoroughness, ...]:
+def _thoroughness(design: Design, *, limit: float, thin: bool, progress: Progress) -> tuple[Thoroughness, ...]:
     """Return success and time of each effort of a search.
 
     A search is right if it finds the best optimum that any of the searches found, since no other truth is known.
@@ -262,8 +266,7 @@ def _thoroughness(design: Design, *, limit: float, thin: bool, progress: Progres
     design.solve(search="near")  # builds the program, which all searches share
     found: dict[Search, list[tuple[Optimum | None, float]]] = {}
     for number, search in enumerate(_EFFORTS):
-        if progress is not None:
-            progress(f"searching: {search}", number / len(_EFFORTS))
+        progress(f"searching: {search}", number / len(_EFFORTS))
         runs = found[search] = [_solved(design, search, 0)]
         too_long = runs[0][1] > limit
         seeds = 1 if search == "near" or too_long else _THIN_SEEDS if thin else _SEEDS
@@ -294,21 +297,6 @@ def _solved(design: Design, search: Search, seed: int) -> tuple[Optimum | None, 
 def _ranked_value(best: Optimum) -> float:
     """Return the value by which `Design.solve` ranks optima: the median over tolerances, or else the objective."""
     return best.objective if best.spread is None else best.spread.median
-
-
-def _defaults(task: Task) -> dict[str, tuple[str, str]]:
-    """Return the default method and setting for each reference."""
-    defaults = {
-        MOTION: ("auto", f"error {DEFAULT_ERROR:.0e}"),
-        DERIVATIVES: ("auto", "default"),
-        CONTACT: ("graded cells", ""),
-    }
-    profile = task.scene.soil.density_profile
-    if profile is not None:
-        defaults[PROFILE] = "density profile", f"order {profile.order}"
-    if not task.scene.effects.motion and not isinstance(task.scene.law, ElasticMedium):
-        defaults[COURSE] = "quasi-static", f"10 points in each of {usual_panels(task)} panels"
-    return defaults
 
 
 def _versions() -> dict[str, str]:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
-from plough_opt.core.errors import PloughError
+from plough_opt.core.errors import InputError, PloughError
 
 # Times that differ by less than this factor are equal within the noise of repetitions.
 _EQUAL_TIMES: Final = 1.1
@@ -131,9 +131,9 @@ def step_counts(usual: float, factors: Sequence[float], unit: int = 1) -> tuple[
     return tuple(counts), tuple(places)
 
 
-def failure(family: str, method: str, reason: object, setting: str = "") -> Entry:
-    """Return the entry of a contestant without a result."""
-    return Entry(family, method, setting, math.inf, failure=str(reason))
+def refuse(reason: str, *_: Any) -> Any:
+    """Raise InputError in place of preparing a contestant that cannot take part."""
+    raise InputError(reason)
 
 
 def measured(
@@ -223,9 +223,8 @@ class _Trial:
         return seconds
 
     def _fail(self, place: int, reason: str) -> None:
-        contestant = self.contestant
-        label = contestant.label(contestant.settings[place])
-        self.entries[place] = failure(contestant.family, contestant.method, reason, label)
+        c = self.contestant
+        self.entries[place] = Entry(c.family, c.method, c.label(c.settings[place]), math.inf, failure=reason)
 
     @property
     def good(self) -> dict[int, Entry]:

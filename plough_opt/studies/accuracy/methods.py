@@ -8,7 +8,7 @@ from typing import Any, Final, TypeVar
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.errors import IntegrationError, PloughError
+from plough_opt.core.errors import InputError, IntegrationError, PloughError
 from plough_opt.core.expressions import as_number
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
@@ -31,7 +31,7 @@ from plough_opt.motion.plan import (
 )
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure
-from plough_opt.studies.accuracy.contest import Contestant, Entry, Use, failure, measured, step_counts
+from plough_opt.studies.accuracy.contest import Contestant, Entry, Use, measured, refuse, step_counts
 from plough_opt.studies.accuracy.reference import AVERAGES, QUANTITIES, Reference, ReferenceGradient, errors_of
 
 AUTO: Final = "auto"
@@ -153,8 +153,8 @@ def prepared(task: Task, accuracy: Accuracy, *, compiled: bool = False) -> tuple
 
 def integrators(task: Task, reference: Reference) -> list[Entry]:
     """Return the entries of all methods that can integrate the scene, interpreted and in machine code."""
-    able, refused = _by_ability(task.scene)
-    families: list[tuple[str, str, dict[str, str], bool]] = [("integrator", AUTO, {m: m for m in able}, False)]
+    reasons = _reasons(task.scene)
+    families: list[tuple[str, str, dict[str, str], bool]] = [("integrator", AUTO, {m: m for m in reasons}, False)]
     structure = Structure.of(task.scene)
     if structure.stepped and compiled_steps(structure) is not None:
         families.append((MACHINE_CODE, COMPILED, {BARE: "dop853"}, True))
@@ -165,11 +165,13 @@ def integrators(task: Task, reference: Reference) -> list[Entry]:
         once = partial(prepared, task, compiled=compiled)
         automatic = automatic_settings(task)
         contestants = [Contestant(family, auto, simulated, errors, automatic, label=text, patience=_patience)]
-        contestants += [
-            _contestant(task, family, m, once, errors, name=name, check=simulated) for name, m in names.items()
-        ]
+        for name, method in names.items():
+            if why := reasons[method]:
+                contestants.append(Contestant(family, name, partial(refuse, why), errors))
+            else:
+                contestants.append(_contestant(task, family, method, once, errors, name=name, check=simulated))
         entries += task.ranked(contestants, "averages", reference.errors["averages"])
-    return entries + [failure("integrator", method, reason) for method, reason in refused.items()]
+    return entries
 
 
 def _simulated(task: Task, accuracy: Accuracy, *, compiled: bool) -> Callable[[], Run]:
@@ -208,7 +210,7 @@ def gradients(task: Task, reference: ReferenceGradient) -> list[Entry]:
 
     contestants = [Contestant("derivatives", AUTO, prepare, errors, (Accuracy(),), label=text)]
     single = replace(task, outputs=1)
-    able, _ = _by_ability(task.scene)
+    able = [method for method, why in _reasons(task.scene).items() if not why]
     contestants += [_contestant(single, "derivatives", method, prepare, errors) for method in able]
     return task.ranked(contestants, "gradient")
 
@@ -250,11 +252,10 @@ def _least_time(task: Task, accuracy: Accuracy, *, slower: float) -> float:
     return slower * steps * _ONE_STEP
 
 
-def _by_ability(scene: Scene) -> tuple[list[str], dict[str, str]]:
-    """Return the methods that can integrate a scene, and for each other method the reason why not."""
+def _reasons(scene: Scene) -> dict[str, str]:
+    """Return for each method the reason why it cannot integrate a scene; empty if it can."""
     orbits, events = scene.effects.orbit != "transient", scene.effects.events
-    found = {method: refused(method, orbits=orbits, events=events) for method in (*fixed_step(), *adaptive())}
-    return [method for method, why in found.items() if not why], {method: why for method, why in found.items() if why}
+    return {method: refused(method, orbits=orbits, events=events) for method in (*fixed_step(), *adaptive())}
 
 
 def refused(method: str, *, orbits: bool, events: bool) -> str:
@@ -332,10 +333,7 @@ def models(task: Task, motion: Reference | None, periodic: Reference | None) -> 
     def errors(found: Run) -> Mapping[str, float]:
         return _errors("", found, motion) | _errors("lasting ", found, periodic)
 
-    contestants, entries = [Contestant("model", "quasi-static", lambda _: _quasi_static(task), errors)], []
-    if task.scene.effects.entry:
-        reason = "its share is wholly buried from the start, so it cannot enter"
-        entries = [failure("model", contestants.pop().method, reason)]
+    contestants = [Contestant("model", "quasi-static", lambda _: _quasi_static(task), errors)]
     transient, orbit = task.scene.effects.orbit == "transient", periodic_orbit_of(task.scene)
     if orbit is not None and not (transient and periodic is None):
         around = replace(task, scene=orbit, duration=float(as_number(orbit.wave_period)))
@@ -352,7 +350,7 @@ def models(task: Task, motion: Reference | None, periodic: Reference | None) -> 
         if transient:
             once = partial(prepared, around)
             contestants.append(Contestant("model", "lasting orbit", once, errors, settings, always, text))
-    return entries + task.ranked(contestants, "lasting averages" if transient else "averages")
+    return task.ranked(contestants, "lasting averages" if transient else "averages")
 
 
 def _counted(balance: HarmonicBalance) -> str:
@@ -360,7 +358,13 @@ def _counted(balance: HarmonicBalance) -> str:
 
 
 def _quasi_static(task: Task) -> Callable[[], Run]:
-    """Return a use of the quasi-static limit of a scene, over the same time."""
+    """Return a use of the quasi-static limit of a scene, over the same time.
+
+    Raises:
+        InputError: the scene has no such limit.
+    """
+    if task.scene.effects.entry:
+        raise InputError("its share is wholly buried from the start, so it cannot enter")
     effects = replace(
         task.scene.effects, motion=False, start="equilibrium", damping=None, contact="resisting", orbit="transient"
     )

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.errors import InputError, NotConverged
+from plough_opt.core.errors import NotConverged
 from plough_opt.design import Design
 from plough_opt.design.basin import first_optimum
 from plough_opt.design.ipopt import Point, SolveOptions, Vector
@@ -25,7 +25,7 @@ from plough_opt.design.program import Program
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.methods import METHODS, is_stepped
 from plough_opt.motion.plan import steps_for
-from plough_opt.studies.accuracy.contest import Contestant, Entry, Progress, measured, silent
+from plough_opt.studies.accuracy.contest import Contestant, Entry, Progress, measured, refuse, silent
 from plough_opt.studies.accuracy.local_solve import (
     Derivatives,
     Solve,
@@ -357,7 +357,7 @@ class _Settings:
             tolerance = _TIGHT if accuracy.steps else _NOISY
             build = partial(self._by_casadi, accuracy, exact=False, tolerance=tolerance)
             if reason := self.question.refusal(accuracy.method):
-                build = partial(_refuse, reason)
+                build = partial(refuse, reason)
             yield "integrator", accuracy.method, text(accuracy), build
 
     def _derivatives(self) -> Iterator[_Row]:
@@ -377,7 +377,7 @@ class _Settings:
         if counts and not question.orbits:
             of_graph = partial(self._by_casadi, Accuracy("dop853", steps=max(counts)))
             yield "derivatives", _OF_GRAPH, words, of_graph
-        build = partial(_refuse, _NO_CODE) if question.orbits else partial(built, "gradient", _TIGHT, compiled)
+        build = partial(refuse, _NO_CODE) if question.orbits else partial(built, "gradient", _TIGHT, compiled)
         yield "compiled", f"{GRADIENT}, compiled", words, build
 
     def _by_casadi(self, form: Transcription, *, exact: bool = True, tolerance: float = _TIGHT) -> Solve:
@@ -385,7 +385,3 @@ class _Settings:
         own = transcribe(self.question, form, self.start.y)
         scalar = isinstance(form, Mesh) and not form.steps
         return solve_transcribed(own, self.start, exact=exact, tolerance=tolerance, scalar=scalar)
-
-
-def _refuse(reason: str) -> Solve:
-    raise InputError(reason)

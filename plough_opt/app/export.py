@@ -2,7 +2,6 @@
 
 import argparse
 import json
-from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
 
@@ -53,12 +52,13 @@ def export(options: argparse.Namespace) -> None:
     problem = read(options)
     values: dict[str, Any] = problem.values()
     name = options.name or "share"
+    at = options.at or ("best" if problem.variables and problem.table.minimise else "guess")
     request = Request(
         path=options.output,
         name=name,
         component=partial(_component, problem, options, name),
         scene=problem.scene(),
-        best=_best_of(problem, options.at),
+        best=partial(_best, problem) if at == "best" else None,
         steel_density=values["scene.steel_density"],
         duration=values.get("scene.duration"),
         varies=bool(problem.variables),
@@ -110,13 +110,6 @@ def _names(option: str, written: str | None) -> tuple[str, ...]:
             f"--{option} '{written}' has an empty name: separate names by single commas, as share.height,soil.cohesion"
         )
     return names
-
-
-def _best_of(problem: Problem, at: str | None) -> Callable[[], Scene] | None:
-    """Return a function that finds the scene of the best design, or None to export the scene at the guesses."""
-    if at == "guess" or (at is None and not (problem.variables and problem.table.minimise)):
-        return None
-    return lambda: _best(problem)
 
 
 def _best(problem: Problem) -> Scene:

@@ -123,21 +123,19 @@ def _numbers(saved: Any) -> dict[str, tuple[float, Display | None]]:
     """
     design = _design(saved)
     found: dict[str, tuple[float, Display | None]] = {}
+    results: dict[str, tuple[float, Display | None]] = {}
     for share, run in _runs(saved).items():
         before = f"{share}." if share else ""
-        for name, value in quantities_of(run.scene).items():
-            if value is not None:
-                found[before + name] = float(value), None
-    if design is not None:
-        found["objective"] = design.objective, Display("", 1.0)
-        found |= {limit.name: (limit.value, limit.shown) for limit in design.limits}
-    for share, run in _runs(saved).items():
-        before = f"{share}." if share else ""
+        given = quantities_of(run.scene)
+        found |= {before + name: (float(value), None) for name, value in given.items() if value is not None}
         for unit, names in _RESULTS.items():
             own = {name: float(getattr(run, name)) for name in names}
             display = run.origin.common(unit, own)
-            found |= {before + name: (value, display) for name, value in own.items()}
-    return found
+            results |= {before + name: (value, display) for name, value in own.items()}
+    if design is not None:
+        found["objective"] = design.objective, Display("", 1.0)
+        found |= {limit.name: (limit.value, limit.shown) for limit in design.limits}
+    return found | results
 
 
 def _table(saved: Mapping[str, Any], numbers: Mapping[str, Mapping[str, tuple[float, Display | None]]]) -> Grid:

@@ -153,8 +153,8 @@ def join_dotted(data: dict[str, Any]) -> None:
 
 def check_uncertain(source: Source, table: ProblemTable) -> None:
     """Note every mistake in the table, and in the measures of terms and requirements."""
+    _check_measures(source, table)
     if table.uncertain is None:
-        _note_keys_of_uncertainty(source, table)
         return
     properties = [key for key in quantities() if key.startswith("soil.")]
     for key, entry in table.uncertain.items():
@@ -178,7 +178,6 @@ def check_uncertain(source: Source, table: ProblemTable) -> None:
         )
     elif table.scene.law.lacks("uncertain"):
         source.note((TABLE,), table.scene.law.refusal("uncertain", TABLE))
-    _check_measures(source, table)
 
 
 def _check_property(table: ProblemTable, key: str) -> None:
@@ -279,10 +278,16 @@ def _made(name: str, values: Mapping[str, Any]) -> Any:
 
 
 def _check_measures(source: Source, table: ProblemTable) -> None:
-    """Note invalid measures."""
+    """Note invalid measures, and in a file without an uncertain soil the keys that need one."""
     known = measures_of(table)
     for kind in ("minimise", "require"):
         for name, entry in getattr(table, kind).items():
+            if table.uncertain is None:
+                for key in ("measure", "probability", "width"):
+                    if getattr(entry, key, None) is not None:
+                        needs = f"belongs to an uncertain soil: add a table [{TABLE}]"
+                        source.note((kind, name, key), f"'{kind}.{name}.{key}' {needs}")
+                continue
             with source.noting((kind, name)):
                 if isinstance(entry, LimitTable):
                     _check_limit(entry, name, everywhere=name in known and known[name].everywhere)
@@ -309,13 +314,3 @@ def _check_limit(limit: LimitTable, name: str, everywhere: bool) -> None:
         raise InputError(f"'{name}': the probability {limit.probability:g} {between}")
     if len(limit.sides) == 2:
         raise InputError(f"'{name}': a probability applies to one limit: give at_least or at_most")
-
-
-def _note_keys_of_uncertainty(source: Source, table: ProblemTable) -> None:
-    """Note keys that need an uncertain soil, in a file without one."""
-    for kind in ("minimise", "require"):
-        for name, entry in getattr(table, kind).items():
-            for key in ("measure", "probability", "width"):
-                if getattr(entry, key, None) is not None:
-                    said = f"'{kind}.{name}.{key}' belongs to an uncertain soil: add a table [{TABLE}]"
-                    source.note((kind, name, key), said)

@@ -15,12 +15,11 @@ from typing import TYPE_CHECKING, Final, NoReturn
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from plough_opt import design as designs
 from plough_opt.core.errors import InputError, short, unprintable
 from plough_opt.core.files import check_format, save_figure, write_file
-from plough_opt.core.process import heartbeat
+from plough_opt.core.process import progress_on
 from plough_opt.core.tables import Page
 from plough_opt.problem_file import Problem, read_problem
 
@@ -253,17 +252,8 @@ def progress() -> Iterator[designs.Progress]:
     """Yield a function that shows the present step on the error stream: a bar on a terminal, otherwise lines."""
     stream = Console(stderr=True, highlight=False)
     with ExitStack() as stack:
-        show: Callable[[str, float], object]
-        if quiet() or LOG.isEnabledFor(logging.DEBUG):
-            show = _StepByStep()
-        elif stream.is_terminal:
-            columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn())
-            bar = stack.enter_context(Progress(*columns, console=stream, transient=True))
-            task = bar.add_task("reading", total=1.0)
-            show = lambda stage, fraction: bar.update(task, description=stage, completed=fraction)  # noqa: E731
-        else:
-            said = stack.enter_context(heartbeat(lambda line: stream.print(line, markup=False, soft_wrap=True)))
-            show = lambda stage, _fraction: said(stage)  # noqa: E731
+        silent = quiet() or LOG.isEnabledFor(logging.DEBUG)
+        show = _StepByStep() if silent else stack.enter_context(progress_on(stream))
 
         def notify(stage: str, fraction: float) -> None:
             _stop_if_interrupted()

@@ -1,5 +1,7 @@
 """Services of the running process: processor count, filtered error stream, progress lines, registered additions."""
 
+from __future__ import annotations
+
 import contextlib
 import os
 import sys
@@ -9,9 +11,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib.metadata import entry_points
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from plough_opt.core.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 # A context variable, so that other threads keep their own values.
 _one_of_several: ContextVar[bool] = ContextVar("one_of_several", default=False)
@@ -119,6 +124,21 @@ def heartbeat(write: Callable[[str], object]) -> Iterator[Callable[[str], None]]
     finally:
         done.set()
         thread.join()
+
+
+@contextmanager
+def progress_on(stream: Console) -> Iterator[Callable[[str, float], object]]:
+    """Show progress on a stream, as a bar on a terminal or as lines; yield a function of the step and the part done."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn  # slow to import
+
+    if stream.is_terminal:
+        columns = TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn(), TimeRemainingColumn()
+        with Progress(*columns, console=stream, transient=True) as bar:
+            task = bar.add_task("reading", total=1.0)
+            yield lambda step, done: bar.update(task, description=step, completed=done)
+    else:
+        with heartbeat(lambda line: stream.print(line, markup=False, highlight=False, soft_wrap=True)) as note:
+            yield lambda step, _done: note(step)
 
 
 def load_additions() -> None:

@@ -175,6 +175,8 @@ def test_a_worker_returns_finished_points_when_its_time_is_up():
     values = np.array([[0.5, 1.0], [0.6, 1.0], [0.7, 1.0]])
     assert work("any", swept.waves, ("a", "b"), values, 0.0).points == 1
     assert work("any", swept.waves, ("a", "b"), values, math.inf).points == 3
+    # Nor does it mix results of different names.
+    assert work("other", swept.two_names, ("a",), np.array([[1.0], [1.5], [2.0]]), math.inf).points == 2
     # So every point is stored within a second.
     assert engine._BUDGET + engine._WAIT < 1.0
 

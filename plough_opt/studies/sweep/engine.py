@@ -21,7 +21,7 @@ from plough_opt.studies.sweep.pool import STORED, ProcessPool, WorkerDied
 from plough_opt.studies.sweep.store import Store
 from plough_opt.studies.sweep.work import Array, Done, Evaluation, ManyPoints, work
 
-Progress = Callable[[int, int, int], None]
+Progress = Callable[[int, int, int], object]
 """Called with the numbers of stored points, of all points, and of failed ones."""
 
 # Target duration [s] of a task. The number of points in a task follows from it.

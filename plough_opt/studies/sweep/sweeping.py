@@ -11,13 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as Bar
 
 from plough_opt.core.checks import check_kind, check_switch, path_of, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
-from plough_opt.core.process import available, heartbeat
+from plough_opt.core.process import available, progress_on
 from plough_opt.core.saving import versions
 from plough_opt.studies.sweep.cluster import Cluster
 from plough_opt.studies.sweep.database import About, check_columns
@@ -76,7 +74,8 @@ def sweep(
     check_switch("retry", retry)
     points = points_of({name: axis_of(name, given) for name, given in over.items()}, samples, seed)
     check_columns(points.names)
-    full_question = {**points.question(), **(question or _identity(evaluation)), **_versions()}
+    packages = {f"version of {name}": text for name, text in {**versions(), "scipy": version("scipy")}.items()}
+    full_question = {**points.question(), **(question or _identity(evaluation)), **packages}
     store = None if store is None else path_of("the store", store)
     if not retry and store is not None and (finished := _finished(store, full_question)) is not None:
         return finished
@@ -114,24 +113,10 @@ def sweep(
 @contextmanager
 def bar(console: Console) -> Iterator[Progress]:
     """Show the progress of a sweep, as a bar on a terminal or as lines; yield the function that updates it."""
-    if not console.is_terminal:
-        with heartbeat(lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True)) as note:
-            yield lambda stored, count, failed: note(
-                f"sweep: {stored} of {count} points{f', {failed} failed' if failed else ''}"
-            )
-        return
-    columns = (TextColumn("sweep"), BarColumn(bar_width=24), MofNCompleteColumn(), TimeRemainingColumn(),
-               TextColumn("{task.fields[failures]}"))  # fmt: skip
-    with Bar(*columns, console=console, transient=True) as shown:
-        task = shown.add_task("sweep", total=None, failures="")
-
-        def update(stored: int, count: int, failed: int) -> None:
-            if shown.tasks[0].total is None:
-                # The estimate of the remaining time must not count points that were stored before this run.
-                shown.reset(task, total=count, completed=stored)
-            shown.update(task, completed=stored, failures=f"{failed} failed" if failed else "")
-
-        yield update
+    with progress_on(console) as show:
+        yield lambda stored, count, failed: show(
+            f"sweep: {stored} of {count} points{f', {failed} failed' if failed else ''}", stored / count
+        )
 
 
 def _finished(path: Path, question: Mapping[str, str]) -> Sweep | None:
@@ -179,8 +164,3 @@ def _identity(evaluation: Evaluation) -> dict[str, str]:
         content = b""
     name = getattr(evaluation, "__qualname__", type(evaluation).__qualname__)
     return {"function": name, "text of the function": f"digest {hashlib.sha256(content).hexdigest()[:16]}"}
-
-
-def _versions() -> dict[str, str]:
-    packages = {**versions(), "scipy": version("scipy")}
-    return {f"version of {name}": text for name, text in packages.items()}

@@ -197,11 +197,18 @@ def _weights(front: FrontProgram, candidate: Candidate) -> tuple[float, ...] | N
 
 def notes_on(tracer: Tracer, goals: Sequence[Goal], points: Sequence[FrontPoint]) -> tuple[str, ...]:
     """Return sentences on objectives that hardly conflict, needles, unconfirmed points, and a wanted error missed."""
-    return (
-        *_conflict_notes(tracer, goals, points),
-        *_needle_notes(tracer, points),
-        *_error_notes(tracer.front, points),
-    )
+    needles, unconfirmed = sum(point.needle for point in points), sum(not point.confirmed for point in points)
+    wanted, gap = tracer.front.program.wanted_error, max((one.gap for one in points if one.confirmed), default=0.0)
+    notes = {
+        f"{tracer.archive.needles_beyond} designs beyond the front were left out: they are needles, which no workshop"
+        " can hit within their tolerances": tracer.archive.needles_beyond,
+        f"{needles} of {len(points)} designs are needles: no workshop can hit them within their tolerances": needles,
+        f"{unconfirmed} of {len(points)} designs are unconfirmed: simulated, and better than every optimum found that"
+        " can be made, but not optima themselves": unconfirmed,
+        f"the wanted relative error {wanted or 0.0:.1e} was not reached everywhere: the largest is {gap:.1e}":
+            wanted is not None and gap > wanted,
+    }  # fmt: skip
+    return (*_conflict_notes(tracer, goals, points), *(note for note, holds in notes.items() if holds))
 
 
 def _conflict_notes(tracer: Tracer, goals: Sequence[Goal], points: Sequence[FrontPoint]) -> list[str]:
@@ -223,34 +230,6 @@ def _conflict_notes(tracer: Tracer, goals: Sequence[Goal], points: Sequence[Fron
         for name, change in zip(names, ranges, strict=True)
         if change < _SMALL
     ]
-
-
-def _needle_notes(tracer: Tracer, points: Sequence[FrontPoint]) -> list[str]:
-    """Return sentences on needles, and on points that are not optima."""
-    notes = []
-    if beyond := tracer.archive.needles_beyond:
-        notes.append(
-            f"{beyond} designs beyond the front were left out: they are needles, which no workshop can hit within their"
-            " tolerances"
-        )
-    if needles := sum(point.needle for point in points):
-        notes.append(
-            f"{needles} of {len(points)} designs are needles: no workshop can hit them within their tolerances"
-        )
-    if unconfirmed := sum(not point.confirmed for point in points):
-        notes.append(
-            f"{unconfirmed} of {len(points)} designs are unconfirmed: simulated, and better than every optimum found"
-            " that can be made, but not optima themselves"
-        )
-    return notes
-
-
-def _error_notes(front: FrontProgram, points: Sequence[FrontPoint]) -> list[str]:
-    """Return a sentence if the wanted error was not reached."""
-    wanted, gap = front.program.wanted_error, max((point.gap for point in points if point.confirmed), default=0.0)
-    if wanted is None or gap <= wanted:
-        return []
-    return [f"the wanted relative error {wanted:.1e} was not reached everywhere: the largest is {gap:.1e}"]
 
 
 def search_in_words(tracer: Tracer) -> str:

@@ -42,7 +42,34 @@ class TradeOff(Saveable, Front):
 
     def page(self) -> Page:
         """Return the front as a report: a table by parts, holes, costs at the knee, and positions without a design."""
-        return _page(self)
+        everywhere = [name for name in self.points[0].active if all(name in point.active for point in self.points)]
+        parts: list[Grid | str] = [_table(self, everywhere)]
+        for hole in self.holes:
+            start, end = (_place(self, place) for place in (hole.start, hole.end))
+            doubt = "" if hole.settled else "; the optimiser failed inside, so designs may be missing"
+            parts.append(f"Hole: no efficient design between {start}, and {end}{doubt}.")
+        if self.knee is not None:
+            number = self.points.index(self.knee)
+            costs = "; ".join(self.in_words(number, of, by).partition(": ")[2] for of, by in self.pairs)
+            parts.append(f"Knee (bold), at {_place(self, self.knee.objectives)}: {costs}.")
+        if everywhere:
+            parts.append(f"Limits that decide every design: {', '.join(map(called, everywhere))}.")
+        parts += [self.search] if self.search else []
+        failures: dict[str, list[str]] = {}
+        for failure in self.failures:
+            # IPOPT's status stands before the colon.
+            reason = failure.reason.partition(": ")[2] or failure.reason
+            failures.setdefault(reason, []).append(_place(self, failure.objectives))
+        parts += [f"No certified design near {'; '.join(places)}: {reason}." for reason, places in failures.items()]
+        gap = max(point.gap for point in self.points)
+        residual = max((point.residual for point in self.points if point.confirmed), default=0.0)
+        footer = (
+            f"{len(self.dominated)} further local optima are dominated, {len(self.needles)} are needles; first-order"
+            f" conditions met to {residual:.0e}, gap to a tight integration {gap:.0e}; {self.seconds:.1f} s,"
+            f" {self.building:.1f} s of them for building"
+        )
+        names = ", ".join(called(goal.name) for goal in self.goals)
+        return Page(f"Front of {len(self.points)} designs: {names}", tuple(parts), self.notes, footer, self.title)
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a row for each point: part, objectives and variables in SI units; ``attrs["units"]`` has the units.
@@ -109,38 +136,6 @@ class TradeOff(Saveable, Front):
 
 def _heading(axis: Axis) -> str:
     return f"{axis.name} [{axis.unit}]" if axis.unit else axis.name
-
-
-def _page(front: Front) -> Page:
-    """Return a front as tables and sentences."""
-    everywhere = [name for name in front.points[0].active if all(name in point.active for point in front.points)]
-    parts: list[Grid | str] = [_table(front, everywhere)]
-    for hole in front.holes:
-        start, end = (_place(front, place) for place in (hole.start, hole.end))
-        doubt = "" if hole.settled else "; the optimiser failed inside, so designs may be missing"
-        parts.append(f"Hole: no efficient design between {start}, and {end}{doubt}.")
-    if front.knee is not None:
-        number = front.points.index(front.knee)
-        costs = "; ".join(front.in_words(number, of, by).partition(": ")[2] for of, by in front.pairs)
-        parts.append(f"Knee (bold), at {_place(front, front.knee.objectives)}: {costs}.")
-    if everywhere:
-        parts.append(f"Limits that decide every design: {', '.join(map(called, everywhere))}.")
-    parts += [front.search] if front.search else []
-    failures: dict[str, list[str]] = {}
-    for failure in front.failures:
-        # IPOPT's status stands before the colon.
-        reason = failure.reason.partition(": ")[2] or failure.reason
-        failures.setdefault(reason, []).append(_place(front, failure.objectives))
-    parts += [f"No certified design near {'; '.join(places)}: {reason}." for reason, places in failures.items()]
-    gap = max(point.gap for point in front.points)
-    residual = max((point.residual for point in front.points if point.confirmed), default=0.0)
-    footer = (
-        f"{len(front.dominated)} further local optima are dominated, {len(front.needles)} are needles; first-order"
-        f" conditions met to {residual:.0e}, gap to a tight integration {gap:.0e}; {front.seconds:.1f} s,"
-        f" {front.building:.1f} s of them for building"
-    )
-    names = ", ".join(called(goal.name) for goal in front.goals)
-    return Page(f"Front of {len(front.points)} designs: {names}", tuple(parts), front.notes, footer, front.title)
 
 
 def _table(front: Front, everywhere: Sequence[str]) -> Grid:

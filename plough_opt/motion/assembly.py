@@ -80,20 +80,8 @@ def assemble(
             mode = np.round(mode)
         speed = where((mode - STICK) ** 2 < (SLIP - STICK) ** 2 / 4.0, 0.0, speed)
         soil = where(mode < (SLIP + STICK) / 2.0, soil, where(mode < (STICK + GAP) / 2.0, force, 0.0))
-    return Run(
-        scene=scene,
-        duration=duration,
-        time=time,
-        travel=travel,
-        speed=speed,
-        deflection=deflection,
-        mount_force=force,
-        soil_resistance=soil,
-        opening=opening,
-        mode=mode,
-        averages=averages_of(scene, structure, p, means, variances),
-        accuracy=accuracy,
-    )
+    averages = averages_of(scene, structure, p, means, variances)
+    return Run(scene, duration, time, travel, speed, deflection, force, soil, opening, mode, averages, accuracy)
 
 
 def _added_mass(scene: Scene) -> Expression:
@@ -114,13 +102,9 @@ def averages_of(scene: Scene, structure: Structure, p: Parameters, means: Column
     else:
         mean_draft = first + p["stiffness"] * means[0]
         force_rms = scene.stiffness * displacement_rms
-    return Averages(
-        mean_draft=mean_draft,
-        force_rms=force_rms,
-        mean_deflection=first / p["stiffness"] + means[0],
-        displacement_rms=displacement_rms,
-        tow_power=means[-1] if structure.ramp else mean_draft * p["tow_speed"],
-    )
+    mean_deflection = first / p["stiffness"] + means[0]
+    tow_power = means[-1] if structure.ramp else mean_draft * p["tow_speed"]
+    return Averages(mean_draft, force_rms, mean_deflection, displacement_rms, tow_power)
 
 
 def quasi_static(
@@ -143,27 +127,11 @@ def quasi_static(
     variance = _average((change - mean_change) ** 2, weights)
     with unlabelled():
         force_rms = rms(variance, scene.steady_resistance)
-    stiffness = scene.stiffness
-    return Run(
-        scene=scene,
-        duration=duration,
-        time=time,
-        travel=path,
-        speed=speed,
-        deflection=force / stiffness,
-        mount_force=force,
-        soil_resistance=force,
-        opening=0.0 * force + 0.0,
-        mode=0.0 * force + 0.0,
-        averages=Averages(
-            mean_draft=mean_draft,
-            force_rms=force_rms,
-            mean_deflection=mean_draft / stiffness,
-            displacement_rms=force_rms / stiffness,
-            tow_power=_average(node_force * node_speed, weights),
-        ),
-        accuracy=accuracy,
-    )
+    stiffness, still = scene.stiffness, 0.0 * force + 0.0
+    tow_power = _average(node_force * node_speed, weights)
+    averages = Averages(mean_draft, force_rms, mean_draft / stiffness, force_rms / stiffness, tow_power)
+    deflection = force / stiffness
+    return Run(scene, duration, time, path, speed, deflection, force, force, still, still, averages, accuracy)
 
 
 def _quadrature(timeline: Timeline, points: int, duration: Expression, ramp: Expression) -> tuple[Column, Column]:
@@ -192,12 +160,8 @@ def _course(
     strut = terms.strut(structure, p, time)
     force = terms.resistance(structure, p, strut.path, terms.start_speed(structure, p) + strut.gain)
     everywhere = 0.0 * time
-    return (
-        time,
-        strut.path + everywhere,
-        terms.start_speed(structure, p) + strut.gain + everywhere,
-        force + everywhere,
-    )
+    speed = terms.start_speed(structure, p) + strut.gain
+    return time, strut.path + everywhere, speed + everywhere, force + everywhere
 
 
 def _average(values: Column, weights: Column) -> Expression:

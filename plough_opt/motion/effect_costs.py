@@ -12,22 +12,12 @@ import casadi as ca
 
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import Column, as_number
-from plough_opt.motion import simulate
+from plough_opt.motion import plan, simulate
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.assembly import GAUSS_POINTS, MORE_POINTS
 from plough_opt.motion.effects import TERMS, Effects, Entry
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.integrators import integration
-from plough_opt.motion.plan import (
-    MOST_ADAPTIVE,
-    OUTPUTS,
-    RUN_TOLERANCE,
-    coarser,
-    forced_rate,
-    numbers_of,
-    steps_for,
-    timeline_of,
-)
 from plough_opt.motion.runge_kutta import step
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.terms import Structure, resistance
@@ -124,15 +114,15 @@ def _operations(scene: Scene, duration: float | None) -> int:
         duration = 10.0 * float(as_number(scene.wave_period))
     if not scene.effects.motion:
         assert duration is not None  # only orbits have none, and they have motion
-        panels = steps_for(forced_rate(numbers_of(scene)) * duration)
+        panels = plan.steps_for(plan.forced_rate(plan.numbers_of(scene)) * duration)
         return panels * (2 * GAUSS_POINTS + MORE_POINTS) * _of_resistance(structure)
     accuracy = simulate(scene, duration).accuracy
     if accuracy.order_8:
         steps = accuracy.steps or 1
-        return (steps + coarser(steps)) * int(step(structure).n_instructions())
+        return (steps + plan.coarser(steps)) * int(step(structure).n_instructions())
     assert duration is not None
     assert accuracy.tolerance is not None
-    check = replace(accuracy, tolerance=accuracy.tolerance / RUN_TOLERANCE)
+    check = replace(accuracy, tolerance=accuracy.tolerance / plan.RUN_TOLERANCE)
     return sum(_of_adaptive(scene, duration, one) for one in (accuracy, check))
 
 
@@ -146,7 +136,8 @@ def _of_resistance(structure: Structure) -> int:
 
 def _of_adaptive(scene: Scene, duration: float, accuracy: Accuracy) -> int:
     """Return the number of operations of an adaptive method in evaluating the equation and its event functions."""
-    p, timeline = numbers_of(scene), timeline_of(scene, duration, OUTPUTS, MOST_ADAPTIVE, accuracy.method)
+    p = plan.numbers_of(scene)
+    timeline = plan.timeline_of(scene, duration, plan.OUTPUTS, plan.MOST_ADAPTIVE, accuracy.method)
     solver = integration(Structure.of(scene), accuracy, timeline)
     assert solver.sized is not None  # adaptive methods are CasADi's
     equation = equation_of_motion(solver.structure)

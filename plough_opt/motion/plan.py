@@ -177,13 +177,7 @@ _timeline = lru_cache(maxsize=256)(Timeline)
 
 
 def timeline_of(
-    scene: Scene,
-    duration: Expression,
-    outputs: int,
-    steps: int,
-    method: str | None = None,
-    *,
-    symbolic: bool = False,
+    scene: Scene, duration: Expression, outputs: int, steps: int, method: str | None = None, *, symbolic: bool = False
 ) -> Timeline:
     """Return the times of a run, which include the end of a tow ramp, numeric or symbolic.
 

@@ -117,11 +117,8 @@ class Scene:
     @cached_property
     def _reaction(self) -> SoilReaction:
         full = self._reaction_at(self._at)
-        return SoilReaction(
-            static=full.static,
-            drag=full.drag if self.effects.inertial_drag else 0.0,
-            added_mass=full.added_mass if self.effects.added_mass else 0.0,
-        )
+        drag = full.drag if self.effects.inertial_drag else 0.0
+        return SoilReaction(full.static, drag, full.added_mass if self.effects.added_mass else 0.0)
 
     def check_reaction(self) -> None:
         """Raise DomainError if a numeric scene lies outside the domain of its law of resistance.

@@ -86,7 +86,10 @@ def simulate(
         >>> po.simulate(scene, "1 s").duration
         1.0
     """
-    _check_types(scene, accuracy, outputs)
+    check_kind("the scene", scene, Scene, "a Scene, made of soil, share, stiffness, mass and tow speed")
+    check_kind("accuracy", accuracy, Accuracy | None, "an Accuracy, such as Accuracy('erk')")
+    if not is_count(outputs) or outputs > plan.MOST_OUTPUTS:
+        raise InputError(f"outputs = {shown(outputs)} must be a whole number of intervals, 1 to {plan.MOST_OUTPUTS}")
     check_switch("compiled", compiled)
     duration = _duration(scene, duration)
     accuracy = accuracy or Accuracy()
@@ -118,14 +121,6 @@ def simulate(
     multipliers, settled, stability = which_motion(run) if scene.effects.orbit == "periodic" else ((), None, ())
     notes = (*notes, *stability, *(interpreted(case, run) if compiled else ()))
     return replace(run, checks=Checks(error, time.perf_counter() - started, notes, multipliers, settled))
-
-
-def _check_types(scene: Scene, accuracy: Accuracy | None, outputs: int) -> None:
-    """Raise InputError if the scene, accuracy or number of outputs has the wrong type."""
-    check_kind("the scene", scene, Scene, "a Scene, made of soil, share, stiffness, mass and tow speed")
-    check_kind("accuracy", accuracy, Accuracy | None, "an Accuracy, such as Accuracy('erk')")
-    if not is_count(outputs) or outputs > plan.MOST_OUTPUTS:
-        raise InputError(f"outputs = {shown(outputs)} must be a whole number of intervals, 1 to {plan.MOST_OUTPUTS}")
 
 
 def repeat(scene: Scene, duration: Expression, *, outputs: int = plan.OUTPUTS) -> Run:

@@ -17,22 +17,10 @@ from typing import Any, Literal, TypeVar
 
 from plough_opt.core.expressions import Expression
 from plough_opt.core.labels import unlabelled
-from plough_opt.motion.effects import (
-    TERMS,
-    Changed,
-    Damping,
-    Entry,
-    HarmonicBalance,
-    Own,
-    Parameters,
-    Place,
-    SmoothContact,
-    StickSlipContact,
-    StrengthWaves,
-    Strut,
-    Term,
-    TowRamp,
-)  # fmt: skip
+from plough_opt.motion.effects import TERMS, Damping, Entry, HarmonicBalance, Own, SmoothContact, StickSlipContact
+from plough_opt.motion.effects.strength_waves import StrengthWaves
+from plough_opt.motion.effects.term import Changed, Parameters, Place, Term
+from plough_opt.motion.effects.tow_ramp import Strut, TowRamp
 from plough_opt.motion.scene import Scene
 
 _Kind = TypeVar("_Kind", bound=Term)
@@ -66,14 +54,12 @@ class Structure:
     @classmethod
     def of(cls, scene: Scene) -> Structure:
         """Return the structure of a scene."""
-        effects = scene.effects
-        return cls(
-            terms=tuple(term for kind in TERMS for term in kind.of(scene)),
-            start=effects.start,
-            carries=effects.added_mass and effects.events,
-            orbit="harmonic_balance" if isinstance(effects.orbit, HarmonicBalance) else effects.orbit,
-            harmonics=effects.orbit.harmonics if isinstance(effects.orbit, HarmonicBalance) else 0,
-        )
+        effects, orbit = scene.effects, scene.effects.orbit
+        terms = tuple(term for kind in TERMS for term in kind.of(scene))
+        carries = effects.added_mass and effects.events
+        if isinstance(orbit, HarmonicBalance):
+            return cls(terms, effects.start, carries, "harmonic_balance", orbit.harmonics)
+        return cls(terms, effects.start, carries, orbit)
 
     def find(self, kind: type[_Kind]) -> _Kind | None:
         """Return the term of a class, or None if that effect is off."""

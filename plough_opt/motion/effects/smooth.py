@@ -5,7 +5,7 @@ from typing import Any
 
 from plough_opt.core.expressions import Expression, as_number, maximum, minimum
 from plough_opt.core.quantities import read_fields
-from plough_opt.motion.effects.term import Parameters, Place, Rates, Term, Towed
+from plough_opt.motion.effects.term import Parameters, Place, Rates, Term
 
 
 @dataclass(frozen=True)
@@ -42,15 +42,8 @@ class SmoothContact(Term):
     """Factor `Smooth.step` on the whole resistance of the soil."""
 
     label, field = "smooth contact", "contact"
-    names = ("width",)
+    law, names = Smooth, ("width",)
     kinked = True
-
-    @classmethod
-    def of(cls, scene: Towed) -> tuple[Term, ...]:
-        return (cls(),) if isinstance(scene.effects.contact, Smooth) else ()
-
-    def values(self, scene: Towed) -> dict[str, Expression]:
-        return {"width": scene.effects.contact.width}
 
     @classmethod
     def usual(cls, scene: Any, duration: float) -> Smooth:

@@ -5,7 +5,7 @@ from typing import Any
 
 from plough_opt.core.expressions import Expression
 from plough_opt.core.quantities import read_fields
-from plough_opt.motion.effects.term import Parameters, Place, Term, Towed
+from plough_opt.motion.effects.term import Parameters, Place, Term
 
 
 @dataclass(frozen=True)
@@ -46,15 +46,8 @@ class StickSlipContact(Term):
     """Factor ``breakaway`` on the force that holds a resting share; the modes are part of the equation of motion."""
 
     label, field = "stick and slip", "contact"
-    names = ("breakaway",)
+    law, names = StickSlip, ("breakaway",)
     kinked = events = True
-
-    @classmethod
-    def of(cls, scene: Towed) -> tuple[Term, ...]:
-        return (cls(),) if isinstance(scene.effects.contact, StickSlip) else ()
-
-    def values(self, scene: Towed) -> dict[str, Expression]:
-        return {"breakaway": scene.effects.contact.breakaway}
 
     @classmethod
     def usual(cls, scene: Any, duration: float) -> StickSlip:

@@ -111,6 +111,7 @@ class Term:
     Attributes:
         label: its name in tables; "" for an effect that tables omit.
         field: the field of `Effects` that switches it on, or holds its only number.
+        law: class of the field's value, with the parameters as its attributes, if the field may have values of others.
         names: names of its parameters.
         state: name of a state that is 0 until the effect is over and 1 afterwards; "" without one.
         kinked: whether the force has a kink that a share may reach, where steps of order 8 lose their order.
@@ -119,6 +120,7 @@ class Term:
 
     label: ClassVar[str] = ""
     field: ClassVar[str] = ""
+    law: ClassVar[type | None] = None
     state: ClassVar[str] = ""
     kinked: ClassVar[bool] = False
     events: ClassVar[bool] = False
@@ -132,11 +134,13 @@ class Term:
     def of(cls, scene: Towed) -> Sequence[Term]:
         """Return the terms of a scene; none if the effect is off."""
         value = getattr(scene.effects, cls.field)
-        return () if value is None or value is False else (cls(),)
+        on = value is not None and value is not False if cls.law is None else isinstance(value, cls.law)
+        return (cls(),) if on else ()
 
     def values(self, scene: Towed) -> dict[str, Expression]:
         """Return the parameters of a scene by name."""
-        return {name: getattr(scene.effects, self.field) for name in self.names}
+        value = getattr(scene.effects, self.field)
+        return {name: value if self.law is None else getattr(value, name) for name in self.names}
 
     @classmethod
     def usual(cls, scene: Any, duration: float) -> Any:

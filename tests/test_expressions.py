@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 
 import casadi as ca
-import mpmath
 import numpy as np
 import pytest
 from helpers.high_precision import assert_close, derivatives, mp
@@ -153,15 +152,8 @@ def test_a_column_can_be_combined_with_symbols():
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 16, 64])
-def test_nodes_and_weights_are_the_roots_and_their_christoffel_numbers(order):
-    precise = mpmath.mp.clone()
-    precise.dps = 50
+def test_a_quadrature_is_exact_for_polynomials_below_twice_its_order(order):
     nodes, weights = ex.gauss_legendre(order)
-    assert len(nodes) == len(weights) == order
-    assert [*nodes] == sorted(nodes)
     assert {*map(type, (*nodes, *weights))} == {float}  # CasADi keeps floats as constants
-    for node, weight in zip(nodes, weights, strict=True):
-        root = precise.findroot(lambda t: precise.legendre(order, t), 2 * precise.mpf(node) - 1)
-        slope = precise.diff(lambda t: precise.legendre(order, t), root)
-        assert abs((root + 1) / 2 - precise.mpf(node)) < 1.2e-16
-        assert weight == pytest.approx(float(1 / ((1 - root**2) * slope**2)), rel=2e-14)
+    for power in range(2 * order):
+        assert np.dot(weights, np.power(nodes, power)) == pytest.approx(1.0 / (power + 1), rel=2e-14)

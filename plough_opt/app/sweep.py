@@ -11,6 +11,7 @@ from pathlib import Path
 from plough_opt.app.options import add_option, add_shared
 from plough_opt.app.terminal import LOG, give, quiet, read, wrote
 from plough_opt.core.errors import InputError, NotConverged
+from plough_opt.core.process import optional
 from plough_opt.problem_file.sweeping import ProblemSweep, What
 
 
@@ -106,12 +107,9 @@ def _executor(address: str | None) -> Iterator[tuple[Executor | None, int | None
     if address is None:
         yield None, None
         return
+    distributed = optional("distributed", "cluster")
     try:
-        from distributed import Client
-    except ImportError:
-        raise InputError("--scheduler needs dask.distributed: pip install 'plough_opt[cluster]'") from None
-    try:
-        client = Client(address, timeout="10s")
+        client = distributed.Client(address, timeout="10s")
     except (OSError, ValueError) as error:
         raise InputError(f"--scheduler {address}: no dask scheduler answers at this address ({error})") from None
     with client:

@@ -1,4 +1,4 @@
-"""Services of the running process: processor count, filtered error stream, progress lines, registered additions."""
+"""Services of the running process: processor count, filtered error stream, progress lines, additions, libraries."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from importlib import import_module
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, Final
 
@@ -156,3 +157,18 @@ def load_additions() -> None:
                 f"the addition '{entry.name}' = {entry.value} of {package} cannot be imported"
                 f" ({type(error).__name__}: {error}): repair it, or uninstall {package}"
             ) from error
+
+
+def optional(name: str, extra: str) -> Any:
+    """Return a module of a library that an extra of this package installs.
+
+    Raises:
+        InputError: the library is not installed; the message names the extra.
+    """
+    library = name.partition(".")[0]
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as missing:
+        if missing.name is None or missing.name.partition(".")[0] != library:
+            raise
+        raise InputError(f"{library} is not installed: pip install 'plough_opt[{extra}]'") from None

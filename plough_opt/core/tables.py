@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from plough_opt.core.errors import InputError
+from plough_opt.core.process import optional
 
 if TYPE_CHECKING:
     import pandas
@@ -242,10 +242,6 @@ def data_frame(columns: Mapping[str, Any], units: Mapping[str, str]) -> pandas.D
     Raises:
         InputError: pandas is not installed.
     """
-    try:
-        import pandas
-    except ImportError:
-        raise InputError("a data frame needs pandas: pip install 'plough_opt[pandas]'") from None
-    frame = pandas.DataFrame(dict(columns))
+    frame: pandas.DataFrame = optional("pandas", "pandas").DataFrame(dict(columns))
     frame.attrs["units"] = {name: units[name] for name in columns if name in units}
     return frame

@@ -8,6 +8,7 @@ from plough_opt.app.page import content, series
 from plough_opt.app.page.content import Report
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.core.files import write_file
+from plough_opt.core.process import optional
 from plough_opt.design import Progress, Sensitivity
 from plough_opt.motion import Run
 from plough_opt.motion.machine import Machine
@@ -80,13 +81,11 @@ def motion_page(run: Run, title: str) -> str:
 
 
 def _rendered(name: str, **values: Any) -> str:
-    try:
-        from jinja2 import Environment, FunctionLoader, StrictUndefined
-    except ModuleNotFoundError:
-        raise InputError("jinja2 is not installed: pip install 'plough_opt[report]'") from None
-    around = Environment(autoescape=True, loader=FunctionLoader(asset), undefined=StrictUndefined, trim_blocks=True,
-                         lstrip_blocks=True)  # fmt: skip
-    return around.get_template(name).render(asset=asset, **values)
+    jinja = optional("jinja2", "report")
+    around = jinja.Environment(autoescape=True, loader=jinja.FunctionLoader(asset), undefined=jinja.StrictUndefined,
+                               trim_blocks=True, lstrip_blocks=True)  # fmt: skip
+    text: str = around.get_template(name).render(asset=asset, **values)
+    return text
 
 
 def data(report: Report) -> dict[str, Any]:

@@ -13,16 +13,12 @@ import numpy as np
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import Content, check_new_folder, write_folder
+from plough_opt.core.process import optional
 from plough_opt.exchange.component import Component
 from plough_opt.exchange.export.serialised import described, serialised
 
-try:
-    import openmdao.api as om
-except ModuleNotFoundError as missing:
-    if missing.name is None or missing.name.partition(".")[0] != "openmdao":
-        raise
-    raise InputError("OpenMDAO is not installed: pip install 'plough_opt[openmdao]'") from None
-
+optional("openmdao.api", "openmdao")
+import openmdao.api as om  # noqa: E402, the line above says how to install it
 
 # Names that the written module uses, which its class must not have.
 _RESERVED_CLASSES = {"Any", "FunctionComponent"}

@@ -4,13 +4,13 @@ import io
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
 from plough_opt.core.checks import check_kind, path_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import check_file, write_file
+from plough_opt.core.process import optional
 from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.solid import Solid
 
@@ -69,24 +69,14 @@ def write_part(
     return write_file(path, "part", WRITERS[ending](part))
 
 
-def _library(name: str, extra: str) -> Any:
-    """Return an optional library, or raise InputError with the extra that installs it."""
-    try:
-        return import_module(name)
-    except ModuleNotFoundError as missing:
-        if missing.name != name:
-            raise
-        raise InputError(f"{name} is not installed: pip install 'plough_opt[{extra}]'") from None
-
-
 def _stl(part: _Part) -> bytes:
-    trimesh = _library("trimesh", "parts")
+    trimesh = optional("trimesh", "parts")
     body = trimesh.Trimesh(_MM * part.body.vertices, part.body.triangles, process=False)
     return bytes(body.export(file_type="stl"))
 
 
 def _scene(part: _Part) -> Any:
-    trimesh = _library("trimesh", "parts")
+    trimesh = optional("trimesh", "parts")
     x, y, z = part.body.vertices.T
     return trimesh.Scene({"share": trimesh.Trimesh([*zip(x, z, -y, strict=True)], part.body.triangles, process=False)})
 
@@ -101,7 +91,7 @@ def _gltf(part: _Part) -> bytes:
 
 
 def _dxf(part: _Part) -> str:
-    ezdxf = _library("ezdxf", "parts")
+    ezdxf = optional("ezdxf", "parts")
     drawing = ezdxf.new("R2010", setup=True, units=ezdxf.units.MM)
     for name, (line, colour) in _LAYERS.items():
         drawing.layers.add(name, linetype=line, color=colour)
@@ -145,7 +135,7 @@ def _cone_pattern(page: Any, cone: Cone) -> tuple[float, float, list[str]]:
 
 
 def _step(part: _Part) -> bytes:
-    cad = _library("build123d", "step")
+    cad = optional("build123d", "step")
     if isinstance(part.share, Cone):
         height = _MM * part.share.height
         solid = cad.Solid.make_cone(0.0, height * math.tan(part.share.half_angle), height, plane=cad.Plane.YZ)

@@ -52,8 +52,7 @@ def test_a_constant_profile_is_the_closed_form(b1, angle):
 
 @profiles
 @pytest.mark.parametrize(
-    "cavity",
-    [SPEEDING_UP, *(pytest.param(one, marks=pytest.mark.slow) for one in (STEADY, SLOWING_DOWN, AT_REST))],
+    "cavity", [SPEEDING_UP, *(pytest.param(one, marks=pytest.mark.slow) for one in (STEADY, SLOWING_DOWN, AT_REST))]
 )
 def test_values_against_75_digits(name, cavity):
     earth = ground(name)

@@ -86,12 +86,7 @@ def cone(*values):
     at = (x, r, nodes_of(values), soil_of(values), speed)
     displacement, stress = po.elastic.cone_displacement(*at), po.elastic.cone_stress(*at)
     return oracle.Cone(
-        axial=displacement.axial,
-        radial=displacement.radial,
-        xx=stress.xx,
-        rr=stress.rr,
-        tt=stress.tt,
-        rx=stress.rx,
+        axial=displacement.axial, radial=displacement.radial, xx=stress.xx, rr=stress.rr, tt=stress.tt, rx=stress.rx
     )
 
 

@@ -170,10 +170,6 @@ class Graph:
         """Return one of two series, by the sign that a switch has at the start of the step."""
         return self._add(Series(lambda _, k: ca.if_else(switch[0] <= 0.0, if_not_positive[k], if_positive[k])))
 
-    def masked(self, x: Series, condition: Series) -> Series:
-        """Return a series while a condition holds, otherwise 0."""
-        return self._add(Series(lambda _, k: ca.if_else(condition[0], x[k], 0.0)))
-
     def switch(self, series: Series) -> Series:
         """Register a series whose sign selects the right-hand side's formula, and return it."""
         self.switches.append(series)
@@ -280,18 +276,13 @@ def _larger(graph: Graph, a: Series, b: Series) -> Series:
     return graph.chosen(graph.switch(graph.scaled(graph.total(a, b, -1.0), -1.0)), a, b)
 
 
-def _absolute(graph: Graph, x: Series) -> Series:
-    minus = graph.switch(graph.scaled(x, -1.0))
-    return graph.chosen(minus, x, minus)
-
-
 def _compared(graph: Graph, a: Series, b: Series, operation: int) -> Series:
     graph.switch(graph.total(a, b, -1.0))
     return graph.stepwise(partial(_evaluated, operation), a, b)
 
 
 def _only_if(graph: Graph, condition: Series, x: Series) -> Series:
-    return graph.scaled(x, condition[0]) if condition.constant else graph.masked(x, condition)
+    return graph.scaled(x, condition[0]) if condition.constant else graph.chosen(condition, graph.constant(_ZERO), x)
 
 
 # Operations made of sums, products, quotients and roots, and those that change their formula at a switch.
@@ -313,7 +304,7 @@ _RULES: dict[int, Callable[..., Series]] = {
     ca.OP_COS: lambda graph, x: graph.sine_and_cosine(x)[1],
     ca.OP_FMIN: _smaller,
     ca.OP_FMAX: _larger,
-    ca.OP_FABS: _absolute,
+    ca.OP_FABS: lambda graph, x: _larger(graph, x, graph.scaled(x, -1.0)),
     ca.OP_SIGN: lambda graph, x: graph.stepwise(ca.sign, graph.switch(x)),
     ca.OP_IF_ELSE_ZERO: _only_if,
     ca.OP_LT: partial(_compared, operation=ca.OP_LT),

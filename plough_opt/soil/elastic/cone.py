@@ -48,10 +48,7 @@ class ConeStress:
 
 def displacement_of(found: Potentials, section: Expression, r: Expression, soil: Medium) -> ConeDisplacement:
     """Return the displacement that follows from the potentials and the displaced section S(x)."""
-    return ConeDisplacement(
-        axial=found.n + 2.0 * soil.eta**2 * found.n_change,
-        radial=section / r + found.outward,
-    )
+    return ConeDisplacement(axial=found.n + 2.0 * soil.eta**2 * found.n_change, radial=section / r + found.outward)
 
 
 def stress_of(found: Potentials, section: Expression, r: Expression, soil: Medium) -> ConeStress:

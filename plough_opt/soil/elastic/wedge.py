@@ -14,15 +14,7 @@ from dataclasses import dataclass
 
 from plough_opt.core.checks import check_domain
 from plough_opt.core.expressions import Expression, arctan2, gauss_legendre, one_node, sqrt, where
-from plough_opt.soil.elastic.medium import (
-    FAR,
-    FAR_NODES,
-    Medium,
-    Ratios,
-    angle_difference,
-    log_difference,
-    medium,
-)
+from plough_opt.soil.elastic.medium import FAR, FAR_NODES, Medium, Ratios, angle_difference, log_difference, medium
 from plough_opt.soil.elastic.profile import Body, Profile, body, check_off_nodes, points
 from plough_opt.soil.soil import Soil
 

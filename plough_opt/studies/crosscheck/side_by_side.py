@@ -10,7 +10,7 @@ import numpy as np
 
 from plough_opt.core.checks import check_domain, check_kind, check_named, check_single
 from plough_opt.core.errors import DomainError, InputError
-from plough_opt.core.expressions import holds_casadi
+from plough_opt.core.expressions import Expression, as_number, holds_casadi
 from plough_opt.laws import (
     AsabeD497,
     McKyesAli,
@@ -93,7 +93,9 @@ def compare(
         for name, d, law in (*rows, *((_short(law), None, law) for law in laws))
     )
     name = "this model" if scene.law.slender else f"this scene, {scene.law.label}"
-    own = ModelDraft(name, None, *_drafts(partial(_own_draft, scene), course), scene.law.source, scene.law.standing)
+    # The scene's quasi-static mean over whole wavelengths of the soil strength.
+    drafts = _drafts(lambda speed: dataclasses.replace(scene, tow_speed=speed).steady_resistance, course)
+    own = ModelDraft(name, None, *drafts, scene.law.source, scene.law.standing)
     given = {"depth": depth, "width": width, "texture": texture, "rupture_ratio": rupture_ratio, "speeds": speeds}
     return Comparison(
         scene=scene.describe(),
@@ -105,17 +107,10 @@ def compare(
     )
 
 
-def _several(
-    what: str,
-    unit: str,
-    given: float | Sequence[float],
-    *,
-    above: float = -np.inf,
-    at_least: float = -np.inf,
-) -> tuple[float, ...]:
-    """Return one or several numbers without duplicates, checked as by `check_domain`."""
+def _several(what: str, unit: str, given: float | Sequence[float], **domain: Any) -> tuple[float, ...]:
+    """Return one or several numbers without duplicates, checked by `check_domain` with the given keywords."""
     values = np.atleast_1d(np.asarray(given, dtype=float)).ravel()
-    check_domain(what, values, unit, above=above, at_least=at_least)
+    check_domain(what, values, unit, **domain)
     if not values.size:
         raise InputError(f"{what} = () must name at least one {what.split()[-1]}, in {unit}")
     return tuple(dict.fromkeys(values.tolist()))
@@ -142,22 +137,17 @@ def _rows(
     yield _short(SphericalCavity), None, SphericalCavity()
 
 
-def _own_draft(scene: Scene, speed: float) -> float:
-    """Return the scene's quasi-static mean draft [N] over whole wavelengths of the soil strength."""
-    return float(dataclasses.replace(scene, tow_speed=speed).steady_resistance)
-
-
-def _steady(law: ResistanceLaw, at: ShareInSoil, speed: float) -> float:
+def _steady(law: ResistanceLaw, at: ShareInSoil, speed: float) -> Expression:
     """Return a law's draft [N] for a share that slides steadily at a speed [m/s]."""
-    return float(law.reaction(dataclasses.replace(at, speed=speed)).at(speed))
+    return law.reaction(dataclasses.replace(at, speed=speed)).at(speed)
 
 
-def _drafts(draft: Callable[[float], float], speeds: Sequence[float]) -> tuple[tuple[float, ...], str]:
+def _drafts(draft: Callable[[float], Expression], speeds: Sequence[float]) -> tuple[tuple[float, ...], str]:
     """Return a model's draft at each speed, NaN outside its domain, and the first reason for a NaN or ""."""
     drafts, refusal = [], ""
     for speed in speeds:
         try:
-            drafts.append(draft(speed))
+            drafts.append(float(as_number(draft(speed))))
         except DomainError as error:
             drafts.append(math.nan)
             refusal = refusal or str(error)

@@ -109,6 +109,9 @@ def test_checks_report_the_optimisers_value_and_the_bias(quasi_static):
         po.uncertainty.cvar(fresh, 0.9, width=300.0) - po.uncertainty.cvar(fresh, 0.9), abs=1e-9
     )
     assert 0.0 < check.rounding < 35 / 256 * 300.0 / 0.1
+    assert check.optimism == check.fresh - check.seen
+    assert "draft, rms, deflection, power, last over 32 samples of cohesion" in str(robust)
+    assert "mean of the largest 10 %" in str(robust)
     worst = found["draft", "largest"]
     assert worst.worse == np.sum(fresh > worst.seen)
     assert worst.low is None

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from plough_opt.core.checks import check_callable, check_choice, check_kind, check_named, plain_number, shown
 from plough_opt.core.errors import InfeasibleDesign, InputError, NotConverged
 from plough_opt.core.expressions import Column, Expression
+from plough_opt.core.tables import Grid, Page, Readable
 from plough_opt.design import Design, LocalOptimum, Optimum, Progress
 from plough_opt.studies.uncertainty import measures
 from plough_opt.studies.uncertainty.distribution import SoilDistribution
@@ -53,7 +54,7 @@ class RequestedMeasure:
     width: float = 0.0
 
 
-class Robust:
+class Robust(Readable):
     """The results of a design over common samples of its soil.
 
     For example::
@@ -104,6 +105,14 @@ class Robust:
         self.seed = seed
         self.columns: Mapping[str, Expression] = self.samples.each(response)
         self.requested: list[RequestedMeasure] = []
+
+    def page(self) -> Page:
+        """Return the results, the uncertain soil, and the requested measures."""
+        table = Grid.of("", "result", "measure", left=("measure",))
+        for one in self.requested:
+            table.row(one.result, one.text)
+        heading = f"{', '.join(self.columns)} over {len(self.samples)} samples of {self.field.in_words()}"
+        return Page(heading, (table,) if table.rows else ("No measure has been requested yet.",))
 
     def __getitem__(self, name: str) -> Expression:
         """Return a result as a column over the samples; a requirement on it must hold for every sample."""

@@ -66,6 +66,11 @@ class Check:
     worse: int | None = None
 
     @property
+    def optimism(self) -> float:
+        """The value over fresh samples minus the optimiser's value."""
+        return self.fresh - self.seen
+
+    @property
     def confirmed(self) -> bool:
         """Whether the optimiser's value is in the interval; for a worst case, whether no fresh sample is worse."""
         if self.low is None or self.high is None:

@@ -94,10 +94,7 @@ def _options(options: argparse.Namespace) -> dict[str, Any]:
             raise InputError(f"--{name} cannot be used with --to {options.to}, only with {others}")
     if options.description is not None:
         check_file(options.description, "description", ".json")
-    given = {name: getattr(options, name) for name in chosen.options} | given_quantities(options, _PART_OPTIONS)
-    if chosen.check is not None:
-        chosen.check(given)
-    return given
+    return {name: getattr(options, name) for name in chosen.options} | given_quantities(options, _PART_OPTIONS)
 
 
 def _names(option: str, written: str | None) -> tuple[str, ...]:

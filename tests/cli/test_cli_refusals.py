@@ -58,6 +58,7 @@ REFUSED = [
     ("export FILE --to casadi --output a.casadi --inputs ''", "--inputs '' has an empty name"),
     ("export reference.toml --to casadi --output a.casadi --inputs effects.damping", "cannot be an input"),
     ("export FILE --to casadi --output a.casadi --name 2nd", "name = '2nd' cannot be the name of a CasADi Function"),
+    ("export FILE --to stl --output a.stl --body cone --thickness '1 cm'", "belong to a wedge: leave them out"),
     ("export FILE --to gltf --output a.stl", "end in .gltf or .glb"),
     ("export FILE --to stl --output a.stl --opening '60 mm'", '--opening = "60 mm" has the wrong unit'),
     ("export FILE --to stl --output a.stl --at guess --thickness '1 m'", "leaves nothing of the faces"),

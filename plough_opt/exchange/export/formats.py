@@ -69,14 +69,12 @@ class Format:
         write: writes it.
         endings: possible endings of the file's name, such as (".fmu",); () for a new folder.
         options: names of its options beside the path: see `plough-opt export --help`.
-        check: raises InputError for options that exclude each other, before anything is computed.
     """
 
     what: str
     write: Callable[[Request], Written]
     endings: tuple[str, ...] = ()
     options: tuple[str, ...] = ("inputs", "outputs", "name")
-    check: Callable[[Mapping[str, Any]], None] | None = None
 
     def check_place(self, path: str) -> None:
         """Raise InputError for a path that cannot be written, before anything is computed.
@@ -133,6 +131,8 @@ def _fmu(request: Request) -> Written:
 
 def _part(request: Request) -> Written:
     given = request.options
+    if given.get("body") == "cone" and (given.get("opening") or given.get("thickness")):
+        raise InputError("--opening and --thickness belong to a wedge: leave them out for a cone, which is solid")
     scene = request.scene if request.best is None else request.best()
     body: Wedge | Cone = scene.cone if given.get("body") == "cone" else scene.share
     opening, thickness = given.get("opening"), given.get("thickness")
@@ -140,12 +140,6 @@ def _part(request: Request) -> Written:
     at_values = "the guesses" if request.varies else "the file"
     design = at_values if request.best is None else "the best design"
     return Written((path,), _described(body, opening, thickness, design))
-
-
-def _check_part(given: Mapping[str, Any]) -> None:
-    """Raise InputError if options of a wedge are given for a cone."""
-    if given.get("body") == "cone" and (given.get("opening") or given.get("thickness")):
-        raise InputError("--opening and --thickness belong to a wedge: leave them out for a cone, which is solid")
 
 
 def _described(body: Wedge | Cone, opening: float | None, thickness: float | None, design: str) -> str:
@@ -173,9 +167,9 @@ FORMATS: Final[dict[str, Format]] = {
     "casadi": Format("serialised CasADi Function", _casadi, (".casadi",), ("inputs", "outputs", "name", "description")),
     "openmdao": Format("a new folder with a Python module", _openmdao),
     "fmu": Format("FMU for model exchange, FMI 3.0", _fmu, (".fmu",), ("name", "strut", "sources")),
-    "stl": Format("triangles of the share in mm", _part, (".stl",), _PART_OPTIONS, _check_part),
-    "gltf": Format("triangles of the share in m", _part, (".gltf", ".glb"), _PART_OPTIONS, _check_part),
-    "dxf": Format("the share's faces laid flat in mm, a cutting pattern", _part, (".dxf",), _PART_OPTIONS, _check_part),
-    "step": Format("the share's faces in mm for CAD", _part, (".step", ".stp"), _PART_OPTIONS, _check_part),
+    "stl": Format("triangles of the share in mm", _part, (".stl",), _PART_OPTIONS),
+    "gltf": Format("triangles of the share in m", _part, (".gltf", ".glb"), _PART_OPTIONS),
+    "dxf": Format("the share's faces laid flat in mm, a cutting pattern", _part, (".dxf",), _PART_OPTIONS),
+    "step": Format("the share's faces in mm for CAD", _part, (".step", ".stp"), _PART_OPTIONS),
 }
 """Name of a format in `plough-opt export --to` -> the format."""

@@ -78,7 +78,13 @@ class Unit:
             InputError: the value is not a quantity, or its unit is unknown or of the wrong dimension.
         """
         number, factor = self.split(value)
-        return _finite(number * factor, str(value))
+        try:
+            found = float(number) * factor
+        except OverflowError:
+            raise InputError("must be finite: it is too large") from None
+        if not math.isfinite(found):
+            raise InputError(f"= {value} must be finite")
+        return found
 
     def split(self, value: Any) -> tuple[Any, float]:
         """Return a quantity's number as written, and the conversion factor from its unit to this one.
@@ -97,7 +103,7 @@ class Unit:
             raise InputError(f"is not a quantity: write it like {self.example()}")
         if self.symbol:
             raise InputError(f"= {value} has no unit: write it like {self.example()}")
-        return _as_float(value), 1.0
+        return value, 1.0
 
     def _factor(self, written: str, value: object) -> float:
         """Return the conversion factor from a written unit to this one."""
@@ -285,16 +291,3 @@ def _root(written: str, value: object) -> tuple[float, str]:
         names = names if isinstance(names, str) else ", ".join(names)
         raise InputError(f"= \"{value}\" has an unknown unit '{names}': {nearest(names, _COMMON)}") from None
     return float(cast(float, factor)), str(root)
-
-
-def _as_float(value: float) -> float:
-    try:
-        return _finite(float(value), str(value))
-    except OverflowError:
-        raise InputError("must be finite: it is too large") from None
-
-
-def _finite(number: float, text: str) -> float:
-    if not math.isfinite(number):
-        raise InputError(f"= {text} must be finite")
-    return number

@@ -63,6 +63,7 @@ ONE_OF = {
     "motion/test_orbit": 3,
     "motion/test_orbit_stand_ins": 3,
     "motion/test_printed_motion": 3,
+    "motion/test_simulate::test_linear_motion_from_rest": 5,
     "motion/test_smooth_contact": 3,
     "motion/test_stick_slip": 3,
     "test_batch": 3,

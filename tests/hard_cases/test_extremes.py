@@ -117,9 +117,10 @@ def cases():
         for stiffness, duration in ((1.0, 1.0), (1e2, 1.0), (1e7, 0.02)):
             changes = {"stiffness": stiffness, "contact": law, "strength_wave": WAVE}
             yield f"{stiffness:g} N/m, {name}", (changes, duration)
-        for start in ("rest", "towed", "equilibrium"):
+        for start, entry in (("rest", False), ("rest", True), ("towed", False), ("equilibrium", False)):
             if name != "stick and slip":
-                yield f"a strut at rest, {start}, {name}", ({"tow_speed": 0.0, "contact": law, "start": start}, 0.5)
+                at_rest = {"tow_speed": 0.0, "contact": law, "start": start, "entry": entry}
+                yield f"a strut at rest, {start}, {name}{', entry' * entry}", (at_rest, 0.5)
 
 
 CASES = dict(cases())

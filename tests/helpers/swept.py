@@ -109,6 +109,20 @@ class Counted:
         return waves(values)
 
 
+def script_of(store, file, pause, values, executor="None"):
+    """Return a script that sweeps `Counted` into a store; it imports only what that needs."""
+    return f"""
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from helpers.swept import Counted
+from plough_opt.studies.sweep.points import Range
+from plough_opt.studies.sweep.sweeping import sweep
+if __name__ == "__main__":
+    counted, over = Counted(Path({str(file)!r}), {pause}), {{"a": Range(0.0, 1.0, {values}), "b": [1.0, 2.0]}}
+    sweep(counted, over, store={str(store)!r}, workers=2, executor={executor})
+"""
+
+
 def process_of(number):
     """Return state, parent and command of a process, from /proc; the state is "X" if it has ended."""
     try:

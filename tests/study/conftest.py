@@ -1,4 +1,3 @@
-import json
 import os
 import subprocess
 import sys
@@ -36,23 +35,3 @@ def script(tmp_path):
     for process in started:
         process.kill()
         process.communicate()
-
-
-@pytest.fixture
-def counted_text():
-    """Return a script that sweeps `helpers.swept.Counted` into a store."""
-
-    def text(store, file, pause, values, executor="None"):
-        return (
-            "from plough_opt.studies.sweep.points import Range\n"
-            "from plough_opt.studies.sweep.sweeping import sweep\n"  # what files need is not imported
-            "from concurrent.futures import ThreadPoolExecutor\n"
-            "from pathlib import Path\n"
-            "from helpers.swept import Counted\n"
-            "if __name__ == '__main__':\n"
-            f"    counted = Counted(Path({json.dumps(str(file))}), {pause})\n"
-            f"    over = {{'a': Range(0.0, 1.0, {values}), 'b': [1.0, 2.0]}}\n"
-            f"    sweep(counted, over, store={json.dumps(str(store))}, workers=2, executor={executor})\n"
-        )
-
-    return text

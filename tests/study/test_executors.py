@@ -52,18 +52,20 @@ def test_a_cluster_evaluates_a_function_that_cannot_be_imported(cluster, inline)
     np.testing.assert_array_equal(found.table, po.sweep(swept.waves, OVER, executor=inline).table)
 
 
-COHESION = {"soil.cohesion": "10 kPa, 20 kPa"}
 REFERENCE = str(Path(__file__).resolve().parents[2] / "problems" / "reference.toml")
+COMMAND = ("sweep", REFERENCE, "--over", "soil.cohesion=10 kPa, 20 kPa", "--set", "effects.motion=false")
 
 
 def test_the_command_gives_the_same_results_on_a_cluster(cluster, inline, capsys, tmp_path):
-    arguments = ["sweep", REFERENCE, "--over", "soil.cohesion=10 kPa, 20 kPa", "--set", "effects.motion=false"]
-    status = main([*arguments, "--scheduler", cluster.scheduler.address, "--store", str(tmp_path / "sweep.db")])
+    status = main([*COMMAND, "--scheduler", cluster.scheduler.address, "--store", str(tmp_path / "sweep.db")])
     shown = capsys.readouterr()
     assert status == 0, shown.err
     assert "2 points, 0 failed" in shown.out
     problem = po.read_problem(REFERENCE, ["effects.motion=false"])
-    with po.Sweep.load(tmp_path / "sweep.db") as found, po.sweep(problem, COHESION, executor=inline) as expected:
+    with (
+        po.Sweep.load(tmp_path / "sweep.db") as found,
+        po.sweep(problem, {"soil.cohesion": [1e4, 2e4]}, executor=inline) as expected,
+    ):
         np.testing.assert_array_equal(found.table, expected.table)
 
 
@@ -74,8 +76,7 @@ def test_the_command_reports_a_scheduler_that_does_not_answer(monkeypatch, capsy
         raise OSError(f"Timed out trying to connect to {address} after {timeout}")
 
     monkeypatch.setattr(distributed, "Client", silent)
-    arguments = ["sweep", REFERENCE, "--over", "soil.cohesion=10 kPa, 20 kPa", "--store", str(tmp_path / "sweep.db")]
-    assert main([*arguments, "--scheduler", "tcp://nowhere:1"]) == 2
+    assert main([*COMMAND, "--store", str(tmp_path / "sweep.db"), "--scheduler", "tcp://nowhere:1"]) == 2
     assert "no dask scheduler answers at" in capsys.readouterr().err
 
 
@@ -128,14 +129,14 @@ def test_a_point_that_kills_the_workers_of_a_cluster_is_undetermined(cluster, tm
 
 
 @pytest.mark.slow
-def test_mpi_gives_the_same_bits(script, counted_text, inline, tmp_path):
+def test_mpi_gives_the_same_bits(script, inline, tmp_path):
     pytest.importorskip("mpi4py.futures", reason="mpi4py is not installed")
     # The wheel of MPICH puts it beside this Python.
     launcher = shutil.which("mpiexec", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     if launcher is None:
         pytest.skip("there is no mpiexec")
     store, file = tmp_path / "sweep.db", tmp_path / "calls"
-    text = counted_text(store, file, 0.0, 30, "MPIPoolExecutor()")
+    text = swept.script_of(store, file, 0.0, 30, "MPIPoolExecutor()")
     # A second sweep of the script uses processes of its own, which do not join the MPI job.
     text = f"from mpi4py.futures import MPIPoolExecutor\n{text}    print(len(sweep(counted, over, workers=1)))\n"
     process = script(text, launcher, "-n", "2", sys.executable, "-m", "mpi4py.futures")

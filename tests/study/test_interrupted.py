@@ -23,9 +23,9 @@ def calls(path):
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for the workers in /proc")
-def test_a_killed_sweep_resumes_without_repeating_stored_points(script, counted_text, inline, tmp_path):
+def test_a_killed_sweep_resumes_without_repeating_stored_points(script, inline, tmp_path):
     store, file = tmp_path / "sweep.db", tmp_path / "calls"
-    process = script(counted_text(store, file, 0.02, VALUES))
+    process = script(swept.script_of(store, file, 0.02, VALUES))
     swept.until(lambda: len(swept.stored(store)) >= 10, process)
     workers = swept.workers_of(process.pid)
     process.kill()
@@ -49,9 +49,9 @@ def test_a_killed_sweep_resumes_without_repeating_stored_points(script, counted_
     assert sum(evaluated.values()) - 2 * VALUES <= 6 * int(0.25 / 0.02)
 
 
-def test_two_runs_at_once_share_the_points(script, counted_text, inline, tmp_path):
+def test_two_runs_at_once_share_the_points(script, inline, tmp_path):
     store, file = tmp_path / "sweep.db", tmp_path / "calls"
-    both = [script(counted_text(store, file, 0.01, VALUES, "ThreadPoolExecutor(1)")) for _ in range(2)]
+    both = [script(swept.script_of(store, file, 0.01, VALUES, "ThreadPoolExecutor(1)")) for _ in range(2)]
     for process in both:
         _, error = process.communicate(timeout=60)
         assert process.returncode == 0, error

@@ -57,24 +57,6 @@ def test_a_problem_without_solution():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "parts"), [("draft_against_loosening", 1), ("force_against_deflection", 2)])
-def test_the_shipped_fronts_are_even_and_certified(name, parts):
-    front = po.read_problem(PROBLEMS / f"{name}.toml").trade_off()
-    assert len(front.parts) == parts
-    assert len(front.holes) == parts - 1
-    assert front.failures == ()
-    assert max(point.gap for point in front.points) < 1e-8
-    assert max(point.residual for point in front.points) < 1e-9
-    low, high = front.objectives.min(axis=0), front.objectives.max(axis=0)
-    normalised = (front.objectives - low) / (high - low)
-    for part in front.parts:
-        distance = np.sum(np.abs(np.diff(normalised[list(part)], axis=0)), axis=1)
-        # Ends of parts lie between positions. Ranges are those of the anchors, in which the other objective weighs
-        # 1e-4.
-        assert distance[1:-1] == pytest.approx(2.0 / 39.0, rel=1e-3)
-
-
-@pytest.mark.slow
 def test_the_shipped_surface_is_even_and_certified():
     front = po.read_problem(PROBLEMS / "draft_oscillation_loosening.toml").trade_off()
     assert len(front.points) > 25

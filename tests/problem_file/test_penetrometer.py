@@ -27,14 +27,10 @@ MEANS = [
 
 
 NAME = 'name = "serozem"'
-OWN = """\
-density = "1350 kg/m^3"
-density_ratio = 0.794
-friction_angle = "28 deg"
-tool_friction = 0.5
-cone_index = "900 kPa"
-adjust = "cohesion"
-"""
+OWN = (
+    "soil={density='1350 kg/m^3', density_ratio=0.794, friction_angle='28 deg', tool_friction=0.5,"
+    " cone_index='900 kPa', adjust='cohesion'}"
+)
 
 
 @pytest.fixture
@@ -84,7 +80,7 @@ def test_a_file_takes_the_level_from_it(write):
 
 
 def test_a_cone_index_takes_the_place_of_a_property(read):
-    soil = read(changed((NAME, OWN))).scene().soil
+    soil = read(COTTON, OWN).scene().soil
     expected = po.Soil.from_cone_index(9e5, soil=po.named_soil("serozem"), adjust="cohesion")
     assert soil.cohesion == pytest.approx(expected.cohesion, rel=1e-15)
 

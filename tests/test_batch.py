@@ -143,8 +143,8 @@ class Stairs:
     ("effects", "match"),
     [
         ({"motion": False}, "quasi-static"),
-        ({"contact": po.StickSlip()}, "events that StickSlip"),
-        ({"entry": True, "start": "rest"}, "events that the entry"),
+        ({"contact": po.StickSlip()}, "events of StickSlip"),
+        ({"entry": True, "start": "rest"}, "events of the entry"),
         ({"orbit": "periodic", "strength_wave": po.StrengthWave(0.3, 0.6)}, "from its start"),
         ({"own": (Stairs(3.0),)}, "operation .floor."),
     ],

@@ -1,5 +1,6 @@
 """ASABE D497: the form against a published example, the subsoiler's rows by hand, refusals, symbols."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -29,6 +30,12 @@ def test_the_subsoilers_rows_by_hand(point, texture, kilonewtons):
     found = asabe_draft(0.4, speeds, texture, point=point) / 1e3
     assert found == pytest.approx(kilonewtons, abs=0.0051)
     assert asabe_draft(0.4, speeds[0], texture, point=point, shanks=3) == pytest.approx(3e3 * found[0], rel=1e-15)
+
+
+def test_symbols_give_the_numbers():
+    x = ca.SX.sym("x", 2)
+    symbolic = ca.Function("f", [x], [asabe_draft(*ca.vertsplit(x), "medium")])
+    assert float(symbolic([0.35, 1.7])) == pytest.approx(asabe_draft(0.35, 1.7, "medium"), rel=1e-15)
 
 
 @pytest.mark.parametrize(

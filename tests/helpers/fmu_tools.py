@@ -47,11 +47,10 @@ def simulated(path, duration, outputs=200, **options):
     )
 
 
-def differences(found, run, names=ARRAYS):
-    """Return the largest difference of each array, over its largest value; 0 if both are 0 throughout."""
-    largest = {name: (np.max(np.abs(found[name] - getattr(run, name))), np.max(np.abs(getattr(run, name))))
-               for name in names}  # fmt: skip
-    return {name: float(error / size) if error else 0.0 for name, (error, size) in largest.items()}
+def worst(found, run):
+    """Return the largest difference of any array, over that array's largest value; 0 if both are 0 throughout."""
+    pairs = [(np.max(np.abs(found[name] - getattr(run, name))), np.max(np.abs(getattr(run, name)))) for name in ARRAYS]
+    return max(float(error / size) if error else 0.0 for error, size in pairs)
 
 
 class Stepped:

@@ -47,7 +47,6 @@ class Row:
     error: float | None = None
     first: Spent | None = None
     note: str = ""
-    ours: bool = False
 
 
 @dataclass(frozen=True)
@@ -73,13 +72,22 @@ class Contest:
     growths: list[Growth] = field(default_factory=list)
     missing: dict[str, str] = field(default_factory=dict)
 
-    def add(self, task, tool, spent, **more):
-        """Add a row; the others of its task are compared with the first row that has ``ours``."""
-        self.rows.append(Row(task, tool, spent, **more))
+    def hold(self, task, tools, rounds=5):
+        """Time tools in turns and add their rows; the first tool is our own, with which the others are compared.
+
+        Args:
+            task: its name in the table.
+            tools: name -> function, its error, a note and, if the first call in a fresh process is timed too, that
+                call's imports and statement.
+            rounds: see `race`.
+        """
+        spent = race({name: function for name, (function, *_) in tools.items()}, rounds)
+        for name, (_, error, note, *call) in tools.items():
+            self.rows.append(Row(task, name, spent[name], error, fresh(*call) if call else None, note))
 
     def ratio(self, row, which="spent"):
         """Return the processor time of a row divided by our own, or None."""
-        own = next((getattr(r, which) for r in self.rows if r.task == row.task and r.ours), None)
+        own = next(getattr(r, which) for r in self.rows if r.task == row.task)
         mine = getattr(row, which)
         return None if own is None or mine is None else mine.cpu / own.cpu
 

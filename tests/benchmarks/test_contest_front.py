@@ -1,10 +1,9 @@
 """The disconnected front of oscillation against deflection, compared with pymoo's NSGA-II. No test asserts a time."""
 
-import time
+from functools import partial
 
 import numpy as np
 import pytest
-from contest_table import Spent, fresh, median
 from peers import r1
 
 import plough_opt as po
@@ -17,7 +16,6 @@ POINTS, WANTED = 64, 50
 STEPS = 500
 # Deflection [m] and RMS force [N] of the far corner.
 CORNER = (0.25, 160.0)
-ROUNDS = 3
 OURS, THEIRS = "plough_opt trade_off", "pymoo NSGA-II, 100 x 100, NumPy RK4"
 
 
@@ -43,24 +41,16 @@ def _front(problem, *, compiled):
     return po.trade_off(d, *goals, points=POINTS, compiled=compiled)
 
 
-def _clocked(function, rounds=ROUNDS):
-    """Return the median time of calls after a warm-up, and what the last one returned."""
-    spent = []
-    for _ in range(rounds):
-        cpu, wall = time.process_time(), time.perf_counter()
-        found = function()
-        spent.append(Spent(time.process_time() - cpu, time.perf_counter() - wall))
-    return median(spent), found
-
-
 def test_disconnected_front(contest, peer):
     nsga2 = peer("nsga2")
     task = "front of force oscillation against deflection, in two parts"
     problem = po.read_problem(PROBLEM)
+    setup = f"import plough_opt as po, scipy.optimize; problem = po.read_problem({PROBLEM!r})"
     rows = {}
     for name, compiled in ((OURS, False), (f"{OURS}, compiled before", True)):
-        _front(problem, compiled=compiled)
-        spent, front = _clocked(lambda compiled=compiled: _front(problem, compiled=compiled))
+        solve = partial(_front, problem, compiled=compiled)
+        solve()
+        front = solve()
         assert len(front.points) >= WANTED
         assert len(front.parts) == 2
         assert not front.failures
@@ -69,22 +59,15 @@ def test_disconnected_front(contest, peer):
         assert error < 1e-7
         own = front.hypervolume(CORNER)
         note = f"{len(front.points)} certified, hypervolume {own:.4f}, {front.building:.2f} s of it building"
-        rows[name] = (spent, error, note)
+        rows[name] = solve, error, note, *((setup, f"problem.trade_off({POINTS})") if name == OURS else ())
     if nsga2 is not None:
         from pymoo.indicators.hv import HV
 
         designs = nsga2.Mount(STEPS).designs(np.random.default_rng(0).uniform(*nsga2.Mount(STEPS).bounds(), (20, 3)))
         error = float(np.max(np.abs(np.column_stack(nsga2.averages(designs, STEPS)) / _simulated(designs) - 1.0)))
-        spent, found = _clocked(lambda: nsga2.front(STEPS))
+        found = nsga2.front(STEPS)
         theirs = float(HV(ref_point=np.array(CORNER))(found))
-        rows[THEIRS] = (spent, error, f"{len(found)} designs, hypervolume {theirs:.4f}")
+        note = f"{len(found)} designs, hypervolume {theirs:.4f}"
+        rows[THEIRS] = partial(nsga2.front, STEPS), error, note, "from peers import nsga2", f"nsga2.front({STEPS})"
         assert own >= theirs
-    first = {
-        OURS: fresh(
-            f"import plough_opt as po, scipy.optimize; problem = po.read_problem({PROBLEM!r})",
-            f"problem.trade_off({POINTS})",
-        ),
-        THEIRS: None if nsga2 is None else fresh("from peers import nsga2", f"nsga2.front({STEPS})"),
-    }
-    for name, (spent, error, note) in rows.items():
-        contest.add(task, name, spent, error=error, first=first.get(name), note=note, ours=name == OURS)
+    contest.hold(task, rows, 3)

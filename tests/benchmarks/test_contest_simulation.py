@@ -3,10 +3,10 @@
 import math
 from functools import partial
 
-import casadi as ca
 import numpy as np
 import pytest
-from contest_table import fresh, race
+from contest_table import Row, race
+from helpers.scenes import R1_RUNS
 from peers import r1
 
 import plough_opt as po
@@ -19,15 +19,6 @@ OUTPUTS, TIGHT = 400, 1e-8
 OURS = "plough_opt simulate"
 # Groups of designs that need similar numbers of steps, so that tools with fixed steps take few unnecessary ones.
 GROUPS = 8
-
-
-def _batch(soil, wave, error=WANTED):
-    angle, height, k0 = (ca.MX.sym(name) for name in ("angle", "height", "k0"))
-    share = po.Wedge(angle, po.deg(15.0), height)
-    mass = 20.0 + share.equivalent_cone().solid_mass(7850.0)
-    return po.Batch(
-        po.Scene(soil, share, k0, mass, 2.0, po.Effects(strength_wave=wave)), 2.0, [angle, height, k0], error=error
-    )
 
 
 def _domain(count):
@@ -50,34 +41,6 @@ def _error(found, truth):
     return float(np.max(np.abs(found - truth) / np.max(truth, axis=0)))
 
 
-class _FixedSteps:
-    """A tool with fixed steps, which simulates groups of designs."""
-
-    def __init__(self, run, groups, truths):
-        self._run, self._groups, self._truths = run, groups, truths
-
-    def fewest(self):
-        """Return, for each group, the fewest steps with which all its designs reach the wanted error."""
-        return [
-            next(n for n in (int(50 * 1.1**k) for k in range(80)) if self.error([n], [group], [truth]) < WANTED)
-            for group, truth in zip(self._groups, self._truths, strict=True)
-        ]
-
-    def error(self, steps, groups=None, truths=None):
-        """Return the largest error of all designs."""
-        groups, truths = groups or self._groups, truths or self._truths
-        return max(_error(self._forces(p, n), t) for p, n, t in zip(groups, steps, truths, strict=True))
-
-    def all(self, steps):
-        """Simulate all groups."""
-        for p, n in zip(self._groups, steps, strict=True):
-            np.asarray(self._run(p, n))
-
-    def _forces(self, p, steps):
-        mean, spread = np.asarray(self._run(p, steps))
-        return p[3] * (p[4] + mean), p[3] * spread
-
-
 def test_hand_written_r1_is_ours(r1_scene, r1_wave):
     for x in (r1.START, r1.LOWER, r1.UPPER):
         known = parameters(r1_scene(math.degrees(x[0]), x[1], x[2], strength_wave=r1_wave))
@@ -87,12 +50,12 @@ def test_hand_written_r1_is_ours(r1_scene, r1_wave):
 
 
 @pytest.mark.parametrize("where", ["start", "domain"])
-def test_very_many_designs(r1_soil, r1_scene, r1_wave, where, contest, peer):
+def test_very_many_designs(batch_of, r1_scene, r1_wave, where, contest, peer):
     task = f"mean and RMS force of very many designs {'near the start' if where == 'start' else 'all over the domain'}"
     designs = {"start": _near_start, "domain": _domain}[where]
     values, few = designs(16384), designs(16384)[:4096]
-    batch = _batch(r1_soil, r1_wave)
-    reference = _batch(r1_soil, r1_wave, error=1e-10)(values)
+    batch = batch_of(r1.DURATION, WANTED, strength_wave=r1_wave)
+    reference = batch_of(r1.DURATION, 1e-10, strength_wave=r1_wave)(values)
     truth = np.array([reference.mean_draft, reference.force_rms])
     for k in range(0, len(values), len(values) // 12):
         run = _simulated(r1_scene, r1_wave, values[k])
@@ -101,21 +64,19 @@ def test_very_many_designs(r1_soil, r1_scene, r1_wave, where, contest, peer):
     found = batch(values)
     error = _error([found.mean_draft, found.force_rms], truth)
     assert error < WANTED
-    contestants = {"plough_opt Batch, compiled": (lambda: batch(values), len(values), error)}
-    contestants |= _fixed_step_peers(few, truth[:, : len(few)], GROUPS if where == "domain" else 1, peer)
-    spent = race({name: function for name, (function, _, _) in contestants.items()}, 5)
-    for name, (_, count, error) in contestants.items():
+    tools = {"plough_opt Batch, compiled": (lambda: batch(values), len(values), error)}
+    tools |= _fixed_step_peers(few, truth[:, : len(few)], GROUPS if where == "domain" else 1, peer)
+    spent = race({name: function for name, (function, _, _) in tools.items()}, 5)
+    for name, (_, count, error) in tools.items():
         each = spent[name].per(count)
-        note = f"{1.0 / each.cpu:.3g} designs per second"
-        contest.add(task, name, each, error=error, note=note, ours=name.endswith(", compiled"))
+        contest.rows.append(Row(task, name, each, error, note=f"{1.0 / each.cpu:.3g} designs per second"))
 
 
 def _fixed_step_peers(values, truth, groups, peer):
     """Return the tools that take classical Runge-Kutta steps, as few as each group of designs allows."""
     p = np.array(r1.equation(*values.T))
     fastest = (p[3] + r1.AMPLITUDE * p[0] * 2.0 * math.pi / r1.WAVELENGTH) / p[2]
-    parts = np.array_split(np.argsort(fastest), groups)
-    arguments = [np.ascontiguousarray(p[:, part]) for part in parts], [truth[:, part] for part in parts]
+    parts = [(np.ascontiguousarray(p[:, k]), truth[:, k]) for k in np.array_split(np.argsort(fastest), groups)]
     runs = {}
     if (c := peer("c_rk4")) is not None:
         runs[f"RK4 in C, {c.WIDTH} designs side by side"] = c.vector()
@@ -124,21 +85,32 @@ def _fixed_step_peers(values, truth, groups, peer):
         runs["RK4 in Numba"] = numba.batch
     if (jax := peer("jax_rk4")) is not None:
         runs["RK4 in JAX, vmap and jit"] = jax.batch
+
+    def error(run, part, wanted, steps):
+        mean, spread = np.asarray(run(part, steps))
+        return _error((part[3] * (part[4] + mean), part[3] * spread), wanted)
+
     found, steps = {}, None
     for name, run in runs.items():
-        tool = _FixedSteps(run, *arguments)
-        steps = steps or tool.fewest()
-        error = tool.error(steps)
+        steps = steps or [
+            next(n for n in (int(50 * 1.1**k) for k in range(80)) if error(run, *part, n) < WANTED) for part in parts
+        ]
+        reached = max(error(run, *part, n) for part, n in zip(parts, steps, strict=True))
         # All tools take the same steps and differ only by rounding.
-        assert error < WANTED * (1.0 + 1e-3)
-        found[name] = (lambda tool=tool, steps=steps: tool.all(steps), len(values), error)
+        assert reached < WANTED * (1.0 + 1e-3)
+
+        def every(run=run, steps=steps):
+            for (part, _), n in zip(parts, steps, strict=True):
+                np.asarray(run(part, n))
+
+        found[name] = every, len(values), reached
     return found
 
 
 def test_one_simulation(r1_scene, r1_wave, contest, peer):
     truth = _simulated(r1_scene, r1_wave, r1.START)
     task = f"one simulation of {OUTPUTS} outputs, mount force to {TIGHT:g}"
-    assert _error([[truth.mean_draft], [truth.force_rms]], [[r1.RUNS[0][3]], [r1.RUNS[0][4]]]) < 1e-11
+    assert _error([[truth.mean_draft], [truth.force_rms]], np.array(R1_RUNS[0])[3:, None]) < 1e-11
 
     def error(found):
         mean, rms, force = found
@@ -156,7 +128,7 @@ def test_one_simulation(r1_scene, r1_wave, contest, peer):
         ours = error((run.mean_draft, run.force_rms, run.mount_force))
         assert ours < TIGHT
         call = f"po.simulate(s, {r1.DURATION!r}, compiled={compiled})"
-        rows[name] = (simulate, ours, setup, call, "and once more for its error estimate")
+        rows[name] = (simulate, ours, "and once more for its error estimate", setup, call)
     p = [float(x) for x in r1.equation(*r1.START)]
     rows |= _scipy_rows(p, error, contest)
     if (numba := peer("numba_rk4")) is not None:
@@ -164,11 +136,8 @@ def test_one_simulation(r1_scene, r1_wave, contest, peer):
         setup = "from peers import r1, numba_rk4; p = [float(x) for x in r1.equation(*r1.START)]"
         call = f"numba_rk4.forces(*p, {steps}, {OUTPUTS})"
         forces = partial(numba.forces, *p, steps, OUTPUTS)
-        rows["RK4 in Numba"] = (forces, error(forces()), setup, call, f"{steps} steps")
-    spent = race({name: row[0] for name, row in rows.items()})
-    for name, (_, reached, setup, call, note) in rows.items():
-        first = fresh(setup, call)
-        contest.add(task, name, spent[name], error=reached, first=first, note=note, ours=name == OURS)
+        rows["RK4 in Numba"] = (forces, error(forces()), f"{steps} steps", setup, call)
+    contest.hold(task, rows, 7)
 
 
 def _scipy_rows(p, error, contest):
@@ -185,7 +154,7 @@ def _scipy_rows(p, error, contest):
                 reached = error(scipy_ivp.solve(p, *arguments))
                 if reached < TIGHT:
                     call, solve = f"scipy_ivp.solve(p, *{arguments!r})", partial(scipy_ivp.solve, p, *arguments)
-                    rows[name] = (solve, reached, setup, call, f"rtol {arguments[1]:g}")
+                    rows[name] = (solve, reached, f"rtol {arguments[1]:g}", setup, call)
                     break
             else:
                 contest.missing[name] = f"no tolerance reaches {TIGHT:g}"

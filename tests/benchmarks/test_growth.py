@@ -4,7 +4,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import casadi as ca
 import numpy as np
 import pytest
 from contest_table import Growth, race
@@ -91,32 +90,25 @@ def test_design(contest, r1_scene, r1_wave):
     _add(contest, f"{what}, seconds simulated", horizons, lambda t: lambda: _solved(r1_scene, t, **wave))
 
 
-def _batch(soil, duration, **effects):
-    angle, height, k0 = (ca.MX.sym(name) for name in ("angle", "height", "k0"))
-    share = po.Wedge(angle, po.deg(15.0), height)
-    mass = 20.0 + share.equivalent_cone().solid_mass(7850.0)
-    return po.Batch(po.Scene(soil, share, k0, mass, 2.0, po.Effects(**effects)), duration, [angle, height, k0])
-
-
 def _designs(count):
     return np.column_stack(r1.unscaled(np.random.default_rng(0).uniform(0.0, 1.0, (3, count))))
 
 
-def test_batch(contest, r1_soil, r1_wave):
-    batch = _batch(r1_soil, 2.0, strength_wave=r1_wave)
+def test_batch(contest, batch_of, r1_wave):
+    batch = batch_of(2.0, 1e-6, strength_wave=r1_wave)
     sizes = {count: _designs(count) for count in (4096, 16384, 65536, 262144)}
     _add(contest, "Batch, designs", tuple(sizes), lambda n: lambda: batch(sizes[n]))
-    batches = {count: _batch(r1_soil, 2.0, **_effects(count)) for count in COUNTS}
+    batches = {count: batch_of(2.0, 1e-6, **_effects(count)) for count in COUNTS}
     _add(contest, "Batch of 4096, effects that are on", COUNTS, lambda n: lambda: batches[n](sizes[4096]))
 
 
 @pytest.mark.parametrize("damping", [None, 250.0, 2000.0])
 @pytest.mark.parametrize("where", ["near the start", "all over the domain"])
-def test_batch_over_its_horizon(contest, r1_soil, r1_wave, where, damping):
+def test_batch_over_its_horizon(contest, batch_of, r1_wave, where, damping):
     # Three in a thousand undamped motions all over the domain become chaotic within a minute and miss the wanted error.
     values = _designs(2048) if where != "near the start" else r1.START * np.linspace(0.999, 1.001, 2048)[:, None]
     horizons = (0.5, 2.0, 8.0, 32.0, 64.0)
-    batches = {t: _batch(r1_soil, t, strength_wave=r1_wave, damping=damping) for t in horizons}
+    batches = {t: batch_of(t, 1e-6, strength_wave=r1_wave, damping=damping) for t in horizons}
     damper = "undamped" if damping is None else f"damped by {damping:g} N s/m"
     what = f"Batch of 2048 {where}, {damper}, seconds simulated"
     _add(contest, what, horizons, lambda t: lambda: batches[t](values))

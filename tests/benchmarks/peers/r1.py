@@ -17,14 +17,6 @@ STARTS = tuple(np.array([START[0], START[1], k]) for k in (5e4, 6e3, 2e4, 1e5, 4
 
 # Name, stiffness [N/m] and objective of the local optima; the first is the global one.
 OPTIMA = (("L1", 5e3, 0.8250057092), ("L2", 5e5, 0.8383450230), ("L3", 37505.6423, 0.9164459115))
-# Wedge angle [deg], height, stiffness, mean draft and RMS force of some designs.
-RUNS = (
-    (25.0, 0.25, 5e4, 531.047098354, 145.439117595),
-    (25.0, 0.25, 6e3, 525.384371406, 209.467549465),
-    (25.0, 0.25, 4e5, 530.442387539, 113.154184492),
-    (10.0, 0.40, 1e4, 530.957907066, 921.978274273),
-    (40.0, 0.15, 5e3, 405.636319546, 107.584572626),
-)
 
 _LOOSE = 1.0 / (1.0 - RATIO)
 _MU = math.sin(FRICTION)

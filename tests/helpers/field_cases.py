@@ -45,14 +45,8 @@ def nodes_of(values):
 
 def soil_of(values, **others):
     _, _, modulus, nu, density, *_ = values
-    given = {
-        "density_ratio": 0.8,
-        "cohesion": 15e3,
-        "friction_angle": 0.5,
-        "tool_friction": 0.3,
-        "ambient_pressure": 0.0,
-        **others,
-    }
+    strength = {"density_ratio": 0.8, "cohesion": 15e3, "friction_angle": 0.5, "tool_friction": 0.3}
+    given = strength | {"ambient_pressure": 0.0} | others
     return po.Soil(density=density, youngs_modulus=modulus, poisson_ratio=nu, **given)
 
 
@@ -67,27 +61,14 @@ def wedge(*values):
     x, y, _, _, _, speed, *_ = values
     at = (x, y, nodes_of(values), soil_of(values), speed)
     stress, gradient = po.elastic.wedge_stress(*at), po.elastic.wedge_gradient(*at)
-    return oracle.Wedge(
-        xx=stress.xx,
-        yy=stress.yy,
-        xy=stress.xy,
-        zz=stress.zz,
-        ux_x=gradient.ux_x,
-        uy_y=gradient.uy_y,
-        ux_y=gradient.ux_y,
-        uy_x=gradient.uy_x,
-        uy=po.elastic.wedge_displacement(*at),
-    )
+    return oracle.Wedge(**vars(stress), **vars(gradient), uy=po.elastic.wedge_displacement(*at))
 
 
 def cone(*values):
     """Return all results of the toolkit at a point beside a cone, in the order of the oracle."""
     x, r, _, _, _, speed, *_ = values
     at = (x, r, nodes_of(values), soil_of(values), speed)
-    displacement, stress = po.elastic.cone_displacement(*at), po.elastic.cone_stress(*at)
-    return oracle.Cone(
-        axial=displacement.axial, radial=displacement.radial, xx=stress.xx, rr=stress.rr, tt=stress.tt, rx=stress.rx
-    )
+    return oracle.Cone(**vars(po.elastic.cone_displacement(*at)), **vars(po.elastic.cone_stress(*at)))
 
 
 def thinned(*ranges, keep):

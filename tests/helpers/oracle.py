@@ -48,22 +48,6 @@ def segments(nodes):
 # --- wedge -----------------------------------------------------------------------------------------------------------
 
 
-def _wedge_from_gradient(gradient, uy, medium):
-    ux_x, uy_y, ux_y, uy_x = gradient
-    dilation = medium.lam * (ux_x + uy_y)
-    return Wedge(
-        xx=dilation + 2 * medium.mu * ux_x,
-        yy=dilation + 2 * medium.mu * uy_y,
-        xy=medium.mu * (ux_y + uy_x),
-        zz=dilation,
-        ux_x=ux_x,
-        uy_y=uy_y,
-        ux_y=ux_y,
-        uy_x=uy_x,
-        uy=uy,
-    )
-
-
 def wedge(x, y, nodes, medium):
     """Return the field at a point, y > 0 or (y = 0, the upper face).
 
@@ -87,7 +71,9 @@ def wedge(x, y, nodes, medium):
         ux_y += (2 * eta**2 * even[eta] - (1 + eta**2) * even[alpha]) / m
         uy_x += (2 * even[eta] - (1 + eta**2) * even[alpha]) / m
         uy += (2 * step[eta] - (1 + eta**2) * step[alpha]) / m
-    return _wedge_from_gradient((ux_x, uy_y, ux_y, uy_x), uy, medium)
+    dilation, shear = medium.lam * (ux_x + uy_y), medium.mu * (ux_y + uy_x)
+    stresses = dilation + 2 * medium.mu * ux_x, dilation + 2 * medium.mu * uy_y, shear, dilation
+    return Wedge(*stresses, ux_x, uy_y, ux_y, uy_x, uy)
 
 
 def _logarithm(X, c):
@@ -98,44 +84,29 @@ def _logarithm(X, c):
 def wedge_pressure(x, nodes, medium):
     """Return the contact pressure [Pa], the principal value of h'(s)/(x - s) over pi, times mu K."""
     K = -medium.rayleigh_function / (medium.alpha * medium.m)
-    return (
-        medium.mu
-        * K
-        * mp.fsum(
-            (right - left) / (b - a) * mp.log(abs((x - a) / (x - b))) / mp.pi for a, left, b, right in segments(nodes)
-        )
-    )
+    logs = ((d - c) / (b - a) * mp.log(abs((x - a) / (x - b))) for a, c, b, d in segments(nodes))
+    return medium.mu * K * mp.fsum(logs) / mp.pi
 
 
-def wedge_force(nodes, medium, tool_friction, ambient_pressure, separation=True):
-    """Return 2 int (max(p + p_a, 0) - p_a) (h' + mu0) dx, or 2 int p (h' + mu0) dx without separation.
+def wedge_force(nodes, medium, *others):
+    """Return 2 int (max(p + p_a, 0) - p_a) (h' + mu0) dx, or 2 int p (h' + mu0) dx without separation."""
+    return _force(lambda x: wedge_pressure(x, nodes, medium), lambda _: 2, nodes, *others)
 
-    The pressure's antiderivative is one of logarithms; where contact is lost is found numerically.
-    """
 
-    def swept(x):
-        # The antiderivative of the pressure.
-        K = -medium.rayleigh_function / (medium.alpha * medium.m)
-        total = mp.mpf(0)
-        for a, left, b, right in segments(nodes):
-            g = (right - left) / (b - a)
-            total += g / mp.pi * (_log_antiderivative(x - a) - _log_antiderivative(x - b))
-        return medium.mu * K * total
-
+def _force(pressure, width, nodes, tool_friction, ambient_pressure, separation=True):
+    """Integrate a pressure over the width of a face; the quadrature keeps about two thirds of the working digits."""
     force = mp.mpf(0)
     for a, left, b, right in segments(nodes):
-        weight = 2 * ((right - left) / (b - a) + tool_friction)
-        if not separation:
-            force += weight * (swept(b) - swept(a))
-            continue
-        for start, end in touching(lambda x: wedge_pressure(x, nodes, medium) + ambient_pressure, a, b):
-            force += weight * (swept(end) - swept(start) + ambient_pressure * (end - start))
-        force -= weight * ambient_pressure * (b - a)
+
+        def thrust(x, a=a, b=b):
+            # A quadrature node may be rounded onto the end of the piece.
+            return pressure(x) * width(x) if a < x < b else mp.zero
+
+        parts = touching(lambda x: pressure(x) + ambient_pressure, a, b) if separation else [(a, b)]
+        pushed = mp.fsum(mp.quad(thrust, [start, (start + end) / 2, end]) for start, end in parts)
+        lost = mp.quad(width, [a, b]) - mp.fsum(mp.quad(width, part) for part in parts)
+        force += ((right - left) / (b - a) + tool_friction) * (pushed - ambient_pressure * lost)
     return force
-
-
-def _log_antiderivative(X):
-    return X * (mp.log(abs(X)) - 1) if X else mp.mpf(0)
 
 
 def touching(absolute_pressure, a, b):
@@ -158,27 +129,15 @@ def touching(absolute_pressure, a, b):
             )
             extra.append(mp.mpf(least.x))
     found = sorted([*found, *((x, absolute_pressure(x)) for x in extra)])
-    changes = [
-        _root(absolute_pressure, before, after)
-        for (before, p), (after, q) in itertools.pairwise(found)
-        if (p > 0) != (q > 0)
-    ]
-    edges = [a, *changes, b]
+    edges = [a, b]
+    for (low, p), (high, q) in itertools.pairwise(found):
+        # The pressure vanishes at an edge, which half of the digits therefore locate well enough.
+        while (p > 0) != (q > 0) and high - low > mp.sqrt(mp.eps) * 1e-6 * (b - a):
+            middle = (low + high) / 2
+            low, high = (middle, high) if (absolute_pressure(middle) > 0) == (p > 0) else (low, middle)
+        edges[1:1] = [low] if (p > 0) != (q > 0) else []
+    edges.sort()
     return list(itertools.pairwise(edges))[0 if found[0][1] > 0 else 1 :: 2]
-
-
-def _root(function, low, high):
-    """Return where a function changes sign, by the secant method safeguarded by bisection."""
-    before, guess = low, high
-    at_before, at_guess = function(before), function(guess)
-    rising = at_guess > 0
-    while at_guess not in (0, at_before) and abs(guess - before) > mp.eps * abs(guess):
-        secant = guess - at_guess * (guess - before) / (at_guess - at_before)
-        before, at_before = guess, at_guess
-        guess = secant if low < secant < high else (low + high) / 2
-        at_guess = function(guess)
-        low, high = (guess, high) if (at_guess < 0) == rising else (low, guess)
-    return guess
 
 
 # --- cone ------------------------------------------------------------------------------------------------------------
@@ -201,14 +160,8 @@ def cone(x, r, nodes, medium):
         ((1 + eta**2) * of_alpha - 2 * of_eta) / m for of_alpha, of_eta in zip(m_alpha, m_eta, strict=True)
     )
     dilation = medium.lam * (ux_x + ur_r + radial / r)
-    return Cone(
-        axial=axial,
-        radial=radial,
-        xx=dilation + 2 * medium.mu * ux_x,
-        rr=dilation + 2 * medium.mu * ur_r,
-        tt=dilation + 2 * medium.mu * radial / r,
-        rx=medium.mu * (ux_r + ur_x),
-    )
+    normal = (dilation + 2 * medium.mu * strain for strain in (ux_x, ur_r, radial / r))
+    return Cone(axial, radial, *normal, medium.mu * (ux_r + ur_x))
 
 
 def source_integrals(x, r, nodes, k):
@@ -247,28 +200,6 @@ def cone_pressure(x, nodes, medium):
     return -cone(x, radius(x, nodes), nodes, medium).rr
 
 
-def cone_force(nodes, medium, tool_friction, ambient_pressure, separation=True):
-    """Return 2 pi int (max(p + p_a, 0) - p_a) (R' + mu0) R dx, or 2 pi int p (R' + mu0) R dx without separation.
-
-    The quadrature is accurate to about two thirds of the working digits.
-    """
-    force = mp.mpf(0)
-    for a, left, b, right in segments(nodes):
-        weight = 2 * mp.pi * ((right - left) / (b - a) + tool_friction)
-
-        def pressure(x):
-            return cone_pressure(x, nodes, medium)
-
-        def thrust(x):
-            R = radius(x, nodes)
-            # A quadrature node may be rounded onto a tip, where p R vanishes.
-            return pressure(x) * R if R else R
-
-        parts = touching(lambda x: pressure(x) + ambient_pressure, a, b) if separation else [(a, b)]
-        for start, end in parts:
-            force += weight * mp.quad(thrust, [start, (start + end) / 2, end])
-        if separation:
-            lost = mp.quad(lambda x: radius(x, nodes), [a, b])
-            lost -= mp.fsum(mp.quad(lambda x: radius(x, nodes), part) for part in parts)
-            force -= weight * ambient_pressure * lost
-    return force
+def cone_force(nodes, medium, *others):
+    """Return 2 pi int (max(p + p_a, 0) - p_a) (R' + mu0) R dx, or 2 pi int p (R' + mu0) R dx without separation."""
+    return _force(lambda x: cone_pressure(x, nodes, medium), lambda x: 2 * mp.pi * radius(x, nodes), nodes, *others)

@@ -71,8 +71,7 @@ def test_permissions_are_preserved_and_new_files_have_the_usual_ones(tmp_path):
 def test_invalid_paths_are_refused(tmp_path):
     (tmp_path / "a").write_text("before")
     (tmp_path / "round").symlink_to("round")
-    wrong = {"": "folder", "round": "in a circle", "x" * 300: "too long"}
-    for name, why in wrong.items():
+    for name, why in {"": "folder", "round": "in a circle", "x" * 300: "too long"}.items():
         with pytest.raises(po.InputError, match=rf"the table '.*' cannot be written: .*({why})"):
             write_file(tmp_path / name, "table", "after")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "round"]

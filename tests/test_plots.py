@@ -57,7 +57,7 @@ def line(axes, label):
     return next(found.get_xydata() for found in axes.get_lines() if found.get_label() == label)
 
 
-def test_its_lines_are_the_run_in_the_units_of_its_axes(run):
+def test_the_lines_of_a_run_are_in_the_units_of_its_axes(run):
     force, deflection, speed = plots.plot_run(run).axes
     assert matplotlib.pyplot.get_fignums() == []
     assert (force.get_ylabel(), deflection.get_ylabel()) == ("force [kN]", "deflection [m]")
@@ -71,7 +71,7 @@ def test_its_lines_are_the_run_in_the_units_of_its_axes(run):
     assert f"± RMS {run.force_rms / 1000:.3g} kN" in legend(force)
 
 
-def test_it_uses_the_units_and_the_title_of_its_problem_file(run):
+def test_a_run_is_drawn_with_the_units_and_the_title_of_its_problem_file(run):
     origin = Origin("Two shares", {"deflection": Display("cm", 0.01), "scene.tow_speed": Display("km/h", 1 / 3.6)})
     figure = plots.plot_run(dataclasses.replace(run, origin=origin))
     assert figure.get_suptitle() == "Two shares\nserozem, 7.2 km/h"
@@ -94,7 +94,7 @@ def test_constant_panels_are_omitted(scene):
     assert (force.get_ylabel(), deflection.get_ylabel()) == ("force [kN]", "deflection [m]")
 
 
-def test_it_shows_faces_of_the_shares_area_and_the_cone_at_the_same_scale(scene):
+def test_a_share_is_drawn_with_its_area_and_the_cone_at_the_same_scale(scene):
     wedge, cone = plots.plot_share(scene).axes
     assert wedge.get_aspect() == cone.get_aspect() == 1.0
     assert wedge.get_ylim() == cone.get_ylim()
@@ -115,7 +115,7 @@ def test_a_share_given_as_a_cone_has_no_faces_to_show(scene):
     assert "β = 10.0°" in words(right)
 
 
-def test_it_shows_the_response_and_the_search_with_every_optimum(optimum):
+def test_an_optimum_is_drawn_with_its_response_and_every_optimum_of_the_search(optimum):
     best, run = optimum
     two = (best.local_optima[0], dataclasses.replace(best.local_optima[0], variables={"mount": 1e5}, objective=3.0))
     figure = plots.plot_optimum(dataclasses.replace(best, local_optima=two), run)
@@ -128,7 +128,7 @@ def test_it_shows_the_response_and_the_search_with_every_optimum(optimum):
     np.testing.assert_allclose(line(search, "other local optima"), [[1e2, 3.0]])
 
 
-def test_it_shows_requirements_and_the_limits_of_what_it_draws(optimum):
+def test_an_optimum_is_drawn_with_requirements_and_the_limits_of_what_is_drawn(optimum):
     best, run = optimum
     peak = run.peak_deflection
     high = Limit("deflection", "requirement", peak, "", 0.25 * peak, 0.0, False, "m", high=1.25 * peak)
@@ -162,7 +162,7 @@ def test_a_picture_has_one_of_three_formats(tmp_path):
     assert plots.save(Figure(figsize=(2, 1)), tmp_path / "run.svg").read_bytes().startswith(b"<?xml")
 
 
-def test_it_draws_both_stresses_around_the_body():
+def test_a_wedge_field_shows_both_stresses_around_the_body():
     nodes = [(0.0, 0.0), (0.1, 0.02), (0.2, 0.02)]
     figure = plots.plot_wedge_field(nodes, po.named_soil("serozem"), 2.0)
     labels = " ".join(axes.get_ylabel() for axes in figure.axes)

@@ -244,17 +244,12 @@ def test_any_title_reads_back_equal(tmp_path, title):
 
 
 def test_designs_in_python_keep_their_declarations(tmp_path):
-    d = po.Design()
-    height = d.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
-    d.minimise(height * d.parameter("cohesion", "20 kPa"))
-    d.require("half height", height / 2.0, at_least="60 mm")
-    found = po.load(d.solve(search="near", seed=3, parameters={"cohesion": 3e4}).save(tmp_path / "best.json"))
-    declared = found.origin.declarations
+    origin = po.load(optimum().save(tmp_path / "best.json")).origin
+    declared = origin.declarations
     assert [declared["height"][key] for key in ("kind", "lower", "upper", "unit")] == ["variable", 0.1, 0.5, "m"]
-    assert declared["cohesion"]["value"] == 3e4
-    assert declared["half height"]["at_least"] == 0.06
+    assert declared["half height"]["at_least"] == 0.04
     assert "height" in declared["objective"]["expression"]
-    assert found.origin.seed == 3
+    assert origin.seed == 0
     declared = po.load(front().save(tmp_path / "front.json")).origin.declarations
     kinds = {"x": "variable", "k": "parameter", "sum": "requirement", "draft": "objective", "radius": "objective"}
     assert {name: own["kind"] for name, own in declared.items()} == kinds

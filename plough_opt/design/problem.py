@@ -153,11 +153,10 @@ class Design:
         """
         if over is not None:
             check_choice("over", over, ("worst", "mean"), ", within the tolerances, or None")
-        self._objective = _expression("the objective", objective)
-        if self._objective.numel() != 1:
-            raise InputError(f"the objective must be one number, not {self._objective.numel()}: sum or average it")
-        self._over = over
-        self._program = None
+        expression = _expression("the objective", objective)
+        if expression.numel() != 1:
+            raise InputError(f"the objective must be one number, not {expression.numel()}: sum or average it")
+        self._objective, self._over, self._program = expression, over, None
 
     def require(
         self,

@@ -1,10 +1,7 @@
 """Compiled designs: the same optimum, few evaluations, and a warning if there is no compiler."""
 
-import dataclasses
-
 import numpy as np
 import pytest
-from helpers.small_designs import design
 
 import plough_opt as po
 from plough_opt.motion.batch import many_runs
@@ -13,17 +10,9 @@ from plough_opt.motion.terms import Structure, parameters
 
 
 @pytest.fixture
-def small(r1_scene, r1_soil):
-    """A design of stiffness and height under a wave, short enough to solve in a moment."""
-    d, height = design(height=(0.25, 0.2, 0.4, "m"))
-    k0 = d.variable("stiffness", guess=5e4, lower=1e4, upper=2e5, unit="N/m", log=True)
-    cohesion = d.parameter("cohesion", 15e3, unit="Pa")
-    soil = dataclasses.replace(r1_soil, cohesion=cohesion)
-    scene = r1_scene(height=height, stiffness=k0, strength_wave=po.StrengthWave(0.3, 0.6), soil=soil)
-    run = po.simulate(scene, 0.4, outputs=5)
-    d.minimise(run.mean_draft / 1e3 + run.force_rms / 1e3)
-    d.require("mean deflection", run.mean_deflection, at_most=0.02, unit="m")
-    return d
+def small(build_r1):
+    """R1 with short runs and the cohesion as a parameter."""
+    return build_r1(duration=0.4, outputs=5, parameters=["cohesion"]).design
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -244,24 +245,17 @@ def test_r1_expression_with_a_foreign_symbol_is_refused(r1):
 # --- in threads, and interrupted ----------------------------------------------------------------------------
 
 
+ROOT = Path(__file__).parents[2]
 # Runs in a separate process, because an error in a thread must end it.
 SCRIPT = """
 from concurrent.futures import ThreadPoolExecutor
 import plough_opt as po
 
 def solved(upper):
-    d = po.Design()
-    height = d.variable("height", guess=0.25, lower=0.1, upper=0.5, unit="m")
-    k0 = d.variable("stiffness", guess=5e4, lower=1e4, upper=upper, unit="N/m", log=True)
-    cone = po.Cone(po.deg(10.0), height)
-    wave = po.StrengthWave(amplitude=0.3, wavelength=0.2)
-    scene = po.Scene(po.named_soil("serozem"), cone, k0, 25.0, 2.0, po.Effects(strength_wave=wave, damping=400.0))
-    run = po.simulate(scene, 0.5)
-    d.minimise((run.mean_draft + run.force_rms) / 1e3)
-    d.require("loosened radius", scene.loosened_radius, at_least=0.12, unit="m")
-    return d.solve(search="local").objective
+    problem = po.read_problem("problems/cotton_subsoiler.toml", [f"variables.scene.stiffness.upper='{upper} kN/m'"])
+    return problem.design()[0].solve(search="local").objective
 
-uppers = [1e5, 2e5]
+uppers = [100, 900]
 with ThreadPoolExecutor(2) as pool:
     together = list(pool.map(solved, uppers))
 assert together == [solved(upper) for upper in uppers], together
@@ -270,7 +264,7 @@ print("all solved")
 
 
 def test_designs_in_threads_are_those_one_after_the_other():
-    done = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-c", SCRIPT], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.stdout.split("\n")[0] == "all solved", done.stderr
 
 

@@ -71,18 +71,7 @@ NEAR: dict[str, Any] = {
 # than that from its limits. A higher one first drives it along flat valleys, and the way back takes five times as many
 # iterations.
 FROM_BOTTOM: dict[str, Any] = NEAR | {"ipopt.mu_init": 1e-8, "ipopt.bound_mult_init_method": "mu-based"}
-# From the optimum and multipliers of a neighbour along a front.
-_FROM_NEIGHBOUR: dict[str, Any] = {
-    "ipopt.max_iter": 40,
-    "ipopt.mu_init": 1e-6,
-    "ipopt.warm_start_init_point": "yes",
-    "ipopt.warm_start_bound_push": 1e-9,
-    "ipopt.warm_start_bound_frac": 1e-9,
-    "ipopt.warm_start_slack_bound_push": 1e-9,
-    "ipopt.warm_start_slack_bound_frac": 1e-9,
-    "ipopt.warm_start_mult_bound_push": 1e-9,
-}
-_SETTINGS_BY_START = {"neighbour": _FROM_NEIGHBOUR, "far": FAR, "near": NEAR, "bottom": FROM_BOTTOM}
+_SETTINGS_BY_START = {"far": FAR, "near": NEAR, "bottom": FROM_BOTTOM}
 # Stops where the objective no longer falls, as along a valley, without waiting for the last digits of the slopes.
 _STOP_EARLY: dict[str, Any] = {
     "ipopt.acceptable_iter": 3,
@@ -240,8 +229,6 @@ class Solver:
         lower: Vector | float = 0.0,
         upper: Vector | float = 1.0,
         options: SolveOptions = FROM_AFAR,
-        limits: tuple[Vector, Vector] | None = None,
-        neighbour: Point | None = None,
     ) -> Point:
         """Return the local optimum that IPOPT reaches from a start.
 
@@ -251,15 +238,9 @@ class Solver:
             lower: lower bounds of the scaled variables.
             upper: upper bounds.
             options: options of the solve.
-            limits: lower and upper limits of the requirements, if they differ from those of the constructor.
-            neighbour: an optimum near the start, whose multipliers the solve begins with.
         """
-        low, high = (self._low, self._high) if limits is None else limits
-        given = {"x0": start, "p": p, "lbx": lower, "ubx": upper, "lbg": low, "ubg": high}
+        given = {"x0": start, "p": p, "lbx": lower, "ubx": upper, "lbg": self._low, "ubg": self._high}
         begin = "bottom" if options.near else "far"
-        if neighbour is not None:
-            begin = "neighbour"
-            given |= {"lam_x0": neighbour.lam_y, "lam_g0": neighbour.lam_g}
         if not options.exact:
             point = self._attempt(given, begin, False, options.enough)
             if options.near and options.enough and point.status == "Maximum_Iterations_Exceeded":

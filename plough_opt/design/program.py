@@ -14,7 +14,7 @@ import numpy as np
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column
 from plough_opt.design.declarations import Declarations, Requirement
-from plough_opt.design.forms import ActiveRows, as_machine_code, chosen_rows, first_slack, relaxed
+from plough_opt.design.forms import as_machine_code, first_slack, relaxed
 from plough_opt.design.ipopt import FROM_AFAR, Point, SolveOptions, Solver, Vector
 from plough_opt.design.nlp import Nlp, build_nlp
 from plough_opt.design.population import LinearVariable, Population, linear_variables
@@ -76,13 +76,6 @@ class BuiltProgram:
     def solver(self) -> Solver:
         """IPOPT on the program."""
         return Solver(self.nlp, *self.limits)
-
-    @cached_property
-    def near_solver(self) -> Solver | ActiveRows:
-        """IPOPT on the rows that can be active, for nearly optimal starts."""
-        if chosen_rows(self.owner) < len(self.owner):
-            return ActiveRows(self.nlp, self.owner, self.limits)
-        return self.solver
 
     @cached_property
     def relaxed(self) -> Solver:
@@ -348,8 +341,7 @@ class Program:
             box: largest distance of a scaled variable from the start.
             fixed: numbers of variables that are held at the start.
         """
-        solver = self.built.near_solver if options.near else self.built.solver
-        return solver.solve(start, p, *_bounds(start, box, fixed), options)
+        return self.built.solver.solve(start, p, *_bounds(start, box, fixed), options)
 
     def solve_relaxed(
         self, start: Vector, p: Vector, box: float = 1.0, fixed: Sequence[int] = (), *, exact: bool | None = None

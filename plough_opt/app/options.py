@@ -80,13 +80,10 @@ def given_quantities(options: argparse.Namespace, known: Mapping[str, QuantityOp
         written = getattr(options, name.replace("-", "_"))
         if written is None:
             continue
+        texts = written if own.several else [written]
         try:
-            value = written if own.unit is None else _parsed(Unit(own.unit), written)
+            parsed = [text if own.unit is None else Unit(own.unit).parse(text) for text in texts]
         except InputError as error:
             raise InputError(f"--{name} {error}") from None
-        found[own.argument or name.replace("-", "_")] = value
+        found[own.argument or name.replace("-", "_")] = parsed if own.several else parsed[0]
     return found
-
-
-def _parsed(unit: Unit, written: str | list[str]) -> float | list[float]:
-    return [unit.parse(text) for text in written] if isinstance(written, list) else unit.parse(written)

@@ -19,7 +19,7 @@ from plough_opt.design import effort
 from plough_opt.motion import plan
 from plough_opt.motion.effects import MOST_HARMONICS
 from plough_opt.motion.vocabulary import MEASURES
-from plough_opt.problem_file import overrides, own_measures, schema, source, uncertain
+from plough_opt.problem_file import own_measures, reading, schema, source, uncertain
 from plough_opt.soil.elastic import profile
 from plough_opt.studies.calibration.measurements import measurable
 from plough_opt.studies.sweep import points
@@ -227,7 +227,7 @@ def most_outputs():
 LIMITS = {
     "Problem files and `--set`": (
         source._MAX_BYTES, source._MAX_LINE_LENGTH, source.MOST_TABLES, source._MAX_INTEGER_BITS, units._LONGEST,
-        overrides._MAX_LENGTH, source._MAX_LISTED,
+        reading._MAX_LENGTH, source._MAX_LISTED,
         most_outputs(),
         quantities.MOST_WAVES,
         own_measures._MAX_LENGTH, own_measures._MAX_DEPTH, own_measures._MAX_POWER,

@@ -86,7 +86,8 @@ def _pairs(scene: Scene, duration: float | None) -> dict[str, tuple[dict[str, An
     }
     for kind in TERMS:
         if kind.label:
-            on = getattr(effects, kind.field) if kind.of(scene) else kind.usual(scene, duration or 1.0)
+            usual = kind.usual(scene, duration or 1.0) if callable(kind.usual) else kind.usual
+            on = getattr(effects, kind.field) if kind.of(scene) else usual
             begins = {"start": start} if kind is Entry else {}
             off = False if on is True else getattr(plain, kind.field)
             pairs[kind.label] = {kind.field: on, **begins}, {kind.field: off, **begins}

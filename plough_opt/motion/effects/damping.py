@@ -13,8 +13,8 @@ class Damping(Term):
     label = field = "damping"
     names = ("damping",)
 
-    @classmethod
-    def usual(cls, scene: Any, duration: float) -> float:
+    @staticmethod
+    def usual(scene: Any, duration: float) -> float:
         # A tenth of critical damping.
         return 0.2 * math.sqrt(float(as_number(scene.stiffness)) * float(as_number(scene.inertia)))
 

@@ -1,7 +1,5 @@
 """A share that enters the soil from its surface."""
 
-from typing import Any
-
 from plough_opt.core.expressions import Expression, maximum, minimum, where
 from plough_opt.motion.effects.term import Parameters, Place, Term, Towed
 
@@ -11,15 +9,12 @@ class Entry(Term):
 
     label = field = "entry"
     names = ("height",)
+    usual = True
     state = "entered"
     kinked = events = True
 
     def values(self, scene: Towed) -> dict[str, Expression]:
         return {"height": scene.cone.height}
-
-    @classmethod
-    def usual(cls, scene: Any, duration: float) -> bool:
-        return True
 
     def resist(self, force: Expression, at: Place, p: Parameters) -> Expression:
         return force if at.travel is None else self.buried(p, at.travel) ** 2 * force

@@ -1,7 +1,5 @@
 """Inertial resistance of the soil, which grows with the squared speed."""
 
-from typing import Any
-
 from plough_opt.core.expressions import Expression
 from plough_opt.motion.effects.term import Parameters, Place, Rates, Term, Towed
 
@@ -11,13 +9,10 @@ class InertialDrag(Term):
 
     label, field = "inertial drag", "inertial_drag"
     names = ("drag",)
+    usual = True
 
     def values(self, scene: Towed) -> dict[str, Expression]:
         return {"drag": scene.reaction.drag}
-
-    @classmethod
-    def usual(cls, scene: Any, duration: float) -> bool:
-        return True
 
     def resist(self, force: Expression, at: Place, p: Parameters) -> Expression:
         return force + p["drag"] * at.squared_speed

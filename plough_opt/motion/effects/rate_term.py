@@ -1,7 +1,5 @@
 """Static resistance that grows with the squared speed, for calibration."""
 
-from typing import Any
-
 from plough_opt.core.expressions import Expression
 from plough_opt.motion.effects.term import Parameters, Place, Term
 
@@ -11,10 +9,7 @@ class RateTerm(Term):
 
     label, field = "rate term", "rate_term"
     names = ("rate_term",)
-
-    @classmethod
-    def usual(cls, scene: Any, duration: float) -> float:
-        return 0.01
+    usual = 0.01
 
     def resist(self, force: Expression, at: Place, p: Parameters) -> Expression:
         return force * (1.0 + p["rate_term"] * at.squared_speed)

@@ -45,8 +45,8 @@ class SmoothContact(Term):
     law, names = Smooth, ("width",)
     kinked = True
 
-    @classmethod
-    def usual(cls, scene: Any, duration: float) -> Smooth:
+    @staticmethod
+    def usual(scene: Any, duration: float) -> Smooth:
         return Smooth(0.1 * (float(as_number(scene.tow_speed)) or 1.0))
 
     def resist(self, force: Expression, at: Place, p: Parameters) -> Expression:

@@ -1,7 +1,6 @@
 """Contact `StickSlip`: soil that only resists; the share slips, sticks or leaves a gap."""
 
 from dataclasses import dataclass
-from typing import Any
 
 from plough_opt.core.expressions import Expression
 from plough_opt.core.quantities import read_fields
@@ -47,11 +46,8 @@ class StickSlipContact(Term):
 
     label, field = "stick and slip", "contact"
     law, names = StickSlip, ("breakaway",)
+    usual = StickSlip()
     kinked = events = True
-
-    @classmethod
-    def usual(cls, scene: Any, duration: float) -> StickSlip:
-        return StickSlip()
 
     def hold(self, force: Expression, at: Place, p: Parameters) -> Expression:
         return p["breakaway"] * force

@@ -24,6 +24,7 @@ class StrengthWaves(Term):
     turns: tuple[int, ...] = ()
 
     label, field = "strength wave", "strength_wave"
+    usual = StrengthWave(0.3, 0.2)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -39,10 +40,6 @@ class StrengthWaves(Term):
     def values(self, scene: Towed) -> dict[str, Expression]:
         waves = ((wave.amplitude, wave.wavelength, wave.phase) for wave in scene.effects.waves)
         return dict(zip(self.names, (x for wave in waves for x in wave[: 2 + self.phased]), strict=True))
-
-    @classmethod
-    def usual(cls, scene: Any, duration: float) -> StrengthWave:
-        return StrengthWave(0.3, 0.2)
 
     def resist(self, force: Expression, at: Place, p: Parameters) -> Expression:
         if at.travel is None:

@@ -113,6 +113,7 @@ class Term:
         field: the field of `Effects` that switches it on, or holds its only number.
         law: class of the field's value, with the parameters as its attributes, if the field may have values of others.
         names: names of its parameters.
+        usual: realistic value of the field to try the effect with, or a function of a numeric scene and a duration [s].
         state: name of a state that is 0 until the effect is over and 1 afterwards; "" without one.
         kinked: whether the force has a kink that a share may reach, where steps of order 8 lose their order.
         events: whether it interrupts the motion by events that an integrator must locate.
@@ -121,6 +122,7 @@ class Term:
     label: ClassVar[str] = ""
     field: ClassVar[str] = ""
     law: ClassVar[type | None] = None
+    usual: ClassVar[Any] = None
     state: ClassVar[str] = ""
     kinked: ClassVar[bool] = False
     events: ClassVar[bool] = False
@@ -141,11 +143,6 @@ class Term:
         """Return the parameters of a scene by name."""
         value = getattr(scene.effects, self.field)
         return {name: value if self.law is None else getattr(value, name) for name in self.names}
-
-    @classmethod
-    def usual(cls, scene: Any, duration: float) -> Any:
-        """Return a realistic value for a numeric scene, to try the effect with."""
-        raise NotImplementedError
 
     def resist(self, force: Expression, at: Place, p: Parameters) -> Expression:
         """Return the resistance [N] with this effect, given that of all terms before it."""

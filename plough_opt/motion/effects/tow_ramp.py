@@ -31,8 +31,8 @@ class TowRamp(Term):
     def of(cls, scene: Towed) -> tuple[Term, ...]:
         return (cls(),) if scene.effects.ramps else ()
 
-    @classmethod
-    def usual(cls, scene: Any, duration: float) -> float:
+    @staticmethod
+    def usual(scene: Any, duration: float) -> float:
         return 0.1 * duration
 
     def strut(self, p: Parameters, time: Expression) -> Strut:

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers.differences import differences
-from test_effect_combinations import ALL, COVERING, choices, label, refused, thinned
+from test_effect_combinations import ALL, COVERING, choices, label, refused, split, thinned
 
 import plough_opt as po
 
@@ -178,16 +178,10 @@ PRINTED = products(
 )
 
 
-def cases():
-    """Yield the thinned combinations one by one, and all others as slow tests of 24 each."""
-    for rows, first in ((MOVING, THIN), *((rows, thinned(rows)) for rows in (STILL, ORBITS, PRINTED))):
-        yield from (pytest.param([row], id=title(row)) for row in first)
-        others = [row for row in rows if row not in first]
-        for k in range(0, len(others), 24):
-            yield pytest.param(others[k : k + 24], id=f"others from {title(others[k])}", marks=pytest.mark.slow)
+CASES = [(MOVING, THIN), *((rows, thinned(rows)) for rows in (STILL, ORBITS, PRINTED))]
 
 
-@pytest.mark.parametrize("combinations", list(cases()))
+@pytest.mark.parametrize("combinations", [case for both in CASES for case in split(*both, title)])
 def test_slope_and_curvature_are_those_of_differences(combinations):
     for effects in combinations:
         check_slope_and_curvature(effects, *drawn(effects))

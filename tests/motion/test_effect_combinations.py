@@ -93,12 +93,12 @@ def label(effects):
     return "+".join([type(effects["contact"]).__name__, effects["start"], *on])
 
 
-def cases():
-    """Yield the covering array one by one and, as slow tests, all other combinations in groups of 24."""
-    yield from (pytest.param([row], id=label(row)) for row in COVERING)
-    others = [row for row in ALL if row not in COVERING]
-    for first in range(0, len(others), 24):
-        yield pytest.param(others[first : first + 24], id=f"others from {first}", marks=pytest.mark.slow)
+def split(rows, first, title=label):
+    """Yield the first rows one by one and, as slow tests, all others in groups of 24."""
+    yield from (pytest.param([row], id=title(row)) for row in first)
+    others = [row for row in rows if row not in first]
+    for k in range(0, len(others), 24):
+        yield pytest.param(others[k : k + 24], id=f"others from {title(others[k])}", marks=pytest.mark.slow)
 
 
 def scene_of(soil, effects, **changes):
@@ -130,7 +130,7 @@ def imbalance(scene, motion, books, duration):
     return (tow - sum(terms)) / max(swing, abs(tow), *map(abs, terms))
 
 
-@pytest.mark.parametrize("combinations", list(cases()))
+@pytest.mark.parametrize("combinations", list(split(ALL, COVERING)))
 def test_combinations_run_and_are_right(r1_soil, combinations):
     for effects in combinations:
         check_run(r1_soil, effects)

@@ -7,7 +7,6 @@ import math
 import platform
 import re
 import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 
@@ -19,7 +18,7 @@ from helpers.scenes import Shank, scene_of
 from helpers.strict_json import strict
 
 import plough_opt as po
-from plough_opt.core.tables import Grid, Page, data_frame
+from plough_opt.core.tables import Grid, Page
 from plough_opt.problem_file.robust_design import optimise_robust
 
 pandas = pytest.importorskip("pandas")
@@ -190,12 +189,6 @@ def test_frames_hold_the_numbers_with_their_units():
     assert frame.attrs["units"] == {"draft": "N", "radius": "m", "x": "m"}
     np.testing.assert_array_equal(batch().to_dataframe()["mean_draft"], batch().mean_draft)
     np.testing.assert_array_equal(fit().to_dataframe()["observed"], fit().observed)
-
-
-def test_without_pandas_the_extra_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(po.InputError, match=r"pip install 'plough_opt\[pandas\]'"):
-        data_frame({"x": [1.0]}, {"x": "m"})
 
 
 def test_designs_are_drawn_between_their_limits():

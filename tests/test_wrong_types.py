@@ -8,6 +8,7 @@ from importlib.resources import files
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.scenes import scene_of
 
 import plough_opt as po
 from plough_opt.core.expressions import exp
@@ -75,18 +76,23 @@ def test_short_number_types_are_refused(kind):
 # --- wrong types of soil, share, effects and switches ---
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"soil": "serozem"}, r"scene's soil = 'serozem' must be a Soil, for instance named_soil"),
-        ({"share": 0.3}, "scene's share = 0.3 must be a Wedge or a Cone"),
-        ({"effects": None}, "scene's effects = None must be an Effects"),
-    ],
-)
-def test_a_scene_with_a_part_of_the_wrong_type_is_refused(change, words):
-    parts = {"soil": SOIL, "share": CONE, "stiffness": 5e4, "mass": 25.0, "tow_speed": 2.0}
+WRONG = {
+    "soil of a scene": (
+        lambda: scene_of(soil="serozem"),
+        "scene's soil = 'serozem' must be a Soil, for instance named_",
+    ),
+    "share of a scene": (lambda: scene_of(share=0.3), "scene's share = 0.3 must be a Wedge or a Cone"),
+    "effects": (lambda: po.Scene(SOIL, CONE, 5e4, 25.0, 2.0, None), "scene's effects = None must be an Effects"),
+    "a wedge": (lambda: po.added_mass(po.Wedge(0.5, 0.2, 0.25), SOIL), r"must be a Cone: use its equivalent_cone\(\)"),
+    "a number": (lambda: po.soil_reaction(0.3, SOIL), r"the cone = 0\.3 must be a Cone$"),
+    "a name": (lambda: po.loosened_radius(CONE, "serozem"), "the soil = 'serozem' must be a Soil, for instance named_"),
+}
+
+
+@pytest.mark.parametrize(("call", "words"), WRONG.values(), ids=WRONG)
+def test_wrong_types_are_refused_with_the_right_ones(call, words):
     with pytest.raises(po.InputError, match=words):
-        po.Scene(**parts | change)
+        call()
 
 
 @pytest.mark.parametrize("name", ["motion", "inertial_drag", "added_mass", "ambient_pressure", "entry"])
@@ -94,17 +100,6 @@ def test_a_scene_with_a_part_of_the_wrong_type_is_refused(change, words):
 def test_a_switch_must_be_a_bool(name, value):
     with pytest.raises(po.InputError, match=f"{name} = {value!r} must be True or False"):
         po.Effects(**{name: value})
-
-
-@pytest.mark.parametrize("call", [po.resistance_coefficients, po.soil_reaction, po.added_mass, po.loosened_radius])
-def test_forces_of_the_wrong_types_are_refused(call):
-    for share, soil, words in (
-        (po.Wedge(0.5, 0.2, 0.25), SOIL, r"must be a Cone: use its equivalent_cone\(\)"),
-        (0.3, SOIL, r"the cone = 0\.3 must be a Cone$"),
-        (CONE, "serozem", "the soil = 'serozem' must be a Soil, for instance named_soil"),
-    ):
-        with pytest.raises(po.InputError, match=words):
-            call(share, soil)
 
 
 # --- pickled errors ---

@@ -1,6 +1,5 @@
 """OpenMDAO as the client: partials and bounds; docs/embedding.md runs its driver, with units."""
 
-import importlib
 import subprocess
 import sys
 
@@ -137,15 +136,6 @@ def test_an_objective_must_be_an_output(around_r1):
     problem, share = _problem(around_r1)
     with pytest.raises(ValueError, match="no output is named 'cost': one of objective, mean_draft"):
         share.add_design(problem.model, "cost")
-
-
-def test_without_openmdao_its_extra_is_named(monkeypatch):
-    for name in [*sys.modules]:
-        if name.startswith(("openmdao", "plough_opt.exchange.export.openmdao")):
-            monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, "openmdao", None)
-    with pytest.raises(po.InputError, match=r"pip install 'plough_opt\[openmdao\]'"):
-        importlib.import_module("plough_opt.exchange.export.openmdao")
 
 
 @pytest.mark.parametrize("name", ["json", "class", "any"])

@@ -7,6 +7,7 @@ import ezdxf
 import numpy as np
 import pytest
 import trimesh
+from helpers.scenes import scene_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -190,6 +191,10 @@ def test_steps_read_back_have_exact_faces(part, tmp_path):
 
 
 def test_without_a_library_its_extra_is_named(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "trimesh", None)
-    with pytest.raises(po.InputError, match=r"trimesh is not installed: pip install 'plough_opt\[parts\]'"):
-        write_part(SHARE, tmp_path / "a.stl")
+    for library, extra, use in (
+        ("trimesh", "parts", lambda: write_part(SHARE, tmp_path / "a.stl")),
+        ("pandas", "pandas", lambda: po.simulate(scene_of(), 0.1).to_dataframe()),
+    ):
+        monkeypatch.setitem(sys.modules, library, None)
+        with pytest.raises(po.InputError, match=rf"{library} is not installed: pip install 'plough_opt\[{extra}\]'"):
+            use()

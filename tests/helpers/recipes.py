@@ -154,21 +154,18 @@ def _of(module, names):
 def _laws():
     """Return name -> function of soil, share or medium, with its required arguments."""
     forces = _of(po, "added_mass loosened_radius resistance resistance_coefficients soil_reaction")
-    fields = _of(
-        po.elastic,
-        """cone_displacement cone_force cone_pressure cone_stress longitudinal_wave_speed
-        rayleigh_speed shear_modulus shear_wave_speed wedge_displacement wedge_force wedge_gradient wedge_pressure
-        wedge_stress""",
+    fields, others = (
+        [
+            own
+            for name in module.__all__
+            if inspect.isfunction(own := getattr(module, name)) or own is po.crosscheck.Tine
+        ]
+        for module in (po.elastic, po.crosscheck)
     )
     gas = _of(
         po.plastic,
         """Cavity current_radius density front front_radius front_speed mean_ratio
         particle_acceleration particle_velocity quadrature_error ratio stress surface_pressure wall_pressure""",
-    )
-    others = _of(
-        po.crosscheck,
-        """Tine asabe_draft compare godwin_draft mckyes_ali_draft spherical_cavity_draft
-        swick_perumpral_draft""",
     )
     return {
         **_group("", forces, share=CONE, cone=CONE, soil=SOIL, speed=2.0, acceleration=0.0),
@@ -182,40 +179,34 @@ def _laws():
 
 def _classes():
     """Return name -> class, with its required arguments and others that matter."""
+    simple = _of(
+        po,
+        """Accuracy Cone Effects Goal HarmonicBalance Printed RandomStrength Range Rig Scene Smooth Soil StickSlip
+        StrengthWave Wedge""",
+    )
     return {
-        "Accuracy": (po.Accuracy, {"error": 1e-6}),
+        **_group("", [*simple, po.uncertainty.Marginal],
+                 soil=SOIL, share=WEDGE, effects=STEADY, stiffness=5e4, mass=45.0, damping=300.0, tow_speed=2.0,
+                 angle=0.5, half_angle=0.2, chisel_angle=0.26, height=0.25, width=0.1, density=1400.0,
+                 density_ratio=0.8, cohesion=2e4, friction_angle=0.5, tool_friction=0.5, youngs_modulus=2e7,
+                 poisson_ratio=0.3, amplitude=0.3, wavelength=0.5, rms=0.2, correlation_length=0.3, tow_ramp=0.1,
+                 rate_term=0.01, error=1e-6, lower=0.1, upper=0.3, name="a", expression=ca.MX.sym("x"),
+                 distribution=stats.norm(0.0, 1.0)),
         "Batch": (po.Batch, {"scene": moving(STIFFNESS), "duration": 1.0, "inputs": [STIFFNESS]}),
         "Calibration": (po.Calibration, {"given": SCENE, "data": measured(), "unknown": {"soil.cohesion": (1e3, 8e4)}}),
         "Candidate": (po.Candidate, {"result": "mean_draft", "conditions": {"scene.tow_speed": 2.0}}),
         "Penetrometer": (po.Penetrometer, {"name": "a.csv", "insertions": [1.1e6, 0.9e6, 1.3e6]}),
-        "Rig": (po.Rig, {"mass": 100.0, "stiffness": 1e5, "damping": 300.0, "tow_speed": 1.0}),
-        "Cone": (po.Cone, {"half_angle": 0.2, "height": 0.3}),
-        "Effects": (po.Effects, {"tow_ramp": 0.1, "damping": 100.0, "rate_term": 0.01}),
         "Machine": (po.Machine, {"runs": {"left": po.simulate(moving(5e4), 0.1)}}),
-        "Goal": (po.Goal, {"name": "a", "expression": ca.MX.sym("x")}),
-        "HarmonicBalance": (po.HarmonicBalance, {}),
         "Input": (po.Input, {"name": "share.height", "lower": 0.1, "upper": 0.3, "value": 0.2, "unit": "m"}),
         "Measurements": (po.Measurements, {
             "result": "mean_draft", "values": [7e3, 8e3, 9e3], "conditions": {"scene.tow_speed": [1.0, 1.5, 2.0]}}),
         "Output": (po.Output, {"name": "mean_draft", "lower": 0.0, "upper": 1e6, "unit": "N"}),
-        "Printed": (po.Printed, {}),
-        "Range": (po.Range, {"lower": 1.0, "upper": 2.0}),
         "Robust": (po.Robust, {"field": field(), "response": lambda soil: {"a": soil.cohesion}, "samples": 8}),
-        "Scene": (po.Scene, {"soil": SOIL, "share": WEDGE, "stiffness": 5e4, "mass": 45.0, "tow_speed": 2.0,
-                             "effects": STEADY}),
-        "Smooth": (po.Smooth, {"width": 0.1}),
-        "Soil": (po.Soil, {"density": 1400.0, "density_ratio": 0.8, "cohesion": 2e4, "friction_angle": 0.5,
-                           "tool_friction": 0.5, "youngs_modulus": 2e7, "poisson_ratio": 0.3}),
         "SoilDistribution": (po.SoilDistribution, {
             "soil": SOIL, "within": {"cohesion": (1e4, 2e4)}, "correlation": {("cohesion", "density"): 0.1},
             "cohesion": stats.norm(15e3, 1e3), "density": stats.norm(1350.0, 20.0)}),
-        "Marginal": (po.uncertainty.Marginal, {"distribution": stats.norm(0.0, 1.0), "lower": -1.0, "upper": 1.0}),
-        "StickSlip": (po.StickSlip, {}),
-        "RandomStrength": (po.RandomStrength, {"rms": 0.2, "correlation_length": 0.3}),
         "Spectrum": (po.Spectrum, {"wave_number": [1.0, 2.0], "density": [0.1, 0.2]}),
         "StrengthRecord": (po.StrengthRecord, {"position": PATH, "value": 1e6 + 2e5 * np.sin(9.0 * PATH)}),
-        "StrengthWave": (po.StrengthWave, {"amplitude": 0.3, "wavelength": 0.5}),
-        "Wedge": (po.Wedge, {"angle": 0.5, "chisel_angle": 0.26, "height": 0.25}),
     }  # fmt: skip
 
 

@@ -86,13 +86,8 @@ def errors(run, reference):
         beyond = max(0.0, float(error) - rounding[kind])
         found[name] = beyond / float(scale) if beyond > 0.0 else 0.0
 
-    for name, kind in (
-        ("mount_force", "force"),
-        ("soil_resistance", "force"),
-        ("deflection", "z"),
-        ("speed", "speed"),
-        ("travel", "z"),
-    ):
+    forces = dict.fromkeys(("mount_force", "soil_resistance"), "force")
+    for name, kind in (forces | {"deflection": "z", "speed": "speed", "travel": "z"}).items():
         wrong = np.abs(getattr(run, name) - getattr(truth, name))
         # These jump where the share changes its mode.
         wrong = wrong * apart if name in ("soil_resistance", "speed") else wrong
@@ -101,13 +96,14 @@ def errors(run, reference):
     note("peak_force", abs(run.peak_force - np.max(truth.mount_force)), np.max(np.abs(truth.mount_force)), "force")
     note("peak_deflection", abs(run.peak_deflection - np.max(truth.deflection)), peak_z, "z")
     size, size_z = max(abs(truth.mean_draft), truth.force_rms), max(abs(truth.mean_deflection), truth.displacement_rms)
-    note("mean_draft", abs(run.mean_draft - truth.mean_draft), size, "force")
-    note("force_rms", abs(run.force_rms - truth.force_rms), truth.force_rms, "force")
-    note("mean_deflection", abs(run.mean_deflection - truth.mean_deflection), size_z, "z")
-    note("displacement_rms", abs(run.displacement_rms - truth.displacement_rms), truth.displacement_rms, "z")
     # The path of the strut is that of the share plus the deflection.
     towed = float((truth.travel + truth.deflection)[-1] - (truth.travel + truth.deflection)[0]) / run.duration
     power = max(abs(truth.tow_power), size * towed)
     rounding["power"] = rounding["force"] * scene.tow_speed
-    note("tow_power", abs(run.tow_power - truth.tow_power), power, "power")
+    averages = {
+        "mean_draft": (size, "force"), "force_rms": (truth.force_rms, "force"), "mean_deflection": (size_z, "z"),
+        "displacement_rms": (truth.displacement_rms, "z"), "tow_power": (power, "power"),
+    }  # fmt: skip
+    for name, (scale, kind) in averages.items():
+        note(name, abs(getattr(run, name) - getattr(truth, name)), scale, kind)
     return found

@@ -267,13 +267,7 @@ def _within(name: str, at_least: float | None, at_most: float | None, width: flo
 
 def _in_tail(measure: Callable[..., Expression], tail: Tail) -> Callable[..., Expression]:
     """Return a measure of the largest values as it is, or mirrored into one of the smallest."""
-    if tail == "upper":
-        return measure
-
-    def lower(values: Expression, **keywords: float) -> Expression:
-        return -measure(-values, **keywords)
-
-    return lower
+    return measure if tail == "upper" else lambda values, **keywords: -measure(-values, **keywords)
 
 
 # --- the best robust design --------------------------------------------------------------------------------

@@ -198,14 +198,12 @@ def _coefficients(x: Vector, y: Vector, numbers: Sequence[float]) -> Vector:
     design = _design(x, numbers)
     # The normal equations are a hundred times faster than the tall system, and the digits they lose for close wave
     # numbers are far below the noise.
-    found: Vector = np.asarray(np.linalg.lstsq(design.T @ design, design.T @ y, rcond=None)[0], dtype=float)
-    return found
+    return np.asarray(np.linalg.lstsq(design.T @ design, design.T @ y, rcond=None)[0], dtype=float)
 
 
 def _residual(x: Vector, y: Vector, numbers: Sequence[float]) -> Vector:
     """Return strength without the best fit of waves with these wave numbers."""
-    remainder: Vector = y - _design(x, numbers) @ _coefficients(x, y, numbers)
-    return remainder
+    return y - _design(x, numbers) @ _coefficients(x, y, numbers)
 
 
 def _peak(record: StrengthRecord, x: Vector, y: Vector, grid: Vector) -> tuple[float, float]:

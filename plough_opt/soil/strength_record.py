@@ -64,8 +64,7 @@ class Rig:
         """Return mount force over soil resistance [-] at wave numbers [rad/m]: (k + i w c)/(k - m w^2 + i w c)."""
         turn = wave_number * self.tow_speed
         damped = 1j * turn * self.damping
-        ratio: NDArray[np.complex128] = (self.stiffness + damped) / (self.stiffness - self.mass * turn**2 + damped)
-        return ratio
+        return (self.stiffness + damped) / (self.stiffness - self.mass * turn**2 + damped)
 
     @property
     def resonance(self) -> float:
@@ -157,8 +156,7 @@ class StrengthRecord:
                 f"{self.name}: its linear trend falls to 0, so strength relative to it is not defined: use a"
                 " part of the record in which it stays positive"
             )
-        found: Vector = self.value / trend - 1.0
-        return found
+        return self.value / trend - 1.0
 
 
 def spectrum_of(record: StrengthRecord) -> Spectrum:

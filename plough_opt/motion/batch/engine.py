@@ -99,8 +99,7 @@ def _pointer(array: NDArray[np.generic]) -> ctypes.c_void_p:
 def _error_function(x: Array) -> Array:
     from scipy.special import erf  # imported only if needed, because that is slow
 
-    found: Array = erf(x)
-    return found
+    return np.asarray(erf(x))
 
 
 # NumPy's function for each of CasADi's operations. Most have the same names in C.

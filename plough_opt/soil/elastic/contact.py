@@ -81,11 +81,13 @@ def _halves(face: Body) -> Iterator[_Half]:
         yield _Half(face, segment, segment.start + 1, -1.0)
 
 
+Pair = tuple[Expression, Expression]
+Curve = Callable[[Expression], Expression]
 Field = Callable[[_Half, Expression], Expression]
 """Pressure [Pa] or weight of a half as a function of tau."""
 
 
-def _ends(symbolic: bool) -> tuple[Expression, Expression]:
+def _ends(symbolic: bool) -> Pair:
     """Return the start and end of each cell of a half in tau."""
     cells = np.array(_CELLS)
     return column(cells[:-1], symbolic), column(cells[1:], symbolic)
@@ -115,9 +117,7 @@ def _lost(face: Body, pressure: Field, weight: Field, symbolic: bool) -> Express
     return total
 
 
-def _monotonic(
-    function: Callable[[Expression], Expression], ends: tuple[Expression, Expression], pieces: int
-) -> list[tuple[Expression, Expression]]:
+def _monotonic(function: Curve, ends: Pair, pieces: int) -> list[Pair]:
     """Return parts of each cell in which the pressure changes sign at most once.
 
     On a face with several pieces the pressure has an extremum between two shoulders, and may change sign on either side
@@ -136,11 +136,7 @@ def _monotonic(
     return [(ends[0], top), (top, ends[1])]
 
 
-def _root(
-    function: Callable[[Expression], Expression],
-    ends: tuple[Expression, Expression],
-    values: tuple[Expression, Expression],
-) -> Expression:
+def _root(function: Curve, ends: Pair, values: Pair) -> Expression:
     """Return where a function changes sign between two ends, by the Illinois variant of regula falsi."""
     low, high = ends
     at_low, at_high = values

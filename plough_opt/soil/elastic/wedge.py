@@ -10,7 +10,7 @@ for k = alpha and eta. The stresses need Q_alpha, P_alpha and the differences (Q
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from plough_opt.core.checks import check_domain
 from plough_opt.core.expressions import Expression, arctan2, gauss_legendre, one_node, sqrt, where
@@ -126,8 +126,7 @@ def wedge_stress(x: Expression, y: Expression, profile: Profile, soil: Soil, spe
     state = medium(soil, speed)
     found, side = _potentials_at(x, y, profile, state)
     upper = stress_of(found, state)
-    stress: WedgeStress = state.limited(WedgeStress(upper.xx, upper.yy, side * upper.xy, upper.zz))
-    return stress
+    return state.limited(replace(upper, xy=side * upper.xy))
 
 
 def wedge_gradient(x: Expression, y: Expression, profile: Profile, soil: Soil, speed: Expression) -> WedgeGradient:
@@ -139,7 +138,7 @@ def wedge_gradient(x: Expression, y: Expression, profile: Profile, soil: Soil, s
     found, side = _potentials_at(x, y, profile, state)
     alpha, eta = state.alpha, state.eta
     slip = 2.0 * found.p_change + found.p
-    gradient: WedgeGradient = state.limited(
+    return state.limited(
         WedgeGradient(
             ux_x=-(2.0 * alpha * eta * found.q_change + (2.0 * state.product - 1.0) * found.q) / alpha,
             ux_y=side * (slip - 2.0 * (found.p + state.m * found.p_change)),
@@ -147,7 +146,6 @@ def wedge_gradient(x: Expression, y: Expression, profile: Profile, soil: Soil, s
             uy_y=2.0 * eta * found.q_change + (2.0 * state.slowing - alpha) * found.q,
         )
     )
-    return gradient
 
 
 def wedge_displacement(x: Expression, y: Expression, profile: Profile, soil: Soil, speed: Expression) -> Expression:

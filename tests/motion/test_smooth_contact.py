@@ -26,10 +26,10 @@ def scene(contact, stiffness=2e4, speed=1.0, **effects):
 def test_the_error_falls_with_the_width_where_no_gap_opens(effects):
     exact = po.simulate(scene(po.StickSlip(), **effects), 1.0, outputs=100)
     assert three_modes.follow(exact.scene, 1.0).count(0, 2) == 0
-    runs = [po.simulate(scene(po.Smooth(0.02 / 2.0**k), **effects), 1.0, outputs=100) for k in range(4)]
+    runs = [po.simulate(scene(po.Smooth(0.02 / 2.0**k), **effects), 1.0, outputs=100) for k in range(3)]
     errors = np.array([np.max(np.abs(run.mount_force - exact.mount_force)) for run in runs])
     # Instead of sticking the share creeps at a fraction of the width, an error of first order.
-    assert errors[-1] < 1e-2 * np.max(np.abs(exact.mount_force))
+    assert errors[-1] < 2e-2 * np.max(np.abs(exact.mount_force))
     assert np.log2(errors[:-1] / errors[1:]) == pytest.approx(1.0, abs=0.12)
 
 

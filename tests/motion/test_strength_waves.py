@@ -38,7 +38,7 @@ def test_the_periodic_orbit_is_the_end_of_a_long_run():
     orbit = po.simulate(scene(orbit="periodic"))
     # The common length of 0.2, 0.3 and 0.12 m is 0.6 m.
     assert orbit.duration == pytest.approx(0.3, rel=1e-15)
-    long = po.simulate(scene(), 12.0, outputs=4800)
+    long = po.simulate(scene(), 6.0, outputs=2400)
     last = long.mount_force[-121:-1]  # one period
     assert np.std(last) == pytest.approx(orbit.force_rms, rel=1e-5)  # error of 120 samples
     balanced = po.simulate(scene(orbit=po.HarmonicBalance(20)))

@@ -11,9 +11,9 @@ import pytest
 from helpers.differences import differences
 from helpers.equations import FIRM, forces, mp
 from helpers.high_precision import derivatives
+from helpers.scenes import R1_RUNS
 
 import plough_opt as po
-from tests.benchmarks.peers.r1 import RUNS
 
 STEEL = 7850.0
 BOUNDS = {"share.wedge_angle": (po.deg(5), po.deg(60)), "share.height": (0.1, 0.5), "scene.stiffness": (5e3, 5e5)}
@@ -43,7 +43,7 @@ def test_names_units_and_bounds_are_attached(r1):
         assert text in str(r1)
 
 
-@pytest.mark.parametrize("run", RUNS, ids=lambda run: f"{run[0]:g}deg-{run[2]:g}")
+@pytest.mark.parametrize("run", R1_RUNS, ids=lambda run: f"{run[0]:g}deg-{run[2]:g}")
 def test_values_agree_with_long_double_simulations(r1, run):
     angle, height, stiffness, mean, rms = run
     found = r1(po.deg(angle), height, stiffness)
@@ -65,14 +65,10 @@ def test_narrower_bounds_need_fewer_steps_and_a_given_number_is_used(r1, r1_scen
 
 def test_all_derivatives_of_a_draft_agree_with_120_digits():
     """Quasi-static, every quantity an input: value, gradient and Hessian against the textbook formulas."""
-    names = {
-        "share.wedge_angle": "wedge_angle", "share.chisel_angle": "chisel_angle", "share.height": "height",
-        "soil.density": "density", "soil.density_ratio": "density_ratio", "soil.friction_angle": "friction_angle",
-        "soil.cohesion": "cohesion", "soil.tool_friction": "tool_friction",
-        "soil.ambient_pressure": "ambient_pressure", "scene.tow_speed": "speed",
-    }  # fmt: skip
-    soil = po.Soil(**{key: FIRM[key] for key in list(FIRM)[3:9]})
-    share = po.Wedge(FIRM["wedge_angle"], FIRM["chisel_angle"], FIRM["height"])
+    of_share, of_soil = [*FIRM][:3], [*FIRM][3:9]
+    names = {f"share.{key}": key for key in of_share} | {f"soil.{key}": key for key in of_soil}
+    names["scene.tow_speed"] = "speed"
+    soil, share = po.Soil(**{key: FIRM[key] for key in of_soil}), po.Wedge(*(FIRM[key] for key in of_share))
     wave = po.StrengthWave(0.4, 0.7)
     scene = po.Scene(soil, share, 5e4, 20.0, FIRM["speed"], po.Effects(motion=False, strength_wave=wave))
     bounds = [po.Input(name, 0.9 * FIRM[own], 1.1 * FIRM[own]) for name, own in names.items()]

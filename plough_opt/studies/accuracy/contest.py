@@ -58,8 +58,8 @@ class Entry:
         setup: time to build the method once, with that of a compiler [s].
         errors: relative errors by name [-]; empty for a failure.
         failure: reason why there is no result, or None.
-        elsewhere: for a solve that ended in another local optimum than the reference, a clause that says so. Its
-            errors are relative to that optimum, and it is not ranked.
+        elsewhere: for a solve that ended in another local optimum than the reference, a clause that says so. It is not
+            ranked.
         checked: time of `simulate` with this method, which checks the result [s]; None if not measured.
     """
 

@@ -129,11 +129,11 @@ class DesignContest:
     """Errors and times of every method for a design.
 
     Attributes:
-        optima: the reference, then further local optima in which contestants ended.
-        entries: entry of each contestant. The errors of one that ended elsewhere are relative to the optimum there.
+        best: the reference.
+        entries: entry of each contestant.
     """
 
-    optima: tuple[TightOptimum, ...]
+    best: TightOptimum
     entries: tuple[Entry, ...]
 
 
@@ -164,7 +164,7 @@ def design_contest(
         NotConverged: the reference was not found.
     """
     judge = _Judge(design)
-    best, question = judge.optima[0], judge.question
+    best, question = judge.best, judge.question
     y = best.y + _NEAR_START * np.where(best.y < 0.5, 1.0, -1.0) if near else question.program.start()
     settings: dict[tuple[str, str], list[tuple[str, Callable[[], Solve]]]] = {}
     total = max(map(question.phase, (best.y, y)))
@@ -178,18 +178,18 @@ def design_contest(
         for (family, name), own in settings.items()
     ]  # fmt: skip
     entries = measured(contestants, REPORTED, wanted, 10.0 * budget, progress=progress)
-    return DesignContest(tuple(judge.optima), tuple(entries))
+    return DesignContest(best, tuple(entries))
 
 
 class _Judge:
-    """Accurate optima, and the errors of each contestant relative to the one in whose basin it ended.
+    """The accurate optimum to which the guess leads, and the errors of each contestant relative to it.
 
     IPOPT, which every contestant uses, stops a little inside the active limits. From there Newton's method leads onto
     them, with gradients by an integrator that shares nothing with those of the contestants.
 
     Attributes:
         question: program of the design as `Design.solve` builds it.
-        optima: accurate optima found so far, that of the guess first.
+        best: the optimum.
     """
 
     def __init__(self, design: Design) -> None:
@@ -205,11 +205,11 @@ class _Judge:
         if not point.solved:
             raise NotConverged("the reference was lost when the steps were refined: tighten the bounds", point.status)
         self._slopes = _tight_slopes(self.question, point.y)
-        self.optima = [self._optimum(point)]
+        self.best = self._optimum(point)
 
     def errors(self, found: Point) -> Mapping[str, float]:
         """Return the errors of the point that a contestant found."""
-        best, program = self._basin(found.y), self._tight
+        best, program = self.best, self._tight
         values, _ = program.exact_values(found.y, self._p)
         size = max(abs(best.objective), program.objective_scale * _LEAST_SIZE)
         limits = [r.margin(v) for r, v in zip(program.declared.requirements, values[1:], strict=True)]
@@ -223,25 +223,18 @@ class _Judge:
 
     def elsewhere(self, found: Point) -> str:
         """Return a clause on where a contestant ended; empty if in the reference."""
-        first, own = self.optima[0], self._basin(found.y)
-        return "" if own is first else f"ended in another optimum, {own.objective:.7g} instead of {first.objective:.7g}"
+        if self._near(found.y):
+            return ""
+        point = self._tight.solve(found.y, self._p, SolveOptions(near=True))
+        if not point.solved:
+            raise NotConverged("it stopped at a design that leads to no true optimum", point.status)
+        own = point.f * self._tight.objective_scale
+        return (
+            "" if self._near(point.y) else f"ended in another optimum, {own:.7g} instead of {self.best.objective:.7g}"
+        )
 
-    def _basin(self, y: Vector) -> TightOptimum:
-        """Return the accurate optimum to which a design leads, adding it if it is new."""
-        known = self._known(y)
-        if known is None:
-            point = self._tight.solve(y, self._p, SolveOptions(near=True))
-            if not point.solved:
-                raise NotConverged("it stopped at a design that leads to no true optimum", point.status)
-            known = self._known(point.y)
-            if known is None:
-                known = self._optimum(point)
-                self.optima.append(known)
-        return known
-
-    def _known(self, y: Vector) -> TightOptimum | None:
-        """Return the accurate optimum at a design, or None if there is none yet."""
-        return next((own for own in self.optima if np.max(np.abs(y - own.y)) < _SAME), None)
+    def _near(self, y: Vector) -> bool:
+        return bool(np.max(np.abs(y - self.best.y)) < _SAME)
 
     def _optimum(self, point: Point) -> TightOptimum:
         """Return the accurate optimum near the point where IPOPT stopped on the tight program."""

@@ -186,7 +186,7 @@ def study_design(
         duration=None,
         wanted=wanted,
         entries=found.entries,
-        floors={OPTIMUM: found.optima[0].floor, f"{OPTIMUM}, {VARIABLES}": found.optima[0].off},
+        floors={OPTIMUM: found.best.floor, f"{OPTIMUM}, {VARIABLES}": found.best.off},
         defaults={OPTIMUM: ours[0]},
         versions=_versions(),
         thoroughness=_thoroughness(design, limit=limit, thin=thin, progress=progress),

@@ -22,8 +22,10 @@ _EQUAL_TIMES: Final = 1.1
 _SMALLER: Final = 0.9
 # Factor by which the next finer setting may be expected to take longer.
 _NEXT_SETTING: Final = 3.0
-# Contestants within this factor of the least time are narrowed down, and their good settings within it timed again.
-_CLOSE: Final = 4.0
+# Contestants within this factor of the least time are narrowed down; their coarsest good setting is timed again.
+_WORTH_NARROWING: Final = 4.0
+# Other good settings within this factor of the least time are timed again too.
+_CLOSE: Final = 1.6
 # Turns in which settings are timed; fewer if they take long, but at least so many of settings that are timed again.
 _TURNS: Final = 15
 _FEWEST_TURNS: Final = 3
@@ -161,7 +163,7 @@ def measured(
         trial.measure_always()
     best = min((trial.least for trial in trials), default=math.inf)
     for trial in trials:
-        if trial.contestant.always is not None and trial.least <= _CLOSE * best < math.inf:
+        if trial.contestant.always is not None and trial.least <= _WORTH_NARROWING * best < math.inf:
             trial.narrow()
     _time_again(trials, allowance)
     entries = [entry for trial in trials for entry in trial.entries.values()]
@@ -270,7 +272,12 @@ class _Trial:
 def _time_again(trials: list[_Trial], allowance: float) -> None:
     """Time the settings that may be the cheapest again, in turns."""
     best = min((trial.least for trial in trials), default=math.inf)
-    close = [(t, place) for t in trials for place, entry in t.good.items() if entry.seconds <= _CLOSE * best]
+    close = [
+        (trial, place)
+        for trial in trials
+        for place, entry in trial.good.items()
+        if entry.seconds <= (_WORTH_NARROWING if place == min(trial.good) else _CLOSE) * best
+    ]
     if len(close) > 1:
         seconds = least_times([trial.uses[place] for trial, place in close], _ALL_TURNS * allowance, _FEWEST_TURNS)
         for (trial, place), least in zip(close, seconds, strict=True):

@@ -199,11 +199,6 @@ def test_a_periodic_orbit_returns_to_where_it_began():
     found = reference_run(share, outputs=10)
     peak = float(np.max(np.abs(found.run.mount_force)))
     assert abs(found.run.mount_force[-1] - found.run.mount_force[0]) < 100 * EPS * peak
-    # A damped transient has long reached the orbit: exp(-10/s 4 s) leaves 1e-14 of its swing.
-    settled = po.simulate(
-        scene_of(strength_wave=WAVE, damping=400.0), 4.1, accuracy=po.Accuracy(error=1e-12), outputs=410
-    )
-    assert np.allclose(settled.mount_force[-11:], found.run.mount_force.astype(float), rtol=0, atol=1e-11 * peak)
     assert found.error < 200 * EPS
 
 

@@ -41,7 +41,6 @@ ONE_OF = {
     "design/test_design_nlp::test_a_design_by_any_method_is_solved_to_the_same_optimum": 2,
     "design/test_design_nlp::test_methods_of_casadi_agree_with_order_8": 3,
     "design/test_implied_limits": 3,
-    "design/test_independent_motion": 3,
     "design/test_orbit_design::test_designs_without_an_orbit_are_skipped": 3,
     "design/test_orbit_design::test_the_soft_and_the_stiff_branch_of_brute_force_are_found": 3,
     "elastic/test_field": 2,

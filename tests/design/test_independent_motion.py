@@ -30,8 +30,7 @@ def test_r1_has_its_published_averages():
     assert fine["force_rms"] == pytest.approx(rms, rel=1e-11)
 
 
-@pytest.mark.parametrize("start", ["equilibrium", "rest", "towed"])
-@pytest.mark.parametrize("ramp", [0.0, 0.3])
+@pytest.mark.parametrize(("start", "ramp"), [("equilibrium", 0.3), ("rest", 0.0), ("towed", 0.0), ("rest", 0.3)])
 def test_runs_agree_with_an_adaptive_integrator(start, ramp):
     random = np.random.default_rng(5)
     angle, height = random.uniform(0.2, 0.9, 2), random.uniform(0.15, 0.4, 2)
@@ -45,11 +44,11 @@ def test_runs_agree_with_an_adaptive_integrator(start, ramp):
         )
         wedge = po.Wedge(angle[k], 0.3, height[k])
         mass = 40.0 + wedge.equivalent_cone().solid_mass(7850.0)
-        wanted = follow(po.Scene(R1_SOIL, wedge, stiffness[k], mass, speed[k], effects), 0.8, outputs=400)
+        wanted = follow(po.Scene(R1_SOIL, wedge, stiffness[k], mass, speed[k], effects), 0.8, outputs=40)
         for name in AVERAGES:
             assert with_paths[name][k] == pytest.approx(getattr(wanted, name), rel=1e-8), name
             assert without[name][k] == pytest.approx(getattr(wanted, name), rel=1e-7), name
         # Degree 5 between steps of 0.3 rad: some 1e-8 of the oscillation.
         for name, near in (("deflection", 1e-7), ("mount force", 3e-6)):
             path = getattr(wanted, name.replace(" ", "_"))
-            assert with_paths[name][:, k] == pytest.approx(path, abs=near * np.max(np.abs(path))), name
+            assert with_paths[name][::10, k] == pytest.approx(path, abs=near * np.max(np.abs(path))), name

@@ -28,8 +28,6 @@ static inline V ROOT(V x) { V r; for (int k = 0; k < WIDTH; k++) r[k] = sqrt(x[k
 #define AT(x, k) (x)[k]
 #endif
 
-int64_t width(void) { return WIDTH; }
-
 void run(int64_t n, const double *in, double *out, int64_t steps, double duration, double speed, double amplitude,
          double wavelength) {
   const double h = duration / steps, turn = 2.0 * M_PI / wavelength;

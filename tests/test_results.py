@@ -294,6 +294,7 @@ WRONG = "is not a result of this version (schema 2)"
         *((part, "Invalid JSON") for part in (0.1, 0.999)),
         *(({"schema": schema}, "schema") for schema in (1, True, "2", None)),
         ({"kind": "sweep"}, "'sweep'"),
+        ({"seconds": math.nan}, "NaN is not a finite number"),
         *((without, without) for without in ("title", "versions", "averages", "time")),
         (b"\x89PNG\r\n\x1a\n", "cannot be read"),
     ],

@@ -183,16 +183,6 @@ def test_upper_and_lower_half_of_a_wedge_mirror_each_other(body):
             assert getattr(above, name) == sign * getattr(below, name), name
 
 
-def test_section_factor_is_a_factor():
-    soil, speed = ground(0.6)
-    nodes = nodes_of(inputs(0, 0, "ogive"))
-    for point in FIELDS["cone"].points.values():
-        for quantity in (po.elastic.cone_displacement, po.elastic.cone_stress):
-            by_volume, by_energy = (vars(quantity(*point, nodes, soil, speed, factor)) for factor in (0.5, 1.0))
-            assert by_energy == {name: 2.0 * value for name, value in by_volume.items()}
-            assert vars(quantity(*point, nodes, soil, speed)) == by_volume
-
-
 @pytest.mark.parametrize("nu", [0.0, 0.25, 0.3, 0.49])
 def test_rayleigh_speed_solves_its_equation(nu):
     soil, _ = ground(nu=nu)

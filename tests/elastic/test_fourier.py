@@ -35,8 +35,9 @@ def relative(found, wanted):
 @pytest.mark.parametrize("field", FIELDS)
 def test_straight_profiles_agree_with_the_closed_form(field, speed):
     soil, V0 = ground(speed)
-    by_waves = getattr(fourier, field)(*POINTS.T, PROFILES["straight"], LENGTH, soil, V0)
-    closed = getattr(po.elastic, field)(*POINTS.T, [(0.0, 0.0), (LENGTH, 0.1 * LENGTH)], soil, V0)
+    factor = {} if field == "wedge_stress" else {"section_factor": 0.8}
+    by_waves = getattr(fourier, field)(*POINTS.T, PROFILES["straight"], LENGTH, soil, V0, **factor)
+    closed = getattr(po.elastic, field)(*POINTS.T, [(0.0, 0.0), (LENGTH, 0.1 * LENGTH)], soil, V0, **factor)
     assert relative(as_columns(by_waves), as_columns(closed)) < 2e-14
 
 

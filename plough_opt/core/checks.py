@@ -8,6 +8,7 @@ from types import UnionType
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plough_opt.core.errors import DomainError, InputError, nearest, short, unprintable
 from plough_opt.core.expressions import Expression, as_number, holds_several, is_casadi, is_symbolic
@@ -32,6 +33,14 @@ def shown(value: object, most: int = 60) -> str:
     except ValueError:  # Python refuses to print integers of several thousand digits
         text = f"{type(value).__name__} of very many digits"
     return short(" ".join(text.split()), most)
+
+
+def array_of(values: Any, refusal: str) -> NDArray[np.float64]:
+    """Return a copy of values as an array of floats; raise InputError with the refusal if they are not numbers."""
+    try:
+        return np.array(values, dtype=float)
+    except NOT_NUMBERS:
+        raise InputError(refusal) from None
 
 
 def check_kind(what: str, value: object, kind: type | UnionType, wanted: str) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from plough_opt.core.checks import NOT_NUMBERS, shown
+from plough_opt.core.checks import array_of, shown
 from plough_opt.core.errors import InfeasibleDesign, InputError, nearest
 from plough_opt.core.units import in_words
 from plough_opt.design.declarations import Variable
@@ -112,12 +112,10 @@ def _number_of(variables: Sequence[Variable], name: str) -> int:
 
 
 def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
-    try:
-        values = np.atleast_1d(np.asarray(catalogue, dtype=float)).ravel()
-    except NOT_NUMBERS:
-        values = np.array([])
+    wrong = f"the catalogue of '{v.name}' must hold finite numbers, not {shown(catalogue)}"
+    values = array_of(catalogue, wrong).ravel()
     if not values.size or not np.all(np.isfinite(values)):
-        raise InputError(f"the catalogue of '{v.name}' must hold finite numbers, not {shown(catalogue)}")
+        raise InputError(wrong)
     reserve = _ROUNDING * (v.upper - v.lower)
     if np.ndim(catalogue) == 0:
         step = float(values[0])

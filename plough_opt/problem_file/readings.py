@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import LARGEST, LEAST, NOT_NUMBERS, check_text, path_of, plain_number, shown
+from plough_opt.core.checks import LARGEST, LEAST, array_of, check_text, path_of, plain_number, shown
 from plough_opt.core.csv_rows import check_rising, columns_of, raise_listed, readings_of, table_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.units import Unit
@@ -53,15 +53,11 @@ class Penetrometer:
 
     def __post_init__(self) -> None:
         check_text("the name of a penetrometer's file", self.name)
-        try:
-            found = np.array(self.insertions, dtype=float)
-        except NOT_NUMBERS:
-            found = np.array([])
+        given = f"insertions = {shown(self.insertions)}"
+        wrong = f"{self.name}: {given} must be cone indices above 0 in Pa, one for each insertion"
+        found = array_of(self.insertions, wrong)
         if found.ndim != 1 or not found.size or not np.all((found >= LEAST) & (found <= LARGEST)):
-            raise InputError(
-                f"{self.name}: insertions = {shown(self.insertions)} must be cone indices above 0 in Pa, one for each"
-                " insertion"
-            )
+            raise InputError(wrong)
         object.__setattr__(self, "insertions", found)
 
     @property

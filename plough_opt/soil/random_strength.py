@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from plough_opt.core.checks import NOT_NUMBERS, check_domain
+from plough_opt.core.checks import array_of, check_domain
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import (
     Expression,
@@ -146,10 +146,7 @@ class Spectrum:
     ) -> None:
         """Check the columns, and store read-only copies."""
         given = (wave_number, density, density if lower is None else lower, density if upper is None else upper)
-        try:
-            columns = [np.array(values, dtype=float) for values in given]
-        except NOT_NUMBERS:
-            raise InputError("a spectrum's wave numbers and densities must be numbers") from None
+        columns = [array_of(values, "a spectrum's wave numbers and densities must be numbers") for values in given]
         q = columns[0]
         if q.ndim != 1 or len(q) < 2 or any(values.shape != q.shape for values in columns):
             raise InputError("a spectrum's wave numbers and densities must be columns of equal length, at least two")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from plough_opt.core.checks import LARGEST, NOT_NUMBERS, check_domain, check_kind, check_text, plain_number
+from plough_opt.core.checks import LARGEST, array_of, check_domain, check_kind, check_text, plain_number
 from plough_opt.core.errors import InputError
 from plough_opt.core.quantities import read_fields
 from plough_opt.soil.random_strength import Spectrum, Vector
@@ -102,10 +102,7 @@ class StrengthRecord:
 
     def __init__(self, position: ArrayLike, value: ArrayLike, rig: Rig | None = None, name: str = "the record") -> None:
         check_text("the name of a record", name)
-        try:
-            x, y = (np.asarray(given, dtype=float).copy() for given in (position, value))
-        except NOT_NUMBERS:
-            raise InputError(f"{name}: positions and values must be numbers") from None
+        x, y = (array_of(given, f"{name}: positions and values must be numbers") for given in (position, value))
         check_kind("the rig", rig, Rig | None, "a Rig, or None if the values are strength itself")
         if x.ndim != 1 or x.shape != y.shape:
             raise InputError(

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import NOT_NUMBERS, check_kind, check_named, check_text, mapping_of, path_of, shown
+from plough_opt.core.checks import array_of, check_kind, check_named, check_text, mapping_of, path_of, shown
 from plough_opt.core.csv_rows import HEADING, columns_of, raise_listed, read_rows, table_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.quantities import every_quantity, quantities
@@ -131,10 +131,7 @@ class Measurements:
 
     def _column(self, key: str, given: Any, rows: int | None = None) -> Vector:
         """Return a column of finite numbers; a single number stands for all rows, if their number is known."""
-        try:
-            column = np.array(given, dtype=float)
-        except NOT_NUMBERS:
-            raise InputError(f"{self.name}: '{key}' must be a column of numbers, SI units") from None
+        column = array_of(given, f"{self.name}: '{key}' must be a column of numbers, SI units")
         if column.ndim == 0 and rows is not None:
             column = np.full(rows, float(column))
         if column.ndim != 1 or len(column) != (len(column) if rows is None else rows):

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import NOT_NUMBERS, shown
+from plough_opt.core.checks import array_of, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, is_casadi
 from plough_opt.core.saving import Origin, versions
@@ -345,12 +345,10 @@ class Front:
         front = self.objectives * self._signs
         if reference is None:
             return domination.volume(front, front.max(axis=0))
-        try:
-            corner = np.asarray(reference, dtype=float)
-        except NOT_NUMBERS:
-            corner = np.empty(0)
+        wrong = f"reference = {shown(reference)} must be {len(self.goals)} objectives, finite numbers"
+        corner = array_of(reference, wrong)
         if corner.shape != (len(self.goals),) or not np.all(np.isfinite(corner)):
-            raise InputError(f"reference = {shown(reference)} must be {len(self.goals)} objectives, finite numbers")
+            raise InputError(wrong)
         return domination.volume(front, corner * self._signs)
 
     @property

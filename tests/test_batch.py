@@ -17,7 +17,7 @@ DESIGNS = np.array([[po.deg(25.0), 0.25, 5e4], [po.deg(45.0), 0.15, 8e3], [po.de
 
 @pytest.fixture
 def errors(r1_scene):
-    """Return the largest error of each design, relative to the larger of mean draft and RMS force."""
+    """Compute the largest error of each design, relative to the larger of mean draft and RMS force."""
 
     def errors(result, duration, accuracy=None, **effects):
         found, accuracy = [], accuracy or po.Accuracy(error=1e-11)

@@ -136,14 +136,13 @@ class SimulationOfMany:
         """Return results, failures and notes at many points: see `plough_opt.studies.sweep.work.ManyPoints`."""
         batch, of_scene = self.build()
         found = batch(values)
-        averages = [getattr(found, name) for name in _AVERAGES]
         *steady, ambient_share = np.asarray(of_scene(values.T))
         of_name = dict(zip(self._of_scene, steady, strict=True))
-        specific = []
+        columns = [*(getattr(found, name) for name in _AVERAGES), *steady]
         if "loosened_radius" in of_name:
             with np.errstate(all="ignore"):
-                specific = [found.mean_draft / (np.pi * of_name["loosened_radius"] ** 2)]
-        results = np.column_stack([*averages, *steady, *specific, found.error_estimate])
+                columns.append(found.mean_draft / (np.pi * of_name["loosened_radius"] ** 2))
+        results = np.column_stack([*columns, found.error_estimate])
         sound = ~found.failed
         kinds = 2 * (of_name["half_angle"] > PLANE_SECTIONS_LIMIT) + (ambient_share > 0.0)
         notes = []

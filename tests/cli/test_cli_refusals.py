@@ -52,7 +52,7 @@ REFUSED = [
     # Exports.
     ("export FILE --to casadi --output a.txt", "end in .casadi"),
     ("export FILE --to casadi --output folder.casadi", "is a folder"),
-    ("export FILE --to c --output folder.casadi", "exists already and is left as it is"),
+    ("export FILE --to openmdao --output folder.casadi", "it is: name a new folder for the Python module"),
     ("export FILE --to fmu --output a.fmu --inputs share.height", "--inputs cannot be used with --to fmu"),
     ("export FILE --to casadi --output a.casadi --inputs share.hight", "'share.hight': did you mean 'share.height'"),
     ("export FILE --to casadi --output a.casadi --inputs ''", "--inputs '' has an empty name"),

@@ -85,7 +85,7 @@ class Format:
         if self.endings:
             check_file(path, self.what, *self.endings)
         else:
-            check_new_folder(path, self.what.removeprefix("a new folder with "))
+            check_new_folder(path, self.what.removeprefix("a new folder with ").removeprefix("a "))
 
     def __str__(self) -> str:
         """Return what is written, and the endings of the file's name."""

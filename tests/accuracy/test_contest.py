@@ -1,7 +1,7 @@
 """Contests: times in turns, the efficient front, and the cheapest setting that is good enough."""
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pytest
 
@@ -38,10 +38,14 @@ def test_the_front_holds_what_no_other_beats_in_both(entries, floor, front):
 
 def test_the_cheapest_just_meets_the_error():
     good, exact = entry(2, 1e-6), entry(9, 1e-12)
-    assert cheapest([entry(1, 1.1e-6), exact, good], "e", 1e-6) is good
+    assert cheapest([entry(1, 1.1e-6), good, exact], "e", 1e-6) is good
     assert cheapest([entry(1, 1e-3), entry(1, 0.0, failure="no")], "e", 1e-6) is None
-    # Of two that are equally fast within the noise of the clock, the first.
-    assert cheapest([entry(1.05, 1e-7), entry(1.0, 1e-8)], "e", 1e-6).seconds == 1.05
+    # A finer setting of one method is faster by noise alone.
+    assert cheapest([good, entry(1.5, 1e-12)], "e", 1e-6) is good
+    # Of two methods that are equally fast within the noise of the clock, the first.
+    other = replace(good, method="n")
+    assert cheapest([replace(other, seconds=2.1), good], "e", 1e-6).method == "n"
+    assert cheapest([replace(other, seconds=2.3), good], "e", 1e-6) is good
 
 
 @dataclass

@@ -346,12 +346,21 @@ def efficient(entries: Sequence[Entry], error: str, floor: float = 0.0) -> list[
 def cheapest(entries: Sequence[Entry], error: str, wanted: float) -> Entry | None:
     """Return the fastest entry whose error is at most the wanted one [-], or None.
 
-    If several are equally fast within the noise of the clock, it is the first of them, so that the choice is
+    Of each method only the coarsest such setting counts, because a finer one cannot be faster but by the noise of the
+    clock. If several methods are equally fast within that noise, it is the first of them, so that the choice is
     repeatable.
+
+    Args:
+        entries: entries, those of a method from coarse to fine.
+        error: key of `Entry.errors`.
+        wanted: error to reach [-].
     """
-    good = [entry for entry in entries if entry.reaches(error, wanted)]
-    least = min((entry.seconds for entry in good), default=math.inf)
-    return next((entry for entry in good if entry.seconds <= _EQUAL_TIMES * least), None)
+    good: dict[tuple[str, str], Entry] = {}
+    for entry in entries:
+        if entry.reaches(error, wanted):
+            good.setdefault((entry.family, entry.method), entry)
+    least = min((entry.seconds for entry in good.values()), default=math.inf)
+    return next((entry for entry in good.values() if entry.seconds <= _EQUAL_TIMES * least), None)
 
 
 def duration_text(seconds: float) -> str:

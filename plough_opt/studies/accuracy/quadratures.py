@@ -91,7 +91,7 @@ def quasi_static_course(task: Task) -> Found:
         return f"{points} point{'s' * (points > 1)} in each of {panels} panels"
 
     exact, check = (average((points, finer * usual))() for points, finer in FINER)
-    settings = [(points, panels) for points in POINTS for panels in dict.fromkeys((task.outputs, usual))]
+    settings = sorted(((points, panels) for points in POINTS for panels in {task.outputs, usual}), key=math.prod)
     contestant = Contestant(
         "quadrature", "quasi-static", average, lambda run: errors_of(run, exact), settings, label=label
     )

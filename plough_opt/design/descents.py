@@ -1,6 +1,5 @@
 """Local searches in a landscape by SciPy's SLSQP: downhill, to the nearest feasible design, to the least violation."""
 
-from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -58,11 +57,9 @@ def nearest_feasible(landscape: Landscape, design: Vector, start: Vector | None 
     return _Nearest(landscape, design).end_from(design if start is None else start)
 
 
-def least_violation(
-    landscape: Landscape, start: Vector, box: Box | None = None, *, ignored: Collection[int] = ()
-) -> Evaluations:
-    """Return the local minimum near a start of the summed violations, without those of the ignored requirements."""
-    return _LeastViolation(landscape, ignored, _whole_range(landscape) if box is None else box).end_from(start)
+def least_violation(landscape: Landscape, start: Vector, box: Box | None = None) -> Evaluations:
+    """Return the local minimum near a start of the summed violations."""
+    return _LeastViolation(landscape, _whole_range(landscape) if box is None else box).end_from(start)
 
 
 class Shortfall:
@@ -274,10 +271,10 @@ class _LeastViolation(_Descent):
 
     _always_restart = True
 
-    def __init__(self, landscape: Landscape, ignored: Collection[int], box: Box) -> None:
+    def __init__(self, landscape: Landscape, box: Box) -> None:
         count = len(landscape.program.declared.requirements)
         super().__init__(landscape, (np.r_[box[0], np.zeros(count)], np.r_[box[1], np.full(count, np.inf)]))
-        self._weights = np.array([float(k not in ignored) for k in range(count)])
+        self._weights = np.ones(count)
         self._give = np.eye(count)[landscape.program.owner]
 
     def _first_unknowns(self, start: Vector) -> Vector:

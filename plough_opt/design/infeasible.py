@@ -1,6 +1,6 @@
 """The attempt to meet all requirements when a search found no feasible design, and the error if it fails."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,8 +30,6 @@ _NEAR_LEAST = 1e-3
 _ATTEMPTS = ((0.01, False), (0.01, True), (1e-3, False), (3e-4, True))
 # The violation of a polished design may be larger by this fraction.
 _NOT_WORSE = 1e-6
-# A requirement blocks the others if, without it, their violation falls by more than this fraction.
-_BLOCKS = 1e-3
 
 
 def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Vector:
@@ -62,7 +60,7 @@ def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Ve
     best, short = min(solved, key=lambda own: own[0].f)
     if best.f < _VIOLATED:
         return best.y
-    raise _infeasible(program, best, short, landscape.designs_tried, lambda k: _blocks(landscape, best.y, k))
+    raise _infeasible(program, best, short, landscape.designs_tried)
 
 
 def _polished(landscape: Landscape, y: Vector, violation: float) -> tuple[Point, Vector]:
@@ -97,17 +95,6 @@ def _distant_starts(sample: Evaluations) -> list[Vector]:
     return chosen
 
 
-def _blocks(landscape: Landscape, y: Vector, requirement: int) -> bool:
-    """Return whether the other requirements would be violated less without this one."""
-    if not landscape.vectorised or requirement >= len(landscape.program.own_requirements):
-        return True  # a theory's limit cannot be left out: nothing can be evaluated beyond it
-    others = np.arange(len(landscape.program.declared.requirements)) != requirement
-    before = landscape.violations(landscape.rows(y[None])[1])[0][others].sum()
-    end = least_violation(landscape, y, ignored={requirement}).points
-    after = landscape.violations(landscape.rows(end)[1])[0][others].sum()
-    return bool(after < (1.0 - _BLOCKS) * before)
-
-
 def from_least_violation(program: Program, p: Vector, start: Vector, fixed: Sequence[int] = ()) -> Point:
     """Return the optimum found from the feasible design nearest to a start, with some variables held.
 
@@ -139,9 +126,7 @@ def failures(program: Program, conflicts: Mapping[str, float]) -> str:
     )
 
 
-def _infeasible(
-    program: Program, point: Point, short: Vector, designs: int = 0, blocks: Callable[[int], bool] = lambda _: True
-) -> InfeasibleDesign:
+def _infeasible(program: Program, point: Point, short: Vector, designs: int = 0) -> InfeasibleDesign:
     """Return the error that names the requirements that fail, their shortfalls, and the limits that block them.
 
     Args:
@@ -149,7 +134,6 @@ def _infeasible(
         point: the design with the least violation found.
         short: scaled violation of each requirement there.
         designs: number of designs tried; 0 if it need not be stated.
-        blocks: number of a requirement with a multiplier -> whether the others are violated less without it.
     """
     declared = program.declared
     conflicts = {
@@ -161,8 +145,8 @@ def _infeasible(
     np.maximum.at(multipliers, program.owner, np.abs(point.lam_g))
     blockers = [
         f"requirement '{r.name}' {r.limits_text()}"
-        for k, (r, largest) in enumerate(zip(declared.requirements, multipliers, strict=True))
-        if largest > _HOLDS and r.name not in conflicts and blocks(k)
+        for r, largest in zip(declared.requirements, multipliers, strict=True)
+        if largest > _HOLDS and r.name not in conflicts
     ]
     for variable, multiplier in zip(declared.variables, point.lam_y, strict=True):
         if abs(multiplier) > _HOLDS:

@@ -5,6 +5,7 @@ steps that integrate anew, for the interpolant is of lower order than the method
 energy: what the strut delivers, what the damper takes, and what is work on the soil, recapture included.
 """
 
+import functools
 import itertools
 import math
 from dataclasses import dataclass
@@ -110,26 +111,22 @@ def follow(scene, duration, outputs=20, tolerance=TIGHT):
     """Return the `Motion` of a numeric scene."""
     share = _Share(scene)
     times = np.linspace(0.0, duration, outputs + 1)
-    rough = _path(share, (duration, times), (share.static, share.static / share.k), 1e3 * tolerance)
-    about = tuple(rough[0][2:4, -1] / duration)
-    columns, modes, openings, changes, loss, depths = _path(share, (duration, times), about, tolerance)
-    travel, speed = columns[:2]
-    sums = columns[:, -1]
+    rough, _, _ = _path(share, (duration, times), (share.static, share.static / share.k), 1e3 * tolerance)
+    about = tuple(rough[2:4, -1] / duration)
+    columns, changes, loss = _path(share, (duration, times), about, tolerance)
+    travel, speed, *_, mode, opening, pull, resistance = columns
+    sums = columns[:9, -1]
     means = sums[2:4] / duration
     spreads = np.maximum(sums[4:6] / duration - (means - np.array(about)) ** 2, 0.0)
-    pull = np.array([share.pull(*point) for point in zip(times, travel, speed, strict=True)])
-    acceleration = []
-    for force, (x, v), mode, share.behind in zip(pull, columns[:2].T, modes, depths, strict=True):
-        acceleration.append(share.acceleration(mode, force, x, v))
     return Motion(
         time=times,
         travel=travel,
         speed=speed,
         deflection=np.array([share.strut(t)[0] for t in times]) - travel,
         mount_force=pull,
-        soil_resistance=pull - share.m * np.array(acceleration),
-        mode=np.array(modes),
-        opening=np.array(openings),
+        soil_resistance=resistance,
+        mode=mode,
+        opening=opening,
         mean_draft=means[0],
         force_rms=math.sqrt(spreads[0]),
         mean_deflection=means[1],
@@ -183,13 +180,20 @@ def agreed(scene, duration, outputs=10, allowed=2e-8, resistance=1.0):
 
 
 def _path(share, when, about, tolerance):
-    """Return states at the output times, modes, openings, changes of mode and the loss at recapture."""
+    """Return columns at the output times, changes of mode and the loss at recapture.
+
+    A column holds the state, the mode, the opening, the mount force and the soil's resistance.
+    """
     duration, times = when
     share.behind = -math.inf
     travel, speed, mode = share.start()
     furthest, entered, loss = travel, False, 0.0
-    force = share.static + share.v0 * math.sqrt(abs(share.k) * share.m) + 1e-9
-    sizes = np.array([force / abs(share.k), force / math.sqrt(abs(share.k) * share.m), *_sums(share, force, duration)])
+    hardness = math.sqrt(abs(share.k) * share.m)
+    force = share.static + share.v0 * hardness + 1e-9
+    z = force / abs(share.k)
+    works = [force * max(share.v0 * duration, z)] * 3
+    sums = [size * duration for size in (force, z, force**2, z**2)]
+    sizes = np.array([z, force / hardness, *sums, *works])
     # The travel's own size does not matter: it is its difference from the strut's path that pulls.
     relative = np.full(9, max(tolerance, 2.3e-14))
     relative[0] = 2.3e-14
@@ -201,15 +205,14 @@ def _path(share, when, about, tolerance):
     # After a turn the next is not looked for at once, or rounding would find the same again.
     turned, rest = -math.inf, 1e-3 * settings.get("max_step", 0.0)
     stops = sorted({*times, *([share.ramp] if 0.0 < share.ramp < duration else [])})
-    x, columns, modes, openings, changes, depths = np.array([travel, speed] + [0.0] * 7), [], [], [], [], []
+    x, columns, changes = np.array([travel, speed] + [0.0] * 7), [], []
 
-    def note():
-        columns.append(x)
-        modes.append(mode)
-        openings.append(furthest - x[0] if mode == GAP else 0.0)
-        depths.append(share.behind)
+    def note(t):
+        pull = share.pull(t, x[0], x[1])
+        resistance = pull - share.m * share.acceleration(mode, pull, x[0], x[1])
+        columns.append([*x, mode, furthest - x[0] if mode == GAP else 0.0, pull, resistance])
 
-    note()
+    note(0.0)
     for now, end in itertools.pairwise(stops):
         while now < end:
             ends = share.ends(mode, furthest, entered)
@@ -221,17 +224,9 @@ def _path(share, when, about, tolerance):
             if which == "turn" and x[1] < 0.0:
                 last = now - 1e-5 * (now - before[0])
                 now, x, which = _piece(share.rates(mode, about), (before[0], last), before[1], ends[:1], settings)
-            if which is None:
-                continue
-            if which == "turn":
-                turned = now
-            if which in ("back", "forth"):
-                share.behind = x[0] if which == "back" else -math.inf
-                continue
-            if which == "buried":
-                share.behind = x[0]
-            if which in ("turn", "buried"):
-                entered = entered or which == "buried"
+            if which in (None, "turn", "back", "forth", "buried"):
+                turned, entered = (now if which == "turn" else turned), entered or which == "buried"
+                share.behind = {"back": x[0], "buried": x[0], "forth": -math.inf}.get(which, share.behind)
                 continue
             pull, old, before = share.pull(now, x[0], 0.0 if mode == STICK else x[1]), mode, x[1]
             x = x.copy()
@@ -248,28 +243,16 @@ def _path(share, when, about, tolerance):
             changes.append(Change(now, old, mode, x[0]))
             assert len(changes) < 100_000, "events without end"
         if end in times:
-            note()
-    return np.array(columns).T, modes, openings, changes, loss, depths
-
-
-def _sums(share, force, duration):
-    """Return the sizes of the integrals, for absolute tolerances."""
-    z = force / abs(share.k)
-    path = max(share.v0 * duration, z)
-    return [force * duration, z * duration, force**2 * duration, z**2 * duration, *[force * path] * 3]
+            note(end)
+    return np.array(columns).T, changes, loss
 
 
 def _piece(rate, span, x, ends, settings):
     """Integrate to the end of a span or to the first event; return time, state and which event."""
-    found = []
-    for name, function in ends:
-
-        def event(t, x, function=function):
-            return function(t, x)
-
+    events = [functools.partial(function) for _, function in ends]
+    for event in events:
         event.terminal, event.direction = True, 1.0
-        found.append((name, event))
-    done = solve_ivp(rate, span, x, events=[event for _, event in found] or None, **settings)
+    done = solve_ivp(rate, span, x, events=events or None, **settings)
     assert done.success, done.message
     if done.status == 0:
         return span[1], done.y[:, -1], None

@@ -42,7 +42,7 @@ PLACE = re.compile(
 REMEDY = re.compile(
     r"did you mean|valid names|\b(write|must|give|take|use|leave|omit|remove|name|add|lower|raise|join|merge|set|check"
     r"|belongs?|outside its bounds|contradict|expected|known|needs?|needed|make|least|cannot be|say|choose"
-    r"|number|replace|shorten|split)\b"
+    r"|number|replace|shorten|split|folder contains)\b"
 )
 
 

@@ -25,11 +25,8 @@ def test_no_draft_separates_cohesion_and_ambient_pressure(confounded):
     # F0 goes with nu p_a + 2 k cos(theta)/(1 + sin(theta)): p_a can be offset by tan(theta) of itself in cohesion.
     ratio = found.changes["soil.cohesion"] / found.changes["soil.ambient_pressure"]
     assert ratio == pytest.approx(-math.tan(TRUTH["soil.friction_angle"]), rel=1e-9)
-    assert "cannot be told apart" in found.words
-    assert "the data determine" in found.words
-    assert set(found.changes) == {"soil.cohesion", "soil.ambient_pressure"}
     more, less = re.search(r"more ([\w.]+) can be offset by .+ less ([\w.]+);", found.words).groups()
-    assert {more, less} == set(found.changes)
+    assert {more, less} == set(found.changes) == {"soil.cohesion", "soil.ambient_pressure"}
 
 
 def test_undetermined_unknowns_have_infinite_intervals(confounded):
@@ -37,8 +34,7 @@ def test_undetermined_unknowns_have_infinite_intervals(confounded):
     assert determined == {"soil.cohesion": False, "soil.ambient_pressure": False, "soil.tool_friction": True}
     for kind in ("profile", "linearised"):
         for name, interval in confounded.intervals(kind=kind).items():
-            assert math.isfinite(interval.lower) == determined[name]
-            assert math.isfinite(interval.upper) == determined[name]
+            assert [math.isfinite(end) for end in interval] == [determined[name]] * 2
     assert confounded.standard_errors["soil.cohesion"] == math.inf
     assert confounded.correlations == {}
     assert np.all(np.isfinite([row.standard_error for row in confounded.rows]))
@@ -102,9 +98,7 @@ def test_six_unknowns_are_separated_into_determined_and_undetermined(measured):
     assert {"soil.cohesion", "soil.ambient_pressure", "soil.friction_angle", "soil.density_ratio"} <= named
     determined = {found.name for found in fit.unknowns if found.determined}
     assert determined == {"soil.tool_friction", "effects.rate_term"}
-    best = fit.next_measurement
-    assert best.information == max(item.information for item in fit.next_measurements())
-    assert best.words().startswith(best.candidate.describe())
+    assert fit.next_measurement.information == max(item.information for item in fit.next_measurements())
 
 
 def test_a_direct_measurement_of_an_unknown_determines_all(measured):

@@ -105,11 +105,9 @@ def test_missing_folders_and_binary_files_are_refused(tmp_path, written):
 @pytest.mark.parametrize(
     ("arguments", "keywords", "words"),
     [
-        (("draft", [1.0]), {}, "did you mean 'mean_draft'"),
         (("mean_draft", []), {}, "there are no measurements"),
         (("mean_draft", [1.0, math.nan]), {}, "row 2: mean_draft = nan must be a finite number"),
         (("mean_draft", ["a"]), {}, "'mean_draft' must be a column of numbers"),
-        (("mean_draft", [1.0], {"scene.speed": [1.0]}), {}, "did you mean 'scene.tow_speed'"),
         (("mean_draft", [1.0], {"scene.tow_speed": [1.0, 2.0]}), {}, "must have 1 rows, as 'mean_draft' has"),
         (("soil.cohesion", [1.0], {"soil.cohesion": [1.0]}), {}, "both measured and a condition"),
         (("mean_draft", [1.0]), {"sigma": 0.0}, "row 1: sigma = 0 must be above 0"),

@@ -3,9 +3,9 @@
 import dataclasses
 import math
 
-import mpmath as mp
 import numpy as np
 import pytest
+from helpers.problem_files import STATIC, changed
 
 import plough_opt as po
 
@@ -17,12 +17,8 @@ INDEX, RADIUS = 1.6e6, 0.15
 
 
 def index_of(density_ratio):
-    """Return the law's cone index [Pa] at a density ratio, written apart from the package for mpmath."""
-    mu, nu = mp.sin(BASE.friction_angle), 2 * mp.sin(BASE.friction_angle) / (1 + mp.sin(BASE.friction_angle))
-    tau0 = 2 * mp.mpf(BASE.cohesion) * mp.cos(BASE.friction_angle)
-    phi = ((1 - density_ratio) ** (-nu / 2) - 1) / nu
-    strength = nu * BASE.ambient_pressure + tau0 / (1 + mu)
-    return (1 + BASE.tool_friction / mp.tan(mp.pi / 12)) * phi * strength
+    """Return the law's cone index [Pa] at a density ratio, which tests/test_cone_index.py compares with mpmath."""
+    return po.cone_index(dataclasses.replace(BASE, density_ratio=density_ratio))
 
 
 def ratio_of(radius, cone=CONE):
@@ -38,7 +34,7 @@ def fitted(indices, radii, errors):
 def test_one_reading_of_each_determines_both():
     fit = fitted([INDEX], [RADIUS], (1e5, 5e-3))
     ratio = ratio_of(RADIUS)
-    truth = {"soil.strength_factor": INDEX / float(index_of(ratio)), "soil.density_ratio": ratio}
+    truth = {"soil.strength_factor": INDEX / index_of(ratio), "soil.density_ratio": ratio}
     assert fit.values == pytest.approx(truth, rel=1e-7)  # of the least squares' steps
     assert [po.cone_index(fit.soil), po.loosened_radius(CONE, fit.soil)] == pytest.approx([INDEX, RADIUS], rel=1e-7)
 
@@ -48,7 +44,7 @@ def test_intervals_agree_with_error_propagation():
     fit = fitted([INDEX], [RADIUS], (1e5, 2e-3))
     ratio = ratio_of(RADIUS)
     of_ratio = 2.0 * (1.0 - ratio) * 2e-3 / RADIUS
-    slope = float(mp.diff(lambda b: mp.log(index_of(b)), ratio))
+    slope = math.log(index_of(ratio + 1e-5) / index_of(ratio - 1e-5)) / 2e-5
     found = fit.intervals(kind="linearised")
     width = found["soil.density_ratio"].upper - found["soil.density_ratio"].lower
     assert width / 2.0 == pytest.approx(1.959964 * of_ratio, rel=1e-5)
@@ -74,17 +70,12 @@ def test_the_intervals_hold_the_truth():
 def test_with_the_cone_index_in_the_file_the_trench_gives_the_density_ratio(tmp_path):
     """With the reading in the file the width decides b1, and the strength factor follows from both."""
     path = tmp_path / "share.toml"
-    text = (
-        '[soil]\nname = "firm sandy loam"\nambient_pressure = "5 kPa"\ncone_index = "1.6 MPa"\n'
-        '[share]\nchisel_angle = "15 deg"\nwedge_angle = "35 deg"\nheight = "0.24 m"\n[scene]\n'
-        'tow_speed = "5 km/h"\nframe_mass = "40 kg"\nstiffness = "500 kN/m"\nduration = "1 s"\n'
-        "[effects]\nmotion = false\n"
-    )
-    path.write_text(text, encoding="utf-8")
+    soil = 'name = "firm sandy loam"\nambient_pressure = "5 kPa"\ncone_index = "1.6 MPa"'
+    path.write_text(changed(('name = "serozem"', soil), text=STATIC), encoding="utf-8")
     problem = po.read_problem(path)
     data = po.Measurements("loosened_radius", [RADIUS], sigma=3e-3)
     fit = po.calibrate(problem, data, {"soil.density_ratio": (0.4, 0.97)})
     ratio = fit.values["soil.density_ratio"]
-    soil = problem.scene({"soil.density_ratio": ratio}).soil
+    soil = problem.scene({"share.height": 0.24, "soil.density_ratio": ratio}).soil
     assert po.cone_index(soil) == pytest.approx(INDEX, rel=1e-12)
-    assert soil.strength_factor == pytest.approx(INDEX / float(index_of(ratio)), rel=1e-9)
+    assert soil.strength_factor == pytest.approx(INDEX / index_of(ratio), rel=1e-9)

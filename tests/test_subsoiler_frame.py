@@ -9,19 +9,14 @@ import plough_opt as po
 
 
 @pytest.fixture(scope="module")
-def scripts():
-    with imported("subsoiler_frame") as frame, imported("subsoiler_frame_check") as checks:
-        yield frame, checks
+def frame():
+    with imported("subsoiler_frame") as module, imported("subsoiler_frame_check") as module.checks:
+        yield module
 
 
 @pytest.fixture(scope="module")
-def frame(scripts):
-    return scripts[0]
-
-
-@pytest.fixture(scope="module")
-def checks(scripts):
-    return scripts[1]
+def checks(frame):
+    return frame.checks
 
 
 @pytest.fixture(scope="module")
@@ -39,10 +34,8 @@ def free(checks, best):
 
 def test_moments_are_those_of_textbook_beams(frame):
     # A load P in the middle of a span 2b: sagging P b / 2. At a distance a outside a bracket: -P a at the bracket.
-    middle = frame.moments([0.0], [10.0], 2.0)
-    assert middle == pytest.approx([-10.0, 0.0, 0.0])
-    ends = frame.moments([-3.0, 3.0], [10.0, 10.0], 2.0)
-    assert ends == pytest.approx([0.0, 0.0, 10.0, 10.0])
+    assert frame.moments([0.0], [10.0], 2.0) == pytest.approx([-10.0, 0.0, 0.0])
+    assert frame.moments([-3.0, 3.0], [10.0, 10.0], 2.0) == pytest.approx([0.0, 0.0, 10.0, 10.0])
 
 
 def test_traction_by_hand(frame):
@@ -71,12 +64,7 @@ def test_the_optimum_is_certified(checks, solved):
     # The tolerances of the optimiser are 1e-10 in scaled values.
     assert checks.least_margin(m, best) > -1e-9
     assert checks.kkt_residual(c, m, best) < 1e-8
-    assert best.gap < 1e-8
-    assert best.error_estimate < 1e-8
-
-
-def test_the_active_limits_are_those_of_the_text(solved):
-    _, _, best = solved
+    assert max(best.gap, best.error_estimate) < 1e-8
     assert set(best.active) == {"half angle", "loosened overlap", "oscillation", "stress", "grip", "power"}
 
 

@@ -126,17 +126,6 @@ def quasi_static(small):
     return usual(small(motion=False, effects={"strength_wave": po.StrengthWave(0.3, 0.6), "tow_ramp": 0.3}))
 
 
-def with_parameters(small):
-    case = small(FIXED)
-    d = case.design
-    cohesion, speed = d.parameter("cohesion", 22e3, unit="Pa"), d.parameter("speed", 1.7, unit="m/s")
-    soil = po.Soil(1400.0, 0.8, cohesion, po.deg(30.0), 0.5, 1e4)
-    case.run = po.simulate(replace(case.scene, soil=soil, tow_speed=speed), 0.8, accuracy=FIXED, outputs=5)
-    usual(case)
-    d.minimise(case.run.mean_draft / 1e3 + case.run.force_rms / cohesion)
-    return d
-
-
 def parameters_alone(small):
     d, x = design(x=(0.5, 0.0, 1.0))
     scene = replace(small(FIXED).scene, share=po.Wedge(0.4, 0.2, 0.25), mass=25.0, stiffness=d.parameter("k0", 2e4))
@@ -157,23 +146,13 @@ def speed_duration_and_wave(small):
     return d
 
 
-def no_run(_):
-    d, y = design(y=(0.5, -1.0, 2.0))
-    x, p = d.variable("x", guess=0.5, lower=0.1, upper=2.0, log=True), d.parameter("p", 0.3)
-    d.minimise(ca.exp(x * y) + p * ca.sin(3.0 * x))
-    d.require("path", ca.vertcat(x * y, p * x**3, y), at_most=5.0)
-    return d
-
-
 # Designs with the number of their runs and of the rows of their requirements.
 DESIGNS = {
     two_runs: (2, 8 + 1),
     two_speeds: (2, 2),
     quasi_static: (0, 6),
-    with_parameters: (1, 6),
     parameters_alone: (1, 6),
     speed_duration_and_wave: (1, 8),
-    no_run: (0, 3),
 }
 
 

@@ -96,13 +96,7 @@ def test_a_number_of_designs_and_a_time_are_respected(waves):
 
 @pytest.mark.parametrize(
     ("search", "words"),
-    [
-        (0, "search = 0"),
-        (2.5, "search = 2.5"),
-        (True, "search = True"),
-        ("z", "valid names: auto, local"),
-        (("x", "yy"), "'y'"),
-    ],
+    [(0, "search = 0"), (True, "search = True"), ("z", "valid names: auto, local"), (("x", "yy"), "'y'")],
 )
 def test_an_invalid_search_is_refused(waves, search, words):
     with pytest.raises(po.InputError, match=words):
@@ -118,20 +112,6 @@ def test_the_same_search_gives_the_same_bits(r1, build_r1, monkeypatch):
 
 
 # --- record -------------------------------------------------------------------------------------------------
-
-
-def test_recorded_objectives_agree_with_separate_integrations(r1, r1_soil):
-    search = r1.best.search
-    chosen = np.flatnonzero(search.violation == 0.0)[:50]
-    wave, exact = po.StrengthWave(0.3, 0.6), []
-    for angle, height, stiffness in search.values[chosen]:
-        share = po.Wedge(angle, po.deg(15.0), height)
-        mass = 20.0 + share.equivalent_cone().solid_mass(7850.0)
-        run = po.simulate(po.Scene(r1_soil, share, stiffness, mass, 2.0, po.Effects(strength_wave=wave)), 2.0)
-        exact.append((run.mean_draft + run.force_rms) / 1e3)
-    # A sample's runs are rough: their error is about 1e-5 of an oscillation's amplitude.
-    assert search.objective[chosen] == pytest.approx(exact, rel=1e-3)
-    assert r1.best.objective <= np.min(search.objective[search.violation <= 1e-6]) * (1.0 + 1e-4)
 
 
 def test_the_expected_number_of_unseen_basins(r1):

@@ -117,14 +117,6 @@ def test_a_damaged_byte_is_reported_or_harmless(store):
     assert refused > 0
 
 
-def test_deleted_rows_are_computed_again(store, inline):
-    path = store[0]("DELETE FROM points WHERE point IN (0, 3, 5)")
-    with po.Sweep.load(path) as partial:
-        assert not partial.complete
-    with po.sweep(swept.failing_at_one, OVER, executor=inline, store=path) as mended:
-        assert (mended.already, mended.table.tobytes()) == (3, store[1])
-
-
 def test_a_store_that_rejects_a_row_is_an_error(store, inline):
     path = store[0](
         "CREATE TRIGGER lossy BEFORE INSERT ON points WHEN new.point = 3 BEGIN SELECT RAISE(IGNORE); END",

@@ -12,8 +12,6 @@ from plough_opt.studies.tradeoff.domination import (
     volume,
 )
 from plough_opt.studies.tradeoff.positions import (
-    Lattice,
-    neighbours,
     parts_of,
     uncrowded_on_curve,
     uncrowded_on_surface,
@@ -102,20 +100,6 @@ def test_thinned_designs_beat_all_others_to_a_tolerance():
     behind = np.max(kept[None] - designs[:, None], axis=2).min(axis=1)
     assert np.max(behind) <= 0.01
     assert not any(np.any(np.all(designs < own, axis=1)) for own in kept)
-
-
-# --- lattice ------------------------------------------------------------------------------------------------
-
-
-def test_the_lattice():
-    lattice = Lattice.with_nodes(22)  # one node more than a side of five steps has
-    nodes = lattice.triangle()
-    assert {sum(node) for node in nodes} == {6}
-    for node in nodes:
-        at = np.array(node) / 6.0
-        assert lattice.nearest_node(at + 5.0) == node
-        assert lattice.distance((at + 5.0)[None], node) == pytest.approx(0.0, abs=1e-12)
-        assert lattice.distance(np.array(neighbours(node)) / 6.0, node) == pytest.approx(np.ones(6))
 
 
 def test_parts_and_crowds():

@@ -84,17 +84,6 @@ def test_chance_constraint_on_a_normal_variable(probability):
     assert check.low <= stats.norm.cdf((best.variables["x"] - M) / S) <= check.high
 
 
-def test_worst_case_by_a_bound_is_the_middle_of_the_range():
-    """min over x of the largest (x - theta)^2 is the middle between the extremes."""
-    d, x = _design()
-    robust = po.Robust(FIELD, lambda soil: {"square": (x - soil.cohesion / 1e4) ** 2}, samples=64, seed=3)
-    d.minimise(robust.bound_from_above(d, "square", lower=0.0, upper=200.0))
-    best = d.solve(search="near")
-    own = _numbers(robust.samples)
-    assert best.variables["x"] == pytest.approx((own.min() + own.max()) / 2, abs=1e-7)
-    assert best.objective == pytest.approx((own.max() - own.min()) ** 2 / 4, abs=1e-8)
-
-
 def test_smoothed_worst_case_over_a_set():
     """Over the corners of a box the same optimum, by symmetry whatever the width."""
     d, x = _design()

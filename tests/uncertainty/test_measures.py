@@ -66,27 +66,10 @@ def test_cvar_is_the_minimum_over_the_threshold(level, width):
     assert measures.cvar(SAMPLES, level, width=width) == pytest.approx(found.fun, rel=1e-13)
 
 
-@pytest.mark.parametrize("level", [0.5, 0.8, 0.95])
-def test_smoothing_raises_cvar_within_its_bound(level):
-    sharp = measures.cvar(SAMPLES, level)
-    for width in (0.05, 0.2, 1.0):
-        rounded = measures.cvar(SAMPLES, level, width=width)
-        assert sharp - 1e-14 <= rounded <= sharp + measures.MOST_ROUNDING * width / (1.0 - level) + 1e-14
-
-
 def test_worst_is_exact_if_the_next_is_two_widths_below():
     values = np.r_[SAMPLES, SAMPLES.max() + 1.0]
     assert measures.worst(values, width=0.4) == pytest.approx(values.max(), rel=1e-14)
     assert measures.worst(values, width=2.0) > values.max()
-
-
-@pytest.mark.parametrize("level", [0.3, 0.9])
-def test_quantile_is_where_the_probability_is_the_level(level):
-    limit = measures.quantile(SAMPLES, level, width=0.9)
-    # Its root is found to 1e-15 of the range, and the density there is some 0.1.
-    assert measures.probability(SAMPLES, at_most=limit, width=0.9) == pytest.approx(level, abs=1e-14)
-    lower = -measures.quantile(-SAMPLES, level, width=0.9)
-    assert measures.probability(SAMPLES, at_least=lower, width=0.9) == pytest.approx(level, abs=1e-14)
 
 
 # --- bias of the rounding-off ----------------------------------------------------------------------------

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.differences import differences
+from helpers.differences import check_derivatives
 from scipy import stats
 
 import plough_opt as po
@@ -70,22 +70,7 @@ def _events():
     ],
 )
 def test_derivatives_against_differences(make, point, first, second):
-    program, p, point = make(), np.zeros(0), np.array(point)
-    nlp, weights = program.nlp, np.cos(1.0 + np.arange(len(program.owner)))
-
-    def lagrangian(y):
-        f, g = (np.asarray(result) for result in nlp.values(y, p))
-        return 0.7 * f.ravel() + g.T @ weights
-
-    def slope(y):
-        _, _, gradient, jacobian = (np.asarray(result) for result in nlp.slopes(y, p))
-        return 0.7 * gradient.ravel() + jacobian.T @ weights
-
-    f, g = (np.asarray(result) for result in nlp.slopes(point, p)[:2])
-    assert 0.7 * f.ravel() + g.T @ weights == pytest.approx(lagrangian(point), rel=1e-12)
-    assert slope(point) == pytest.approx(differences(lagrangian, point).ravel(), rel=first, abs=1e-8)
-    upper, hessian = np.asarray(nlp.hess_lag(point, p, 0.7, weights)), differences(slope, point)
-    assert upper + np.triu(upper, 1).T == pytest.approx(hessian, rel=second, abs=second * np.max(np.abs(hessian)))
+    check_derivatives(make().nlp, np.array(point), np.zeros(0), first, second)
 
 
 def test_the_graph_of_the_derivatives_does_not_grow_with_the_samples():

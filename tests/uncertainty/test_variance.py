@@ -34,6 +34,7 @@ def test_indices_and_intervals_are_those_of_scipy(ishigami):
 
     others = stats.sobol_indices(func=response, n=1024, dists=[stats.uniform()] * 3, rng=np.random.default_rng(3))
     found = sobol_indices(ishigami, {"x": 1.7}, samples=1024, seed=3)
+    assert str(found["y"]) == str(sobol_indices(ishigami, {"x": 1.7}, samples=1024, seed=3)["y"])
     assert set(found) == {"y"}  # what does not vary has no indices
     own = found["y"]
     assert str(own).index("friction_angle") < str(own).index("tool_friction")  # by size: 0.44 and 0.24
@@ -84,10 +85,3 @@ def test_the_number_of_samples_must_be_a_power_of_two():
         with pytest.raises(po.InputError, match="power of two"):
             sobol_indices(_linear(), {}, samples=samples)
     assert "y" in sobol_indices(_linear(), {}, samples=2)
-
-
-def test_intervals_repeat():
-    once, again, other = (sobol_indices(_linear(), {}, samples=64, seed=seed)["y"] for seed in (4, 4, 5))
-    assert np.array_equal(once.first_low, again.first_low)
-    assert np.array_equal(once.total_high, again.total_high)
-    assert not np.array_equal(once.first_low, other.first_low)

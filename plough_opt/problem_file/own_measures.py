@@ -3,6 +3,7 @@
 import ast
 import math
 import operator
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, Final, TypeAlias
@@ -99,11 +100,11 @@ def _checked_names(tree: ast.expr, text: str, unit: str) -> dict[str, None]:
         InputError: a name is unknown, unlike units are added, or the result's unit differs from the stated one.
     """
     unit_of, names = registry().Unit, dict[str, None]()
-    plain = unit_of("dimensionless")
+    plain, zero = unit_of("dimensionless"), unit_of("dimensionless")  # a plain 0 has any unit
 
     def leaf(what: str | float) -> Any:
         if isinstance(what, float):
-            return plain
+            return plain if what else zero
         single = [name for name, measure in MEASURES.items() if not measure.everywhere]
         if what not in single and what not in QUANTITIES:
             raise InputError(f"'{what}' has no single value to compute with: {nearest(what, [*single, *QUANTITIES])}")
@@ -111,6 +112,8 @@ def _checked_names(tree: ast.expr, text: str, unit: str) -> dict[str, None]:
         return unit_of((MEASURES[what].unit.symbol if what in MEASURES else QUANTITIES[what].unit) or "dimensionless")
 
     def alike(one: Any, other: Any = plain) -> Any:
+        if one is zero or other is zero:
+            return other if one is zero else one
         if one.dimensionality != other.dimensionality:
             raise InputError(f"= {short(repr(text))} combines unlike units, {one} and {other}")
         return one
@@ -141,6 +144,8 @@ def _value(tree: ast.expr, leaf: Callable[[str | float], Any], rules: _Rules, de
 
     match tree:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
+            if number > sys.float_info.max:
+                raise InputError(f"the number {short(ast.unparse(tree))} is too large")
             return leaf(float(number))
         case ast.Name() | ast.Attribute():
             return leaf(ast.unparse(tree))

@@ -17,6 +17,7 @@ RIGHT = {
     "draft_per_depth": ("maximum(mean_draft, 2 * force_rms) / share.height", "N/cm"),
     "excess": ("mean_draft / (mean_draft - force_rms)", ""),
     "spare": ("0.2e0 * mean_draft - -1 * force_rms**1", "kN"),
+    "pushed": ("maximum(0, 0 + mean_draft - 0.0)", "kN"),
 }
 
 
@@ -37,6 +38,7 @@ def by_hand(run):
         "draft_per_depth": max(run.mean_draft, 2.0 * run.force_rms) / height / 100.0,
         "excess": run.mean_draft / (run.mean_draft - run.force_rms),
         "spare": (0.2 * run.mean_draft + run.force_rms) / 1e3,
+        "pushed": run.mean_draft / 1e3,
     }
 
 
@@ -96,6 +98,8 @@ def test_what_has_no_finite_value_is_refused_when_it_is_computed(read, value):
         ("mine", "force_rms +", "N", "expression"),
         ("mine", "force_rms ** tow_power", "N", "power"),
         ("mine", "force_rms ** 99", "N", "99"),
+        ("mine", "exp(0) + force_rms", "N", "unlike"),
+        ("mine", "0x1" + 256 * "0" + " * force_rms", "N", "too large"),
         ("mine", "__import__('os')", "", "cannot be computed"),
         ("mine", "sqrt(force_rms, 2)", "N", "arguments"),
         ("mine", "-" * 60 + "force_rms", "N", "deep"),

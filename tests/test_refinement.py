@@ -46,6 +46,11 @@ def test_an_error_out_of_reach_is_refused_with_the_largest_size_tried(error):
         STUDY.size_for(error)
 
 
+def test_an_error_below_0_is_refused():
+    with pytest.raises(po.InputError, match=r"error = -0\.01 must be at least 0"):
+        STUDY.size_for(-0.01)
+
+
 def test_the_table_shows_size_error_and_cost():
     heading, *rows, said = str(STUDY).splitlines()
     assert heading.split("  ")[-1] == "time, fastest = 1"

@@ -51,6 +51,8 @@ class Refinement:
             InputError: the error is invalid, or not reached at any size.
         """
         error = plain_number("error", error)
+        if error < 0.0:
+            raise InputError(f"error = {error:g} must be at least 0")
         for size, own in zip(self.sizes, self.errors, strict=True):
             if own <= error:
                 return size

@@ -18,7 +18,7 @@ from types import FrameType
 from typing import IO, TYPE_CHECKING, Any, Final, TypeAlias
 
 from plough_opt.core.checks import shown
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, short
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,7 +36,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8
 """The colours of Okabe and Ito (2008), which colour-blind readers can distinguish, and a grey."""
 
 
-def read_text(path: Path, kind: str, ending: str, most: int, missing: str = "check the path") -> str:
+def read_text(path: Path, kind: str, ending: str, most: int, missing: str = "") -> str:
     """Return the content of a text file.
 
     Args:
@@ -44,7 +44,7 @@ def read_text(path: Path, kind: str, ending: str, most: int, missing: str = "che
         kind: what it should be, such as "a problem file".
         ending: usual ending of such files; if the file is missing, the message suggests similar names with it.
         most: largest size [B].
-        missing: what to do if there is none with that ending in the folder.
+        missing: what to do if there is none with that ending in the folder; by default, to check the path.
 
     Raises:
         InputError: the file does not exist, is a folder, JSON under another ending, too long, or not UTF-8.
@@ -62,7 +62,8 @@ def read_text(path: Path, kind: str, ending: str, most: int, missing: str = "che
     except FileNotFoundError:
         there = sorted(one.name for one in path.parent.glob(f"*{ending}")) if path.parent.is_dir() else []
         close = [repr(str(path.parent / one)) for one in difflib.get_close_matches(path.name, there, n=2, cutoff=0.7)]
-        others = f"that folder contains {', '.join(there)}" if there else missing
+        none = missing or f"its folder does not contain any {ending} file; check the path"
+        others = f"that folder contains {short(', '.join(there), 200)}" if there else none
         hint = f"did you mean {' or '.join(close)}?" if close else others
         raise InputError(f"there is no file {name}: {hint}") from None
     except IsADirectoryError:

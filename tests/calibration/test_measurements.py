@@ -97,6 +97,7 @@ def test_missing_folders_and_binary_files_are_refused(tmp_path, written):
     beside = written(HEADER + ROWS)
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x81")
     for path, words in ((beside.with_name("drafts.csv"), r"there is no file .*did you mean '.*draft.csv'"),
+                        (tmp_path / "none" / "a.csv", "its folder does not contain any .csv file; check the path"),
                         (tmp_path, "is a folder"), (tmp_path / "binary.csv", "it is not UTF-8")):  # fmt: skip
         with pytest.raises(po.InputError, match=words):
             po.read_measurements(path)

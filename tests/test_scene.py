@@ -1,7 +1,6 @@
 import dataclasses
 import math
 
-import casadi as ca
 import pytest
 
 import plough_opt as po
@@ -60,19 +59,6 @@ def test_a_blunt_share_carries_a_warning(r1_scene, half_angle, warned):
     found = scene.warnings()
     assert bool(found) == warned
     assert not warned or (f"half angle is {half_angle:.1f} deg" in found[0] and "plane sections" in found[0])
-
-
-@pytest.mark.parametrize("kind", [ca.DM, ca.SX, ca.MX, float])
-def test_a_scene_of_casadis_numbers_describes_itself(r1_scene, kind):
-    scene = r1_scene()
-    same = dataclasses.replace(
-        scene,
-        share=po.Cone(kind(scene.cone.half_angle), kind(scene.cone.height)),
-        stiffness=kind(scene.stiffness),
-        mass=kind(scene.mass),
-        tow_speed=kind(scene.tow_speed),
-    )
-    assert same.describe() == scene.describe()
 
 
 def test_the_speed_term_is_as_small_as_the_readme_says():

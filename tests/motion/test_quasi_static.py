@@ -5,7 +5,6 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
-from helpers.scenes import assert_alike, results_of
 from scipy.integrate import quad
 
 import plough_opt as po
@@ -68,23 +67,6 @@ def test_smallest_wave_keeps_its_digits(quasi_scene):
     # Whole waves: RMS eps F0/sqrt(2). It is 1e-9 of the mean draft.
     run = po.simulate(quasi_scene(strength_wave=po.StrengthWave(1e-9, 0.5)), 2.0)
     assert run.force_rms == pytest.approx(1e-9 * run.scene.reaction.static / math.sqrt(2), rel=1e-8)
-
-
-@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
-@pytest.mark.parametrize("ramp", ["none", "number", "symbol"])
-def test_numbers_and_symbols_run_alike(quasi_scene, kind, ramp):
-    def run(height, stiffness, speed, ramp_time):
-        effects = {"none": {}, "number": {"tow_ramp": 0.37}, "symbol": {"tow_ramp": ramp_time, "rate_term": 0.05}}
-        wave = po.StrengthWave(0.3, 0.6)
-        return po.simulate(
-            quasi_scene(25.0, height, stiffness, tow_speed=speed, strength_wave=wave, **effects[ramp]), 2
-        )
-
-    values, x = [0.3, 4e4, 1.5, 0.37], kind.sym("x", 4)
-    symbolic, numeric = run(*ca.vertsplit(x)), run(*values)
-    found = ca.Function("run", [x], results_of(symbolic)).call([ca.DM(values)])
-    # Gauss-Legendre of degree 7 on panels of 0.1 rad.
-    assert_alike(map(np.asarray, found), numeric, 1e-11)
 
 
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX])

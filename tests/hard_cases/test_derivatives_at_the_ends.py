@@ -275,25 +275,6 @@ def test_under_a_wave(end, kind):
             assert got == pytest.approx(true, rel=0, abs=allowed * max(largest(size[k]), least))
 
 
-# --- refusals ----------------------------------------------------------------------------------------
-
-
-REFUSED = [
-    ({"stiffness": 1e12}, 1.0, {"start": "rest"}, "times, which would take"),
-    ({"stiffness": 1e3, "rate_term": 1.0}, 0.1, {"start": "rest", "rate_term": True}, "drives the share away"),
-    ({"stiffness": 1e8}, 1.0, {"formulation": "printed"}, "overflows within"),
-    ({"stiffness": 0.0}, 0.3, {}, "stiffness = 0 N/m must be above 0"),
-    ({"density_ratio": 1.0}, 0.3, {}, "density ratio b1 = 1 must be below 1"),
-    ({"wedge_angle": RIGHT}, 0.3, {}, "wedge angle = 1.57079632679489"),
-]
-
-
-@pytest.mark.parametrize(("changes", "duration", "effects", "words"), REFUSED)
-def test_numbers_beyond_the_ends_are_refused(changes, duration, effects, words):
-    with pytest.raises(po.PloughError, match=words):
-        po.simulate(scene_of(ORDINARY | changes, **effects), duration, outputs=4)
-
-
 @pytest.mark.slow
 def test_a_design_skips_mounts_that_are_too_stiff_and_warns():
     d = po.Design()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
+from plough_opt.motion.estimate import difference
 
 CASES = {
     "damped": {"damping": 400.0},
@@ -96,14 +97,5 @@ def test_no_balanced_harmonic_of_the_force_is_left_over(simulated, name, choice)
 @pytest.mark.parametrize("name", [name for name in CASES if name != "stiffest"])
 def test_error_estimate_is_the_difference_from_the_orbit(simulated, name, choice):
     run, exact = simulated(name, choice), simulated(name, "periodic")
-    sizes = {
-        "mean_draft": max(run.mean_draft, run.force_rms),
-        "force_rms": run.force_rms,
-        "mean_deflection": max(run.mean_deflection, run.displacement_rms),
-        "displacement_rms": run.displacement_rms,
-    }
-    arrays = ("mount_force", "soil_resistance", "deflection", "speed", "travel")
-    sizes |= {name: np.max(np.abs(getattr(run, name))) for name in arrays}
-    differences = [np.max(np.abs(getattr(run, name) - getattr(exact, name))) / size for name, size in sizes.items()]
-    assert run.error_estimate == pytest.approx(max(differences), rel=1e-6, abs=1e-12)
+    assert run.error_estimate == pytest.approx(difference(run, exact), rel=1e-6, abs=1e-12)
     assert run.error_estimate > 0.0

@@ -234,6 +234,7 @@ LATE = [
     *[(run(2.0, strength_wave=po.StrengthWave(0.3, 1e-6), motion=motion), COUNTLESS) for motion in (True, False)],
     *[(run(1e9, strength_wave=po.StrengthWave(0.3, 0.6), motion=motion), COUNTLESS) for motion in (True, False)],
     # A stiff mount would take minutes.
+    (run(stiffness=1e12, start="rest"), "times, which would take"),
     *[(run(None, stiffness=1e9, tow_speed=0.5, strength_wave=po.StrengthWave(0.3, 4.0), orbit=orbit),
        r"1e\+06 kN/m.*turns in one wavelength.*softer.*Effects\(motion=False\).*dop853") for orbit in ORBITS],
 ]  # fmt: skip

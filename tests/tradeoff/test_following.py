@@ -34,6 +34,10 @@ def test_quadratic_programs_meet_their_first_order_conditions():
         met = np.where(multipliers > 0.0, high, low)
         pulled = np.abs(multipliers) > 1e-12
         assert values[pulled] == pytest.approx(met[pulled], abs=1e-12)
+    equality, contradiction = ((3.0, 3.0), (3.0, 3.0)), ((1.0, -np.inf), (np.inf, 0.5))
+    step, multipliers = quadratic_program(np.eye(2), np.zeros(2), np.ones((2, 2)), np.array(equality))
+    assert (*step, sum(multipliers)) == pytest.approx((1.5, 1.5, -1.5), rel=1e-13)
+    assert quadratic_program(np.eye(2), np.zeros(2), np.ones((2, 2)), np.array(contradiction)) is None
 
 
 # --- warm starts --------------------------------------------------------------------------------------------

@@ -147,6 +147,7 @@ def _stiffness(lower, upper):
         ({}, {"inputs": [ALONE]}, "does not hold the symbol of input 'k'"),
         ({}, {"inputs": [po.Input("k", symbol=FREE)]}, "needs lower and upper"),
         ({"stiffness": FREE}, {"inputs": ["share.height"]}, "not inputs (k)"),
+        ({"stiffness": FREE}, {"inputs": [po.Input("k", 4e4, 6e4, symbol=FREE), "scene.stiffness"]}, "make its symbol"),
         # Bounds, and where they lead out of the domain.
         ({}, _stiffness(6e4, 5e4), "lower 60000 is not below upper 50000"),
         ({}, _stiffness(6e4, 7e4), "= 50000 lies outside its bounds 60000 to 70000"),

@@ -57,6 +57,7 @@ QUICK = [line for line in LINES if not line.startswith(LONG)]
 
 @pytest.mark.parametrize("lines", [QUICK, pytest.param(LINES, marks=pytest.mark.slow)], ids=["quick", "all"])
 def test_shell_lines_run_in_order_and_print_the_figures(tmp_path, monkeypatch, lines):
+    assert {language for language, _ in BLOCKS} == {"python", "sh"}  # blocks of other languages would not run
     work = tmp_path / "clone"
     shutil.copytree(ROOT, work, ignore=shutil.ignore_patterns(".git", ".venv", ".*_cache", "out", "__pycache__"))
     monkeypatch.chdir(work)

@@ -42,7 +42,7 @@ def test_known_waves_lie_within_their_intervals(count):
 
 
 def test_an_unevenly_spaced_record_gives_the_same_waves():
-    for one, (a, length, _) in zip(po.strength_waves(record(3, even=False), 0.5).found, TRUE, strict=False):
+    for one, (a, length, _) in zip(po.strength_waves(record(3, even=False), 0.5).found, TRUE, strict=True):
         assert one.wave.amplitude == pytest.approx(a, abs=3 * one.amplitude)
         assert one.wave.wavelength == pytest.approx(length, abs=3 * one.wavelength)
 

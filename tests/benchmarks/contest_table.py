@@ -13,16 +13,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-
-from plough_opt.core.tables import Grid
+import pandas
 
 HERE = Path(__file__).resolve().parent
 # Least time of a measurement [s], far above the cost and the resolution of the clock.
 _LEAST = 0.02
 # Calls that take longer than this [s] are repeated less often.
 _PATIENCE = 1.0
-# A cost that grows with a higher power of the size than this is marked in the table.
-_LINEAR = 1.1
 
 
 @dataclass(frozen=True)
@@ -91,57 +88,32 @@ class Contest:
         mine = getattr(row, which)
         return None if own is None or mine is None else mine.cpu / own.cpu
 
-    def write(self, path):
-        """Write everything as JSON."""
-        path.parent.mkdir(parents=True, exist_ok=True)
+    def content(self):
+        """Return everything as JSON has it."""
         rows = [
             asdict(r) | {"cpu_over_ours": self.ratio(r), "first_over_ours": self.ratio(r, "first")} for r in self.rows
         ]
         growths = [asdict(g) | {"exponent": g.exponent} for g in self.growths]
-        content = {"when": _now(), "machine": machine(), "rows": rows, "growth": growths, "missing": self.missing}
-        path.write_text(json.dumps(content, indent=1) + "\n")
+        return {"when": _now(), "machine": machine(), "rows": rows, "growth": growths, "missing": self.missing}
+
+    def write(self, path):
+        """Write everything as JSON."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(self.content(), indent=1) + "\n")
 
     def show(self):
-        """Print the table."""
-        lines = [f"{_now()}, {machine()}"]
-        if self.rows:
-            lines.append(str(self._rows()))
-        if self.growths:
-            lines.append(str(self._growths()))
-        print("", *lines, *(f"left out: {name}: {why}" for name, why in self.missing.items()), sep="\n")
-
-    def _rows(self):
-        title = "processor time of one core beside our own: above 1 is slower than plough_opt"
-        table = Grid.of(title, "tool", "error", "CPU", "/ ours", "wall", "first CPU", "/ ours", "note", left=("note",))
-        for task in dict.fromkeys(row.task for row in self.rows):
-            table.row(task, *[""] * 7)
-            for row in (r for r in self.rows if r.task == task):
-                error = "" if row.error is None else f"{row.error:.1e}"
-                first = "" if row.first is None else seconds(row.first.cpu)
-                again, anew = (_short(self.ratio(row, which)) for which in ("spent", "first"))
-                spent = seconds(row.spent.cpu), again, seconds(row.spent.wall)
-                table.row(f"  {row.tool}", error, *spent, first, anew, row.note)
-        return table
-
-    def _growths(self):
-        table = Grid.of("cost against size: the power with which it grows", "what", "sizes", "costs", "power", "")
-        for g in self.growths:
-            costs = (seconds(c) if g.unit == "s" else f"{c:.0f} {g.unit}" for c in g.costs)
-            sizes = ", ".join(f"{size:g}" for size in g.sizes)
-            table.row(g.what, sizes, ", ".join(costs), f"{g.exponent:.2f}", "more than linear" * (g.exponent > _LINEAR))
-        return table
-
-
-def seconds(value):
-    """Return a time with a suitable unit."""
-    for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
-        if value >= size:
-            return f"{value / size:.3g} {unit}"
-    return f"{value / 1e-9:.3g} ns"
-
-
-def _short(ratio):
-    return "" if ratio is None else f"{ratio:.2g}" if ratio < 100.0 else f"{ratio:.0f}"
+        """Print two tables: times [s], also in units of our own, and costs with the power with which they grow."""
+        content = self.content()
+        print("", f"{content['when']}, {content['machine']}", sep="\n")
+        tables = (
+            pandas.json_normalize(content["rows"]).drop(columns="first", errors="ignore"),
+            pandas.DataFrame(content["growth"]),
+        )
+        for table in tables:
+            if len(table):
+                table = table.explode(["sizes", "costs"]) if "sizes" in table else table
+                print(table.to_string(index=False, na_rep="", float_format="{:.3g}".format))
+        print(*(f"left out: {name}: {why}" for name, why in self.missing.items()), sep="\n")
 
 
 def _now():

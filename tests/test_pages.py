@@ -86,6 +86,10 @@ PAGES = {
         shorter={"scene, 2.0": "scene, 0.2", "steps=400": "steps=40", "duration=2.0": "duration=0.2"},
         briefly=short_motion,
     ),
+    # The page's other block needs CMake.
+    "fmu": Page(
+        ("mount force from",), least="share.fmu", holds=lambda names: names["found"]["time"][-1] == pytest.approx(2.0)
+    ),
     "report": Page(
         (f"{1e4 * po.Wedge(po.deg(39.1), po.deg(15), 0.254).area:.1f} cm^2 of faces",),
         ("out/report.html", "out/share.dxf", "out/cone.stl", "out/share.gif", "out/share.html"),
@@ -110,6 +114,9 @@ PAGES = {
 }
 
 
+# FMPy leaves its temporary folder to the garbage collector.
+@pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning")
+@pytest.mark.filterwarnings("ignore:Exception ignored in:pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize("whole", [pytest.param(False, id="briefly"), pytest.param(True, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", PAGES)
 def test_its_code_runs(name, whole, tmp_path, monkeypatch, capsys):

@@ -21,7 +21,6 @@ import plough_opt as po
 from plough_opt.core.expressions import exp
 from plough_opt.export import write_fmu
 
-ROOT = Path(__file__).parents[2]
 EFFECTS = {
     "strength_wave": po.StrengthWave(0.3, 0.2), "damping": 900.0, "rate_term": 0.05, "contact": po.Smooth(0.2),
     "tow_ramp": 0.3,
@@ -302,21 +301,3 @@ def test_without_a_compiler_nothing_is_written(scene, tmp_path, monkeypatch):
     with pytest.raises(po.InputError, match="no C compiler was found"):
         write_fmu(scene, tmp_path / "share.fmu")
     assert not list(tmp_path.iterdir())
-
-
-# FMPy leaves its temporary folder to the garbage collector.
-@pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning")
-@pytest.mark.filterwarnings("ignore:Exception ignored in:pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize(
-    "whole", [pytest.param(False, id="but CMake"), pytest.param(True, id="whole", marks=pytest.mark.slow)]
-)
-def test_the_page_on_fmus_runs(whole, tmp_path, monkeypatch, capfd):
-    monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "fmu.md").read_text(), flags=re.DOTALL)
-    assert len(blocks) == 4
-    names = {}
-    for block in blocks:
-        if whole or "build_platform_binary" not in block:
-            exec(compile(block, "docs/fmu.md", "exec"), names)
-    assert "mount force from" in capfd.readouterr().out
-    assert names["found"]["time"][-1] == pytest.approx(2.0)

@@ -73,31 +73,23 @@ def _misspelt(rng, word, found):
     return rng.choice([word[:at] + word[at + 1 :], word[:at] + word[at:] * 2, word.upper(), rng.choice(found)[0]])
 
 
-def _without_line(text, rng):
-    lines = text.split("\n")
-    del lines[rng.randrange(len(lines))]
-    return "\n".join(lines)
+def _spliced(separator, longest):
+    """Return a mutation that leaves out a run of a text's parts, or repeats it elsewhere."""
 
+    def change(text, rng):
+        parts = text.split(separator) if separator else [*text]
+        first, at = rng.randrange(len(parts) + 1), rng.randrange(len(parts) + 1)
+        run = parts[first : first + rng.choice(longest)]
+        if rng.random() < 0.5:
+            return separator.join(parts[:first] + parts[first + len(run) :])
+        return separator.join(parts[:at] + run + parts[at:])
 
-def _lines_again(text, rng):
-    lines = text.split("\n")
-    first, last = sorted((rng.randrange(len(lines)), rng.randrange(len(lines))))
-    at = rng.randrange(len(lines) + 1)
-    return "\n".join([*lines[:at], *lines[first : last + 1], *lines[at:]])
-
-
-def _without_characters(text, rng):
-    at = rng.randrange(len(text) + 1)
-    return text[:at] + text[at + rng.choice([1, 1, 2, 5, 20]) :]
+    return change
 
 
 def _with_characters(text, rng):
     at = rng.randrange(len(text) + 1)
     return text[:at] + rng.choice(CHARACTERS) * rng.choice([1, 1, 1, 2, 50]) + text[at:]
-
-
-def _cut(text, rng):
-    return text[: rng.randrange(len(text) + 1)]
 
 
 def _nested(text, rng):
@@ -112,7 +104,7 @@ _NUMBER = _replaced(r"(?<![\w.])[-+]?\d+(\.\d+)?(e[-+]?\d+)?", lambda rng, _, __
 _VALUE = _replaced(r"(?<== )[^\n#,}]+", lambda rng, _, __: rng.choice(NUMBERS))
 _UNIT = _replaced(r"(?<=\d )[A-Za-z][\w*/^]*", lambda rng, _, __: rng.choice(UNITS))
 _WORD = _replaced(r"[A-Za-z_]{3,}", _misspelt)
+_LINES, _LETTERS = _spliced("\n", [1, 1, 2, 20]), _spliced("", [1, 1, 2, 5, 20, 10_000])
 _MUTATIONS = [
-    _NUMBER, _NUMBER, _VALUE, _UNIT, _UNIT, _WORD, _WORD, _without_line, _lines_again, _without_characters,
-    _with_characters, _cut, _nested,
+    _NUMBER, _NUMBER, _VALUE, _UNIT, _UNIT, _WORD, _WORD, _LINES, _LINES, _LETTERS, _LETTERS, _with_characters, _nested,
 ]  # fmt: skip

@@ -55,25 +55,7 @@ def test_an_array_of_one_number_is_that_number():
     assert alone == pytest.approx([po.resistance(CONE, _denser(), v, 0.0) for v in (1.0, 2.0)], rel=1e-15)
 
 
-# --- invalid numbers ---
-
-
-@pytest.mark.parametrize("value", [[0.2], (0.2, 0.3)])
-def test_lists_are_refused(value):
-    with pytest.raises(po.DomainError, match=r"half angle = .* must be a number or a NumPy array, in rad"):
-        po.Cone(value, 0.25)
-    with pytest.raises(po.DomainError, match=r"speed = .* must be a number or a NumPy array"):
-        po.resistance(CONE, SOIL, value, 0.0)
-
-
-@pytest.mark.parametrize("kind", [np.int8, np.uint16, np.float16])
-def test_short_number_types_are_refused(kind):
-    # In 8 bits a cone of 10 m would have a negative volume.
-    with pytest.raises(po.DomainError, match=f"share height has type {np.dtype(kind)}, .* float"):
-        po.Cone(0.2, np.array([1, 10], dtype=kind))
-
-
-# --- wrong types of soil, share, effects and switches ---
+# --- wrong types, and numbers that would overflow ---
 
 
 WRONG = {
@@ -86,12 +68,23 @@ WRONG = {
     "a wedge": (lambda: po.added_mass(po.Wedge(0.5, 0.2, 0.25), SOIL), r"must be a Cone: use its equivalent_cone\(\)"),
     "a number": (lambda: po.soil_reaction(0.3, SOIL), r"the cone = 0\.3 must be a Cone$"),
     "a name": (lambda: po.loosened_radius(CONE, "serozem"), "the soil = 'serozem' must be a Soil, for instance named_"),
+    "a list": (lambda: po.Cone([0.2], 0.25), "half angle = .* must be a number or a NumPy array, in rad"),
+    "a tuple": (lambda: po.resistance(CONE, SOIL, (0.2, 0.3), 0.0), "speed = .* must be a number or a NumPy array"),
+    # In 8 bits a cone of 10 m would have a negative volume.
+    "8 bits": (lambda: po.Cone(0.2, np.array([1, 10], dtype=np.int8)), "share height has type int8, .* float"),
+    "16 bits": (lambda: po.Cone(0.2, np.float16([1, 10])), "share height has type float16, .* float"),
+    # What would overflow.
+    "largest speed but one": (lambda: po.resistance(CONE, SOIL, 1.1e60, 0.0), "must be at most"),
+    "place at a wedge's tip": (lambda: po.elastic.wedge_pressure(5e-324, NODES, SOIL, 2.0), "node 1"),
+    "samples": (lambda: po.uncertainty.worst([1.0, 1e308], width=0.1), "must (be|lie)"),
+    "reading": (lambda: po.Penetrometer("a.csv", [1e6, 1e308]), "cone indices"),
+    "record": (lambda: po.StrengthRecord(np.arange(40.0), np.full(40, 1e308)), "must (be|lie)"),
 }
 
 
 @pytest.mark.parametrize(("call", "words"), WRONG.values(), ids=WRONG)
 def test_wrong_types_are_refused_with_the_right_ones(call, words):
-    with pytest.raises(po.InputError, match=words):
+    with pytest.raises((po.InputError, po.DomainError), match=words):
         call()
 
 
@@ -105,41 +98,15 @@ def test_a_switch_must_be_a_bool(name, value):
 # --- pickled errors ---
 
 
-@pytest.mark.parametrize(
-    "error",
-    [
-        po.InfeasibleDesign("no design", {"draft": 3.0}, ["upper bound"]),
-        po.NotConverged("it stopped", "Restoration_Failed"),
-        po.InputError("wrong"),
-    ],
-    ids=lambda error: type(error).__name__,
-)
-def test_errors_come_back_from_another_process(error):
-    copy = pickle.loads(pickle.dumps(error))
-    assert type(copy) is type(error)
-    assert str(copy) == str(error)
-    assert vars(copy) == vars(error)
+def test_errors_come_back_from_another_process():
+    infeasible = po.InfeasibleDesign("no design", {"draft": 3.0}, ["upper bound"])
+    for error in (infeasible, po.NotConverged("it stopped", "Restoration_Failed"), po.InputError("wrong")):
+        copy = pickle.loads(pickle.dumps(error))
+        assert (type(copy), str(copy), vars(copy)) == (type(error), str(error), vars(error))
 
 
 def test_the_package_is_marked_as_typed():
     assert (files("plough_opt") / "py.typed").is_file()
-
-
-# --- overflow ---
-
-BEYOND = {
-    "largest speed but one": lambda: po.resistance(CONE, SOIL, 1.1e60, 0.0),
-    "place at a wedge's tip": lambda: po.elastic.wedge_pressure(5e-324, NODES, SOIL, 2.0),
-    "samples": lambda: po.uncertainty.worst([1.0, 1e308], width=0.1),
-    "reading": lambda: po.Penetrometer("a.csv", [1e6, 1e308]),
-    "record": lambda: po.StrengthRecord(np.arange(40.0), np.full(40, 1e308)),
-}
-
-
-@pytest.mark.parametrize("call", BEYOND.values(), ids=BEYOND)
-def test_numbers_that_would_overflow_are_refused(call):
-    with pytest.raises((po.DomainError, po.InputError), match=r"must (be|lie)|node 1|cone indices"):
-        call()
 
 
 def test_the_largest_numbers_are_accepted():
@@ -148,22 +115,6 @@ def test_the_largest_numbers_are_accepted():
 
 
 # --- names ---
-
-
-DECLARATIONS = {
-    "variable": lambda d: d.variable("x", guess=0.5, lower=0.0, upper=1.0),
-    "parameter": lambda d: d.parameter("x", 1.0),
-    "requirement": lambda d: d.require("x", ca.MX.sym("x"), at_most=1.0),
-}
-
-
-@pytest.mark.parametrize("first", DECLARATIONS.values(), ids=DECLARATIONS)
-@pytest.mark.parametrize("second", DECLARATIONS.values(), ids=DECLARATIONS)
-def test_a_name_is_declared_once(first, second):
-    d = po.Design()
-    first(d)
-    with pytest.raises(po.InputError, match="'x' is declared already"):
-        second(d)
 
 
 def test_a_requirement_may_have_the_name_of_a_fronts_own_one():

@@ -62,10 +62,12 @@ def test_an_invalid_declaration_is_refused_and_leaves_no_trace(declare, message)
     assert (list(best.variables), best.margins) == (["x", "new"], {})
 
 
-@pytest.mark.parametrize("name", ["", "  ", 3, None, "x"])
+@pytest.mark.parametrize("name", ["", "  ", 3, None, "x", "p", "r"])
 def test_every_declaration_needs_a_new_name(name):
     d, x = design(x=(0.5, 0.0, 1.0))
-    message = "'x' is declared already" if name == "x" else r"name = .* must be a text"
+    d.parameter("p", 1.0)
+    d.require("r", x, at_most=1.0)
+    message = f"'{name}' is declared already" if name in ("x", "p", "r") else r"name = .* must be a text"
     for declare in (
         lambda: d.variable(name, **VALID),
         lambda: d.parameter(name, 1.0),

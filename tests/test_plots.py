@@ -155,7 +155,7 @@ def test_a_sweep_of_one_quantity_is_drawn_in_one_colour():
 
 def test_a_picture_has_one_of_three_formats(tmp_path):
     for name in ("run.jpg", "run", "run.png.txt"):
-        with pytest.raises(po.InputError, match=r"must end in \.png or \.svg or \.pdf"):
+        with pytest.raises(po.InputError, match=r"must end in \.png, \.svg or \.pdf"):
             plots.save(Figure(figsize=(2, 1)), tmp_path / "new" / name)
     assert list(tmp_path.iterdir()) == []
     assert plots.save(Figure(figsize=(2, 1)), tmp_path / "a" / "RUN.PNG").read_bytes().startswith(b"\x89PNG")

@@ -173,7 +173,7 @@ def check_file(path: str | Path, kind: str, *endings: str) -> Path:
     """
     target = Path(path)
     if target.suffix.lower() not in endings:
-        valid = " or ".join(endings)
+        valid = " or ".join(filter(None, (", ".join(endings[:-1]), endings[-1])))
         raise InputError(f"'{path}' is not a valid file name for the {kind}: it must end in {valid}")
     if target.is_dir():
         raise InputError(f"'{target}' is a folder: name a file in it")

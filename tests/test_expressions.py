@@ -1,7 +1,6 @@
 """Functions of floats, arrays and CasADi expressions, and ratios without cancellation."""
 
 import math
-from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -127,20 +126,6 @@ def test_a_symbol_has_no_value():
     for symbol in (ca.SX, ca.MX):
         with pytest.raises(po.InputError, match=r"speed.*no value"):
             ex.as_number(2.0 * symbol.sym("speed"))
-
-
-def test_expressions_are_mapped_wherever_they_are_nested():
-    @dataclass(frozen=True)
-    class Thing:
-        size: object
-        name: str
-
-    x = ca.MX.sym("x")
-    nested = {"thing": Thing(x, "kept"), "list": [x, 2.0], "tuple": (1.0, x), "word": "kept"}
-    mapped = ex.map_expressions(nested, lambda _: 7.0)
-    assert mapped == {"thing": Thing(7.0, "kept"), "list": [7.0, 2.0], "tuple": (1.0, 7.0), "word": "kept"}
-    assert ex.holds_casadi(nested)
-    assert not ex.holds_casadi(mapped)
 
 
 def test_a_column_can_be_combined_with_symbols():

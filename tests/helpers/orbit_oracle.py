@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from helpers.differences import order_4
 from helpers.forces import Forces
 
 
@@ -36,16 +37,13 @@ def period(scene):
 
 def monodromy(scene, first):
     """Return the derivative of the state after one period by the state, by differences of order 4."""
-    steps = np.array([1e-4 * abs(first[0]), 1e-4 * scene.tow_speed])
+    size = np.array([abs(first[0]), scene.tow_speed])
 
     def after(shift):
         return follow(scene, first + shift, period(scene))[:, -1]
 
-    columns = []
-    for axis in np.diag(steps):
-        near, far = after(axis) - after(-axis), after(2 * axis) - after(-2 * axis)
-        columns.append((8 * near - far) / (12 * np.sum(axis)))
-    return np.column_stack(columns)
+    columns = [order_4(lambda part, axis=axis: after(part * axis), 0.0, 1e-4) for axis in np.diag(size)]
+    return np.column_stack(columns) / size
 
 
 def orbit(scene, guess, outputs):

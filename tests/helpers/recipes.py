@@ -3,7 +3,7 @@
 import functools
 import inspect
 import math
-from concurrent.futures import Executor, Future
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import casadi as ca
@@ -11,17 +11,7 @@ import numpy as np
 from scipy import stats
 
 import plough_opt as po
-from plough_opt.studies.uncertainty import (
-    cvar,
-    expected,
-    mean_plus,
-    probability,
-    quantile,
-    sobol_indices,
-    standard_deviation,
-    verify,
-    worst,
-)
+from plough_opt.studies import uncertainty
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 SOIL = po.named_soil("serozem")
@@ -120,16 +110,8 @@ def run():
 FRESH = po.Design()
 
 
-class Inline(Executor):
-    """Runs tasks at once in this process, so that a sweep with wrong arguments starts no processes."""
-
-    def submit(self, function, /, *arguments, **named):
-        done = Future()
-        try:
-            done.set_result(function(*arguments, **named))
-        except BaseException as error:
-            done.set_exception(error)
-        return done
+# So that a sweep with wrong arguments starts no processes.
+INLINE = ThreadPoolExecutor(1)
 
 
 def over(values):
@@ -213,7 +195,7 @@ def _classes():
 def _functions():
     """Return name -> function, with its required arguments and those that keep it fast."""
     fitted_to = {"given": SCENE, "data": measured(), "unknown": {"soil.cohesion": (1e3, 8e4)}, "starts": 1}
-    measures = [cvar, expected, worst, mean_plus, quantile, probability, standard_deviation]
+    measures = _of(uncertainty, "cvar expected worst mean_plus quantile probability standard_deviation")
     return {
         "cone_index": (po.cone_index, {"soil": SOIL}),
         "read_penetrometer": (po.read_penetrometer, {"path": "none.csv", "depth": (0.1, 0.3)}),
@@ -229,12 +211,12 @@ def _functions():
         "simulate": (po.simulate, {"scene": SCENE, "duration": 1.0, "outputs": 40}),
         **_group("plots.", _of(po.plots, "plot_share plot_run plot_optimum"), scene=SCENE, run=run(), best=optimum()),
         **_group("uncertainty.", measures, values=SAMPLES, level=0.5, width=0.1, kappa=1.0, at_least=1.5),
-        "uncertainty.sobol_indices": (sobol_indices, {"robust": robust(), "at": {}, "samples": 8}),
-        "uncertainty.verify": (verify, {"robust": robust(), "at": {}, "samples": 128}),
+        "uncertainty.sobol_indices": (uncertainty.sobol_indices, {"robust": robust(), "at": {}, "samples": 8}),
+        "uncertainty.verify": (uncertainty.verify, {"robust": robust(), "at": {}, "samples": 128}),
         "trade_off": (po.trade_off, {"design": design()[0], "first": design()[1], "second": design()[2], "points": 5,
                                      "search": "local"}),
         "calibrate": (po.calibrate, fitted_to),
-        "sweep": (po.sweep, {"what_to_sweep": over, "over": {"x": [1.0, 2.0]}, "executor": Inline(), "workers": 1}),
+        "sweep": (po.sweep, {"what_to_sweep": over, "over": {"x": [1.0, 2.0]}, "executor": INLINE, "workers": 1}),
         "study_accuracy": (po.study_accuracy, {"scene": SCENE, "duration": 0.1, "outputs": 4, "thin": True}),
         "study_design": (po.study_design, {"design": design()[0], "limit": 0.1, "thin": True}),
     }  # fmt: skip

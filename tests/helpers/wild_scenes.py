@@ -67,43 +67,39 @@ def sampled(seed, most_phase=MOST_PHASE):
 
 def errors(run, reference):
     """Return the errors of a run's results by name, relative to the scale of each, without the rounding of doubles."""
-    truth = reference.run
-    scene = run.scene
-    stiffness, speed = scene.stiffness, float(np.max(np.abs(truth.speed))) + scene.tow_speed
-    hardness = math.sqrt(stiffness * scene.inertia)
-    force = max(float(np.max(np.abs(x))) for x in (truth.mount_force, truth.soil_resistance)) + hardness * speed
-    rounding = {
-        "force": ROUNDING * force,
-        "z": ROUNDING * force / stiffness,
-        "speed": ROUNDING * (speed + force / hardness),
-    }
+    truth, scene, stiffness = reference.run, run.scene, run.scene.stiffness
+
+    def peak(name):
+        return float(np.max(np.abs(getattr(truth, name))))
+
+    speed, hardness = peak("speed") + scene.tow_speed, math.sqrt(stiffness * scene.inertia)
+    force = max(peak("mount_force"), peak("soil_resistance")) + hardness * speed
     moments = np.array([float(moment) for moment, _ in reference.events] or [-math.inf])
     apart = np.min(np.abs(run.time[:, None] - moments), axis=1) > BESIDE * run.duration
-    peak_z = float(np.max(np.abs(truth.deflection)))
+    size, size_z = max(abs(truth.mean_draft), truth.force_rms), max(abs(truth.mean_deflection), truth.displacement_rms)
+    # The path of the strut is that of the share plus the deflection.
+    path = truth.travel + truth.deflection
+    power = max(abs(truth.tow_power), size * float(path[-1] - path[0]) / run.duration)
+    # Name -> scale, and what rounds to `ROUNDING`.
+    compared = {
+        "mount_force": (peak("mount_force"), force),
+        "soil_resistance": (peak("soil_resistance"), force),
+        "deflection": (peak("deflection"), force / stiffness),
+        "speed": (peak("speed"), speed + force / hardness),
+        "travel": (max(peak("travel"), peak("deflection")), force / stiffness),
+        "peak_force": (peak("mount_force"), force),
+        "peak_deflection": (peak("deflection"), force / stiffness),
+        "mean_draft": (size, force),
+        "force_rms": (truth.force_rms, force),
+        "mean_deflection": (size_z, force / stiffness),
+        "displacement_rms": (truth.displacement_rms, force / stiffness),
+        "tow_power": (power, force * scene.tow_speed),
+    }
     found = {}
-
-    def note(name, error, scale, kind):
-        beyond = max(0.0, float(error) - rounding[kind])
-        found[name] = beyond / float(scale) if beyond > 0.0 else 0.0
-
-    forces = dict.fromkeys(("mount_force", "soil_resistance"), "force")
-    for name, kind in (forces | {"deflection": "z", "speed": "speed", "travel": "z"}).items():
+    for name, (scale, rounded) in compared.items():
         wrong = np.abs(getattr(run, name) - getattr(truth, name))
         # These jump where the share changes its mode.
         wrong = wrong * apart if name in ("soil_resistance", "speed") else wrong
-        size = float(np.max(np.abs(getattr(truth, name))))
-        note(name, np.max(wrong), max(size, peak_z) if name == "travel" else size, kind)
-    note("peak_force", abs(run.peak_force - np.max(truth.mount_force)), np.max(np.abs(truth.mount_force)), "force")
-    note("peak_deflection", abs(run.peak_deflection - np.max(truth.deflection)), peak_z, "z")
-    size, size_z = max(abs(truth.mean_draft), truth.force_rms), max(abs(truth.mean_deflection), truth.displacement_rms)
-    # The path of the strut is that of the share plus the deflection.
-    towed = float((truth.travel + truth.deflection)[-1] - (truth.travel + truth.deflection)[0]) / run.duration
-    power = max(abs(truth.tow_power), size * towed)
-    rounding["power"] = rounding["force"] * scene.tow_speed
-    averages = {
-        "mean_draft": (size, "force"), "force_rms": (truth.force_rms, "force"), "mean_deflection": (size_z, "z"),
-        "displacement_rms": (truth.displacement_rms, "z"), "tow_power": (power, "power"),
-    }  # fmt: skip
-    for name, (scale, kind) in averages.items():
-        note(name, abs(getattr(run, name) - getattr(truth, name)), scale, kind)
+        beyond = float(np.max(wrong)) - ROUNDING * rounded
+        found[name] = beyond / float(scale) if beyond > 0.0 else 0.0
     return found

@@ -9,7 +9,6 @@ from pymoo.core.problem import Problem
 from pymoo.optimize import minimize
 
 DAMPING, SOFTEST = 400.0, 3e3
-RADIUS, HALF_ANGLE = 0.12, math.radians(15.0)
 _TURN = 2.0 * math.pi / r1.WAVELENGTH
 
 

@@ -29,6 +29,8 @@ FUNCTIONS = {name: (getattr(ca, name), getattr(mp, name)) for name in ELEMENTARY
     "chosen": (lambda x: ca.if_else(x < 0.5, ca.sin(x), 7.0), mp.sin),
     "chosen by both": (lambda x: ca.if_else(ca.logic_and(x < 0.5, ca.logic_not(x <= 0.1)), x, 7.0), lambda x: x),
     "sign": (lambda x: x * ca.sign(-x), lambda x: -x),
+    # Any number but 0 is true.
+    "chosen by a negative number": (lambda x: ca.if_else(ca.sign(-x), ca.sin(x), 7.0), mp.sin),
 }
 
 
@@ -51,6 +53,16 @@ def test_series_of(name):
     # The recurrences add up to a dozen products of coefficients that are larger than their sum.
     scale = max(abs(c) for c in expected)
     assert coefficients(function) == pytest.approx(expected, rel=2e-13, abs=1e-14 * scale)
+
+
+def test_any_constant_but_0_is_true():
+    x, condition = ca.SX.sym("x"), ca.SX.sym("condition")
+    graph = Graph()
+    given = [graph.given(ca.SX(0.4), ca.SX(0.3))], [graph.constant(ca.SX(-2.0))]
+    (series,) = series_of(graph, ca.Function("f", [x, condition], [ca.if_else(condition, x, 7.0)]), given)
+    for k in range(2):
+        graph.extend(k)
+    assert [float(as_number(series[k])) for k in range(2)] == [0.4, 0.3]
 
 
 def _operations():

@@ -170,6 +170,10 @@ class Graph:
         """Return one of two series, by the sign that a switch has at the start of the step."""
         return self._add(Series(lambda _, k: ca.if_else(switch[0] <= 0.0, if_not_positive[k], if_positive[k])))
 
+    def masked(self, x: Series, condition: Series) -> Series:
+        """Return a series if a condition is not 0 at the start of the step, otherwise 0."""
+        return self._add(Series(lambda _, k: ca.if_else(condition[0], x[k], 0.0)))
+
     def switch(self, series: Series) -> Series:
         """Register a series whose sign selects the right-hand side's formula, and return it."""
         self.switches.append(series)
@@ -282,7 +286,8 @@ def _compared(graph: Graph, a: Series, b: Series, operation: int) -> Series:
 
 
 def _only_if(graph: Graph, condition: Series, x: Series) -> Series:
-    return graph.scaled(x, condition[0]) if condition.constant else graph.chosen(condition, graph.constant(_ZERO), x)
+    # Any number but 0 is true, as for CasADi.
+    return graph.scaled(x, condition[0] != 0.0) if condition.constant else graph.masked(x, condition)
 
 
 # Operations made of sums, products, quotients and roots, and those that change their formula at a switch.

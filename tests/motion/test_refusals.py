@@ -15,6 +15,7 @@ from helpers.scenes import SEROZEM, SHARE, Waves, scene_of
 from scipy.integrate import solve_ivp
 
 import plough_opt as po
+from plough_opt.core.expressions import where
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.laws import McKyesAli, SwickPerumpral
 from plough_opt.motion.methods import METHODS, adaptive, fixed_step
@@ -199,6 +200,9 @@ INPUT = [
        r"an orbit takes MX symbols only.*use casadi\.MX") for orbit in ORBITS],
     *[(run(None, strength_wave=WAVE, orbit=orbit, own=(Waves(30.0, 0.0, 0.31),)),
        r"Waves.*one wavelength \(0\.2 m\) further on.*simulate from a start") for orbit in ORBITS],
+    # Where both resistances are infinite, their difference is not a number.
+    (run(None, strength_wave=WAVE, orbit="periodic",
+         own=(Own(lambda travel, speed: where(speed < 1.5, math.inf, 30.0 * travel)),)), "Own.*further on"),
     *[(run(own=(Own(lambda *_, force=force: force),)), r"Own\.force returned")
       for force in (None, ca.DM([1.0, 2.0]), "12 N")],
     # A silent own effect, one that holds less than the force of slipping, and one without a number.

@@ -195,7 +195,7 @@ class AccuracyStudy(Saveable):
         parts: list[Part] = [self.table(question) for question in self.questions]
         parts.append(f"Times are the least of several: {timed}. Set-up is done once.")
         if self.thoroughness:
-            efforts = Grid.of("What thoroughness costs", "search", "designs tried", "found the best", "time")
+            efforts = Grid.of("What thoroughness costs", "search", "designs tried", "found the best", "median time")
             for row in self.thoroughness:
                 efforts.row(row.search, str(row.designs), f"{row.right} of {row.asked}", f"{row.seconds:.2f} s")
             parts += [efforts, "The best is the best design that any of these searches found."]

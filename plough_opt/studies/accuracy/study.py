@@ -196,7 +196,7 @@ def study_design(
 def _contests(
     task: Task, progress: Progress, *, derivatives: bool
 ) -> tuple[list[Entry], dict[str, float], dict[str, tuple[str, str]], list[str]]:
-    """Return the entries of all contests for a scene, the errors and defaults of their references by name, and notes.
+    """Return the entries of all contests for a scene; by name of the reference its error and the default; and notes.
 
     Notes say what has no reference.
     """

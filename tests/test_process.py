@@ -1,4 +1,4 @@
-"""A process: the processors it may use, and CasADi's notices, which commands drop and programs keep."""
+"""A process: the processors it may use, and CasADi's notices, which a stream of the commands drops."""
 
 import io
 import itertools

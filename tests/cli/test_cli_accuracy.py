@@ -1,4 +1,4 @@
-"""`plough-opt accuracy`: tables, advice and files; and what is wrong with an input."""
+"""`plough-opt accuracy`: tables, advice and files."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""plough-opt export: each format from a problem file, and what wrong options are told."""
+"""`plough-opt export`: each format from a problem file."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""`plough-opt sweep`: tables, resumption, Ctrl-C, and what it refuses before anything is computed."""
+"""`plough-opt sweep`: tables, resumption, Ctrl-C and failures."""
 
 import csv
 import re

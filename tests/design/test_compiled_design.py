@@ -1,4 +1,4 @@
-"""Compiled designs: the same optimum, few evaluations, and a warning if there is no compiler."""
+"""Compiled designs: the same optimum, and a warning if there is no compiler."""
 
 import numpy as np
 import pytest

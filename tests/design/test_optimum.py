@@ -1,4 +1,4 @@
-"""Optimum: limits with multipliers, expressions evaluated at it, and solves with other parameters."""
+"""Optimum: limits with multipliers, its runs, solves with other parameters, and pickling."""
 
 import pickle
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Stick, slip and gap: an independent event-driven solver, hard starts, refusals and a design."""
+"""Stick, slip and gap: an independent event-driven solver, hard starts, a problem file and a design."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -91,7 +91,7 @@ class TestClaims:
         assert two.claim(4) is None
         one.renew(0.0)
         assert two.claim(4).tolist() == [0, 1, 5, 6, 7, 8, 9]
-        self.keep(two, 0, 9)
+        assert self.keep(two, 0, 9) == 6  # the other three keep their rows
         assert one.waiting()
         self.keep(two, 9, 10)
         assert two.claim(4) is None

@@ -1,5 +1,6 @@
 """The accuracy study: true errors, advice, what is left out, files and pictures."""
 
+import ast
 import dataclasses
 import io
 import math
@@ -17,11 +18,12 @@ import plough_opt as po
 from plough_opt.core.compiler import find_compiler
 from plough_opt.core.expressions import exp
 from plough_opt.laws.forces import soil_reaction
-from plough_opt.studies.accuracy import contest, methods, picture, quadratures
+from plough_opt.studies.accuracy import contest, methods, picture
 from plough_opt.studies.accuracy import study as studies
 from plough_opt.studies.accuracy.contest import Entry, cheapest, efficient
 from plough_opt.studies.accuracy.methods import AUTO, COMPILED, Task, prepared
 from plough_opt.studies.accuracy.quadratures import profile_reaction
+from plough_opt.studies.accuracy.reference import reference_run
 from plough_opt.studies.accuracy.result import AccuracyStudy
 
 WAVE = po.StrengthWave(amplitude=0.3, wavelength=0.2)
@@ -39,71 +41,56 @@ def linear(request):
     return plain, study
 
 
-def closed_form(plain, duration):
-    """Return mean and RMS of the mount force of a share on a spring, from rest without drag."""
-    force, inertia, k, speed = (float(x) for x in (plain.reaction.static, plain.inertia, 5e4, 2.0))
-    w = math.sqrt(k / inertia)
-    a, b, x = -force, speed * math.sqrt(k * inertia), w * duration
-    mean = force + (a * math.sin(x) + b * (1 - math.cos(x))) / x
-    # Mean of (F - mean + a cos + b sin)^2.
-    s, c = math.sin(x) / x, (1 - math.cos(x)) / x
-    half_sine, squared = math.sin(2 * x) / (2 * x), math.sin(x) ** 2 / x
-    d = force - mean
-    spread = d**2 + (a**2 * (1 + half_sine) + b**2 * (1 - half_sine)) / 2 + a * b * squared + 2 * d * (a * s + b * c)
-    return mean, math.sqrt(spread)
+def test_every_integrator_has_the_errors_of_its_setting(linear):
+    plain, study = linear
+    true = reference_run(plain, 0.15, outputs=10).run  # tests/accuracy/test_wide_reference.py proves it
+    size = max(abs(true.mean_draft), true.force_rms)
+    checked = 0
+    families = {"integrator": False, methods.MACHINE_CODE: True}
+    for entry in study.entries:
+        if entry.family not in families or entry.method in (AUTO, COMPILED) or entry.failure:
+            continue
+        value, kind = sorted(entry.setting.split())  # digits before letters
+        accuracy = po.Accuracy(entry.method.removesuffix(", compiled"), **{kind: ast.literal_eval(value)})
+        run = prepared(Task(plain, 0.15, 10, 1.0), accuracy, compiled=families[entry.family])[1]()
+        for name, of in (("mean draft", "mean_draft"), ("RMS", "force_rms")):
+            off = float(abs(getattr(run, of) - getattr(true, of)) / size)
+            assert entry.errors[name] == pytest.approx(off, rel=1e-9, abs=1e-17), name
+        assert entry.errors["averages"] == max(entry.errors["mean draft"], entry.errors["RMS"])
+        checked += 1
+    assert checked >= 18
 
 
-class TestErrors:
-    """Errors of a study."""
+def test_the_efficient_named_integrators_have_their_time_with_a_check(damped):
+    named = [
+        e
+        for family in ("integrator", methods.MACHINE_CODE)
+        for e in efficient([e for e in damped.entries if e.family == family], "averages", damped.floors["motion"])
+        if e.method not in (AUTO, COMPILED)
+    ]
+    assert named
+    assert [e for e in damped.entries if e.checked is not None] == [e for e in damped.entries if e in named]
+    assert all(0.0 < e.checked < math.inf and e.setup > 0.0 for e in named)
 
-    def test_of_a_scene_with_a_closed_form(self, linear):
-        plain, study = linear
-        mean, rms = closed_form(plain, 0.15)
-        size = max(abs(mean), rms)
-        checked = 0
-        families = {"integrator": False, methods.MACHINE_CODE: True}
-        for entry in study.entries:
-            if entry.family not in families or entry.method in (AUTO, COMPILED) or entry.failure:
-                continue
-            kind, value = entry.setting.split()[::-1] if entry.setting.endswith("steps") else entry.setting.split()
-            setting = {kind: int(value) if kind == "steps" else float(value)}
-            accuracy = po.Accuracy(entry.method.removesuffix(", compiled"), **setting)
-            run = prepared(Task(plain, 0.15, 10, 1.0), accuracy, compiled=families[entry.family])[1]()
-            # The closed form itself has errors of some 1e-14.
-            assert entry.errors["mean draft"] == pytest.approx(abs(run.mean_draft - mean) / size, rel=1e-3, abs=3e-14)
-            assert entry.errors["RMS"] == pytest.approx(abs(run.force_rms - rms) / size, rel=1e-3, abs=3e-14)
-            assert entry.errors["averages"] == max(entry.errors["mean draft"], entry.errors["RMS"])
-            checked += 1
-        assert checked >= 18
 
-    def test_the_efficient_named_integrators_have_their_time_with_a_check(self, damped):
-        named = [
-            e
-            for family in ("integrator", methods.MACHINE_CODE)
-            for e in efficient([e for e in damped.entries if e.family == family], "averages", damped.floors["motion"])
-            if e.method not in (AUTO, COMPILED)
-        ]
-        assert named
-        assert [e for e in damped.entries if e.checked is not None] == [e for e in damped.entries if e in named]
-        assert all(0.0 < e.checked < math.inf and e.setup > 0.0 for e in named)
+def test_the_wanted_error_is_one_that_auto_aims_at():
+    task = Task(scene_of(), 0.2, 4, 1.0, thin=True, wanted=3e-7)
+    assert [a.error for a in methods.automatic_settings(task)] == [1e-3, 1e-6, 3e-7, 1e-8, 1e-10]
+    task = Task(scene_of(), 0.2, 4, 1.0, thin=True, wanted=1e-15)
+    assert min(a.error for a in methods.automatic_settings(task)) == 1e-12
 
-    def test_the_wanted_error_is_one_that_auto_aims_at(self):
-        task = Task(scene_of(), 0.2, 4, 1.0, thin=True, wanted=3e-7)
-        assert [a.error for a in methods.automatic_settings(task)] == [1e-3, 1e-6, 3e-7, 1e-8, 1e-10]
-        task = Task(scene_of(), 0.2, 4, 1.0, thin=True, wanted=1e-15)
-        assert min(a.error for a in methods.automatic_settings(task)) == 1e-12
 
-    def test_gradients_of_the_finest_settings_agree_with_the_reference(self, linear):
-        study = linear[1]
-        best = {}
-        for entry in study.entries:
-            if entry.family == "derivatives" and not entry.failure:
-                best[entry.method] = min(best.get(entry.method, 1.0), entry.errors["gradient"])
-        assert set(best) == {"auto", "dop853", "collocation", "rk", "cvodes", "idas", "erk", "rosenbrock"}
-        # The tightest tolerance of a thin study is 1e-6, which leaves some ten times as much.
-        assert max(best.values()) < 3e-5
-        assert best["dop853"] < 1e-10
-        assert study.floors["gradient"] < 1e-12
+def test_gradients_of_the_finest_settings_agree_with_the_reference(linear):
+    study = linear[1]
+    best = {}
+    for entry in study.entries:
+        if entry.family == "derivatives" and not entry.failure:
+            best[entry.method] = min(best.get(entry.method, 1.0), entry.errors["gradient"])
+    assert set(best) == {"auto", "dop853", "collocation", "rk", "cvodes", "idas", "erk", "rosenbrock"}
+    # The tightest tolerance of a thin study is 1e-6, which leaves some ten times as much.
+    assert max(best.values()) < 3e-5
+    assert best["dop853"] < 1e-10
+    assert study.floors["gradient"] < 1e-12
 
 
 @pytest.mark.slow
@@ -133,159 +120,136 @@ def test_the_table_names_the_references_errors(damped):
     assert f"(reference: {floors['motion']:.0e}, its trajectory {floors['motion, trajectory']:.0e})" in title
 
 
-class TestModels:
-    """Models that simplify the motion, relative to the transient and to the periodic orbit."""
-
-    def test_harmonics_approach_the_periodic_orbit_and_not_the_transient(self, damped):
-        balance = {e.setting: e.errors for e in damped.entries if e.method == "harmonic balance"}
-        one, more = balance["1 harmonic"], balance["8 harmonics"]
-        assert 1e-4 < one["lasting averages"] < 1e-2
-        assert more["lasting averages"] < 1e-13
-        # The averages of the first half second are still those of a transient.
-        assert more["averages"] > 1e-4
-
-    def test_both_orbit_and_transient_are_ranked_and_the_default_is_in_the_first(self, damped):
-        titles = [question.title for question in damped.questions]
-        own = ["averages of the motion, in machine code"] if find_compiler() else []
-        assert titles == ["averages of the motion", *own, "averages of the periodic orbit"]
-        first = damped.questions[0]
-        assert any((e.method, e.setting) == first.default for e in damped.of(first))
-
-    def test_a_stand_in_scene_is_measured_against_the_orbit(self):
-        study = po.study_accuracy(
-            scene_of(strength_wave=WAVE, damping=400.0, orbit="linearised"),
-            outputs=8,
-            thin=True,
-            allowance=0.01,
-            derivatives=False,
-        )
-        errors = {e.method: e.errors["averages"] for e in study.entries if e.method == "linearised"}
-        assert 1e-3 < errors["linearised"] < 1e-1
-        refused = {e.method: e.failure for e in study.failures}
-        assert "periodic orbit" in refused["cvodes"]
-        assert study.duration == pytest.approx(0.1)
+# --- models that simplify the motion, relative to the transient and to the periodic orbit ---
 
 
-class TestQuadratures:
-    """Quadratures over the density profile, the path and the face."""
-
-    def test_a_constant_profile_has_the_closed_form(self):
-        flat = SEROZEM.with_density_profile(lambda r: 1350.0 / 0.794 + 0.0 * r, order=8)
-        task = Task(scene_of(soil=flat), 1.0, 4, 1.0)
-        found = quadratures.density_profile(task)
-        assert all(e.errors["reaction"] < 1e-11 for e in found[0] if int(e.setting.split()[1]) >= 8)
-        # Some units in the last place.
-        assert found[1] < 1e-14
-        exact = profile_reaction(task.scene.cone, flat, 4, 24)
-        plain = soil_reaction(task.scene.cone, SEROZEM)
-        for name in ("static", "drag", "added_mass"):
-            assert float(getattr(exact, name)) == pytest.approx(float(getattr(plain, name)), rel=2e-15)
-
-    def test_the_reference_of_a_profile_has_another_rule_and_the_same_limit(self):
-        # Soil without internal friction, with a dense core a third as wide as the front.
-        core = dataclasses.replace(SEROZEM, friction_angle=0.0).with_density_profile(
-            lambda r, w: 1350 * (1.08 + 0.3 / (1.0 + (r / w) ** 2)), 0.05, order=64
-        )
-        cone = scene_of().cone
-        exact, finest = profile_reaction(cone, core, 4, 24), soil_reaction(cone, core)
-        for name in ("static", "drag", "added_mass"):
-            assert float(getattr(exact, name)) == pytest.approx(float(getattr(finest, name)), rel=1e-13)
-
-    def test_orders_of_a_profile_converge(self):
-        varied = SEROZEM.with_density_profile(lambda r, w: 1350 * (1.05 + 0.3 * exp(-((r / w) ** 2))), 0.15, order=12)
-        study = po.study_accuracy(scene_of(soil=varied, motion=False), 0.1, outputs=4, allowance=0.05)
-        (question,) = (q for q in study.questions if q.error == "reaction")
-        errors = [e.errors["reaction"] for e in study.of(question)]
-        assert errors[0] > 1e-4
-        assert errors[3] < 1e-13
-        assert question.default == ("density profile", "order 12")
-
-    def test_a_quasi_static_course_in_closed_form(self):
-        # Over ten whole waves the mean is that of the constant part, and the RMS eps F0/sqrt(2).
-        waves = scene_of(motion=False, strength_wave=WAVE)
-        study = po.study_accuracy(waves, 1.0, outputs=5, allowance=0.05)
-        (question,) = study.questions
-        static = float(waves.reaction.static)
-        mean = static + float(waves.reaction.drag) * 4.0
-        run = po.simulate(waves, 1.0, outputs=5)
-        assert run.mean_draft == pytest.approx(mean, rel=1e-14)
-        assert run.force_rms == pytest.approx(0.3 * static / math.sqrt(2.0), rel=1e-13)
-        default = next(e for e in study.of(question) if (e.method, e.setting) == question.default)
-        assert default.errors["averages"] < 1e-13
-        assert study.of(question)[0].errors["averages"] > 1e-3
-
-    def test_the_elastic_contact_by_two_quadratures(self):
-        # This blunt cone loses contact on a seventh of its face.
-        blunt = dataclasses.replace(scene_of(motion=False, medium="elastic"), share=po.Cone(po.deg(40), 0.25))
-        study = po.study_accuracy(blunt, 1.0, thin=True, allowance=0.05)
-        errors = {e.label: e.errors["contact force"] for e in study.entries}
-        assert errors["graded cells"] < 1e-11
-        assert errors["whole face, 4 points"] > 1e-4 > errors["whole face, 256 points"]
-        assert study.floors["elastic contact"] < 1e-14
+def test_harmonics_approach_the_periodic_orbit_and_not_the_transient(damped):
+    balance = {e.setting: e.errors for e in damped.entries if e.method == "harmonic balance"}
+    one, more = balance["1 harmonic"], balance["8 harmonics"]
+    assert 1e-4 < one["lasting averages"] < 1e-2
+    assert more["lasting averages"] < 1e-13
+    # The averages of the first half second are still those of a transient.
+    assert more["averages"] > 1e-4
 
 
-class TestWhatIsLeftOut:
-    """Failures are rows with the reason."""
+def test_both_orbit_and_transient_are_ranked_and_the_default_is_in_the_first(damped):
+    titles = [question.title for question in damped.questions]
+    own = ["averages of the motion, in machine code"] if find_compiler() else []
+    assert titles == ["averages of the motion", *own, "averages of the periodic orbit"]
+    first = damped.questions[0]
+    assert first.default in [(e.method, e.setting) for e in damped.of(first)]
 
-    def test_methods_without_events(self):
-        sticks = scene_of(tow_speed=0.5, start="rest", contact=po.StickSlip(1.2), damping=50.0)
-        study = po.study_accuracy(sticks, 0.05, outputs=2, thin=True, allowance=0.02)
-        refused = {e.method: e.failure for e in study.failures}
-        assert {"dop853", "collocation", "rk", "cvodes", "idas"} <= set(refused)
-        assert all("events" in refused[m] for m in ("dop853", "cvodes"))
-        assert {e.method for e in study.of(study.questions[0])} == {"auto", "erk", "rosenbrock", "quasi-static"}
-        assert {e.method for e in study.entries if e.family == "derivatives"} == {"auto", "erk", "rosenbrock"}
 
-    def test_what_enters_the_soil_has_no_quasi_static_limit(self):
-        enters = scene_of(start="towed", entry=True)
-        study = po.study_accuracy(enters, 0.05, outputs=2, thin=True, allowance=1e-4, derivatives=False)
-        refused = {e.method: e.failure for e in study.failures}
-        assert refused["quasi-static"] == "its share is wholly buried from the start, so it cannot enter"
+def test_a_stand_in_scene_is_measured_against_the_orbit():
+    stand_in = scene_of(strength_wave=WAVE, damping=400.0, orbit="linearised")
+    study = po.study_accuracy(stand_in, outputs=8, thin=True, allowance=0.01, derivatives=False)
+    errors = {e.method: e.errors["averages"] for e in study.entries if e.method == "linearised"}
+    assert 1e-3 < errors["linearised"] < 1e-1
+    refused = {e.method: e.failure for e in study.failures}
+    assert "periodic orbit" in refused["cvodes"]
+    assert study.duration == pytest.approx(0.1)
 
-    def test_what_takes_too_long_is_cut_off_and_the_default_late(self, monkeypatch):
-        monkeypatch.setattr(studies, "WIDER", False)
-        study = po.study_accuracy(scene_of(), 0.1, outputs=4, allowance=1e-9, derivatives=False)
-        cut = {e.label: e for e in study.failures if "cut off" in e.failure}
-        assert {"dop853", "rk", "auto"} <= {e.method for e in cut.values()}
-        assert all(math.isinf(e.seconds) and not e.errors for e in cut.values())
-        # The default may take twenty times as long.
-        for label, allowed in (("auto, error 1e-06", "1e-09"), ("auto, error 1e-08", "2e-08")):
-            assert cut[label].failure.endswith(f", {allowed} s allowed")
-        # Nothing moves in this scene.
-        (still,) = (e for e in study.entries if e.method == "quasi-static")
-        assert still.errors["trajectory"] < 1e-15
-        assert any("no floats wider than a double" in note for note in study.notes)
 
-    def test_a_method_that_breaks_down_says_so(self):
-        task = Task(scene_of(stiffness=5e6, strength_wave=WAVE), 0.5, 4, 1.0)
-        method = contest.Contestant("integrator", "rk", lambda accuracy: prepared(task, accuracy), dict,
-                              (po.Accuracy("rk", steps=40),))  # fmt: skip
-        (entry,) = contest.measured([method], "averages", 1e-6, 1.0)
-        assert entry.failure is not None
+# --- quadratures over the density profile, the path and the face ---
 
-    def test_without_a_reference_a_note_says_why(self):
-        # The soil drives this share away without bound.
-        study = po.study_accuracy(scene_of(stiffness=50.0, start="rest", formulation="printed"), 0.5, outputs=4)
-        assert study.questions == ()
-        assert any("no reference for the motion: the reference stops at" in note for note in study.notes)
-        assert study.advice == ""
 
-    @pytest.mark.parametrize(
-        ("change", "said"),
-        [
-            ({"duration": None}, "duration is missing"),
-            ({"duration": 0.0}, "duration"),
-            ({"wanted": 0.5}, "wanted error"),
-            ({"outputs": 0}, "outputs = 0"),
-            ({"allowance": 0.0}, "time allowed"),
-            ({"scene": scene_of(strength_wave=WAVE, orbit="periodic")}, "duration must be omitted"),
-            ({"scene": scene_of(stiffness=ca.MX.sym("k"))}, "holds symbols"),
-        ],
-    )
-    def test_wrong_inputs(self, change, said):
-        given = {"scene": scene_of(), "duration": 0.1} | change
-        with pytest.raises((po.InputError, po.DomainError), match=said):
-            po.study_accuracy(given.pop("scene"), given.pop("duration"), **given)
+def test_the_reference_of_a_profile_has_another_rule_and_the_same_limit():
+    # Soil without internal friction, with a dense core a third as wide as the front.
+    smooth = dataclasses.replace(SEROZEM, friction_angle=0.0)
+    core = smooth.with_density_profile(lambda r, w: 1350 * (1.08 + 0.3 / (1.0 + (r / w) ** 2)), 0.05, order=64)
+    cone = scene_of().cone
+    exact, finest = profile_reaction(cone, core, 4, 24), soil_reaction(cone, core)
+    for name in ("static", "drag", "added_mass"):
+        assert float(getattr(exact, name)) == pytest.approx(float(getattr(finest, name)), rel=1e-13)
+
+
+def test_orders_of_a_profile_converge():
+    varied = SEROZEM.with_density_profile(lambda r, w: 1350 * (1.05 + 0.3 * exp(-((r / w) ** 2))), 0.15, order=12)
+    study = po.study_accuracy(scene_of(soil=varied, motion=False), 0.1, outputs=4, allowance=0.05)
+    (question,) = (q for q in study.questions if q.error == "reaction")
+    errors = [e.errors["reaction"] for e in study.of(question)]
+    assert errors[0] > 1e-4 > 1e-13 > errors[3]
+    assert question.default == ("density profile", "order 12")
+
+
+def test_quadratures_of_a_quasi_static_course_converge():
+    # tests/motion/test_quasi_static.py compares what simulate gives with closed forms.
+    study = po.study_accuracy(scene_of(motion=False, strength_wave=WAVE), 1.0, outputs=5, allowance=0.05)
+    (question,) = study.questions
+    default = next(e for e in study.of(question) if (e.method, e.setting) == question.default)
+    assert default.errors["averages"] < 1e-13
+    assert study.of(question)[0].errors["averages"] > 1e-3
+
+
+def test_the_elastic_contact_by_two_quadratures():
+    # This blunt cone loses contact on a seventh of its face.
+    blunt = dataclasses.replace(scene_of(motion=False, medium="elastic"), share=po.Cone(po.deg(40), 0.25))
+    study = po.study_accuracy(blunt, 1.0, thin=True, allowance=0.05)
+    errors = {e.label: e.errors["contact force"] for e in study.entries}
+    assert errors["graded cells"] < 1e-11
+    assert errors["whole face, 4 points"] > 1e-4 > errors["whole face, 256 points"]
+    assert study.floors["elastic contact"] < 1e-14
+
+
+# --- failures are rows with the reason ---
+
+
+def test_methods_without_events():
+    sticks = scene_of(tow_speed=0.5, start="rest", contact=po.StickSlip(1.2), damping=50.0)
+    study = po.study_accuracy(sticks, 0.05, outputs=2, thin=True, allowance=0.02)
+    refused = {e.method: e.failure for e in study.failures}
+    assert {"dop853", "collocation", "rk", "cvodes", "idas"} <= set(refused)
+    assert all("events" in refused[m] for m in ("dop853", "cvodes"))
+    assert {e.method for e in study.of(study.questions[0])} == {"auto", "erk", "rosenbrock", "quasi-static"}
+    assert {e.method for e in study.entries if e.family == "derivatives"} == {"auto", "erk", "rosenbrock"}
+
+
+def test_what_enters_the_soil_has_no_quasi_static_limit():
+    enters = scene_of(start="towed", entry=True)
+    study = po.study_accuracy(enters, 0.05, outputs=2, thin=True, allowance=1e-4, derivatives=False)
+    refused = {e.method: e.failure for e in study.failures}
+    assert refused["quasi-static"] == "its share is wholly buried from the start, so it cannot enter"
+
+
+def test_what_takes_too_long_is_cut_off_and_the_default_late(monkeypatch):
+    monkeypatch.setattr(studies, "WIDER", False)
+    study = po.study_accuracy(scene_of(), 0.1, outputs=4, allowance=1e-9, derivatives=False)
+    cut = {e.label: e for e in study.failures if "cut off" in e.failure}
+    assert {"dop853", "rk", "auto"} <= {e.method for e in cut.values()}
+    assert all(math.isinf(e.seconds) and not e.errors for e in cut.values())
+    # The default may take twenty times as long.
+    for label, allowed in (("auto, error 1e-06", "1e-09"), ("auto, error 1e-08", "2e-08")):
+        assert cut[label].failure.endswith(f", {allowed} s allowed")
+    # Nothing moves in this scene.
+    (still,) = (e for e in study.entries if e.method == "quasi-static")
+    assert still.errors["trajectory"] < 1e-15
+    assert any("no floats wider than a double" in note for note in study.notes)
+
+
+def test_without_a_reference_a_note_says_why():
+    # The soil drives this share away without bound.
+    study = po.study_accuracy(scene_of(stiffness=50.0, start="rest", formulation="printed"), 0.5, outputs=4)
+    assert study.questions == ()
+    assert any("no reference for the motion: the reference stops at" in note for note in study.notes)
+    assert study.advice == ""
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"duration": None}, "duration is missing"),
+        ({"duration": 0.0}, "duration"),
+        ({"wanted": 0.5}, "wanted error"),
+        ({"outputs": 0}, "outputs = 0"),
+        ({"allowance": 0.0}, "time allowed"),
+        ({"scene": scene_of(strength_wave=WAVE, orbit="periodic")}, "duration must be omitted"),
+        ({"scene": scene_of(stiffness=ca.MX.sym("k"))}, "holds symbols"),
+    ],
+)
+def test_wrong_inputs(change, said):
+    given = {"scene": scene_of(), "duration": 0.1} | change
+    with pytest.raises((po.InputError, po.DomainError), match=said):
+        po.study_accuracy(given.pop("scene"), given.pop("duration"), **given)
 
 
 def made(*rows, wanted=1e-6, default=("auto", "error 1e-08")):
@@ -297,109 +261,111 @@ def made(*rows, wanted=1e-6, default=("auto", "error 1e-08")):
 A, TIGHT, B = ("a", "loose", 1e-3, 1e-3), ("a", "tight", 2e-3, 1e-7), ("b", "", 6e-3, 1e-8)
 
 
-class TestAdvice:
-    """A sentence on the cheapest method that reaches the wanted error, the next method, and the default."""
+# --- a sentence on the cheapest method that reaches the wanted error, the next method, and the default ---
 
-    @pytest.mark.parametrize(
-        ("rows", "wanted", "facts"),
-        [
-            pytest.param(
-                (A, TIGHT, ("a", "tighter", 3e-3, 1e-9), B, ("auto", "error 1e-08", 0.1, 1e-10)), 1e-6,
-                ("1e-06", "a, tight: 2 ms, error 1e-07", "3.0 times cheaper", "b", "default", "100 ms", "50 times"),
-                id="the next is another method"),
-            pytest.param(
-                (("auto", "error 1e-08", 1e-3, 1e-9), ("b", "", 1.05e-3, 1e-8)), 1e-8,
-                ("auto, error 1e-08: 1 ms", "about as cheap", "b; that is the default."), id="the default is best"),
-            pytest.param(
-                (("auto", "error 1e-06", 1e-3, 1e-7), ("auto", "error 1e-08", 2e-3, 1e-9)), 1e-6,
-                ("auto, error 1e-06: 1 ms, error 1e-07; that is Accuracy(error=1e-06); the default",), id="auto"),
-            pytest.param((TIGHT, ("b", "", 1e-3, 1e-2)), 1e-6, ("a, tight: 2 ms", "only method"), id="the only method"),
-            pytest.param((A, ("b", "", 2.0, 1e-5)), 1e-6, ("nothing", "1e-06", "b", "1e-05", "2 s"), id="none"),
-            pytest.param((B,), 1.25e-3, ("1.25e-03", "b: 6 ms, error 1e-08."), id="three digits"),
-        ],
+
+@pytest.mark.parametrize(
+    ("rows", "wanted", "facts"),
+    [
+        pytest.param(
+            (A, TIGHT, ("a", "tighter", 3e-3, 1e-9), B, ("auto", "error 1e-08", 0.1, 1e-10)), 1e-6,
+            ("1e-06", "a, tight: 2 ms, error 1e-07", "3.0 times cheaper", "b", "default", "100 ms", "50 times"),
+            id="the next is another method"),
+        pytest.param(
+            (("auto", "error 1e-08", 1e-3, 1e-9), ("b", "", 1.05e-3, 1e-8)), 1e-8,
+            ("auto, error 1e-08: 1 ms", "about as cheap", "b; that is the default."), id="the default is best"),
+        pytest.param(
+            (("auto", "error 1e-06", 1e-3, 1e-7), ("auto", "error 1e-08", 2e-3, 1e-9)), 1e-6,
+            ("auto, error 1e-06: 1 ms, error 1e-07; that is Accuracy(error=1e-06); the default",), id="auto"),
+        pytest.param((TIGHT, ("b", "", 1e-3, 1e-2)), 1e-6, ("a, tight: 2 ms", "only method"), id="the only method"),
+        pytest.param((A, ("b", "", 2.0, 1e-5)), 1e-6, ("nothing", "1e-06", "b", "1e-05", "2 s"), id="none"),
+        pytest.param((B,), 1.25e-3, ("1.25e-03", "b: 6 ms, error 1e-08."), id="three digits"),
+    ],
+)  # fmt: skip
+def test_the_cheapest_good_setting_is_advised(rows, wanted, facts):
+    assert re.search(".*".join(map(re.escape, facts)), made(*rows, wanted=wanted).advice)
+
+
+def test_a_named_method_is_compared_with_its_like_and_its_check_with_checked_runs():
+    rows = (
+        ("dop853", "80 steps", 1e-3, 1e-7), ("auto", "error 1e-06", 2e-3, 1e-9),
+        ("auto", "error 1e-08", 6e-3, 1e-10), ("rk", "900 steps", 9e-3, 1e-8),
     )  # fmt: skip
-    def test_the_cheapest_good_setting_is_advised(self, rows, wanted, facts):
-        assert re.search(".*".join(map(re.escape, facts)), made(*rows, wanted=wanted).advice)
-
-    def test_a_named_method_is_compared_with_its_like_and_its_check_with_checked_runs(self):
-        rows = (
-            ("dop853", "80 steps", 1e-3, 1e-7), ("auto", "error 1e-06", 2e-3, 1e-9),
-            ("auto", "error 1e-08", 6e-3, 1e-10), ("rk", "900 steps", 9e-3, 1e-8),
-        )  # fmt: skip
-        study = made(*rows)
-        first = dataclasses.replace(study.entries[0], checked=3e-3)
-        study = dataclasses.replace(study, entries=(first, *study.entries[1:]))
-        facts = ("dop853, 80 steps: 1 ms", "9.0 times cheaper", "rk, 900 steps", "3 ms", "Accuracy(error=1e-06)",
-                 "2 ms", "1.5 times faster", "default", "6 ms", "2.0 times as long")  # fmt: skip
-        assert re.search(".*".join(map(re.escape, facts)), study.advice)
-
-    def test_another_optimum_is_neither_ranked_nor_advised(self):
-        study = made(("a", "", 1e-3, 1e-9), ("b", "", 2e-3, 1e-9))
-        away = dataclasses.replace(study.entries[0], elsewhere="ended in another optimum, 5 instead of 4")
-        study = dataclasses.replace(study, entries=(away, study.entries[1]))
-        (question,) = study.questions
-        assert study.front(question) == [study.entries[1]]
-        assert "take b: 2 ms" in study.advice
-        assert [row[0] for row in study.table(question).rows] == ["≠", "*"]
-        assert study.refusals == ("not ranked, a: ended in another optimum, 5 instead of 4",)
-        assert [entry.method for entry in study.panel(question).entries] == ["b"]
-
-    def test_failures_with_the_same_reason_share_a_sentence(self):
-        failed = [Entry("integrator", m, s, math.inf, failure=f) for m, s, f in (
-            ("a", "1", "slow"), ("b", "", "odd"), ("a", "2", "slow"))]  # fmt: skip
-        study = dataclasses.replace(made(("c", "", 1.0, 1e-3)), entries=tuple(failed))
-        assert study.refusals == ("no result of a, 1; a, 2: slow", "no result of b: odd")
-
-    def test_a_table_fits_a_narrow_terminal_with_every_figure(self):
-        rows = [("harmonic balance", "16 harmonics"), ("rosenbrock", "tolerance 1e-12"), ("auto", "error 1e-08")]
-        errors = dict.fromkeys(("averages", "mean draft", "RMS", "last force", "trajectory"), 1.25e-13)
-        entries = tuple(Entry("integrator", m, s, 1.251e-4, 0.1237, errors) for m, s in rows)
-        study = dataclasses.replace(made(("a", "", 1.0, 1.0)), entries=entries)
-        console = Console(width=80, file=io.StringIO(), highlight=False)
-        console.print(study.table(study.questions[0]))
-        printed = console.file.getvalue()
-        assert "…" not in printed
-        # Each entry is on one line.
-        lines = [
-            line for line in printed.splitlines() if line.split()[-8:] == ["125", "µs", "120", "ms", *["1e-13"] * 4]
-        ]
-        assert len(lines) == 3
-        assert all(", ".join(row) in line for row, line in zip(rows, lines, strict=True))
+    study = made(*rows)
+    first = dataclasses.replace(study.entries[0], checked=3e-3)
+    study = dataclasses.replace(study, entries=(first, *study.entries[1:]))
+    facts = ("dop853, 80 steps: 1 ms", "9.0 times cheaper", "rk, 900 steps", "3 ms", "Accuracy(error=1e-06)",
+             "2 ms", "1.5 times faster", "default", "6 ms", "2.0 times as long")  # fmt: skip
+    assert re.search(".*".join(map(re.escape, facts)), study.advice)
 
 
-class TestPictures:
-    """A panel for each question, with all entries that its table ranks."""
+def test_another_optimum_is_neither_ranked_nor_advised():
+    study = made(("a", "", 1e-3, 1e-9), ("b", "", 2e-3, 1e-9))
+    away = dataclasses.replace(study.entries[0], elsewhere="ended in another optimum, 5 instead of 4")
+    study = dataclasses.replace(study, entries=(away, study.entries[1]))
+    (question,) = study.questions
+    assert study.front(question) == [study.entries[1]]
+    assert "take b: 2 ms" in study.advice
+    assert [row[0] for row in study.table(question).rows] == ["≠", "*"]
+    assert study.refusals == ("not ranked, a: ended in another optimum, 5 instead of 4",)
+    assert [entry.method for entry in study.panel(question).entries] == ["b"]
 
-    def test_each_question_has_a_panel_and_two_share_a_legend_below(self, damped, tmp_path):
-        interpreted = tuple(e for e in damped.entries if e.family != methods.MACHINE_CODE)
-        study = dataclasses.replace(damped, entries=interpreted)
-        figure = study.plot(tmp_path / "study.png")
-        assert [axes.get_title() for axes in figure.axes] == [question.title for question in study.questions]
-        (legend,) = figure.legends
-        names = {text.get_text() for text in legend.get_texts()}
-        assert {"auto", "dop853", "efficient front", "wanted error", "the default"} <= names
-        assert (tmp_path / "study.png").read_bytes().startswith(b"\x89PNG")
 
-    def test_a_short_axis_has_numbers_too(self):
-        figure = made(("a", "", 0.2, 1e-3), ("b", "", 0.3, 1e-5)).plot()
-        figure.draw_without_rendering()
-        (axes, _) = figure.axes
-        low, high = axes.get_xlim()
-        ticks = [tick.label1.get_text() for tick in axes.xaxis.get_major_ticks() if low <= tick.get_loc() <= high]
-        assert len(ticks) >= 2
-        assert set(ticks) <= {"200 ms", "300 ms"}
+def test_failures_with_the_same_reason_share_a_sentence():
+    rows = (("a", "1", "slow"), ("b", "", "odd"), ("a", "2", "slow"))
+    failed = [Entry("integrator", m, s, math.inf, failure=reason) for m, s, reason in rows]
+    study = dataclasses.replace(made(("c", "", 1.0, 1e-3)), entries=tuple(failed))
+    assert study.refusals == ("no result of a, 1; a, 2: slow", "no result of b: odd")
 
-    def test_no_two_methods_look_alike(self):
-        names = ["dop853", "rk", "collocation", "erk", "quasi-static", *(f"{n} differences" for n in range(12))]
-        looks = [picture.style_of(name, number) for number, name in enumerate(names)]
-        assert len({(look["color"], look["marker"], look.get("markerfacecolor")) for look in looks}) == len(names)
 
-    def test_axes_show_every_entry_the_front_and_the_wanted_error(self):
-        axes = Figure().subplots()
-        made(("a", "1", 1e-3, 1e-3), ("a", "2", 2e-3, 0.0), ("b", "", 4e-3, 1e-4)).plot(axes)
-        lines = {line.get_label(): line for line in axes.lines}
-        assert list(lines["a"].get_xdata()) == [1e-3, 2e-3]
-        # An error of zero is drawn at the bottom.
-        assert np.all(np.asarray(lines["a"].get_ydata()) > 0.0)
-        assert list(lines["efficient front"].get_xdata()) == [1e-3, 2e-3]
-        assert any(list(line.get_ydata()) == [1e-6, 1e-6] for line in axes.lines)
+def test_a_table_fits_a_narrow_terminal_with_every_figure():
+    rows = [("harmonic balance", "16 harmonics"), ("rosenbrock", "tolerance 1e-12"), ("auto", "error 1e-08")]
+    errors = dict.fromkeys(("averages", "mean draft", "RMS", "last force", "trajectory"), 1.25e-13)
+    entries = tuple(Entry("integrator", m, s, 1.251e-4, 0.1237, errors) for m, s in rows)
+    study = dataclasses.replace(made(("a", "", 1.0, 1.0)), entries=entries)
+    console = Console(width=80, file=io.StringIO(), highlight=False)
+    console.print(study.table(study.questions[0]))
+    printed = console.file.getvalue()
+    # Each entry is on one line.
+    for method, setting in rows:
+        assert re.search(rf" {method}, {setting}.* 125 µs +120 ms( +1e-13){{4}} *\n", printed)
+
+
+# --- a panel for each question, with all entries that its table ranks ---
+
+
+def test_each_question_has_a_panel_and_two_share_a_legend_below(damped, tmp_path):
+    interpreted = tuple(e for e in damped.entries if e.family != methods.MACHINE_CODE)
+    study = dataclasses.replace(damped, entries=interpreted)
+    figure = study.plot(tmp_path / "study.png")
+    assert [axes.get_title() for axes in figure.axes] == [question.title for question in study.questions]
+    (legend,) = figure.legends
+    names = {text.get_text() for text in legend.get_texts()}
+    assert {"auto", "dop853", "efficient front", "wanted error", "the default"} <= names
+    assert (tmp_path / "study.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_short_axis_has_numbers_too():
+    figure = made(("a", "", 0.2, 1e-3), ("b", "", 0.3, 1e-5)).plot()
+    figure.draw_without_rendering()
+    (axes, _) = figure.axes
+    low, high = axes.get_xlim()
+    ticks = [tick.label1.get_text() for tick in axes.xaxis.get_major_ticks() if low <= tick.get_loc() <= high]
+    assert ticks == ["200 ms", "300 ms"]
+
+
+def test_no_two_methods_look_alike():
+    names = ["dop853", "rk", "collocation", "erk", "quasi-static", *(f"{n} differences" for n in range(12))]
+    looks = [picture.style_of(name, number) for number, name in enumerate(names)]
+    assert len({(look["color"], look["marker"], look.get("markerfacecolor")) for look in looks}) == len(names)
+
+
+def test_axes_show_every_entry_the_front_and_the_wanted_error():
+    axes = Figure().subplots()
+    made(("a", "1", 1e-3, 1e-3), ("a", "2", 2e-3, 0.0), ("b", "", 4e-3, 1e-4)).plot(axes)
+    lines = {line.get_label(): line for line in axes.lines}
+    assert list(lines["a"].get_xdata()) == [1e-3, 2e-3]
+    # An error of zero is drawn at the bottom.
+    assert np.all(np.asarray(lines["a"].get_ydata()) > 0.0)
+    assert list(lines["efficient front"].get_xdata()) == [1e-3, 2e-3]
+    assert any(list(line.get_ydata()) == [1e-6, 1e-6] for line in axes.lines)

@@ -1,6 +1,7 @@
 """Contests: times in turns, the efficient front, and the cheapest setting that is good enough."""
 
 import itertools
+from collections import Counter
 from dataclasses import dataclass, field, replace
 
 import pytest
@@ -90,6 +91,10 @@ def clock(monkeypatch):
     return own
 
 
+def winner(contestants, wanted, allowance=1e3):
+    return cheapest(measured(contestants, "error", wanted, allowance), "error", wanted)
+
+
 @pytest.mark.parametrize(("order", "wanted"), [(4, 1e-1), (4, 1e-6), (8, 1e-4), (8, 1e-9)])
 def test_it_is_within_a_tenth_of_the_least_steps_in_thin_and_in_full_mode(clock, wanted, order):
     true = 40.0 * (0.5 / wanted) ** (1.0 / order)
@@ -97,9 +102,7 @@ def test_it_is_within_a_tenth_of_the_least_steps_in_thin_and_in_full_mode(clock,
     for thin in (False, True):
         clock.built.clear()
         factors = Task(None, 0.2, 4, 1.0, thin=thin).some(FACTORS)
-        found.append(
-            cheapest(measured([clock.contestant("fast", order, factors)], "error", wanted, 1e3), "error", wanted)
-        )
+        found.append(winner([clock.contestant("fast", order, factors)], wanted))
     full, thin = (best and best.setting for best in found)
     assert full == thin
     assert (full is not None) == (true <= 40.0 * max(FACTORS))
@@ -113,7 +116,7 @@ def test_errors_that_do_not_fall_evenly_lead_both_modes_to_the_same(clock):
     # Every fifth setting is a hundred times as exact by chance.
     lucky = dict(zip(step_counts(40, FACTORS)[0], itertools.cycle((0.5, 0.5, 5e-3, 0.5, 0.5)), strict=False))
     tracks = (clock.contestant("fast", 4, factors, error=lucky.get) for factors in (FACTORS, (0.125, 0.5, 2.0, 4.0)))
-    full, thin = (cheapest(measured([track], "error", 3e-3, 1e3), "error", 3e-3).setting for track in tracks)
+    full, thin = (winner([track], 3e-3).setting for track in tracks)
     assert full == thin
 
 
@@ -122,8 +125,8 @@ def test_what_may_still_win_is_narrowed_down_and_what_is_too_slow_is_not(clock):
     # The coarsest of its settings measured in any case is slower, but far too exact.
     slow = clock.contestant("slow", factors=(1, 2, 4), error=lambda _: 5e-10, seconds=lambda n, _: 2.5e-3 * n / 40.0)
     slower = clock.contestant("slower", seconds=lambda n, _: 0.03 * n / 40.0)
-    assert cheapest(measured([fast, slow, slower], "error", 1e-3, 1e3), "error", 1e-3).method == "slow"
-    counts = {c.method: sum(name == c.method for name, _ in clock.built) for c in (fast, slow, slower)}
+    assert winner([fast, slow, slower], 1e-3).method == "slow"
+    counts = Counter(name for name, _ in clock.built)
     assert counts["fast"] > len(fast.always)
     assert counts["slower"] == len(slower.always)
 
@@ -137,7 +140,7 @@ def test_one_slow_measurement_changes_no_advice(clock):
         slow = steps == 80 and (number < 16 or number % 5 == 0)
         return 1e-3 * steps / 40.0 * (3.0 if slow else 1.0)
 
-    best = cheapest(measured([clock.contestant(seconds=seconds)], "error", wanted, 1.0), "error", wanted)
+    best = winner([clock.contestant(seconds=seconds)], wanted, 1.0)
     assert (best.setting, best.seconds) == ("80 steps", pytest.approx(2e-3))
 
 

@@ -4,11 +4,11 @@ The true optimum of problem R1 is the best of 1.9 million simulations on a grid,
 residual of 1e-9 and checked in long double.
 """
 
-import math
-
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.problem_files import REFERENCE
+from helpers.small_designs import softest
 
 import plough_opt as po
 from plough_opt.core.errors import InputError
@@ -27,19 +27,8 @@ def question_of(d):
 
 
 @pytest.fixture(scope="module")
-def r1(r1_scene, r1_wave):
-    """Build problem R1."""
-    d = po.Design()
-    angle = d.variable("wedge angle", guess=po.deg(25.0), lower=po.deg(5.0), upper=po.deg(60.0), unit="rad")
-    height = d.variable("height", guess=0.25, lower=0.10, upper=0.50, unit="m")
-    k0 = d.variable("stiffness", guess=5e4, lower=5e3, upper=5e5, unit="N/m", log=True)
-    scene = r1_scene(angle * (180.0 / math.pi), height, k0, strength_wave=r1_wave)
-    run = po.simulate(scene, 2.0)
-    d.minimise(run.mean_draft / 1e3 + run.force_rms / 1e3)
-    d.require("loosened radius", scene.loosened_radius, at_least=0.12, unit="m")
-    d.require("mean deflection", run.mean_draft / k0, at_most=0.15, unit="m")
-    d.require("half angle", scene.cone.half_angle, at_most=po.deg(15.0), unit="rad")
-    return question_of(d)
+def r1():
+    return question_of(po.read_problem(REFERENCE).design()[0])
 
 
 def solved(question, form, truth):
@@ -120,12 +109,7 @@ def test_every_result_of_a_run_is_that_of_the_tight_integration(rich, form):
 
 
 def test_a_run_with_events_is_not_put_on_a_mesh(r1_soil, r1_wave):
-    d = po.Design()
-    k0 = d.variable("stiffness", guess=2e4, lower=1e4, upper=4e4, unit="N/m")
-    share = po.Wedge(po.deg(30.0), po.deg(15.0), 0.2)
-    effects = po.Effects(strength_wave=r1_wave, contact=po.StickSlip())
-    d.minimise(po.simulate(po.Scene(r1_soil, share, k0, 25.0, 2.0, effects), 0.2).mean_draft / 1e3)
-    question = question_of(d)
+    question = question_of(softest(r1_soil, r1_wave, duration=0.2, contact=po.StickSlip()))
     for form in (Mesh(4, steps=5), Mesh(4, degree=3)):
         with pytest.raises(InputError, match="events cannot be put on a mesh"):
             transcribe(question, form)

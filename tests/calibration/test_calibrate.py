@@ -98,18 +98,3 @@ def test_a_fit_that_does_not_converge_is_refused(measured, three, monkeypatch):
     with pytest.raises(po.NotConverged, match="did not converge from any of 4 starts") as failure:
         po.calibrate(steady_scene(), measured, three)
     assert failure.value.status
-
-
-@pytest.mark.slow
-def test_the_elastic_modulus_is_found():
-    """The steady contact force goes with Young's modulus, less the speed's small part."""
-    soil, angles = po.named_soil("serozem"), np.radians([25.0, 35.0])
-    scenes = [po.Scene(soil, po.Wedge(angle, po.deg(15.0), 0.25), 5e4, 25.0, 2.0, po.Effects(motion=False), "elastic")
-              for angle in angles]  # fmt: skip
-    forces = [float(scene.steady_resistance) for scene in scenes]
-    data = po.Measurements("mean_draft", forces, {"share.wedge_angle": angles}, sigma=0.02 * np.array(forces))
-    fit = po.calibrate(scenes[0], data, {"soil.youngs_modulus": (1e6, 5e7, 3e7)}, starts=1)
-    assert fit.values["soil.youngs_modulus"] == pytest.approx(soil.youngs_modulus, rel=1e-6)
-    # A force proportional to it, measured twice to 2 %: 2 % over the root of two, up to the speed's part.
-    relative = fit.standard_errors["soil.youngs_modulus"] / soil.youngs_modulus
-    assert relative == pytest.approx(0.02 / 2**0.5, rel=0.01)

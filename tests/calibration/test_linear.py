@@ -48,14 +48,16 @@ def both(request, regression):
     return fit, found, covariance, quantile, weighted, weights
 
 
-def test_values_errors_and_correlation(both):
-    fit, found, covariance, _, _, _ = both
+def test_values_errors_correlation_and_scatter(both, regression):
+    fit, found, covariance, _, _, weights = both
     # The search stops within 1e-4 of a standard error, and here far closer.
     np.testing.assert_allclose(list(fit.values.values()), found, rtol=1e-7)
     errors = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(list(fit.standard_errors.values()), errors, rtol=1e-7)
     correlation = pytest.approx(covariance[0, 1] / errors.prod(), rel=1e-6)
     assert fit.correlations == {tuple(UNKNOWN): correlation, tuple(reversed(UNKNOWN)): correlation}
+    size = np.mean(regression[1]) if np.all(weights == 1.0) else 1.0
+    assert fit.scatter == pytest.approx(np.linalg.norm(fit.residuals * weights) / 12**0.5 / size, rel=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["profile", "linearised"])

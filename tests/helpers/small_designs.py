@@ -1,4 +1,4 @@
-"""Designs with a few variables and no run, whose optima are known by hand."""
+"""Designs with a few variables."""
 
 import plough_opt as po
 
@@ -15,3 +15,12 @@ def design(**variables):
         for name, (guess, lower, upper, *unit) in variables.items()
     ]
     return d, *symbols
+
+
+def softest(soil, wave, stiffness=(7e4, 6e4, 1.2e5), duration=0.4, accuracy=None, **effects):
+    """Return a simplified problem R1, whose only variable, the stiffness, has an optimum between its bounds."""
+    d, k0 = design(stiffness=(*stiffness, "N/m"))
+    share = po.Wedge(po.deg(30.0), po.deg(15.0), 0.2)
+    scene = po.Scene(soil, share, k0, 25.0, 2.0, po.Effects(strength_wave=wave, **effects))
+    d.minimise(po.simulate(scene, duration, outputs=4, accuracy=accuracy).force_rms / 1e2)
+    return d

@@ -55,26 +55,6 @@ def test_fastest_design_stops_at_the_shear_waves_speed(result):
     assert limit.multiplier == pytest.approx(FASTEST / 50.0, rel=1e-6)
 
 
-def test_without_an_elastic_result_no_limit_is_implied():
-    d, v = of_speed()
-    d.minimise(-v / 50.0)
-    d.require("loosened radius", po.loosened_radius(po.Cone(0.2, 0.3), SOIL) + 0.0 * v, at_least=0.05)
-    best = d.solve()
-    assert best.variables["speed"] == pytest.approx(100.0, rel=1e-9)
-    assert list(best.margins) == ["loosened radius"]
-
-
-def test_a_design_inside_is_not_affected():
-    d, v = of_speed(guess=29.0)
-    d.minimise((v / 30.0 - 1.0) ** 2)
-    d.require("pressure", elastic.wedge_pressure(0.1, NODES, SOIL, v), at_most=1e12, unit="Pa")
-    best = d.solve()
-    assert best.variables["speed"] == pytest.approx(30.0, rel=1e-9)
-    assert best.active == ()
-    assert implied(best).margin == pytest.approx(LAST - 30.0 / FASTEST, rel=1e-8)
-    assert implied(best).multiplier == pytest.approx(0.0, abs=1e-6)
-
-
 def test_several_results_imply_one_requirement_that_covers_them_all_in_every_solve():
     d, v = of_speed(guess=10.0)
     modulus = d.parameter("modulus", 1e6, unit="Pa")

@@ -7,7 +7,6 @@ import pytest
 from independent import study
 from independent.build import as_design
 from independent.problem import evaluate
-from scipy.optimize import minimize
 
 KNOWN = {number: problem for number, (problem, _) in study.problems("search").items()}
 OF_ONE = [number for number, problem in KNOWN.items() if len(problem.variables) == 1]
@@ -82,40 +81,18 @@ def test_the_basin_of_the_guess_or_of_the_nearest_feasible_design_is_kept(number
             assert rise <= RIPPLE * abs(f[start])
 
 
-# --- several variables: never worse than the guess, or the nearest feasible design -----------------------------
-
-
-def _nearest_feasible(problem, guess):
-    """Return the feasible design nearest to a guess, as SciPy's SLSQP finds it from the nearest of a sample."""
-    y = np.random.default_rng(5).random((4096, len(guess)))
-    met = y[_at(problem, y)[1]]
-    starts = met[np.argsort(np.sum((met - guess) ** 2, axis=1))[:6]]
-
-    def margins(x):
-        return -evaluate(problem, np.clip(x, 0.0, 1.0)[None]).violations[:, 0]
-
-    ends = list(starts)
-    for start in starts[:3]:
-        done = minimize(
-            lambda x: np.sum((x - guess) ** 2), start, bounds=[(0.0, 1.0)] * len(guess), method="SLSQP",
-            constraints={"type": "ineq", "fun": margins}, options={"maxiter": 40, "ftol": 1e-12},
-        )  # fmt: skip
-        ends.append(np.clip(done.x, 0.0, 1.0))
-    ends = np.array(ends)
-    ends = ends[_at(problem, ends)[1]]
-    return ends[np.argmin(np.sum((ends - guess) ** 2, axis=1))]
+# --- several variables: never worse than a feasible guess -----------------------------------------------------
 
 
 @pytest.mark.parametrize("number", _selected(OF_SEVERAL, FEW_OF_SEVERAL))
-def test_a_local_optimum_no_worse_than_the_guess_or_the_nearest_feasible_design(number):
+def test_a_local_optimum_no_worse_than_the_guess(number):
     problem = KNOWN[number]
-    (guess,) = _guesses(number, 1, len(problem.variables))
-    begin = guess if _at(problem, guess[None])[1][0] else _nearest_feasible(problem, guess)
+    guesses = _guesses(number, 4096, len(problem.variables))
+    guess = guesses[np.argmax(_at(problem, guesses)[1])]
     answer = _near(problem, guess)
-    (own, reached), (_, kept) = _at(problem, np.array([begin, answer]))
+    (own, reached), (_, kept) = _at(problem, np.array([guess, answer]))
     assert kept
-    # A requirement may be violated by a millionth of its limit, and the nearest design has the same uncertainty.
-    assert reached <= own + 1e-5 * abs(own)
+    assert reached <= own * (1.0 + study.RELATIVE)
     around = np.clip(answer + RADIUS * (2.0 * np.random.default_rng(3).random((SAMPLE, len(answer))) - 1.0), 0.0, 1.0)
     f, _ = _at(problem, around)
     strictly = evaluate(problem, around).worst <= 0.0

@@ -142,9 +142,7 @@ def test_sensitivities_keep_the_rounded_variables_held():
     [
         ({"share.tip wdth": 0.1}, "did you mean 'share.tip width'"),
         ({}, "nothing to round"),
-        ({"share.tip width": []}, "must hold finite numbers"),
         ({"share.tip width": [1.0, math.nan]}, "must hold finite numbers"),
-        ({"share.tip width": "1 m"}, "must hold finite numbers"),
         ({"share.tip width": 0.0}, "must be above 0"),
         ({"share.tip width": [20.0, 30.0]}, "lies between its bounds 0.1 m and 10 m"),
         ({"share.tip width": 0.1, "tip_width": 0.2}, "two catalogues"),

@@ -8,7 +8,7 @@ import plough_opt as po
 from plough_opt.design import population
 from plough_opt.design.landscape import Landscape, barriers, concatenated, end_straight_downhill
 from plough_opt.design.program import Program
-from plough_opt.design.sampling import MOST_DIMENSIONS, local_minima, sobol_points
+from plough_opt.design.sampling import MOST_DIMENSIONS, sobol_points
 
 
 @pytest.mark.parametrize("n", [1, 3, MOST_DIMENSIONS, MOST_DIMENSIONS + 1])
@@ -25,18 +25,6 @@ def two_valleys():
     d.minimise(0.5 * ((x**2 - 1.0) ** 2 + y**2) + 0.1 * x + 1.0)
     d.solve(search="near")
     return Landscape(d._program, np.empty(0))
-
-
-def test_the_local_minima_of_a_grid_are_its_dips():
-    grid = np.linspace(0.0, 1.0, 200)
-    merit = grid + np.sin(20.0 * grid)
-    lowest, downhill = local_minima(grid[:, None], merit)
-    wall = np.r_[np.inf, merit, np.inf]
-    dips = np.flatnonzero((merit < wall[:-2]) & (merit < wall[2:]))
-    assert lowest.tolist() == dips[np.argsort(merit[dips])].tolist()
-    # A walk downhill over neighbours ends in one of them from every point.
-    assert set(downhill.tolist()) == set(dips.tolist())
-    assert np.all(np.diff(downhill) >= 0)
 
 
 def test_evaluation_in_small_chunks_changes_no_bit(build_r1, monkeypatch):

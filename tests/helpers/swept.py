@@ -36,10 +36,6 @@ def failing_at_one(values):
     return waves(values)
 
 
-def all_fail(values):
-    raise KeyError(values["a"])
-
-
 def two_names(values):
     return {"x": 1.0} if values["a"] < 2.0 else {"y": 1.0}
 

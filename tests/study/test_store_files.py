@@ -73,27 +73,20 @@ def test_a_changed_row_is_named_and_computed_again_by_a_retry(store, inline, nam
 
 
 DAMAGED = {
-    "a missing column": (
-        ("ALTER TABLE points DROP COLUMN sine",),
-        "the columns point, state, reason, checksum, a, b, root",
-    ),
-    "results that are not a list": (
-        ("UPDATE meta SET value = '7' WHERE key = 'results'",),
-        "results: Input should be a valid",
-    ),
-    "missing units": (("DELETE FROM meta WHERE key = 'units'",), "units: Field required"),
-    "an invalid count": (("UPDATE meta SET value = 'x' WHERE key = 'count'",), "count: Input should be"),
-    "claims": (("INSERT INTO claims VALUES (3, 'x', 'y', 0.0)",), "its table of claims"),
-    "notes": (("INSERT INTO notes VALUES ('x', 'y', 'z', 1)",), "its table of notes"),
-    "layout": (("UPDATE meta SET value = '1' WHERE key = 'layout'",), "has layout 1, but this version reads layout 2"),
-    "a missing table": (("DROP TABLE claims",), "is a database, but not the store"),
+    "ALTER TABLE points DROP COLUMN sine": "the columns point, state, reason, checksum, a, b, root",
+    "UPDATE meta SET value = '7' WHERE key = 'results'": "results: Input should be a valid",
+    "DELETE FROM meta WHERE key = 'units'": "units: Field required",
+    "UPDATE meta SET value = 'x' WHERE key = 'count'": "count: Input should be",
+    "INSERT INTO claims VALUES (3, 'x', 'y', 0.0)": "its table of claims",
+    "INSERT INTO notes VALUES ('x', 'y', 'z', 1)": "its table of notes",
+    "UPDATE meta SET value = '1' WHERE key = 'layout'": "has layout 1, but this version reads layout 2",
+    "DROP TABLE claims": "is a database, but not the store",
 }
 
 
-@pytest.mark.parametrize("name", DAMAGED)
-def test_tables_that_are_not_those_of_a_store_are_refused(store, inline, name):
-    statements, words = DAMAGED[name]
-    path = store[0](*statements)
+@pytest.mark.parametrize(("statement", "words"), DAMAGED.items())
+def test_tables_that_are_not_those_of_a_store_are_refused(store, inline, statement, words):
+    path = store[0](statement)
     with pytest.raises(po.InputError, match=words):
         po.Sweep.load(path)
     for retry in (False, True):

@@ -43,21 +43,6 @@ def test_mean_plus_standard_deviations_of_a_linear_loss(kappa):
     assert best.variables["x"] == pytest.approx(-(M - kappa * S), abs=5e-3)
 
 
-def test_conditional_value_at_risk_of_a_linear_loss():
-    """min over x > 0 of CVaR of x^2/2 - x theta is x = mean - std pdf(z)/(1 - level)."""
-    level = 0.9
-    d, x = _design(lower=0.01)
-    robust = po.Robust(FIELD, lambda soil: {"loss": x**2 / 2 - x * soil.cohesion / 1e4}, samples=128, seed=3)
-    d.minimise(robust.cvar("loss", level, width=0.05))
-    found = d.solve(search="near").variables["x"]
-    sharp = -measures.cvar(-_numbers(robust.samples), level)
-    # The rounding-off over w adds w^2 pdf(z)/(18 (1 - level) x S) to the objective, and to its slope what follows.
-    slope = 0.05**2 / 18 * stats.norm.pdf(stats.norm.ppf(level)) / (1 - level) / S / found**2
-    assert found == pytest.approx(sharp + slope, abs=2e-4)
-    closed = M - S * stats.norm.pdf(stats.norm.ppf(level)) / (1 - level)
-    assert found == pytest.approx(closed, abs=2e-2)
-
-
 @pytest.mark.parametrize("probability", [pytest.param(0.8, marks=pytest.mark.slow), 0.95])
 def test_chance_constraint_on_a_normal_variable(probability):
     """The least stock that suffices with a probability is mean + z std."""

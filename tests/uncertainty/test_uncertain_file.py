@@ -3,6 +3,8 @@
 import contextlib
 import io
 import json
+import re
+import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,6 +16,7 @@ import plough_opt as po
 from plough_opt.app import main
 from plough_opt.problem_file import robust_design
 from plough_opt.problem_file.robust_design import optimise_robust
+from plough_opt.problem_file.uncertain import measure_of, uncertain_of
 from plough_opt.studies.uncertainty import measures
 from plough_opt.studies.uncertainty.result import RobustOptimum
 
@@ -152,12 +155,7 @@ def test_overrides_reach_a_distribution():
         ('mean = "20 kPa", ', "", 10, "distribution needs mean"),
         ('lower = "5 kPa", upper = "60 kPa"', 'upper = "1 kPa"', 10, "between its bounds"),
         ("std = 0.02,", "std = 0.2,", 12, "beta distribution"),
-        (
-            "std = 0.02, lower = 0.70, upper = 0.88",
-            "std = 0.05, lower = 0.6, upper = 1.2",
-            12,
-            "in a file lower = ... and upper = ...",
-        ),
+        ("std = 0.02, lower = 0.70, upper = 0.88", "std = 0.05, lower = 0.6, upper = 1.2", 12, "in a file lower = "),
         ('"soil.friction_angle", -0.4', '"soil.density", -0.4', 13, "soil.density_ratio"),
         ("samples = 64", "samples = 3", 9, "whole number from 8"),
         ("samples = 64", "sample = 64", 9, "'samples'"),
@@ -192,3 +190,15 @@ def test_mistakes_are_reported_with_their_line(written, capsys, old, new, line, 
 def test_questions_that_cannot_be_answered(written, capsys, change, arguments, status, words):
     assert main(["optimise", written(change), *arguments]) == status
     assert words in capsys.readouterr().err
+
+
+def test_the_tables_of_the_page_are_those_of_the_file():
+    page = (FIELD.parents[1] / "docs" / "uncertain_soil.md").read_text(encoding="utf-8")
+    given = tomllib.loads("".join(re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)))
+    file, table = tomllib.loads(TEXT), given["uncertain"]
+    assert {key: table[key] for key in file["uncertain"]} == file["uncertain"]
+    assert uncertain_of(dict(table)).fresh == 4096
+    assert given["minimise"] == file["minimise"]
+    assert given["require"]["loosened_radius"] == file["require"]["loosened_radius"]
+    for text in re.findall(r"^\| `([^`=]+)` \|", page, flags=re.MULTILINE):
+        assert text in ("uniform", "triangular", "beta", "normal") or measure_of(text)

@@ -23,14 +23,6 @@ def yield_line(soil):
     return slope, 6 * soil.cohesion * c / (3 - s) + slope * soil.ambient_pressure
 
 
-def published_soil(modulus=None):
-    """Return a soil with lambda = 1.47, tau0 = 31 549 Pa, rho0/rho1 = 1834/1930, the data of a published port."""
-    slope, tau = 1.47, 31549.0
-    s = 3 * slope / (6 + slope)
-    cohesion = tau * (3 - s) / (6 * math.sqrt(1 - s * s))
-    return po.Soil(1834.0, 1834 / 1930, cohesion, math.asin(s), 0.3, ambient_pressure=0.0, youngs_modulus=modulus)
-
-
 def integrated(soil, speed):
     """Return the gauge pressure on the wall [Pa] at a cavity radius of 1 m, by integrating the equation of motion."""
     slope, tau = yield_line(soil)
@@ -66,9 +58,14 @@ def test_the_closed_form_solves_the_equation_of_motion(soil, speed):
 
 
 def test_elastic_soil_ahead_is_the_published_form():
-    """A equals the published one; B differs by terms of the order of the strain 1.6e-8 over eta = 0.05."""
-    soil = published_soil(modulus=1e12)
+    """A equals the published one; B differs by terms of the order of the strain 1.6e-8 over eta = 0.05.
+
+    The soil is that of a published port: lambda = 1.47, tau0 = 31 549 Pa, rho0/rho1 = 1834/1930.
+    """
     eta, alpha, slope, tau = 96 / 1930, 3 * 1.47 / (3 + 2 * 1.47), 1.47, 31549.0
+    s = 3 * slope / (6 + slope)
+    cohesion = tau * (3 - s) / (6 * math.sqrt(1 - s * s))
+    soil = po.Soil(1834.0, 1 - eta, cohesion, math.asin(s), 0.3, ambient_pressure=0.0, youngs_modulus=1e12)
     strain = tau / 2e12
     g = ((1 + strain) ** 3 - (1 - eta)) ** (1 / 3)
     x = ((1 + strain) / g) ** (2 * alpha)

@@ -55,15 +55,6 @@ def _digits():
         yield
 
 
-def test_rankine_with_cohesion():
-    """Cohesion adds 2 c sqrt(Kp) d w; for a smooth wall the rupture angle is the same for weight and cohesion."""
-    smooth = dataclasses.replace(SOIL, tool_friction=0.0)
-    wall = Tine(width=2.0, depth=0.5, rake_angle=math.pi / 2, surcharge=1e3)
-    root = math.tan(math.pi / 4 + smooth.friction_angle / 2)
-    expected = (root**2 * (15e3 * 0.5 / 2 + 1e3) + 2 * 15e3 * root) * 0.5 * 2.0
-    assert swick_perumpral_draft(smooth, wall, 0.0) == pytest.approx(expected, rel=1e-13)
-
-
 # The factor of the weight has its minimum at 66 degrees for this tine, and falls again towards 90 degrees.
 FALLS_AGAIN = Tine(width=0.08, depth=0.30, rake_angle=po.deg(32.0))
 

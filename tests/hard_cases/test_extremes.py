@@ -1,6 +1,5 @@
 """Scenes at the ends of the domain: right by an independent integrator, or refused with a clear message."""
 
-import collections
 import dataclasses
 import math
 import signal
@@ -163,8 +162,8 @@ def test_breakaway_keeps_an_exact_cycle_alive_for_thousands_of_events(breakaway,
 @pytest.mark.parametrize(
     "seeds", [pytest.param(range(30), id="30"), pytest.param(range(10_000), id="10000", marks=pytest.mark.slow)]
 )
-def test_a_sample_of_the_whole_domain(seeds, capsys):
-    reasons, slowest = collections.Counter(), (0.0, -1)
+def test_a_sample_of_the_whole_domain(seeds):
+    runs = 0
     for seed in seeds:
         drawn = wild_scenes.sampled(seed, most_phase=math.inf)
         if drawn is None:
@@ -172,16 +171,11 @@ def test_a_sample_of_the_whole_domain(seeds, capsys):
         signal.alarm(10 * LIMIT)
         run, reason = run_or_reason(*drawn)
         if run is None:
-            # Count messages without their numbers.
             assert len(reason) > 40, seed
-            reasons[reason.split(":")[0][:60] if "could not" not in reason else "could not be integrated"] += 1
             continue
-        reasons["runs"] += 1
-        slowest = max(slowest, (run.seconds, seed))
+        runs += 1
         assert run.force_rms >= 0.0, seed
         if isinstance(run.scene.effects.contact, po.StickSlip):
             assert np.min(run.soil_resistance[run.mode == three_modes.GAP], initial=0.0) == 0.0, seed
             assert np.all(np.isin(np.round(run.mode), (0, 1, 2))), seed
-    with capsys.disabled():
-        print(f"\n{dict(reasons)}, slowest {slowest[0]:.1f} s (sample {slowest[1]})")
-    assert reasons["runs"] > 0.5 * len(seeds)
+    assert runs > 0.5 * len(seeds)

@@ -60,9 +60,6 @@ def test_while_it_sticks_the_mount_stretches_up_to_the_holding_force(name):
     assert np.count_nonzero(same) > 5
     assert largest(np.diff(run.travel)[same]) < 1e-14
     assert np.all(np.diff(run.mount_force)[same] > 0.0)
-    if not scene.effects.damping:
-        steady = scene.stiffness * scene.tow_speed * (run.time[1] - run.time[0])
-        assert np.diff(run.mount_force)[same] == pytest.approx(steady, rel=1e-9)
 
 
 @pytest.mark.parametrize("name", ["soft", "blunt", "soft, rarely", "on beyond the end of entry"])

@@ -212,7 +212,6 @@ INPUT = [
     (elastics(motion=True), r"motion has no meaning in the elastic medium.*Effects\(motion=False\)"),
     (elastics(own=(Own(steady),)), "own has no meaning in the elastic medium"),
     (elastics(strength_wave=WAVE), "strength_wave has no meaning"),
-    (elastics(tow_ramp=0.1), "tow_ramp has no meaning"),
     (elastics(rate_term=0.1), "rate_term has no meaning"),
     (elastics(formulation=po.Printed(repelling_spring=False)), "printed formulation is one of the plastic gas"),
     (elastics(medium="viscous"), "no resistance law is named 'viscous'.*elastic.*plastic"),

@@ -46,7 +46,6 @@ OSCILLATIONS = [
     (5e4, 2.0, 250.0, REPELS, 0.2),
     (5e4, 2.0, None, "derived", 1.0),
     (3e2, 0.5, None, "printed", 1.5),
-    (5e4, 2.0, 0.0, "derived", 1.0),
     (5e4, 2.0, 900.0, "derived", 1.0),
     (3e2, 0.0, 90.0, "printed", 2.0),
 ]

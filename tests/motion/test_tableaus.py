@@ -1,4 +1,4 @@
-"""A Butcher tableau added by name: its order, derivatives, default steps and refusals."""
+"""A Butcher tableau added by name: its order, derivatives, default steps, and refusals."""
 
 import math
 from dataclasses import replace
@@ -54,13 +54,6 @@ def test_symbolic_run_has_the_derivatives_of_its_steps(kind):
     # Up to rounding of a mean square of deviations.
     assert value == pytest.approx(simulated(accuracy).force_rms, rel=1e-10)
     assert slope == pytest.approx(order_4(lambda k: float(both(k)[0]), 5e4, 5.0), rel=1e-6)
-
-
-def test_events_and_tolerances_are_refused():
-    with pytest.raises(po.InputError, match=r"'heun_3' cannot locate.* events"):
-        simulated(po.Accuracy("heun_3"), contact=po.StickSlip())
-    with pytest.raises(po.InputError, match="'heun_3' has no setting 'tolerance'"):
-        po.Accuracy("heun_3", tolerance=1e-9)
 
 
 @pytest.mark.parametrize(

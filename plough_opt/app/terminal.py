@@ -131,7 +131,7 @@ def check_outputs(options: argparse.Namespace) -> None:
         place = _place(written)
         if place.is_dir() and not hasattr(options, "to"):  # an export may be a folder
             raise InputError(f"--{name} '{written}' is a folder: name a file in it")
-        if place.is_symlink():  # not resolved
+        if place.is_symlink():  # every other link is resolved
             raise InputError(f"--{name} '{written}' cannot be written: the link leads in a circle")
         if other := taken.get(place):
             raise InputError(f"--{name} '{written}' is {other}, which it would overwrite: name another file")

@@ -98,7 +98,7 @@ def question(report: Report) -> list[str]:
 def limits_of(problem: Problem, name: str) -> str:
     """Return a requirement's limits as the file writes them; a requirement not in the file comes from the model."""
     own = problem.table.require.get(name)
-    return "domain of the theory" if own is None else nice(own.words).replace(",\u00a0", ", ")
+    return "domain of the theory" if own is None else ", ".join(map(nice, own.words.split(", ")))
 
 
 def variables(report: Report) -> list[dict[str, str | float | bool]]:

@@ -2,11 +2,11 @@
 
 import math
 import re
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.problem_files import COTTON, PROBLEMS, SUBSOILER
 from helpers.small_designs import design
 
 import plough_opt as po
@@ -14,8 +14,6 @@ from plough_opt.design import boxed
 from plough_opt.design.tolerance import BOX_DESIGNS, boxes
 
 T = 0.1
-ROOT = Path(__file__).parents[2]
-FILE = ROOT / "problems" / "cotton_subsoiler.toml"
 
 
 def _parabola(over, *, log=False, tolerance=T):
@@ -167,11 +165,10 @@ def test_variables_in_products_are_searched():
 
 
 def test_a_file_takes_the_variables_of_the_page_and_the_worst_within_tolerances(tmp_path):
-    page = (ROOT / "docs" / "tolerances.md").read_text(encoding="utf-8")
+    page = (PROBLEMS.parent / "docs" / "tolerances.md").read_text(encoding="utf-8")
     (variables,) = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
     path = tmp_path / "share.toml"
-    text = FILE.read_text(encoding="utf-8")
-    path.write_text(re.sub(r"\[variables\].*?(?=\n\[)", variables, text, flags=re.DOTALL), encoding="utf-8")
+    path.write_text(re.sub(r"\[variables\].*?(?=\n\[)", variables, COTTON, flags=re.DOTALL), encoding="utf-8")
     design, _ = po.read_problem(path, ['share.wedge_angle="39 deg"', 'minimise.over="worst"']).design()
     assert design._over == "worst"
     assert [v.tolerance for v in design.declared.variables] == [pytest.approx(0.002, rel=1e-15), "5 %"]
@@ -186,4 +183,4 @@ def test_a_file_takes_the_variables_of_the_page_and_the_worst_within_tolerances(
 )
 def test_files_with_wrong_tolerances_are_refused(change, words):
     with pytest.raises(po.InputError, match=words):
-        po.read_problem(FILE, [change])
+        po.read_problem(SUBSOILER, [change])

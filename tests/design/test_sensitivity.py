@@ -1,12 +1,12 @@
 """Sensitivities of an optimum: against optima in closed form, and against designs solved again."""
 
 import math
-from pathlib import Path
 from types import SimpleNamespace
 
 import casadi as ca
 import pytest
 from helpers.differences import order_4
+from helpers.problem_files import SUBSOILER
 from helpers.small_designs import design
 
 import plough_opt as po
@@ -204,7 +204,7 @@ def test_sensitivities_are_at_the_parameters_of_the_solve():
 
 
 def test_every_quantity_of_a_problem_file_has_a_sensitivity():
-    problem = po.read_problem(Path(__file__).parents[2] / "problems" / "cotton_subsoiler.toml")
+    problem = po.read_problem(SUBSOILER)
     best = problem.design(parameters=True)[0].solve(search="local")
     assert len(best.every_sensitivity()) == 17  # the strength factor among them
     # A relative step of 2e-4 leaves its square times third derivatives of order one, the optimiser's 1e-10 over it.

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import swept
+from helpers.problem_files import REFERENCE
 
 import plough_opt as po
 from plough_opt.app import main
@@ -52,8 +53,7 @@ def test_a_cluster_evaluates_a_function_that_cannot_be_imported(cluster, inline)
     np.testing.assert_array_equal(found.table, po.sweep(swept.waves, OVER, executor=inline).table)
 
 
-REFERENCE = str(Path(__file__).resolve().parents[2] / "problems" / "reference.toml")
-COMMAND = ("sweep", REFERENCE, "--over", "soil.cohesion=10 kPa, 20 kPa", "--set", "effects.motion=false")
+COMMAND = ("sweep", str(REFERENCE), "--over", "soil.cohesion=10 kPa, 20 kPa", "--set", "effects.motion=false")
 
 
 def test_the_command_gives_the_same_results_on_a_cluster(cluster, inline, capsys, tmp_path):

@@ -1,20 +1,19 @@
 """A sweep of very many designs takes no more memory than one of a few thousand."""
 
 import tracemalloc
-from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.problem_files import SUBSOILER
 
 import plough_opt as po
 
-COTTON = Path(__file__).resolve().parents[2] / "problems" / "cotton_subsoiler.toml"
 OVER = {"share.wedge_angle": "25..39 deg", "share.height": "0.18..0.28 m", "scene.stiffness": "40..1000 kN/m log"}
 
 
 @pytest.mark.parametrize("count", [2**12, pytest.param(2**18, marks=pytest.mark.slow)])
 def test_memory_does_not_grow_with_the_points(tmp_path, inline, count):
-    problem, peaks = po.read_problem(COTTON, ("scene.duration=0.1 s",)), []
+    problem, peaks = po.read_problem(SUBSOILER, ("scene.duration=0.1 s",)), []
 
     def watch(stored, total, failed):
         peaks.append((stored, tracemalloc.get_traced_memory()[1]))

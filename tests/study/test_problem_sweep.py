@@ -1,10 +1,10 @@
 """Sweeps of problem files give the results of single simulations and optimisations, to the last bit."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.problem_files import PROBLEMS, REFERENCE, SUBSOILER
 
 import plough_opt as po
 from plough_opt.core.units import Unit
@@ -13,8 +13,6 @@ from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.sweeping import ProblemSweep
 from plough_opt.studies.sweep import engine
 
-PROBLEMS = Path(__file__).resolve().parents[2] / "problems"
-COTTON = PROBLEMS / "cotton_subsoiler.toml"
 # A design of the wedge angle and the height, without motion: quick to solve.
 STEADY = ("effects.motion=false", "scene.duration=0.5 s", "scene.stiffness=50 kN/m")
 BRIEF = ("scene.duration=0.2 s", "scene.outputs=40")
@@ -23,7 +21,7 @@ OVER = {"soil.cohesion": "5..45 kPa:3", "scene.tow_speed": po.Range(1.0, 3.0, 3)
 
 @pytest.fixture(scope="module")
 def problem():
-    return po.read_problem(COTTON, BRIEF)
+    return po.read_problem(SUBSOILER, BRIEF)
 
 
 def test_every_point_has_the_results_of_a_single_simulation(problem, inline):
@@ -32,7 +30,7 @@ def test_every_point_has_the_results_of_a_single_simulation(problem, inline):
     assert len(table) == 9
     for row in table:
         changes = (f"soil.cohesion={row['soil.cohesion'] / 1e3} kPa", f"scene.tow_speed={row['scene.tow_speed']} m/s")
-        run = po.read_problem(COTTON, (*BRIEF, *changes)).simulate()
+        run = po.read_problem(SUBSOILER, (*BRIEF, *changes)).simulate()
         for name in ("mean_draft", "force_rms", "mean_deflection", "tow_power", "peak_force", "error_estimate"):
             assert row[name] == getattr(run, name)
         assert row["loosened_radius"] == run.scene.loosened_radius
@@ -52,10 +50,10 @@ def test_each_warning_is_kept_once_with_the_number_of_its_points(problem, inline
 
 
 def test_an_optimum_does_not_depend_on_the_point_before(inline):
-    problem = po.read_problem(PROBLEMS / "reference.toml", STEADY)
+    problem = po.read_problem(REFERENCE, STEADY)
     with po.sweep(problem, {"soil.cohesion": [10e3, 20e3]}, what="optimise", executor=inline) as found:
         forwards = found.table
-    changed = po.read_problem(PROBLEMS / "reference.toml", (*STEADY, "soil.cohesion=20 kPa"))
+    changed = po.read_problem(REFERENCE, (*STEADY, "soil.cohesion=20 kPa"))
     best, run = changed.optimise()
     assert forwards["objective"][1] == best.objective
     assert forwards["share.height"][1] == best.variables["share.height"]

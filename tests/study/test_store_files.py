@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import swept
+from helpers.problem_files import REFERENCE
 
 import plough_opt as po
 from plough_opt.app import main
 from plough_opt.studies.sweep.store import Store
 from plough_opt.studies.sweep.work import Done
 
-REFERENCE = Path(__file__).parents[2] / "problems" / "reference.toml"
 OVER = {"a": [1.0, 2.0, 5.0], "b": [1.0, 2.0]}
 
 

@@ -1,19 +1,16 @@
 """The front of a problem file: its parts on either side of a ridge, and its points by another method of integration."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from helpers.problem_files import PROBLEMS
 
 import plough_opt as po
 from plough_opt.problem_file.evaluations import SimulationOfMany
 
-FILE = Path(__file__).parents[2] / "problems" / "force_against_deflection.toml"
-
 
 def test_parts_on_either_side_of_the_ridge_are_certified():
     """Mean deflection against the force's oscillation: soft mounts, and one as stiff as its bound."""
-    problem = po.read_problem(FILE, ["trade_off.points=17"])
+    problem = po.read_problem(PROBLEMS / "force_against_deflection.toml", ["trade_off.points=17"])
     front = problem.trade_off()
     assert front.parts[0] == (0,)
     assert [front.points[0].branch, *{front.points[k].branch for k in front.parts[1]}] == ["stiff", "soft"]

@@ -70,6 +70,13 @@ def test_a_near_search_stays_in_the_basin_of_its_guess_or_of_the_nearest_feasibl
     assert str(best.search) == "Only the basin of the guess was searched."
 
 
+def test_of_two_feasible_regions_a_near_search_takes_the_nearest(waves):
+    x = waves._variables[0].symbol
+    # A local search leads to the narrow one, into which no design of a sample falls.
+    waves.require("either", ca.fmin((x - 0.75) ** 2 - 1e-9, x - 0.3), at_most=0.0)
+    assert waves.solve(search="near").variables["x"] == pytest.approx(0.75, abs=4e-5)
+
+
 def test_a_near_search_is_never_worse_than_a_guess_whose_run_has_events():
     d, x = design(x=(0.0, 0.0, 1.0))
     share, effects = po.Wedge(po.deg(30), po.deg(15), 0.25), po.Effects(contact=po.StickSlip(), start="towed")

@@ -54,16 +54,3 @@ def test_symbolic_scene_has_the_derivatives_of_its_draft():
     slopes = differences(lambda y: draft(*(at * (1.0 + y)).tolist()), np.zeros(2), 1e-3)
     # Rounding over the relative step.
     np.testing.assert_allclose(gradient * at, slopes.ravel(), rtol=1e-10)
-
-
-@pytest.mark.slow
-def test_a_design_keeps_below_the_shear_wave():
-    design = po.Design()
-    speed = design.variable("speed", guess="20 m/s", lower="1 m/s", upper="80 m/s")
-    draft = po.simulate(scene(tow_speed=speed), 1.0, outputs=4).mean_draft
-    design.minimise(draft / 1e4)
-    best = design.solve(search="local")
-    assert best.margins["elastic medium: speed over shear wave speed"] == pytest.approx(
-        0.9999 - best.variables["speed"] / elastic.shear_wave_speed(SEROZEM), rel=1e-9
-    )
-    assert best.objective == pytest.approx(po.simulate(scene(tow_speed=1.0), 1.0).mean_draft / 1e4, rel=1e-7)

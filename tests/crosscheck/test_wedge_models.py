@@ -107,7 +107,7 @@ def test_godwin_is_the_printed_formula():
 
 @pytest.mark.parametrize("draft", DRAFTS)
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX])
-def test_symbols_give_numbers_and_exact_derivatives(draft, kind):
+def test_symbols_and_arrays_give_numbers_and_exact_derivatives(draft, kind):
     """Gradient and Hessian against central differences of order 8, whose error is 1e-16 over a step of 2e-4."""
     point = np.array([0.10, 0.25, po.deg(50.0), 15e3, po.deg(32.0), 0.4, 1.5])
 
@@ -118,19 +118,14 @@ def test_symbols_give_numbers_and_exact_derivatives(draft, kind):
     function = hp.differentiated(at, kind, len(point))
     value, gradient, hessian = function(point)
     assert value == pytest.approx(at(*point), rel=1e-13)
+    depths = np.array([0.1, 0.2, 0.3])
+    arrays = at(point[0], depths, *point[2:])
+    assert arrays == pytest.approx([at(point[0], depth, *point[2:]) for depth in depths.tolist()], rel=1e-14)
     at_rest = np.zeros(len(point))
     slopes = differences(lambda y: at(*(point * (1.0 + y))), at_rest)[0]
     assert gradient * point == pytest.approx(slopes, rel=1e-10, abs=1e-10 * value)
     bends = differences(lambda y: function(point * (1.0 + y))[1] * point, at_rest)
     np.testing.assert_allclose(hessian * np.outer(point, point), bends, atol=1e-9 * value)
-
-
-@pytest.mark.parametrize("draft", DRAFTS)
-def test_arrays_give_what_their_elements_give(draft):
-    depths = np.array([0.1, 0.2, 0.3])
-    found = draft(SOIL, dataclasses.replace(LOADED, depth=depths), 1.0)
-    one_by_one = [draft(SOIL, dataclasses.replace(LOADED, depth=d), 1.0) for d in depths]
-    assert found == pytest.approx(one_by_one, rel=1e-14)
 
 
 def test_a_design_keeps_the_rupture_angle_inside_its_range():

@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from helpers.scenes import scene_of
 
 import plough_opt as po
 from plough_opt.soil import elastic
@@ -25,6 +26,7 @@ RESULTS = {
     "cone displacement": lambda soil, v: elastic.cone_displacement(0.1, 0.1, NODES, soil, v).radial,
     "cone pressure": lambda soil, v: elastic.cone_pressure(0.1, NODES, soil, v),
     "cone force": lambda soil, v: elastic.cone_force(NODES, soil, v),
+    "draft": lambda soil, v: po.simulate(scene_of(soil, medium="elastic", motion=False, tow_speed=v), 1.0).mean_draft,
 }
 
 

@@ -77,17 +77,13 @@ fields = pytest.mark.parametrize("kind", FIELDS)
 bodies = pytest.mark.parametrize("body", BODIES)
 
 
-def combinations():
-    """Yield kinds, bodies, points, speeds and ratios, of which every 31st runs by default."""
-    for kind, field in FIELDS.items():
-        for i, case in enumerate(itertools.product(BODIES, field.points, SPEEDS, RATIOS)):
-            yield pytest.param(kind, *case, marks=() if i % 31 == 0 else pytest.mark.slow)
-
-
 # --- digits ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("kind", "body", "point", "speed", "nu"), [*combinations()])
+@pytest.mark.parametrize(
+    ("kind", "body", "point", "speed", "nu"),
+    [case for kind in FIELDS for case in cases.thinned([kind], BODIES, FIELDS[kind].points, SPEEDS, RATIOS, keep=31)],
+)
 def test_every_component_is_as_accurate_as_its_inputs(kind, body, point, speed, nu):
     field = FIELDS[kind]
     # At rest the field is the limit of slow motion.

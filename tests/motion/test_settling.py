@@ -10,14 +10,7 @@ from plough_opt.motion import settling
 
 # The orbit is stable (its larger multiplier is 0.73) and never retreats, but equilibrium leads to another motion.
 TWO_MOTIONS = scene_of(
-    po.Soil(
-        density=1285.32,
-        density_ratio=0.829167,
-        cohesion=41721.3,
-        friction_angle=0.472563,
-        tool_friction=0.689544,
-        ambient_pressure=0.0,
-    ),
+    po.Soil(1285.32, 0.829167, 41721.3, 0.472563, 0.689544, 0.0),
     po.Wedge(0.859646, 0.30097, 0.332078),
     *(8856.09, 18.1717, 1.13819),
     strength_wave=po.StrengthWave(0.262576, 0.0633886),

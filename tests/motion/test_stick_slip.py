@@ -74,16 +74,13 @@ def test_a_share_that_hardly_moves_has_not_stopped():
 COTTON = Path(__file__).parents[2] / "problems" / "cotton_subsoiler.toml"
 
 
-@pytest.mark.parametrize(
-    ("changes", "contact", "entry"),
-    [
-        (["contact = 'stick_slip'", "breakaway = 1.2", "entry = true", "start = 'towed'"], po.StickSlip(1.2), True),
-        (["contact = 'smooth'", "contact_width = '5 cm/s'"], po.Smooth(0.05), False),
-    ],
-)
-def test_a_problem_file_names_contact_and_entry(changes, contact, entry):
-    effects = po.read_problem(COTTON, [f"effects.{change}" for change in changes]).scene().effects
-    assert (effects.contact, effects.entry) == (contact, entry)
+def test_a_problem_file_names_contact_and_entry():
+    for changes, wanted in (
+        ("{contact='stick_slip', breakaway=1.2, entry=true, start='towed'}", (po.StickSlip(1.2), True)),
+        ("{contact='smooth', contact_width='5 cm/s'}", (po.Smooth(0.05), False)),
+    ):
+        effects = po.read_problem(COTTON, [f"effects={changes}"]).scene().effects
+        assert (effects.contact, effects.entry) == wanted
 
 
 # --- designs ---

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fmpy.fmi3 import FMU3Model
 from fmpy.validation import validate_fmu
-from helpers.fmu_tools import ARRAYS, CLOSELY, WITHIN, Stepped, fmu_scene, instance_of, simulated, worst
+from helpers.fmu_tools import ARRAYS, CLOSELY, WITHIN, fmu_scene, instance_of, simulated, stepped, worst
 from helpers.linear_motion import released
 from helpers.scenes import Shank
 
@@ -71,8 +71,8 @@ def test_simulates_to_the_same_motion(effects, changes, tmp_path):
         assert len(np.unique(run.mode)) > 1
     enters = sticks and effects.entry
     for beside in (0.0, -1e-12, 1e-12) if enters else (0.0,):
-        stepped, events = Stepped(fmu).run(run.time, ARRAYS, beside=beside)
-        assert worst(stepped, run) < CLOSELY
+        found, events = stepped(fmu, run.time, ARRAYS, beside)
+        assert worst(found, run) < CLOSELY
         # Breaking away, wholly buried, and then once at least for each wavelength: stop, gap or recapture.
         assert events > 8 or not enters
 

@@ -1,6 +1,7 @@
 """Interface of an FMU: units, derivatives, states, parameters outside their domain, and invalid exports."""
 
 import dataclasses
+import math
 import re
 import subprocess
 import zipfile
@@ -63,9 +64,7 @@ def test_every_variable_is_described_and_every_quantity_has_its_unit(fmu):
     registry = pint.UnitRegistry()
     for unit in description.unitDefinitions:
         base = unit.baseUnit
-        built = registry.Unit("")
-        for name in ("kg", "m", "s", "rad"):
-            built *= registry.Unit(name) ** getattr(base, name)
+        built = math.prod(registry.Unit(name) ** getattr(base, name) for name in ("kg", "m", "s", "rad"))
         # FMI writes N.s/m and kg/m3 where pint reads N*s/m and kg/m**3.
         written = re.sub(r"([a-z])(\d)", r"\1**\2", unit.name).replace(".", "*")
         assert (1.0 * registry.Unit("" if written == "1" else written)).to_base_units() == 1.0 * built, unit.name

@@ -1,6 +1,7 @@
 """FMPy and SciPy as tools that import and simulate FMUs."""
 
 import ctypes
+from functools import partial
 
 import fmpy
 import numpy as np
@@ -53,66 +54,49 @@ def worst(found, run):
     return max(float(error / size) if error else 0.0 for error, size in pairs)
 
 
-class Stepped:
-    """An FMU that SciPy integrates, like a tool that sets time and states and locates events itself."""
+def stepped(path, times, names, beside=0.0):
+    """Return an FMU's variables at some times and its number of events, handled with a delay ``beside``.
 
-    def __init__(self, path):
-        """Bring an instance to continuous time mode."""
-        self.fmu, self.references = instance_of(path)
-        self.fmu.enterInitializationMode()
-        self.fmu.exitInitializationMode()
-        self.n, self.indicators = self.fmu.getNumberOfContinuousStates(), self.fmu.getNumberOfEventIndicators()
-        self.fmu.updateDiscreteStates()
-        self.fmu.enterContinuousTimeMode()
+    SciPy integrates it, like a tool that sets time and states and locates events itself.
+    """
+    fmu, references = instance_of(path)
+    fmu.enterInitializationMode()
+    fmu.exitInitializationMode()
+    n, indicators = fmu.getNumberOfContinuousStates(), fmu.getNumberOfEventIndicators()
 
-    def _vector(self, get, n):
-        values = np.zeros(n)
-        get(values.ctypes.data_as(DOUBLES), n)
+    def vector(get, size=n):
+        values = np.zeros(size)
+        get(values.ctypes.data_as(DOUBLES), size)
         return values
 
-    def _at(self, time, states):
-        self.fmu.setTime(time)
-        self.fmu.setContinuousStates(np.ascontiguousarray(states).ctypes.data_as(DOUBLES), self.n)
+    def put(time, states):
+        fmu.setTime(time)
+        fmu.setContinuousStates(np.ascontiguousarray(states).ctypes.data_as(DOUBLES), n)
 
-    def rates(self, time, states):
-        self._at(time, states)
-        return self._vector(self.fmu.getContinuousStateDerivatives, self.n)
+    def rates(time, states):
+        put(time, states)
+        return vector(fmu.getContinuousStateDerivatives)
 
-    def _indicator(self, k):
-        def indicator(time, states):
-            self._at(time, states)
-            return self._vector(self.fmu.getEventIndicators, self.indicators)[k]
+    def indicator(k, time, states):
+        put(time, states)
+        return vector(fmu.getEventIndicators, indicators)[k]
 
-        indicator.terminal, indicator.direction = True, -1.0
-        return indicator
-
-    def run(self, times, names, tolerance=1e-12, beside=0.0):
-        """Return variables at some times, and the number of events; events are handled with a delay ``beside``."""
-        now, states, events = 0.0, self._vector(self.fmu.getContinuousStates, self.n), 0
-        values = []
-        while now < times[-1]:
-            found = solve_ivp(
-                self.rates,
-                (now, times[-1]),
-                states,
-                method="DOP853",
-                rtol=tolerance,
-                atol=tolerance * 1e-3,
-                events=[self._indicator(k) for k in range(self.indicators)],
-                dense_output=True,
-            )
-            end = found.t[-1]
-            for time in times[(times >= now) & ((times < end) | (end >= times[-1]))]:
-                self._at(time, found.sol(time))
-                values.append(self.fmu.getFloat64([self.references[name] for name in names]))
-            now, states = end, found.y[:, -1]
-            if found.status == 1:
-                events += 1
-                now = end + beside
-                self._at(now, found.sol(now))
-                self.fmu.enterEventMode()
-                self.fmu.updateDiscreteStates()
-                self.fmu.enterContinuousTimeMode()
-                states = self._vector(self.fmu.getContinuousStates, self.n)
-        self.fmu.freeInstance()
-        return dict(zip(names, np.array(values).T, strict=True)), events
+    crossings = [partial(indicator, k) for k in range(indicators)]
+    for crossing in crossings:
+        crossing.terminal, crossing.direction = True, -1.0
+    settings = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-15, "events": crossings, "dense_output": True}
+    now, values, events = 0.0, [], -1
+    while now < times[-1]:
+        events += 1
+        fmu.updateDiscreteStates()
+        fmu.enterContinuousTimeMode()
+        found = solve_ivp(rates, (now, times[-1]), vector(fmu.getContinuousStates), **settings)
+        end = found.t[-1]
+        for time in times[(times >= now) & ((times < end) | (end >= times[-1]))]:
+            put(time, found.sol(time))
+            values.append(fmu.getFloat64([references[name] for name in names]))
+        now = end + beside * (found.status == 1)
+        put(now, found.sol(now))
+        fmu.enterEventMode()
+    fmu.freeInstance()
+    return dict(zip(names, np.array(values).T, strict=True)), events

@@ -11,14 +11,7 @@ from plough_opt.expressions import Expression, cos, sin
 
 SEROZEM = po.named_soil("serozem")
 # Soil and share of problem R1.
-R1_SOIL = po.Soil(
-    density=1400.0,
-    density_ratio=0.8,
-    cohesion=15e3,
-    friction_angle=po.deg(30.0),
-    tool_friction=0.5,
-    ambient_pressure=1e4,
-)
+R1_SOIL = po.Soil(1400.0, 0.8, 15e3, po.deg(30.0), 0.5, 1e4)
 # Wedge angle [deg], height [m], stiffness [N/m]; mean and RMS [N] of a reference integration of R1 at 1e-11.
 R1_RUNS = (
     (25.0, 0.25, 5e4, 531.047098354, 145.439117595),

@@ -14,8 +14,8 @@ from scipy.optimize import minimize
 import plough_opt as po
 from helpers import equations
 from helpers.differences import differences
+from helpers.scenes import R1_SOIL as SOIL
 
-SOIL = po.Soil(1400.0, 0.8, 15e3, po.deg(30.0), 0.5, 1e4)
 CHISEL, SPEED, AMPLITUDE, WAVELENGTH, DURATION = po.deg(15.0), 2.0, 0.3, 0.5, 2.0
 NAMES = ("wedge angle", "height", "stiffness")
 LOWER, UPPER = np.array([po.deg(5.0), 0.1, 5e3]), np.array([po.deg(60.0), 0.5, 5e5])

@@ -97,28 +97,15 @@ def follow(scene, duration, outputs=20, tolerance=TIGHT):
     rough, _, _ = _path(share, (duration, times), (share.static, share.static / share.k), 1e3 * tolerance)
     about = tuple(rough[2:4, -1] / duration)
     columns, changes, loss = _path(share, (duration, times), about, tolerance)
-    travel, speed, *_, mode, opening, pull, resistance = columns
     sums = columns[:9, -1]
     means = sums[2:4] / duration
-    spreads = np.maximum(sums[4:6] / duration - (means - np.array(about)) ** 2, 0.0)
-    return Motion(
-        time=times,
-        travel=travel,
-        speed=speed,
-        deflection=np.array([share.strut(t)[0] for t in times]) - travel,
-        mount_force=pull,
-        soil_resistance=resistance,
-        mode=mode,
-        opening=opening,
-        mean_draft=means[0],
-        force_rms=math.sqrt(spreads[0]),
-        mean_deflection=means[1],
-        displacement_rms=math.sqrt(spreads[1]),
-        tow_power=sums[6] / duration,
-        changes=tuple(changes),
-        damper_work=sums[7],
-        soil_work=sums[8] + loss,
-    )
+    spreads = np.sqrt(np.maximum(sums[4:6] / duration - (means - np.array(about)) ** 2, 0.0))
+    averages = means[0], spreads[0], means[1], spreads[1], sums[6] / duration
+    names = ("travel", "speed", "mode", "opening", "mount_force", "soil_resistance")
+    arrays = dict(zip(names, (*columns[:2], *columns[9:]), strict=True))
+    arrays |= {"time": times, "deflection": np.array([share.strut(t)[0] for t in times]) - columns[0]}
+    books = {"changes": tuple(changes), "damper_work": sums[7], "soil_work": sums[8] + loss}
+    return Motion(**arrays, **dict(zip(AVERAGES, averages, strict=True)), **books)
 
 
 def agreed(scene, duration, outputs=10, allowed=2e-8, resistance=1.0):

@@ -214,6 +214,17 @@ class Tabled:
         return self.size * ca.interpolant("table", "linear", [[0.0, 1.0, 4.0]], [10.0, 40.0, 50.0])(speed)
 
 
+@dataclass(frozen=True)
+class Held:
+    """Resistance that never lets a resting share go."""
+
+    def force(self, _travel, speed):
+        return 100.0 + 0.0 * speed
+
+    def at_rest(self, travel):
+        return np.inf + travel
+
+
 @pytest.mark.parametrize(
     ("effects", "duration", "said"),
     [
@@ -221,6 +232,7 @@ class Tabled:
         ({"strength_wave": WAVE, "orbit": "linearised"}, None, "approximation"),
         ({}, None, "duration"),
         ({"own": (Tabled(3.0),)}, 0.1, "wide floats"),
+        ({"own": (Held(),), "contact": po.StickSlip(), "start": "rest"}, 0.1, "a force is not finite"),
     ],
 )
 def test_what_has_no_reference_says_why(effects, duration, said):

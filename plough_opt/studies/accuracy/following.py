@@ -141,10 +141,16 @@ class Motion:
             state: at the start of the piece, which decides the possible events.
             done: the step.
             end: of the step, or earlier [s].
+
+        Raises:
+            IntegrationError: a force that decides on the event is not finite.
         """
 
         def until(kind: int, times: Wide) -> Wide:
-            return self._graph["events"]([times], done.at(times), self._numbers)[0][kind]
+            values = self._graph["events"]([times], done.at(times), self._numbers)[0][kind]
+            if not np.all(np.isfinite(values)):
+                raise _stopped("stops", done.start, "a force is not finite there")
+            return values
 
         first = None
         for kind in range(len(self.names(state))):

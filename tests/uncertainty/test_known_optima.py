@@ -121,6 +121,8 @@ def test_the_sharp_worst_case_is_searched_without_its_bound():
     d.minimise(robust.bound_from_above(d, "loss", lower=-50.0, upper=50.0))
     best, least = d.solve(), _by_hand(robust.samples).max(axis=1).min()
     assert best.search.variables == ("x",)
+    losses = _valleys(best.variables["x"], _numbers(robust.samples))
+    assert best.objective == pytest.approx(losses.max(), rel=1e-8)
     # At the corner of a maximum the grid is off by its slope times half a position.
     assert least - 1e-3 <= best.objective <= least + 1e-9
 

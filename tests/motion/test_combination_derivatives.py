@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers.differences import differences
-from test_effect_combinations import ALL, COVERING, choices, label, refused, split, thinned
+from test_effect_combinations import COVERING, VALID, choices, label, split, thinned
 
 import plough_opt as po
 
@@ -163,8 +163,7 @@ def products(**choices):
 ON = {"inertial_drag": (True, False), "ambient_pressure": (True, False), "rate_term": (None, 0.08)}
 WAVE, RAMP, DAMPER, MASS = (None, po.StrengthWave(0.7, 0.1)), (None, 0.1), (None, 120.0), (True, False)
 STARTS = ("equilibrium", "rest", "towed")
-MOVING = [row for row in ALL if not refused(row)]
-THIN = thinned([row for row in COVERING if not refused(row)], meetings)
+THIN = thinned(COVERING, meetings)
 STILL = products(motion=(False,), strength_wave=WAVE, tow_ramp=RAMP, **ON)
 ORBITS = products(
     orbit=("periodic", "linearised", po.HarmonicBalance(3)),
@@ -178,7 +177,7 @@ PRINTED = products(
 )
 
 
-CASES = [(MOVING, THIN), *((rows, thinned(rows)) for rows in (STILL, ORBITS, PRINTED))]
+CASES = [(VALID, THIN), *((rows, thinned(rows)) for rows in (STILL, ORBITS, PRINTED))]
 
 
 @pytest.mark.parametrize("combinations", [case for both in CASES for case in split(*both, title)])
@@ -225,7 +224,7 @@ def check_slope_and_curvature(effects, at, direction):
 
 
 def test_slope_and_curvature_of_a_share_that_leaves_a_gap():
-    effects = {**MOVING[0], "contact": po.StickSlip(1.2), "start": "rest", "strength_wave": WAVE[1]}
+    effects = {**VALID[0], "contact": po.StickSlip(1.2), "start": "rest", "strength_wave": WAVE[1]}
     numbers = {"angle": po.deg(25.0), "height": 0.25, "stiffness": 1e4, "tow_speed": 2.0, "wavelength": 0.6}
     at, direction = drawn(effects)
     at |= numbers | {"amplitude": 0.95, "duration": 0.5}
@@ -237,7 +236,7 @@ def test_slope_and_curvature_of_a_share_that_leaves_a_gap():
 @pytest.mark.parametrize("law", ["resisting", po.StickSlip(1.2)], ids=["resisting", "stick_slip"])
 def test_entry_under_a_ramp_is_smooth_in_its_numbers(law):
     # The share's speed is 0 at the start, and rounding must not make that an event.
-    effects = {**MOVING[0], "contact": law, "start": "rest", "entry": True, "tow_ramp": 0.1}
+    effects = {**VALID[0], "contact": law, "start": "rest", "entry": True, "tow_ramp": 0.1}
     at = numbers_of(effects)
     direction = {name: 1.0 - 0.1 * k for k, name in enumerate(at)}
     places = np.linspace(-1.0, 1.0, 61)

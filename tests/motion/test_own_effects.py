@@ -47,15 +47,6 @@ def sticking(newtons, *own, **effects):
 # --- equal to built-in terms ---
 
 
-def test_own_quadratic_drag_is_the_inertial_drag():
-    own = {"own": (Shank(quadratic=scene_of().reaction.drag),), "inertial_drag": False}
-    built_in, by_own = (po.simulate(scene_of(strength_wave=WAVE, **effects), 1.0) for effects in ({}, own))
-    np.testing.assert_allclose(by_own.mount_force, built_in.mount_force, rtol=1e-8)
-    assert by_own.mean_draft == pytest.approx(built_in.mean_draft, rel=1e-9)
-    assert by_own.force_rms == pytest.approx(built_in.force_rms, rel=1e-8)
-    assert scene_of(**own).steady_resistance == pytest.approx(scene_of().steady_resistance, rel=1e-14)
-
-
 def test_own_viscous_drag_damps_as_the_mounts_damper_does():
     own = po.simulate(scene_of(own=(Shank(viscous=400.0),), strength_wave=WAVE, orbit="periodic"))
     damper = po.simulate(scene_of(strength_wave=WAVE, damping=400.0, orbit="periodic"))

@@ -67,6 +67,7 @@ EFFECTS = [
     *[({"contact": law}, r"must be 'resisting', Smooth\(width\) or StickSlip\(breakaway\)")
       for law in ("stick_slip", None, po.StickSlip)],
     *[({"start": start}, "must be 'equilibrium', 'rest' or 'towed'") for start in ("steady", None)],
+    ({"entry": True}, "entry begins at first contact"),
     *[(STILL | {"start": start}, f"start = '{start}' needs motion") for start in ("rest", "towed")],
     *[(STILL | {"contact": law}, "a contact law needs motion") for law in (po.StickSlip(), po.Smooth(0.1))],
     *[(STILL | {"damping": value}, "damping needs motion") for value in (100.0, 0.0)],

@@ -1,4 +1,4 @@
-"""The accuracy study: true errors, advice, what is left out, files and pictures."""
+"""The accuracy study: true errors, advice, what is left out, and pictures."""
 
 import ast
 import dataclasses

@@ -1,7 +1,6 @@
 """Components of every kind of scene, and messages about invalid ones."""
 
 import dataclasses
-import itertools
 import re
 
 import casadi as ca
@@ -213,8 +212,6 @@ def test_a_retreating_share_gives_a_warning(r1_scene):
 
 
 def test_many_inputs_are_sampled_at_each_bound_alone():
-    few = [Port(f"x{k}", "", 1.0, 3.0, 2.0) for k in range(2)]
-    assert {tuple(x) for x in corner_points(few)} == {(2.0, 2.0), *itertools.product((1.0, 3.0), repeat=2)}
     many = [Port(f"x{k}", "", 1.0, 3.0, 2.0) for k in range(9)]
     assert len(corner_points(many)) == 19
     points = np.array(interior_points(many))

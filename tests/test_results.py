@@ -230,12 +230,6 @@ def test_texts_of_a_user_are_escaped():
     assert str(grid).splitlines()[-1].strip() == "lines"
 
 
-@pytest.mark.parametrize("title", ["Плуг β = 15°", 'with "quotes" \\ and\nlines'])
-def test_any_title_reads_back_equal(tmp_path, title):
-    named = dataclasses.replace(run(), origin=dataclasses.replace(run().origin, title=title))
-    assert po.load(named.save(tmp_path / "run.json")).origin.title == title
-
-
 def test_designs_in_python_keep_their_declarations(tmp_path):
     origin = po.load(optimum().save(tmp_path / "best.json")).origin
     declared = origin.declarations
@@ -314,11 +308,9 @@ def test_an_invalid_file_is_refused(tmp_path, text, words):
 
 def refused(path, words):
     """Check that a file is refused with some words behind its name and that of the version."""
-    with pytest.raises(po.InputError) as caught:
+    with pytest.raises(po.InputError, match=rf"^[^\n]*{re.escape(str(path))}[^\n]*\Z") as caught:
         po.load(path)
     message = str(caught.value)
-    assert str(path) in message
-    assert "\n" not in message
     assert words in (message if words == WRONG or "(schema 2)" not in message else message.split("(schema 2)")[1])
 
 

@@ -5,6 +5,7 @@ import os
 import signal
 import sqlite3
 import time
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -98,9 +99,8 @@ class Counted:
     def __call__(self, values):
         # Short lines that are appended by one write each do not mix, even between processes.
         line = f"{values['a']!r} {values['b']!r}\n".encode()
-        descriptor = os.open(self.file, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-        os.write(descriptor, line)
-        os.close(descriptor)
+        with self.file.open("ab", buffering=0) as file:
+            file.write(line)
         time.sleep(self.pause)
         return waves(values)
 
@@ -136,15 +136,11 @@ def workers_of(parent):
 
 def stored(path, columns="point"):
     """Return columns of the points in a store, even while others write to it."""
-    if not path.exists():
-        return []
-    connection = sqlite3.connect(path, timeout=60.0)
-    try:
-        return connection.execute(f"SELECT {columns} FROM points ORDER BY point").fetchall()
-    except sqlite3.OperationalError:  # the table does not exist yet
-        return []
-    finally:
-        connection.close()
+    if path.exists():
+        # Until the table exists it cannot be read.
+        with closing(sqlite3.connect(path, timeout=60.0)) as connection, suppress(sqlite3.OperationalError):
+            return connection.execute(f"SELECT {columns} FROM points ORDER BY point").fetchall()
+    return []
 
 
 def until(enough, process):

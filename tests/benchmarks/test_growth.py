@@ -29,8 +29,8 @@ scene = po.read_problem({problem!r}).scene(
     {{"share.wedge_angle": angle, "share.height": height, "scene.stiffness": k0}})
 batch = po.Batch(scene, 2.0, [angle, height, k0])
 random = np.random.default_rng(0)
-chunks = (random.uniform((0.2, 0.2, 4e4), (0.8, 0.4, 6e4), (16384, 3)) for _ in range({chunks}))
-assert sum(len(found.mean_draft) for found in batch.stream(chunks)) == 16384 * {chunks}
+chunks = (random.uniform((0.2, 0.2, 4e4), (0.8, 0.4, 6e4), (16384, 3)) for _ in range({count}))
+assert sum(len(found.mean_draft) for found in batch.stream(chunks)) == 16384 * {count}
 print(next(line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if "VmHWM" in line))
 """
 
@@ -38,7 +38,7 @@ DESIGNS = """
 import plough_opt as po
 from pathlib import Path
 soil, share = po.named_soil("serozem"), po.Wedge(po.deg(30), po.deg(15), 0.25)
-for k in range({designs}):
+for k in range({count}):
     design = po.Design()
     stiffness = design.variable("stiffness", guess=5e4, lower=1e4, upper=1e5)
     effects = po.Effects(start="rest", tow_ramp=0.1 + 1e-4 * k, damping=400.0)
@@ -114,26 +114,19 @@ def test_batch_over_its_horizon(contest, batch_of, r1_wave, where, damping):
     _add(contest, what, horizons, lambda t: lambda: batches[t](values))
 
 
-def _add_memory(contest, what, sizes, codes):
-    """Add the growth of the memory that processes print [kB] to the table; return it [MiB]."""
-    if not Path("/proc/self/status").exists():
-        contest.missing[what] = "this system does not report the memory of a process"
-        return None
-    done = [subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True) for code in codes]
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads the memory of a process in /proc")
+@pytest.mark.parametrize(
+    ("what", "code", "sizes"),
+    [
+        ("Batch.stream, most memory, chunks of 16384 designs", MEMORY, (4, 16, 64)),
+        # The caches are full after about 150 designs.
+        ("Designs solved and dropped, memory at the end, designs", DESIGNS, (250, 500, 1000, 2000)),
+    ],
+    ids=["stream", "designs"],
+)
+def test_memory_does_not_grow(contest, what, code, sizes):
+    commands = [[sys.executable, "-c", code.format(problem=r1.PROBLEM, count=size)] for size in sizes]
+    done = [subprocess.run(command, check=True, capture_output=True, text=True) for command in commands]
     costs = tuple(int(one.stdout) / 1024.0 for one in done)
     contest.growths.append(Growth(what, sizes, costs, "MiB"))
-    return costs
-
-
-def test_memory_of_a_stream(contest):
-    sizes = (4, 16, 64)
-    codes = [MEMORY.format(problem=r1.PROBLEM, chunks=chunks) for chunks in sizes]
-    _add_memory(contest, "Batch.stream, most memory, designs", tuple(16384 * chunks for chunks in sizes), codes)
-
-
-def test_memory_of_different_designs(contest):
-    # The caches are full after about 150 designs.
-    sizes = (250, 500, 1000, 2000)
-    codes = [DESIGNS.format(designs=designs) for designs in sizes]
-    costs = _add_memory(contest, "Designs solved and dropped, memory at the end, designs", sizes, codes)
-    assert costs is None or max(costs) < 1.1 * min(costs)
+    assert max(costs) < 1.1 * min(costs)

@@ -35,9 +35,8 @@ def linear(request):
     plain = scene_of(start="rest", inertial_drag=False)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(contest, "least_times", lambda uses, *_: [1e-3] * len(uses))
-        study = po.study_accuracy(
-            plain, 0.15, wanted=1e-15, outputs=10, allowance=1e3, title="from rest", thin=request.param == "thin"
-        )
+        thin = request.param == "thin"
+        study = po.study_accuracy(plain, 0.15, wanted=1e-15, outputs=10, allowance=1e3, thin=thin)
     return plain, study
 
 
@@ -62,12 +61,9 @@ def test_every_integrator_has_the_errors_of_its_setting(linear):
 
 
 def test_the_efficient_named_integrators_have_their_time_with_a_check(damped):
-    named = [
-        e
-        for family in ("integrator", methods.MACHINE_CODE)
-        for e in efficient([e for e in damped.entries if e.family == family], "averages", damped.floors["motion"])
-        if e.method not in (AUTO, COMPILED)
-    ]
+    families = ([e for e in damped.entries if e.family == f] for f in ("integrator", methods.MACHINE_CODE))
+    front = [e for family in families for e in efficient(family, "averages", damped.floors["motion"])]
+    named = [e for e in front if e.method not in (AUTO, COMPILED)]
     assert named
     assert [e for e in damped.entries if e.checked is not None] == [e for e in damped.entries if e in named]
     assert all(0.0 < e.checked < math.inf and e.setup > 0.0 for e in named)
@@ -82,10 +78,8 @@ def test_the_wanted_error_is_one_that_auto_aims_at():
 
 def test_gradients_of_the_finest_settings_agree_with_the_reference(linear):
     study = linear[1]
-    best = {}
-    for entry in study.entries:
-        if entry.family == "derivatives" and not entry.failure:
-            best[entry.method] = min(best.get(entry.method, 1.0), entry.errors["gradient"])
+    rows = [entry for entry in study.entries if entry.family == "derivatives" and not entry.failure]
+    best = {row.method: min(e.errors["gradient"] for e in rows if e.method == row.method) for row in rows}
     assert set(best) == {"auto", "dop853", "collocation", "rk", "cvodes", "idas", "erk", "rosenbrock"}
     # The tightest tolerance of a thin study is 1e-6, which leaves some ten times as much.
     assert max(best.values()) < 3e-5
@@ -107,9 +101,8 @@ def test_thin_and_full_studies_and_a_repetition_give_the_same_advice(name):
 @pytest.fixture(scope="module")
 def damped():
     """Return the study of a transient that tends to a periodic orbit."""
-    return po.study_accuracy(
-        scene_of(strength_wave=WAVE, damping=400.0), 0.5, outputs=8, thin=True, allowance=0.2, derivatives=False
-    )
+    scene = scene_of(strength_wave=WAVE, damping=400.0)
+    return po.study_accuracy(scene, 0.5, outputs=8, thin=True, allowance=0.2, derivatives=False)
 
 
 def test_the_table_names_the_references_errors(damped):

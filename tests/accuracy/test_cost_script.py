@@ -9,8 +9,6 @@ from helpers.scripts import imported
 
 import plough_opt as po
 
-NAMES = ["smooth", "stiff", "resonant", "stick and slip", "entry from first contact"]
-
 
 @pytest.fixture
 def cost():
@@ -19,15 +17,12 @@ def cost():
 
 
 def test_the_scenes_are_what_they_are_called(cost):
-    scenes = cost.scenes()
-    assert [name.split(":")[0] for name in scenes] == NAMES
-    smooth, stiff, resonant, sticks, entry = scenes.values()
+    smooth, stiff, resonant, sticks, entry = cost.scenes().values()
     assert float(stiff[0].natural_frequency) * stiff[1] / (2.0 * math.pi) == pytest.approx(1400, rel=0.05)
     assert float(resonant[0].natural_frequency) == pytest.approx(float(resonant[0].wave_frequency), rel=1e-12)
     assert set(po.simulate(*sticks, outputs=300).mode) == {0.0, 1.0}
     travel = po.simulate(*entry).travel
-    assert travel[0] == 0.0
-    assert travel[-1] > entry[0].cone.height
+    assert travel[0] == 0.0 < entry[0].cone.height < travel[-1]
     assert float(smooth[0].natural_frequency) * smooth[1] < 100
 
 

@@ -23,13 +23,9 @@ SMALL = po.Wedge(po.deg(30), po.deg(15), 0.05)
 LIGHT = dataclasses.replace(SEROZEM, ambient_pressure=5e3)
 
 
-def exact(value):
-    return mp.mpf(str(value))
-
-
 def off(found, wanted):
     """Return the distance of a wide float from a precise number."""
-    return float(abs(exact(found) - wanted))
+    return float(abs(mp.mpf(str(found)) - wanted))
 
 
 # --- numerics ---

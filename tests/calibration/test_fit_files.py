@@ -42,6 +42,5 @@ def test_pictures(fitted):
 
 def test_a_picture_of_several_results(measured, three):
     radius = po.Measurements("loosened_radius", [0.2, 0.21], sigma=0.01, name="radius")
-    figure = po.calibrate(steady_scene(), [measured, radius], three).plot()
-    assert figure.axes[0].get_xlabel() == "predicted, over the largest of its kind"
-    assert len(figure.axes[0].containers) == 2
+    first = po.calibrate(steady_scene(), [measured, radius], three).plot().axes[0]
+    assert (first.get_xlabel(), len(first.containers)) == ("predicted, over the largest of its kind", 2)

@@ -60,8 +60,7 @@ def test_the_intervals_hold_the_truth():
     index, radius = po.cone_index(true), po.loosened_radius(CONE, true)
     trials, rng, inside = 500, np.random.default_rng(4), np.zeros(2)
     for _ in range(trials):
-        indices = index * (1.0 + 0.12 * rng.standard_normal(8))
-        radii = radius * (1.0 + 0.03 * rng.standard_normal(3))
+        indices, radii = (x * (1.0 + s * rng.standard_normal(n)) for x, s, n in ((index, 0.12, 8), (radius, 0.03, 3)))
         found = fitted(indices, radii, (0.12 * index, 0.03 * radius)).intervals()
         inside += [20.0 in found["soil.strength_factor"], 0.85 in found["soil.density_ratio"]]
     assert np.all(np.abs(inside / trials - 0.95) <= 0.03), inside / trials

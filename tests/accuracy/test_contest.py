@@ -147,8 +147,7 @@ def test_one_slow_measurement_changes_no_advice(clock):
 @pytest.mark.parametrize(("allowance", "turns"), [(10.0, 4), (1.0, 3)])
 def test_turns_of_what_takes_long_are_few(clock, allowance, turns):
     for count in (1, 2):
-        names = "ab"[:count]
-        slow = [clock.contestant(name, factors=(1,), seconds=lambda *_: 3.0) for name in names]
+        slow = [clock.contestant(name, factors=(1,), seconds=lambda *_: 3.0) for name in "ab"[:count]]
         measured(slow, "error", 0.5, allowance)
         # Once for its result and once again. What may win takes turns until all have taken twice the allowance.
         assert len(clock.used) == 2 * len(clock.built) + 2 * turns * (count == 2)
@@ -159,8 +158,8 @@ def test_a_clock_that_ticks_coarsely_still_tells_short_uses_apart(clock, monkeyp
     monkeypatch.setattr(contest.time, "process_time", lambda: clock.now // 0.016 * 0.016)
     entries = measured([clock.contestant(factors=(1, 2), seconds=lambda n, _: 1e-4 * n / 40.0)], "error", 1.0, 10.0)
     # A turn is one tick: some 160 uses of one setting and 80 of the other.
-    assert {e.setting: e.seconds for e in entries}["40 steps"] == pytest.approx(1e-4, rel=0.05)
-    assert {e.setting: e.seconds for e in entries}["80 steps"] == pytest.approx(2e-4, rel=0.05)
+    times = {e.setting: e.seconds for e in entries}
+    assert [times["40 steps"], times["80 steps"]] == pytest.approx([1e-4, 2e-4], rel=0.05)
 
 
 def test_a_repetition_that_takes_too_long_leaves_the_first_time(clock):

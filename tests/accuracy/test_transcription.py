@@ -80,16 +80,10 @@ def rich(r1_soil, r1_wave):
     return question_of(d)
 
 
-@pytest.mark.parametrize(
-    "form",
-    [
-        po.Accuracy("dop853", steps=200),
-        Mesh(20, steps=10),
-        Mesh(40, degree=5, points="radau"),
-        Mesh(40, degree=5, points="legendre"),
-    ],
-    ids=str,
-)
+COLLOCATIONS = [Mesh(40, degree=5, points=points) for points in ("radau", "legendre")]
+
+
+@pytest.mark.parametrize("form", [po.Accuracy("dop853", steps=200), Mesh(20, steps=10), *COLLOCATIONS], ids=str)
 def test_every_result_of_a_run_is_that_of_the_tight_integration(rich, form):
     own = transcribe(rich, form)
     # With the variable fixed at its guess, IPOPT solves for the run alone.
@@ -101,8 +95,7 @@ def test_every_result_of_a_run_is_that_of_the_tight_integration(rich, form):
     found = solver(**own.given | held)
     assert solver.stats()["return_status"] == "Solve_Succeeded"
     (objective, *requirements), _ = rich.program.exact_values(start[:1], rich.p)
-    scales = rich.program.scales
-    truth = np.concatenate([(v / s).ravel() for v, s in zip(requirements, scales, strict=True)])
+    truth = np.concatenate([(v / s).ravel() for v, s in zip(requirements, rich.program.scales, strict=True)])
     # The ramp ends at a node of every mesh. Collocation of order 9 or 10 leaves some 1e-9.
     assert float(found["f"]) * rich.program.objective_scale == pytest.approx(objective.item(), rel=1e-8)
     np.testing.assert_allclose(np.asarray(found["g"]).ravel()[: len(truth)], truth, rtol=0.0, atol=1e-8)

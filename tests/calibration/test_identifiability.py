@@ -96,8 +96,7 @@ def test_six_unknowns_are_separated_into_determined_and_undetermined(measured):
     assert sum(found.structural for found in fit.unidentifiable) == 2
     named = {name for found in fit.unidentifiable for name in found.changes}
     assert {"soil.cohesion", "soil.ambient_pressure", "soil.friction_angle", "soil.density_ratio"} <= named
-    determined = {found.name for found in fit.unknowns if found.determined}
-    assert determined == {"soil.tool_friction", "effects.rate_term"}
+    assert {found.name for found in fit.unknowns if found.determined} == {"soil.tool_friction", "effects.rate_term"}
     assert fit.next_measurement.information == max(item.information for item in fit.next_measurements())
 
 

@@ -52,6 +52,7 @@ def test_own_viscous_drag_damps_as_the_mounts_damper_does():
     damper = po.simulate(scene_of(strength_wave=WAVE, damping=400.0, orbit="periodic"))
     assert own.displacement_rms == pytest.approx(damper.displacement_rms, rel=1e-11)
     assert own.mean_draft == pytest.approx(damper.mean_draft + 400.0 * 2.0, rel=1e-11)
+    assert own.scene.steady_resistance == pytest.approx(damper.scene.steady_resistance + 400.0 * 2.0, rel=1e-14)
 
 
 @pytest.mark.parametrize("motion", [True, False])

@@ -86,7 +86,7 @@ def failed_by(scene: Scene, duration: float, solver: Integration, last: Run | No
 
 
 def unsound_own(scene: Scene, last: Run | None, pause: float) -> str | None:
-    """Return a sentence on an own effect whose resistance is not finite along a motion or shortly after; else None.
+    """Return a sentence on an own effect with a force that is not finite along a motion or shortly after; else None.
 
     Args:
         scene: numeric scene.
@@ -97,7 +97,7 @@ def unsound_own(scene: Scene, last: Run | None, pause: float) -> str | None:
         return None
     structure, p = Structure.of(scene), parameters(scene)
     if last is None:
-        start = -float(as_number(start_deflection(structure, p)))
+        start = 0.0 - float(as_number(start_deflection(structure, p)))
         places = [(start if math.isfinite(start) else 0.0, v) for v in (0.0, float(as_number(scene.tow_speed)))]
     else:
         places = [*zip(last.travel.tolist(), last.speed.tolist(), strict=True)]
@@ -107,10 +107,12 @@ def unsound_own(scene: Scene, last: Run | None, pause: float) -> str | None:
         for travel, speed in places:
             with np.errstate(all="ignore"):
                 force = float(as_number(term.force(p, travel, speed)))
-            if not math.isfinite(force):
+                held = float(as_number(term.at_rest(p, travel))) if structure.sticks else 0.0
+            if not math.isfinite(force + held):
+                found, at = (held, "rest") if math.isfinite(force) else (force, f"a speed of {speed:.6g} m/s")
                 return (
-                    f"the own effect {term.kind.__name__} returns {force} N at a travel of {travel:.6g} m and a speed"
-                    f" of {speed:.6g} m/s: it must return a finite resistance wherever the share may go"
+                    f"the own effect {term.kind.__name__} returns {found} N at a travel of {travel:.6g} m and at {at}:"
+                    " it must return a finite resistance wherever the share may go"
                 )
     return None
 

@@ -351,6 +351,7 @@ def test_countless_waves_passed_under_a_repelling_spring(start):
 
 ROOTED = Own(lambda travel, speed: 100.0 * po.expressions.sqrt(0.3 - travel) + 0.0 * speed)  # no value beyond 0.3 m
 NEVER = Own(lambda travel, speed: float("nan") * speed + 0.0 * travel)
+STUCK = Holds(steady, math.inf)
 
 
 @pytest.mark.parametrize(
@@ -361,12 +362,14 @@ NEVER = Own(lambda travel, speed: float("nan") * speed + 0.0 * travel)
         (ROOTED, "0.3", {"contact": po.Smooth(0.2), "start": "rest"}),
         (ROOTED, "0.3", {"motion": False}),
         (NEVER, "0 m", {}),
+        (STUCK, "0 m and at rest", {"contact": po.StickSlip(), "start": "rest"}),
     ],
-    ids=["resisting", "entry", "smooth", "quasi-static", "always"],
+    ids=["resisting", "entry", "smooth", "quasi-static", "always", "at rest"],
 )
-def test_an_own_effect_that_returns_nan_is_named(own, at, effects):
+def test_an_own_effect_that_returns_no_finite_number_is_named(own, at, effects):
     message = refusal(scene_of(mass=45.0, tow_speed=1.5, own=(own,), **effects), 1.0)
-    assert f"the own effect Own returns nan N at a travel of {at}" in message
+    returned = "inf" if own is STUCK else "nan"
+    assert f"the own effect {type(own).__name__} returns {returned} N at a travel of {at}" in message
     assert "must return a finite resistance" in message
 
 

@@ -273,7 +273,7 @@ def test_missing_effects_are_named_and_not_run(tmp_path):
     path.write_text(text.replace(own, "subprocess:Popen"), encoding="utf-8")
     assert not isinstance(po.load(path).scene.effects.own[0], subprocess.Popen)  # a stand-in of that name
     path.write_text(text.replace(own, "plough_opt:Smooth").replace('"static": 30.0', '"width": 0.1'), encoding="utf-8")
-    with pytest.raises(po.InputError, match="at scene.effects.own.0: is not of type OwnResistance"):
+    with pytest.raises(po.InputError, match=r"at scene\.effects\.own\.0: is not of type OwnResistance"):
         po.load(path)
 
 

@@ -113,7 +113,7 @@ def test_a_cone_of_many_sides_is_the_cone_of_revolution():
         (lambda: CONE.mesh(segments=2), "segments = 2"),
         (lambda: po.Wedge(po.Design().variable("a", guess=0.5, lower=0.1, upper=1.0), 0.2, 0.3).mesh(), "not a number"),
         (lambda: write_part(CONE, "a.stl", opening=1.0), "belong to a wedge"),
-        (lambda: write_part(SHARE, "a.obj"), "end in .stl or"),
+        (lambda: write_part(SHARE, "a.obj"), r"end in .*\.step or \.stp"),
     ],
 )
 def test_invalid_parts_are_refused(make, text):

@@ -44,6 +44,7 @@ ONE_OF = {
     "design/test_orbit_design::test_designs_without_an_orbit_are_skipped": 3,
     "design/test_orbit_design::test_the_soft_and_the_stiff_branch_of_brute_force_are_found": 3,
     "elastic/test_field": 2,
+    "elastic/test_reference": 3,
     "elastic/test_contact": 3,
     "hard_cases/test_extremes": 2,
     "hard_cases/test_hard_designs": 3,

@@ -1,8 +1,10 @@
-"""Resistance of the soil to the share, equations (24)-(26), against 120 digits."""
+"""Resistance of the soil to the share, equations (24)-(26), against independent values and 120 digits."""
 
+import json
 import math
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -30,6 +32,27 @@ def outputs(values):
 def symbolic(request):
     """Return a function of the values: the resistance, its gradient and its Hessian."""
     return hp.differentiated(lambda *x: outputs(x)[0], request.param, len(FIRM))
+
+
+TABLE = json.loads((Path(__file__).parent / "reference" / "plastic.json").read_text(encoding="utf-8"))["cases"]
+
+
+@pytest.mark.parametrize("case", TABLE, ids=[f"{case['kind']}-{number}" for number, case in enumerate(TABLE)])
+def test_independent_values(symbolic, case):
+    """Every value of the table, which was computed from the source by another program, with 60 digits."""
+    point, wanted = [float(case["inputs"][name]) for name in FIRM], case["outputs"]
+    share = po.Wedge(*point[:3])
+    cone, soil = share.equivalent_cone(), po.Soil(**{name: float(case["inputs"][name]) for name in SOIL})
+    coefficients, forces = po.resistance_coefficients(cone, soil), outputs(point)
+    value, gradient, hessian = symbolic(point)
+    found = vars(coefficients) | {"half_angle": cone.half_angle, "wedge_area": share.area, "added_mass": forces[3]}
+    for i, name in enumerate(FIRM):
+        found |= {f"d_resistance_d_{name}": gradient[i], f"d2_resistance_d_{name}2": hessian[i, i]}
+        found |= {f"d2_resistance_d_{name}_d_{other}": hessian[i, j] for j, other in enumerate(FIRM)}
+    for result in (forces[0], value):
+        found["resistance"] = result
+        for name, number in wanted.items():
+            assert_close(found[name], number, DIGITS, name)
 
 
 # Under deceleration the terms of the resistance cancel in part.

@@ -178,6 +178,7 @@ def test_the_picture_has_a_panel_for_each_depth(full, tmp_path):
     left, right = figure.axes
     assert [left.get_title(), right.get_title()] == ["working depth 0.25 m", "working depth 0.4 m"]
     assert (left.get_xlabel(), left.get_ylabel()) == ("speed [km/h]", "mean draft [kN]")
+    assert (left.get_yscale(), left.get_ylim()) == (right.get_yscale(), right.get_ylim())
     for axes, depth in ((left, 0.25), (right, 0.4)):
         lines = {line.get_label(): line for line in axes.lines}
         assert set(lines) == {"this model", *(r.model for r in full.others)}
@@ -196,6 +197,7 @@ def test_the_picture_has_a_panel_for_each_depth(full, tmp_path):
         ({"depth": 0.0}, po.DomainError, "working depth"),
         ({"depth": []}, po.InputError, "at least one depth"),
         ({"width": -0.1}, po.DomainError, "tool width"),
+        ({"width": np.array([0.1, 0.2])}, po.InputError, "a comparison accepts one number per quantity"),
         ({"rake_angle": po.deg(95.0)}, po.DomainError, "rake angle"),
         ({"speeds": []}, po.InputError, "at least one speed"),
     ],

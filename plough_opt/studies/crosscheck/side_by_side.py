@@ -71,7 +71,7 @@ def compare(
     for name, value, known in (("texture", texture, TEXTURES), ("point", point, POINTS)):
         if not (value is None and name == "texture"):
             check_named(f"{name} = {{}} does not exist in D497", value, known)
-    check_single("a comparison", [x for x in (width, rake_angle, rupture_ratio, surcharge, adhesion) if x is not None])
+    check_single("a comparison", (width, rake_angle, rupture_ratio, surcharge, adhesion))
     if rupture_ratio is not None:
         check_domain("rupture distance ratio m", rupture_ratio, at_least=1.0)
     check_kind("laws", laws, list | tuple, "a list of resistance laws")

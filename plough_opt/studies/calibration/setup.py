@@ -228,8 +228,6 @@ def interpolation(fractions: Vector, outputs: int) -> Vector:
     weights = np.zeros((len(fractions), outputs + 1))
     for row, fraction in enumerate(fractions):
         position = fraction * outputs
-        if abs(position - round(position)) < _ON_OUTPUT * outputs:
-            position = float(round(position))
         first = min(max(math.floor(position) - _NODES // 2 + 1, 0), outputs + 1 - _NODES)
         nodes = np.arange(first, first + _NODES)
         for k in nodes:

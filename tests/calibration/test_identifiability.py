@@ -59,6 +59,13 @@ def test_a_single_unknown_that_the_data_hardly_narrow(plane):
     assert found.words.startswith("soil.cohesion is hardly determined")
 
 
+def test_exact_drafts_separate_them_no_better(plane):
+    conditions, exact, _ = plane
+    data = po.Measurements("mean_draft", exact, conditions, sigma=1e-8 * exact)
+    (found,) = po.calibrate(steady_scene(), data, STRENGTH).unidentifiable
+    assert found.structural
+
+
 def test_data_at_one_wedge_angle_ask_for_another():
     """At one wedge angle cohesion and tool friction are one factor; a coated share or another angle separates them."""
     conditions, exact = drafts(np.linspace(0.8, 3.0, 8), [po.deg(40.0)])

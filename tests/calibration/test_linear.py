@@ -104,13 +104,16 @@ def test_a_next_measurement_reduces_the_errors_as_predicted(regression):
         assert errors == pytest.approx((fit.standard_errors[name], then.standard_errors[name]), rel=1e-5)
 
 
-def test_a_row_of_weight_zero_equals_no_row(regression):
+@pytest.mark.parametrize("loss", ["squares", "huber"])
+def test_a_row_of_weight_zero_equals_no_row(regression, loss):
     speeds, values, _, _, _ = regression
     weights, spoilt, kept = np.ones(len(values)), values.copy(), np.arange(len(values)) != 3
     weights[3], spoilt[3] = 0.0, 3.0 * values[3]
     weighted = po.Measurements("mean_draft", spoilt, {"scene.tow_speed": speeds}, weights=weights)
     fewer = po.Measurements("mean_draft", values[kept], {"scene.tow_speed": speeds[kept]})
-    fit, without = (po.calibrate(linear_scene(20e3, 1400.0, 2.0), data, UNKNOWN) for data in (weighted, fewer))
+    scene = linear_scene(20e3, 1400.0, 2.0)
+    fit, without = (po.calibrate(scene, data, UNKNOWN, loss=loss) for data in (weighted, fewer))
     assert fit.freedom == without.freedom
-    assert fit.values == pytest.approx(without.values, rel=1e-7)
-    assert fit.standard_errors == pytest.approx(without.standard_errors, rel=1e-6)
+    # A robust fit ends when its scale changes by less than 1e-4.
+    assert fit.values == pytest.approx(without.values, rel=1e-7 if loss == "squares" else 1e-5)
+    assert fit.standard_errors == pytest.approx(without.standard_errors, rel=1e-6 if loss == "squares" else 1e-4)

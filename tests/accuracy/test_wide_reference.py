@@ -2,6 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -195,6 +196,13 @@ def test_an_orbit_returns_to_where_it_began_and_is_that_of_simulate(changes, dur
     assert float(found.run.time[-1]) == pytest.approx(duration, rel=1e-15)
     run = po.simulate(share, accuracy=po.Accuracy(error=1e-11), outputs=3)
     assert errors_of(run, found.run)["trajectory"] < 1e-10
+
+
+def test_errors_are_relative_to_forces_of_any_size():
+    found, true = (SimpleNamespace(mean_draft=mean, force_rms=rms, mount_force=np.array(forces))
+                   for mean, rms, forces in ((0.3, 0.2, [-0.5, 0.1]), (0.2, 0.4, [-0.8, 0.2])))  # fmt: skip
+    parts = {"averages": 0.5, "mean draft": 0.25, "RMS": 0.5, "last force": 0.125, "trajectory": 0.375}
+    assert errors_of(found, true) == pytest.approx(parts)
 
 
 # --- what has no reference ---

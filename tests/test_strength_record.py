@@ -47,6 +47,14 @@ def test_an_unevenly_spaced_record_gives_the_same_waves():
         assert one.wave.wavelength == pytest.approx(length, abs=3 * one.wavelength)
 
 
+@pytest.mark.parametrize("seed", [3, 5, 7])
+def test_a_drifting_record_gives_waves_no_longer_than_itself(seed):
+    walk = np.cumsum(np.random.default_rng(seed).standard_normal(200))
+    found = po.strength_waves(po.StrengthRecord(np.linspace(0.0, 10.0, 200), 1e6 + 2e4 * walk), 1.0).found
+    # Each reading stands for one spacing.
+    assert 0.0 < max(one.wave.wavelength for one in found) < 10.0 * 200.0 / 199.0 * (1.0 + 1e-12)
+
+
 def test_noise_alone_gives_no_waves():
     """One in a hundred records may give a wave by chance; of 50, at most four do with a probability of 0.998."""
     found = [po.strength_waves(record(seed, waves=()), 1.0) for seed in range(50)]

@@ -230,9 +230,9 @@ def _refined(x: Vector, y: Vector, numbers: list[float], grid: Vector) -> list[f
     def residual(shift: Vector) -> Vector:
         return _residual(x, y, (start + step * shift).tolist())
 
-    low, high = (np.clip((end - start) / step, -1.0, 1.0) for end in (grid[0], grid[-1]))
-    # The start must lie strictly inside the bounds.
-    found = optimize.least_squares(residual, np.zeros(len(start)), bounds=(low - 1e-9, high + 1e-9))
+    # Rounding may have put an earlier wave beyond the ends of the grid, but the start must lie within the bounds.
+    low, high = np.clip((grid[0] - start) / step, -1.0, 0.0), np.clip((grid[-1] - start) / step, 0.0, 1.0)
+    found = optimize.least_squares(residual, np.zeros(len(start)), bounds=(low, high))
     return [float(number) for number in start + step * found.x]
 
 

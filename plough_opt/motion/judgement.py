@@ -119,16 +119,16 @@ def unsound_own(scene: Scene, last: Run | None, pause: float) -> str | None:
 
 def _driven_away(scene: Scene, last: Run) -> str | None:
     """Return a sentence if the motion ends because the soil drives a retreating share away; else None."""
-    speed, p = float(last.speed[-1]), plan.numbers_of(scene)
+    retreat, p = -float(last.speed[-1]), plan.numbers_of(scene)
     growing = float(p.get("drag", 0.0) + p["static"] * p.get("rate_term", 0.0))
     rest = p["static"] + abs(float(last.mount_force[-1]))
-    fastest = abs(speed) >= 0.99 * float(np.max(np.abs(last.speed)))
+    fastest = retreat >= 0.99 * float(np.max(np.abs(last.speed)))
     if not last.accuracy.adaptive:  # fixed steps may just have been too long
         return None
-    if scene.effects.contact != "resisting" or speed >= 0.0 or not fastest or growing * speed * speed < rest:
+    if scene.effects.contact != "resisting" or not fastest or growing * retreat**2 <= rest:
         return None
     return (
-        f"the share retreats there at {-speed:.3g} m/s, and under contact 'resisting' the resistance drives the share"
+        f"the share retreats there at {retreat:.3g} m/s, and under contact 'resisting' the resistance drives the share"
         " away: it grows with the square of that speed and pushes the share back ever faster, without bound in finite"
         " time, which real soil does not do: use contact = StickSlip(), a stiffer mount, or a shorter duration"
     )

@@ -89,7 +89,7 @@ def setup(layout: Layout, scene: Scene, duration: Expression, inputs: Sequence[C
     values = [known[name] for name in layout.names]
     end = minimum(known["ramp_time"], duration) if structure.ramp else duration
     size = absolute(scene.steady_resistance / scene.stiffness) + _TINY
-    phase, part = _phase_and_error_part(layout)(stacked(*values, end, duration, 0.0, 0.0))
+    phase, part = _phase_and_error_part(layout)(stacked(*values, end, duration))
     rate = start_rate(structure, known)
     start = StartValues(
         rate=rate,
@@ -138,14 +138,14 @@ def slopes(structure: Structure) -> ca.Function:
 
 
 def _phase_and_error_part(layout: Layout) -> ca.Function:
-    """Return parameters -> (phase of the run [rad], part of the wanted error that a step may make).
+    """Return parameters up to the duration -> (phase of the run [rad], part of the wanted error that a step may make).
 
     The errors of all steps add up. A damper, and a soil whose resistance grows with speed, let them decay; their rate
     is estimated from the slopes along the path of a share that moves with the strut. Errors may grow if the slope of
     the soil's resistance along the path is not small beside the stiffness. This is only a first guess: each run
     estimates its own error, and `Batch` repeats it if that is too large.
     """
-    p = ca.SX.sym("p", layout.parameters)
+    p = ca.SX.sym("p", layout.ends[-1] + 1)
     known = dict(zip(layout.names, ca.vertsplit(p), strict=False))
     motion_parameters = stacked(*(known[name] for name in equation_of_motion(layout.structure).names))
     duration, frequency_squared = p[layout.ends[-1]], layout.mount_frequency(p) ** 2

@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 from helpers.commands import call
+from scipy import stats
 from scipy.integrate import solve_ivp
 
 import plough_opt as po
@@ -70,6 +71,10 @@ def test_the_spectrum_integrates_to_the_variance(even):
     if not even:
         assert made.spectrum.wave_number[:2] == pytest.approx(2 * math.pi / 40.0 * np.array([1, 2]), rel=0.01)
     assert np.all((made.spectrum.lower < made.spectrum.density) & (made.spectrum.density < made.spectrum.upper))
+    # Eight segments that overlap by half under a Hann window: Percival, Walden (1993), section 6.17.
+    freedom = 36.0 * 8.0**2 / (19.0 * 8.0 - 1.0) if even else 2.0
+    widest = freedom / stats.chi2.ppf(0.025, freedom)
+    assert made.spectrum.upper / made.spectrum.density == pytest.approx(widest, rel=1e-12)
     # The density of white noise is constant and lies inside 95 % of the bands.
     inside = []
     for seed in range(40 if even else 4):

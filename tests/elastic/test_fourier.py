@@ -31,7 +31,7 @@ def relative(found, wanted):
     return np.max(np.abs(found - wanted) / np.max(np.abs(wanted), axis=1, keepdims=True))
 
 
-@pytest.mark.parametrize("speed", [0.3, 1e-6, *slow([0.0, 0.7, 0.95])])
+@pytest.mark.parametrize("speed", [0.7, 1e-6, *slow([0.0, 0.3, 0.95])])
 @pytest.mark.parametrize("field", FIELDS)
 def test_straight_profiles_agree_with_the_closed_form(field, speed):
     soil, V0 = ground(speed)

@@ -112,10 +112,13 @@ def grazes(run):
 
 
 def test_a_warning_names_the_first_touch():
-    (text,) = grazes(po.simulate(scene(), 2.0))
+    run = po.simulate(scene(), 2.0)
+    (text,) = grazes(run)
     # The mount stretches to the static force, then the share swings about the tow speed: L' = V0 (1 - cos(omega t)).
     assert f"t = {duration(1.0):.2g}" in text
     assert "has no derivative, and derivatives are those of slipping on" in text
+    # A stop that was not noticed there changes the speed by as much as its error; outputs add 5e-11 to that.
+    assert estimate.unnoticed_stops(run, run.scene.natural_frequency, 1e-5) == pytest.approx(1e-5, rel=1e-4)
 
 
 @pytest.mark.parametrize("seed", range(20))

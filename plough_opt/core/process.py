@@ -138,7 +138,7 @@ def progress_on(stream: Console) -> Iterator[Callable[[str, float], object]]:
             task = bar.add_task("reading", total=1.0)
             yield lambda step, done: bar.update(task, description=step, completed=done)
     else:
-        with heartbeat(lambda line: stream.print(line, markup=False, highlight=False, soft_wrap=True)) as note:
+        with heartbeat(stream.out) as note:
             yield lambda step, _done: note(step)
 
 

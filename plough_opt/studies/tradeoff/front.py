@@ -181,7 +181,7 @@ class Hole:
     settled: bool = True
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True)
 class Front:
     """Front of designs, from the best in the first objective to the worst: a curve for two, a surface for three.
 

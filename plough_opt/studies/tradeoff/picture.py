@@ -23,8 +23,8 @@ _DOMINATED: Final = "local optima, dominated"
 _FRONT_WIDTH: Final = 7.0
 # By number of objectives: width and height of a variable's panel, and least height of the figure [inch].
 _PANEL_SIZES: Final = {2: (3.6, 1.75, 5.2), 3: (4.2, 2.1, 5.6)}
-# Least range of a variable's axis, as part of its bounds or, on a logarithmic scale, of its value. A variable that
-# hardly changes is so drawn as hardly changing.
+# Half of the least range of a variable's axis, as part of its bounds, or on a logarithmic scale the range beyond its
+# values, as part of them. A variable that hardly changes is so drawn as hardly changing.
 _LEAST_RANGE: Final = 0.02
 # Least range of an objective's axis, relative to its value.
 _LEAST_CHANGE: Final = 0.01
@@ -56,7 +56,7 @@ def front_figure(front: Front) -> Figure:
     rows = math.ceil(len(panels) / columns)
     width, height, least = _PANEL_SIZES[len(front.goals)]
     figure = Figure(figsize=(_FRONT_WIDTH + width * columns, max(least, height * rows)), layout="constrained")
-    left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(_FRONT_WIDTH, width * columns))[0]
+    left, right = figure.subfigures(ncols=2, squeeze=False, width_ratios=(_FRONT_WIDTH, width * columns))[0]
     draw_front(left.add_subplot(projection=None if flat else "3d"), front)
     every = right.subplots(rows, columns, sharex=True, sharey=not flat, squeeze=False)
     for axes, axis in zip(every.T.ravel(), panels, strict=False):
@@ -223,7 +223,7 @@ def _range(axis: Axis, values: Array, factor: float, margin: float = 0.0) -> tup
     """
     low, high = float(values.min()), float(values.max())
     if axis.log:
-        return (low, high) if high > (1.0 + _LEAST_RANGE) * low else (low / 1.1, high * 1.1)
+        return low / (1.0 + _LEAST_RANGE), high * (1.0 + _LEAST_RANGE)
     least = 0.0
     if axis.lower is not None and axis.upper is not None:
         least = _LEAST_RANGE * (axis.upper - axis.lower) / factor

@@ -193,7 +193,7 @@ def _refine(tracer: Tracer, front: FrontProgram, notify: Progress) -> None:
         wanted = front.program.wanted_error
         if wanted is None or all(front.gap(one.point.y) <= wanted for one in chosen if one.exact):
             return
-        notify("refining", (refinement + 1) / _REFINEMENTS)
+        notify("refining", refinement / _REFINEMENTS)
         front.refine()
         tracer.solve_exactly(tracer.candidates, again=True)
 

@@ -175,7 +175,7 @@ class RobustOptimum(Saveable):
         axes.set(xlabel=display.heading(called(name)), ylabel="samples [%]")
         # Leave room for the legend above the bars.
         axes.set_ylim(0.0, axes.get_ylim()[1] * (1.1 + 0.12 * (len(designs) + len(sides))))
-        axes.legend(loc="upper left", frameon=True, framealpha=1.0, edgecolor="none", fontsize=9)
+        axes.legend(loc="upper left", framealpha=1.0, edgecolor="none", fontsize=9)
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a row for each variable with robust and nominal value, SI; ``attrs["units"]`` has the units by name.

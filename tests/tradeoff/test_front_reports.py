@@ -42,6 +42,8 @@ def test_picture(broken, tmp_path):
     for axes in panels:
         low, high = axes.get_ylim()
         assert all(low < y < high for line in axes.lines for y in line.get_ydata())
+        along = np.concatenate([line.get_xdata() for line in axes.lines if line.get_marker() == "o"])
+        assert along == pytest.approx(broken.objectives[:, 0])
     assert all(f"{name} " in figure.get_suptitle() for name in "xy" if name not in varying)
     assert left.get_xlabel() == "a [N]"
     labels = [text.get_text() for text in left.get_legend().get_texts()]

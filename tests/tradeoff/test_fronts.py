@@ -58,10 +58,11 @@ def test_every_part_of_a_front_that_is_broken_four_times():
     d, x, y = design(x=(0.5, 1e-6, 1.0), y=(0.5, 0.0, 1.0))
     g = 1.0 + 9.0 * y
     second = g * (1.0 - ca.sqrt(x / g) - x / g * ca.sin(10.0 * ca.pi * x))
-    front = po.trade_off(d, x, second, points=41, search=["x"])
-    ends = [tuple(front.objectives[list(part)][[0, -1], 0]) for part in front.parts]
-    # An end is located to 1e-7 of the second objective, whose minima have a curvature of 1e3.
-    assert np.array(ends) == pytest.approx(np.array(ZDT3), abs=3e-5)
+    # In the other order, so that a part ends where the next one begins to dominate it, and not at its own minimum.
+    front = po.trade_off(d, second, x, points=41, search=["x"])
+    ends = [tuple(front.objectives[list(part)][[-1, 0], 1]) for part in front.parts]
+    # An end is located to 1e-7 of the first objective, whose minima have a curvature of 1e3.
+    assert np.array(ends[::-1]) == pytest.approx(np.array(ZDT3), abs=3e-5)
     assert len(front.dominated) > 10
 
 

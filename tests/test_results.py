@@ -208,12 +208,14 @@ def squared(point):
 def test_a_sweep_prints_draws_and_gives_its_points(tmp_path):
     over = {"a": [1.0, 2.0, 3.0], "b": [0.0, 10.0]}
     with ThreadPoolExecutor(1) as inline, po.sweep(squared, over, executor=inline, units={"force": "N"}) as swept:
-        text, frame = str(swept), swept.to_dataframe()
+        text, frame, saved = str(swept), swept.to_dataframe(), strict(swept.to_json())
         assert 'src="data:image/png;base64,' in swept._repr_html_()
         assert swept.plot(tmp_path / "picture.svg").axes
     assert "6 points, 1 failed" in text
     assert re.search(r"force +1 kN +a 1 +9\.01 kN +a 3\n +b 0 +b 10", text)
     assert "failed at a = 2, b = 10: ValueError: too much" in text
+    least, failure = {"value": 1000.0, "point": 0, "values": {"a": 1.0, "b": 0.0}}, "ValueError: too much"
+    assert (saved["schema"], saved["results"]["force"]["least"], saved["failed"][0]["reason"]) == (1, least, failure)
     np.testing.assert_array_equal(frame["force"], [1000.0, 1010.0, 4000.0, math.nan, 9000.0, 9010.0])
     assert frame.attrs["units"] == {"force": "N"}
 

@@ -88,7 +88,9 @@ def test_the_command_saves_both_optima_and_every_check(command, tmp_path):
 
 
 def test_tables_show_the_soil_both_designs_and_the_fresh_samples(found):
-    words = ("Uncertain soil: serozem", "robust", "nominal", "95 % interval", "Sobol indices", "8 samples")
+    check = found.fresh["loosened_radius", "probability"]
+    interval = f" {100.0 * check.low:.2f} % to {100.0 * check.high:.2f} % "
+    words = ("Uncertain soil: serozem", "robust", "nominal", "95 % interval", interval, "Sobol indices", "8 samples")
     assert all(text in str(found) for text in ("loosened_radius, probability of at least 0.15 m: ", *words))
 
 
@@ -123,10 +125,11 @@ def test_the_robust_design_loosens_more_soils_widely_enough(found, whole):
 
 
 def test_picture_shows_both_designs_their_means_and_the_limit(found):
-    for axes, name, factor in zip(found.plot().axes, ("mean_draft", "loosened_radius"), (1e3, 1.0), strict=False):
+    shown = ("mean_draft", 1e3, "kN"), ("loosened_radius", 1.0, "m")
+    for axes, (name, factor, unit) in zip(found.plot().axes, shown, strict=False):
         texts = [text.get_text() for text in axes.get_legend().get_texts()]
         for text, design, own in zip(texts, ("nominal", "robust"), (found.nominal_fresh, found.fresh), strict=False):
-            assert text.startswith(f"{design} design: mean {np.mean(own.values[name]) / factor:.4g}")
+            assert text.startswith(f"{design} design: mean {np.mean(own.values[name]) / factor:.4g} {unit}, ")
     assert axes.get_xlabel() == "loosened radius [m]"
     assert f"{100.0 * np.mean(found.fresh.values['loosened_radius'] >= 0.15):.1f} % within the limit" in texts[1]
     assert texts[2] == "limit 0.15 m"

@@ -50,6 +50,7 @@ def test_indices_and_intervals_are_those_of_scipy(ishigami):
         width = theirs.high - theirs.low
         assert np.all(np.abs(low - theirs.low) < 0.25 * width)
         assert np.all(np.abs(high - theirs.high) < 0.25 * width)
+        assert np.mean((high - low) / width) == pytest.approx(1.0, abs=0.15)
 
 
 def _linear(correlation=None):

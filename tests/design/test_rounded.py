@@ -31,15 +31,15 @@ def _solved(*, most=10.0, log=False):
 @pytest.mark.parametrize("log", [False, True])
 def test_the_best_of_a_catalogue_with_the_rest_solved_again(log):
     best, x, y = _solved(log=log)
-    found = best.rounded({"share.tip width": [90.0, 8.0, 1.5, 0.5, 1.1, 0.02, 1.5]})
+    found = best.rounded({"share.tip width": [90.0, 10.0, 1.5, 0.5, 1.1, 0.02, 1.5]})
     assert isinstance(found, Rounded)
     assert found.variables["share.tip width"] == 1.1
     assert found.variables["y"] == pytest.approx(3.0 / 1.1, rel=SOLVED)
     assert found.objective == pytest.approx(2.2 + 3.0 / 1.1, rel=SOLVED)
     assert found.cost == pytest.approx(2.2 + 3.0 / 1.1 - 2.0 * math.sqrt(6.0), rel=1e-6)
     assert found.cost_percent == pytest.approx(100.0 * found.cost / (2.0 * math.sqrt(6.0)), rel=1e-6)
-    assert [choice.values["share.tip width"] for choice in found.tried] == [1.1, 1.5, 0.5, 8.0]
-    by_hand = [2.0 * x + 3.0 / x for x in (1.1, 1.5, 0.5, 8.0)]
+    assert [choice.values["share.tip width"] for choice in found.tried] == [1.1, 1.5, 0.5, 10.0]
+    by_hand = [2.0 * x + 3.0 / x for x in (1.1, 1.5, 0.5, 10.0)]
     assert [choice.objective for choice in found.tried] == pytest.approx(by_hand, rel=SOLVED)
     assert (found.combinations, found.screened) == (4, 4)
     assert (found(x), found(x * y)) == (1.1, pytest.approx(3.0, rel=SOLVED))
@@ -115,6 +115,9 @@ def test_of_very_many_combinations_only_the_neighbours_are_tried():
     assert found.combinations == 991 * 9901
     assert found.screened == len(found.tried) == 4
     assert f"of {991 * 9901} combinations only the 4 next to the optimum were tried" in str(found)
+    # A millionth above the optimum: a multiple within that part of the range is taken for it.
+    step = 1.000001e-3
+    assert best.rounded(tip_width=step * math.sqrt(1.5), y=step * math.sqrt(6.0)).screened == 1
 
 
 def test_every_infeasible_combination_is_named():

@@ -37,6 +37,8 @@ def test_all_basins_of_a_multimodal_objective_are_found(waves):
     # Over 1e-7 the objective changes by about 1e-12, which is the optimiser's accuracy.
     assert found[: len(_basins())] == pytest.approx(_basins(), abs=1e-7)
     assert [o.objective for o in best.local_optima] == sorted(o.objective for o in best.local_optima)
+    # From the bottom of a basin, quadratic programs need two or three evaluations of slopes.
+    assert all(optimum.iterations <= 2 for optimum in best.local_optima)
     assert best.name == "optimum 1"
     assert best.search.variables == ("x", "y")
     assert best.search.basins >= len(_basins())
@@ -104,12 +106,20 @@ def test_a_number_of_designs_and_a_time_are_respected(waves):
 
 
 @pytest.mark.parametrize(
-    ("search", "words"),
-    [(0, "search = 0"), (True, "search = True"), ("z", "valid names: auto, local"), (("x", "yy"), "'y'")],
+    ("name", "given", "words"),
+    [
+        ("search", 0, "search = 0"),
+        ("search", True, "search = True"),
+        ("search", "z", "valid names: auto, local"),
+        ("search", ("x", "yy"), "'y'"),
+        ("seed", -1, "seed = -1"),
+        ("seed", 1.0, "seed = 1.0"),
+        ("seed", True, "seed = True"),
+    ],
 )
-def test_an_invalid_search_is_refused(waves, search, words):
+def test_an_invalid_search_or_seed_is_refused(waves, name, given, words):
     with pytest.raises(po.InputError, match=words):
-        waves.solve(search=search)
+        waves.solve(**{name: given})
 
 
 def test_the_same_search_gives_the_same_bits(r1, build_r1, monkeypatch):
@@ -224,3 +234,5 @@ def test_few_steps_and_the_spread_over_tolerances_agree_with_exact_runs():
     # Twice a search's steps leave an error of about 1e-5.
     assert best.spread.median == pytest.approx(np.median(exact), rel=3e-5)
     assert best.spread.worst == pytest.approx(np.max(exact), rel=3e-5)
+    # The estimate is relative: the objective is about 1200 N.
+    assert 0.0 < best.error_estimate < 1e-10

@@ -11,6 +11,7 @@ from plough_opt.design.descents import Shortfall, descend, least_violation
 from plough_opt.design.effort import Effort
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import SAME, Evaluations, Landscape, barriers, concatenated, end_straight_downhill
+from plough_opt.design.local_optimum import expected_unseen
 from plough_opt.design.sampling import MANY_VARIABLES, SEED, evolved, lines_through, local_minima, sample
 
 Progress = Callable[[str, float], None]
@@ -147,7 +148,7 @@ class Explorer:
         search._search(points, sampled.without_objective(), rng, further=[self.start])
         self._feasible_rare, self._most_violation = True, float(sampled.violation.min())
         feasible = shortfall.feasible_designs()
-        if feasible is None and not np.any(sampled.feasible):
+        if feasible is None:
             least = search._basins()[0]
             known = self._least_violating
             self._least_violating = least if known is None else concatenated([known, least])
@@ -201,14 +202,9 @@ class Explorer:
             self._follow(sampled, random_starts, known)
 
     def _few_basins_unseen(self) -> bool:
-        """Return whether designs drawn at random reached so few basins that hardly any other is expected.
-
-        The expected number is by the rule of Boender and Rinnooy Kan: see `plough_opt.design.Search`.
-        """
-        if not self._followed:
-            return False
-        followed, reached = self._follow_counts(self._basins()[1])
-        return followed > reached + 2 and reached * (reached + 1) / (followed - reached - 2) <= _FEW_UNSEEN
+        """Return whether designs drawn at random reached so few basins that hardly any other is expected."""
+        unseen = expected_unseen(*self._follow_counts(self._basins()[1])) if self._followed else None
+        return unseen is not None and unseen <= _FEW_UNSEEN
 
     def _follow_counts(self, basin: list[int | None]) -> tuple[int, int]:
         """Return the number of designs followed and of the basins they reached, given the basin of each end."""

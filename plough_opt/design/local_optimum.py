@@ -22,6 +22,16 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
+def expected_unseen(followed: int, reached: int) -> float | None:
+    """Return the expected number of basins not found, by the rule in `Search`; None if too few designs were followed.
+
+    Args:
+        followed: number of random designs that were followed to their basins.
+        reached: number of basins to which they led.
+    """
+    return reached * (reached + 1) / (followed - reached - 2) if followed > reached + 2 else None
+
+
 @dataclass(frozen=True)
 class Search:
     """A record of a search.
@@ -65,8 +75,7 @@ class Search:
     @property
     def unseen_basins(self) -> float | None:
         """Expected number of basins not found; None if too few designs were followed for an estimate."""
-        n, w = self.followed, self.reached
-        return w * (w + 1) / (n - w - 2) if n > w + 2 else None
+        return expected_unseen(self.followed, self.reached)
 
     @property
     def unseen_volume(self) -> float | None:

@@ -72,9 +72,9 @@ class Optimum(LocalOptimum):
     warnings: tuple[str, ...] = ()
     solved: Solved | None = field(repr=False, default=None)
     rounder: Callable[[Mapping[str, Any]], Rounded] | None = field(repr=False, default=None)
-    sensitivities: tuple[Sensitivity, ...] = field(default=(), compare=False)
-    run: Run | Machine | None = field(default=None, compare=False)
-    origin: Origin = field(default=Origin(), compare=False)
+    sensitivities: tuple[Sensitivity, ...] = ()
+    run: Run | Machine | None = None
+    origin: Origin = field(default=Origin())
     kind = "optimum"
     unsaved = frozenset({"solved", "rounder"})
 
@@ -110,10 +110,10 @@ class Optimum(LocalOptimum):
         return Page(heading, tuple(parts), notes, trust, self.origin.title)
 
     def _others(self) -> Grid:
-        judged = all(optimum.spread is not None for optimum in self.local_optima)
-        grid = Grid.of("Local optima found", "", "objective", *(["as made"] if judged else []), *self.variables)
+        judged = [] if self.spread is None else ["as made"]
+        grid = Grid.of("Local optima found", "", "objective", *judged, *self.variables)
         for one in self.local_optima:
-            made = [f"{one.spread.median:.6g}"] if judged and one.spread is not None else []
+            made = [] if one.spread is None else [f"{one.spread.median:.6g}"]
             cells = (self.display(name).text(value, 7) for name, value in one.variables.items())
             grid.row(one.name, f"{one.objective:.9g}", *made, *cells)
         return grid

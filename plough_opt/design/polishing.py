@@ -149,8 +149,7 @@ def polished(program: Program, p: Vector, start: Vector) -> Point:
         point = program.solve(start, p, SolveOptions(near=True, exact=exact, enough=True), box)
         if point.status in _STALLED and _violation(program, p, point.y)[1] <= FEASIBLE_ANSWER:
             point = replace(point, solved=True, status=AS_FOUND)
-        inside = box == 1.0 or np.max(np.abs(point.y - start)) < box
-        if point.solved and inside and point.f <= highest:
+        if point.solved and point.f <= highest:
             return point
     point = program.solve(start, p)
     if point.solved and point.f <= highest:
@@ -166,7 +165,7 @@ def solved_again(program: Program, p: Vector, point: Point) -> Point:
     highest = _highest_accepted(program, p, point.y)
     for box, exact in ((_NEAR, False), (_RIPPLE, False), (_RIPPLE, True)):
         again = program.solve(point.y, p, SolveOptions(near=True, exact=exact, enough=True), box)
-        if again.solved and np.max(np.abs(again.y - point.y)) < box and again.f <= highest:
+        if again.solved and again.f <= highest:
             return again
     return replace(point, f=_violation(program, p, point.y)[0])
 
@@ -175,9 +174,9 @@ def converged_tightly(program: Program, p: Vector, point: Point) -> Point:
     """Return an optimum solved to the full tolerance if IPOPT stopped before that, else the same point."""
     if point.status in ("Solve_Succeeded", AS_FOUND):
         return point
-    again = program.solve(point.y, p, SolveOptions(near=True, exact=False), _NEAR)
-    inside = np.max(np.abs(again.y - point.y)) < _NEAR
-    return again if again.solved and inside and again.f <= _highest_accepted(program, p, point.y) else point
+    # A box around the point could cut off a long flat valley, and its edge would pass for the optimum.
+    again = program.solve(point.y, p, SolveOptions(near=True, exact=False))
+    return again if again.solved and again.f <= _highest_accepted(program, p, point.y) else point
 
 
 def point_as_found(program: Program, p: Vector, y: Vector) -> Point:

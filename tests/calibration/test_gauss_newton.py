@@ -54,6 +54,14 @@ def test_optimum_is_that_of_a_simplex_search(measured, three, loss):
 
 
 @pytest.mark.parametrize("loss", LOSSES)
+def test_exact_drafts_without_sigma_give_the_truth(plane, three, loss):
+    conditions, exact, _ = plane
+    fit = po.calibrate(steady_scene(), po.Measurements("mean_draft", exact, conditions), three, loss=loss)
+    # Rounding of the drafts, magnified by their correlation.
+    assert fit.values == pytest.approx({name: TRUTH[name] for name in three}, rel=1e-11)
+
+
+@pytest.mark.parametrize("loss", LOSSES)
 def test_weight_and_curvature_are_the_derivatives_of_a_loss(loss):
     own, step = LOSSES[loss], 1e-5
     for r in (-7.0, -1.0, 0.3, 1.2, 3.0):

@@ -31,8 +31,9 @@ _MAD: Final = 1.4826
 _MOST_RESCALINGS: Final = 20
 # The scale has settled when it changes by less than this part.
 _SETTLED: Final = 1e-4
-# Least scale of residuals relative to the nominal one per cent: with less scatter, data are exact to rounding.
-_LEAST_SCALE: Final = 1e-10
+# Least scale of residuals relative to the nominal one per cent: runs predict to 1e-8, so less is not scatter of data.
+# With a much smaller one the search, whose steps end at 1e-8, would never count as converged.
+_LEAST_SCALE: Final = 1e-6
 # Optima whose losses differ by less than this, relative, count as the same.
 _SAME: Final = 1e-6
 # Least mean curvature of a robust loss: with less, nearly all rows are outliers.

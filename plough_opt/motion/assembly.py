@@ -80,7 +80,7 @@ def assemble(
             mode = np.round(mode)
         speed = where((mode - STICK) ** 2 < (SLIP - STICK) ** 2 / 4.0, 0.0, speed)
         soil = where(mode < (SLIP + STICK) / 2.0, soil, where(mode < (STICK + GAP) / 2.0, force, 0.0))
-    averages = averages_of(scene, structure, p, means, variances)
+    averages = averages_of(scene, structure, p, first, means, variances)
     return Run(scene, duration, time, travel, speed, deflection, force, soil, opening, mode, averages, accuracy)
 
 
@@ -90,9 +90,10 @@ def _added_mass(scene: Scene) -> Expression:
         return scene.reaction.added_mass
 
 
-def averages_of(scene: Scene, structure: Structure, p: Parameters, means: Column, variances: Column) -> Averages:
-    """Return the averages of a run from those of its changes since the start: see `assemble`."""
-    first = terms.start_force(structure, p)
+def averages_of(
+    scene: Scene, structure: Structure, p: Parameters, first: Expression, means: Column, variances: Column
+) -> Averages:
+    """Return the averages of a run from its first force [N] and those of its changes since then: see `assemble`."""
     with unlabelled():
         scale = scene.steady_resistance
     displacement_rms = rms(variances[0], scale / scene.stiffness)

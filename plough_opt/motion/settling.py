@@ -24,7 +24,7 @@ from plough_opt.motion.orbit import monodromy
 from plough_opt.motion.plan import numbers_of
 from plough_opt.motion.run import Run
 from plough_opt.motion.runge_kutta import run_from, step
-from plough_opt.motion.terms import Structure, start_deflection
+from plough_opt.motion.terms import Structure, start_deflection, start_force
 from plough_opt.motion.timeline import Timeline
 
 Array = NDArray[np.float64]
@@ -199,7 +199,8 @@ class _Path:
         found = run_from(self.structure, timeline)(self.states[-1 - count], p)
         states, means, variances = (np.asarray(result) for result in found)
         scene = self.run.scene
-        averages = averages_of(scene, self.structure, self.numbers, means.ravel(), variances.ravel())
+        first = start_force(self.structure, self.numbers)
+        averages = averages_of(scene, self.structure, self.numbers, first, means.ravel(), variances.ravel())
         return float(averages.force_rms), count, distance, bool(np.max(states[1]) > scene.tow_speed)
 
 

@@ -57,13 +57,17 @@ CASADI_SYMBOL_EXPORT int motion_follow(long long steps, long long outputs, const
     const long long *count, const double *weight, const double *p, double *out) {{
   double *x = malloc((2 * (steps + 1) + MOMENTS * steps) * sizeof(double));
   if (!x) return 1;
-  double *moments = x + 2 * (steps + 1), *into[] = {{x, 0}};
-  motion_start(&p, into, 0, 0, 0);
+  double *moments = x + 2 * (steps + 1), *into[{sz_res}] = {{x}}, work[{sz_w}];
+  const double *given[{sz_arg}] = {{p}};
+  casadi_int places[{sz_iw}];
+  motion_start(given, into, places, work, 0);
   for (long long k = 0; k < steps; k++) {{
-    const double *given[] = {{x + 2 * k, span + 2 * k, p}};
+    given[0] = x + 2 * k;
+    given[1] = span + 2 * k;
+    given[2] = p;
     into[0] = x + 2 * (k + 1);
     into[1] = moments + MOMENTS * k;
-    motion_step(given, into, 0, 0, 0);
+    motion_step(given, into, places, work, 0);
   }}
   out = read(outputs, first, count, weight, x, p[DURATION], out);
   average(steps, span, moments, out, out + SIGNALS);
@@ -114,10 +118,16 @@ def _source(structure: Structure) -> str:
     one, observed = step(structure), signals(structure)
     p, known = observed.symbols(ca.SX)
     first = ca.densify(ca.SX(start_state(structure, known)))
+    functions = (
+        ca.Function("motion_start", [p], [first]),
+        ca.Function("motion_step", one.sx_in(), one.call(one.sx_in())),
+    )
     generator = ca.CodeGenerator("motion.c")
-    generator.add(ca.Function("motion_start", [p], [first]))
-    generator.add(ca.Function("motion_step", one.sx_in(), one.call(one.sx_in())))
-    own = _SOURCE.format(count=observed.count, squared=observed.squared, given=len(observed.parameters))
+    for function in functions:
+        generator.add(function)
+    # Work memory for functions that an own effect calls, such as a lookup table.
+    sizes = {size: max(1, *(getattr(f, size)() for f in functions)) for size in ("sz_arg", "sz_res", "sz_iw", "sz_w")}
+    own = _SOURCE.format(count=observed.count, squared=observed.squared, given=len(observed.parameters), **sizes)
     return str(generator.dump()) + own
 
 

@@ -121,12 +121,12 @@ def bounds_on_worst(program: Program, p: Vector) -> tuple[float, float]:
         program: of the bare design.
         p: parameters.
     """
-    program.prepare(p)
+    program.prepare(p, any_guess=True)
     landscape = Landscape(program, p)
     sampled = evaluated_sample(landscape, _SAMPLE_SIZE if landscape.vectorised else _FEWEST)
     valid = np.flatnonzero(np.isfinite(sampled.f))
     inside = landscape(boxes(program.declared.variables, sampled.points[valid]))
-    worst, violation = (part.reshape(len(valid), -1).max(axis=1) for part in (inside.f, inside.violation))
+    worst, violation = (part.reshape(-1, BOX_DESIGNS).max(axis=1) for part in (inside.f, inside.violation))
     feasible = np.isfinite(worst) & (violation <= FEASIBLE)
     if np.any(feasible):
         high = float(worst[feasible].min())

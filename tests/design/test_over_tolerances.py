@@ -17,8 +17,7 @@ T = 0.1
 
 
 def _parabola(over, *, log=False, tolerance=T):
-    d = po.Design()
-    x = d.variable("x", guess=1.8, lower=0.2, upper=2.0, log=log, tolerance=tolerance)
+    d, x = design(x=(1.8, 0.2, 2.0, "", log, tolerance))
     shift = d.parameter("shift", 0.7)
     d.minimise((x - shift) ** 2 + 1.0, over=over)
     return d
@@ -41,6 +40,7 @@ def test_the_mean_of_a_parabola_is_that_of_its_uniform_box(log):
     own = _offsets(d, best.variables["x"])
     assert best.objective == pytest.approx(1.0 + np.mean((best.variables["x"] + own - 0.7) ** 2), rel=1e-9)
     assert f"Within the tolerances: the objective is the mean of {BOX_DESIGNS} designs" in str(best)
+    assert d.solve().local_optima == best.local_optima
 
 
 def test_the_worst_of_a_parabola_lies_at_the_ends_of_its_box():
@@ -57,7 +57,24 @@ def test_the_worst_of_a_parabola_lies_at_the_ends_of_its_box():
     assert best.spread.worst == pytest.approx(best.objective, rel=1e-9)
     moved = d.solve(parameters={"shift": 1.2})
     assert moved.variables["x"] - best.variables["x"] == pytest.approx(0.5, abs=1e-7)
-    assert moved.objective == pytest.approx(best.objective, rel=1e-9)
+    # Between the designs of a sample, none of whose boxes keeps these limits.
+    d.require("narrow", d.declared.variables[0].symbol, at_least=0.5999, at_most=0.7985)
+    for other in (moved, d.solve()):
+        assert other.objective == pytest.approx(best.objective, rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("over", "guess", "objective", "wanted"),
+    [
+        *((over, -0.5, lambda x: (ca.log(x) + 1.0) ** 2, math.exp(-1.0)) for over in ("mean", "worst")),
+        # With values beside the guess only, where no design of a sample falls.
+        ("worst", 0.3, lambda x: -ca.sqrt(1e-6 - (x - 0.3) ** 2), 0.3),
+    ],
+)
+def test_neither_the_guess_nor_a_sample_needs_a_value(over, guess, objective, wanted):
+    d, x = design(x=(guess, -1.0, 1.0, "", False, 1e-5))
+    d.minimise(2.0 + objective(x), over=over)
+    assert d.solve().variables["x"] == pytest.approx(wanted, abs=1e-6)
 
 
 def test_a_worst_objective_below_the_first_bounds_is_found(monkeypatch):
@@ -66,11 +83,12 @@ def test_a_worst_objective_below_the_first_bounds_is_found(monkeypatch):
     assert _parabola("worst").solve().objective == pytest.approx(worst, rel=1e-9)
 
 
+BOXED = {"x": (1.0, 0.1, 10.0, "", False, 0.2), "y": (2.0, 0.1, 10.0, "", False, "5 %")}
+
+
 @pytest.mark.parametrize("over", ["mean", "worst"])
 def test_requirements_hold_in_the_whole_box(over):
-    d = po.Design()
-    x = d.variable("x", guess=1.0, lower=0.1, upper=10.0, tolerance=0.2)
-    y = d.variable("y", guess=2.0, lower=0.1, upper=10.0, tolerance="5 %")
+    d, x, y = design(**BOXED)
     d.minimise(2.0 * x + y, over=over)
     d.require("yield", x * y, at_least=3.0)
     best = d.solve()
@@ -87,8 +105,7 @@ def test_requirements_hold_in_the_whole_box(over):
 # A needle, and a valley whose median exceeds its own objective by less than a needle's and by more than chance.
 @pytest.mark.parametrize(("depth", "width"), [(1.2, 0.005), (1.001, 0.046)])
 def test_a_broad_valley_is_preferred_to_a_narrow_one(depth, width):
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0, tolerance=0.02)
+    d, x = design(x=(0.5, 0.0, 1.0, "", False, 0.02))
     narrow, broad = ca.exp(-(((x - 0.25) / width) ** 2)), ca.exp(-(((x - 0.75) / 0.1) ** 2))
     objective = 2.0 - depth * narrow - broad
     d.minimise(objective)
@@ -99,9 +116,7 @@ def test_a_broad_valley_is_preferred_to_a_narrow_one(depth, width):
 
 
 def test_sensitivities_and_catalogue_choices_account_for_the_whole_box():
-    d = po.Design()
-    x = d.variable("x", guess=1.0, lower=0.1, upper=10.0, tolerance=0.2)
-    y = d.variable("y", guess=2.0, lower=0.1, upper=10.0, tolerance="5 %")
+    d, x, y = design(**BOXED)
     least = d.parameter("least", 3.0)
     d.minimise(2.0 * x + y, over="worst")
     d.require("yield", x * y - least, at_least=0.0)
@@ -137,8 +152,7 @@ def test_an_unknown_word_is_refused():
 @pytest.mark.parametrize("log", [False, True])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_bound_on_a_peak_is_solved_for(log, sign):
-    d, x = design(x=(0.5, 0.0, 1.0))
-    peak = d.variable("peak", guess=90.0, lower=0.01, upper=100.0, log=log)
+    d, x, peak = design(x=(0.5, 0.0, 1.0), peak=(90.0, 0.01, 100.0, "", log))
     curves = [3.0 + ca.sin(11.0 * x), 3.0 + ca.cos(7.0 * x)]
     d.minimise(sign * peak)
     d.require("below", sign * (ca.vertcat(*curves) - peak), at_most=0.0)

@@ -2,17 +2,20 @@
 
 import plough_opt as po
 
+OPTIONS = ("unit", "log", "tolerance")
+
 
 def design(**variables):
     """Return a design and the symbols of its variables.
 
     Args:
-        variables: name -> guess, lower bound, upper bound and optionally the unit.
+        variables: name -> guess, lower bound, upper bound and optionally unit, whether to scale by the logarithm, and
+            tolerance.
     """
     d = po.Design()
     symbols = [
-        d.variable(name, guess=guess, lower=lower, upper=upper, unit="".join(unit))
-        for name, (guess, lower, upper, *unit) in variables.items()
+        d.variable(name, guess=guess, lower=lower, upper=upper, **dict(zip(OPTIONS, more, strict=False)))
+        for name, (guess, lower, upper, *more) in variables.items()
     ]
     return d, *symbols
 

@@ -153,7 +153,9 @@ def _infeasible(program: Program, point: Point, short: Vector, designs: int = 0)
             side, bound = ("upper", variable.upper) if multiplier > 0 else ("lower", variable.lower)
             blockers.append(f"{side} bound {in_words(bound, variable.unit)} of '{variable.name}'")
     fails = failures(program, conflicts)
-    alone = "no variable of this design changes it" if len(conflicts) == 1 else "they conflict only with each other"
+    alone = (
+        "no variable of this design makes it smaller" if len(conflicts) == 1 else "they conflict only with each other"
+    )
     against = f"in conflict with {' and '.join(blockers)}" if blockers else alone
     place = declared.describe(program.values(point.y))
     best = f"in the best of {designs} designs tried," if designs else "at best"

@@ -188,8 +188,7 @@ def mount(r1_scene, r1_wave):
     """Build a design of the mount alone: a soft spring shakes, a hard one costs."""
 
     def build(accuracy):
-        d = po.Design()
-        k0 = d.variable("stiffness", guess=1e5, lower=6e4, upper=5e5, unit="N/m", log=True)
+        d, k0 = design(stiffness=(1e5, 6e4, 5e5, "N/m", True))
         scene = r1_scene(stiffness=k0, strength_wave=r1_wave, damping=300.0)
         run = po.simulate(scene, 0.5, accuracy=accuracy, outputs=5)
         d.minimise(run.force_rms / 1e3 + k0 / 1e6)
@@ -242,14 +241,12 @@ def test_a_run_inside_a_function_of_the_user(small):
 
 @pytest.mark.slow
 def test_motions_that_need_too_many_steps_are_skipped_or_refused(r1_scene, r1_wave):
-    d = po.Design()
     # 2e5 rad/s for a second at the upper bound, at 0.8 rad a step.
-    k0 = d.variable("stiffness", guess=1e4, lower=5e3, upper=1e12, unit="N/m", log=True)
+    d, k0 = design(stiffness=(1e4, 5e3, 1e12, "N/m", True))
     d.minimise(po.simulate(r1_scene(stiffness=k0, strength_wave=r1_wave), 1.0, outputs=5).mean_draft / 1e3)
     best = d.solve()
     assert np.mean(np.isnan(best.search.objective)) > 0.1
-    fast = po.Design()
-    k0 = fast.variable("stiffness", guess=7e11, lower=5e11, upper=1e12, unit="N/m", log=True)
+    fast, k0 = design(stiffness=(7e11, 5e11, 1e12, "N/m", True))
     fast.minimise(po.simulate(r1_scene(stiffness=k0, strength_wave=r1_wave), 1.0, outputs=5).mean_draft / 1e3)
     with pytest.raises(po.PloughError, match="shorten"):
         fast.solve()

@@ -30,8 +30,7 @@ TRUE_ANGLE, TRUE_HEIGHT = po.deg(39.11469851), 0.2002828632
 
 
 def test_active_bounds_are_kept_exactly_and_their_multipliers_are_the_slopes_of_the_objective():
-    d, x, z = design(x=(0.5, 0.2, 1.0, "m"), z=(2.0, 1.0, 3.0))
-    y = d.variable("y", guess=2.0, lower=1.0, upper=3.0, log=True)
+    d, x, y, z = design(x=(0.5, 0.2, 1.0, "m"), y=(2.0, 1.0, 3.0, "", True), z=(2.0, 1.0, 3.0))
     d.minimise(x**2 - 5.0 * ca.log(y) + (z - 2.5) ** 2)
     best = d.solve()
     assert 0.2 <= best.variables["x"] <= 0.2 * (1 + 1e-8)

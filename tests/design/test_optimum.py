@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from helpers.differences import order_4
+from helpers.small_designs import design
 
 import plough_opt as po
 
@@ -20,8 +21,7 @@ def _limit(best, name):
 
 def test_multiplier_of_a_path_is_the_slope_of_the_best_objective(r1_scene, r1_wave):
     def solve(deflection):
-        d = po.Design()
-        k0 = d.variable("stiffness", guess=2e4, lower=1e4, upper=1e6, unit="N/m", log=True)
+        d, k0 = design(stiffness=(2e4, 1e4, 1e6, "N/m", True))
         run = po.simulate(r1_scene(stiffness=k0, strength_wave=r1_wave, damping=2e3), 1.0, outputs=100)
         d.minimise(1.0 + k0 / 1e5)
         d.require("deflection", run.deflection, at_most=deflection, unit="m")
@@ -123,8 +123,7 @@ def test_the_program_is_built_once_for_all_solves(build_nlp, with_parameter):
 
 @pytest.mark.parametrize("motion", [True, False])
 def test_an_optimum_carries_the_warnings_of_its_run(motion):
-    d = po.Design()
-    angle = d.variable("wedge angle", guess=po.deg(30), lower=po.deg(20), upper=po.deg(80), unit="rad")
+    d, angle = design(angle=(po.deg(30), po.deg(20), po.deg(80), "rad"))
     share = po.Wedge(angle, po.deg(15), 0.25)
     scene = po.Scene(po.named_soil("serozem"), share, 1e5, 25.0, 2.0, po.Effects(motion=motion))
     run = po.simulate(scene, 0.5)

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from helpers.differences import check_derivatives
+from helpers.small_designs import design
 
 import plough_opt as po
 from plough_opt.design.program import Program
@@ -22,8 +23,7 @@ def build(r1_scene):
         return r1_scene(stiffness=stiffness, strength_wave=wave, damping=damping, orbit=choice)
 
     def build(choice, *, limit=None, accuracy=None, damping=400.0, guess=5e4, lower=LOWER):
-        d = po.Design()
-        stiffness = d.variable("stiffness", guess=guess, lower=lower, upper=UPPER, unit="N/m", log=True)
+        d, stiffness = design(stiffness=(guess, lower, UPPER, "N/m", True))
         run = po.simulate(scene(stiffness, choice, damping), accuracy=accuracy, outputs=48)
         d.minimise(objective(run))
         if limit is not None:
@@ -140,10 +140,9 @@ def test_tow_speed_and_wave_may_be_chosen_too(r1_scene):
         scene = r1_scene(tow_speed=speed, damping=400.0, strength_wave=wave, orbit="periodic", stiffness=4e4)
         return po.simulate(scene, outputs=24)
 
-    d = po.Design()
-    speed = d.variable("tow speed", guess=1.5, lower=1.0, upper=2.5, unit="m/s")
+    d, speed = design(speed=(1.5, 1.0, 2.5, "m/s"))
     run = run_at(speed, d.parameter("wavelength", 0.6, unit="m"))
     d.minimise((run.tow_power / 1e3 - 0.9) ** 2)
     best = d.solve(parameters={"wavelength": 0.8}, search="local")
     # The objective is flat to 1e-10 within the square root of that.
-    assert run_at(best.variables["tow speed"], 0.8).tow_power == pytest.approx(900.0, rel=1e-4)
+    assert run_at(best.variables["speed"], 0.8).tow_power == pytest.approx(900.0, rel=1e-4)

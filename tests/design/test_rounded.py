@@ -19,9 +19,7 @@ SOLVED = 1e-9
 @functools.cache
 def _solved(*, most=10.0, log=False):
     """Minimise 2 x + y with x y >= 3: x = sqrt(3/2), y = sqrt(6), J = 2 sqrt(6); with x held J = 2 x + 3/x."""
-    d = po.Design()
-    x = d.variable("share.tip width", guess=1.0, lower=0.1, upper=10.0, unit="m", log=log)
-    y = d.variable("y", guess=2.0, lower=0.1, upper=most, log=log)
+    d, x, y = design(**{"share.tip width": (1.0, 0.1, 10.0, "m", log), "y": (2.0, 0.1, most, "", log)})
     d.minimise(2.0 * x + y)
     d.require("yield", x * y, at_least=3.0, unit="m")
     best = d.solve()
@@ -48,8 +46,7 @@ def test_the_best_of_a_catalogue_with_the_rest_solved_again(log):
 
 
 def test_every_choice_has_its_own_spread():
-    d = po.Design()
-    x = d.variable("x", guess=0.5, lower=0.0, upper=1.0, tolerance=0.01)
+    d, x = design(x=(0.5, 0.0, 1.0, "", False, 0.01))
     d.minimise(1.0 + 100.0 * (x - 0.3) ** 2)
     found = d.solve().rounded(x=[0.25, 0.31])
     first, second = found.tried

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from helpers.small_designs import design
 from scipy.stats.qmc import Sobol
 
-import plough_opt as po
 from plough_opt.design import population
 from plough_opt.design.landscape import Landscape, barriers, concatenated, end_straight_downhill
 from plough_opt.design.program import Program
@@ -20,8 +20,7 @@ def test_sobol_points_are_those_of_scipy(n):
 @pytest.fixture(scope="module")
 def two_valleys():
     """Return the landscape of ((x^2 - 1)^2 + y^2)/2 + x/10, with valleys at x near 1 and -1."""
-    d = po.Design()
-    x, y = (d.variable(name, guess=0.5, lower=-2.0, upper=2.0) for name in "xy")
+    d, x, y = design(x=(0.5, -2.0, 2.0), y=(0.5, -2.0, 2.0))
     d.minimise(0.5 * ((x**2 - 1.0) ** 2 + y**2) + 0.1 * x + 1.0)
     d.solve(search="near")
     return Landscape(d._program, np.empty(0))

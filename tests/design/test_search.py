@@ -221,8 +221,8 @@ def test_few_steps_and_the_spread_over_tolerances_agree_with_exact_runs():
         scene = po.Scene(po.named_soil("firm sandy loam"), share, stiffness, 6.0, 1.5, effects)
         return po.simulate(scene, 0.5).force_rms
 
-    d = po.Design()
-    d.minimise(rms(d.variable("stiffness", guess=1e6, lower=8e5, upper=5e7, unit="N/m", log=True)))
+    d, k0 = design(stiffness=(1e6, 8e5, 5e7, "N/m", True))
+    d.minimise(rms(k0))
     best = d.solve()
     # A run covers 200 to 1400 rad. Steps in proportion to the phase alone lost up to 20 % of the RMS.
     chosen = np.linspace(0, len(best.search.values) - 1, 8).astype(int)

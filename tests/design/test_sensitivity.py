@@ -14,11 +14,8 @@ import plough_opt as po
 
 def _cost_against_yield(a=2.0, c=3.0, *, most=10.0, log=False):
     """Build: minimise a x + y with x y >= c, whose optimum is x = sqrt(c/a), y = sqrt(c a), J = 2 sqrt(a c)."""
-    d = po.Design()
-    weight = d.parameter("weight", a, unit="1/m")
-    x = d.variable("x", guess=1.0, lower=0.1, upper=most, unit="m", log=log)
-    y = d.variable("y", guess=4.0, lower=0.1, upper=10.0, log=log)
-    d.minimise(weight * x + y)
+    d, x, y = design(x=(1.0, 0.1, most, "m", log), y=(4.0, 0.1, 10.0, "", log))
+    d.minimise(d.parameter("weight", a, unit="1/m") * x + y)
     d.require("yield", x * y, at_least=c)
     return d
 
@@ -47,10 +44,8 @@ def test_an_active_requirement_and_free_variables(log):
 
 
 def test_no_active_limit():
-    d = po.Design()
-    a = d.parameter("a", 2.0)
-    x = d.variable("x", guess=0.1, lower=-1.0, upper=3.0)
-    d.minimise(ca.exp(x) - a * x)
+    d, x = design(x=(0.1, -1.0, 3.0))
+    d.minimise(ca.exp(x) - d.parameter("a", 2.0) * x)
     found = d.solve().sensitivity("a")
     # x = ln a, J = a - a ln a; bounds are reached, to first order, after (bound - x) a.
     assert found.objective == pytest.approx(-math.log(2.0), rel=EXACT)
@@ -90,8 +85,7 @@ def test_an_inactive_limit_changes_nothing_until_it_is_met(log):
 
 @pytest.mark.parametrize("centre", [0.0, 2.0])
 def test_an_equality_whichever_way_it_pulls(centre):
-    d = po.Design()
-    x, y = (d.variable(name, guess=0.7, lower=-5.0, upper=5.0) for name in "xy")
+    d, x, y = design(x=(0.7, -5.0, 5.0), y=(0.7, -5.0, 5.0))
     d.minimise((x - centre) ** 2 + (y - centre) ** 2)
     d.require("sum", x + y, at_least=1.0, at_most=1.0)
     found = d.solve().sensitivity("sum", check=True)
@@ -115,11 +109,8 @@ def test_two_limits_of_one_requirement_are_two_questions():
 
 @pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
 def test_a_limit_that_just_touches_makes_the_derivatives_one_sided(unit):
-    d = po.Design()
-    a = d.parameter("a", unit) / unit
-    x = d.variable("x", guess=0.3, lower=-1.0, upper=1.0)
-    y = d.variable("y", guess=0.3, lower=-2.0, upper=2.0)
-    d.minimise((x - a) ** 2 + (y - x) ** 2 + 1.0)
+    d, x, y = design(x=(0.3, -1.0, 1.0), y=(0.3, -2.0, 2.0))
+    d.minimise((x - d.parameter("a", unit) / unit) ** 2 + (y - x) ** 2 + 1.0)
     best = d.solve()
     by_a, by_bound = best.sensitivity("a", check=True), best.sensitivity("x upper")
     assert by_a.touching == ("x upper",)
@@ -146,10 +137,8 @@ def test_check_solves_again(name, most):
 
 
 def _bounded_parabola():
-    d = po.Design()
-    a = d.parameter("a", 1.0)
-    x = d.variable("x", guess=0.3, lower=-1.0, upper=1.0)
-    d.minimise((x - a) ** 2 + 1.0)
+    d, x = design(x=(0.3, -1.0, 1.0))
+    d.minimise((x - d.parameter("a", 1.0)) ** 2 + 1.0)
     return d
 
 
@@ -245,11 +234,9 @@ def test_optima_without_a_derivative_are_refused(objective, limits, name, words)
 
 
 def test_every_sensitivity_comes_in_order_of_size_and_only_if_it_matters():
-    d = po.Design()
-    a, b = d.parameter("a", 2.0), d.parameter("b", 0.1)
+    d, x = design(x=(0.5, 0.2, 3.0))
     d.parameter("idle", 3.0)
-    x = d.variable("x", guess=0.5, lower=0.2, upper=3.0)
-    d.minimise(a * x + b * x**2)
+    d.minimise(d.parameter("a", 2.0) * x + d.parameter("b", 0.1) * x**2)
     found = d.solve().every_sensitivity()
     assert [item.name for item in found] == ["x lower", "a", "b"]
     # J = a x + b x^2 at x = 0.2.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from collections.abc import Sequence
@@ -117,11 +118,12 @@ def function_of_column(name: str, inputs: Sequence[Column], result: Column) -> c
         raise InputError(f"the scene depends on {', '.join(inner.get_free())}: name it among the inputs of the batch")
     if inner.is_a("MXFunction") and (labels := labels_in(inner)):
         inner = ca.Function(name, list(inputs), without_labels([dense], labels))
-    kind: Any = ca.SX
-    try:
-        inner = inner.expand()
-    except RuntimeError:
-        kind = ca.MX
+    kind: Any = ca.MX
+    with contextlib.suppress(RuntimeError):  # the solution of linear equations has no graph of scalar operations
+        expanded = inner.expand()
+        # A table or the root of an equation remains a call, which only CasADi evaluates.
+        if ca.OP_CALL not in map(expanded.instruction_id, range(expanded.n_instructions())):
+            inner, kind = expanded, ca.SX
     column = kind.sym("column", sum(one.numel() for one in inputs))
     ends = itertools.accumulate((one.numel() for one in inputs), initial=0)
     parts = [ca.reshape(column[a:b], *one.shape) for one, (a, b) in zip(inputs, itertools.pairwise(ends), strict=True)]

@@ -66,6 +66,7 @@ ONE_OF = {
     "motion/test_smooth_contact": 3,
     "motion/test_stick_slip": 3,
     "test_batch": 3,
+    "test_batch::test_designs_are_refused_as_a_single_scene_is": 1,
     "test_density_profile": 2,
     "test_forces": 4,
     "test_plastic_derivatives": 3,

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 import pytest
-from helpers.scenes import R1_RUNS
+from helpers.scenes import R1_RUNS, SEROZEM, Shank, scene_of
 
 import plough_opt as po
-from plough_opt.core.expressions import maximum, minimum, sin, where
+from plough_opt.core.expressions import exp, maximum, minimum, sin, where
 
 NAMES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
 DESIGNS = np.array([[po.deg(25.0), 0.25, 5e4], [po.deg(45.0), 0.15, 8e3], [po.deg(10.0), 0.4, 3e5]])
@@ -126,6 +126,27 @@ def test_designs_outside_the_domain(batch_of, r1_scene, r1_wave):
         assert all(math.isnan(getattr(result, name)[k]) for name in NAMES)
     assert "share height = -0.2 m must be above 0 m" in result.reasons[1]
     assert np.all(result.mean_draft[~result.failed] == batch(DESIGNS[:1]).mean_draft[0])
+
+
+# A name in the reason -> a sound and an unsound value, and the scene of a value.
+FALLING = SEROZEM.with_density_profile(lambda r: SEROZEM.density * (1.0 + exp(-((2.0 * r) ** 2))), order=8)
+UNSOUND = {
+    "depth over width": (0.5, 0.05, lambda x: scene_of(share=po.Wedge(x, 0.3, 0.3), medium="universal_earthmoving")),
+    "compaction front": (0.2, 9.0, lambda x: scene_of(FALLING, po.Cone(0.3, x))),
+    "amplitudes is 1.3": (0.2, 0.8, lambda x: scene_of(
+        strength_wave=(po.StrengthWave(0.5, 0.2), po.StrengthWave(x, 0.3)))),
+    "share height": (0.2, -1.0, lambda x: scene_of(share=po.Cone(0.3, x), own=(Shank(9.0 * x),))),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", UNSOUND)
+def test_designs_are_refused_as_a_single_scene_is(name):
+    x, (sound, unsound, scene) = ca.MX.sym("x"), UNSOUND[name]
+    result = po.Batch(scene(x), 0.1, [x])([[sound], [unsound]])
+    assert result.mean_draft[0] == pytest.approx(po.simulate(scene(sound), 0.1).mean_draft, rel=1e-6)
+    with pytest.raises(po.DomainError, match=name) as caught:
+        scene(unsound).check_reaction()
+    assert result.reasons == {1: str(caught.value)}
 
 
 def test_motions_without_an_end(batch_of, r1_wave):

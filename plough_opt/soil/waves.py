@@ -73,7 +73,7 @@ def check_strength(waves: Sequence[StrengthWave], path: tuple[float, float] | No
     """
     if len(waves) < 2 or any(is_symbolic(wave.amplitude) for wave in waves):
         return
-    total = sum(float(as_number(wave.amplitude)) for wave in waves)
+    total = float(np.max(sum(as_number(wave.amplitude) for wave in waves)))
     if total <= 1.0 + _COMMENSURATE:
         return
     if path is None:

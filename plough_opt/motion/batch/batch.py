@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from plough_opt.core.checks import NOT_NUMBERS, check_kind, check_single, shown
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, PloughError
 from plough_opt.core.expressions import (
     Column,
     Expression,
@@ -246,8 +246,8 @@ class Batch:
         scene = self._check.scene(lambda k: float(quantities[k]))
         try:
             description = scene.describe()
-        except OverflowError:
-            return "its forces are beyond the range of floating point: use the dimensions of a real share"
+        except PloughError as error:  # such as a density profile without a compaction front
+            return str(error)
         if steps >= _MOST_STEPS:
             return (
                 f"the motion of a {description} takes more than {_MOST_STEPS} steps: use the quasi-static scene"

@@ -15,6 +15,7 @@ from plough_opt.core.quantities import BESIDE, QUANTITIES
 from plough_opt.motion.batch.engine import Array
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.scene_quantities import quantities_of
+from plough_opt.soil.waves import check_strength
 
 
 class DomainCheck:
@@ -66,6 +67,10 @@ class DomainCheck:
         values = iter([value(next(varying)) if number is None else number for number in self._fixed])
         scene: Scene = map_expressions(self._template, lambda _: next(values), is_quantity)
         BESIDE["scene.duration"].check(value(next(varying)))
+        if scene.soil.density_profile is None:
+            scene.check_reaction()
+        else:  # accepts no arrays, and designs without a compaction front have no finite results anyway
+            check_strength(scene.effects.waves)
         return scene
 
     def _accepts(self, value: Callable[[int], Any]) -> bool:

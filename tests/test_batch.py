@@ -168,11 +168,11 @@ class Stairs:
 @pytest.mark.parametrize(
     ("effects", "match"),
     [
+        ({"own": (Stairs(3.0),)}, "operation .floor."),
         ({"motion": False}, "quasi-static"),
         ({"contact": po.StickSlip()}, "events of StickSlip"),
         ({"entry": True, "start": "rest"}, "events of the entry"),
         ({"orbit": "periodic", "strength_wave": po.StrengthWave(0.3, 0.6)}, "from its start"),
-        ({"own": (Stairs(3.0),)}, "operation .floor."),
     ],
     ids=lambda value: value if isinstance(value, str) else next(iter(value)),
 )
@@ -197,6 +197,8 @@ def test_wrong_inputs(batch_of, r1_scene, r1_wave):
         (lambda: batch(DESIGNS[0]), r"shape \(3,\).*3 inputs"),
         (lambda: batch([["25 deg", 0.25, 5e4]]), "values of a batch must be numbers"),
         (lambda: batch(DESIGNS, threads=1.5), "threads = .* must be a whole number"),
+        (lambda: next(batch.stream(3.0)), "chunks = .* must be a list"),
+        (lambda: po.Batch(r1_scene(stiffness=ca.fmod(k0, 2e5)), 1.0, [k0]), "cannot evaluate CasADi's operation"),
     ):
         with pytest.raises((po.InputError, po.DomainError), match=match):
             call()

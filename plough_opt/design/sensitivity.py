@@ -23,6 +23,8 @@ from plough_opt.design.verify import TightEvaluation
 _CHECK_STEP = 2e-4
 # Elasticities below this are shown as 0 %.
 _ROUNDING = 1e-9
+# A variable this close to 0, as a part of its range, is 0: the optimiser meets a bound of 0 to its rounding only.
+_NOTHING = 1e-12
 # One-sided derivatives with a smaller relative difference count as equal.
 _SAME = 1e-9
 
@@ -164,21 +166,24 @@ class Solved:
         values = dict(zip(rising, self._unscaled(self._active.y), strict=True))
         lowest, below = target.within(target.value - down.until, down.then)
         highest, above = target.within(target.value + up.until, up.then)
-        names = [v.name for v in self.program.declared.variables if not v.auxiliary]
+        variables = {v.name: v for v in self.program.declared.variables if not v.auxiliary}
         differs = bool(np.max(np.abs(up.y - down.y)) > _SAME * np.max(np.abs([up.y, down.y])))
         return Sensitivity(
             name=name,
             value=target.value,
             unit=target.unit,
             objective=objective,
-            variables={v: rising[v] for v in names},
+            variables={name: rising[name] for name in variables},
             elasticity=_elasticity(objective, target.value, best),
-            elasticities={v: _elasticity(rising[v], target.value, values[v]) for v in names},
+            elasticities={
+                name: _elasticity(rising[name], target.value, values[name], least=_NOTHING * (v.upper - v.lower))
+                for name, v in variables.items()
+            },
             valid_from=lowest,
             valid_to=highest,
             then=(below, above),
             touching=self._active.touching if differs else (),
-            falling={v: falling[v] for v in names},
+            falling={name: falling[name] for name in variables},
             difference=self._difference(target, objective, up, down) if check else None,
         )
 
@@ -285,5 +290,6 @@ class Solved:
         return np.array([point.f * program.objective_scale, *self._unscaled(point.y)])
 
 
-def _elasticity(derivative: float, value: float, result: float) -> float | None:
-    return None if result == 0.0 else derivative * value / result
+def _elasticity(derivative: float, value: float, result: float, least: float = 0.0) -> float | None:
+    """Return per cent of a result per per cent of a value; None if the result is 0 but for rounding below ``least``."""
+    return None if abs(result) <= least else derivative * value / result

@@ -1,6 +1,7 @@
 """`plough-opt optimise --sensitivity`: elasticities of every quantity of the file and of the limits that decide."""
 
 import json
+from itertools import pairwise
 
 import pytest
 from helpers.commands import call, cells, printed
@@ -50,9 +51,8 @@ def test_it_is_the_file_solved_again_with_another_value(file, saved, name, key, 
         return po.read_problem(file, [f'{key}="{text}"']).optimise()[0].objective
 
     one, two = (objective(1.0 + s) - objective(1.0 - s) for s in (1e-3, 2e-3))
-    slope = (8.0 * one - two) / 12e-3
     # An objective good to 1e-12 over a step of 1e-3, and the step to the fourth power.
-    assert found.elasticity == pytest.approx(slope / saved.objective, rel=1e-8, abs=1e-9)
+    assert found.elasticity == pytest.approx((8.0 * one - two) / 12e-3 / saved.objective, rel=1e-8, abs=1e-9)
 
 
 def test_the_table_has_every_quantity_that_matters_in_order_of_size(file, saved):
@@ -75,6 +75,9 @@ def test_the_table_has_every_quantity_that_matters_in_order_of_size(file, saved)
     (radius,) = [item for item in saved.sensitivities if item.name == "loosened_radius at_least"]
     # The front's radius is proportional to the height, the draft to its square; the angle keeps it.
     assert cells(done.out, radius.name)[1:4] == [f"{radius.elasticity:+.3g}", "0", "+1"]
+    # No percentage is one of a variable whose best value is 0.
+    free = "variables.effects.rate_term={ lower = '0 s^2/m^2', upper = '1 s^2/m^2' }"
+    assert "value 0" in printed("optimise", file, "--sensitivity", "--set", free)
 
 
 def test_an_optimum_that_is_not_unique_is_printed_with_a_note(file):
@@ -82,8 +85,11 @@ def test_an_optimum_that_is_not_unique_is_printed_with_a_note(file):
     flat = file.with_name("flat.toml")
     text = changed(('stiffness = "60 kN/m"\n', ""), ('"share.wedge', free), text=TEXT.replace("\nmean_defl", "\n#"))
     flat.write_text(text, encoding="utf-8")
-    done = call("optimise", flat, "--sensitivity")
+    done = call("optimise", flat, "--sensitivity", "--search", "8", "-v")
     assert done.status == 0
+    stages = [line.split(" s  ")[1] for line in done.err.splitlines()]
+    assert all(one != two for one, two in pairwise(stages))  # each once, however often it is reported
+    assert str(po.read_problem(flat).optimise(search=8)[0].search) in done.out
     assert "not unique" in done.out
     assert "note: no sensitivities: the optimum is not unique" in done.said
     assert "one per cent" not in done.out

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression
 from plough_opt.design import Design, Progress
 from plough_opt.motion import Run
@@ -179,8 +178,5 @@ class _RobustDesign:
             design.require(name, robust.every(name, at_least=low, at_most=high), **ends)
         else:
             chosen = measure_of(limit.measure or "nominal")
-            if chosen.kind in ("cvar", "worst") and low is not None and high is not None:
-                remedy = f"a {chosen.kind} can have only one limit: give at_least or at_most"
-                raise InputError(f"{self._problem.name}: '{name}': {remedy}")
             value = self._measure(robust, run, name, chosen, limit.width, low_is_bad=low is not None)
             design.require(name, value, **ends)

@@ -289,28 +289,26 @@ def _check_measures(source: Source, table: ProblemTable) -> None:
                         source.note((kind, name, key), f"'{kind}.{name}.{key}' {needs}")
                 continue
             with source.noting((kind, name)):
+                chosen = None if entry.measure is None else measure_of(entry.measure)
                 if isinstance(entry, LimitTable):
-                    _check_limit(entry, name, everywhere=name in known and known[name].everywhere)
-                if entry.measure is not None:
-                    measure_of(entry.measure)
+                    _check_limit(entry, name, chosen, everywhere=name in known and known[name].everywhere)
                 if entry.width is not None and name in known:
                     place = (kind, name, "width")
                     if source.parsed(place, known[name].unit, entry.width, f"'{name}' width") <= 0.0:
                         raise source.error(place, f"'{name}' width = {entry.width} must be above 0")
 
 
-def _check_limit(limit: LimitTable, name: str, everywhere: bool) -> None:
+def _check_limit(limit: LimitTable, name: str, chosen: ChosenMeasure | None, everywhere: bool) -> None:
     if everywhere and limit.measure != "nominal":
         raise InputError(
             f"'{name}' has a value at every output time: limit its mean over samples of the soil, or set"
             ' measure = "nominal"'
         )
-    if limit.probability is None:
-        return
-    if limit.measure is not None:
+    if limit.probability is not None and chosen is not None:
         raise InputError(f"'{name}' has both a measure and a probability: remove one")
-    if not 0.0 < limit.probability < 1.0:
+    if limit.probability is not None and not 0.0 < limit.probability < 1.0:
         between = "must lie between 0 and 1; remove it to require every sample"
         raise InputError(f"'{name}': the probability {limit.probability:g} {between}")
-    if len(limit.sides) == 2:
-        raise InputError(f"'{name}': a probability applies to one limit: give at_least or at_most")
+    one_tail = limit.probability is not None or (chosen is not None and chosen.kind in ("cvar", "worst"))
+    if one_tail and len(limit.sides) == 2:
+        raise InputError(f"'{name}': a probability, cvar or worst value applies to one limit: give at_least or at_most")

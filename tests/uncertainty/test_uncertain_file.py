@@ -1,28 +1,25 @@
 """Problem files with an uncertain soil, from the command line: solved, verified, mistakes reported with their line."""
 
-import contextlib
-import io
 import json
+import math
 import re
 import tomllib
-from pathlib import Path
 from types import SimpleNamespace
 
-import matplotlib
 import numpy as np
 import pytest
+import trimesh
+from helpers.commands import call, printed
+from helpers.problem_files import PROBLEMS
 
 import plough_opt as po
-from plough_opt.app import main
 from plough_opt.problem_file import robust_design
 from plough_opt.problem_file.robust_design import optimise_robust
-from plough_opt.problem_file.uncertain import measure_of, uncertain_of
+from plough_opt.problem_file.uncertain import distribution_of, measure_of, uncertain_of
 from plough_opt.studies.uncertainty import measures
 from plough_opt.studies.uncertainty.result import RobustOptimum
 
-matplotlib.use("Agg")
-FIELD = Path(__file__).parents[2] / "problems" / "uncertain_field.toml"
-
+FIELD = PROBLEMS / "uncertain_field.toml"
 TEXT = FIELD.read_text(encoding="utf-8")
 # A height is chosen in eight soils, without motion, and every measure is used.
 QUICK = (
@@ -44,7 +41,7 @@ def written(tmp_path):
         assert change[0] in TEXT
         path = tmp_path / "field.toml"
         path.write_text(TEXT.replace(*change), encoding="utf-8")
-        return str(path)
+        return path
 
     return write
 
@@ -58,10 +55,10 @@ def command(tmp_path_factory):
         optima.append(optimise_robust(*arguments))
         return optima[0]
 
-    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as printed:
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr(robust_design, "optimise_robust", noted)
-        assert main(["optimise", str(FIELD), *SET, "--json", "--plot", str(picture)]) == 0
-    return SimpleNamespace(printed=printed.getvalue(), picture=picture, optimum=optima[0])
+        out = printed("optimise", FIELD, *SET, "--json", "--plot", picture)
+    return SimpleNamespace(printed=out, picture=picture, optimum=optima[0])
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +82,13 @@ def test_the_command_saves_both_optima_and_every_check(command, tmp_path):
         "added_mass": "largest of the samples",
     }
     assert saved["indices"]["mean_draft"]["names"] == ["cohesion", "friction_angle given cohesion", "density_ratio"]
+
+
+def test_a_part_is_that_of_the_robust_design(found, monkeypatch, tmp_path):
+    monkeypatch.setattr(robust_design, "optimise_robust", lambda *_: found)
+    printed("export", FIELD, *SET, "--to", "stl", "--output", tmp_path / "a.stl")
+    volume = trimesh.load_mesh(tmp_path / "a.stl").volume
+    assert volume == pytest.approx(1e9 * found.run.scene.share.mesh().volume, rel=1e-6)  # in mm, single precision
 
 
 def test_tables_show_the_soil_both_designs_and_the_fresh_samples(found):
@@ -135,31 +139,43 @@ def test_picture_shows_both_designs_their_means_and_the_limit(found):
     assert texts[2] == "limit 0.15 m"
 
 
-def test_nominal_commands_take_the_file_as_it_is(capsys):
-    assert main(["check", str(FIELD)]) == 0
-    assert "Uncertain: soil.cohesion, soil.friction_angle, soil.density_ratio" in capsys.readouterr().out
-    assert main(["simulate", str(FIELD)]) == 0
-    assert "loosened radius" in capsys.readouterr().out
+def test_nominal_commands_take_the_file_as_it_is():
+    assert "Uncertain: soil.cohesion, soil.friction_angle, soil.density_ratio" in printed("check", FIELD)
+    assert "loosened radius" in printed("simulate", FIELD)
 
 
 def test_overrides_reach_a_distribution():
     table = po.read_problem(FIELD, ['uncertain.soil.cohesion.std="3 kPa"']).table.uncertain["soil.cohesion"]
     assert (table["std"], table["mean"]) == ("3 kPa", "20 kPa")
+    other = "uncertain={soil.cohesion={distribution='triangular', lower='10 kPa', mode='20 kPa', upper='60 kPa'}}"
+    table = uncertain_of(po.read_problem(FIELD, [other]).table.uncertain)
+    # The mean of the three, and the root of (a^2 + b^2 + c^2 - ab - bc - ca)/18; both come by a quadrature.
+    moments = distribution_of(table, po.named_soil("serozem")).moments["cohesion"]
+    assert moments == pytest.approx((30e3, 1e3 * math.sqrt(2100 / 18)), rel=1e-8)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "line", "words"),
     [
         ('"soil.cohesion"       = {', '"soil.cohesoin" = {', 10, "'soil.cohesion'"),
+        ('"soil.cohesion"       = {', '"soil.cohesion" = 3 #', 10, "'soil.cohesion' must be a table like"),
         ('"lognormal"', '"lognorml"', 10, "lognormal"),
+        ('"lognormal", mean = "20 kPa", std = "6 kPa"', '"triangular", mode = "4 kPa"', 10, "mode must lie between"),
         ('std = "6 kPa"', 'std = "6 deg"', 10, "wrong unit"),
         ('std = "6 kPa"', 'std = "0 kPa"', 10, "std must be above 0"),
+        ('std = "6 kPa"', 'std = "1e200 kPa"', 10, "too large or too small to compute with"),
+        ('mean = "20 kPa"', 'mean = "-20 kPa"', 10, "the mean of a lognormal distribution must be above 0"),
+        ('lower = "5 kPa"', 'lower = "99 kPa"', 10, "lower must be below upper"),
         ('std = "6 kPa"', 'sdt = "6 kPa"', 10, "'std'"),
         ('mean = "20 kPa", ', "", 10, "distribution needs mean"),
         ('lower = "5 kPa", upper = "60 kPa"', 'upper = "1 kPa"', 10, "between its bounds"),
         ("std = 0.02,", "std = 0.2,", 12, "beta distribution"),
         ("std = 0.02, lower = 0.70, upper = 0.88", "std = 0.05, lower = 0.6, upper = 1.2", 12, "in a file lower = "),
         ('"soil.friction_angle", -0.4', '"soil.density", -0.4', 13, "soil.density_ratio"),
+        (", -0.4]]", "]]", 13, "must be two names and a number"),
+        ("correlation = [[", "correlation = 3 # [[", 13, "must be a list of pairs with a number"),
+        ("[scene]", '[scene]\nmedium = "elastic"', 8, "'uncertain' has no meaning in the elastic medium"),
+        ("[minimise]", '[minimise]\nover = "worst"', 33, "'over' is for tolerances in one soil"),
         ("samples = 64", "samples = 3", 9, "whole number from 8"),
         ("samples = 64", "sample = 64", 9, "'samples'"),
         ('"cvar 0.9"', '"cvar 90"', 33, "between 0 and 1"),
@@ -169,14 +185,13 @@ def test_overrides_reach_a_distribution():
         ("probability = 0.95", "probability = 1.0", 37, "between 0 and 1"),
         ("probability = 0.95", 'probability = 0.95, measure = "worst"', 37, "both a measure and a probability"),
         ('at_least = "0.15 m"', 'at_least = "0.15 m", at_most = "0.3 m"', 37, "one limit"),
+        ('0.15 m", probability = 0.95', '0.15 m", at_most = "0.3 m", measure = "worst"', 37, "one limit"),
         ("loosened_radius = {", 'deflection = { at_most = "0.1 m" }\nloosened_radius = {', 37, "every output time"),
     ],
 )
-def test_mistakes_are_reported_with_their_line(written, capsys, old, new, line, words):
-    assert main(["optimise", written((old, new))]) == 2
-    error = capsys.readouterr().err
-    assert f"line {line}:" in error
-    assert words in error
+def test_mistakes_are_reported_with_their_line(written, old, new, line, words):
+    done = call("optimise", written((old, new)))
+    assert (done.status, f"line {line}:" in done.err, words in done.err) == (2, True, True), done.err
 
 
 @pytest.mark.parametrize(
@@ -190,9 +205,9 @@ def test_mistakes_are_reported_with_their_line(written, capsys, old, new, line, 
     ],
     ids=["an uncertain variable", "measures without an uncertain soil", "sensitivity", "no solution"],
 )  # fmt: skip
-def test_questions_that_cannot_be_answered(written, capsys, change, arguments, status, words):
-    assert main(["optimise", written(change), *arguments]) == status
-    assert words in capsys.readouterr().err
+def test_questions_that_cannot_be_answered(written, change, arguments, status, words):
+    done = call("optimise", written(change), *arguments)
+    assert (done.status, words in done.err) == (status, True)
 
 
 def test_the_tables_of_the_page_are_those_of_the_file():

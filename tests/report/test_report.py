@@ -8,7 +8,7 @@ import shutil
 from html.parser import HTMLParser
 
 import pytest
-from helpers.commands import printed
+from helpers.commands import cells, printed
 from helpers.problem_files import PROBLEMS, SUBSOILER, changed
 
 import plough_opt as po
@@ -16,9 +16,7 @@ from plough_opt.app.page.writing import ASSETS, page, reported
 
 # Two variables fewer than the file has, so that the search is short.
 FIXED = ("share.wedge_angle=39 deg", "share.height=0.26 m")
-HOSTILE = (
-    "Subsoiler </script><script>document.title='broken'</script> & \\\"quotes\\\" <img src=http://x.invalid/a.png>"
-)
+HOSTILE = "Subsoiler </script><script>document.title='broken'</script> & \\\"quotes\\\" <img src=http://x.invalid/a>"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 # Without a graphics card Chromium draws WebGL by itself.
 SWITCHES = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
@@ -103,27 +101,24 @@ def test_no_text_leaves_its_place_and_nothing_is_asked_of_a_network(written):
     assert [attributes["id"] for tag, attributes in found.tags if tag == "script" and "id" in attributes] == ["data"]
     assert sum(tag == "script" for tag, _ in found.tags) == 6
     assert not [tag for tag, _ in found.tags if tag in ("img", "link", "iframe", "object")]
-    asking = {"src", "srcset", "onload", "onclick"}
-    assert not [attributes for _, attributes in found.tags if asking & attributes.keys()]
+    assert not [one for _, one in found.tags if {"src", "srcset", "onload", "onclick"} & one.keys()]
     assert HOSTILE.replace('\\"', '"') in found.text[""]  # as a text, in the heading
     policy = next(attributes["content"] for tag, attributes in found.tags if attributes.get("http-equiv"))
     assert policy.startswith("default-src 'none'")
-    pictures = [attributes for tag, attributes in found.tags if tag in ("figure", "canvas")]
-    assert all(attributes["aria-label"] for attributes in pictures)  # a text in the place of each
+    # A text in the place of each picture.
+    assert all(attributes["aria-label"] for tag, attributes in found.tags if tag in ("figure", "canvas"))
 
 
 def test_scripts_by_others_are_small_and_licensed():
     scripts = [path for path in ASSETS.iterdir() if path.name.endswith(".min.js")]
-    licences = (ASSETS / "LICENSES.txt").read_text(encoding="utf-8")
-    assert all(path.name in licences for path in scripts)
+    assert all(path.name in (ASSETS / "LICENSES.txt").read_text(encoding="utf-8") for path in scripts)
     size = sum(len(gzip.compress(path.read_bytes())) for path in scripts)
     assert f"{size / 1000:.0f} kB compressed" in (PROBLEMS.parent / "docs" / "report.md").read_text(encoding="utf-8")
 
 
 def test_a_share_without_variables_that_does_not_move_has_no_empty_pictures():
     fixed = (*FIXED, "scene.stiffness=50 kN/m", "effects={motion=false}", "require={}")
-    still = po.read_problem(SUBSOILER, fixed)
-    text = page(reported(still, lambda *_: None, accuracy=False))
+    text = page(reported(po.read_problem(SUBSOILER, fixed), lambda *_: None, accuracy=False))
     found = Page(text)
     assert "Nothing changes over time" in found.text["response"]
     assert data_of(text)["charts"] == data_of(text)["search"] == []
@@ -131,10 +126,29 @@ def test_a_share_without_variables_that_does_not_move_has_no_empty_pictures():
     assert "requirements" not in found.text
 
 
+def test_an_orbit_under_another_law_whose_optimum_is_not_unique(tmp_path):
+    file, out = tmp_path / "orbit.toml", tmp_path / "orbit.html"
+    orbit = changed(('duration = "2 s"\n', 'medium = "mckyes_ali"\n'), ("[effects]", '[effects]\norbit = "linearised"'))
+    least = 'minimise.mean_draft.per = "1 kN"\nrequire.mean_draft.at_least = "1 kN"\n'
+    file.write_text(least + orbit.partition("[minimise]")[0], encoding="utf-8")
+    fixed = ("--set", "share.chisel_angle=35 deg", "--set", "share.wedge_angle=35 deg")
+    assert cells(printed("check", file, *fixed), "law of resistance") == ["McKyes-Ali"]
+    told = json.loads(printed("report", file, "-o", out, "--no-accuracy", "--json", *fixed))
+    text = out.read_text(encoding="utf-8")
+    found, data = Page(text).text, data_of(text)
+    assert told["wrote"] == [str(out)]
+    assert [value for value in told["provenance"].values() if value not in found["provenance"]] == []
+    assert "the result does not change along stiffness" in found["warnings"]
+    assert "linearised" in found["soil"]
+    assert "cone index" not in found["soil"]
+    assert [body["id"] for body in data["bodies"]] == ["share", "cone"]  # nothing is compacted
+    assert '"margin">0\u00a0kN<' in text  # of the limit that decides, whatever the optimiser's rounding
+    height = data["search"][0]["groups"][-1]["x"][0]
+    assert f"left:{100.0 * (height - 0.1) / 0.4:.2f}%" in text  # from 0.1 to 0.5 m
+
+
 def test_an_objective_over_the_tolerances_is_named():
-    over = po.read_problem(
-        PROBLEMS / "cotton_subsoiler.toml", (*FIXED, "effects={motion=false}", 'minimise.over="mean"', "require={}")
-    )
+    over = po.read_problem(SUBSOILER, (*FIXED, "effects={motion=false}", "minimise.over=mean", "require={}"))
     asked = Page(page(reported(over, lambda *_: None, accuracy=False))).text["question"]
     assert "The objective is the mean of 64 designs within the tolerances, all of which meet the requirements." in asked
 
@@ -261,8 +275,7 @@ def test_the_page_fits_a_phone(browser, written):
 
 def test_the_page_prints_on_paper(browser, written, tmp_path):
     page, _, _ = open_page(browser, written)
-    paper = page.pdf(path=tmp_path / "report.pdf", format="A4")
-    assert paper.startswith(b"%PDF")
+    assert page.pdf(path=tmp_path / "report.pdf", format="A4").startswith(b"%PDF")
     # A4 within its margins of 16 mm is 672 px wide.
     page.set_viewport_size({"width": 672, "height": 950})
     page.emulate_media(media="print")

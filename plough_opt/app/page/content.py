@@ -102,9 +102,8 @@ def limits_of(problem: Problem, name: str) -> str:
 
 
 def variables(report: Report) -> list[dict[str, str | float | bool]]:
-    """Return name, value, bounds and position between the bounds (0 to 1) of each variable."""
-    if report.best is None:
-        return []
+    """Return name, value, bounds and position between the bounds (0 to 1) of each variable of an optimum."""
+    assert report.best is not None  # the page asks only then
     bounds = {limit.name: limit for limit in report.best.limits if limit.kind == "bound"}
     return [
         {
@@ -120,14 +119,16 @@ def variables(report: Report) -> list[dict[str, str | float | bool]]:
 
 
 def requirements(report: Report) -> list[dict[str, str | float | bool]]:
-    """Return name, limits, value and margin of each requirement; the margin also as a fraction of the limit."""
-    if report.best is None:
-        return []
+    """Return name, limits, value and margin of each requirement; the margin also as a fraction of the limit.
+
+    The report must be about an optimum.
+    """
+    assert report.best is not None  # the page asks only then
     return [_requirement(report, limit) for limit in report.best.limits if limit.kind == "requirement"]
 
 
 def _requirement(report: Report, limit: Limit) -> dict[str, str | float | bool]:
-    margin = 0.0 if abs(limit.margin) < _ROUNDING else limit.margin
+    margin = 0.0 if limit.active or abs(limit.margin) < _ROUNDING else limit.margin
     size = max(abs(limit.value), abs(limit.value + margin), _ROUNDING)
     return {
         "name": called(limit.name),
@@ -149,17 +150,14 @@ def response(report: Report) -> Grid:
 def share(report: Report) -> Grid:
     """Return a table of the dimensions of the share and of its cone."""
     body, cone = report.run.scene.share, report.run.scene.cone
+    assert isinstance(body, Wedge)  # as of every problem file
     length = report.display("share.height", "m", float(cone.height))
     angle = report.display("share.wedge_angle", "rad")
-    rows = []
-    if isinstance(body, Wedge):
-        rows = [
-            ("wedge angle", angle.text(float(body.angle), 4)),
-            ("chisel angle", angle.text(float(body.chisel_angle), 4)),
-            ("area of the two faces", f"{1e4 * body.area:.4g} cm^2"),
-            ("angle between the faces, as drawn", angle.text(body.opening, 4)),
-        ]
-    rows += [
+    rows = [
+        ("wedge angle", angle.text(float(body.angle), 4)),
+        ("chisel angle", angle.text(float(body.chisel_angle), 4)),
+        ("area of the two faces", f"{1e4 * body.area:.4g} cm^2"),
+        ("angle between the faces, as drawn", angle.text(body.opening, 4)),
         ("height", length.text(float(cone.height), 4)),
         ("half angle of the cone", angle.text(float(cone.half_angle), 4)),
         ("base radius of the cone", length.text(float(cone.height * cone.slope), 4)),

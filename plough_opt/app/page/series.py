@@ -12,7 +12,6 @@ from plough_opt.core.units import Display
 from plough_opt.design.landscape import FEASIBLE
 from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import called
-from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.solid import Solid
 from plough_opt.studies.accuracy.contest import Entry
 from plough_opt.studies.accuracy.result import Question
@@ -145,11 +144,12 @@ def bodies(report: Report) -> list[dict[str, Any]]:
     """Return triangle meshes of the share, its cone and the compacted soil around it, in metres."""
     scene = report.run.scene
     cone = scene.cone.mesh(segments=_SIDES)
-    found = [_body("cone", "Equivalent cone", _GREY, 1.0, cone, edges=False)]
-    if isinstance(scene.share, Wedge):
-        found.insert(0, _body("share", "Share", _BLUE, 1.0, scene.share.mesh(), edges=True))
+    found = [
+        _body("share", "Share", _BLUE, 1.0, scene.share.mesh(), edges=True),
+        _body("cone", "Equivalent cone", _GREY, 1.0, cone, edges=False),
+    ]
     if not scene.law.lacks("loosened_radius"):
-        radius = float(scene.loosened_radius) / (cone.vertices[1:, 1:].max() or 1.0)
+        radius = float(scene.loosened_radius) / cone.vertices[1:, 1:].max()
         front = Solid(cone.vertices * [1.0, radius, radius], cone.polygons[:_SIDES], _SIDES)
         found.append(_body("front", "Compacted soil", _ORANGE, 0.3, front, edges=False))
     return found

@@ -5,12 +5,10 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from operator import attrgetter
-from typing import TypeVar
 
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.errors import IntegrationError, PloughError
 from plough_opt.core.expressions import Expression, stacked
 from plough_opt.motion import Run
 from plough_opt.motion.accuracy import DEFAULT_ERROR
@@ -24,7 +22,6 @@ from plough_opt.studies.sweep.work import Array, WithNotes
 
 # CasADi is not thread-safe while it builds a graph.
 _building = threading.Lock()
-_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -40,7 +37,7 @@ class Simulation:
 
     def __call__(self, values: dict[str, float]) -> WithNotes:
         """Return the results at a point, with the run's warnings; ``values`` maps quantities to SI values."""
-        run = _solved(lambda: self.problem.simulate(values))
+        run = self.problem.simulate(values)
         return WithNotes(_of_run(self.problem, run), run.warnings)
 
 
@@ -61,7 +58,7 @@ class Optimisation:
     def __call__(self, values: dict[str, float]) -> WithNotes:
         """Return optimum and results at a point, with all warnings; ``values`` maps quantities to SI values."""
         problem = fixed_at(self.problem, values)
-        best, run = _solved(problem.optimise)
+        best, run = problem.optimise()
         assert isinstance(run, Run)  # ProblemSweep.of refuses several shares
         numbers = {
             "objective": best.objective,
@@ -175,16 +172,6 @@ def _of_run(problem: Problem, run: Run) -> dict[str, float]:
         "peak_deflection": run.peak_deflection,
         "error_estimate": run.error_estimate,
     }
-
-
-def _solved(compute: Callable[[], _T]) -> _T:
-    """Return the result of a computation; raise IntegrationError in place of CasADi's errors, so the point fails."""
-    try:
-        return compute()
-    except PloughError:
-        raise
-    except RuntimeError as error:
-        raise IntegrationError(f"CasADi stopped: {str(error).strip().splitlines()[-1]}") from None
 
 
 def _units(problem: Problem) -> dict[str, str]:

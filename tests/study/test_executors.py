@@ -80,12 +80,14 @@ def test_the_command_reports_a_scheduler_that_does_not_answer(monkeypatch, capsy
     assert "no dask scheduler answers at" in capsys.readouterr().err
 
 
-def test_a_cluster_without_workers_ends_the_sweep(monkeypatch):
+def test_a_cluster_without_workers_ends_the_sweep(monkeypatch, capsys):
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(clusters, "_PATIENCE", 0.5)
     monkeypatch.setattr(clusters, "_CHECK_EVERY", 0.5)
     arguments = {"n_workers": 0, "processes": False, "dashboard_address": ":0"}
     with distributed.LocalCluster(**arguments) as empty, distributed.Client(empty, set_as_default=False) as client:
+        assert main([*COMMAND, "--scheduler", empty.scheduler_address]) == 2
+        assert "it has no workers; start some with: dask worker" in capsys.readouterr().err
         executor = client.get_executor(pure=False)
         with pytest.raises(po.InputError, match=r"the cluster has had no workers for \d s: start some; finished"):
             po.sweep(swept.waves, OVER, executor=executor, workers=1)

@@ -1,6 +1,7 @@
 """Sweeps of problem files give the results of single simulations and optimisations, to the last bit."""
 
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -74,7 +75,9 @@ class TestMany:
             with po.sweep(problem, BOX, samples=64, method="batch", executor=inline) as found:
                 tables.append(found.table.tobytes())
         assert len(set(tables)) == 1
-        _, reasons, _ = SimulationOfMany(problem, tuple(BOX)).many(np.array([[0.5, 0.2, 1e5], [-0.5, 0.2, 1e5]]))
+        many = SimulationOfMany(problem, tuple(BOX))
+        many.build()
+        _, reasons, _ = pickle.loads(pickle.dumps(many)).many(np.array([[0.5, 0.2, 1e5], [-0.5, 0.2, 1e5]]))
         assert list(reasons) == [1]  # outside the domain
 
     def test_results_are_those_of_single_simulations_to_the_wanted_error(self, problem, inline):
@@ -91,6 +94,20 @@ class TestMany:
             np.testing.assert_allclose(table[name], single[name], rtol=3e-8)
         assert np.max(table["error_estimate"]) < 1e-8
 
+    def test_results_are_those_that_another_law_gives(self, inline):
+        problem = po.read_problem(SUBSOILER, (*BRIEF, "scene.medium=spherical_cavity", "require={}"))
+        with po.sweep(problem, {"soil.cohesion": [1e4, 2e4]}, method="batch", executor=inline) as found:
+            runs = [problem.simulate({"soil.cohesion": cohesion}) for cohesion in (1e4, 2e4)]
+            assert found.column("force_rms") == pytest.approx([run.force_rms for run in runs], rel=1e-7)
+            assert not {"loosened_radius", "specific_draft"} & {*found.results}
+
+    def test_a_chaotic_motion_that_misses_the_wanted_error_is_noted(self, inline):
+        share = ("share.wedge_angle=0.639427778 rad", "share.height=0.482322562 m")
+        problem = po.read_problem(REFERENCE, ("scene.duration=60 s", "accuracy.error=1e-4", *share))
+        with po.sweep(problem, {"scene.stiffness": [8104.16376, 5e4]}, method="batch", executor=inline) as found:
+            assert (found.column("error_estimate") > 1e-4).tolist() == [True, False]
+            assert "at 1 of 2 points: the wanted relative error 1.0e-04 was not reached" in found.notes
+
     def test_a_batch_is_used_for_many_points_of_a_scene_that_it_supports(self, problem):
         axes = {"soil.cohesion": po.Range(1e4, 2e4, 100), "scene.tow_speed": po.Range(1.0, 2.0, 100)}
         assert "po.Batch" in ProblemSweep.of(problem, axes).how
@@ -98,8 +115,10 @@ class TestMany:
         assert "po.simulate" in ProblemSweep.of(problem, axes, method="each").how
         sticky = po.read_problem(PROBLEMS / "stick_slip.toml")
         assert "po.simulate" in ProblemSweep.of(sticky, axes).how
-        with pytest.raises(po.InputError, match="events"):
-            ProblemSweep.of(sticky, axes, method="batch")
+        orbit = po.read_problem(PROBLEMS / "draft_oscillation_loosening.toml")
+        for other, why in ((sticky, "events"), (orbit, "a batch cannot find a periodic orbit")):
+            with pytest.raises(po.InputError, match=why):
+                ProblemSweep.of(other, axes, method="batch")
 
 
 class TestAxes:
@@ -155,6 +174,7 @@ class TestAxes:
 @pytest.mark.parametrize(
     ("over", "more", "expected"),
     [
+        (3, {}, "over = 3 must be a dictionary"),
         ({"soil.cohesion": [-1e4, 2e4]}, {}, "cohesion = -10000 Pa"),
         ({"effects.breakaway": [1.0, 2.0]}, {}, 'belongs to contact = "stick_slip"'),
         ({"soil.cohesion": [1e4, 2e4]}, {"what": "optimize"}, "did you mean 'optimise'"),

@@ -146,12 +146,13 @@ def test_another_run_may_have_created_the_file_and_a_closed_store_is_refused(inl
 
 
 def test_what_cannot_be_called_or_sent_to_processes_is_refused():
-    for what, words in (
-        (3, "3 cannot be swept: use a problem, or a function"),
-        (lambda values: values, "cannot be sent"),
+    for what, more, words in (
+        (3, {}, "3 cannot be swept: use a problem, or a function"),
+        (lambda values: values, {}, "cannot be sent"),
+        (swept.waves, {"method": "batch"}, "what and method are for problem files"),
     ):
         with pytest.raises(po.InputError, match=words):
-            po.sweep(what, OVER)
+            po.sweep(what, OVER, **more)
 
 
 def test_a_broken_executor_is_reported_and_stored_points_remain(tmp_path):

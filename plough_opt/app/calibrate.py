@@ -56,7 +56,7 @@ def calibrate(options: argparse.Namespace) -> None:
             f'{problem.name}: nothing to estimate: add a table [variables], or --unknown soil.cohesion="1..80 kPa"'
         )
     _note_guesses(problem, unknown, data)
-    data += [_known(text, [m.sigma is not None for m in data]) for text in options.known]
+    data += map(_known, options.known)
     with progress() as notify:
         notify("calibrating", 0.0)
         fit = run(problem, data, unknown, loss=options.loss)
@@ -100,20 +100,11 @@ def _note_guesses(problem: Problem, unknown: Mapping[str, object] | None, data: 
         LOG.info("note: variables of the file fixed at their guesses: %s", ", ".join(left))
 
 
-def _known(text: str, stated: list[bool]) -> Measurements:
-    """Return a separate measurement of an unknown as measurements of one row.
-
-    Args:
-        text: the option's text.
-        stated: whether each set of data states its error.
-    """
+def _known(text: str) -> Measurements:
+    """Return a separate measurement of an unknown as measurements of one row."""
     from plough_opt.studies.calibration import Measurements
 
     key, *written = _split("--known", text, ("+-", "±"), 'soil.friction_angle="28 +- 1 deg"')
-    if not all(stated):
-        raise InputError(
-            f"--known {text}: weighing its error against the data needs their errors: add a column 'sigma' to the data"
-        )
     unit = quantities()[key]
     try:
         value, sigma = map(unit.parse, written)
@@ -138,10 +129,8 @@ def _quality(fit: Fit, folds: int | None) -> str:
     """Return a sentence on the errors in cross-validation, or on why there is none."""
     try:
         found = fit.cross_validation(folds)
-    except NotConverged as error:
-        return f"No cross-validation: {error}."
-    except InputError as error:
-        if folds is not None:
+    except (InputError, NotConverged) as error:
+        if folds is not None and isinstance(error, InputError):
             raise
         return f"No cross-validation: {error}."
     units = {row.result: row.unit for row in fit.rows}

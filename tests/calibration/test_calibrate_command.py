@@ -34,13 +34,19 @@ def test_json_is_what_python_gives():
     assert found == pytest.approx(fit.values, rel=1e-12)
 
 
-def test_unknowns_of_the_command_line_and_one_measured_by_itself():
+def test_unknowns_of_the_command_line_and_one_measured_by_itself(tmp_path):
     options = ("--unknown", "soil.cohesion=1..80 kPa", "--unknown", 'soil.ambient_pressure="1 kPa .. 0.15 MPa"')
     out = printed("calibrate", FILE, "--data", DATA, *options)
     assert out.count("not determined") == 2
     assert "cannot be told apart" in out.replace("\n", " ")
     out = printed("calibrate", FILE, "--data", DATA, *options, "--known", "soil.ambient_pressure=101.3 +- 2 kPa")
     assert "not determined" not in out.lower()
+    few = tmp_path / "few.csv"
+    few.write_text("".join(DATA.read_text(encoding="utf-8").splitlines(keepends=True)[:7]), encoding="utf-8")
+    assert "No cross-validation: 3 folds leave fewer rows than unknowns" in printed("calibrate", FILE, "--data", few)
+    few.write_text("scene.tow_speed [km/h], mean_draft [kN]\n3, 1.8\n", encoding="utf-8")
+    done = call("calibrate", FILE, "--data", few, *options, "--known", "soil.ambient_pressure=101.3 +- 2 kPa")
+    assert (done.status, "few.csv: no sigma is stated, but other sets state theirs" in done.said) == (2, True)
 
 
 @pytest.mark.parametrize(
@@ -48,6 +54,8 @@ def test_unknowns_of_the_command_line_and_one_measured_by_itself():
     [
         (("--data", DATA, "--unknown", "soil.cohesion"), "--unknown soil.cohesion: expected KEY=..."),
         (("--data", DATA, "--unknown", "soil.cohesion=5 kPa"), 'like soil.cohesion="1..80 kPa"'),
+        (("--data", DATA, "--unknown", "soil.cohesoin=1..80 kPa"), "cannot be an unknown: did you mean 'soil.cohesion"),
+        (("--data", DATA, "--folds", "1"), "folds = 1 must be a whole number from 2 to 24"),
         (("--data", DATA, "--unknown", "soil.cohesion=1..80"), "lower bound of 'soil.cohesion' = \"1\" has no unit"),
         (("--data", DATA, "--known", "soil.cohesion=20 kPa"), "--known soil.cohesion=20 kPa: expected KEY=..."),
         (("--data", DATA, "--known", "soil.cohesion=20 +- 0 kPa"), "sigma = 0 must be above 0"),
@@ -56,6 +64,7 @@ def test_unknowns_of_the_command_line_and_one_measured_by_itself():
         (("--data", DATA, "--data", DATA.parent / "." / DATA.name), "is given twice, so its rows would count twice"),
         (("--data", DATA, *2 * ("--unknown", "soil.cohesion=1..80 kPa")), "'soil.cohesion' is given twice"),
         (("--data", DATA, "--output", PROBLEMS), "is a folder"),
+        (("--data", DATA, "--set", "variables={}"), "add a table [variables], or --unknown soil.cohesion="),
     ],
 )
 def test_wrong_input_is_refused_and_writes_nothing(tmp_path, monkeypatch, arguments, words):
@@ -64,12 +73,6 @@ def test_wrong_input_is_refused_and_writes_nothing(tmp_path, monkeypatch, argume
     assert (done.status, done.out) == (2, "")
     assert words in done.said
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_file_without_unknowns_is_refused_with_the_option_to_give_them():
-    done = call("calibrate", PROBLEMS / "stick_slip.toml", "--data", DATA)
-    assert (done.status, done.out) == (2, "")
-    assert "nothing to estimate: add a table [variables], or --unknown soil.cohesion=" in done.err
 
 
 def test_the_shipped_data_are_what_their_script_makes(tmp_path):

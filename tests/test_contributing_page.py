@@ -108,6 +108,7 @@ def test_effect(workshop, capsys):
     assert rise == pytest.approx(150.0 + 160.0, rel=1e-9)
     for wrong, told in (
         ("[{effect='shank', static='150 N'}]", "is incomplete"),
+        ("[{static='150 N'}]", "must be a list of tables with a name"),
         ("[{effect='shank', static='150 m', viscous='1 N*s/m'}]", "'static' = \"150 m\" has the wrong unit"),
         ("[{effect='shank', statik='150 N'}]", "'statik' is not a quantity of Shank: did you mean 'static'"),
     ):

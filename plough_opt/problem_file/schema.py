@@ -1,7 +1,7 @@
 """Schema of a problem file, table by table; quantities are converted to SI."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import (
@@ -66,16 +66,14 @@ def medium_of(written: object) -> str | ResistanceLaw:
     return _made(LAWS[written["law"]], "law", written)
 
 
-def own_effects_of(written: object) -> tuple[OwnResistance, ...]:
+def own_effects_of(written: Sequence[Mapping[str, Any]]) -> tuple[OwnResistance, ...]:
     """Return user-defined effects with their quantities in SI units.
 
     Raises:
         InputError: an unknown effect or key, or a value that the effect refuses; the message continues after the key's
             name.
     """
-    if not isinstance(written, list | tuple) or not all(
-        isinstance(one, Mapping) and "effect" in one for one in written
-    ):
+    if not all("effect" in one for one in written):
         raise InputError(f"= {shown(written)} must be {_EFFECTS}")
     for one in written:
         check_named("no effect is named {}", one["effect"], OWN_EFFECTS)

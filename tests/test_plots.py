@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 import plough_opt as po
 from plough_opt.app import plots
+from plough_opt.app.run_picture import deflection_of
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display
 from plough_opt.design import Limit
@@ -94,6 +95,18 @@ def test_constant_panels_are_omitted(scene):
     assert (force.get_ylabel(), deflection.get_ylabel()) == ("force [kN]", "deflection [m]")
 
 
+def test_a_constant_is_drawn_without_its_rounding_and_times_of_rest_are_shaded():
+    steady = po.simulate(scene_of(motion=False, inertial_drag=False, tow_ramp=0.1), 0.2, outputs=20)
+    axes = Figure().subplots()
+    plots.draw_panel(axes, steady, deflection_of(steady))  # as an animation does
+    assert legend(axes) == ["deflection", f"mean {steady.mean_deflection:.3g} m"]
+    assert axes.get_ylim()[0] < 0.96 * steady.mean_deflection
+    stuck = po.simulate(scene_of(contact=po.StickSlip(), start="rest"), 0.2, outputs=200)
+    axes = plots.plot_run(stuck).axes[0]
+    assert legend(axes)[-1] == "sticks"
+    assert axes.collections[0].get_paths()[0].get_extents().x1 == stuck.time[np.argmax(stuck.speed > 0.0) - 1]
+
+
 def test_a_share_is_drawn_with_its_area_and_the_cone_at_the_same_scale(scene):
     wedge, cone = plots.plot_share(scene).axes
     assert wedge.get_aspect() == cone.get_aspect() == 1.0
@@ -103,9 +116,8 @@ def test_a_share_is_drawn_with_its_area_and_the_cone_at_the_same_scale(scene):
     assert f"r* = {po.loosened_radius(scene.cone, scene.soil):.3f} m" in words(cone)
     corners = [patch.get_xy() for patch in wedge.patches]
     (x0, y0), (x1, y1), (x2, y2) = corners[0][:3]
-    one_face = abs((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)) / 2
-    assert len(corners) == 2
-    assert 2 * one_face == pytest.approx(scene.share.area, rel=1e-12)
+    assert len(corners) == 2  # each with half of the area
+    assert abs((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)) == pytest.approx(scene.share.area, rel=1e-12)
 
 
 def test_a_share_given_as_a_cone_has_no_faces_to_show(scene):
@@ -113,6 +125,7 @@ def test_a_share_given_as_a_cone_has_no_faces_to_show(scene):
     assert "given as a cone" in words(left)
     assert not left.axison
     assert "β = 10.0°" in words(right)
+    assert "r*" not in words(plots.plot_share(dataclasses.replace(scene, medium="mckyes_ali")).axes[1])
 
 
 def test_an_optimum_is_drawn_with_its_response_and_every_optimum_of_the_search(optimum):
@@ -148,9 +161,11 @@ def test_an_optimum_is_drawn_with_requirements_and_the_limits_of_what_is_drawn(o
 def test_a_sweep_of_one_quantity_is_drawn_in_one_colour():
     with (
         ThreadPoolExecutor(1) as inline,
-        po.sweep(lambda at: {"b": at["a"]}, {"a": [1.0, 2.0]}, executor=inline) as own,
+        po.sweep(lambda at: {"b": at["a"], "c": 3.0}, {"a": [1.0, 2.0, 30.0]}, executor=inline) as own,
     ):
-        assert len(own.plot().axes[0].collections[0].get_facecolor()) == 1
+        varying, constant = own.plot().axes
+    assert len(varying.collections[0].get_facecolor()) == 1
+    assert (varying.get_xscale(), constant.get_ylim()) == ("log", (0.0, pytest.approx(3.6)))
 
 
 def test_a_picture_has_one_of_three_formats(tmp_path):
@@ -163,8 +178,7 @@ def test_a_picture_has_one_of_three_formats(tmp_path):
 
 
 def test_a_wedge_field_shows_both_stresses_around_the_body():
-    nodes = [(0.0, 0.0), (0.1, 0.02), (0.2, 0.02)]
-    figure = plots.plot_wedge_field(nodes, po.named_soil("serozem"), 2.0)
+    figure = plots.plot_wedge_field([(0.0, 0.0), (0.1, 0.02), (0.2, 0.02)], po.named_soil("serozem"), 2.0)
     labels = " ".join(axes.get_ylabel() for axes in figure.axes)
     assert labels.count("sigma_{yy}") == labels.count("sigma_{xy}") == 1
     for axes in figure.axes[:2]:

@@ -13,11 +13,13 @@ from importlib.metadata import version
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.commands import call
 from helpers.problem_files import PROBLEMS
 from helpers.scenes import Shank, scene_of
 from helpers.strict_json import strict
 
 import plough_opt as po
+from plough_opt.app.plots import plot_designs
 from plough_opt.core.tables import Grid, Page
 from plough_opt.problem_file.robust_design import optimise_robust
 
@@ -71,11 +73,6 @@ def front():
 
 
 @functools.cache
-def study():
-    return po.study_accuracy(STILL, 0.1, thin=True, allowance=0.01)
-
-
-@functools.cache
 def robust():
     small = ("uncertain.samples=8", "uncertain.fresh=100", "effects={motion=false}", "scene.stiffness=200 kN/m",
              "share.wedge_angle=30 deg", "minimise={mean_draft={per='1 kN', measure='cvar 0.9'}}")  # fmt: skip
@@ -91,17 +88,14 @@ EVERY = {
     "BatchResult": batch,
     "Fit": fit,
     "TradeOff": front,
-    "AccuracyStudy": study,
+    "AccuracyStudy": lambda: po.study_accuracy(STILL, 0.1, thin=True, allowance=0.01),
     "RobustOptimum": robust,
 }
 
 
 def drawn(figure):
     """Return titles, labels and limits of a figure's axes."""
-    return [
-        (axes.get_title(), axes.get_xlabel(), axes.get_ylabel(), axes.get_xlim(), axes.get_ylim())
-        for axes in figure.axes
-    ]
+    return [(a.get_title(), a.get_xlabel(), a.get_ylabel(), a.get_xlim(), a.get_ylim()) for a in figure.axes]
 
 
 @pytest.mark.parametrize("name", EVERY)
@@ -131,6 +125,9 @@ def test_a_loaded_result_equals_the_saved_one(name, tmp_path):
     html = found._repr_html_()
     assert html.count("<table>") == html.count("</table>") >= 1
     assert 'src="data:image/png;base64,' in html
+    # Designs and runs can be compared by the command.
+    neither = {"BatchResult", "Fit", "TradeOff", "AccuracyStudy"}
+    assert call("compare", path, tmp_path / "again.json").status == (2 if name in neither else 0)
 
 
 def test_a_run_prints_and_saves_its_numbers():
@@ -197,6 +194,10 @@ def test_designs_are_drawn_between_their_limits():
     assert labels == ["loosened radius [m]", "half height [mm]", "height [mm]", "stiffness [kN/m]"]
     places = {line.get_marker(): line.get_xdata()[0] for line in figure.axes[0].lines if len(line.get_xdata())}
     assert places == {"o": optimum().limits[0].value, "None": 0.12}
+    without = dataclasses.replace(optimum(), limits=optimum().limits[1:])
+    figure = plot_designs({"one": optimum(), "without its first limit": without})
+    drawn = [sum(len(line.get_xdata()) and line.get_marker() == "o" for line in axes.lines) for axes in figure.axes]
+    assert drawn == [1, 2, 2, 2]
 
 
 def squared(point):

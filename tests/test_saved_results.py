@@ -98,6 +98,7 @@ def test_a_sweep_is_shown_from_its_store(tmp_path):
         pass
     assert "2 points, 0 failed" in printed("show", store)
     assert strict(printed("show", store, "--json"))["points"] == 2
+    assert "the store of a sweep has no problem file" in call("show", store, "--problem").said
 
 
 def test_the_problem_is_saved_with_its_data_and_can_be_restored(tmp_path, monkeypatch):

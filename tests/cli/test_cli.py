@@ -1,5 +1,6 @@
 """The command `plough-opt`: what it prints and writes, its exit status, and never a traceback."""
 
+import contextlib
 import json
 import math
 import os
@@ -29,6 +30,7 @@ def test_init_writes_the_template_and_says_what_next(tmp_path):
     path = tmp_path / "share.toml"
     assert f"plough-opt optimise {path}" in " ".join(printed("init", path).split())
     assert path.read_text(encoding="utf-8") == TEMPLATE
+    assert "\\x1b[2J" in printed("init", tmp_path / "\x1b[2J.toml")  # no command to the terminal comes out of a name
 
 
 def test_soils_have_their_values_and_sources():
@@ -194,6 +196,12 @@ def test_a_reader_that_has_seen_enough_is_no_error(command):
     finally:
         os.close(writing)
     assert (done.status, done.err) == (0, "")
+
+
+def test_a_full_disk_is_an_error_of_the_output(capsys):
+    with Path("/dev/full").open("w") as full, contextlib.redirect_stdout(full):
+        assert main(["soils"]) == 2
+    assert capsys.readouterr().err == "output: [Errno 28] No space left on device\n"
 
 
 def test_neither_casadis_notices_nor_a_title_in_another_script_disturb_a_terminal(command):

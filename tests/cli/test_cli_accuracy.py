@@ -8,29 +8,20 @@ from helpers.problem_files import STATIC, SUBSOILER
 
 from plough_opt.studies.accuracy.result import AccuracyStudy
 
-UNCERTAIN = """
-[uncertain]
-samples = 8
-"soil.cohesion" = { distribution = "normal", mean = "20 kPa", std = "1 kPa" }
-"""
-
 
 @pytest.fixture
-def written(tmp_path):
-    """Return a function that writes a problem file, and returns its path."""
-
-    def write(text):
-        path = tmp_path / "small.toml"
-        path.write_text(text, encoding="utf-8")
-        return path
-
-    return write
+def static(tmp_path):
+    """Return the path of a small problem file."""
+    path = tmp_path / "small.toml"
+    path.write_text(STATIC, encoding="utf-8")
+    return path
 
 
-def test_tables_advice_and_files(written, tmp_path):
+def test_tables_advice_and_files(static, tmp_path):
     picture, output = tmp_path / "cost.png", tmp_path / "deep" / "cost.json"
-    options = ("--thin", "--error", "1e-5", "--plot", picture, "--output", output)
-    done = call("accuracy", written(STATIC + UNCERTAIN), *options)
+    uncertain = "uncertain.soil.cohesion={ distribution = 'normal', mean = '20 kPa', std = '1 kPa' }"
+    options = ("--thin", "--error", "1e-5", "--plot", picture, "--output", output, "--set", uncertain)
+    done = call("accuracy", static, *options)
     assert done.status == 0
     assert "quasi-static averages: relative error against time" in done.out
     (advice,) = (line for line in done.out.splitlines() if line.startswith("quasi-static averages: for 1e-05 take "))
@@ -53,9 +44,9 @@ def test_the_methods_of_a_motion_and_of_its_gradients():
         assert f" {method}" in out
 
 
-def test_a_design_instead_of_a_scene(written, tmp_path):
+def test_a_design_instead_of_a_scene(static, tmp_path):
     output = tmp_path / "cost.json"
-    out = printed("accuracy", written(STATIC), "--design", "--seconds", "0.3", "--output", output)
+    out = printed("accuracy", static, "--design", "--seconds", "0.3", "--output", output)
     for words in ("optimum of the design: relative error against time", "(default)", "several: one local solve"):
         assert words in out
     study = AccuracyStudy.load(output)

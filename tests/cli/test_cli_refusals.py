@@ -24,10 +24,7 @@ REFUSED = [
     ("optimise FILE --plot ''", "picture"),
     ("optimise FILE --plot insertions.csv/new/a.png", "insertions.csv' is not a folder"),
     # No output overwrites an input or another output; a link is what it leads to, even in a circle.
-    (
-        "tradeoff TRADE --csv TRADE",
-        "--csv 'draft_against_loosening.toml' is the problem file, which it would overwrite",
-    ),
+    ("tradeoff TRADE --csv TRADE", "--csv 'draft_against_loosening.toml' is the problem file, which it would overw"),
     ("tradeoff TRADE --csv x --output x", "--output 'x' is also the file of --csv, which it would overwrite: name"),
     ("tradeoff TRADE --csv link.csv", "is the problem file"),
     ("tradeoff TRADE --csv round.csv", "round.csv' cannot be written: the link leads in a circle"),
@@ -41,6 +38,7 @@ REFUSED = [
     ("check FILE --against --width '-8 cm'", "tool width = -0.08 m must be above 0 m"),
     ("check FILE --against --texture fin", "did you mean 'fine'?"),
     ("check FILE --against --rupture-ratio 0.5", "rupture distance ratio m = 0.5 must be at least 1"),
+    ("check FILE --effects --json", "--json prints only the scene: remove --effects and --against"),
     ("report TRADE -o a.html", "add a table [minimise]"),
     ("report uncertain_field.toml -o a.html", "remove the table [uncertain]"),
     ("report FILE -o a.txt", "end in .html"),
@@ -56,6 +54,7 @@ REFUSED = [
     ("export FILE --to fmu --output a.fmu --inputs share.height", "--inputs cannot be used with --to fmu"),
     ("export FILE --to casadi --output a.casadi --inputs share.hight", "'share.hight': did you mean 'share.height'"),
     ("export FILE --to casadi --output a.casadi --inputs ''", "--inputs '' has an empty name"),
+    ("export FILE --to casadi --output a.casadi --outputs mean_drft", "'mean_drft': did you mean 'mean_draft'"),
     ("export reference.toml --to casadi --output a.casadi --inputs effects.damping", "cannot be an input"),
     ("export FILE --to casadi --output a.casadi --name 2nd", "name = '2nd' cannot be the name of a CasADi Function"),
     ("export FILE --to stl --output a.stl --body cone --thickness '1 cm'", "belong to a wedge: leave them out"),
@@ -65,9 +64,11 @@ REFUSED = [
     # Sweeps.
     ("sweep FILE --over 'soil.cohesoin=5..45 kPa:9'", "cannot be swept: did you mean 'soil.cohesion'"),
     ("sweep FILE --over 'soil.cohesion=5..45 kPa:1000000000000'", "at most 1000000; use a sample"),
+    ("sweep FILE --over soil.cohesion", "--over soil.cohesion: expected KEY=RANGE, like"),
     ("sweep FILE COHESION COHESION", "'soil.cohesion' is swept twice"),
     ("sweep FILE COHESION --set 'soil.cohesion=5 kPa'", "'soil.cohesion' is also fixed by --set"),
     ("sweep FILE --over soil.density_ratio=0.5..1.5:3", "density ratio b1 = 1.5 must be below 1"),
+    ("sweep FILE COHESION --workers 0", "--workers 0: a sweep needs at least one"),
     ("sweep FILE COHESION --workers 2 --scheduler tcp://x:1", "remove one of the two"),
     ("sweep FILE COHESION --store insertions.csv", "file is not a database"),
 ]

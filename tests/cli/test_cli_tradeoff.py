@@ -42,8 +42,7 @@ def test_json():
     # Without waves the draft is steady and proportional to the height squared, the radius to the height. So 1 % less
     # draft costs half a per cent of the radius.
     for point in front["points"][1:-1]:
-        cost = point["rate"] * point["objectives"][0] / point["objectives"][1]
-        assert cost == pytest.approx(0.5, rel=1e-6)
+        assert point["rate"] * point["objectives"][0] / point["objectives"][1] == pytest.approx(0.5, rel=1e-6)
 
 
 def test_a_trading_file_is_valid_and_says_what_next():

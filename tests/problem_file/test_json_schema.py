@@ -1,15 +1,16 @@
 """The JSON schema of problem files against an independent validator, and against what reading a file refuses."""
 
+import json
 import tomllib
 
 import jsonschema
 import pytest
+from helpers.commands import printed
 from helpers.problem_files import PROBLEMS, changed
 
 from plough_opt.problem_file import TEMPLATE
-from plough_opt.problem_file.json_schema import file_schema
 
-SCHEMA = file_schema()
+SCHEMA = json.loads(printed("schema"))
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 
 

@@ -133,6 +133,7 @@ def waves_command(tmp_path):
         ("", (), "there are no readings"),
         ("position [m], cone_index [kPa]\n1, 2, 3\n", (), "line 2: the row has 3 cells"),
         ("position [m], strength [kPa]\n1, 2\n", (), "column 'strength .kPa.': this column is unknown"),
+        ("position [m], time [s]\n1, 2\n", (), "one column of positions or times and one of strengths are needed"),
         ("position [m], cone_index [kPa]\n1, 2\n2, 3\n", (), "2 points"),
         ("position [m], cone_index [kPa]\n1, 2\n\n3, 3\n3, 4\n", (), "line 5: position must increase, but 3 follows 3"),
         pytest.param(f"{HEADINGS}\n" + "1, 2\n" * 2_000_000, (), "at most 10 MB can be read", id="huge"),

@@ -1,7 +1,5 @@
 """Penetrometer readings in problem files: averages, spreads, and what is wrong with its place."""
 
-import math
-
 import numpy as np
 import pytest
 from helpers.problem_files import COTTON, changed
@@ -27,10 +25,7 @@ MEANS = [
 
 
 NAME = 'name = "serozem"'
-OWN = (
-    "soil={density='1350 kg/m^3', density_ratio=0.794, friction_angle='28 deg', tool_friction=0.5,"
-    " cone_index='900 kPa', adjust='cohesion'}"
-)
+OWN = "soil={density='1350 kg/m^3', density_ratio=0.794, friction_angle='28 deg', tool_friction=0.5, adjust='cohesion'}"
 
 
 @pytest.fixture
@@ -80,7 +75,7 @@ def test_a_file_takes_the_level_from_it(write):
 
 
 def test_a_cone_index_takes_the_place_of_a_property(read):
-    soil = read(COTTON, OWN).scene().soil
+    soil = read(COTTON, OWN, "soil.cone_index=900 kPa").scene().soil
     expected = po.Soil.from_cone_index(9e5, soil=po.named_soil("serozem"), adjust="cohesion")
     assert soil.cohesion == pytest.approx(expected.cohesion, rel=1e-15)
 
@@ -135,9 +130,13 @@ def test_what_contradicts_itself_is_refused(write, changes, words):
         po.read_problem(write(**changes))
 
 
-def test_two_insertions_have_no_spread(write):
-    path = write("depth [cm], cone_index [kPa], cone_index [kPa]\n0, 1, 2\n60, 900, 1000\n")
-    found = po.read_penetrometer(path.parent / "field.csv", (0.25, 0.45))
-    assert math.isfinite(found.mean)
-    with pytest.raises(po.InputError, match="2 insertions, but a spread needs 3"):
-        found.distribution()
+def test_some_insertions_have_no_distribution():
+    for insertions, words in (([1e6, 2e6], "2 insertions, but a spread needs 3"), ([1e6] * 3, "nothing is uncertain")):
+        with pytest.raises(po.InputError, match=words):
+            po.Penetrometer("field.csv", insertions).distribution()
+
+
+def test_a_depth_begins_above_its_end(write):
+    for depth in ((0.45, 0.25), 0.3):
+        with pytest.raises(po.InputError, match="must be two depths in metres from 0 upwards, the shallower first"):
+            po.read_penetrometer(write().parent / "field.csv", depth)

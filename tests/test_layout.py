@@ -44,9 +44,7 @@ SWITCHES = {
 
 @pytest.mark.parametrize("switch", SWITCHES)
 def test_process_wide_settings_are_not_changed(switch):
-    found = {
-        path.relative_to(ROOT / "plough_opt").as_posix() for path in SOURCES if re.search(switch, path.read_text())
-    }
+    found = {one.relative_to(ROOT / "plough_opt").as_posix() for one in SOURCES if re.search(switch, one.read_text())}
     assert found == SWITCHES[switch]
 
 

@@ -87,9 +87,7 @@ PAGES = {
         briefly=short_motion,
     ),
     # The page's other block needs CMake.
-    "fmu": Page(
-        ("mount force from",), least="share.fmu", holds=lambda names: names["found"]["time"][-1] == pytest.approx(2.0)
-    ),
+    "fmu": Page(("mount force from",), least="share.fmu", holds=lambda names: names["found"]["time"][-1] == 2.0),
     "report": Page(
         (f"{1e4 * po.Wedge(po.deg(39.1), po.deg(15), 0.254).area:.1f} cm^2 of faces",),
         ("out/report.html", "out/share.dxf", "out/cone.stl", "out/share.gif", "out/share.html"),
@@ -162,11 +160,8 @@ def test_formulas_survive_markdown(name):
 
 # --- theory.md: every equation has its function and its test ---
 
-EQUATIONS = re.findall(
-    r"^\| \((\d+)\) \| (.+) \| `([\w.]+)` \| \[.+\]\(\.\./(.+)\) \| `(tests/[\w/.]+)` \|$",
-    TEXTS["theory"],
-    flags=re.MULTILINE,
-)
+ROW = r"^\| \((\d+)\) \| (.+) \| `([\w.]+)` \| \[.+\]\(\.\./(.+)\) \| `(tests/[\w/.]+)` \|$"
+EQUATIONS = re.findall(ROW, TEXTS["theory"], flags=re.MULTILINE)
 LETTER = (ROOT / "tests" / "test_source_equations.py").read_text(encoding="utf-8")
 
 
@@ -179,10 +174,8 @@ def test_an_equation_has_its_function_and_its_test(number, what, function, file,
     assert what.strip()
     defined = reduce(getattr, function.split("."), po)
     source = (ROOT / file).read_text(encoding="utf-8")
-    assert (
-        inspect.getsourcefile(inspect.unwrap(getattr(defined, "fget", defined))) == str(ROOT / file)
-        or f"({number})" in source
-    )
+    home = inspect.getsourcefile(inspect.unwrap(getattr(defined, "fget", defined)))
+    assert home == str(ROOT / file) or f"({number})" in source
     assert re.search(rf"def test_equation_{number}(_|\()", LETTER)
     assert (ROOT / test).exists()
 

@@ -77,9 +77,7 @@ def test_period_grows_with_the_density_ratio_by_less_than_a_percent(paper, swing
 def test_on_a_soft_spring_the_amplitude_falls_and_then_rises(swings):
     amplitudes = values(swings(50.0), "displacement")
     assert amplitudes == pytest.approx([0.466, 0.463, 0.458, 0.453, 0.460], abs=5e-4)
-    turn = minimize_scalar(
-        lambda ratio: swings(50.0, [ratio])[0].displacement, bounds=(0.6, 0.95), options={"xatol": 1e-3}
-    )
+    turn = minimize_scalar(lambda b1: swings(50.0, [b1])[0].displacement, bounds=(0.6, 0.95), options={"xatol": 1e-3})
     assert turn.x == pytest.approx(0.867, abs=5e-3)
 
 

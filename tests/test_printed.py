@@ -59,7 +59,6 @@ def test_invalid_formulations_are_refused(build, given, words):
 
 
 def test_the_other_errors_have_a_quasi_static_limit(r1_scene):
-    wrong, right = (
-        po.simulate(r1_scene(motion=False, formulation=choice), 1.0) for choice in (only("pi_twice"), "derived")
-    )
+    forms = only("pi_twice"), "derived"
+    wrong, right = (po.simulate(r1_scene(motion=False, formulation=form), 1.0) for form in forms)
     assert wrong.mean_draft == pytest.approx(math.pi * right.mean_draft, rel=1e-14)

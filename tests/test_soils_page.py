@@ -29,9 +29,8 @@ def test_its_problem_file_tables_are_valid(tmp_path):
     file = (ROOT / "problems" / "cotton_subsoiler.toml").read_text(encoding="utf-8")
     start = file.index("[soil]")
     rest = file[file.index("\n[", start) :].replace("[effects]", waves, 1)
-    lines = [
-        line for line in rest.splitlines() if not line.startswith(("deflection", "strength_wave = { amplitude = 0.3"))
-    ]
+    left_out = ("deflection", "strength_wave = { amplitude = 0.3")
+    lines = [line for line in rest.splitlines() if not line.startswith(left_out)]
     path = tmp_path / "share.toml"
     path.write_text(file[:start] + soil + "\n" + "\n".join(lines) + "\n" + uncertain, encoding="utf-8")
     shutil.copy(ROOT / "problems" / "insertions.csv", tmp_path)

@@ -27,9 +27,7 @@ def _denser(order=16):
 ARRAYS = {
     "angles": lambda n: po.resistance(po.Cone(np.linspace(0.1, 0.2, n), 0.25), _denser(), 2.0, 0.0),
     "heights": lambda n: po.added_mass(po.Cone(0.2, np.linspace(0.1, 0.2, n)), _denser()),
-    "cohesions": lambda n: po.resistance_coefficients(
-        CONE, dataclasses.replace(_denser(), cohesion=np.linspace(1e4, 2e4, n))
-    ),
+    "cohesion": lambda n: po.resistance_coefficients(CONE, dataclasses.replace(_denser(), cohesion=1e4 + np.arange(n))),
     "a column of symbols": lambda n: po.soil_reaction(po.Cone(ca.MX.sym("angle", n), 0.25), _denser()),
     "a column of numbers": lambda n: po.soil_reaction(po.Cone(ca.DM(np.linspace(0.1, 0.2, n)), 0.25), _denser()),
     "speeds of a wedge": lambda n: po.elastic.wedge_force(NODES, SOIL, np.linspace(1.0, 2.0, n)),
@@ -59,10 +57,7 @@ def test_an_array_of_one_number_is_that_number():
 
 
 WRONG = {
-    "soil of a scene": (
-        lambda: scene_of(soil="serozem"),
-        "scene's soil = 'serozem' must be a Soil, for instance named_",
-    ),
+    "soil of a scene": (lambda: scene_of(soil="serozem"), "scene's soil = 'serozem' must be a Soil, for instance name"),
     "share of a scene": (lambda: scene_of(share=0.3), "scene's share = 0.3 must be a Wedge or a Cone"),
     "effects": (lambda: po.Scene(SOIL, CONE, 5e4, 25.0, 2.0, None), "scene's effects = None must be an Effects"),
     "a wedge": (lambda: po.added_mass(po.Wedge(0.5, 0.2, 0.25), SOIL), r"must be a Cone: use its equivalent_cone\(\)"),

@@ -36,9 +36,7 @@ KEYS = [
     "effects.strength_wave", "effects.random_strength", "effects.random_strength.record",
 ]  # fmt: skip
 # Words that show where a mistake is, and what is valid instead.
-PLACE = re.compile(
-    r"FILE(, line \d+|, insertion|:|' is not|' cannot be read|' is too long)|--set |problems/cotton_subsoiler"
-)
+PLACE = re.compile(r"FILE(, line \d+|, insertion|:|' is not|' cannot be read|' is too long)|--set |problems/cotton")
 REMEDY = re.compile(
     r"did you mean|valid names|\b(write|must|give|take|use|leave|omit|remove|name|add|lower|raise|join|merge|set|check"
     r"|belongs?|outside its bounds|contradict|expected|known|needs?|needed|make|least|cannot be|say|choose"
@@ -197,9 +195,7 @@ def test_texts_instead_of_numbers_in_saved_results_are_refused(command, tmp_path
                 po.load(path)
 
 
-@pytest.mark.parametrize(
-    ("count", "commands"), [(40, [RUN]), pytest.param(200, SAVED, marks=pytest.mark.slow)], ids=["run", "all kinds"]
-)
+@pytest.mark.parametrize(("count", "commands"), [(40, [RUN]), pytest.param(200, SAVED, marks=pytest.mark.slow)])
 def test_saved_results(count, commands, tmp_path):
     texts = [printed(*command) for command in commands]
 

@@ -94,9 +94,7 @@ def _with_characters(text, rng):
 
 def _nested(text, rng):
     lines, deep = text.split("\n"), rng.choice([3, 20, 300, 2000])
-    lines.insert(
-        rng.randrange(len(lines)), rng.choice([f"x = {'[' * deep}{']' * deep}", f"{'.'.join('a' * deep)} = 1"])
-    )
+    lines.insert(rng.randrange(len(lines)), rng.choice([f"x={'[' * deep}{']' * deep}", f"{'.'.join('a' * deep)}=1"]))
     return "\n".join(lines)
 
 

@@ -64,9 +64,7 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("override", "pieces"), [(text, pieces) for text, *pieces in REFUSED], ids=[t for t, *_ in REFUSED]
-)
+@pytest.mark.parametrize(("override", "pieces"), [(t, pieces) for t, *pieces in REFUSED], ids=[t for t, *_ in REFUSED])
 def test_a_change_that_cannot_be_is_blamed_and_not_the_file(refusal, override, pieces):
     message = refusal(COTTON, override)
     assert message.startswith(f"--set {override}: ")

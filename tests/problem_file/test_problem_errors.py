@@ -30,16 +30,14 @@ QUANTITIES = [
     ('"15 deg" }', '"15 m" }', "half_angle", "'half_angle' at_most = \"15 m\"", "quantity in rad"),
 ]
 CONTRADICTIONS = [
-    ('"5 deg"', '"60 deg"', "25 deg", "bounds of 'share.wedge_angle' contradict each other",
-     "lower 60 deg is not below upper 60 deg"),
+    ('"5 deg"', '"60 deg"', "25 deg", "'share.wedge_angle' contradict each other", "60 deg is not below upper 60 deg"),
     ("{ at_most = \"15", "{ at_least = '20 deg', at_most = \"15", "20 deg",
      "limits of 'half_angle' contradict", "at least 20 deg is above at most 15 deg"),
     ('"25 deg"', '"65 deg"', "65 deg", "guess 65 deg of 'share.wedge_angle'", "bounds 5 deg to 60 deg"),
     ('"10 kN/m"', '"0 kN/m"', "log = true", "'scene.stiffness'", "bound above 0, not 0 kN/m"),
     ('at_most = "15 deg"', "", "half_angle", "'half_angle' has no limit: give at_least, at_most"),
     ('mean_draft = { per = "1', 'mean_draft = { per = "0', "mean_draft = {", "'mean_draft' per = 0 kN must be above 0"),
-    ("[scene]", "height = '20 cm'\n[scene]", '"share.height"',
-     "'share.height' is a variable and also has a fixed value"),
+    ("[scene]", "height = '20 cm'\n[scene]", '"share.height"', "'share.height' is a variable and also has a fixed"),
     ("force_rms  =", "deflection =", "deflection = { per", "'deflection' cannot be minimised", "'mean_deflection'"),
     ("[effects]", "[effects]\nmotion = false", "motion =", "damping needs motion", "so omit it"),
 ]  # fmt: skip
@@ -48,8 +46,7 @@ MISSING = [
      "make 'scene.tow_speed' a variable"),
     (SOIL, 'density = "1 t/m^3"', "[soil]", "'density_ratio', ", "are missing", "the 'name' of a known soil"),
     ('lower = "5 deg", ', "", "wedge_angle", "'variables.share.wedge_angle.lower' is missing"),
-    (', wavelength = "0.2 m"', "", "strength_wave",
-     "'wavelength' is missing: give it in [effects.strength_wave]"),
+    (', wavelength = "0.2 m"', "", "strength_wave", "'wavelength' is missing: give it in [effects.strength_wave]"),
     (f"{WAVE}\ndamping = \"400 N*s/m\"\n\n[variables]",
      "[variables]\n'effects.strength_wave.wavelength' = { lower = '0.1 m', upper = '0.3 m' }",
      "wavelength", "belongs to effects.strength_wave"),
@@ -80,16 +77,8 @@ TRADED = [
     for table, *pieces in (
         ("mean_draft = {}\nlosened_radius = {}", "losened", "'losened_radius' cannot be traded: did you mean"),
         ("mean_draft = {}", "[trade_off]", "a front needs two or three results, not 1: give [trade_off]"),
-        (
-            "mean_draft = {}\nforce_rms = {}\ntow_power = {}\nmean_deflection = {}",
-            "[trade_off]",
-            "not 4: put the others",
-        ),
-        (
-            "mean_draft = 3\nforce_rms = {}",
-            "mean_draft = 3",
-            "'trade_off.mean_draft' must be {} or { maximise = true }",
-        ),
+        ("mean_draft = {}\nforce_rms = {}\ntow_power = {}\nhalf_angle = {}", "[trade_off]", "not 4: put the others"),
+        ("mean_draft = 3\nforce_rms = {}", "mean_draft = 3", "'trade_off.mean_draft' must be {} or { maximise = true"),
         ("mean_draft = { maximize = true }\nforce_rms = {}", "maximize", "not a known key: did you mean 'maximise'?"),
         ('mean_draft = { maximise = "yes" }\nforce_rms = {}', "yes", "'trade_off.mean_draft.maximise' = 'yes' must be"),
         ("mean_draft = {}\nforce_rms = {}\npoints = 2", "points", "'trade_off.points' = 2 must be a whole number"),

@@ -17,8 +17,7 @@ DEG = math.pi / 180
 def steel_mass(wedge_angle, chisel_angle, height):
     """Return the mass of a solid steel cone of equal height and surface, by the source's own form of (7)."""
     p = math.pi * math.cos(chisel_angle) ** 2 / (2 * math.tan(wedge_angle))
-    half_angle = math.asin(math.sqrt(p**2 + 1) - p)
-    return 7850 * math.pi / 3 * height**3 * math.tan(half_angle) ** 2
+    return 7850 * math.pi / 3 * height**3 * math.tan(math.asin(math.sqrt(p**2 + 1) - p)) ** 2
 
 
 def test_a_file_has_its_soil_variables_and_title():

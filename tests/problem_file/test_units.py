@@ -86,9 +86,7 @@ def test_results_are_given_in_the_unit_of_the_user(unit, written, symbol, factor
     assert display.text(value) == text
 
 
-WRITTEN_UNITS = [
-    (unit, written.split(" ", 1)[1]) for unit, written, _ in READ if isinstance(written, str) and " " in written
-]
+WRITTEN_UNITS = [(unit, written.split(" ", 1)[1]) for unit, written, _ in READ if " " in str(written)]
 
 
 @settings(deadline=None)  # the first quantity of all builds the registry of units

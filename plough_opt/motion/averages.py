@@ -36,7 +36,7 @@ class Settled:
         if self.orbit is None:
             return f"has not settled {after}; RMS over the last {self.averaged}: {self.force_rms:.4g} N{back}"
         if self.period is None:
-            return f"is driven away without bound ({after})"
+            return f"is driven away without bound (within {self.wavelengths} wavelengths)"
         kind = "another motion of the wave's own period" if self.period == 1 else f"a period-{self.period} motion"
         return f"comes to {kind} of RMS {self.force_rms:.4g} N{back} ({after})"
 

@@ -147,7 +147,7 @@ def _too_difficult(scene: Scene, duration: float, solver: Integration) -> str:
             f"it oscillates {turns:.3g} times until then: use the quasi-static scene (Effects(motion=False)),"
             " a softer or a damped mount, or a shorter duration"
         )
-    return "the tolerance is tighter than rounding allows, or the resistance drives the share away"
+    return "steps are too long, the tolerance is tighter than rounding allows, or the resistance drives the share away"
 
 
 def _growth(scene: Scene) -> float:

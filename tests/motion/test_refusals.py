@@ -80,6 +80,7 @@ EFFECTS = [
     ({"strength_wave": (WAVE, po.StrengthWave(0.1, 0.2 * math.sqrt(2))), "orbit": "periodic"}, "no common period"),
     ({"strength_wave": (WAVE, SECOND, po.StrengthWave(0.05, 0.12)), "orbit": po.HarmonicBalance(3)},
      r"HarmonicBalance\(5\)"),
+    ({"strength_wave": (WAVE, SECOND), "orbit": "periodic", "own": (Own(steady),)}, "several .* cannot have own"),
     ({"own": (3.0,)}, rf"own effect 3\.0 {OWN}"),
     ({"own": Own(steady)}, "must be a tuple of effects"),
     *[({"own": (wrong,)}, OWN) for wrong in (Own, SHARE)],
@@ -172,6 +173,9 @@ def elastics(**changes):
     return lambda: scene_of(**{"medium": "elastic", "motion": False} | changes)
 
 
+# The first pulls the share ever faster to a place, and the second begins suddenly.
+DRAWN = Own(lambda travel, speed: 0.0 * speed - 50.0 / (0.3 - travel))
+BED = Own(lambda travel, speed: where(travel > 0.3, 1e6, 0.0) * speed)
 ENTERS = {"start": "rest", "entry": True}
 SLIPS = {"start": "rest", "contact": po.StickSlip(1.2)}
 DEEP = (po.StrengthWave(0.8, 0.2), po.StrengthWave(0.5, 0.3, 0.7))
@@ -185,6 +189,10 @@ INPUT = [
     *[(run(duration), r"duration|one number per quantity")
       for duration in ("1", np.array([1.0, 2.0]), ca.DM([1.0, 2.0]), ca.MX.sym("duration", 2))],
     (run(stiffness=ca.MX.sym("stiffness", 2)), "one number per quantity"),
+    (run(stiffness=np.array([1e4, 2e4])), "stiffness is an array of 2 values"),
+    (run(method="rk", motion=False), "'rk' has nothing to integrate"),
+    (lambda: scene_of().wave_period, "no strength_wave and therefore no period"),
+    (lambda: po.Machine({}), "the run of at least one share"),
     *[(run(outputs=outputs), "outputs = .* must be a whole number")
       for outputs in ("4", None, 2.5, math.nan, True, 0, -4)],
     (lambda: po.simulate(SEROZEM, 1.0), "must be a Scene"),
@@ -237,6 +245,9 @@ COUNTLESS = "times: use a shorter duration or a longer wave"
 LATE = [
     *[(run(2.0, strength_wave=po.StrengthWave(0.3, 1e-6), motion=motion), COUNTLESS) for motion in (True, False)],
     *[(run(1e9, strength_wave=po.StrengthWave(0.3, 0.6), motion=motion), COUNTLESS) for motion in (True, False)],
+    *[(run(method=method, stiffness=stiffness, own=(own,)), words) for method, stiffness, own, words in (
+        ("erk", 5e4, DRAWN, "or the resistance drives the share away$"), ("dop853", 5e4, BED, ": steps are too long"),
+        ("erk", 1e12, DRAWN, r"it oscillates \S+ times until then: .* a softer or a damped mount"))],
     # A stiff mount would take minutes.
     (run(stiffness=1e12, start="rest"), "times, which would take"),
     *[(run(None, stiffness=1e9, tow_speed=0.5, strength_wave=po.StrengthWave(0.3, 4.0), orbit=orbit),

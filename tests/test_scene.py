@@ -25,6 +25,7 @@ def test_scales_of_a_scene(r1_scene):
     assert scene.natural_frequency == pytest.approx(math.sqrt(5e4 / (scene.mass + added)), rel=1e-15)
     assert scene.wave_frequency == pytest.approx(2 * math.pi * 2.0 / 0.6, rel=1e-15)
     assert scene.steady_resistance == pytest.approx(static * (1 + 0.05 * 4.0) + drag * 4.0, rel=1e-15)
+    assert (scene.branch, r1_scene().branch) == ("stiff", "")
     assert r1_scene().wave_frequency == 0.0
     assert r1_scene(added_mass=False).inertia == scene.mass
 
@@ -48,7 +49,8 @@ def test_ambient_share_is_the_part_of_the_pressure(r1_scene, name, pressure, adv
 
 
 def test_without_ambient_pressure_there_is_no_share_and_no_warning(r1_scene, r1_soil):
-    for scene in (r1_scene(ambient_pressure=False), r1_scene(soil=dataclasses.replace(r1_soil, ambient_pressure=0.0))):
+    soils = [dataclasses.replace(r1_soil, ambient_pressure=0.0, cohesion=cohesion) for cohesion in (15e3, 0.0)]
+    for scene in (r1_scene(ambient_pressure=False), *(r1_scene(soil=soil) for soil in soils)):
         assert scene.ambient_share == 0.0
         assert scene.warnings() == ()
 

@@ -10,7 +10,7 @@ from helpers.linear_motion import oscillation
 from helpers.scenes import Shank, scene_of
 
 import plough_opt as po
-from plough_opt.core.expressions import Expression
+from plough_opt.core.expressions import Expression, where
 from plough_opt.studies.accuracy.reference import reference_run
 
 WAVE = po.StrengthWave(0.3, 0.2)
@@ -57,7 +57,7 @@ def test_own_viscous_drag_damps_as_the_mounts_damper_does():
 
 @pytest.mark.parametrize("motion", [True, False])
 def test_own_resistances_are_added_to_the_draft(motion):
-    more = po.simulate(scene_of(own=(Shank(60.0), Shank(40.0)), motion=motion), 1.0)
+    more = po.simulate(scene_of(own=(Shank(60), Shank(40.0)), motion=motion), 1.0)
     assert more.mean_draft - po.simulate(scene_of(motion=motion), 1.0).mean_draft == pytest.approx(100.0, rel=1e-10)
 
 
@@ -72,6 +72,20 @@ def test_a_stiff_own_resistance(damping, ground, method):
     # The default error, which a named method's tolerance of 1e-10 reaches too.
     np.testing.assert_allclose(run.deflection, exact, rtol=0.0, atol=1e-8 * np.max(np.abs(exact)))
     assert run.error_estimate < 1e-8
+
+
+@dataclass(frozen=True)
+class Bed:
+    """A resistance that begins suddenly."""
+
+    def force(self, travel, speed):
+        return where(travel > 0.3, 1e5, 0.0) * speed
+
+
+def test_a_named_method_checks_itself_where_steps_of_order_8_are_too_long():
+    runs = [po.simulate(scene_of(own=(Bed(),)), 0.3, accuracy=po.Accuracy(method)) for method in ("erk", "rosenbrock")]
+    assert runs[0].mean_draft == pytest.approx(runs[1].mean_draft, rel=1e-9)
+    assert all(abs(run.mean_draft / runs[1].mean_draft - 1.0) <= run.error_estimate < 1e-7 for run in runs)
 
 
 # --- under stick and slip ---

@@ -15,7 +15,7 @@ from plough_opt.exchange.export.formats import FORMATS
 from plough_opt.laws import LAWS
 from plough_opt.motion.effects import OWN_EFFECTS
 from plough_opt.motion.methods import METHODS
-from plough_opt.motion.vocabulary import MEASURES
+from plough_opt.motion.vocabulary import MEASURES, called
 
 ROOT = Path(__file__).parents[1]
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -131,6 +131,7 @@ def test_resistance_law(workshop, capsys):
 def test_measure(workshop, capsys):
     workshop("A measure")
     objective, *_ = use("A measure", capsys)[0].split()
+    assert called("work_per_metre at_most") == "towing work per metre, at most"
     # At a steady speed the work per metre is the draft.
     own = po.read_problem("tine.toml").optimise()[0].objective
     assert float(objective) == pytest.approx(own, rel=1e-7)

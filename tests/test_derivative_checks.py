@@ -46,6 +46,15 @@ def test_the_error_is_that_of_the_means_from_many_steps(effects, outputs, steps)
     assert np.max(rows) / 2.0 < found < 2.0 * np.max(rows)
 
 
+def test_the_error_of_derivatives_that_a_finer_run_does_not_find_is_infinite():
+    # A tenth of the tolerance takes more steps than are allowed.
+    structure, p = Structure.of(scene()), parameters(scene())
+    solver = integration(structure, po.Accuracy("erk", tolerance=1e-4), Timeline(1, 48))
+    given = np.array([[*(float(p[name]) for name in solver.names), DURATION]]).T
+    assert solver.function(given)[0].is_regular()
+    assert derivative_error(solver, 0, (0,), given) == np.inf
+
+
 def design(accuracy, **effects):
     d = po.Design()
     stiffness = d.variable("stiffness", guess=5e4, lower=3e4, upper=1e5, unit="N/m", log=True)

@@ -53,14 +53,24 @@ def test_only_events_add_states(costs):
     assert all(costs[name].operations > 1.0 for name in found)
 
 
-def test_operations_are_those_of_the_steps_of_a_run_and_its_check(costs):
-    def operations(**changes):
-        run = po.simulate(scene(**changes), 0.1)
-        # Three quarters of the steps check.
-        steps = run.accuracy.steps + math.ceil(0.75 * run.accuracy.steps)
-        return steps * step(Structure.of(run.scene)).n_instructions()
+def operations(**changes):
+    run = po.simulate(scene(**changes), 0.1)
+    # Three quarters of the steps check.
+    steps = run.accuracy.steps + math.ceil(0.75 * run.accuracy.steps)
+    return steps * step(Structure.of(run.scene)).n_instructions()
 
+
+def test_operations_are_those_of_the_steps_of_a_run_and_its_check(costs):
     assert costs["strength wave"].operations == operations() / operations(strength_wave=None)
+
+
+def test_the_equation_of_motion_costs_what_a_quasi_static_run_does_not_take():
+    found = {cost.name: cost for cost in effect_costs.effect_costs(scene(damping=None), 0.1)}["equation of motion"]
+    assert (found.on, found.nodes, found.states, found.events) == (True, nodes(damping=None), 2, 0)
+    # Panels of 0.5 rad of twice the frequency of the wave, each with 10 places for the run and 16 for its check.
+    panels = math.ceil(4.0 * math.pi * 2.0 / 0.2 * 0.1 / 0.5)
+    each = effect_costs._of_resistance(Structure.of(scene(damping=None, motion=False)))
+    assert found.operations == operations(damping=None) / (26 * panels * each)
 
 
 def test_operations_of_an_adaptive_method_are_those_of_the_run_and_its_check(monkeypatch):

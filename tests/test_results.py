@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from helpers.commands import call
 from helpers.problem_files import PROBLEMS
-from helpers.scenes import Shank, scene_of
+from helpers.scenes import AVERAGES, Shank, scene_of
 from helpers.strict_json import strict
 
 import plough_opt as po
@@ -292,6 +292,9 @@ WRONG = "is not a result of this version (schema 2)"
         *(({"schema": schema}, "schema") for schema in (1, True, "2", None)),
         ({"kind": "sweep"}, "'sweep'"),
         ({"seconds": math.nan}, "NaN is not a finite number"),
+        ({"mount_force": [1.0]}, "mount_force must have a number for each output time"),
+        ({"averages": {name: [1.0] for name in AVERAGES}}, "averages.mean_draft must be a number"),
+        ({"checks": None}, "a numeric run has its checks"),
         *((without, without) for without in ("title", "versions", "averages", "time")),
         (b"\x89PNG\r\n\x1a\n", "cannot be read"),
     ],

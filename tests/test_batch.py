@@ -6,12 +6,11 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 import pytest
-from helpers.scenes import R1_RUNS, SEROZEM, Shank, scene_of
+from helpers.scenes import AVERAGES, R1_RUNS, SEROZEM, Own, Shank, scene_of
 
 import plough_opt as po
 from plough_opt.core.expressions import exp, maximum, minimum, sin, where
 
-NAMES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
 DESIGNS = np.array([[po.deg(25.0), 0.25, 5e4], [po.deg(45.0), 0.15, 8e3], [po.deg(10.0), 0.4, 3e5]])
 
 
@@ -25,7 +24,7 @@ def errors(r1_scene):
             scene = r1_scene(math.degrees(angle), height, stiffness, **effects)
             run = po.simulate(scene, duration, accuracy=accuracy, outputs=4)
             units = (1.0, 1.0, stiffness, stiffness, 1.0 / run.scene.tow_speed)
-            differences = (abs(getattr(result, name)[k] - getattr(run, name)) for name in NAMES)
+            differences = (abs(getattr(result, name)[k] - getattr(run, name)) for name in AVERAGES)
             size = max(abs(run.mean_draft), run.force_rms)
             found.append(max(unit * d for unit, d in zip(units, differences, strict=True)) / size)
         return np.array(found)
@@ -123,7 +122,7 @@ def test_designs_outside_the_domain(batch_of, r1_scene, r1_wave):
         with pytest.raises(po.DomainError) as caught:
             r1_scene(math.degrees(angle), height, k0)
         assert result.reasons[k].split(" = ")[0] == str(caught.value).split(" = ")[0]
-        assert all(math.isnan(getattr(result, name)[k]) for name in NAMES)
+        assert all(math.isnan(getattr(result, name)[k]) for name in AVERAGES)
     assert "share height = -0.2 m must be above 0 m" in result.reasons[1]
     assert np.all(result.mean_draft[~result.failed] == batch(DESIGNS[:1]).mean_draft[0])
 
@@ -157,18 +156,10 @@ def test_motions_without_an_end(batch_of, r1_wave):
     assert "takes more than 200000 steps" in ringing.reasons[3]
 
 
-@dataclass(frozen=True)
-class Stairs:
-    height: float
-
-    def force(self, travel, speed):
-        return self.height * ca.floor(travel) * speed
-
-
 @pytest.mark.parametrize(
     ("effects", "match"),
     [
-        ({"own": (Stairs(3.0),)}, "operation .floor."),
+        ({"own": (Own(lambda travel, speed: 3.0 * ca.floor(travel) * speed),)}, "operation .floor."),
         ({"motion": False}, "quasi-static"),
         ({"contact": po.StickSlip()}, "events of StickSlip"),
         ({"entry": True, "start": "rest"}, "events of the entry"),
@@ -204,25 +195,17 @@ def test_wrong_inputs(batch_of, r1_scene, r1_wave):
             call()
 
 
-def test_streams_equal_one_call(batch_of, r1_wave):
-    batch = batch_of(0.5, strength_wave=r1_wave, error=1e-4)
-    values = np.repeat(DESIGNS, 13, axis=0) * np.random.default_rng(0).uniform(0.5, 1.5, (39, 3))
-    values[17, 1] = -1.0
-    whole = batch(values)
-    parts = list(batch.stream([values[:1], values[1:20], values[20:]]))
-    assert [len(part) for part in parts] == [1, 19, 19]
-    for name in (*NAMES, "error_estimate", "steps"):
-        joined = np.concatenate([getattr(part, name) for part in parts])
-        assert np.array_equal(joined, getattr(whole, name), equal_nan=True)
-    assert parts[1].reasons[16] == whole.reasons[17]
-
-
-def test_threads_share_many_designs(batch_of, r1_wave):
+def test_streams_and_threads_equal_one_call(batch_of, r1_wave):
     batch = batch_of(0.1, strength_wave=r1_wave, error=1e-3)
-    values = np.tile(DESIGNS, (12000, 1))
+    values = np.repeat(DESIGNS, 12000, axis=0) * np.random.default_rng(0).uniform(0.5, 1.5, (36000, 3))
     values[20000, 1] = -1.0
-    one, two = batch(values), batch(values, threads=2)
-    for name in (*NAMES, "error_estimate"):
-        assert np.array_equal(getattr(one, name), getattr(two, name), equal_nan=True)
-    assert one.reasons == two.reasons
-    assert list(one.reasons) == [20000]
+    whole, threaded = batch(values), batch(values, threads=2)
+    parts = list(batch.stream([values[:1], values[1:25000], values[25000:]]))
+    assert [len(part) for part in parts] == [1, 24999, 11000]
+    for name in (*AVERAGES, "error_estimate", "steps"):
+        joined = np.concatenate([getattr(part, name) for part in parts])
+        for found in (joined, getattr(threaded, name)):
+            assert np.array_equal(found, getattr(whole, name), equal_nan=True)
+    assert parts[1].reasons[19999] == whole.reasons[20000]
+    assert threaded.reasons == whole.reasons
+    assert list(whole.reasons) == [20000]

@@ -66,12 +66,10 @@ def predicted(steps, periods):
 
 
 CASES = [(10, 64), (300, 64), (1000, 12), (1000, 16), (1000, 24), (1000, 32)]
-SLOW = [(10_000, 12), (10_000, 16), (10_000, 24), (10_000, 32)]
+SLOW = [pytest.param(10_000, steps, marks=pytest.mark.slow) for steps in (12, 16, 24, 32)]
 
 
-@pytest.mark.parametrize(
-    ("periods", "steps"), [*CASES, *(pytest.param(*case, marks=pytest.mark.slow) for case in SLOW)]
-)
+@pytest.mark.parametrize(("periods", "steps"), [*CASES, *SLOW])
 def test_resonance_without_damping_by_fixed_steps(r1_soil, periods, steps):
     scene, duration = resonance(r1_soil, 1e-7, periods)
     run = po.simulate(scene, duration, accuracy=po.Accuracy("dop853", steps=steps * periods), outputs=4 * periods)

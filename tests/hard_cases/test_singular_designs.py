@@ -5,21 +5,20 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.scenes import R1_SOIL, SHARP
 from scipy.optimize import minimize_scalar
 
 import plough_opt as po
 from plough_opt.soil import elastic
 
-SOIL = po.Soil(1400.0, 0.8, 15e3, po.deg(30.0), 0.5, 1e4)
-SHARE = po.Wedge(po.deg(25.0), po.deg(15.0), 0.25)
 # Whole waves for a share that moves with the strut: RMS is amplitude F0/sqrt(2).
 MOTIONS = {"quasi-static": (False, 2.0), "moving": (True, 0.5)}
 motions = pytest.mark.parametrize(("motion", "duration"), MOTIONS.values(), ids=MOTIONS)
 
 
-def scene_of(amplitude=None, share=SHARE, stiffness=5e4, soil=SOIL, mass=24.0, **effects):
-    wave = None if amplitude is None else po.StrengthWave(amplitude, effects.pop("wavelength", 0.5))
-    return po.Scene(soil, share, stiffness, mass, 2.0, po.Effects(strength_wave=wave, **effects))
+def scene_of(amplitude=None, share=SHARP, stiffness=5e4, mass=24.0, **effects):
+    wave = None if amplitude is None else po.StrengthWave(amplitude, 0.5)
+    return po.Scene(R1_SOIL, share, stiffness, mass, 2.0, po.Effects(strength_wave=wave, **effects))
 
 
 def rms(amplitude, motion, duration):

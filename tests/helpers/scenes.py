@@ -1,6 +1,7 @@
 """An ordinary scene, of which a test gives only what it changes; results of a run, and own effects."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,3 +69,13 @@ class Waves:
     def force(self, travel, speed):
         angle = 2.0 * math.pi / self.wavelength * travel
         return self.sine * sin(angle) + self.cosine * cos(angle) + 0.0 * speed
+
+
+@dataclass(frozen=True)
+class Own:
+    """Resistance given by a function of travel and speed, if the field is one."""
+
+    law: Callable
+
+    def force(self, travel, speed):
+        return self.law(travel, speed)

@@ -18,13 +18,9 @@ import plough_opt as po
 
 # Quantities of every scene, SI. About two waves pass, and the mount makes one and a half oscillations.
 SOIL = {
-    "density": 1400.0,
-    "density_ratio": 0.8,
-    "cohesion": 15e3,
-    "friction_angle": po.deg(30.0),
-    "tool_friction": 0.5,
+    "density": 1400.0, "density_ratio": 0.8, "cohesion": 15e3, "friction_angle": po.deg(30.0), "tool_friction": 0.5,
     "ambient_pressure": 1e4,
-}
+}  # fmt: skip
 SHARE = {"angle": po.deg(45.0), "chisel_angle": po.deg(15.0), "height": 0.15}
 NUMBERS = SOIL | SHARE | {"stiffness": 8e4, "mass": 24.0, "tow_speed": 1.2, "duration": 0.2}
 # Those of effects. The ramp ends neither at an output nor at the end of a step.
@@ -165,13 +161,8 @@ WAVE, RAMP, DAMPER, MASS = (None, po.StrengthWave(0.7, 0.1)), (None, 0.1), (None
 STARTS = ("equilibrium", "rest", "towed")
 THIN = thinned(COVERING, meetings)
 STILL = products(motion=(False,), strength_wave=WAVE, tow_ramp=RAMP, **ON)
-ORBITS = products(
-    orbit=("periodic", "linearised", po.HarmonicBalance(3)),
-    strength_wave=WAVE[1:],
-    damping=DAMPER,
-    added_mass=MASS,
-    **ON,
-)
+SHAPES = ("periodic", "linearised", po.HarmonicBalance(3))
+ORBITS = products(orbit=SHAPES, strength_wave=WAVE[1:], damping=DAMPER, added_mass=MASS, **ON)
 PRINTED = products(
     formulation=("printed",), start=STARTS, strength_wave=WAVE, tow_ramp=RAMP, damping=DAMPER, added_mass=MASS, **ON
 )

@@ -39,11 +39,10 @@ def test_threads_do_not_share_states(r1_scene, r1_wave):
         assert np.array_equal(run.mount_force, po.simulate(scene, 1.0, compiled=True).mount_force)
 
 
-def test_without_a_compiler_a_run_is_interpreted_with_a_warning(r1_scene, r1_wave, monkeypatch, tmp_path):
+@pytest.mark.usefixtures("no_compiler")
+def test_without_a_compiler_a_run_is_interpreted_with_a_warning(r1_scene, r1_wave):
     scene = r1_scene(strength_wave=r1_wave)
     expected = po.simulate(scene, 1.0)
-    monkeypatch.setenv("CC", "no_such_compiler")
-    monkeypatch.setenv("PATH", str(tmp_path))
     compiled_steps.cache_clear()
     try:
         found = po.simulate(scene, 1.0, compiled=True)

@@ -30,20 +30,11 @@ FACTORS = {
     "rate_term": (None, 0.08),
 }
 # Mostly refused, so combined only in the test of refusals.
-FURTHER = {
-    "motion": (True, False),
-    "orbit": ("transient", "periodic"),
-    "formulation": ("derived", "printed"),
-}
+FURTHER = {"motion": (True, False), "orbit": ("transient", "periodic"), "formulation": ("derived", "printed")}
 OWN = {
-    "inertial_drag": {"drag"},
-    "added_mass": {"added_mass"},
-    "entry": {"height"},
-    "strength_wave": {"wave_amplitude", "wavelength"},
-    "tow_ramp": {"ramp_time"},
-    "damping": {"damping"},
-    "rate_term": {"rate_term"},
-}
+    "inertial_drag": {"drag"}, "added_mass": {"added_mass"}, "entry": {"height"}, "tow_ramp": {"ramp_time"},
+    "strength_wave": {"wave_amplitude", "wavelength"}, "damping": {"damping"}, "rate_term": {"rate_term"},
+}  # fmt: skip
 
 
 def choices(effects):

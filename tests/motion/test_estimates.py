@@ -105,9 +105,7 @@ def test_every_average_counts_on_its_own_scale(gapped, name):
 
 
 # Scenes whose forces are far below the soil's strength.
-HARD = po.Soil(
-    density=1900, density_ratio=0.69, cohesion=1.5e6, friction_angle=0.066, tool_friction=0.93, ambient_pressure=700.0
-)
+HARD = po.Soil(1900.0, 0.69, 1.5e6, 0.066, 0.93, 700.0)
 FIRM = dataclasses.replace(HARD, density_ratio=0.8, cohesion=2e5, friction_angle=0.3, tool_friction=0.5)
 STUCK = {"start": "towed", "contact": po.StickSlip()}
 ENTERS = scene_of(mass=45.0, tow_speed=1.5, start="towed", entry=True)

@@ -140,9 +140,7 @@ def test_a_motion_that_stops_or_keeps_going_has_no_warning(changes):
 
 def test_a_share_that_begins_to_move_behind_a_ramp_has_no_warning():
     # At the start the speed is rounding, and below zero here.
-    soil = po.Soil(
-        density=1500, density_ratio=0.6, cohesion=3.0, friction_angle=0.3, tool_friction=0.5, ambient_pressure=0.0
-    )
+    soil = po.Soil(1500.0, 0.6, 3.0, 0.3, 0.5, 0.0)
     effects = {"contact": po.StickSlip(), "tow_ramp": 0.0068, "inertial_drag": False, "added_mass": False}
     for speed in np.linspace(0.6, 0.8, 9).tolist():
         own = scene_of(soil, stiffness=2930.0, mass=59.2, tow_speed=speed, **effects)

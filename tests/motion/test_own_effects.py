@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers.differences import order_4
 from helpers.linear_motion import oscillation
-from helpers.scenes import Shank, scene_of
+from helpers.scenes import Own, Shank, scene_of
 
 import plough_opt as po
 from plough_opt.core.expressions import Expression, where
@@ -74,16 +74,9 @@ def test_a_stiff_own_resistance(damping, ground, method):
     assert run.error_estimate < 1e-8
 
 
-@dataclass(frozen=True)
-class Bed:
-    """A resistance that begins suddenly."""
-
-    def force(self, travel, speed):
-        return where(travel > 0.3, 1e5, 0.0) * speed
-
-
 def test_a_named_method_checks_itself_where_steps_of_order_8_are_too_long():
-    runs = [po.simulate(scene_of(own=(Bed(),)), 0.3, accuracy=po.Accuracy(method)) for method in ("erk", "rosenbrock")]
+    bed = Own(lambda travel, speed: where(travel > 0.3, 1e5, 0.0) * speed)
+    runs = [po.simulate(scene_of(own=(bed,)), 0.3, accuracy=po.Accuracy(method)) for method in ("erk", "rosenbrock")]
     assert runs[0].mean_draft == pytest.approx(runs[1].mean_draft, rel=1e-9)
     assert all(abs(run.mean_draft / runs[1].mean_draft - 1.0) <= run.error_estimate < 1e-7 for run in runs)
 

@@ -10,21 +10,13 @@ from scipy.integrate import quad
 import plough_opt as po
 
 
-@pytest.fixture
-def quasi_scene(r1_scene):
-    def build(*args, **keywords):
-        return r1_scene(*args, **keywords, motion=False)
-
-    return build
-
-
 @pytest.mark.parametrize(
     ("ramp", "wavelength", "duration"),
     [(None, 0.02, 0.5), (None, 50.0, 0.07), (0.3, 0.6, 1.0), (0.371234, 0.6, 1.0), (1.0, 0.6, 1.0), (2.5, 0.6, 1.0)],
 )
 @pytest.mark.parametrize("rate_term", [None, 0.05])
-def test_runs_are_those_of_adaptive_quadrature(quasi_scene, ramp, wavelength, duration, rate_term):
-    scene = quasi_scene(strength_wave=po.StrengthWave(0.3, wavelength), tow_ramp=ramp, rate_term=rate_term)
+def test_runs_are_those_of_adaptive_quadrature(r1_scene, ramp, wavelength, duration, rate_term):
+    scene = r1_scene(motion=False, strength_wave=po.StrengthWave(0.3, wavelength), tow_ramp=ramp, rate_term=rate_term)
     run = po.simulate(scene, duration)
     smoothstep = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
     path = smoothstep.integ()
@@ -63,16 +55,16 @@ def test_runs_are_those_of_adaptive_quadrature(quasi_scene, ramp, wavelength, du
     assert run.error_estimate < 1e-11
 
 
-def test_smallest_wave_keeps_its_digits(quasi_scene):
+def test_smallest_wave_keeps_its_digits(r1_scene):
     # Whole waves: RMS eps F0/sqrt(2). It is 1e-9 of the mean draft.
-    run = po.simulate(quasi_scene(strength_wave=po.StrengthWave(1e-9, 0.5)), 2.0)
+    run = po.simulate(r1_scene(motion=False, strength_wave=po.StrengthWave(1e-9, 0.5)), 2.0)
     assert run.force_rms == pytest.approx(1e-9 * run.scene.reaction.static / math.sqrt(2), rel=1e-8)
 
 
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX])
-def test_averages_over_three_hundred_waves_do_not_depend_on_the_outputs(quasi_scene, kind):
+def test_averages_over_three_hundred_waves_do_not_depend_on_the_outputs(r1_scene, kind):
     def averages(height, outputs):
-        scene = quasi_scene(height=height, strength_wave=po.StrengthWave(0.5, 0.013), tow_ramp=0.1)
+        scene = r1_scene(height=height, motion=False, strength_wave=po.StrengthWave(0.5, 0.013), tow_ramp=0.1)
         run = po.simulate(scene, 2.0, outputs=outputs)
         return [run.mean_draft, run.force_rms]
 

@@ -5,13 +5,12 @@ A motion that cannot be integrated is refused soon, and the message says when it
 
 import dataclasses
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 import pytest
-from helpers.scenes import SEROZEM, SHARE, Waves, scene_of
+from helpers.scenes import SEROZEM, SHARE, Own, Waves, scene_of
 from scipy.integrate import solve_ivp
 
 import plough_opt as po
@@ -26,16 +25,6 @@ STRONG = replace(SEROZEM, cohesion=1e6)
 WAVE, SECOND = po.StrengthWave(0.3, 0.2), po.StrengthWave(0.1, 0.3, 0.7)
 ORBITS = ["periodic", "linearised", po.HarmonicBalance(2)]
 X = ca.MX.sym("x")
-
-
-@dataclass(frozen=True)
-class Own:
-    """Resistance given by a function of travel and speed, if the field is one."""
-
-    law: Callable
-
-    def force(self, travel, speed):
-        return self.law(travel, speed)
 
 
 @dataclass(frozen=True)
@@ -102,20 +91,12 @@ def test_fields_of_own_effects_with_a_complete_repr_are_accepted(field):
 
 
 OUTSIDE = {
-    "scene.stiffness": [0.0, -5e4],
-    "scene.mass": [0.0],
-    "scene.tow_speed": [-2.0],
-    "share.height": [0.0],
-    "effects.strength_wave.amplitude": [-0.1, 1.1],
-    "effects.strength_wave.wavelength": [0.0, -0.6],
-    "effects.random_strength.rms": [-0.1, 1.2],
-    "effects.random_strength.correlation_length": [0.0],
-    "effects.tow_ramp": [-1e-3],
-    "effects.damping": [-1e-3],
-    "effects.rate_term": [-1e-3],
-    "effects.contact_width": [0.0],
-    "effects.breakaway": [0.999],
-}
+    "scene.stiffness": [0.0, -5e4], "scene.mass": [0.0], "scene.tow_speed": [-2.0], "share.height": [0.0],
+    "effects.strength_wave.amplitude": [-0.1, 1.1], "effects.strength_wave.wavelength": [0.0, -0.6],
+    "effects.random_strength.rms": [-0.1, 1.2], "effects.random_strength.correlation_length": [0.0],
+    "effects.tow_ramp": [-1e-3], "effects.damping": [-1e-3], "effects.rate_term": [-1e-3],
+    "effects.contact_width": [0.0], "effects.breakaway": [0.999],
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", OUTSIDE)

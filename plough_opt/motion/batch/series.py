@@ -121,8 +121,6 @@ class Graph:
         """Return a b. If both have the same base, it is computed from the square of that."""
         if a.constant or b.constant:
             return self.scaled(b, a[0]) if a.constant else self.scaled(a, b[0])
-        if a is b:
-            return self.square(a)
         (base, p, q), (other_base, r, s) = a.affine, b.affine
         if base is not other_base:
             return self._add(Series(lambda _, k: _convolved(a, b, k, 0)))

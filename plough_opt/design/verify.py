@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import DomainError, InputError, IntegrationError, PloughError
+from plough_opt.core.expressions import with_numbers
 from plough_opt.core.labels import Call, Limit
 from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.split import split
@@ -19,7 +20,6 @@ from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.assembly import assemble
 from plough_opt.motion.compiled_steps import compiled_steps
 from plough_opt.motion.effects import MOST_HARMONICS
-from plough_opt.motion.embedding import with_numbers
 from plough_opt.motion.equation import signals
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.judgement import refuse_drifting_own, refuse_stiff_orbit

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from plough_opt.core import expressions
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, Expression, classes_in, is_symbolic, stacked, template_of
 from plough_opt.core.labels import Meanings, attach
@@ -30,16 +29,6 @@ class Embedding:
 
 
 _RUNS: Meanings[Embedding] = Meanings()
-
-
-def with_numbers(template: Scene, quantities: Sequence[float]) -> Scene:
-    """Return the scene of a template with the given numbers as quantities.
-
-    Raises:
-        DomainError: a number lies outside the model's domain.
-    """
-    scene: Scene = expressions.with_numbers(template, quantities)
-    return scene
 
 
 def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[Column, ...]:

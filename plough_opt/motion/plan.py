@@ -191,13 +191,12 @@ def timeline_of(
         method: name of the method.
         symbolic: whether the run will be differentiated, so that steps must also end at the ends of smooth contact.
     """
-    effects, aligned = scene.effects, method not in ORDER_8
-    ramp: Any = effects.tow_ramp if effects.ramps else 0.0
-    timed = not effects.ramps or not (is_symbolic(ramp) or is_symbolic(duration))
-    if not timed or (symbolic and effects.motion and isinstance(effects.contact, Smooth)):
+    effects, ramp = scene.effects, scene.effects.tow_ramp
+    untimed = effects.ramps and (is_symbolic(ramp) or is_symbolic(duration))
+    if untimed or (symbolic and effects.motion and isinstance(effects.contact, Smooth)):
         return _timeline(outputs, steps, moving=True)
     kink = kink_of(float(as_number(ramp)), float(as_number(duration))) if effects.ramps else None
-    return _timeline(outputs, steps, kink, aligned)
+    return _timeline(outputs, steps, kink, method not in ORDER_8)
 
 
 def kink_of(ramp: float, duration: float) -> float | None:

@@ -160,11 +160,6 @@ def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: i
         part = 1e-4 if isinstance(scene.effects.contact, Smooth) else 1e-2
         wanted = min(accuracy.error or DEFAULT_ERROR, part * accuracy.wanted_derivatives)
         accuracy = Accuracy("erk", tolerance=max(0.01 * wanted, plan.TIGHTEST))
-    return _embedded(scene, duration, accuracy, outputs)
-
-
-def _embedded(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int) -> Run:
-    """Return a run by a method with its setting, as expressions of the scene's symbols."""
     steps = plan.MOST_ADAPTIVE if accuracy.adaptive else accuracy.steps or plan.unknown_steps(scene, accuracy, outputs)
     timeline = plan.timeline_of(scene, duration, outputs, steps, accuracy.method, symbolic=True)
     solver, p = integration(Structure.of(scene), accuracy, timeline), parameters(scene)

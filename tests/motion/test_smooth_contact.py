@@ -15,14 +15,19 @@ def scene(contact, stiffness=2e4, speed=1.0, **effects):
     return scene_of(R1_SOIL, SHARP, stiffness, 24.0, speed, contact=contact, **effects)
 
 
-@pytest.mark.parametrize(
-    "effects",
-    [
-        {"start": "rest", "strength_wave": po.StrengthWave(0.3, 0.4), "damping": 150.0},
-        {"start": "rest", "tow_ramp": 0.3, "rate_term": 0.05},
-    ],
-    ids=["wave", "ramp"],
-)
+WITHOUT_GAP = {
+    "wave": {"start": "rest", "strength_wave": po.StrengthWave(0.3, 0.4), "damping": 150.0},
+    "ramp": {"start": "rest", "tow_ramp": 0.3, "rate_term": 0.05},
+}
+MOTIONS = {
+    "damped": {"start": "rest", "strength_wave": WAVE, "damping": 100.0},
+    "ramp": {"start": "towed", "strength_wave": WAVE, "tow_ramp": 0.4, "rate_term": 0.1},
+    "equilibrium": {"start": "equilibrium", "strength_wave": po.StrengthWave(1.0, 0.3)},
+    "steady and slow": {"start": "equilibrium", "speed": 0.02},
+}
+
+
+@pytest.mark.parametrize("effects", WITHOUT_GAP.values(), ids=WITHOUT_GAP)
 def test_the_error_falls_with_the_width_where_no_gap_opens(effects):
     exact = po.simulate(scene(po.StickSlip(), **effects), 1.0, outputs=100)
     assert three_modes.follow(exact.scene, 1.0).count(0, 2) == 0
@@ -34,16 +39,7 @@ def test_the_error_falls_with_the_width_where_no_gap_opens(effects):
 
 
 @pytest.mark.parametrize("width", [0.5, 0.05, 0.005])
-@pytest.mark.parametrize(
-    "effects",
-    [
-        {"start": "rest", "strength_wave": WAVE, "damping": 100.0},
-        {"start": "towed", "strength_wave": WAVE, "tow_ramp": 0.4, "rate_term": 0.1},
-        {"start": "equilibrium", "strength_wave": po.StrengthWave(1.0, 0.3)},
-        {"start": "equilibrium", "speed": 0.02},
-    ],
-    ids=["damped", "ramp", "equilibrium", "steady and slow"],
-)
+@pytest.mark.parametrize("effects", MOTIONS.values(), ids=MOTIONS)
 def test_an_independent_solver_agrees(width, effects):
     # A narrow step makes the equation stiff in both programs.
     three_modes.agreed(scene(po.Smooth(width), **effects), 1.0, allowed=5e-8, resistance=20.0)

@@ -113,7 +113,7 @@ class AccuracyStudy(Saveable):
     defaults: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
     thoroughness: tuple[Thoroughness, ...] = ()
-    origin: Origin = field(default=Origin(), compare=False)
+    origin: Origin = field(default=Origin())
     kind = "accuracy study"
 
     @property

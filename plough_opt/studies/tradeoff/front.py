@@ -217,7 +217,7 @@ class Front:
     seconds: float = 0.0
     building: float = 0.0
     versions: Mapping[str, str] = field(default_factory=versions)
-    origin: Origin = field(default=Origin(), compare=False)
+    origin: Origin = field(default=Origin())
 
     def cells(self, values: Sequence[float]) -> list[str]:
         """Return objectives as text, each in the unit of the design question."""

@@ -62,7 +62,7 @@ class RobustOptimum(Saveable):
     indices: Mapping[str, SobolIndices]
     failures: tuple[str, ...] = ()
     requirements: Mapping[str, tuple[str, str]] = field(default_factory=dict)
-    origin: Origin = field(default=Origin(), compare=False)
+    origin: Origin = field(default=Origin())
     kind = "robust optimum"
     unsaved = frozenset({"robust"})
 

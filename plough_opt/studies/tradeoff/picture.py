@@ -168,7 +168,7 @@ def _draw_along(axes: Axes, front: Front, variable: Axis) -> None:
         axes.plot(places[own], values[own], "o-", color=COLOURS[number % len(COLOURS)], markersize=2.5, linewidth=1.2)
     if variable.log:
         axes.set_yscale("log")
-    elif variable.lower is not None and variable.upper is not None:
+    else:
         axes.set_ylim(*_range(variable, values, factor, margin=0.1))
     low, high = axes.get_ylim()
     for bound in (variable.lower, variable.upper):

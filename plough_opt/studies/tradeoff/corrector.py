@@ -66,10 +66,9 @@ class Slopes(NamedTuple):
 
 
 class Corrector:
-    """Corrector with the exact slopes of a built program.
+    """Corrector with the exact slopes of a program as it was when the corrector was made.
 
     Attributes:
-        nlp: functions of the program as it was when the corrector was made.
         largest_residual: scaled residual of the first-order conditions below which a design counts as an optimum.
     """
 
@@ -77,7 +76,7 @@ class Corrector:
 
     def __init__(self, program: Program) -> None:
         """Use a program that is built."""
-        self._program, self.nlp, self._built = program, program.built.nlp, program.built
+        self._program, self._built = program, program.built
         self._limits = program.low, program.high
         self._curvature: Vector | None = None
         self._slopes: dict[bytes, Slopes] = {}
@@ -91,7 +90,7 @@ class Corrector:
         return self._values[key]
 
     def _evaluate(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
-        f, g = self.nlp.values(y, p)
+        f, g = self._built.nlp.values(y, p)
         return np.array(f.nonzeros()), np.array(g.nonzeros())
 
     def slopes(self, y: Vector, p: Vector) -> Slopes:
@@ -102,7 +101,7 @@ class Corrector:
         return self._slopes[key]
 
     def _differentiate(self, y: Vector, p: Vector) -> Slopes:
-        f, g, gradient, jacobian = (np.asarray(result) for result in self.nlp.slopes(y, p))
+        f, g, gradient, jacobian = (np.asarray(result) for result in self._built.nlp.slopes(y, p))
         return Slopes(f.ravel(), g.ravel(), gradient.ravel(), jacobian)
 
     def residual(self, point: Point, p: Vector) -> float:

@@ -112,7 +112,6 @@ class FrontProgram:
         """
         self._values = values.tolist()
         self._tight.clear()
-        self.correctors.clear()
         self.normalise(np.zeros(self.count), np.ones(self.count))
         # With these parameters the program's objective and position constraints are the scaled objectives themselves.
         count = self.count
@@ -140,10 +139,9 @@ class FrontProgram:
         program, began = self.program, time.perf_counter()
         program.build(self.neutral_parameters(), self._refinement, self._starts)
         self.building += time.perf_counter() - began
-        if not self.correctors or self.correctors[True].nlp is not program.built.nlp:
-            batched = program.wanted_error and program.population.vectorised
-            self.correctors[True] = Corrector(program)
-            self.correctors[False] = BatchCorrector(program) if batched else self.correctors[True]
+        batched = program.wanted_error and program.population.vectorised
+        self.correctors[True] = Corrector(program)
+        self.correctors[False] = BatchCorrector(program) if batched else self.correctors[True]
         self.normalise(self.low, self.span)
 
     def normalise(self, low: Vector, span: Vector) -> None:

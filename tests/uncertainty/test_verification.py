@@ -5,7 +5,8 @@ import pytest
 from scipy import stats
 
 import plough_opt as po
-from plough_opt.studies.uncertainty import verify
+from plough_opt.core.expressions import sqrt
+from plough_opt.studies.uncertainty import sobol_indices, verify
 
 FIELD = po.SoilDistribution(
     po.named_soil("serozem"),
@@ -50,7 +51,9 @@ def _robust(count=8, accuracy=None, path=False, **effects):
     [pytest.param(name, marks=pytest.mark.slow if name in ("rest", "ramp", "smooth") else ()) for name in EFFECTS],
 )
 def test_values_over_samples_agree_with_single_simulations(name):
-    _, robust = _robust(3, **EFFECTS[name])
+    # One of the scenes along the path too, and one by a named method.
+    path, accuracy = name == "damper, wave", po.Accuracy("dop853", steps=200) if name == "damper" else None
+    _, robust = _robust(3, accuracy, path, **EFFECTS[name])
     values = robust.values(AT)
     for k, soil in enumerate(robust.samples):
         run = _run(soil, *AT.values(), EFFECTS[name])
@@ -59,16 +62,7 @@ def test_values_over_samples_agree_with_single_simulations(name):
         assert values["rms"][k] == pytest.approx(run.force_rms, abs=1e-9 * run.mean_draft)
         assert values["deflection"][k] == pytest.approx(run.mean_deflection, rel=1e-9)
         assert values["power"][k] == pytest.approx(run.tow_power, rel=1e-9)
-
-
-def test_values_along_the_path_and_by_a_named_method():
-    _, robust = _robust(3, path=True, **EFFECTS["damper, wave"])
-    _, named = _robust(3, accuracy=po.Accuracy("dop853", steps=200), **EFFECTS["damper, wave"])
-    values, by_name = robust.values(AT), named.values(AT)
-    for k, soil in enumerate(robust.samples):
-        run = _run(soil, *AT.values(), EFFECTS["damper, wave"])
-        assert values["last"][k] == pytest.approx(run.deflection[10], rel=1e-8)
-        assert by_name["draft"][k] == pytest.approx(run.mean_draft, rel=1e-8)
+        assert not path or values["last"][k] == pytest.approx(run.deflection[10], rel=1e-8)
 
 
 @pytest.fixture(scope="module")
@@ -135,12 +129,22 @@ def test_a_claim_that_does_not_hold_is_not_confirmed():
 
 def test_refusals():
     _, robust = _robust(4, motion=False)
+    # A result for firm soils alone, of which the one sample is.
+    firm = po.Robust(FIELD, lambda soil: {"a": sqrt(soil.cohesion - 2e4)}, samples=FIELD.at([[0.9, 0.5]]))
+    other = po.SoilDistribution(FIELD.soil, cohesion=stats.uniform(1e4, 1e4))
     for call, words in (
+        (lambda: po.SoilDistribution(FIELD.soil), "nothing is uncertain"),
+        *((lambda n=n: FIELD.sample(n, seed=1), "must be a whole number from 1 to") for n in (0, 1 << 21)),
+        *((lambda n=n: sobol_indices(robust, AT, samples=n), "power of two") for n in (1, 100)),
         (lambda: verify(robust, AT, samples=50), "at least 100"),
         (lambda: robust.values({"height": 0.25, "stifness": 4e4}), "'stiffness'"),
         (lambda: robust.expected("drafts"), "'draft'"),
         (lambda: po.Robust(FIELD, lambda soil: soil.cohesion, samples=4), "results by name"),
         (lambda: po.Robust(FIELD, lambda _: {"a": np.ones(3)}, samples=4), "one number"),
+        (lambda: po.Robust(FIELD, lambda _: {"a": None}, samples=4), "one number"),
+        (lambda: po.Robust(FIELD, robust.response, samples=other.sample(4)), "the samples have the properties"),
+        (lambda: verify(firm, {}), "of 4096 fresh soils have no result, such as number"),
+        (lambda: verify(robust, AT, samples=100)["draft", "mean"], "is not among the checks"),
         (lambda: robust.require_probability(po.Design(), "x", "draft", 0.9, width=1.0), "one limit"),
         (lambda: robust.values({"height": 0.25, "stiffness": -1.0}), "has no result"),
     ):

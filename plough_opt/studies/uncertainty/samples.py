@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_callable, check_kind, check_named, plain_number
+from plough_opt.core.checks import NOT_NUMBERS, check_callable, check_kind, check_named, plain_number
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Column, Expression, is_casadi
 from plough_opt.design import Optimum
@@ -173,11 +173,10 @@ def _number(at: Optimum | Mapping[str, float], symbol: ca.MX) -> float:
 
 def _column(name: str, values: list[Column]) -> Column:
     """Return the values of a result as a column, or raise InputError if they are not scalars."""
-    if any(is_casadi(value) for value in values):
-        if any(ca.MX(value).numel() != 1 for value in values):
-            raise InputError(f"the result '{name}' of each soil must be one number: average it, or take its mean")
-        return ca.vertcat(*values)
-    column = np.asarray(values, dtype=float)
-    if column.ndim != 1:
-        raise InputError(f"the result '{name}' of each soil must be one number, not of the shape {column.shape[1:]}")
-    return column
+    try:
+        single = all(ca.MX(value).numel() == 1 for value in values)
+    except NOT_NUMBERS:
+        single = False
+    if not single:
+        raise InputError(f"the result '{name}' of each soil must be one number: average it, or take its mean")
+    return ca.vertcat(*values) if any(map(is_casadi, values)) else np.array(values, dtype=float).ravel()

@@ -1,7 +1,9 @@
 """Distributions of a soil: moments, truncation, correlation, repeatable samples, messages about mistakes."""
 
 import math
+from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy import stats
@@ -14,12 +16,13 @@ SEROZEM = po.named_soil("serozem")
 
 def _field(**changes):
     given = {
+        "soil": SEROZEM,
         "cohesion": stats.lognorm(0.3, scale=20e3),
         "friction_angle": stats.norm(po.deg(28), po.deg(3)),
         "within": {"friction_angle": (po.deg(20), po.deg(34))},
         "correlation": {("cohesion", "friction_angle"): -0.4},
     }
-    return po.SoilDistribution(SEROZEM, **(given | changes))
+    return po.SoilDistribution(**(given | changes))
 
 
 @pytest.mark.parametrize(
@@ -90,6 +93,7 @@ PAIRS = {("cohesion", "friction_angle"): 0.9, ("cohesion", "density"): 0.9, ("fr
         ({"cohesoin": stats.norm(1, 1)}, "'cohesion'"),
         ({"within": {"tool_friction": (0.1, 0.9)}}, "tool_friction"),
         ({"cohesion": 20e3}, "not a distribution"),
+        ({"soil": replace(SEROZEM, cohesion=ca.MX.sym("c"))}, "'cohesion' is an expression in the soil"),
         ({"cohesion": stats.norm(20e3, 6e3)}, "truncate it"),
         ({"cohesion": stats.norm(20e3, np.nan)}, "cohesion: its distribution has no median"),
         ({"cohesion": stats.norm(20e3, 0.0)}, "such as a scale of 0"),
@@ -105,11 +109,3 @@ PAIRS = {("cohesion", "friction_angle"): 0.9, ("cohesion", "density"): 0.9, ("fr
 def test_refusals(changes, words):
     with pytest.raises((po.InputError, po.DomainError), match=words):
         _field(**changes)
-
-
-@pytest.mark.parametrize("count", [0, 1 << 21])
-def test_a_soil_needs_a_distribution_and_a_sample_a_size(count):
-    with pytest.raises(po.InputError, match="nothing is uncertain"):
-        po.SoilDistribution(SEROZEM)
-    with pytest.raises(po.InputError, match="whole number"):
-        _field().sample(count, seed=1)

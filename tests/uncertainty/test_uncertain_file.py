@@ -4,6 +4,7 @@ import json
 import math
 import re
 import tomllib
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -96,6 +97,14 @@ def test_tables_show_the_soil_both_designs_and_the_fresh_samples(found):
     interval = f" {100.0 * check.low:.2f} % to {100.0 * check.high:.2f} % "
     words = ("Uncertain soil: serozem", "robust", "nominal", "95 % interval", interval, "Sobol indices", "8 samples")
     assert all(text in str(found) for text in ("loosened_radius, probability of at least 0.15 m: ", *words))
+    # With a second optimum, results that do not vary, and the one check that both designs stand.
+    (one,) = found.best.local_optima
+    best = replace(found.best, local_optima=(one, replace(one, objective=7.654321)))
+    confirmed = [replace(own, checks=own.checks[:1]) for own in (found.fresh, found.nominal_fresh)]
+    other = str(RobustOptimum(best, found.run, found.nominal, found.robust, *confirmed, {}))
+    assert re.search(rf"All robust optima found\n.*\n.* {one.objective:.9g} .* m\n.* 7\.654321 .* m\n", other)
+    assert "In the robust design fresh samples confirm every measure." in other
+    assert "Sobol" not in other
 
 
 def test_the_optimum_follows_from_the_samples(found):
@@ -128,15 +137,16 @@ def test_the_robust_design_loosens_more_soils_widely_enough(found, whole):
     assert found.best.objective == objectives[0]
 
 
-def test_picture_shows_both_designs_their_means_and_the_limit(found):
+def test_picture_shows_both_designs_their_means_and_the_limit(found, tmp_path):
     shown = ("mean_draft", 1e3, "kN"), ("loosened_radius", 1.0, "m")
-    for axes, (name, factor, unit) in zip(found.plot().axes, shown, strict=False):
+    for axes, (name, factor, unit) in zip(found.plot(tmp_path / "found.svg").axes, shown, strict=False):
         texts = [text.get_text() for text in axes.get_legend().get_texts()]
         for text, design, own in zip(texts, ("nominal", "robust"), (found.nominal_fresh, found.fresh), strict=False):
             assert text.startswith(f"{design} design: mean {np.mean(own.values[name]) / factor:.4g} {unit}, ")
     assert axes.get_xlabel() == "loosened radius [m]"
     assert f"{100.0 * np.mean(found.fresh.values['loosened_radius'] >= 0.15):.1f} % within the limit" in texts[1]
     assert texts[2] == "limit 0.15 m"
+    assert "dashed: means" in (tmp_path / "found.svg").read_text(encoding="utf-8")
 
 
 def test_nominal_commands_take_the_file_as_it_is():

@@ -80,10 +80,8 @@ class RobustOptimum(Saveable):
             parts.append(optima)
         parts.append(_checks_table(checks, self.nominal_fresh.checks, self.fresh.samples, self.origin))
         parts += [f"* {text}" for check in checks for text in _remarks_on(check, self.origin)]
-        if self.indices:
-            parts.append(_indices_table(self.indices))
-        if note := next((own.note for own in self.indices.values() if own.note), ""):
-            parts.append(f"In that table {note}.")
+        parts += [_indices_table(self.indices)] if self.indices else []
+        parts += [f"In that table {note}." for note in {own.note for own in self.indices.values()} if note]
         parts.append(f"In the robust design {in_words(checks)}.")
         failed = len(self.fresh.failures)
         notes = (*self.best.warnings, *self.failures)
@@ -98,8 +96,6 @@ class RobustOptimum(Saveable):
 
     def also_saved(self) -> dict[str, Any]:
         """Return further saved data: the soil's distribution, the samples, checks, warnings and total time."""
-        if self.robust is None:
-            return {}
         pairs = self.robust.field.correlation.items()
         return {
             "soil": self.robust.field.in_words(), "correlation": {" and ".join(pair): x for pair, x in pairs},

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_callable, check_choice, check_kind, check_named, plain_number, shown
+from plough_opt.core.checks import check_choice, check_kind, check_named, plain_number
 from plough_opt.core.errors import InfeasibleDesign, InputError, NotConverged
 from plough_opt.core.expressions import Column, Expression
 from plough_opt.core.tables import Grid, Page, Readable
@@ -94,9 +94,7 @@ class Robust(Readable):
     def __init__(
         self, field: SoilDistribution, response: Response, *, samples: int | SoilSamples = 64, seed: int = 1
     ) -> None:
-        if not isinstance(field, SoilDistribution):
-            raise InputError(f"{shown(field)} is not a distribution of soils: po.SoilDistribution(...) makes one")
-        check_callable("the response", response, "of a soil that returns results by name")
+        check_kind("the field", field, SoilDistribution, "a SoilDistribution")
         self.field = field
         self.samples = samples if isinstance(samples, SoilSamples) else field.sample(samples, seed=seed)
         if self.samples.names != field.names:

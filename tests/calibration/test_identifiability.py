@@ -108,6 +108,15 @@ def test_six_unknowns_are_separated_into_determined_and_undetermined(measured):
 
 
 def test_a_direct_measurement_of_an_unknown_determines_all(measured):
+def test_a_small_part_of_a_combination_is_named_too(measured):
+    """The bounds of the ambient pressure offset a hundredth of those of the cohesion."""
+    unknown = {"soil.cohesion": (0.0, 1e6), "soil.ambient_pressure": (50e3, 70e3)}
+    vague = po.Measurements("soil.ambient_pressure", [60e3], sigma=1e6)
+    for data, count in (([measured], 1), ([measured, vague], 2)):
+        found = po.calibrate(steady_scene(), data, unknown).unidentifiable
+        assert (len(found), {name for one in found for name in one.changes}) == (count, set(unknown))
+
+
     shear = po.Measurements("soil.ambient_pressure", [60e3], sigma=2e3, name="shear test")
     fit = po.calibrate(steady_scene(), [measured, shear], STRENGTH)
     assert fit.unidentifiable == ()

@@ -18,9 +18,9 @@ UNIFORM: Final = 12.0**-0.5
 
 # Singular values below this part of the largest are rounding: the predictions do not depend on such directions.
 _STRUCTURAL: Final = 1e-9
-# Smaller components of a direction (a unit vector) are rounding.
+# Smaller components of a direction without effect (a unit vector) are rounding.
 _ROUNDING: Final = 1e-6
-# Smaller components of a combination, relative to its largest, are left out.
+# Smaller components of a combination with little effect, relative to its largest, are left out.
 _MINOR: Final = 0.02
 
 
@@ -91,13 +91,13 @@ def spread_of(slope: Vector, noise: float) -> Spread:
 
 def undetermined(unknowns: Sequence[Unknown], y: Vector, spread: Spread) -> tuple[Undetermined, ...]:
     """Return the undetermined combinations, each of as few unknowns as possible."""
-    without_effect, pivots = _sparse(spread.free[:, spread.structural])
+    without_effect, pivots = _sparse(spread.free[:, spread.structural], _ROUNDING)
     # Directions without effect may be subtracted from those with little effect, which leaves fewer unknowns in these.
     weak = spread.free[:, ~spread.structural]
-    weak, _ = _sparse(weak - without_effect @ weak[pivots, :])
+    weak, _ = _sparse(weak - without_effect @ weak[pivots, :], _MINOR)
     combinations = [_combination(unknowns, y, direction, structural=True) for direction in without_effect.T]
     combinations += [_combination(unknowns, y, direction, structural=False) for direction in weak.T]
-    # An unknown may be undetermined although each direction is just determined: name it alone.
+    # An unknown may be undetermined by a component that was left out: name it alone.
     named = {name for item in combinations for name in item.changes}
     for k, unknown in enumerate(unknowns):
         if not spread.determined[k] and unknown.name not in named:
@@ -107,14 +107,17 @@ def undetermined(unknowns: Sequence[Unknown], y: Vector, spread: Spread) -> tupl
     return tuple(combinations)
 
 
-def _sparse(free: Vector) -> tuple[Vector, NDArray[np.intp]]:
-    """Return a basis of the same space, and its pivots: each basis vector is the only one with its pivot unknown."""
+def _sparse(free: Vector, least: float) -> tuple[Vector, NDArray[np.intp]]:
+    """Return a basis of the same space, and its pivots: each basis vector is the only one with its pivot unknown.
+
+    Components of a basis vector below ``least``, relative to its largest, are set to 0.
+    """
     if free.shape[1] == 0:
         return free, np.zeros(0, dtype=np.intp)
     _, _, order = linalg.qr(free.T, pivoting=True, mode="economic")
     pivots = order[: free.shape[1]]
     basis = np.linalg.solve(free[pivots, :].T, free.T).T
-    return np.where(np.abs(basis) > _MINOR * np.max(np.abs(basis), axis=0), basis, 0.0), pivots
+    return np.where(np.abs(basis) > least * np.max(np.abs(basis), axis=0), basis, 0.0), pivots
 
 
 def _combination(unknowns: Sequence[Unknown], y: Vector, direction: Vector, structural: bool) -> Undetermined:

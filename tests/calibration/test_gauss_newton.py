@@ -91,6 +91,17 @@ def test_outliers_pull_a_robust_fit_less(plane, three):
     assert any("the stated sigma" in warning for warning in plain.warnings)
 
 
+def test_a_robust_fit_settles_on_its_own_scale():
+    """Poor data, from which fit and scale approach each other slowly."""
+    conditions = {"scene.tow_speed": [0.86, 1.11, 1.99, 2.94], "share.wedge_angle": [0.465, 0.476, 0.679, 0.919]}
+    data = po.Measurements("mean_draft", [1459.0, 1421.0, 4615.0, 6184.0], conditions)
+    unknown = {"soil.cohesion": (1e3, 80e3), "soil.tool_friction": (0.05, 1.5)}
+    fit = po.calibrate(steady_scene(), data, unknown, loss="huber")
+    scale = 1.4826 * np.median(np.abs(fit.residuals)) * 2.0**0.5
+    # Each scale is nearer by a seventh, and the last two differ by 1e-4.
+    assert 1.0 / fit.source.data.weights == pytest.approx(scale, rel=1e-3)
+
+
 def test_an_unknown_at_its_bound_gives_a_warning(measured, three):
     fit = po.calibrate(steady_scene(), measured, three | {"soil.tool_friction": (0.7, 1.5)})
     assert fit.values["soil.tool_friction"] == pytest.approx(0.7, abs=1e-6)

@@ -27,8 +27,8 @@ _SCANNED_WITH_RUNS: Final = 16
 _SEED: Final = 7
 # Standard deviation of normal errors over their median absolute deviation.
 _MAD: Final = 1.4826
-# Limit on the number of fits that determine the scale of a robust loss.
-_MOST_RESCALINGS: Final = 20
+# Limit on the number of fits that determine the scale of a robust loss. Poor data take some fifty, rarely more.
+_MOST_RESCALINGS: Final = 100
 # The scale has settled when it changes by less than this part.
 _SETTLED: Final = 1e-4
 # Least scale of residuals relative to the nominal one per cent: runs predict to 1e-8, so less is not scatter of data.

@@ -1,6 +1,7 @@
 """Sweeps that are killed or interrupted, and two sweeps at once: real processes on one store."""
 
 import collections
+import platform
 import time
 from pathlib import Path
 
@@ -51,14 +52,14 @@ def test_a_killed_sweep_resumes_without_repeating_stored_points(script, inline, 
 
 def test_two_runs_at_once_share_the_points(script, inline, tmp_path):
     store, file = tmp_path / "sweep.db", tmp_path / "calls"
-    both = [script(swept.script_of(store, file, 0.01, VALUES, "ThreadPoolExecutor(1)")) for _ in range(2)]
-    for process in both:
-        _, error = process.communicate(timeout=60)
+    text = swept.script_of(store, file, 0.01, VALUES, "ThreadPoolExecutor(1), progress=print")
+    for process in [script(text), script(text)]:
+        shown, error = process.communicate(timeout=60)
         assert process.returncode == 0, error
+        assert shown.splitlines()[-1] == "120 120 0"
     evaluated = calls(file)
     assert sorted(evaluated.values()) == [1] * (2 * VALUES)
-    with po.Sweep.load(store) as found:
-        np.testing.assert_array_equal(found.table, po.sweep(swept.waves, OVER, executor=inline).table)
+    np.testing.assert_array_equal(po.Sweep.load(store).table, po.sweep(swept.waves, OVER, executor=inline).table)
 
 
 class TestClaims:
@@ -115,6 +116,17 @@ class TestClaims:
         assert two.claim(4) is None
         one.renew(-1.0)
         assert two.claim(4).tolist() == list(range(10))
+        # A claim whose points the dead run stored after all is ended by the next one.
+        self.keep(one, 0, 10)
+        two.renew(0.0)
+        assert (one.waiting(), one.claim(4), one.waiting()) == (True, None, False)
+
+    def test_a_run_on_another_machine_is_dead_only_after_its_lease(self, open_store):
+        one = open_store()
+        one.claim(10)
+        for owner, points in (("elsewhere:4194305", None), ("{}:4194305", 10), ("{}:none", 10)):
+            one.run("UPDATE claims SET owner = ?", owner.format(platform.node()))  # no process has this number
+            assert (claim := open_store().claim(4)) is points or len(claim) == points
 
     def test_failures_are_not_retried_while_another_run_lives(self, open_store):
         one, two = open_store(), open_store()

@@ -90,7 +90,6 @@ class Engine:
         self._under_way: dict[Future[Done], _Task] = {}
         self._retries: deque[_Task] = deque()
         self._single_points: deque[_Task] = deque()
-        self._stored, self._failed, _ = store.counts()
         self._renewed = time.monotonic()
         self._returned = False  # whether a task has returned
 
@@ -100,7 +99,7 @@ class Engine:
         Raises:
             InputError: the executor fails, or the names of results differ between points.
         """
-        self._show()
+        self._count()
         try:
             while self._fill():
                 if self._under_way:
@@ -110,12 +109,12 @@ class Engine:
                 else:  # other runs still work on the last points
                     time.sleep(_WAIT)
                     self._count()
-                    self._show()
                 if time.monotonic() - self._renewed > _RENEWAL:
                     self._store.renew()
                     if self._store.waiting():
                         self._count()
                     self._renewed = time.monotonic()
+            self._count()
         finally:
             self._stop()
 
@@ -199,8 +198,9 @@ class Engine:
             self._single_points.append(task.part(slice(None), alone=True))
 
     def _count(self) -> None:
-        """Update the counts, because other runs store points too."""
+        """Show the counts of the store, because other runs store points too."""
         self._stored, self._failed, _ = self._store.counts()
+        self._show()
 
     def _show(self) -> None:
         self._progress(self._stored, self._points.count, self._failed)

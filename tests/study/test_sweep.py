@@ -158,6 +158,10 @@ def test_what_cannot_be_called_or_sent_to_processes_is_refused():
 def test_a_broken_executor_is_reported_and_stored_points_remain(tmp_path):
     store = tmp_path / "sweep.db"
     expected = r"the executor is broken: .*continues from there with a new one"
+    ended = ThreadPoolExecutor(1)
+    ended.shutdown()
+    with pytest.raises(po.InputError, match=r"the executor failed at a task: RuntimeError: .* after shutdown"):
+        po.sweep(swept.waves, OVER, executor=ended)
     with ProcessPoolExecutor(1) as pool, pytest.raises(po.InputError, match=expected):
         po.sweep(swept.Deadly(tmp_path / "died"), {"a": np.arange(8.0)}, executor=pool, workers=1, store=store)
     with po.Sweep.load(store) as found:

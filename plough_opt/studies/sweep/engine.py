@@ -124,7 +124,7 @@ class Engine:
             try:
                 arguments = self._key, self._evaluation, self._points.names, task.values, _BUDGET
                 future = self._executor.submit(work, *arguments)
-            except BrokenExecutor as error:
+            except Exception as error:  # the executor is broken or shut down, or cannot send the task
                 future = Future()
                 future.set_exception(error)
             self._under_way[future] = task

@@ -140,7 +140,7 @@ class SimulationOfMany:
             with np.errstate(all="ignore"):
                 columns.append(found.mean_draft / (np.pi * of_name["loosened_radius"] ** 2))
         results = np.column_stack([*columns, found.error_estimate])
-        sound = ~found.failed
+        sound = np.isfinite(results).all(axis=1)
         kinds = 2 * (of_name["half_angle"] > PLANE_SECTIONS_LIMIT) + (ambient_share > 0.0)
         notes = []
         for kind in np.unique(kinds[sound]):

@@ -39,13 +39,14 @@ def test_every_point_has_the_results_of_a_single_simulation(problem, inline):
 
 
 def test_each_warning_is_kept_once_with_the_number_of_its_points(problem, inline):
-    over, found = {"share.wedge_angle": "30, 55 deg", "share.height": "0.2, 0.3 m"}, []
+    over, found = {"share.wedge_angle": "30, 55 deg", "share.height": "1e-170, 0.2, 0.3 m"}, []
     for method in ("each", "batch"):
         with po.sweep(problem, over, method=method, executor=inline) as swept:
-            found.append(swept.notes)
-    notes = found[0]
-    assert found[1] == notes
-    assert [note.partition(":")[0] for note in notes] == ["at 4 of 4 points", "at 2 of 4 points"]
+            found.append((swept.notes, [failure.point for failure in swept.failures]))
+    assert found[0] == found[1]
+    notes, failed = found[0]
+    assert failed == [0, 3]  # a share so small that its loosened section is 0
+    assert [note.partition(":")[0] for note in notes] == ["at 4 of 6 points", "at 2 of 6 points"]
     assert "ambient pressure (101.3 kPa) carries" in notes[0]
     assert "above 20 deg the hypothesis of plane sections does not hold" in notes[1]
 

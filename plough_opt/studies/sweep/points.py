@@ -68,7 +68,8 @@ class Range:
         """Return the values for a grid, with both ends exact."""
         if self.count is None:
             raise InputError(
-                f"the range from {self.lower:g} to {self.upper:g} has no number of values, which a grid needs"
+                f"the range from {self.lower:g} to {self.upper:g} has no number of values, which a grid needs: add"
+                " one, or set a number of samples"
             )
         steps = np.geomspace if self.log else np.linspace
         return tuple(steps(self.lower, self.upper, self.count).tolist())
@@ -126,12 +127,10 @@ class Grid:
         self.names = tuple(axes)
         self._values: list[Array] = []
         for name, axis in axes.items():
-            if isinstance(axis, Range) and axis.count is None:
-                raise InputError(
-                    f"'{name}' runs from {axis.lower:g} to {axis.upper:g} without a number of values: a grid needs one;"
-                    " add it, or set a number of samples"
-                )
-            self._values.append(np.array(axis.values() if isinstance(axis, Range) else axis))
+            try:
+                self._values.append(np.array(axis.values() if isinstance(axis, Range) else axis))
+            except InputError as error:
+                raise InputError(f"'{name}': {error}") from None
         self.count = math.prod(map(len, self._values))
         if self.count >= 2**63:
             raise InputError(f"the grid has {self.count:.3g} points: use fewer values, or a sample")

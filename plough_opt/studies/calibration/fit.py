@@ -93,7 +93,7 @@ class Fit(Saveable):
     saved_next: tuple[NextMeasurement, ...] = ()
     versions: Mapping[str, str] = field(default_factory=versions)
     source: Estimate | None = field(default=None, repr=False, compare=False)
-    origin: Origin = field(default=Origin(), compare=False)
+    origin: Origin = field(default=Origin())
 
     @property
     def values(self) -> dict[str, float]:

@@ -1,6 +1,5 @@
 """The parts of a fit as plain data (unknowns, correlations, rows), and tables of them."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -153,6 +152,4 @@ def next_table(unknowns: Sequence[FittedUnknown], ranking: Sequence[NextMeasurem
 
 def _text(origin: Origin, unknown: FittedUnknown, value: float, digits: int = 5) -> str:
     """Return a value of an unknown as text, in the unit in which all its values are shown."""
-    if math.isinf(value):
-        return "infinite"
     return origin.display(unknown.name, unknown.unit, unknown.value, unknown.upper).text(value, digits)

@@ -41,8 +41,7 @@ def figure_of(title: str, rows: Sequence[Row], origin: Origin) -> Figure:
     shown, values, label = _varied(counted, origin)
     _draw_residuals(axes[1, 0], shown, kinds, values, label)
     _draw_quantiles(axes[1, 1], counted)
-    if title:
-        figure.suptitle(title)
+    figure.suptitle(title)
     return figure
 
 

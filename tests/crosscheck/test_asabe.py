@@ -16,14 +16,14 @@ def test_the_form_is_that_of_a_published_example():
     assert draft_of_row((91.0, 5.4, 0.0), 0.7, 0.15, 10 * KM_PER_H, 45) == pytest.approx(68512.5, rel=1e-14)
 
 
-@pytest.mark.parametrize(
-    ("point", "texture", "kilonewtons"),
-    [
-        ("narrow", "fine", (9.69, 10.84, 12.57, 14.87)),
-        ("narrow", "medium", (6.78, 7.59, 8.80, 10.41)),
-        ("winged", "coarse", (5.68, 6.37, 7.41, 8.79)),
-    ],
-)
+BY_HAND = [
+    ("narrow", "fine", (9.69, 10.84, 12.57, 14.87)),
+    ("narrow", "medium", (6.78, 7.59, 8.80, 10.41)),
+    ("winged", "coarse", (5.68, 6.37, 7.41, 8.79)),
+]
+
+
+@pytest.mark.parametrize(("point", "texture", "kilonewtons"), BY_HAND)
 def test_the_subsoilers_rows_by_hand(point, texture, kilonewtons):
     """At 40 cm and 3, 5, 7 and 9 km/h, worked by hand to two decimals."""
     speeds = np.array([3.0, 5.0, 7.0, 9.0]) * KM_PER_H
@@ -38,16 +38,16 @@ def test_symbols_give_the_numbers():
     assert float(symbolic([0.35, 1.7])) == pytest.approx(asabe_draft(0.35, 1.7, "medium"), rel=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "options", "error", "words"),
-    [
-        ((0.4, 1.0, "fin"), {}, po.InputError, "did you mean 'fine'"),
-        ((0.4, 1.0, "fine"), {"point": "wing"}, po.InputError, "did you mean 'winged'"),
-        ((0.0, 1.0, "fine"), {}, po.DomainError, "working depth"),
-        ((0.4, -1.0, "fine"), {}, po.DomainError, "speed"),
-        ((0.4, 1.0, "fine"), {"shanks": 0}, po.DomainError, "shanks"),
-    ],
-)
+REFUSED = [
+    ((0.4, 1.0, "fin"), {}, po.InputError, "did you mean 'fine'"),
+    ((0.4, 1.0, "fine"), {"point": "wing"}, po.InputError, "did you mean 'winged'"),
+    ((0.0, 1.0, "fine"), {}, po.DomainError, "working depth"),
+    ((0.4, -1.0, "fine"), {}, po.DomainError, "speed"),
+    ((0.4, 1.0, "fine"), {"shanks": 0}, po.DomainError, "shanks"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "options", "error", "words"), REFUSED)
 def test_refusals(arguments, options, error, words):
     with pytest.raises(error, match=words):
         asabe_draft(*arguments, **options)

@@ -14,6 +14,7 @@ from plough_opt.laws.cones import spherical_cavity
 from plough_opt.studies.crosscheck import spherical_cavity_draft
 
 NAMED = [po.named_soil(name) for name in po.soil_names()]
+CONE = po.Cone(po.deg(15.0), 0.25)
 
 
 def yield_line(soil):
@@ -88,12 +89,11 @@ def test_without_friction_and_compaction_it_is_the_cavity_of_bishop_hill_and_mot
 
 
 def test_the_draft_is_the_pressure_over_the_face():
-    cone, soil, speed = po.Cone(po.deg(15.0), 0.25), NAMED[2], 2.0
+    soil, speed, b = NAMED[2], 2.0, CONE.half_angle
     cavity = spherical_cavity(soil)
-    b = cone.half_angle
     pressure = cavity.static + cavity.inertia * soil.density * (speed * math.sin(b)) ** 2
-    expected = pressure * cone.area * (math.sin(b) + soil.tool_friction * math.cos(b))
-    assert spherical_cavity_draft(cone, soil, speed) == pytest.approx(expected, rel=1e-14)
+    expected = pressure * CONE.area * (math.sin(b) + soil.tool_friction * math.cos(b))
+    assert spherical_cavity_draft(CONE, soil, speed) == pytest.approx(expected, rel=1e-14)
 
 
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX])
@@ -103,9 +103,7 @@ def test_symbols_and_arrays_give_the_numbers(kind):
     theta = kind.sym("theta")
 
     def at(angle):
-        return spherical_cavity_draft(
-            po.Cone(po.deg(15.0), 0.25), dataclasses.replace(NAMED[2], friction_angle=angle), 2.0
-        )
+        return spherical_cavity_draft(CONE, dataclasses.replace(NAMED[2], friction_angle=angle), 2.0)
 
     value = at(theta)
     f = ca.Function("f", [theta], [value, ca.gradient(value, theta)])
@@ -120,10 +118,7 @@ def test_symbols_and_arrays_give_the_numbers(kind):
 
 
 def test_refusals():
-    cone, soil = po.Cone(po.deg(15.0), 0.25), NAMED[2]
-    with pytest.raises(po.DomainError, match="speed"):
-        spherical_cavity_draft(cone, soil, -1.0)
-    with pytest.raises(po.DomainError, match="strain"):
-        spherical_cavity_draft(cone, dataclasses.replace(soil, youngs_modulus=1e6), 1.0)
-    with pytest.raises(po.DomainError, match="compaction front"):
-        spherical_cavity_draft(cone, soil, 300.0)
+    soft = dataclasses.replace(NAMED[2], youngs_modulus=1e6)
+    for soil, speed, words in ((NAMED[2], -1.0, "speed"), (soft, 1.0, "strain"), (NAMED[2], 300.0, "compaction front")):
+        with pytest.raises(po.DomainError, match=words):
+            spherical_cavity_draft(CONE, soil, speed)

@@ -18,11 +18,8 @@ def plane():
 @pytest.fixture(scope="session")
 def three():
     """Three unknowns that drafts over speed and wedge angle determine, with a guess away from the truth."""
-    return {
-        "soil.cohesion": (*BOUNDS["soil.cohesion"], 40e3),
-        "soil.tool_friction": (*BOUNDS["soil.tool_friction"], 0.9),
-        "effects.rate_term": (*BOUNDS["effects.rate_term"], 0.1),
-    }
+    guesses = {"soil.cohesion": 40e3, "soil.tool_friction": 0.9, "effects.rate_term": 0.1}
+    return {name: (*BOUNDS[name], guess) for name, guess in guesses.items()}
 
 
 @pytest.fixture(scope="session")

@@ -49,24 +49,24 @@ def test_unknowns_of_the_command_line_and_one_measured_by_itself(tmp_path):
     assert (done.status, "few.csv: no sigma is stated, but other sets state theirs" in done.said) == (2, True)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--data", DATA, "--unknown", "soil.cohesion"), "--unknown soil.cohesion: expected KEY=..."),
-        (("--data", DATA, "--unknown", "soil.cohesion=5 kPa"), 'like soil.cohesion="1..80 kPa"'),
-        (("--data", DATA, "--unknown", "soil.cohesoin=1..80 kPa"), "cannot be an unknown: did you mean 'soil.cohesion"),
-        (("--data", DATA, "--folds", "1"), "folds = 1 must be a whole number from 2 to 24"),
-        (("--data", DATA, "--unknown", "soil.cohesion=1..80"), "lower bound of 'soil.cohesion' = \"1\" has no unit"),
-        (("--data", DATA, "--known", "soil.cohesion=20 kPa"), "--known soil.cohesion=20 kPa: expected KEY=..."),
-        (("--data", DATA, "--known", "soil.cohesion=20 +- 0 kPa"), "sigma = 0 must be above 0"),
-        (("--data", DATA, "--known", "soil.cohesion=20 +- 1 m"), "'soil.cohesion' = \"20 m\" has the wrong unit"),
-        (("--data", DATA, "--known", "soil.density=1 +- 1 kg/m^3"), "unknowns: effects.rate_term, soil.cohesion,"),
-        (("--data", DATA, "--data", DATA.parent / "." / DATA.name), "is given twice, so its rows would count twice"),
-        (("--data", DATA, *2 * ("--unknown", "soil.cohesion=1..80 kPa")), "'soil.cohesion' is given twice"),
-        (("--data", DATA, "--output", PROBLEMS), "is a folder"),
-        (("--data", DATA, "--set", "variables={}"), "add a table [variables], or --unknown soil.cohesion="),
-    ],
-)
+REFUSED = [
+    (("--data", DATA, "--unknown", "soil.cohesion"), "--unknown soil.cohesion: expected KEY=..."),
+    (("--data", DATA, "--unknown", "soil.cohesion=5 kPa"), 'like soil.cohesion="1..80 kPa"'),
+    (("--data", DATA, "--unknown", "soil.cohesoin=1..80 kPa"), "cannot be an unknown: did you mean 'soil.cohesion"),
+    (("--data", DATA, "--folds", "1"), "folds = 1 must be a whole number from 2 to 24"),
+    (("--data", DATA, "--unknown", "soil.cohesion=1..80"), "lower bound of 'soil.cohesion' = \"1\" has no unit"),
+    (("--data", DATA, "--known", "soil.cohesion=20 kPa"), "--known soil.cohesion=20 kPa: expected KEY=..."),
+    (("--data", DATA, "--known", "soil.cohesion=20 +- 0 kPa"), "sigma = 0 must be above 0"),
+    (("--data", DATA, "--known", "soil.cohesion=20 +- 1 m"), "'soil.cohesion' = \"20 m\" has the wrong unit"),
+    (("--data", DATA, "--known", "soil.density=1 +- 1 kg/m^3"), "unknowns: effects.rate_term, soil.cohesion,"),
+    (("--data", DATA, "--data", DATA.parent / "." / DATA.name), "is given twice, so its rows would count twice"),
+    (("--data", DATA, *2 * ("--unknown", "soil.cohesion=1..80 kPa")), "'soil.cohesion' is given twice"),
+    (("--data", DATA, "--output", PROBLEMS), "is a folder"),
+    (("--data", DATA, "--set", "variables={}"), "add a table [variables], or --unknown soil.cohesion="),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), REFUSED)
 def test_wrong_input_is_refused_and_writes_nothing(tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
     done = call("calibrate", FILE, *arguments)

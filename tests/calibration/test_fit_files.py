@@ -26,6 +26,7 @@ def test_a_loaded_fit_knows_what_was_computed_and_cannot_compute_further(fitted,
 def test_infinite_intervals_are_valid_json(measured, tmp_path):
     names = ("soil.cohesion", "soil.ambient_pressure")
     fit = po.calibrate(steady_scene(), measured, {name: BOUNDS[name] for name in names})
+    assert "measure next" not in str(fit)  # not computed yet
     strict(fit.to_json())
     again = po.Fit.load(fit.save(tmp_path / "open.json"))
     assert again.standard_errors["soil.cohesion"] == math.inf

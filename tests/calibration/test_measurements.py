@@ -46,33 +46,33 @@ def test_sigma_in_per_cent_semicolons_tabs_weights_and_time(written):
     assert data.conditions["soil.tool_friction"].tolist() == [0.5, 0.6]
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        # a wrong column
-        (HEADER.replace("tow_", "two_") + ROWS, "line 1, column 'scene.two_speed [km/h]': this column is unknown: did"),
-        (HEADER.replace("mean_draft", "draft") + ROWS, "did you mean 'mean_draft'?"),
-        (HEADER.replace("mean_draft [kN]", "soil.cohesion [kPa]") + ROWS, "no column holds a measured result"),
-        ("mean_draft [kN], force_rms [N]\n1, 2\n", "mean_draft and force_rms are measured: write one file for each"),
-        ("mean_draft [kN], mean_draft [N]\n1, 2\n", "column 'mean_draft': it is given twice"),
-        # a unit
-        (HEADER.replace(" [kN], sigma", ", sigma") + ROWS, "the unit is missing: write it like 'mean_draft [kN]'"),
-        (HEADER.replace("[deg]", "[kg]") + ROWS, "'kg' is not a unit of rad: write it like 'share.wedge_angle [deg]'"),
-        ("soil.tool_friction [m], mean_draft [N]\n1, 2\n", "'m' is a unit, but a pure number"),
-        # a gap, and other cells
-        (HEADER + "3.6, 40, , 0.1\n" + ROWS, "line 2, column 'mean_draft [kN]': the cell is empty"),
-        (HEADER + "3.6, 40, ３, 0.1\n", "'３' is not a number"),
-        (HEADER + "3.6, 40, 1e308, 0.1\n", "'1e308' is not a finite number"),
-        ("mean_draft [kN]; sigma [%]\n1e300; 1e300\n", "sigma = inf must be a finite number"),
-        (HEADER + "3.6, 40, 4.0, -0.1\n", "line 2, column 'sigma [kN]': -0.1 must be above 0"),
-        ("mount_force [N], time [s]\n1, -1\n", "column 'time [s]': -1 must be at least 0"),
-        ("mean_draft [kN]; sigma [kN]\n4,1; 0,1\n", "'4,1' is not a number: write a decimal point"),
-        (f"{HEADER}3.6, 40, {'4' * 10_000}, 0.1\n", "line 2: it has 10014 characters, but at most 10000 can be read"),
-        # nothing
-        ("", "the file is empty"),
-        (HEADER, "line 1: there is no row below the header"),
-    ],
-)  # fmt: skip
+WRONG_FILES = [
+    # a wrong column
+    (HEADER.replace("tow_", "two_") + ROWS, "line 1, column 'scene.two_speed [km/h]': this column is unknown: did"),
+    (HEADER.replace("mean_draft", "draft") + ROWS, "did you mean 'mean_draft'?"),
+    (HEADER.replace("mean_draft [kN]", "soil.cohesion [kPa]") + ROWS, "no column holds a measured result"),
+    ("mean_draft [kN], force_rms [N]\n1, 2\n", "mean_draft and force_rms are measured: write one file for each"),
+    ("mean_draft [kN], mean_draft [N]\n1, 2\n", "column 'mean_draft': it is given twice"),
+    # a unit
+    (HEADER.replace(" [kN], sigma", ", sigma") + ROWS, "the unit is missing: write it like 'mean_draft [kN]'"),
+    (HEADER.replace("[deg]", "[kg]") + ROWS, "'kg' is not a unit of rad: write it like 'share.wedge_angle [deg]'"),
+    ("soil.tool_friction [m], mean_draft [N]\n1, 2\n", "'m' is a unit, but a pure number"),
+    # a gap, and other cells
+    (HEADER + "3.6, 40, , 0.1\n" + ROWS, "line 2, column 'mean_draft [kN]': the cell is empty"),
+    (HEADER + "3.6, 40, ３, 0.1\n", "'３' is not a number"),
+    (HEADER + "3.6, 40, 1e308, 0.1\n", "'1e308' is not a finite number"),
+    ("mean_draft [kN]; sigma [%]\n1e300; 1e300\n", "sigma = inf must be a finite number"),
+    (HEADER + "3.6, 40, 4.0, -0.1\n", "line 2, column 'sigma [kN]': -0.1 must be above 0"),
+    ("mount_force [N], time [s]\n1, -1\n", "column 'time [s]': -1 must be at least 0"),
+    ("mean_draft [kN]; sigma [kN]\n4,1; 0,1\n", "'4,1' is not a number: write a decimal point"),
+    (f"{HEADER}3.6, 40, {'4' * 10_000}, 0.1\n", "line 2: it has 10014 characters, but at most 10000 can be read"),
+    # nothing
+    ("", "the file is empty"),
+    (HEADER, "line 1: there is no row below the header"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "words"), WRONG_FILES)
 def test_a_wrong_file_is_refused_with_its_row(written, text, words):
     path = written(text)
     with pytest.raises(po.InputError) as refusal:
@@ -100,23 +100,23 @@ def test_missing_folders_and_binary_files_are_refused(tmp_path, written):
             po.read_measurements(path)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "keywords", "words"),
-    [
-        (("mean_draft", []), {}, "there are no measurements"),
-        (("mean_draft", [1.0, math.nan]), {}, "row 2: mean_draft = nan must be a finite number"),
-        (("mean_draft", ["a"]), {}, "'mean_draft' must be a column of numbers"),
-        (("mean_draft", [1.0], {"scene.tow_speed": [1.0, 2.0]}), {}, "must have 1 rows, as 'mean_draft' has"),
-        (("soil.cohesion", [1.0], {"soil.cohesion": [1.0]}), {}, "both measured and a condition"),
-        (("mean_draft", [1.0]), {"sigma": 0.0}, "row 1: sigma = 0 must be above 0"),
-        (("mean_draft", [1.0]), {"weights": [-1.0]}, "weights = -1 must be at least 0"),
-        (("mean_draft", [1.0]), {"weights": [0.0]}, "every weight is 0"),
-        (("mean_draft", [1.0]), {"weights": [1.0], "sigma": 1.0}, "exclude each other"),
-        (("mean_draft", [1.0]), {"time": [1.0]}, "a time goes with mount_force"),
-        (("mount_force", [1.0]), {}, "a column 'time [s]' is missing"),
-        (("mount_force", [1.0]), {"time": [-1.0]}, "time = -1 must be at least 0"),
-    ],
-)
+REFUSED = [
+    (("mean_draft", []), {}, "there are no measurements"),
+    (("mean_draft", [1.0, math.nan]), {}, "row 2: mean_draft = nan must be a finite number"),
+    (("mean_draft", ["a"]), {}, "'mean_draft' must be a column of numbers"),
+    (("mean_draft", [1.0], {"scene.tow_speed": [1.0, 2.0]}), {}, "must have 1 rows, as 'mean_draft' has"),
+    (("soil.cohesion", [1.0], {"soil.cohesion": [1.0]}), {}, "both measured and a condition"),
+    (("mean_draft", [1.0]), {"sigma": 0.0}, "row 1: sigma = 0 must be above 0"),
+    (("mean_draft", [1.0]), {"weights": [-1.0]}, "weights = -1 must be at least 0"),
+    (("mean_draft", [1.0]), {"weights": [0.0]}, "every weight is 0"),
+    (("mean_draft", [1.0]), {"weights": [1.0], "sigma": 1.0}, "exclude each other"),
+    (("mean_draft", [1.0]), {"time": [1.0]}, "a time goes with mount_force"),
+    (("mount_force", [1.0]), {}, "a column 'time [s]' is missing"),
+    (("mount_force", [1.0]), {"time": [-1.0]}, "time = -1 must be at least 0"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "keywords", "words"), REFUSED)
 def test_invalid_measurements_are_refused(arguments, keywords, words):
     with pytest.raises(po.InputError) as refusal:
         po.Measurements(*arguments, **keywords)

@@ -1,10 +1,14 @@
 """Forces over time, and averages of runs with motion."""
 
+import dataclasses
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from scipy import interpolate
 
 import plough_opt as po
+from plough_opt.studies.calibration import quality
 from plough_opt.studies.calibration.setup import interpolation
 
 WAVE = po.StrengthWave(0.3, 0.2)
@@ -73,15 +77,30 @@ def test_correlated_residuals_give_a_warning(record):
 
 
 @pytest.mark.parametrize("motion", [False, True])
-def test_mean_drafts_of_runs_under_a_strength_wave(motion):
+def test_mean_drafts_and_even_records_of_runs_under_a_strength_wave(motion):
     effects = {"motion": motion, "damping": 400.0 if motion else None}
     speeds = np.array([1.0, 2.0])
     exact = np.array([float(po.simulate(moving_scene(tow_speed=v, **effects), 0.3).mean_draft) for v in speeds])
-    data = po.Measurements("mean_draft", exact, {"scene.tow_speed": speeds}, sigma=0.01 * exact)
+    run = po.simulate(moving_scene(**effects), 0.3)
+    drafts = po.Measurements("mean_draft", exact, {"scene.tow_speed": speeds}, sigma=0.01 * exact)
+    even = po.Measurements("mount_force", run.mount_force[::40], time=run.time[::40], sigma=30.0)
     guess = moving_scene(cohesion=35e3, **effects)
-    fit = po.calibrate(guess, data, {"soil.cohesion": (1e3, 80e3)}, duration=0.3, starts=1)
+    fit = po.calibrate(guess, [drafts, even], {"soil.cohesion": (1e3, 80e3)}, duration=0.3, starts=1)
     # The symbolic run's steps err by 1e-8, the search by 1e-4 of the standard error, some 2 % here.
     assert fit.values["soil.cohesion"] == pytest.approx(20e3, rel=1e-5)
+
+
+def test_fitted_runs_are_checked_by_runs_with_an_error_estimate(monkeypatch):
+    """The 400 steps of a symbolic run are too few for 30 s, and for some starts too long: they have no prediction."""
+    speeds, unknown = [1.0, 2.0], {"effects.damping": (100.0, 1e5)}
+    data = po.Measurements("mean_draft", [1.4e3, 1.5e3], {"scene.tow_speed": speeds}, sigma=1.0)
+    calibration = po.Calibration(moving_scene(), data, unknown, duration=30.0, starts=16)
+    fit = calibration.fit()
+    runs = [po.simulate(dataclasses.replace(fit.scene, tow_speed=v), 30.0).mean_draft for v in speeds]
+    error = np.max(np.abs(runs - fit.predicted))
+    assert any(f"differ from the fitted ones by up to {error:.2g} standard" in text for text in fit.warnings)
+    monkeypatch.setattr(quality, "checked", Mock(side_effect=po.IntegrationError("too fast")))
+    assert "the run of the fitted scene could not be checked: too fast" in calibration.fit().warnings
 
 
 def test_interpolation_is_exact_for_polynomials():
@@ -98,3 +117,6 @@ def test_a_run_needs_a_duration():
     data = po.Measurements("mean_draft", [3e3, 3.1e3], {"scene.tow_speed": [1.0, 2.0]}, sigma=10.0, name="drafts")
     with pytest.raises(po.InputError, match="drafts: mean_draft of this scene needs a run: give its duration"):
         po.calibrate(moving_scene(), data, {"soil.cohesion": (1e3, 80e3)})
+    # The steps of a symbolic run are too long for this damper.
+    with pytest.raises(po.InputError, match="drafts, row 1: the model has no finite prediction"):
+        po.calibrate(moving_scene(damping=1e5), data, {"soil.cohesion": (1e3, 80e3)}, duration=30.0)

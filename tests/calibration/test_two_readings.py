@@ -32,11 +32,17 @@ def fitted(indices, radii, errors):
 
 
 def test_one_reading_of_each_determines_both():
-    fit = fitted([INDEX], [RADIUS], (1e5, 5e-3))
+    fit = fitted([INDEX], [RADIUS], (1e-3 * INDEX, 1e-3 * RADIUS))
     ratio = ratio_of(RADIUS)
     truth = {"soil.strength_factor": INDEX / index_of(ratio), "soil.density_ratio": ratio}
     assert fit.values == pytest.approx(truth, rel=1e-7)  # of the least squares' steps
     assert [po.cone_index(fit.soil), po.loosened_radius(CONE, fit.soil)] == pytest.approx([INDEX, RADIUS], rel=1e-7)
+    # Each prediction has the variance of its own reading, which a second one halves.
+    gains = {item.candidate.describe(): item.information for item in fit.next_measurements()}
+    assert gains["loosened_radius again"] == pytest.approx(0.5 * math.log(2.0), rel=1e-3)
+    assert fit.plot().axes[2].get_xlabel() == "number of the row"
+    with pytest.raises(po.InputError, match="2 folds leave fewer rows than unknowns"):
+        fit.cross_validation()
 
 
 def test_intervals_agree_with_error_propagation():

@@ -19,8 +19,7 @@ def waves(values):
 
 def sweep_waves():
     """Return the roots of `waves` from a sweep with a worker process."""
-    with po.sweep(waves, {"a": [1.0, 2.0], "b": [2.0, 8.0]}, workers=1) as found:
-        return found.column("root").tolist()
+    return po.sweep(waves, {"a": [1.0, 2.0], "b": [2.0, 8.0]}, workers=1).column("root").tolist()
 
 
 def failing(values):

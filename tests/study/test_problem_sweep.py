@@ -26,8 +26,7 @@ def problem():
 
 
 def test_every_point_has_the_results_of_a_single_simulation(problem, inline):
-    with po.sweep(problem, OVER, executor=inline) as found:
-        table = found.table
+    table = po.sweep(problem, OVER, executor=inline).table
     assert len(table) == 9
     for row in table:
         changes = (f"soil.cohesion={row['soil.cohesion'] / 1e3} kPa", f"scene.tow_speed={row['scene.tow_speed']} m/s")
@@ -53,8 +52,7 @@ def test_each_warning_is_kept_once_with_the_number_of_its_points(problem, inline
 
 def test_an_optimum_does_not_depend_on_the_point_before(inline):
     problem = po.read_problem(REFERENCE, STEADY)
-    with po.sweep(problem, {"soil.cohesion": [10e3, 20e3]}, what="optimise", executor=inline) as found:
-        forwards = found.table
+    forwards = po.sweep(problem, {"soil.cohesion": [10e3, 20e3]}, what="optimise", executor=inline).table
     changed = po.read_problem(REFERENCE, (*STEADY, "soil.cohesion=20 kPa"))
     best, run = changed.optimise()
     assert forwards["objective"][1] == best.objective
@@ -73,8 +71,7 @@ class TestMany:
         tables = []
         for size in (64, 1, 3, 13):
             monkeypatch.setattr(engine, "_SIZES_OF_MANY", (size, size))
-            with po.sweep(problem, BOX, samples=64, method="batch", executor=inline) as found:
-                tables.append(found.table.tobytes())
+            tables.append(po.sweep(problem, BOX, samples=64, method="batch", executor=inline).table.tobytes())
         assert len(set(tables)) == 1
         many = SimulationOfMany(problem, tuple(BOX))
         many.build()
@@ -82,11 +79,8 @@ class TestMany:
         assert list(reasons) == [1]  # outside the domain
 
     def test_results_are_those_of_single_simulations_to_the_wanted_error(self, problem, inline):
-        tables = []
-        for method in ("batch", "each"):
-            with po.sweep(problem, BOX, samples=16, method=method, executor=inline) as found:
-                tables.append(found.table)
-        table, single = tables
+        options = {"samples": 16, "executor": inline}
+        table, single = (po.sweep(problem, BOX, method=method, **options).table for method in ("batch", "each"))
         assert table.dtype.names[4:] == SimulationOfMany(problem, ()).results
         for name in ("mean_draft", "force_rms"):
             # Both have errors up to 1e-8 of the larger of mean draft and RMS force.
@@ -122,69 +116,64 @@ class TestMany:
                 ProblemSweep.of(other, axes, method="batch")
 
 
+TEXTS = [
+    ("5..45 kPa:3", "Pa", (5e3, 25e3, 45e3)),
+    ("5 kPa .. 45 kPa : 3", "Pa", (5e3, 25e3, 45e3)),
+    ("10..1000 kN/m:3 log", "N/m", (1e4, 1e5, 1e6)),
+    ("5, 10, 2 kPa", "Pa", (5e3, 1e4, 2e3)),
+    ("500 g..2 kg:3", "kg", (0.5, 1.25, 2.0)),
+    ("-1..1:3", "", (-1.0, 0.0, 1.0)),
+    ("20..40 deg:2", "rad", (20 * math.pi / 180, 40 * math.pi / 180)),
+    ("1..7 km/h:61", "m/s", tuple(Unit("m/s").parse(f"{1 + k / 10:.1f} km/h") for k in range(61))),
+    ("5..45 kPa", "Pa", po.Range(5e3, 45e3)),
+    ("5..45 kPa log", "Pa", po.Range(5e3, 45e3, log=True)),
+]
+
+
+INVALID_TEXTS = [
+    ("5..5 kPa:9", False, "from 5 to 5 is empty"),
+    ("5..45:9", False, '"5" has no unit'),
+    ("5..45 kpa:9", False, "unknown unit 'kpa'"),
+    ("5..45 kPa:1", False, "number of values is 1"),
+    ("5..45 kPa:few", False, '":few" is not a number of values'),
+    ("5..45 kPa", False, "has no number of values"),
+    ("5..45 kPa:9", True, "does not use"),
+    ("5, 45 kPa", True, "is not a range"),
+    ("5 kPa", False, "is one value"),
+    ("0..5 kPa:3 log", False, "begin above 0"),
+    ("..5 kPa:3", False, "is not a range"),
+    ("5, 5 kPa", False, "same value twice"),
+    ("5..1e999 kPa:3", False, "must be finite"),
+]
+
+
 class TestAxes:
     """Ranges written as texts."""
 
-    @pytest.mark.parametrize(
-        ("text", "unit", "expected"),
-        [
-            ("5..45 kPa:3", "Pa", (5e3, 25e3, 45e3)),
-            ("5 kPa .. 45 kPa : 3", "Pa", (5e3, 25e3, 45e3)),
-            ("10..1000 kN/m:3 log", "N/m", (1e4, 1e5, 1e6)),
-            ("5, 10, 2 kPa", "Pa", (5e3, 1e4, 2e3)),
-            ("500 g..2 kg:3", "kg", (0.5, 1.25, 2.0)),
-            ("-1..1:3", "", (-1.0, 0.0, 1.0)),
-            ("20..40 deg:2", "rad", (20 * math.pi / 180, 40 * math.pi / 180)),
-        ],
-    )
-    def test_grids_and_lists(self, text, unit, expected):
+    @pytest.mark.parametrize(("text", "unit", "expected"), TEXTS)
+    def test_grids_lists_and_samples(self, text, unit, expected):
         # To the last bit, as from a file.
-        assert read_axis(text, Unit(unit))[0] == expected
+        assert read_axis(text, Unit(unit), sampled=isinstance(expected, po.Range))[0] == expected
 
-    def test_values_are_those_of_a_file(self):
-        found = read_axis("1..7 km/h:61", Unit("m/s"))[0]
-        assert found == tuple(Unit("m/s").parse(f"{1 + k / 10:.1f} km/h") for k in range(61))
-
-    def test_samples(self):
-        assert read_axis("5..45 kPa", Unit("Pa"), sampled=True)[0] == po.Range(5e3, 45e3)
-        assert read_axis("5..45 kPa log", Unit("Pa"), sampled=True)[0] == po.Range(5e3, 45e3, log=True)
-
-    @pytest.mark.parametrize(
-        ("text", "sampled", "expected"),
-        [
-            ("5..5 kPa:9", False, "from 5 to 5 is empty"),
-            ("5..45:9", False, '"5" has no unit'),
-            ("5..45 kpa:9", False, "unknown unit 'kpa'"),
-            ("5..45 kPa:1", False, "number of values is 1"),
-            ("5..45 kPa:few", False, '":few" is not a number of values'),
-            ("5..45 kPa", False, "has no number of values"),
-            ("5..45 kPa:9", True, "does not use"),
-            ("5, 45 kPa", True, "is not a range"),
-            ("5 kPa", False, "is one value"),
-            ("0..5 kPa:3 log", False, "begin above 0"),
-            ("..5 kPa:3", False, "is not a range"),
-            ("5, 5 kPa", False, "same value twice"),
-            ("5..1e999 kPa:3", False, "must be finite"),
-        ],
-    )
+    @pytest.mark.parametrize(("text", "sampled", "expected"), INVALID_TEXTS)
     def test_invalid_texts_are_refused(self, text, sampled, expected):
         with pytest.raises(po.InputError, match=expected):
             read_axis(text, Unit("Pa"), sampled=sampled)
 
 
-@pytest.mark.parametrize(
-    ("over", "more", "expected"),
-    [
-        (3, {}, "over = 3 must be a dictionary"),
-        ({"soil.cohesion": [-1e4, 2e4]}, {}, "cohesion = -10000 Pa"),
-        ({"effects.breakaway": [1.0, 2.0]}, {}, 'belongs to contact = "stick_slip"'),
-        ({"soil.cohesion": [1e4, 2e4]}, {"what": "optimize"}, "did you mean 'optimise'"),
-        ({"soil.cohesion": [1e4, 2e4]}, {"method": "many"}, "method = 'many' is unknown"),
-        ({"soil.cohesion": [1e4, 2e4]}, {"what": "optimise", "method": "batch"}, "a batch cannot optimise"),
-        ({"soil.cohesion": [1e4, 2e4]}, {"units": {}}, "a problem file has its own"),
-        (dict(zip(BOX, ([0.4, 0.5], [0.2, 0.3], [5e4, 6e4]), strict=True)), {"what": "optimise"}, "variable is fixed"),
-    ],
-)
+REFUSED = [
+    (3, {}, "over = 3 must be a dictionary"),
+    ({"soil.cohesion": [-1e4, 2e4]}, {}, "cohesion = -10000 Pa"),
+    ({"effects.breakaway": [1.0, 2.0]}, {}, 'belongs to contact = "stick_slip"'),
+    ({"soil.cohesion": [1e4, 2e4]}, {"what": "optimize"}, "did you mean 'optimise'"),
+    ({"soil.cohesion": [1e4, 2e4]}, {"method": "many"}, "method = 'many' is unknown"),
+    ({"soil.cohesion": [1e4, 2e4]}, {"what": "optimise", "method": "batch"}, "a batch cannot optimise"),
+    ({"soil.cohesion": [1e4, 2e4]}, {"units": {}}, "a problem file has its own"),
+    (dict(zip(BOX, ([0.4, 0.5], [0.2, 0.3], [5e4, 6e4]), strict=True)), {"what": "optimise"}, "variable is fixed"),
+]
+
+
+@pytest.mark.parametrize(("over", "more", "expected"), REFUSED)
 def test_invalid_sweeps_are_refused_before_anything_is_computed(problem, inline, over, more, expected):
     with pytest.raises(po.InputError, match=expected):
         po.sweep(problem, over, executor=inline, **more)

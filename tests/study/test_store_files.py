@@ -111,10 +111,8 @@ def test_a_damaged_byte_is_reported_or_harmless(store):
 
 
 def test_a_store_that_rejects_a_row_is_an_error(store, inline):
-    path = store[0](
-        "CREATE TRIGGER lossy BEFORE INSERT ON points WHEN new.point = 3 BEGIN SELECT RAISE(IGNORE); END",
-        "DELETE FROM points WHERE point IN (3, 4)",
-    )
+    trigger = "CREATE TRIGGER lossy BEFORE INSERT ON points WHEN new.point = 3 BEGIN SELECT RAISE(IGNORE); END"
+    path = store[0](trigger, "DELETE FROM points WHERE point IN (3, 4)")
     with pytest.raises(po.InputError, match="holds 5 of 6 points"):
         po.sweep(swept.failing_at_one, OVER, executor=inline, store=path)
 

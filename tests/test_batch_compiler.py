@@ -1,6 +1,7 @@
 """Compilation of C on whatever the system offers: no compiler, a damaged or read-only cache, and several processes."""
 
 import ctypes
+import os
 import subprocess
 import sys
 
@@ -14,9 +15,9 @@ SOURCE = "double twice(double x) { return 2.0 * x; }"
 SCRIPT = f"from plough_opt.core.compiler import library; print(library({SOURCE!r}, ((('-O1',), ()),)))"
 
 
-def compiled():
-    """Compile the source and return the path of its library, once the library has proved to work."""
-    path = library(SOURCE, ((("-O1",), ()),))
+def compiled(source=SOURCE, *before):
+    """Compile a source and return the path of its library, once the library has proved to work."""
+    path = library(source, (*before, (("-O1",), ())))
     if path is not None:
         twice = ctypes.CDLL(str(path)).twice
         twice.argtypes, twice.restype = [ctypes.c_double], ctypes.c_double
@@ -43,10 +44,19 @@ def test_a_batch_without_a_compiler_warns(r1_scene, monkeypatch, tmp_path):
 
 
 @pytest.mark.usefixtures("cache")
-@pytest.mark.parametrize("compiler", ["false", "true"])
-def test_a_compiler_that_produces_nothing(monkeypatch, compiler):
+@pytest.mark.parametrize("compiler", ["false", "true", "./no_program"])
+def test_a_compiler_that_produces_nothing(tmp_path, monkeypatch, compiler):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "no_program").touch(mode=0o755)
     monkeypatch.setenv("CC", compiler)
     assert compiled() is None
+
+
+@pytest.mark.usefixtures("cache")
+def test_of_several_variants_the_first_that_loads_is_used():
+    source = SOURCE.replace("2.0", "absent()")
+    source = f"#ifdef FAST\ndouble absent(void);\n#else\n#define absent() 2.0\n#endif\n{source}"
+    assert compiled(source, (("-DFAST",), ())) is not None
 
 
 def test_a_source_is_compiled_once(cache):
@@ -69,12 +79,23 @@ def test_a_damaged_library_is_compiled_again(cache, damaged):
     assert list(cache.iterdir()) == [path]
 
 
-def test_a_cache_that_cannot_be_written(tmp_path, monkeypatch):
-    blocked = tmp_path / "file"
-    blocked.write_text("not a folder")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
-    assert compiled() is not None
-    assert blocked.read_text() == "not a folder"
+@pytest.mark.parametrize(
+    ("before", "cache", "found"),
+    [
+        ("", "file", True),
+        ("import os; os.getuid = lambda: 2**31 - 3", "", True),  # a user without a home folder
+        ("import tempfile; tempfile.tempdir = 'file'", "file", False),
+    ],
+)
+def test_without_a_cache_a_temporary_folder_serves_until_the_process_ends(tmp_path, before, cache, found):
+    (tmp_path / "file").write_text("not a folder")
+    (tmp_path / "temporary").mkdir()
+    names = {"XDG_CACHE_HOME": cache, "TMPDIR": str(tmp_path / "temporary")}
+    environment = {name: value for name, value in os.environ.items() if name != "HOME"} | names
+    done = subprocess.run([sys.executable, "-c", f"{before}\n{SCRIPT}"], cwd=tmp_path, env=environment,
+                          capture_output=True, text=True, check=True)  # fmt: skip
+    assert done.stdout.startswith(str(tmp_path / "temporary") if found else "None")
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "temporary"]
 
 
 def test_several_processes_at_once(cache):

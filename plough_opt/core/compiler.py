@@ -1,5 +1,6 @@
 """Compilation of C source into shared libraries by the system's compiler, cached in the user's cache folder."""
 
+import atexit
 import ctypes
 import hashlib
 import os
@@ -45,9 +46,9 @@ def find_compiler() -> tuple[str, ...] | None:
 def library(source: str, variants: tuple[Variant, ...]) -> Path | None:
     """Return the path of the library compiled from a C source, cached if possible; None if it cannot be compiled.
 
-    The cache is ``$XDG_CACHE_HOME/plough_opt``, or a temporary folder of this process if that is not writable. A
-    library is moved there only once complete, so processes can share it; a library with a wrong digest is compiled
-    again.
+    The cache is ``$XDG_CACHE_HOME/plough_opt``, or a temporary folder of this process if that is not writable or the
+    user has no home folder. A library is moved there only once complete, so processes can share it; a library with a
+    wrong digest is compiled again.
 
     Args:
         source: the C source.
@@ -57,11 +58,12 @@ def library(source: str, variants: tuple[Variant, ...]) -> Path | None:
     if command is None:
         return None
     name = hashlib.sha256("\0".join((source, *_FLAGS, str(variants), _identity(command))).encode()).hexdigest()
-    for folder in (_cache_folder(), _temporary_folder()):
+    for folder_of in (_cache_folder, _temporary_folder):
         try:
+            folder = folder_of()
             folder.mkdir(parents=True, exist_ok=True)
             return _library_at(folder / f"{name[:32]}.so", source, command, variants)
-        except OSError:
+        except (OSError, RuntimeError):  # `expanduser` raises RuntimeError
             continue
     return None
 
@@ -134,7 +136,10 @@ def _cache_folder() -> Path:
 
 @lru_cache(maxsize=1)
 def _temporary_folder() -> Path:
-    return Path(tempfile.mkdtemp(prefix="plough_opt-"))
+    """Return a folder that is removed when this process ends."""
+    folder = Path(tempfile.mkdtemp(prefix="plough_opt-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
 
 
 @lru_cache(maxsize=4)

@@ -20,6 +20,7 @@ from helpers.strict_json import strict
 
 import plough_opt as po
 from plough_opt.app.plots import plot_designs
+from plough_opt.core.expressions import exp
 from plough_opt.core.tables import Grid, Page
 from plough_opt.problem_file.robust_design import optimise_robust
 
@@ -259,25 +260,36 @@ def test_a_run_with_an_unknown_error_reads_back(tmp_path):
     assert po.load(made.save(tmp_path / "run.json")).to_json() == made.to_json()
 
 
-def test_missing_effects_are_named_and_not_run(tmp_path):
-    scene = scene_of(own=(Shank(30.0),))
-    path = po.simulate(scene, 0.1).save(tmp_path / "own.json")
-    assert po.load(path).scene == scene  # its module is there
+def denser(r, width):
+    return 1350.0 * (1.05 + 0.3 * exp(-((r / width) ** 2)))
+
+
+def test_missing_effects_and_functions_are_named_and_not_run(tmp_path):
+    soil = po.named_soil("serozem").with_density_profile(denser, 0.15, order=2)
+    scene = scene_of(soil, own=(Shank(30.0),), damping=400.0, orbit="periodic", strength_wave=po.StrengthWave(0.3, 0.2))
+    made = po.simulate(scene)
+    path = made.save(tmp_path / "own.json")
+    assert (po.load(path).scene, po.load(path).floquet) == (scene, made.floquet)  # their modules are there
     text = path.read_text(encoding="utf-8")
     own = "helpers.scenes:Shank"
     assert own in text
-    path.write_text(text.replace(own, "elsewhere:Shank"), encoding="utf-8")
+    path.write_text(text.replace(own, "elsewhere:Shank").replace(f"{__name__}:", "elsewhere:"), encoding="utf-8")
     found = po.load(path)
+    assert strict(found.to_json()) == strict(path.read_text(encoding="utf-8"))
     (effect,) = found.scene.effects.own
     assert effect.static == 30.0
-    with pytest.raises(po.InputError, match="'elsewhere:Shank', which is not defined here"):
-        effect.force(0.0, 1.0)
+    for name, call in (("Shank", effect.force), ("denser", found.scene.soil.density_profile.density)):
+        with pytest.raises(po.InputError, match=f"'elsewhere:{name}', which is not defined here"):
+            call(0.0, 1.0)
     # Nor is a class taken that belongs to Python, or is no effect.
     path.write_text(text.replace(own, "subprocess:Popen"), encoding="utf-8")
     assert not isinstance(po.load(path).scene.effects.own[0], subprocess.Popen)  # a stand-in of that name
     path.write_text(text.replace(own, "plough_opt:Smooth").replace('"static": 30.0', '"width": 0.1'), encoding="utf-8")
     with pytest.raises(po.InputError, match=r"at scene\.effects\.own\.0: is not of type OwnResistance"):
         po.load(path)
+    partial = scene_of(soil.with_density_profile(functools.partial(denser, width=0.15), order=2), motion=False)
+    with pytest.raises(po.InputError, match="a value of type partial cannot be saved"):
+        po.simulate(partial, 0.1).save(path)
 
 
 # What is no result of this version is refused with a sentence that names the file.

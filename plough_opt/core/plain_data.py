@@ -141,9 +141,8 @@ def _object(hint: type, data: Any, place: str) -> Any:
     for key, default in fields_of(kind).items():
         if key in data:
             infinite = _MAY_BE_INFINITE.get(key) or _MAY_BE_INFINITE.get(f"{kind.__name__}.{key}", ())
-            own = hints.get(key, object)
-            if data[key] is not None or default is not None or own not in _OPEN_HINTS:
-                given[key] = from_plain(own, data[key], _inside(place, key), infinite)
+            if data[key] is not None or default is not None:
+                given[key] = from_plain(hints.get(key, object), data[key], _inside(place, key), infinite)
         else:
             _expect(default is not MISSING, _inside(place, key), "Field required")
     found = kind(**given, **dict.fromkeys(unsaved_fields(kind)))
@@ -246,11 +245,14 @@ def _missing(path: str) -> Callable[..., Any]:
     def refuse(*_arguments: object, **_more: object) -> Any:
         raise InputError(f"the result holds '{path}', which is not defined here: define or import it, and load again")
 
+    refuse.__module__, _, refuse.__qualname__ = path.partition(":")  # by which it is saved again
     return refuse
 
 
 def _stand_in(hint: type, path: str, names: Sequence[str]) -> type:
     """Return a replacement for a class that is not defined; it holds and shows the fields but cannot compute."""
     methods = dict.fromkeys(("force", "at_rest", "reaction"), _missing(path))
-    return make_dataclass(path.rpartition(".")[2].rpartition(":")[2], names, bases=(hint,), frozen=True,
+    made = make_dataclass(path.rpartition(".")[2].rpartition(":")[2], names, bases=(hint,), frozen=True,
                           namespace={**methods, "label": path})  # fmt: skip
+    made.__module__, _, made.__qualname__ = path.partition(":")  # by which it is saved again
+    return made

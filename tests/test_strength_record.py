@@ -51,9 +51,9 @@ def test_an_unevenly_spaced_record_gives_the_same_waves():
 @pytest.mark.parametrize("seed", [3, 5, 7])
 def test_a_drifting_record_gives_waves_no_longer_than_itself(seed):
     walk = np.cumsum(np.random.default_rng(seed).standard_normal(200))
-    found = po.strength_waves(po.StrengthRecord(np.linspace(0.0, 10.0, 200), 1e6 + 2e4 * walk), 1.0).found
+    waves = po.strength_waves(po.StrengthRecord(np.linspace(0.0, 10.0, 200), 1e6 + 2e4 * walk), 1.0).waves
     # Each reading stands for one spacing.
-    assert 0.0 < max(one.wave.wavelength for one in found) < 10.0 * 200.0 / 199.0 * (1.0 + 1e-12)
+    assert 0.0 < max(wave.wavelength for wave in waves) < 10.0 * 200.0 / 199.0 * (1.0 + 1e-12)
 
 
 def test_noise_alone_gives_no_waves():

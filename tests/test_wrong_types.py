@@ -16,6 +16,11 @@ from plough_opt.core.expressions import exp
 SOIL = po.named_soil("serozem")
 CONE = po.Cone(0.2, 0.25)
 NODES = [(0.0, 0.0), (0.5, 0.05)]
+LINE = np.arange(40.0)
+
+
+def _record(values, positions=LINE):
+    return po.StrengthRecord(positions, values)
 
 
 def _denser(order=16):
@@ -34,9 +39,7 @@ ARRAYS = {
     "thicknesses": lambda n: po.elastic.wedge_force([(0.0, 0.0), (0.5, np.linspace(0.01, 0.05, n))], SOIL, 2.0),
     "speeds of a cone": lambda n: po.elastic.cone_force(NODES, SOIL, np.linspace(1.0, 2.0, n)),
     "section factors": lambda n: po.elastic.cone_force(NODES, SOIL, 2.0, section_factor=np.linspace(0.5, 1.0, n)),
-    "speeds of the integrals": lambda n: po.elastic.fourier.wedge_stress(
-        0.2, 0.1, lambda x: 0.1 * x, 0.5, SOIL, np.linspace(1.0, 2.0, n)
-    ),
+    "speeds of integrals": lambda n: po.elastic.fourier.wedge_stress(0.2, 0.1, float, 0.5, SOIL, np.linspace(1, 2, n)),
 }
 
 
@@ -73,7 +76,13 @@ WRONG = {
     "place at a wedge's tip": (lambda: po.elastic.wedge_pressure(5e-324, NODES, SOIL, 2.0), "node 1"),
     "samples": (lambda: po.uncertainty.worst([1.0, 1e308], width=0.1), "must (be|lie)"),
     "reading": (lambda: po.Penetrometer("a.csv", [1e6, 1e308]), "cone indices"),
-    "record": (lambda: po.StrengthRecord(np.arange(40.0), np.full(40, 1e308)), "must (be|lie)"),
+    "record": (lambda: _record(np.full(40, 1e308)), "must (be|lie)"),
+    # Records, profiles and results that are none.
+    "short column": (lambda: _record(np.ones(39)), r"of equal length, not of shapes \(40,\) and \(39,\)"),
+    "backwards": (lambda: _record(np.ones(40), LINE[::-1]), "must increase, but 38 m follows 39 m"),
+    "long and uneven": (lambda: _record(np.ones(10_001), np.arange(10_001.0) ** 1.1), "10001 points at uneven"),
+    "always the same": (lambda: po.strength_waves(_record(np.full(40, 1.5e6))), "its strength does not vary"),
+    "a wide base": (lambda: po.strength_waves(_record(1.0 + LINE % 2), base_diameter=39.0), "between 39 m"),
 }
 
 

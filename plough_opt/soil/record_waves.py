@@ -26,6 +26,8 @@ from plough_opt.soil.waves import StrengthWave
 
 # Points of the search grid per resolution 2 pi/length.
 _OVERSAMPLING = 8
+# Relative strength whose standard deviation is below this varies by rounding alone.
+_ROUNDING = 1e-10
 # A further wave is accepted only if noise alone would give its peak with at most this probability.
 _FALSE_ALARM = 0.01
 
@@ -137,7 +139,7 @@ def strength_waves(record: StrengthRecord, part: float = 0.8, *, base_diameter: 
     diameter = checked_diameter(record, base_diameter)
     x, y = record.position - record.position[0], record.relative()
     variance = float(np.mean(y**2))
-    if not variance > 0.0:
+    if variance < _ROUNDING**2:
         raise InputError(f"{record.name}: its strength does not vary: give a record that does")
     grid, notes = _wave_numbers(record, diameter)
     numbers: list[float] = []
@@ -259,7 +261,7 @@ def _with_intervals(
         own = covariance[np.ix_([k, count + k], [k, count + k])]
         along, across = np.array([a[k], b[k]]) / size, np.array([-b[k], a[k]]) / size**2
         errors = [quantile * math.sqrt(float(d @ own @ d)) for d in (along, across)]
-        gain = abs(response[k])
+        gain = float(abs(response[k]))
         # Phases are reduced to the range from -pi to pi.
         phase = math.remainder(math.atan2(b[k], a[k]) - float(np.angle(response[k])), 2.0 * math.pi)
         relative = quantile * math.sqrt(float(covariance[2 * count + 1 + k, 2 * count + 1 + k])) / number

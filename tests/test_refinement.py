@@ -22,6 +22,7 @@ def test_errors_and_order_of_a_method_are_recovered():
     np.testing.assert_allclose(found.errors, wanted, rtol=1e-10)
     errors = found.errors + abs(math.e - 1.0 - midpoints(64)) / midpoints(64)
     np.testing.assert_allclose(errors[:-1] / errors[1:], 4.0, rtol=3e-3)
+    assert str(found).count("\n") == len(found.sizes)  # nothing is said of rounding
 
 
 def test_errors_of_arrays_are_the_largest_relative_to_the_largest_value():

@@ -40,6 +40,7 @@ ARRAYS = {
     "speeds of a cone": lambda n: po.elastic.cone_force(NODES, SOIL, np.linspace(1.0, 2.0, n)),
     "section factors": lambda n: po.elastic.cone_force(NODES, SOIL, 2.0, section_factor=np.linspace(0.5, 1.0, n)),
     "speeds of integrals": lambda n: po.elastic.fourier.wedge_stress(0.2, 0.1, float, 0.5, SOIL, np.linspace(1, 2, n)),
+    "factors of integrals": lambda n: po.elastic.fourier.cone_stress(0.2, 0.1, float, 0.5, SOIL, 2.0, 12, np.ones(n)),
 }
 
 
@@ -83,6 +84,11 @@ WRONG = {
     "long and uneven": (lambda: _record(np.ones(10_001), np.arange(10_001.0) ** 1.1), "10001 points at uneven"),
     "always the same": (lambda: po.strength_waves(_record(np.full(40, 1.5e6))), "its strength does not vary"),
     "a wide base": (lambda: po.strength_waves(_record(1.0 + LINE % 2), base_diameter=39.0), "between 39 m"),
+    "node of three": (lambda: po.elastic.wedge_force([(0.0, 0.0), (0.5, 0.1, 0.2)], SOIL, 2.0), "is not a pair"),
+    "a text as a radius": (lambda: po.elastic.knots(lambda _: "r", 1.0, 4), "in metres: could not convert"),
+    "no profile": (lambda: po.elastic.fourier.wedge_stress(0.2, 0.1, 3.0, 0.5, SOIL, 2.0), "must be a function of x"),
+    "a text to refine": (lambda: po.refine(hex, [2, 4]), "returned '0x8' at size 8, but must return numbers"),
+    "a symbol to refine": (lambda: po.refine(lambda _: ca.SX.sym("x"), [2]), "'x' holds symbols"),
 }
 
 

@@ -18,6 +18,7 @@ from plough_opt.core.expressions import Expression, expm1_ratio, gauss_legendre,
 from plough_opt.soil.elastic import cone as cones
 from plough_opt.soil.elastic import wedge as wedges
 from plough_opt.soil.elastic.medium import Medium, medium
+from plough_opt.soil.elastic.profile import heights_at
 from plough_opt.soil.soil import Soil
 
 Array = NDArray[np.float64]
@@ -148,6 +149,7 @@ def _cone(
 ) -> tuple[cones.Potentials, Expression, Expression, Medium]:
     """Return the potentials of a slender body, its displaced section S(x), r, and the medium."""
     check_domain("section factor", factor, above=0.0)
+    check_single("a Fourier integral", factor)
 
     def section(x: float) -> float:
         return factor * float(profile(min(max(x, 0.0), length))) ** 2
@@ -227,11 +229,13 @@ def _waves(
         )
     p, weights = _panels(last, 2.0 * math.pi / longest, order, graded)
     s, s_weights = _panels(length, 2.0 * math.pi / last, order, False)
-    values, end = np.array([float(curve(place)) for place in s]), float(curve(length))
-    check_domain("profile", np.append(values, end), "m")
-    check_domain("profile at its tip", float(curve(0.0)), "m", at_least=0.0, at_most=0.0, why="a tip is sharp")
+    values = np.array(heights_at([*s, length], curve))
+    check_domain("profile", values, "m")
+    (tip,) = heights_at([0.0], curve)
+    check_domain("profile at its tip", tip, "m", at_least=0.0, at_most=0.0, why="a tip is sharp")
     # Integrated by parts, which avoids the profile's slope: int h' e = h(l) e(l) - i p int h e.
-    moment = np.concatenate([np.exp(1j * np.outer(part, s)) @ (values * s_weights) for part in _chunks(p, s.size)])
+    weighted, end = values[:-1] * s_weights, values[-1]
+    moment = np.concatenate([np.exp(1j * np.outer(part, s)) @ weighted for part in _chunks(p, s.size)])
     transform = (end * np.exp(1j * p * length) - 1j * p * moment) / math.pi * weights
     return _Waves(state, np.column_stack([across.ravel(), away.ravel()]), across.shape, p, transform)
 

@@ -1,14 +1,14 @@
 """Profiles of a body: piecewise-linear nodes, the profile of a share, and knots on a smooth curve."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from plough_opt.core.checks import LEAST, check_callable, check_domain, plain_number, shown
+from plough_opt.core.checks import LEAST, NOT_NUMBERS, check_domain, plain_number, shown
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import (
     Expression,
@@ -124,17 +124,25 @@ def knots(profile: Callable[[float], float], length: float, count: int) -> list[
     """
     length = plain_number("length of the profile", length)
     check_domain("length of the profile", length, "m", above=0.0)
-    check_callable("the profile", profile, "of x that returns a number, in metres")
     if not is_count(count) or count > _MOST_PIECES:
         raise InputError(f"count = {shown(count)} of straight pieces must be a whole number from 1 to {_MOST_PIECES}")
     places = [length * math.sin(math.pi * k / (2 * count)) ** 2 for k in range(count)] + [length]
-    try:
-        heights = [float(profile(place)) for place in places]
-    except TypeError as error:
-        raise InputError(f"the profile must be a function of x that returns a number, in metres: {error}") from None
-    for place, height in zip(places, heights, strict=True):
+    nodes = list(zip(places, heights_at(places, profile), strict=True))
+    for place, height in nodes:
         check_domain(f"half thickness or radius at x = {place:.4g} m", height, "m", at_least=0.0)
-    return list(zip(places, heights, strict=True))
+    return nodes
+
+
+def heights_at(places: Iterable[float], profile: Callable[[float], float]) -> list[float]:
+    """Return half thicknesses or radii [m] of a profile that is given as a function of x.
+
+    Raises:
+        InputError: the profile is not a function of one number that returns a number.
+    """
+    try:
+        return [float(profile(place)) for place in places]
+    except NOT_NUMBERS as error:
+        raise InputError(f"the profile must be a function of x that returns a number, in metres: {error}") from None
 
 
 def points(first: Expression, second: Expression, *others: Any) -> tuple[Expression, Expression]:

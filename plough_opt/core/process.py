@@ -163,12 +163,9 @@ def optional(name: str, extra: str) -> Any:
     """Return a module of a library that an extra of this package installs.
 
     Raises:
-        InputError: the library is not installed; the message names the extra.
+        InputError: the library, or one that it needs, is not installed; the message names the extra.
     """
-    library = name.partition(".")[0]
     try:
         return import_module(name)
     except ModuleNotFoundError as missing:
-        if missing.name is None or missing.name.partition(".")[0] != library:
-            raise
-        raise InputError(f"{library} is not installed: pip install 'plough_opt[{extra}]'") from None
+        raise InputError(f"{missing.name or name} is not installed: pip install 'plough_opt[{extra}]'") from None

@@ -79,6 +79,7 @@ STRENGTHLESS = po.Soil(1350.0, 0.8, 0.0, 0.0, 0.5)
         (1e6, po.named_soil("serozem"), "cohesian", "cohesion"),
         (1e6, STRENGTHLESS, "strength factor", "zero strength"),
         (1e6, "serozem", "strength factor", "must be the Soil"),
+        (1e6, STRENGTHLESS.with_density_profile(lambda r: 1400.0 + r), "cohesion", "with a density profile cannot be"),
     ],
 )
 def test_readings_that_cannot_be_met_are_refused(reading, soil, adjust, words):

@@ -63,6 +63,7 @@ SLIPS = {
     "height in cm": (lambda x: po.Cone(0.2, x), 5.0, "5 cm"),
     "cohesion": (lambda x: po.Soil(1350.0, 0.794, x, 0.5, 0.5), 20, "20 kPa"),
     "density of the share's material": (lambda x: po.Cone(0.2, 0.25).solid_mass(x), 7.85, "7.85 g/cm^3"),
+    "parameter": (lambda x: po.Design().parameter("stiffness", x, unit="N/m"), 50, "50 kN/m"),
     "cone index": (lambda x: po.Soil.from_cone_index(x, SEROZEM), 1500.0, "1500 kPa"),
 }
 

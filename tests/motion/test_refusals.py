@@ -67,6 +67,7 @@ EFFECTS = [
     ({"strength_wave": (0.3,)}, "must be None or a StrengthWave"),
     ({"strength_wave": (WAVE,) * 9}, "9 waves"),
     ({"strength_wave": (WAVE, po.StrengthWave(0.1, 0.2 * math.sqrt(2))), "orbit": "periodic"}, "no common period"),
+    ({"strength_wave": (WAVE, po.StrengthWave(0.1, ca.MX.sym("l"))), "orbit": "periodic"}, "numeric wavelengths"),
     ({"strength_wave": (WAVE, SECOND, po.StrengthWave(0.05, 0.12)), "orbit": po.HarmonicBalance(3)},
      r"HarmonicBalance\(5\)"),
     ({"strength_wave": (WAVE, SECOND), "orbit": "periodic", "own": (Own(steady),)}, "several .* cannot have own"),

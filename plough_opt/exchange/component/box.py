@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.checks import LEAST
 from plough_opt.core.errors import DomainError, IntegrationError
 from plough_opt.exchange.component.ports import corner_points, interior_points, point_text
 from plough_opt.exchange.component.scenes import Resolution, Results, Scenes
@@ -118,12 +119,11 @@ class Box:
         worst = 0.0
         coarse_run, fine_run = self._evaluated(resolution), self._evaluated(resolution.finer(self._moves))
         for coarse, fine in zip(coarse_run, fine_run, strict=True):
-            least = _LEAST_FORCE * float(fine["scale_"][0])
+            least = _LEAST_FORCE * float(fine["scale_"][0]) or LEAST
             size = max(abs(float(fine["draft_"][0])), float(fine["rms_"][0]), least)
             peak = max(float(np.max(np.abs(fine["force_"]))), least)
             for name, scale in (("draft_", size), ("rms_", size), ("force_", peak)):
-                if scale > 0.0:
-                    worst = max(worst, float(np.max(np.abs(coarse[name] - fine[name]))) / scale)
+                worst = max(worst, float(np.max(np.abs(coarse[name] - fine[name]))) / scale)
         return worst
 
     def _derivative_error(self, resolution: Resolution) -> float:

@@ -6,13 +6,17 @@ import re
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.scenes import Shank, scene_of
 
 import plough_opt as po
 from plough_opt.core.quantities import QUANTITIES
+from plough_opt.exchange.component.box import Box
 from plough_opt.exchange.component.ports import Port, corner_points, interior_points
+from plough_opt.laws import McKyesAli, UniversalEarthmoving
 from plough_opt.motion.vocabulary import MEASURES
 
 WAVE = po.StrengthWave(0.3, 0.6)
+STRENGTHLESS = po.Soil(1350.0, 0.8, 0.0, 0.0, 0.5)
 
 
 @pytest.mark.parametrize(
@@ -26,6 +30,7 @@ WAVE = po.StrengthWave(0.3, 0.6)
         {"orbit": po.HarmonicBalance(8), "strength_wave": WAVE, "damping": 400.0},
         {"orbit": "periodic", "strength_wave": WAVE, "damping": 400.0},
         {"own": (), "inertial_drag": False, "added_mass": False, "ambient_pressure": False},
+        {"soil": STRENGTHLESS, "tow_speed": 0.0},
     ],
     ids=lambda effects: "+".join(effects),
 )
@@ -73,6 +78,18 @@ def test_the_elastic_medium_can_be_a_component():
         po.component(scene, 1.0, inputs=inputs, outputs=["loosened_radius"])
 
 
+@pytest.mark.parametrize(
+    ("law", "bounds", "words"),
+    [
+        (McKyesAli(width=0.1, rake_angle=1.4), ("soil.tool_friction", 0.4, 4.0), "would not move up the face"),
+        (UniversalEarthmoving(width=0.1), ("share.height", 0.2, 0.8), "critical depth"),
+    ],
+)
+def test_corners_outside_the_domain_of_a_law_are_refused(law, bounds, words):
+    with pytest.raises(po.DomainError, match=f"at {bounds[0]} = {bounds[2]:g}.*{words}"):
+        po.component(scene_of(medium=law, motion=False), 1.0, inputs=[po.Input(*bounds)], outputs=["mean_draft"])
+
+
 def test_duration_and_masses_are_inputs_too(r1_scene):
     scene = r1_scene(damping=300.0, start="rest")
     names = ["scene.duration", "scene.frame_mass", "scene.steel_density"]
@@ -115,6 +132,7 @@ def test_a_scene_of_symbols_with_a_density_profile(r1_soil, kind):
 
 
 FREE = ca.MX.sym("k")
+HEIGHT = po.Input("k", 0.2, 0.3, symbol=FREE)
 ALONE = po.Input("k", 1.0, 2.0, symbol=ca.MX.sym("k"))
 OWN = po.Output("scene_stiffness", of=lambda run: run.scene.stiffness)
 NOTHING = po.Output("nothing", of=lambda run: run.mean_draft / (0.0 * run.mean_draft))
@@ -138,6 +156,11 @@ def _stiffness(lower, upper):
         ({}, {"steel_density": 78500.0}, "more than the whole moving mass of 23.1724 kg"),
         ({}, {"inputs": ["scene.stiffness", "scene.stiffness"]}, "twice"),
         ({}, {"outputs": [OWN]}, "'scene.stiffness' and 'scene_stiffness' clash"),
+        ({}, {"inputs": [po.Input("2k")]}, "'2k' must be a name that begins with a letter"),
+        ({}, {"inputs": [po.Input("scene.stiffness", 4e4, 6e4, unit="N")]}, "is in N/m, not in N"),
+        ({"own": (Shank(per_metre=-1e8),)}, {}, "the motion has no finite value at scene.stiffness = 50000 N/m"),
+        ({"height": FREE}, {"inputs": [HEIGHT], "steel_density": 7850.0}, "needs a numeric scene"),
+        ({}, {"inputs": [po.Input("k", 1.0, 2.0, symbol=2 * FREE)]}, "must be a scalar CasADi symbol"),
         ({}, {"inputs": [FREE]}, "input MX(k) must be a name, or po.Input(name, ...)"),
         ({}, {"outputs": [NOTHING]}, "'nothing' has no finite value"),
         ({}, {"inputs": []}, "name at least one"),
@@ -163,6 +186,10 @@ def test_an_invalid_component_is_refused_with_the_reason(r1_scene, effects, requ
     requested = {"duration": 1.0, "inputs": ["scene.stiffness"], "outputs": ["mean_draft"]} | requested
     with pytest.raises((po.InputError, po.DomainError), match=re.escape(words)):
         po.component(r1_scene(**effects), **requested)
+
+
+def test_an_error_that_does_not_fall_ends_the_search_for_steps():
+    assert Box(None, po.Accuracy(), 1)._refined(10, lambda _: 1.0, 1e-6) == (10 * 2**6, 1.0)
 
 
 def test_contradictory_limits_of_an_output_are_refused():

@@ -19,15 +19,17 @@ DURATION = 1.2
 WAVE = po.StrengthWave(0.9, 0.25)
 STRENGTHLESS = dataclasses.replace(po.named_soil("serozem"), cohesion=0.0, ambient_pressure=0.0, friction_angle=0.0)
 REFERENCE = po.Accuracy(error=1e-10)
-
-
+Pair = dataclasses.make_dataclass(
+    "Pair", ["pair"], frozen=True, namespace={"force": lambda self, _, speed: self.pair[0] + self.pair[1] * speed}
+)
 CASES = {
     "every smooth effect": {"strength_wave": po.StrengthWave(0.3, 0.2), "damping": 400.0, "rate_term": 0.05,
                             "tow_ramp": 0.3},
     "smooth contact": {"contact": po.Smooth(0.1), "strength_wave": WAVE, "start": "towed"},
     "stick and slip": {"contact": po.StickSlip(1.3), "strength_wave": WAVE, "start": "rest"},
     "entry, stick and slip": {"contact": po.StickSlip(1.2), "strength_wave": WAVE, "start": "rest", "entry": True},
-    "own resistance": {"own": (Shank(150.0, 80.0, per_metre=15.0),), "strength_wave": WAVE, "added_mass": False},
+    "own resistances": {"own": (Shank(150.0, 80.0, per_metre=15.0), Pair((50.0, 30.0))), "strength_wave": WAVE,
+                        "added_mass": False},
 }  # fmt: skip
 MORE_CASES = {
     "from rest": {"start": "rest", "damping": 300.0, "inertial_drag": False, "ambient_pressure": False},

@@ -81,7 +81,7 @@ def test_every_variable_is_described_and_every_quantity_has_its_unit(fmu):
 
 
 def test_effects_that_are_off_add_no_variables(tmp_path):
-    bare = fmu_scene(inertial_drag=False, added_mass=False, ambient_pressure=False)
+    bare = fmu_scene(inertial_drag=False, added_mass=False, ambient_pressure=False, tow_ramp=0.0)
     written = write_fmu(bare, tmp_path / "bare.fmu", binary=False)
     names = {variable.name for variable in fmpy.read_model_description(str(written)).modelVariables}
     assert not [name for name in names if name.startswith(("effects.", "event_indicator", "mode"))]

@@ -130,6 +130,8 @@ def test_a_result_that_is_not_finite_is_an_analysis_error(not_always_finite):
     problem["share_height"] = 0.24
     with pytest.raises(om.AnalysisError, match="'logarithm' has no finite value"):
         problem.run_model()
+    with pytest.raises(po.DomainError, match="'logarithm' has no finite value at share"):
+        not_always_finite(0.24)
 
 
 def test_an_objective_must_be_an_output(around_r1):

@@ -6,6 +6,7 @@ import re
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.refusals import refusals
 from helpers.scenes import Shank, scene_of
 
 import plough_opt as po
@@ -78,16 +79,17 @@ def test_the_elastic_medium_can_be_a_component():
         po.component(scene, 1.0, inputs=inputs, outputs=["loosened_radius"])
 
 
-@pytest.mark.parametrize(
-    ("law", "bounds", "words"),
-    [
-        (McKyesAli(width=0.1, rake_angle=1.4), ("soil.tool_friction", 0.4, 4.0), "would not move up the face"),
-        (UniversalEarthmoving(width=0.1), ("share.height", 0.2, 0.8), "critical depth"),
-    ],
+def steady(law, *bounds):
+    scene = scene_of(medium=law, motion=False)
+    return po.component(scene, 1.0, inputs=[po.Input(*bounds)], outputs=["mean_draft"])
+
+
+STEEP, NARROW = McKyesAli(width=0.1, rake_angle=1.4), UniversalEarthmoving(width=0.1)
+test_corners_outside_the_domain_of_a_law_are_refused = refusals(
+    po.DomainError,
+    (lambda: steady(STEEP, "soil.tool_friction", 0.4, 4.0), "at soil.tool_friction = 4: .*would not move up the face"),
+    (lambda: steady(NARROW, "share.height", 0.2, 0.8), "at share.height = 0.8 m: .*critical depth"),
 )
-def test_corners_outside_the_domain_of_a_law_are_refused(law, bounds, words):
-    with pytest.raises(po.DomainError, match=f"at {bounds[0]} = {bounds[2]:g}.*{words}"):
-        po.component(scene_of(medium=law, motion=False), 1.0, inputs=[po.Input(*bounds)], outputs=["mean_draft"])
 
 
 def test_duration_and_masses_are_inputs_too(r1_scene):
@@ -190,11 +192,6 @@ def test_an_invalid_component_is_refused_with_the_reason(r1_scene, effects, requ
 
 def test_an_error_that_does_not_fall_ends_the_search_for_steps():
     assert Box(None, po.Accuracy(), 1)._refined(10, lambda _: 1.0, 1e-6) == (10 * 2**6, 1.0)
-
-
-def test_contradictory_limits_of_an_output_are_refused():
-    with pytest.raises(po.InputError, match="the limits of 'mean_draft' contradict each other: 2 is above 1"):
-        po.Output("mean_draft", lower=2.0, upper=1.0)
 
 
 def test_default_bounds_are_within_the_domain(r1_scene):

@@ -5,7 +5,7 @@ Values, gradients and Hessians are compared, those in the profile's parameters i
 
 import dataclasses
 import math
-from itertools import pairwise
+from itertools import pairwise, product
 
 import casadi as ca
 import numpy as np
@@ -111,12 +111,9 @@ def precise(quantity, name):
 
 def cases():
     """Yield quantities and profiles: by default a few, each with one profile; with the slow tests all."""
-    default = {("radial", "exponential, b falling")}
-    default |= {(quantity, "exponential, b falling") for quantity in ("front_speed", "particle_acceleration")}
-    for quantity in QUANTITIES:
-        for name in DENSITIES:
-            if name != "bell":
-                yield pytest.param(quantity, name, marks=[] if (quantity, name) in default else [pytest.mark.slow])
+    default = {(quantity, "exponential, b falling") for quantity in ("radial", "front_speed", "particle_acceleration")}
+    for case in product(QUANTITIES, DENSITIES.keys() - {"bell"}):
+        yield pytest.param(*case, marks=[] if case in default else [pytest.mark.slow])
 
 
 @pytest.mark.parametrize(("quantity", "name"), [*cases()])

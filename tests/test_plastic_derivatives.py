@@ -28,15 +28,9 @@ def toolkit(name):
 
 
 ORDINARY = {
-    "radius": 0.05,
-    "rate": 0.5,
-    "acceleration": 3.0,
-    "density_ratio": 0.8,
-    "friction_angle": 0.5,
-    "cohesion": 2e4,
-    "ambient_pressure": 101325.0,
-    "density": 1400.0,
-}
+    "radius": 0.05, "rate": 0.5, "acceleration": 3.0, "density_ratio": 0.8, "friction_angle": 0.5, "cohesion": 2e4,
+    "ambient_pressure": 101325.0, "density": 1400.0,
+}  # fmt: skip
 NAMES = ("r", *ORDINARY)
 STRESS, KINEMATIC = len(NAMES), NAMES.index("density_ratio") + 1
 # Quantity -> number of arguments on which it depends.

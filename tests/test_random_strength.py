@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from helpers.differences import differences
 from helpers.random_motion import realisation
+from helpers.refusals import refusals
 from scipy.integrate import quad
 
 import plough_opt as po
@@ -151,44 +152,26 @@ def test_the_spectrum_of_a_record_gives_the_response_to_what_was_recorded():
         po.strength_spectrum(record, base_diameter=300.0)
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"damping": 0.0, "inertial_drag": False}, "needs some damping"),
-        ({"own": realisation(scene(), 2, 0).effects.own}, "cannot include own resistances"),
-        ({"formulation": "printed"}, "needs a spring that holds the share"),
-        ({"tow_speed": 0.0}, "needs a tow speed above 0"),
-        ({"strength_wave": (po.StrengthWave(0.1, 0.4),) * 2}, "waves of different lengths"),
-        ({"medium": "elastic", "motion": False}, "random_strength has no meaning in the elastic medium"),
-        ({"random_strength": 0.2}, "random_strength = 0.2 must be None, a RandomStrength"),
-    ],
+STEADY = dataclasses.replace(scene(), effects=po.Effects(motion=False), medium="elastic")
+test_scenes_without_a_stationary_response_are_refused = refusals(
+    po.InputError,
+    (lambda: scene(damping=0.0, inertial_drag=False), "needs some damping"),
+    (lambda: scene(own=realisation(scene(), 2, 0).effects.own), "cannot include own resistances"),
+    (lambda: scene(formulation="printed"), "needs a spring that holds the share"),
+    (lambda: dataclasses.replace(scene(), tow_speed=0.0), "needs a tow speed above 0"),
+    (lambda: scene(strength_wave=(po.StrengthWave(0.1, 0.4),) * 2), "waves of different lengths"),
+    (lambda: dataclasses.replace(scene(motion=False), medium="elastic"), "no meaning in the elastic medium"),
+    (lambda: scene(0.2), "random_strength = 0.2 must be None, a RandomStrength"),
+    (lambda: STEADY.stationary_force_rms, r"elastic medium.*: use medium = 'plastic'$"),
 )
-def test_scenes_without_a_stationary_response_are_refused(changes, words):
-    rest = {k: changes[k] for k in ("tow_speed", "medium") if k in changes}
-    effects = {"random_strength": RANDOM} | {k: v for k, v in changes.items() if k not in rest}
-    with pytest.raises(po.InputError, match=words):
-        dataclasses.replace(scene(), effects=po.Effects(**effects), **rest)
-
-
-def test_the_stationary_rms_of_a_law_of_steady_sliding_is_refused_with_a_remedy_that_helps():
-    elastic = dataclasses.replace(scene(), effects=po.Effects(motion=False), medium="elastic")
-    with pytest.raises(po.InputError, match=r"elastic medium.*: use medium = 'plastic'$"):
-        _ = elastic.stationary_force_rms
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (([1.0], [1.0]), "at least two"),
-        (([2.0, 1.0], [1.0, 1.0]), "must increase"),
-        (([1.0, 2.0], [1.0, -1.0]), "at least 0"),
-        (([1.0, math.nan], [1.0, 1.0]), "finite"),
-        (("ab", "cd"), "must be numbers"),
-    ],
+test_invalid_spectra_are_refused = refusals(
+    po.InputError,
+    (lambda: po.Spectrum([1.0], [1.0]), "at least two"),
+    (lambda: po.Spectrum([2.0, 1.0], [1.0, 1.0]), "must increase"),
+    (lambda: po.Spectrum([1.0, 2.0], [1.0, -1.0]), "at least 0"),
+    (lambda: po.Spectrum([1.0, math.nan], [1.0, 1.0]), "finite"),
+    (lambda: po.Spectrum("ab", "cd"), "must be numbers"),
 )
-def test_invalid_spectra_are_refused(arguments, words):
-    with pytest.raises(po.InputError, match=words):
-        po.Spectrum(*arguments)
 
 
 def test_a_share_that_would_stop_carries_a_warning():

@@ -36,27 +36,17 @@ class Field:
 
 
 COMMON_POINTS = {
-    "beside": (0.22, 0.1),
-    "ahead": (-0.1, 0.05),
-    "behind": (0.9, 0.3),
-    "above a node": (0.5, 0.02),
-    "far": (30.0, 40.0),
-    "far ahead": (-3000.0, 0.01),
-}
+    "beside": (0.22, 0.1), "ahead": (-0.1, 0.05), "behind": (0.9, 0.3), "above a node": (0.5, 0.02),
+    "far": (30.0, 40.0), "far ahead": (-3000.0, 0.01),
+}  # fmt: skip
 POINTS_OF_WEDGE = {
-    "beside a node": (0.5 + 1e-7, 1e-7),
-    "near the tip": (1e-6, 1e-6),
-    "near the face": (0.15, 1e-9),
+    "beside a node": (0.5 + 1e-7, 1e-7), "near the tip": (1e-6, 1e-6), "near the face": (0.15, 1e-9),
     "where quadrature takes over": (0.2501, 0.3501),
-}
+}  # fmt: skip
 POINTS_OF_CONE = {
-    "near the face": (0.15, 0.015),
-    "far wake": (2000.0, 0.06),
-    "axis inside": (0.17, 1e-8),
-    "axis ahead": (-0.1, 1e-8),
-    "axis behind": (1.2, 1e-8),
-    "where quadrature takes over": (0.2501, 0.3124),
-}
+    "near the face": (0.15, 0.015), "far wake": (2000.0, 0.06), "where quadrature takes over": (0.2501, 0.3124),
+    "axis inside": (0.17, 1e-8), "axis ahead": (-0.1, 1e-8), "axis behind": (1.2, 1e-8),
+}  # fmt: skip
 FIELDS = {
     "wedge": Field(
         cases.wedge, cases.precise_wedge, oracle.Wedge._fields, 4, 64, COMMON_POINTS | POINTS_OF_WEDGE,

@@ -21,14 +21,9 @@ def around_r1(r1_scene, r1_wave):
 @pytest.fixture(scope="package")
 def with_columns(r1_scene):
     """A damped start from rest, with results at every output time; its name is a word of C."""
-    return po.component(
-        r1_scene(damping=300.0, start="rest"),
-        0.5,
-        inputs=["soil.cohesion", "effects.damping"],
-        outputs=["mount_force", "displacement_rms"],
-        samples=10,
-        name="double",
-    )
+    scene, inputs = r1_scene(damping=300.0, start="rest"), ["soil.cohesion", "effects.damping"]
+    outputs = ["mount_force", "displacement_rms"]
+    return po.component(scene, 0.5, inputs=inputs, outputs=outputs, samples=10, name="double")
 
 
 @pytest.fixture(scope="package")

@@ -16,15 +16,14 @@ from plough_opt.exchange.named_scene import NamedScene
 from plough_opt.export import write_fmu
 
 DURATION = 1.2
-WAVE = po.StrengthWave(0.9, 0.25)
+WAVE, CALM = po.StrengthWave(0.9, 0.25), po.StrengthWave(0.3, 0.2)
 STRENGTHLESS = dataclasses.replace(po.named_soil("serozem"), cohesion=0.0, ambient_pressure=0.0, friction_angle=0.0)
 REFERENCE = po.Accuracy(error=1e-10)
 Pair = dataclasses.make_dataclass(
     "Pair", ["pair"], frozen=True, namespace={"force": lambda self, _, speed: self.pair[0] + self.pair[1] * speed}
 )
 CASES = {
-    "every smooth effect": {"strength_wave": po.StrengthWave(0.3, 0.2), "damping": 400.0, "rate_term": 0.05,
-                            "tow_ramp": 0.3},
+    "every smooth effect": {"strength_wave": CALM, "damping": 400.0, "rate_term": 0.05, "tow_ramp": 0.3},
     "smooth contact": {"contact": po.Smooth(0.1), "strength_wave": WAVE, "start": "towed"},
     "stick and slip": {"contact": po.StickSlip(1.3), "strength_wave": WAVE, "start": "rest"},
     "entry, stick and slip": {"contact": po.StickSlip(1.2), "strength_wave": WAVE, "start": "rest", "entry": True},
@@ -35,10 +34,7 @@ MORE_CASES = {
     "from rest": {"start": "rest", "damping": 300.0, "inertial_drag": False, "ambient_pressure": False},
     "stick and slip on a ramp": {"contact": po.StickSlip(1.3), "strength_wave": WAVE, "tow_ramp": 0.4, "damping": 50.0},
     "entry with retreat": {"entry": True, "start": "rest", "strength_wave": WAVE},
-    "one printed error": {
-        "formulation": po.Printed(repelling_spring=False),
-        "strength_wave": po.StrengthWave(0.3, 0.2),
-    },
+    "one printed error": {"formulation": po.Printed(repelling_spring=False), "strength_wave": CALM},
 }
 EDGES = {
     "a strut that stands still": ({}, {"tow_speed": 0.0}),

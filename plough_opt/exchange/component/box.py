@@ -43,15 +43,6 @@ _CHECKED: Results = {
 
 
 @dataclass(frozen=True)
-class Resolved:
-    """A resolution, its relative error, and warnings about the scenes."""
-
-    resolution: Resolution
-    error: float
-    warnings: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class Box:
     """The scenes between the bounds of their inputs.
 
@@ -77,8 +68,8 @@ class Box:
         varies = effects.motion or bool(effects.waves) or effects.tow_ramp is not None or effects.own
         return [*corner_points(inputs), *(interior_points(inputs) if varies else ())]
 
-    def resolved(self) -> Resolved:
-        """Return the resolution that reaches the wanted error everywhere between the bounds, and its actual error.
+    def resolved(self) -> tuple[Resolution, float, tuple[str, ...]]:
+        """Return the resolution that reaches the wanted error everywhere between the bounds, its error, and warnings.
 
         A number of steps in the accuracy is used as it is.
 
@@ -98,7 +89,7 @@ class Box:
                     f"the wanted error {wanted:.1e} of derivatives was not reached: it is {derivative_error:.1e}"
                 )
         resolution = Resolution(steps, self.outputs)
-        return Resolved(resolution, error, (*self._warnings(resolution), *notes))
+        return resolution, error, (*self._warnings(resolution), *notes)
 
     def _refined(self, steps: int, error_of: Callable[[Resolution], float], wanted: float) -> tuple[int, float]:
         """Increase the number of steps until the error is as wanted; return both.

@@ -7,7 +7,7 @@ import casadi as ca
 
 from plough_opt.core.checks import check_kind, check_single, plain_number, shown
 from plough_opt.core.errors import DomainError, InputError
-from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic
+from plough_opt.core.expressions import Expression, holds_casadi, is_count, is_symbolic
 from plough_opt.core.quantities import BESIDE, EVERY, Quantity
 from plough_opt.exchange.component.box import Box
 from plough_opt.exchange.component.function import Component
@@ -120,16 +120,15 @@ def build(
     results = {identifier(one.name): value_of for one, (_, value_of) in zip(requested, measures, strict=True)}
     # Averages alone need no output times between start and end.
     intervals = samples if scenes.gives_columns(results) else 1
-    resolved = Box(scenes, accuracy, intervals).resolved()
-    function = scenes.function(results, resolved.resolution)
+    resolution, error, warnings = Box(scenes, accuracy, intervals).resolved()
+    function = scenes.function(results, resolution)
     values = function.call([port.value for port in inputs])
     output_ports = [
         Port(one.name, unit, one.lower, one.upper, _largest(one, value), value.numel())
         for one, (unit, _), value in zip(requested, measures, values, strict=True)
     ]
-    used = Accuracy("dop853", steps=resolved.resolution.steps) if scenes.scene.effects.motion else Accuracy()
-    warnings = (*resolved.warnings, *notes)
-    return Component(function, scenes.inputs, tuple(output_ports), used, resolved.error, warnings)
+    used = Accuracy("dop853", steps=resolution.steps) if scenes.scene.effects.motion else Accuracy()
+    return Component(function, scenes.inputs, tuple(output_ports), used, error, (*warnings, *notes))
 
 
 def _largest(output: Output, values: ca.DM) -> float:
@@ -153,13 +152,11 @@ def _requests(given: Any, kind: type[_Request]) -> list[_Request]:
 def _quantity_port(request: Input, named: NamedScene) -> Port:
     """Return the port of a quantity of the scene."""
     value = named.value(request.name)
-    if request.value is not None:
-        return port_of(request, EVERY[request.name], request.value)
-    if is_symbolic(value):
+    if request.value is None and is_symbolic(value):
         raise InputError(
             f"'{request.name}' is an expression in the scene: make its symbol the input, or give the input a value"
         )
-    return port_of(request, EVERY[request.name], float(as_number(value)))
+    return port_of(request, EVERY[request.name], value)
 
 
 def _symbol_port(request: Input) -> Port:

@@ -178,14 +178,10 @@ class Component(ca.Function):
 
 def _limits(port: Port) -> str:
     """Return the bounds of a port as text."""
-    match math.isfinite(port.lower), math.isfinite(port.upper):
-        case True, True:
-            return f" {port.lower:g} to {port.upper:g}"
-        case True, False:
-            return f" at least {port.lower:g}"
-        case False, True:
-            return f" at most {port.upper:g}"
-    return ""
+    if math.isfinite(port.lower) and math.isfinite(port.upper):
+        return f" {port.lower:g} to {port.upper:g}"
+    limits = (("at least", port.lower), ("at most", port.upper))
+    return "".join(f" {side} {limit:g}" for side, limit in limits if math.isfinite(limit))
 
 
 def _float_or_array(value: Any) -> float | NDArray[np.float64]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_domain, plain_number, shown
 from plough_opt.core.errors import InputError, nearest, unprintable
-from plough_opt.core.expressions import Expression
+from plough_opt.core.expressions import Expression, as_number
 from plough_opt.core.quantities import EVERY, Quantity
 from plough_opt.core.units import has_unit, in_si, unit_of
 from plough_opt.laws.law import ResistanceLaw
@@ -155,7 +155,7 @@ class Port:
         return identifier(self.name)
 
 
-def port_of(request: Input, quantity: Quantity, value: float) -> Port:
+def port_of(request: Input, quantity: Quantity, value: Expression) -> Port:
     """Return an input's port.
 
     Args:
@@ -168,7 +168,7 @@ def port_of(request: Input, quantity: Quantity, value: float) -> Port:
         DomainError: a number that is not finite.
     """
     name = request.name
-    value = value if request.value is None else request.value
+    value = float(as_number(value)) if request.value is None else request.value
     # Default bounds lie halfway to the ends of the domain, the upper one at no more than twice a non-negative value.
     lower = quantity.low + (value - quantity.low) / 2.0 if request.lower is None else request.lower
     twice = 2.0 * value if quantity.low >= 0.0 else math.inf

@@ -145,9 +145,8 @@ class StrengthRecord:
         Raises:
             InputError: the trend falls to 0.
         """
-        trend = np.polyval(
-            np.polyfit(self.position - self.position[0], self.value, 1), self.position - self.position[0]
-        )
+        x = self.position - self.position[0]
+        trend = np.polyval(np.polyfit(x, self.value, 1), x)
         if np.min(trend) <= 0.0:
             raise InputError(
                 f"{self.name}: its linear trend falls to 0, so strength relative to it is not defined: use a"

@@ -210,14 +210,11 @@ def _depends(of_kind: Mapping[str, tuple[Variable, ...]], pattern: ca.Sparsity) 
 def _quantities(named: NamedScene) -> Iterator[Variable]:
     """Yield the named quantities of a scene as parameters."""
     for name, value in named.values.items():
-        one = EVERY[name]
-        above = one.above
-        if name == "effects.tow_ramp":
-            if not named.scene.effects.ramps:  # the duration of the ramp is 0
-                continue
-            above = True
-        yield Variable(name, one.unit or "1", one.meaning, float(value), one.low, one.high, above, one.below,
-                       shown=one.shown)  # fmt: skip
+        one, is_ramp = EVERY[name], name == "effects.tow_ramp"
+        # Without its equations a ramp cannot be given a duration above 0, nor one with them a duration of 0.
+        if not is_ramp or named.scene.effects.ramps:
+            yield Variable(name, one.unit or "1", one.meaning, float(value), one.low, one.high, one.above or is_ramp,
+                           one.below, shown=one.shown)  # fmt: skip
 
 
 def _with_parameters(named: NamedScene) -> tuple[dict[Variable, ca.SX], Scene]:

@@ -121,10 +121,7 @@ class Quantity:
             InputError: the string is not a quantity, or the unit has the wrong dimension.
             DomainError: as `check`.
         """
-        if type(value) is not float:
-            plain, value = not has_unit(value), in_si(self.called, value, self.unit)
-        else:
-            plain = True
+        plain, value = not has_unit(value), in_si(self.called, value, self.unit)
         slip = self.slip(value) if plain else ""
         try:
             self.check(value)

@@ -37,15 +37,8 @@ def instance_of(path, kind=FMU3Model, log=None):
 
 def simulated(path, duration, outputs=200, **options):
     """Simulate an FMU with FMPy's CVode."""
-    return fmpy.simulate_fmu(
-        str(path),
-        fmi_type="ModelExchange",
-        solver="CVode",
-        stop_time=duration,
-        relative_tolerance=TOLERANCE,
-        output_interval=duration / outputs,
-        **({"record_events": False} | options),
-    )
+    given = {"fmi_type": "ModelExchange", "solver": "CVode", "relative_tolerance": TOLERANCE, "record_events": False}
+    return fmpy.simulate_fmu(str(path), stop_time=duration, output_interval=duration / outputs, **given | options)
 
 
 def worst(found, run):

@@ -278,9 +278,9 @@ def test_missing_effects_and_functions_are_named_and_not_run(tmp_path):
     assert strict(found.to_json()) == strict(path.read_text(encoding="utf-8"))
     (effect,) = found.scene.effects.own
     assert effect.static == 30.0
-    for name, call in (("Shank", effect.force), ("denser", found.scene.soil.density_profile.density)):
+    for name, missing in (("Shank", effect.force), ("denser", found.scene.soil.density_profile.density)):
         with pytest.raises(po.InputError, match=f"'elsewhere:{name}', which is not defined here"):
-            call(0.0, 1.0)
+            missing(0.0, 1.0)
     # Nor is a class taken that belongs to Python, or is no effect.
     path.write_text(text.replace(own, "subprocess:Popen"), encoding="utf-8")
     assert not isinstance(po.load(path).scene.effects.own[0], subprocess.Popen)  # a stand-in of that name

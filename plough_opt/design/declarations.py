@@ -3,7 +3,7 @@
 import math
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -229,11 +229,11 @@ class Declarations:
                 raise InputError(f"'{name}' is not a parameter of this design: {nearest(name, names)}")
         return np.array([plain_number(f"parameter '{p.name}'", changed.get(p.name, p.value)) for p in self.parameters])
 
-    def plain(self, values: Mapping[str, float]) -> dict[str, dict[str, str | float | None]]:
-        """Return all declarations but auxiliary ones as plain data, to be saved with a result.
+    def plain(self, values: Sequence[float] | NDArray[np.float64]) -> dict[str, dict[str, str | float | None]]:
+        """Return all declarations as plain data, to be saved with a result.
 
         Args:
-            values: name -> value of the parameters; others are left out.
+            values: of the parameters.
         """
         plain: dict[str, dict[str, str | float | None]] = {
             v.name: {
@@ -241,14 +241,10 @@ class Declarations:
                 "scale": "log" if v.log else "linear", "tolerance": v.tolerance,
             }
             for v in self.variables
-            if not v.auxiliary
         }  # fmt: skip
-        for p in self.parameters:
-            if p.name in values:
-                plain[p.name] = {"kind": "parameter", "value": float(values[p.name]), "unit": p.unit}
+        for p, value in zip(self.parameters, values, strict=True):
+            plain[p.name] = {"kind": "parameter", "value": float(value), "unit": p.unit}
         for r in self.requirements:
-            if r.auxiliary:
-                continue
             plain[r.name] = {"kind": "requirement", "at_least": r.at_least, "at_most": r.at_most, "unit": r.unit,
                              "expression": short(str(r.expression), _MOST_CHARACTERS)}  # fmt: skip
         return plain | {"objective": {"kind": "objective", "expression": short(str(self.objective), _MOST_CHARACTERS)}}

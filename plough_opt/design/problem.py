@@ -252,8 +252,7 @@ class Design:
         else:
             self._boxed = self._boxed or ToleranceBoxSolver(self._program, self._over)
             best = self._boxed.solve(request)
-        own = {p.name: float(value) for p, value in zip(self._parameters, values, strict=True)}
-        return replace(best, origin=Origin(declarations=declared.plain(own), seed=seed).now())
+        return replace(best, origin=Origin(declarations=declared.plain(values), seed=seed).now())
 
     @property
     def declared(self) -> Declarations:

@@ -113,7 +113,7 @@ def _failures(
 def _origin(front: FrontProgram, goals: Sequence[Goal], title: str) -> Origin:
     """Return the origin of a front: the design's declarations, with the goals in place of the design's objective."""
     displays = {v.name: v.display for v in front.declared.variables if v.display is not None}
-    found = front.declared.plain(front.own_values())
+    found = front.declared.plain(front.values)
     del found["objective"]
     for goal in goals:
         aim = "maximise" if goal.maximise else "minimise"

@@ -44,6 +44,7 @@ class FrontProgram:
         program: the program.
         count: number of objectives.
         declared: declarations of the design.
+        values: values of the design's own parameters.
         scales: sizes of the objectives at the guess, in their units.
         signs: -1 for an objective that is maximised, else 1.
         units: factors that turn scaled objectives into objectives in their units.
@@ -71,9 +72,9 @@ class FrontProgram:
         self.count = count = len(goals)
         self.signs = np.array([goal.sign for goal in goals])
         self.declared = declared
-        self._values = [parameter.value for parameter in declared.parameters]
+        self.values = [parameter.value for parameter in declared.parameters]
         objectives = [goal.sign * ca.MX(goal.expression) for goal in goals]
-        self.scales = _sizes(objectives, declared.symbols(), [*(v.guess for v in declared.variables), *self._values])
+        self.scales = _sizes(objectives, declared.symbols(), [*(v.guess for v in declared.variables), *self.values])
         self.units = self.signs * self.scales
         scaled = ca.vertcat(*(objective / size for objective, size in zip(objectives, self.scales, strict=True)))
         own = [ca.MX.sym(f"{_POSITION} {k}") for k in range(count * (count + 1))]
@@ -110,7 +111,7 @@ class FrontProgram:
             InputError: the model has no value at the guess.
             DomainError: the bounds lead out of the model's domain.
         """
-        self._values = values.tolist()
+        self.values = values.tolist()
         self._tight.clear()
         self.normalise(np.zeros(self.count), np.ones(self.count))
         # With these parameters the program's objective and position constraints are the scaled objectives themselves.
@@ -120,10 +121,6 @@ class FrontProgram:
         )
         self._refinement, self.building = 1.0, 0.0
         self.program.prepare(self.neutral_parameters())
-
-    def own_values(self) -> dict[str, float]:
-        """Return the values of the design's own parameters by name."""
-        return {p.name: float(value) for p, value in zip(self.declared.parameters, self._values, strict=True)}
 
     def build(self, starts: Sequence[Vector]) -> None:
         """Write the program with enough integration steps for some scaled designs, unless that is already so."""
@@ -163,7 +160,7 @@ class FrontProgram:
 
     def _parameters(self, weights: Sequence[float], normals: Vector, limits: Vector) -> Vector:
         """Return the program's parameters for w, n (a row for each constraint) and c, in scaled units."""
-        return np.array([*self._values, *weights, *np.ravel(normals), *limits])
+        return np.array([*self.values, *weights, *np.ravel(normals), *limits])
 
     def neutral_parameters(self) -> Vector:
         """Return parameters for which the objective is constantly 1 and no position constraint is active.
@@ -171,7 +168,7 @@ class FrontProgram:
         The program is scaled by its values with these, so that the scales of objective and position constraints are 1.
         """
         nothing = self.weighted(np.zeros(self.count))
-        nothing[len(self._values)] = 1.0
+        nothing[len(self.values)] = 1.0
         return nothing
 
     def weighted(self, weights: Vector) -> Vector:
@@ -203,7 +200,7 @@ class FrontProgram:
 
     def subproblem(self, p: Vector) -> tuple[Vector, Vector, Vector]:
         """Return w, n and c of parameters, in scaled units."""
-        count, own = self.count, p[len(self._values) :]
+        count, own = self.count, p[len(self.values) :]
         return own[: 1 + count], own[1 + count : 1 - count].reshape(count - 1, count), own[1 - count :]
 
     def solve(self, neighbour: Point, start: Vector, p: Vector, *, exact: bool = False) -> Point:

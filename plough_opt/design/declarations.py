@@ -39,12 +39,9 @@ class Variable:
     display: Display | None = None  # unit in reports, if the user chose one
 
     def __post_init__(self) -> None:
-        numbers = (self.guess, self.lower, self.upper)
         text = f"variable '{self.name}'"
         if not isinstance(self.log, bool | np.bool_):
             raise InputError(f"{text}: log = {shown(self.log)} must be True or False")
-        if not all(math.isfinite(number) for number in numbers):
-            raise InputError(f"{text}: guess, lower and upper must be finite numbers, not {numbers}")
         if not self.lower < self.upper:
             raise InputError(
                 f"{text}: its bounds contradict each other: lower {in_words(self.lower, self.unit)} is not below"

@@ -70,8 +70,6 @@ def ranking_criterion(landscape: Landscape, judge: Judge) -> Callable[[Vector], 
         return landscape(points).merit
 
     def over_tolerances(points: Vector) -> Vector:
-        if not len(points):
-            return np.empty(0)
         median: Vector = np.median(_objectives(landscape, points), axis=1)
         return median
 

@@ -68,12 +68,12 @@ class ToleranceBoxSolver:
                 f"the objective is the {self._over} of {count} designs within the tolerances, all of which meet the"
                 " requirements"
             )
-            declared = over_box(own, self._over, count, bounds)
+            declared = over_box(own, count, bounds)
             self._built = key, Program(declared, compiled=self._bare.compiled, bare=self._bare, over=over)
         return self._built[1]
 
 
-def over_box(declared: Declarations, over: Over, count: int, bounds: tuple[float, float] | None) -> Declarations:
+def over_box(declared: Declarations, count: int, bounds: tuple[float, float] | None) -> Declarations:
     """Return a design problem over a sample of the tolerance box around the chosen design.
 
     The sampled designs have their variables within the tolerances, clipped at the bounds. All of them must meet the
@@ -81,9 +81,8 @@ def over_box(declared: Declarations, over: Over, count: int, bounds: tuple[float
 
     Args:
         declared: the problem of the bare design.
-        over: whether to minimise the mean or the worst objective of the sample.
         count: number of sampled designs, a power of two.
-        bounds: of the worst objective; None for the mean.
+        bounds: of their worst objective, which is minimised; None to minimise their mean.
     """
     symbols = [v.symbol for v in declared.variables]
     expressions = [declared.objective, *(r.expression for r in declared.requirements)]
@@ -95,7 +94,7 @@ def over_box(declared: Declarations, over: Over, count: int, bounds: tuple[float
         found.append(ca.graph_substitute(expressions, symbols, within))
     objectives, *columns = (ca.vertcat(*column) for column in zip(*found, strict=True))
     everywhere = [replace(r, expression=column) for r, column in zip(declared.requirements, columns, strict=True)]
-    if over == "mean" or bounds is None:
+    if bounds is None:
         mean = ca.sum1(objectives) / objectives.numel()
         return replace(declared, objective=mean, requirements=tuple(everywhere))
     worst = Variable(WORST, ca.MX.sym(WORST), bounds[1], *bounds, "", False, 0.0, auxiliary=True)

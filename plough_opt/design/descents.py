@@ -76,11 +76,6 @@ class Shortfall:
         self._feasible: list[Evaluations] = []
         self.vectorised, self.feasible_seen = landscape.vectorised, 0
 
-    @property
-    def designs_tried(self) -> int:
-        """Number of designs evaluated in the landscape."""
-        return self._landscape.designs_tried
-
     def __call__(self, points: Vector) -> Evaluations:
         """Evaluate the violations of designs, a row each."""
         return self._recorded(self._landscape(points))

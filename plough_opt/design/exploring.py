@@ -82,7 +82,7 @@ class Explorer:
         effort: how thoroughly to search.
         progress: called with what is being done and the fraction of it done.
         seed: of the samples.
-        stop: returns True to end the search at once.
+        stop: returns True to end the search after its first descents.
     """
 
     landscape: Landscape | Shortfall
@@ -112,6 +112,7 @@ class Explorer:
 
     def explore(self) -> Explored:
         """Return the result of as many rounds as the effort demands."""
+        assert isinstance(self.landscape, Landscape), "a search for the least violation is part of a round"
         began, rounds = time.perf_counter(), 0
         while rounds == 0 or self.effort.more(rounds, self.landscape.designs_tried, began):
             self._round(rounds)
@@ -180,8 +181,6 @@ class Explorer:
         starts = [*sampled.points[lowest], *further]
         ends: list[int] = []
         for done, start in enumerate(starts):
-            if self.stop():
-                return
             self.progress(f"descending from {len(starts)} low designs", done / len(starts))
             ends.append(self._end_from(start))
         known = dict(zip(lowest.tolist(), ends, strict=False))
@@ -241,10 +240,7 @@ class Explorer:
 
     def _descend_from_dips(self) -> None:
         """Descend from dips along each variable through the best design: a sample may be too sparse to show them."""
-        if not self.landscape.vectorised or self.stop():
-            return
-        minima, _ = self._basins()
-        if not len(minima.f):
+        if not self.landscape.vectorised or self.stop() or not len((minima := self._basins()[0]).f):
             return
         lines = lines_through(minima.points[0], _LINE_POSITIONS, self.variables)
         evaluated = self.landscape(lines)

@@ -24,12 +24,9 @@ def build_r1(r1_soil):
         soil=r1_soil,
         guess=(25.0, 0.25, 5e4),
         radius=0.12,
-        deflection=0.15,
-        half_angle=15.0,
         accuracy=None,
         duration=2.0,
         outputs=400,
-        wavelength=0.6,
         damping=None,
         parameters=(),
     ):
@@ -42,14 +39,13 @@ def build_r1(r1_soil):
         soil = replace(soil, cohesion=given["cohesion"])
         share = po.Wedge(angle, po.deg(15.0), height)
         cone = share.equivalent_cone()
-        wave = po.StrengthWave(amplitude=0.3, wavelength=wavelength) if wavelength else None
-        effects = po.Effects(strength_wave=wave, damping=damping)
+        effects = po.Effects(strength_wave=po.StrengthWave(amplitude=0.3, wavelength=0.6), damping=damping)
         scene = po.Scene(soil, share, k0, 20.0 + cone.solid_mass(7850.0), given["tow speed"], effects)
         run = po.simulate(scene, duration, accuracy=accuracy, outputs=outputs)
         d.minimise(run.mean_draft / 1e3 + run.force_rms / 1e3)
         d.require("loosened radius", po.loosened_radius(cone, soil), at_least=radius, unit="m")
-        d.require("mean deflection", run.mean_draft / k0, at_most=deflection, unit="m")
-        d.require("half angle", cone.half_angle, at_most=po.deg(half_angle), unit="rad")
+        d.require("mean deflection", run.mean_draft / k0, at_most=0.15, unit="m")
+        d.require("half angle", cone.half_angle, at_most=po.deg(15.0), unit="rad")
         return SimpleNamespace(
             design=d, angle=angle, height=height, k0=k0, share=share, cone=cone, scene=scene, run=run, soil=soil
         )

@@ -6,6 +6,7 @@ import math
 import pickle
 
 import casadi as ca
+import numpy as np
 import pytest
 from helpers.small_designs import design
 
@@ -71,6 +72,8 @@ def test_steps_for_all_variables_give_the_best_combination(x_step, y_step):
     for choice in found.infeasible:
         x, y = choice.values.values()
         assert choice.conflicts == {"yield": pytest.approx(3.0 - x * y, rel=1e-6)}
+    # The first combination misses the limit by 1e-8 of it.
+    assert best.rounded(tip_width=[1.0, 2.0], y=[3.0 - 3e-8]).variables["share.tip width"] == 2.0
 
 
 def test_an_optimum_on_its_bound_is_a_multiple_of_the_step():
@@ -92,7 +95,8 @@ def test_an_infeasible_value_is_named():
     assert "2.06 % above that of the optimum" in str(found)
 
 
-def test_the_lowest_of_many_basins_of_several_free_variables_is_found():
+@pytest.mark.parametrize("worse", [0, 4000])
+def test_the_lowest_of_many_basins_of_several_free_variables_is_found(worse):
     """A parabola with ripples in each direction; every variable counts by itself, so the answer is known by hand."""
 
     def rippled(x, middle):
@@ -101,7 +105,7 @@ def test_the_lowest_of_many_basins_of_several_free_variables_is_found():
     bottom = (0.309, 0.339, 0.751)
     d, *variables = design(**dict.fromkeys("xyz", (0.3, 0.0, 1.0)))
     d.minimise(1.0 + sum(map(rippled, variables, bottom)))
-    values = [0.05, 0.25, 0.5, 0.75, 0.95]
+    values = [0.05, 0.25, 0.5, 0.75, 0.95, *np.linspace(0.9, 1.0, worse)]
     found = d.solve(search="near").rounded(x=values)
     assert found.objective == pytest.approx(1.0 + min(float(rippled(x, bottom[0])) for x in values), rel=1e-9)
 
@@ -115,6 +119,22 @@ def test_of_very_many_combinations_only_the_neighbours_are_tried():
     # A millionth above the optimum: a multiple within that part of the range is taken for it.
     step = 1.000001e-3
     assert best.rounded(tip_width=step * math.sqrt(1.5), y=step * math.sqrt(6.0)).screened == 1
+
+
+def test_too_many_combinations_of_neighbours_are_refused():
+    d, *x = design(**{f"x{k}": (0.5, 0.0, 1.0) for k in range(13)})
+    d.minimise(ca.sumsqr(ca.vertcat(*x) - 0.33))
+    with pytest.raises(po.InputError, match="13 variables have too many combinations of neighbours"):
+        d.solve(search="near").rounded({f"x{k}": 0.1 for k in range(13)})
+
+
+def test_values_without_an_optimum_that_derivatives_confirm():
+    d, x, y = design(x=(0.9, 0.0, 1.0), y=(0.9, 0.0, 1.0))
+    d.minimise((ca.log(x - 0.5) + 1.0) ** 2 + ca.fabs(y - 0.3))
+    found = d.solve().rounded(x=[0.4, 0.8])
+    assert found.objective == pytest.approx((math.log(0.3) + 1.0) ** 2, abs=1e-6)
+    assert found.status == "unconfirmed"
+    assert "x = 0.4 is infeasible: not solved" in str(found)
 
 
 def test_every_infeasible_combination_is_named():
@@ -144,6 +164,7 @@ def test_sensitivities_keep_the_rounded_variables_held():
         ({}, "nothing to round"),
         ({"share.tip width": [1.0, math.nan]}, "must hold finite numbers"),
         ({"share.tip width": 0.0}, "must be above 0"),
+        ({"share.tip width": 1e-16}, "too small for its bounds"),
         ({"share.tip width": [20.0, 30.0]}, "lies between its bounds 0.1 m and 10 m"),
         ({"share.tip width": 0.1, "tip_width": 0.2}, "two catalogues"),
     ],

@@ -10,8 +10,7 @@ import pytest
 from helpers.small_designs import design
 
 import plough_opt as po
-from plough_opt.design import derivatives
-from plough_opt.design import verify as steps_module
+from plough_opt.design import derivatives, ipopt, verify
 from plough_opt.design.tolerance import boxes
 
 
@@ -72,11 +71,20 @@ def test_a_near_search_stays_in_the_basin_of_its_guess_or_of_the_nearest_feasibl
     assert str(best.search) == "Only the basin of the guess was searched."
 
 
-def test_of_two_feasible_regions_a_near_search_takes_the_nearest(waves):
-    x = waves._variables[0].symbol
-    # A local search leads to the narrow one, into which no design of a sample falls.
-    waves.require("either", ca.fmin((x - 0.75) ** 2 - 1e-9, x - 0.3), at_most=0.0)
-    assert waves.solve(search="near").variables["x"] == pytest.approx(0.75, abs=4e-5)
+@pytest.mark.parametrize(
+    ("either", "x", "y"),
+    [
+        # A local search leads to the narrow region, into which no design of a sample falls.
+        (lambda x, _: ca.fmin((x - 0.75) ** 2 - 1e-9, x - 0.3), 0.75 + 1e-9**0.5, 0.25),
+        # It leads to the far region.
+        (lambda x, _: ca.fmin(100.0 * ((x - 0.75) ** 2 - 1e-3), x - 0.3), 0.75 + 1e-3**0.5, 0.25),
+        # It leads nowhere, and no design of a sample falls into the only region, a circle whose rim is lowest here.
+        (lambda x, y: ca.fmin(0.1, (x - 0.1) ** 2 + (y + 0.5) ** 2 - 1e-6), 0.1 + 9.8e-4, -0.5 + 2e-4),
+    ],
+)
+def test_of_two_feasible_regions_a_near_search_takes_the_nearest(waves, either, x, y):
+    waves.require("either", either(*(v.symbol for v in waves._variables)), at_most=0.0)
+    assert waves.solve(search="near").variables == pytest.approx({"x": x, "y": y}, abs=2e-5)
 
 
 def test_a_near_search_is_never_worse_than_a_guess_whose_run_has_events():
@@ -140,8 +148,9 @@ def test_the_expected_number_of_unseen_basins(r1):
     assert search.unseen_basins == pytest.approx(w * (w + 1) / (n - w - 2), rel=1e-15)
     assert search.unseen_volume == pytest.approx(w * (w + 1) / (n * (n - 1)), rel=1e-15)
     assert "Boender" in str(search)
-    few = dataclasses.replace(search, followed=w + 2)
+    few = dataclasses.replace(search, followed=w + 2, basins=9)
     assert few.unseen_basins is None
+    assert f"9 basins found, of which the {search.polished} that could be best were optimised" in str(few)
     assert "cannot be estimated" in str(few)
 
 
@@ -158,10 +167,13 @@ def test_progress_names_the_sample_and_the_basins(waves):
 # --- steps of integration ------------------------------------------------------------------------------------
 
 
-def test_steps_are_refined_until_the_objective_is_right(monkeypatch, build_nlp, build_r1):
-    monkeypatch.setattr(steps_module, "_PHASE_PER_STEP", 2.5)
+@pytest.mark.parametrize("seconds", [1e6, 1e-9])
+def test_steps_are_refined_until_the_objective_is_right(monkeypatch, build_nlp, build_r1, seconds):
+    # Quadratic programs find the optimum. Without time to solve it again, it is evaluated by the finer steps.
+    monkeypatch.setitem(ipopt.FROM_BOTTOM, "ipopt.max_cpu_time", seconds)
+    monkeypatch.setattr(verify, "_PHASE_PER_STEP", 2.5)
     # The tolerance on derivatives is loose, because they would demand more steps at the start already.
-    best = build_r1(wavelength=0.6, accuracy=po.Accuracy(derivatives=0.1)).design.solve()
+    best = build_r1(accuracy=po.Accuracy(derivatives=0.1)).design.solve()
     steps = [call.args[3][0] for call in build_nlp.call_args_list]
     assert len(steps) > 1
     assert steps == sorted(steps)
@@ -170,9 +182,10 @@ def test_steps_are_refined_until_the_objective_is_right(monkeypatch, build_nlp, 
     assert not any("not reached" in warning for warning in best.warnings)
 
 
-def test_steps_that_stay_too_coarse_are_reported(monkeypatch, build_r1):
-    monkeypatch.setattr(steps_module, "_PHASE_PER_STEP", 40.0)
-    monkeypatch.setattr(derivatives, "_MOST_REFINEMENTS", 0)
+@pytest.mark.parametrize("limit", [(derivatives, "_MOST_REFINEMENTS", 0), (verify, "_MOST_STEPS", 60)])
+def test_steps_that_stay_too_coarse_are_reported(monkeypatch, build_r1, limit):
+    monkeypatch.setattr(verify, "_PHASE_PER_STEP", 40.0)
+    monkeypatch.setattr(*limit)
     best = build_r1().design.solve(search="local")
     assert best.gap > 1e-8
     assert any("was not reached" in warning for warning in best.warnings)

@@ -39,6 +39,8 @@ _MOST_POLISHED_OF_FEW = 8
 _MOST_POLISHED_OF_MANY = 3
 # With more variables, basins are optimised only if their criterion is within this part of the best.
 _CAN_WIN = 0.15
+# The objective's scale is at least this part of its median over the sample: at an optimum of 0 its slopes are rounding.
+_LEAST_SCALE = 1e-4
 # Optima count as the same if no scaled variable differs by this much.
 _SAME = 1e-4
 # Positions on the line along each variable through the lowest optimum, and the factor on the steps of runs there.
@@ -143,7 +145,7 @@ class _Solve:
                 " shorten the duration",
                 "no value",
             )
-        size = len(vary), effort.rounds
+        size = len(vary), effort.rounds, _LEAST_SCALE * float(np.nanmedian(np.abs(explored.sample.f)))
         minima, points = explored.minima, []
         if np.any(minima.feasible) or not required:
             points = self._optima(minima, *size)
@@ -163,16 +165,18 @@ class _Solve:
             )
         return explored, points
 
-    def _optima(self, minima: Evaluations, variables: int, rounds: int) -> list[Point]:
+    def _optima(self, minima: Evaluations, variables: int, rounds: int, least_scale: float) -> list[Point]:
         """Return the local optima of those basins that can be best.
 
         Args:
             minima: the best design of each basin.
             variables: number of variables that were searched.
             rounds: number of rounds of the search; the more rounds, the more basins are optimised.
+            least_scale: smallest scale of the objective, in units of the merit.
         """
         program, landscape, p = self._program, self._landscape, self._p
-        program.scale_by(float(minima.f[np.argmin(minima.merit)]) * landscape.objective_scale)
+        lowest = abs(float(minima.f[np.argmin(minima.merit)]))
+        program.scale_by(max(lowest, least_scale) * landscape.objective_scale)
         chosen = _basins_that_can_win(self._criterion(minima.points), variables <= _FEW_VARIABLES, rounds)
         build_surely(program, p, list(minima.points[chosen]))
         points: list[Point] = []

@@ -42,6 +42,7 @@ def test_wedge_and_chisel_angle_cannot_be_told_apart(r1_soil):
 VALLEYS = {
     "idle variable": (lambda x, _: 1.0 + (x - 0.25) ** 2, {"at_most": 3.0}, 1.0, [[0.0, 1.0]]),
     "total in the objective": (lambda x, y: 1.0 + (x + y - 1.2) ** 2, {"at_most": 3.0}, 1.0, [[1.0, -1.0]]),
+    "zero at the optimum": (lambda x, y: (x + y - 0.7) ** 2, {"at_most": 3.0}, 0.0, [[1.0, -1.0]]),
     "total at an active limit": (lambda x, y: x + y, {"at_least": 0.7}, 0.7, [[1.0, -1.0]]),
     "constant objective": (lambda _x, _y: 1.0, {"at_most": 2.5}, 1.0, [[1.0, 0.0], [0.0, 1.0]]),
     "steep": (lambda x, y: 1.0 + 1e4 * (x - 0.25) ** 2 + (y - 0.5) ** 2, {"at_most": 3.0}, 1.0, []),

@@ -23,8 +23,8 @@ from plough_opt.design.verify import TightEvaluation
 _CHECK_STEP = 2e-4
 # Elasticities below this are shown as 0 %.
 _ROUNDING = 1e-9
-# A variable this close to 0, as a part of its range, is 0: the optimiser meets a bound of 0 to its rounding only.
-_NOTHING = 1e-12
+# Results below this part of their size, the optimiser's tolerance, count as 0: they have no elasticity.
+_ZERO = 1e-10
 # One-sided derivatives with a smaller relative difference count as equal.
 _SAME = 1e-9
 
@@ -162,28 +162,25 @@ class Solved:
         up, down = self._active.move(change, 1.0), self._active.move(change, -1.0)
         objective = self._active.objective_slope(change) * self.program.objective_scale
         best = self._active.f * self.program.objective_scale
-        rising, falling = self._in_units(up.y), self._in_units(down.y)
+        rising, falling, sizes = map(self._in_units, (up.y, down.y, np.ones(len(up.y))))
         values = dict(zip(rising, self._unscaled(self._active.y), strict=True))
         lowest, below = target.within(target.value - down.until, down.then)
         highest, above = target.within(target.value + up.until, up.then)
-        variables = {v.name: v for v in self.program.declared.variables if not v.auxiliary}
+        names = [v.name for v in self.program.declared.variables if not v.auxiliary]
         differs = bool(np.max(np.abs(up.y - down.y)) > _SAME * np.max(np.abs([up.y, down.y])))
         return Sensitivity(
             name=name,
             value=target.value,
             unit=target.unit,
             objective=objective,
-            variables={name: rising[name] for name in variables},
-            elasticity=_elasticity(objective, target.value, best),
-            elasticities={
-                name: _elasticity(rising[name], target.value, values[name], least=_NOTHING * (v.upper - v.lower))
-                for name, v in variables.items()
-            },
+            variables={v: rising[v] for v in names},
+            elasticity=_elasticity(objective, target.value, best, self.program.objective_scale),
+            elasticities={v: _elasticity(rising[v], target.value, values[v], sizes[v]) for v in names},
             valid_from=lowest,
             valid_to=highest,
             then=(below, above),
             touching=self._active.touching if differs else (),
-            falling={name: falling[name] for name in variables},
+            falling={v: falling[v] for v in names},
             difference=self._difference(target, objective, up, down) if check else None,
         )
 
@@ -290,6 +287,6 @@ class Solved:
         return np.array([point.f * program.objective_scale, *self._unscaled(point.y)])
 
 
-def _elasticity(derivative: float, value: float, result: float, least: float = 0.0) -> float | None:
-    """Return per cent of a result per per cent of a value; None if the result is 0 but for rounding below ``least``."""
-    return None if abs(result) <= least else derivative * value / result
+def _elasticity(derivative: float, value: float, result: float, size: float) -> float | None:
+    """Return per cent of a result per per cent of a value; None if the result is 0 but for rounding of its size."""
+    return None if abs(result) <= _ZERO * size else derivative * value / result

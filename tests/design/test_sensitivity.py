@@ -10,6 +10,7 @@ from helpers.problem_files import SUBSOILER
 from helpers.small_designs import design
 
 import plough_opt as po
+from plough_opt.design import ipopt
 
 
 def _cost_against_yield(a=2.0, c=3.0, *, most=10.0, log=False):
@@ -100,7 +101,10 @@ def test_two_limits_of_one_requirement_are_two_questions():
     d.minimise(ca.exp(-x))
     d.require("band", 2.0 * x, at_least=-1.0, at_most=3.0)
     best = d.solve()
-    assert best.sensitivity("band at_most").objective == pytest.approx(-0.5 * math.exp(-1.5), rel=EXACT)
+    upper = best.sensitivity("band at_most", check=True)
+    assert upper.objective == pytest.approx(-0.5 * math.exp(-1.5), rel=EXACT)
+    # As for the other checks.
+    assert upper.difference < 5e-6
     assert best.sensitivity("band at_least").objective == 0.0
     assert best.sensitivity("band at_least").valid_to == pytest.approx(3.0, rel=EXACT)
     with pytest.raises(po.InputError, match="did you mean 'band at_least' or 'band at_most'"):
@@ -129,11 +133,14 @@ def test_a_limit_that_just_touches_makes_the_derivatives_one_sided(unit):
 
 @pytest.mark.parametrize("name", ["weight", "yield", "x upper", "y lower"])
 @pytest.mark.parametrize("most", [1.0, 10.0])
-def test_check_solves_again(name, most):
+def test_check_solves_again(monkeypatch, name, most):
     best = _cost_against_yield(most=most).solve()
     # A step of 1e-3 leaves some 1e-6 of derivatives of order one, the optimiser's 1e-10 some 1e-7.
     assert best.sensitivity(name, check=True).difference < 5e-6
     assert best.sensitivity(name).difference is None
+    monkeypatch.setitem(ipopt.FROM_BOTTOM, "ipopt.max_cpu_time", 1e-9)
+    with pytest.raises(po.NotConverged, match="check could not solve"):
+        best.sensitivity(name, check=True)
 
 
 def _bounded_parabola():
@@ -215,6 +222,8 @@ def test_an_unknown_name_is_refused_with_the_known_ones():
 # Objective of x and y between 0.1 and 2 and of a parameter a = 1, requirements on x, a name, and words of the refusal.
 REFUSED = {
     "not unique": (lambda x, y, a: (x + y - a) ** 2 + 1.0, {}, "a", r"not unique.*fix one of x, y"),
+    "kink": (lambda x, y, a: ca.fabs(x - a) + (x - a) ** 2 + y + 1.0, {}, "a", "cannot be distinguished"),
+    "kink without curvature": (lambda x, y, a: ca.fabs(x - a) + (y - 1.0) ** 2 + 1.0, {}, "a", "does not curve"),
     "no curvature": (lambda x, y, a: (x - a) ** 4 + (y - 1.0) ** 2 + 1.0, {}, "a", "does not curve"),
     "dependent": (lambda x, y, _: x**2 + y, {"at_least": 0.1}, "x lower", r"only at_least.*x lower.*not independent"),
     # No design is left if either limit moves into the other.
@@ -229,8 +238,16 @@ def test_optima_without_a_derivative_are_refused(objective, limits, name, words)
     d.minimise(objective(x, y, d.parameter("a", 1.0)))
     for side, own in limits.items():
         d.require("only" if side == "at_least" else "also", x, **{side: own})
-    with pytest.raises(po.InputError, match=words):
+    with pytest.raises((po.InputError, po.NotConverged), match=words):
         d.solve().sensitivity(name)
+
+
+def test_too_many_limits_that_just_touch_are_refused():
+    d, x = design(x=(0.7, 0.1, 2.0))
+    d.minimise((x - 1.0) ** 2)
+    d.require("path", ca.repmat(x, 9, 1), at_least=1.0)
+    with pytest.raises(po.InputError, match="too many limits just touch"):
+        d.solve().sensitivity("path")
 
 
 def test_every_sensitivity_comes_in_order_of_size_and_only_if_it_matters():
@@ -248,3 +265,12 @@ def test_in_words():
     text = str(_cost_against_yield().solve().sensitivity("yield", check=True))
     assert text.startswith("yield = 3; one per cent more changes the objective by +0.5 %, x by +0.5 %, y by +0.5 %.")
     assert "Solving again" in text
+
+
+def test_a_result_of_zero_has_no_elasticity():
+    d, x, y = design(x=(0.5, 0.0, 1.0, "m"), y=(0.5, -1.0, 1.0))
+    d.minimise(x + (y - d.parameter("a", 0.3, unit="m")) ** 2)
+    found = d.solve().sensitivity("a")
+    # But for rounding, the objective and x are 0.
+    assert (found.elasticity, found.elasticities["x"]) == (None, None)
+    assert "x by 0 per m, y by +1 %" in str(found)

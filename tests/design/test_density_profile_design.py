@@ -3,13 +3,13 @@
 import dataclasses
 
 import pytest
+from helpers.scenes import SHARE, scene_of
 from helpers.small_designs import design
 from scipy.optimize import brentq, minimize_scalar
 
 import plough_opt as po
 from plough_opt.core.expressions import exp
 
-SHARE = po.Wedge(po.deg(25.0), po.deg(15.0), 0.25)
 ORDER = 8
 
 
@@ -20,10 +20,6 @@ def density(r, core, width):
 
 def soil_of(r1_soil, core=1700.0, width=0.1, order=ORDER):
     return dataclasses.replace(r1_soil, density=1350.0).with_density_profile(density, core, width, order=order)
-
-
-def scene_of(soil, stiffness=5e4, **effects):
-    return po.Scene(soil, SHARE, stiffness, 40.0, 2.0, po.Effects(**effects))
 
 
 def test_a_scene_of_a_profile_moves_with_the_reaction_of_its_soil(r1_soil, r1_wave):

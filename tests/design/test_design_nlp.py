@@ -134,12 +134,7 @@ def speed_duration_and_wave(small):
 
 
 # Designs with the number of their runs and of the rows of their requirements.
-DESIGNS = {
-    two_runs: (2, 8 + 1),
-    quasi_static: (0, 6),
-    parameters_alone: (1, 6),
-    speed_duration_and_wave: (1, 8),
-}
+DESIGNS = {two_runs: (2, 8 + 1), quasi_static: (0, 6), parameters_alone: (1, 6), speed_duration_and_wave: (1, 8)}
 
 
 @pytest.mark.parametrize("declare", DESIGNS)
@@ -160,23 +155,24 @@ def test_every_combination_of_effects(small, effects):
     _check_against_ad(program, POINT[:3], first=1e-8, second=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("accuracy", "values", "first", "second"),
-    [
-        # Sensitivities are integrated to the tolerance too, of their own size: each order loses a digit or two.
-        pytest.param(po.Accuracy("cvodes", tolerance=1e-10), 1e-7, 1e-6, 1e-5, id="cvodes"),
-        # These two differentiate the discrete solution, the steps of the adaptive method frozen.
-        pytest.param(po.Accuracy("erk", tolerance=1e-10), 1e-8, 1e-7, 1e-6, id="erk"),
-        pytest.param(po.Accuracy("rosenbrock", tolerance=1e-10), 1e-8, 1e-7, 1e-6, id="rosenbrock"),
-        # Order 4 with 0.03 rad and order 5 with 0.3 rad in a step.
-        pytest.param(po.Accuracy("rk", steps=2000), 1e-7, 1e-6, 1e-5, id="rk"),
-        pytest.param(po.Accuracy("collocation", steps=200), 1e-8, 1e-7, 1e-6, id="collocation"),
-    ],
-)
-def test_methods_of_casadi_agree_with_order_8(small, accuracy, values, first, second):
-    methods = (accuracy, po.Accuracy("dop853", steps=400))
+METHODS = {
+    # Sensitivities are integrated to the tolerance too, of their own size: each order loses a digit or two.
+    "cvodes": ({"tolerance": 1e-10}, 1e-7, 1e-6, 1e-5),
+    # These two differentiate the discrete solution, the steps of the adaptive method frozen.
+    "erk": ({"tolerance": 1e-10}, 1e-8, 1e-7, 1e-6),
+    "rosenbrock": ({"tolerance": 1e-10}, 1e-8, 1e-7, 1e-6),
+    # Order 4 with 0.03 rad and order 5 with 0.3 rad in a step.
+    "rk": ({"steps": 2000}, 1e-7, 1e-6, 1e-5),
+    "collocation": ({"steps": 200}, 1e-8, 1e-7, 1e-6),
+}
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_methods_of_casadi_agree_with_order_8(small, name):
+    given, *allowed = METHODS[name]
+    methods = (po.Accuracy(name, **given), po.Accuracy("dop853", steps=400))
     found = (_evaluations(_built(usual(small(method))), POINT[:3]) for method in methods)
-    _check(*found, values, first, second)
+    _check(*found, *allowed)
 
 
 @pytest.fixture

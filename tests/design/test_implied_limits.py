@@ -4,6 +4,7 @@ import math
 
 import pytest
 from helpers.scenes import scene_of
+from helpers.small_designs import design
 
 import plough_opt as po
 from plough_opt.soil import elastic
@@ -30,14 +31,9 @@ RESULTS = {
 }
 
 
-def of_speed(guess=20.0, lower=1.0, upper=100.0):
-    d = po.Design()
-    return d, d.variable("speed", guess=guess, lower=lower, upper=upper, unit="m/s")
-
-
 @pytest.mark.parametrize("result", RESULTS.values(), ids=RESULTS)
 def test_fastest_design_stops_at_the_shear_waves_speed(result):
-    d, v = of_speed()
+    d, v = design(speed=(20.0, 1.0, 100.0, "m/s"))
     d.minimise(-v / 50.0)
     d.require("the elastic result", result(SOIL, v), at_most=1e12)
     best = d.solve()
@@ -54,7 +50,7 @@ def test_fastest_design_stops_at_the_shear_waves_speed(result):
 
 
 def test_several_results_imply_one_requirement_that_covers_them_all_in_every_solve():
-    d, v = of_speed(guess=10.0)
+    d, v = design(speed=(10.0, 1.0, 100.0, "m/s"))
     modulus = d.parameter("modulus", 1e6, unit="Pa")
     soft = po.Soil(1400.0, 0.8, 2e4, 0.5, 0.45, youngs_modulus=modulus, poisson_ratio=0.25)
     d.minimise(-v / 50.0)
@@ -78,7 +74,7 @@ CONFLICTING = {
 
 @pytest.mark.parametrize("objective", CONFLICTING.values(), ids=CONFLICTING)
 def test_a_requirement_above_the_waves_speed_is_a_conflict(objective):
-    d, v = of_speed()
+    d, v = design(speed=(20.0, 1.0, 100.0, "m/s"))
     pressure = elastic.wedge_pressure(0.1, NODES, SOIL, v)
     d.minimise(objective(v, pressure))
     d.require("pressure", pressure, at_most=1e12, unit="Pa")
@@ -92,7 +88,7 @@ def test_a_requirement_above_the_waves_speed_is_a_conflict(objective):
 
 @pytest.mark.parametrize("lower", [1.0, 60.0])
 def test_a_start_above_the_waves_speed_is_refused_by_the_limits_name(lower):
-    d, v = of_speed(guess=70.0, lower=lower, upper=90.0)
+    d, v = design(speed=(70.0, lower, 90.0, "m/s"))
     d.minimise(elastic.wedge_pressure(0.1, NODES, SOIL, v) / 1e6)
     with pytest.raises(po.InputError) as caught:
         d.solve(search="near")

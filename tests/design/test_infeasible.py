@@ -119,10 +119,11 @@ def test_feasible_designs_behind_a_bend_are_found():
 # --- unconfirmed --------------------------------------------------------------------------------------------
 
 
+LITTLE = [("ipopt.max_iter", 1, "unconfirmed"), ("ipopt.max_cpu_time", 1e-9, "solved")]
+
+
 @pytest.mark.parametrize("required", [False, True])
-@pytest.mark.parametrize(
-    ("option", "value", "status"), [("ipopt.max_iter", 1, "unconfirmed"), ("ipopt.max_cpu_time", 1e-9, "solved")]
-)
+@pytest.mark.parametrize(("option", "value", "status"), LITTLE)
 def test_near_an_optimum_too_little_is_done_to_confirm_it(monkeypatch, required, option, value, status):
     # Without any time for iterations nearby, it is solved from afar.
     for options in (ipopt.NEAR, ipopt.FROM_BOTTOM):

@@ -63,14 +63,12 @@ def test_the_worst_of_a_parabola_lies_at_the_ends_of_its_box():
         assert other.objective == pytest.approx(best.objective, rel=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("over", "guess", "objective", "wanted"),
-    [
-        *((over, -0.5, lambda x: (ca.log(x) + 1.0) ** 2, math.exp(-1.0)) for over in ("mean", "worst")),
-        # With values beside the guess only, where no design of a sample falls.
-        ("worst", 0.3, lambda x: -ca.sqrt(1e-6 - (x - 0.3) ** 2), 0.3),
-    ],
-)
+# The second one has values beside the guess only, where no design of a sample falls.
+FEW = [(-0.5, lambda x: (ca.log(x) + 1.0) ** 2, 1.0 / math.e), (0.3, lambda x: -ca.sqrt(1e-6 - (x - 0.3) ** 2), 0.3)]
+
+
+@pytest.mark.parametrize("over", ["mean", "worst"])
+@pytest.mark.parametrize(("guess", "objective", "wanted"), FEW)
 def test_neither_the_guess_nor_a_sample_needs_a_value(over, guess, objective, wanted):
     d, x = design(x=(guess, -1.0, 1.0, "", False, 1e-5))
     d.minimise(2.0 + objective(x), over=over)
@@ -190,13 +188,10 @@ def test_a_file_takes_the_variables_of_the_page_and_the_worst_within_tolerances(
     assert [v.tolerance for v in design.declared.variables] == [pytest.approx(0.002, rel=1e-15), "5 %"]
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ('minimise.over="best"', '"worst" or "mean"'),
-        ('variables.share.height.tolerance="-5 mm"', "must not be below 0"),
-    ],
-)
+WRONG = {'minimise.over="best"': '"worst" or "mean"', 'variables.share.height.tolerance="-5 mm"': "not be below 0"}
+
+
+@pytest.mark.parametrize(("change", "words"), WRONG.items())
 def test_files_with_wrong_tolerances_are_refused(change, words):
     with pytest.raises(po.InputError, match=words):
         po.read_problem(SUBSOILER, [change])

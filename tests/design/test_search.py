@@ -71,17 +71,17 @@ def test_a_near_search_stays_in_the_basin_of_its_guess_or_of_the_nearest_feasibl
     assert str(best.search) == "Only the basin of the guess was searched."
 
 
-@pytest.mark.parametrize(
-    ("either", "x", "y"),
-    [
-        # A local search leads to the narrow region, into which no design of a sample falls.
-        (lambda x, _: ca.fmin((x - 0.75) ** 2 - 1e-9, x - 0.3), 0.75 + 1e-9**0.5, 0.25),
-        # It leads to the far region.
-        (lambda x, _: ca.fmin(100.0 * ((x - 0.75) ** 2 - 1e-3), x - 0.3), 0.75 + 1e-3**0.5, 0.25),
-        # It leads nowhere, and no design of a sample falls into the only region, a circle whose rim is lowest here.
-        (lambda x, y: ca.fmin(0.1, (x - 0.1) ** 2 + (y + 0.5) ** 2 - 1e-6), 0.1 + 9.8e-4, -0.5 + 2e-4),
-    ],
-)
+REGIONS = [
+    # A local search leads to the narrow region, into which no design of a sample falls.
+    (lambda x, _: ca.fmin((x - 0.75) ** 2 - 1e-9, x - 0.3), 0.75 + 1e-9**0.5, 0.25),
+    # It leads to the far region.
+    (lambda x, _: ca.fmin(100.0 * ((x - 0.75) ** 2 - 1e-3), x - 0.3), 0.75 + 1e-3**0.5, 0.25),
+    # It leads nowhere, and no design of a sample falls into the only region, a circle whose rim is lowest here.
+    (lambda x, y: ca.fmin(0.1, (x - 0.1) ** 2 + (y + 0.5) ** 2 - 1e-6), 0.1 + 9.8e-4, -0.5 + 2e-4),
+]
+
+
+@pytest.mark.parametrize(("either", "x", "y"), REGIONS)
 def test_of_two_feasible_regions_a_near_search_takes_the_nearest(waves, either, x, y):
     waves.require("either", either(*(v.symbol for v in waves._variables)), at_most=0.0)
     assert waves.solve(search="near").variables == pytest.approx({"x": x, "y": y}, abs=2e-5)
@@ -113,18 +113,12 @@ def test_a_number_of_designs_and_a_time_are_respected(waves):
     assert time.perf_counter() - began > 0.5
 
 
-@pytest.mark.parametrize(
-    ("name", "given", "words"),
-    [
-        ("search", 0, "search = 0"),
-        ("search", True, "search = True"),
-        ("search", "z", "valid names: auto, local"),
-        ("search", ("x", "yy"), "'y'"),
-        ("seed", -1, "seed = -1"),
-        ("seed", 1.0, "seed = 1.0"),
-        ("seed", True, "seed = True"),
-    ],
-)
+INVALID = [("search", 0), ("search", True), ("seed", -1), ("seed", 1.0), ("seed", True)]
+UNKNOWN = [("search", "z", "valid names: auto, local"), ("search", ("x", "yy"), "'y'")]
+REFUSED = [*((name, given, f"{name} = {given} must") for name, given in INVALID), *UNKNOWN]
+
+
+@pytest.mark.parametrize(("name", "given", "words"), REFUSED)
 def test_an_invalid_search_or_seed_is_refused(waves, name, given, words):
     with pytest.raises(po.InputError, match=words):
         waves.solve(**{name: given})

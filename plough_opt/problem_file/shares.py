@@ -10,7 +10,7 @@ from typing import Any, Final, TypeVar
 from plough_opt.core.errors import InputError, nearest, short
 from plough_opt.core.quantities import quantities
 from plough_opt.problem_file.schema import SHARE_TABLES, ProblemTable
-from plough_opt.problem_file.source import Source
+from plough_opt.problem_file.source import Source, entry_at
 
 TABLE: Final = "shares"
 # Keys of [scene] that belong to the frame and cannot differ between shares.
@@ -73,7 +73,7 @@ def choose_share(source: Source, name: object) -> set[str]:
     for table in (data, own):
         join_dotted_variables(table)
     chosen = own.get("variables") if isinstance(own.get("variables"), dict) else {}
-    fixed = {key for key in quantities() if _taken(copy.deepcopy(own), key)}
+    fixed = {key for key in quantities() if entry_at(own, key) is not None}
     for key in fixed:
         data.get("variables", {}).pop(key, None)
     for key in chosen:
@@ -100,10 +100,9 @@ def join_dotted_variables(data: dict[str, Any]) -> None:
 
 def _taken(data: Any, key: str) -> Any:
     """Remove a dotted key from nested tables, and return its value, or None."""
-    *tables, name = key.split(".")
-    for table in tables:
-        data = data.get(table) if isinstance(data, dict) else None
-    return data.pop(name, None) if isinstance(data, dict) else None
+    around, _, name = key.rpartition(".")
+    table = entry_at(data, around)
+    return table.pop(name, None) if isinstance(table, dict) else None
 
 
 def _merge(data: dict[str, Any], own: Mapping[str, Any]) -> None:

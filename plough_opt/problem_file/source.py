@@ -118,10 +118,7 @@ class Source:
 
     def written(self, key: str) -> object:
         """Return the value of a dotted key as the file writes it, or None."""
-        found: Any = self.data
-        for part in key.split("."):
-            found = found.get(part) if isinstance(found, dict) else None
-        return found
+        return entry_at(self.data, key)
 
     def error(self, keys: Sequence[str], message: str) -> InputError:
         """Return an error about a key that names its line, or the override that set it."""
@@ -221,6 +218,13 @@ class Source:
         message = item["msg"].removeprefix("Value error, ")
         joint = " " if message.startswith(("=", "is not", "has ")) else ": "
         return self.error(keys, f"'{dotted}'{joint}{message[0].lower() + message[1:]}")
+
+
+def entry_at(data: Any, key: str) -> Any:
+    """Return the value of a dotted key in nested tables, or None."""
+    for part in key.split("."):
+        data = data.get(part) if isinstance(data, dict) else None
+    return data
 
 
 def _with_remedy(message: str) -> str:

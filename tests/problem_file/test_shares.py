@@ -79,6 +79,9 @@ def test_a_value_takes_the_place_of_a_variable_above_and_the_other_way_round(rea
     assert (set(problem.variables), problem.fixed["a.share.height"]) == ({"share.height"}, 0.3)
     for changes, heights in ((None, [0.3, 0.25]), ({"share.height": 0.2}, [0.3, 0.2])):
         assert [run.scene.share.height for run in problem.machine(changes).runs.values()] == heights
+    free = "variables.soil.tool_friction={ lower = 0.1, upper = 0.5 }"
+    smooth = read(f"{STATIC}\n[shares.a]\nsoil.tool_friction = 0\n[shares.b]\n", free)
+    assert (len(smooth.variables), smooth.fixed["a.soil.tool_friction"]) == (2, 0.0)
     problem = read(f'{STATIC}\n[shares.a]\nvariables."scene.stiffness" = {{ lower = "9 kN/m", upper = "90 kN/m" }}')
     assert set(problem.variables) == {"share.height", "a.scene.stiffness"}
     assert problem.shares["a"].values()["scene.stiffness"] == pytest.approx(49.5e3)

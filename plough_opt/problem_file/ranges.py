@@ -7,7 +7,7 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.units import Display, Unit, display_of
 from plough_opt.studies.sweep.points import Axis, Range, axis_of
 
-_RANGE = re.compile(r"(?P<lower>.+?)\.\.(?P<upper>[^:]*)(?::(?P<count>[^:]*?))?(?P<log>\s+log)?\s*")
+_RANGE = re.compile(r"(?P<lower>.+?)\.\.(?P<upper>[^:]*?)(?::(?P<count>[^:]*?))?(?P<log>\s+log)?\s*")
 _NUMBER = re.compile(r"\s*[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 
 
@@ -38,8 +38,6 @@ def read_axis(text: str, unit: Unit, *, sampled: bool = False) -> tuple[Axis, Di
         raise InputError(f'"{text}" has a number of values, which a sample does not use: remove it')
     log = match["log"] is not None
     written = match["upper"].strip()
-    if match["count"] is None and written.endswith(" log"):
-        written, log = written.removesuffix("log").strip(), True
     (lower, low), (upper, high) = (_split(part, written, unit) for part in (match["lower"], written))
     count = None if match["count"] is None else _count(match["count"].strip(), unit)
     if low != high:  # the ends have different units, so the steps are even in SI

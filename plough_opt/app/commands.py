@@ -91,6 +91,8 @@ def check(options: argparse.Namespace) -> None:
     for name in (*_AGAINST, "plot"):
         if not options.against and getattr(options, name.replace("-", "_")) is not None:
             raise InputError(f"--{name} belongs to a comparison: add --against")
+    if options.json and (options.effects or options.against):
+        raise InputError("--json prints only the scene: remove --effects and --against")
     against = given_quantities(options, _AGAINST)
     problem = read(options)
     comparison = None
@@ -98,8 +100,6 @@ def check(options: argparse.Namespace) -> None:
         from plough_opt.studies.crosscheck import compare
 
         comparison = compare(problem.scene(), **against)
-    if options.json and (options.effects or comparison is not None):
-        raise InputError("--json prints only the scene: remove --effects and --against")
     if options.json:
         quantities = {key: float(value) for key, value in problem.values().items()}
         notes = (*problem.notes, *problem.cautions, *report.warnings_of(problem))

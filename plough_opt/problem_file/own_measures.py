@@ -14,7 +14,7 @@ from plough_opt.core import expressions
 from plough_opt.core.errors import InputError, nearest, short
 from plough_opt.core.expressions import Expression
 from plough_opt.core.quantities import EVERY, QUANTITIES
-from plough_opt.core.units import Display, Unit, registry
+from plough_opt.core.units import Unit, registry
 from plough_opt.motion import Run
 from plough_opt.motion.scene_quantities import quantity_of
 from plough_opt.motion.vocabulary import MEASURES, Measure
@@ -80,11 +80,6 @@ def own_measure(text: str, unit: str) -> Measure:
 
     needs = tuple(dict.fromkeys(what for one in parts for what in one.needs))
     return Measure(Unit(_si(unit)), of, needs, random=any(one.random for one in parts))
-
-
-def display_of_own(unit: str) -> Display:
-    """Return the display unit of a result that the file defines."""
-    return Display(unit, float(registry().Quantity(1.0, unit or "dimensionless").to_base_units().magnitude))
 
 
 def _si(unit: str) -> str:

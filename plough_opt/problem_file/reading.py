@@ -18,7 +18,7 @@ from plough_opt.core.quantities import IN_FILES, quantities
 from plough_opt.core.units import Display, display_of
 from plough_opt.design import Over
 from plough_opt.problem_file.checking import check_complete, check_front, check_measures, check_values
-from plough_opt.problem_file.own_measures import check_own, display_of_own, measures_of
+from plough_opt.problem_file.own_measures import check_own, measures_of
 from plough_opt.problem_file.problem import FileVariable, Problem
 from plough_opt.problem_file.readings import average_readings, spectrum_of_file
 from plough_opt.problem_file.schema import ProblemFile, ProblemTable, VariableTable, at, valid_keys
@@ -160,7 +160,8 @@ def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Pro
                 displays[key] = display_of(written, unit)
     check_complete(source, table, {*fixed, *table.variables})
     if check_own(source, table):  # the checks below need the names of all results
-        displays |= {name: display_of_own(own.unit) for name, own in table.measures.items()}
+        known = measures_of(table)
+        displays |= {name: display_of(f"1 {own.unit}", known[name].unit) for name, own in table.measures.items()}
         check_measures(source, table, displays)
         check_uncertain(source, table)
         check_front(source, table)

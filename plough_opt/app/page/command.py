@@ -10,7 +10,7 @@ from pathlib import Path
 from plough_opt.app.options import add_shared
 from plough_opt.app.terminal import progress, read, wrote
 from plough_opt.core.errors import InputError
-from plough_opt.core.files import check_file
+from plough_opt.core.files import check_file, write_file
 from plough_opt.problem_file import Problem
 
 
@@ -28,7 +28,7 @@ def report(options: argparse.Namespace) -> None:
         InputError: the file has a mistake, has several shares, trades results or has an uncertain soil, or the page
             cannot be written.
     """
-    from plough_opt.app.page.writing import reported, write_page  # the studies are slow to import
+    from plough_opt.app.page.writing import page, reported  # the studies are slow to import
 
     check_file(options.output, "page", ".html")
     problem = read(options)
@@ -37,7 +37,7 @@ def report(options: argparse.Namespace) -> None:
     with progress() as notify:
         found = reported(problem, notify, seed=options.seed, accuracy=not options.no_accuracy)
     found = replace(found, provenance=_provenance(options, text), text=text)
-    path = write_page(found, options.output)
+    path = write_file(options.output, "report", page(found))
     if options.json:
         print(json.dumps({"wrote": [str(path)], "provenance": found.provenance}, indent=2, allow_nan=False))
     wrote(path)

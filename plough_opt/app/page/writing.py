@@ -1,13 +1,11 @@
 """Computing of reports and rendering as HTML: template, scripts and numbers in one file that loads nothing else."""
 
 from importlib.resources import files
-from pathlib import Path
 from typing import Any, Final
 
 from plough_opt.app.page import content, series
 from plough_opt.app.page.content import Report
 from plough_opt.core.errors import InputError, NotConverged
-from plough_opt.core.files import write_file
 from plough_opt.core.process import optional
 from plough_opt.design import Progress, Sensitivity
 from plough_opt.motion import Run
@@ -49,15 +47,6 @@ def reported(problem: Problem, notify: Progress, *, seed: int = 0, accuracy: boo
         duration: Any = None if periodic else problem.values().get("scene.duration")
         study = study_accuracy(run.scene, duration, allowance=_ALLOWANCE, derivatives=False, thin=True, progress=notify)
     return Report(problem, run, best, sensitivities, unknown, study)
-
-
-def write_page(report: Report, path: str | Path) -> Path:
-    """Write a report as HTML, completely or not at all; return its path.
-
-    Raises:
-        InputError: jinja2 is not installed, or the file cannot be written.
-    """
-    return write_file(path, "report", page(report))
 
 
 def page(report: Report) -> str:

@@ -152,8 +152,7 @@ def test_its_json_reads_back_equal_and_its_picture_is_an_svg(optimised):
 
 
 def test_an_impossible_requirement_is_no_solution_and_the_conflict_is_named(tmp_path):
-    impossible = ("--set", "require.loosened_radius.at_least=2 m")
-    done = call("optimise", REFERENCE, *impossible, "--plot", tmp_path / "r1.png")
+    done = call("optimise", REFERENCE, "--set", "require.loosened_radius.at_least=2 m", "--plot", tmp_path / "r1.png")
     assert (done.status, done.out) == (1, "")
     assert done.err.startswith("no solution: ")
     assert len(done.err.splitlines()) == 1

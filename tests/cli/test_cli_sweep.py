@@ -15,13 +15,12 @@ from helpers.problem_files import REFERENCE, SUBSOILER
 import plough_opt as po
 
 BRIEF = ("--set", "scene.duration=0.2 s", "--set", "scene.outputs=40")
-COHESION = ("--over", 'soil.cohesion="5..45 kPa:3"')
-SPEED = ("--over", "scene.tow_speed=1 m/s, 3 m/s")
+OVER = ("--over", 'soil.cohesion="5..45 kPa:3"', "--over", "scene.tow_speed=1 m/s, 3 m/s")
 
 
 def test_a_sweep_is_reported_written_and_resumed(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    command = ("sweep", SUBSOILER, *BRIEF, *COHESION, *SPEED, "--workers", "1")
+    command = ("sweep", SUBSOILER, *BRIEF, *OVER, "--workers", "1")
     done = call(*command, "--csv", "deep/table.csv", "--npz", "table.npz", "--plot", "deep/picture.svg")
     assert done.status == 0, done.err
     assert "Subsoiler for cotton on serozem\n6 points, 0 failed" in done.out

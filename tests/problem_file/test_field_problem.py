@@ -14,8 +14,7 @@ def test_its_best_share_is_the_one_by_hand(search):
     """Three limits decide three variables: front, slope of the cone, deflection; the draft follows from the reading."""
     best, run = po.read_problem(PROBLEMS / "field.toml").optimise(search=search)
     scene = run.scene
-    b1 = scene.soil.density_ratio
-    base = 0.13 * math.sqrt(1.0 - b1)  # radius of the base whose front is 13 cm wide
+    base = 0.13 * math.sqrt(1.0 - scene.soil.density_ratio)  # radius of the base whose front is 13 cm wide
     reading = po.read_penetrometer(PROBLEMS / "insertions.csv", (0.25, 0.45)).mean
     assert scene.cone.half_angle == pytest.approx(po.deg(15), rel=1e-8)
     assert scene.cone.height * math.tan(po.deg(15)) == pytest.approx(base, rel=1e-8)

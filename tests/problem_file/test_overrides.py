@@ -4,6 +4,9 @@ import math
 
 import pytest
 from helpers.problem_files import COTTON, changed
+from helpers.scenes import Shank
+
+from plough_opt.motion.effects import OWN_EFFECTS
 
 CHANGES = [
     ('scene.tow_speed="2.5 m/s"', lambda p: p.scene().tow_speed, 2.5),
@@ -26,6 +29,11 @@ def test_a_key_is_changed(read, override, value, expected):
     found = value(problem)
     assert found == (pytest.approx(expected, rel=1e-14) if isinstance(expected, float) else expected)
     assert problem.notes == ()
+
+
+def test_a_field_of_an_own_effect_without_a_unit_is_taken_as_written(read, monkeypatch):
+    monkeypatch.setitem(OWN_EFFECTS, "plain", Shank)
+    assert read(COTTON, "effects.own=[{effect='plain', viscous=30}]").scene().effects.own == (Shank(viscous=30),)
 
 
 def test_nothing_else_is_changed_and_the_last_change_counts(read):

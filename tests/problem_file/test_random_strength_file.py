@@ -13,7 +13,6 @@ import plough_opt as po
 from plough_opt.problem_file.robust_design import optimise_robust
 
 GIVEN = 'random_strength = { rms = 0.2, correlation_length = "0.3 m" }'
-RECORD = 'random_strength = { record = "record.csv" }'
 NAMES = ("stationary_force_rms", "stationary_displacement_rms")
 WAVE = 'strength_wave = { amplitude = 0.3, wavelength = "0.2 m" }'
 
@@ -30,7 +29,7 @@ def record(tmp_path):
 
 
 def test_a_record_becomes_its_spectrum(read, record):
-    scene = read(written(RECORD)).scene()
+    scene = read(written('random_strength = { record = "record.csv" }')).scene()
     told = po.strength_spectrum(po.read_strength_record(record))
     assert np.array_equal(scene.effects.random_strength.density, told.density)
     broad = read(written('random_strength = { record = "record.csv", base_diameter = "0.5 m" }')).scene()

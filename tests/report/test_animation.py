@@ -39,9 +39,8 @@ def test_a_page_holds_the_runs_own_motion(run, tmp_path):
 
 
 def test_what_cannot_be_shown_is_refused(run, r1_scene, tmp_path):
-    still = po.simulate(r1_scene(motion=False), 0.3)
     for made, options, text in (
-        (still, {"target": tmp_path / "a.gif"}, "nothing changes over time"),
+        (po.simulate(r1_scene(motion=False), 0.3), {"target": tmp_path / "a.gif"}, "nothing changes over time"),
         (run, {"target": tmp_path / "a.mp4"}, "end in .html or .gif"),
         (run, {"target": tmp_path / "a.gif", "slower": 0.0}, "slower"),
         (run, {"target": 3}, "must be a path"),

@@ -17,7 +17,6 @@ from plough_opt.app.page.writing import ASSETS, page, reported
 # Two variables fewer than the file has, so that the search is short.
 FIXED = ("share.wedge_angle=39 deg", "share.height=0.26 m")
 HOSTILE = "Subsoiler </script><script>document.title='broken'</script> & \\\"quotes\\\" <img src=http://x.invalid/a>"
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 # Without a graphics card Chromium draws WebGL by itself.
 SWITCHES = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
@@ -139,8 +138,7 @@ def test_an_orbit_under_another_law_whose_optimum_is_not_unique(tmp_path):
     assert told["wrote"] == [str(out)]
     assert [value for value in told["provenance"].values() if value not in found["provenance"]] == []
     assert "the result does not change along stiffness" in found["warnings"]
-    assert "linearised" in found["soil"]
-    assert "cone index" not in found["soil"]
+    assert ("linearised" in found["soil"], "cone index" in found["soil"]) == (True, False)
     assert [body["id"] for body in data["bodies"]] == ["share", "cone"]  # nothing is compacted
     assert '"margin">0\u00a0kN<' in text  # of the limit that decides, whatever the optimiser's rounding
     height = data["search"][0]["groups"][-1]["x"][0]
@@ -157,7 +155,7 @@ def test_an_objective_over_the_tolerances_is_named():
 def browser():
     """Return a headless Chromium."""
     playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright: pip install 'plough_opt[test]'")
-    where = next(filter(None, map(shutil.which, BROWSERS)), None)
+    where = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if where is None:
         pytest.skip("there is no browser: apt-get install chromium")
     with playwright.sync_playwright() as started:

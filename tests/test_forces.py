@@ -62,10 +62,9 @@ ORDINARY = [
     {"acceleration": -40.0}, {"height": 1e-4}, {"height": 5.0},
 ]  # fmt: skip
 NEAR_90 = math.radians(89.99)
-ONE_LOG = 1 - math.exp(-1)
 SINGULAR = [
     *[{"friction_angle": v} for v in (0.0, 1e-12, 1e-9, 1e-6, 1e-3, 1.5, 1.569)],
-    *[{"density_ratio": v} for v in (1e-12, 1e-9, 1e-6, 1e-3, 0.5, ONE_LOG, 0.99, 1 - 1e-6, 1 - 1e-9)],
+    *[{"density_ratio": v} for v in (1e-12, 1e-9, 1e-6, 1e-3, 0.5, 1 - math.exp(-1), 0.99, 1 - 1e-6, 1 - 1e-9)],
     *[{"wedge_angle": v} for v in (1e-8, 1e-4, 1.5, math.radians(89.0))],
     *[{"chisel_angle": v} for v in (0.0, 1e-9, 1.4)],
     *[{"cohesion": 0.0, "ambient_pressure": v} for v in (0.0, 1e5)],

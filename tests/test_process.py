@@ -8,9 +8,10 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from rich.console import Console
 
 import plough_opt as po
-from plough_opt.core.process import Sieve, available
+from plough_opt.core.process import Sieve, available, progress_on, without_notices
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="the system has no processor affinity")
@@ -71,3 +72,16 @@ def test_pieces_of_different_threads_do_not_mix():
         other.submit(sieve.write, OTHER).result()
         sieve.write(NOTICE[50:])
     assert stream.getvalue() == OTHER
+
+
+def test_a_process_without_an_error_stream_needs_no_sieve(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", None)
+    with without_notices():
+        assert sys.stderr is None
+
+
+def test_progress_on_a_terminal_is_a_bar():
+    terminal = Console(file=io.StringIO(), force_terminal=True, color_system=None)
+    with progress_on(terminal) as show:
+        show("half of it", 0.5)
+    assert f"half of it {12 * '━'} " in terminal.file.getvalue()  # of 24

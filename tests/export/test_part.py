@@ -18,11 +18,7 @@ from plough_opt.export import write_part
 SHARE = po.Wedge(po.deg(37), po.deg(15), 0.25)
 CONE = SHARE.equivalent_cone()
 OPENING, PLATE = po.deg(80), 0.01
-BODIES = {
-    "block": (SHARE, {}),
-    "plate": (SHARE, {"opening": OPENING, "thickness": PLATE}),
-    "cone": (CONE, {}),
-}
+BODIES = {"block": (SHARE, {}), "plate": (SHARE, {"opening": OPENING, "thickness": PLATE}), "cone": (CONE, {})}
 # Coordinates are rounded to floats of 4 bytes, by 6e-8 of the largest.
 SINGLE = 1e-7
 

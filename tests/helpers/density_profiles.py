@@ -14,16 +14,12 @@ DENSITY = 1400.0
 STRENGTH = {"friction_angle": 0.5, "cohesion": 2e4, "ambient_pressure": 1e4}
 
 
-def _falling_bell(r, c, w):
-    return DENSITY * c * (1.0 + exp(-((r / w) ** 2)) / 4.0)
-
-
 DENSITIES = {
     "exponential, b rising": (lambda r, c, w: DENSITY / (c - exp(-r / w) / 4.0), (0.9, 0.1)),
     "exponential, b falling": (lambda r, c, w: DENSITY / (c + exp(-r / w) / 4.0), (0.55, 0.1)),
     "quadratic, b rising": (lambda r, c, w: DENSITY * c * (1.0 - (r / w) ** 2), (1.4, 0.4)),
     "quadratic, b falling": (lambda r, c, w: DENSITY * c * (1.0 + (r / w) ** 2), (1.1, 0.2)),
-    "bell": (_falling_bell, (1.1, 0.05)),
+    "bell": (lambda r, c, w: DENSITY * c * (1.0 + exp(-((r / w) ** 2)) / 4.0), (1.1, 0.05)),
 }
 """Name -> density [kg/m^3] as a function of radius and two parameters, and their values. The bell varies most."""
 

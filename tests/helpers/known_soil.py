@@ -4,22 +4,17 @@ import numpy as np
 
 import plough_opt as po
 
-TRUTH = {
-    "soil.cohesion": 20e3,
-    "soil.friction_angle": po.deg(28.0),
-    "soil.density_ratio": 0.794,
-    "soil.tool_friction": 0.5,
-    "soil.ambient_pressure": 60e3,
-    "effects.rate_term": 0.02,
+# Name -> true value, and bounds of an estimate.
+KNOWN = {
+    "soil.cohesion": (20e3, 1e3, 80e3),
+    "soil.friction_angle": (po.deg(28.0), po.deg(10.0), po.deg(45.0)),
+    "soil.density_ratio": (0.794, 0.6, 0.95),
+    "soil.tool_friction": (0.5, 0.05, 1.5),
+    "soil.ambient_pressure": (60e3, 1e3, 200e3),
+    "effects.rate_term": (0.02, 0.0, 0.2),
 }
-BOUNDS = {
-    "soil.cohesion": (1e3, 80e3),
-    "soil.friction_angle": (po.deg(10.0), po.deg(45.0)),
-    "soil.density_ratio": (0.6, 0.95),
-    "soil.tool_friction": (0.05, 1.5),
-    "soil.ambient_pressure": (1e3, 200e3),
-    "effects.rate_term": (0.0, 0.2),
-}
+TRUTH = {name: true for name, (true, _, _) in KNOWN.items()}
+BOUNDS = {name: (low, high) for name, (_, low, high) in KNOWN.items()}
 
 
 def steady_scene(tow_speed=2.0, wedge_angle=0.7, **soil):

@@ -291,12 +291,12 @@ def test_bad_exports_are_refused_and_change_no_file(changes, options, words, tmp
     assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("share.fmu", "as it was")]
 
 
-def test_without_a_compiler_nothing_is_written(scene, tmp_path, monkeypatch):
-    monkeypatch.setenv("CC", "false")
-    with pytest.raises(po.InputError, match="compile the FMU"):
-        write_fmu(scene, tmp_path / "share.fmu")
-    monkeypatch.delenv("CC")
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(po.InputError, match="no C compiler was found"):
+def test_without_a_compiler_or_a_known_processor_nothing_is_written(scene, tmp_path, monkeypatch):
+    for name, value, words in (("CC", "false", "compile the FMU"), ("PATH", str(tmp_path), "no C compiler was found")):
+        monkeypatch.setenv(name, value)
+        with pytest.raises(po.InputError, match=words):
+            write_fmu(scene, tmp_path / "share.fmu")
+    monkeypatch.setattr("platform.machine", lambda: "s390x")
+    with pytest.raises(po.InputError, match=r"does not define binaries for [a-z]+ on s390x: use binary=False"):
         write_fmu(scene, tmp_path / "share.fmu")
     assert not list(tmp_path.iterdir())

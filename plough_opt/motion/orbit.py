@@ -59,7 +59,7 @@ def _response(structure: Structure, p: dict[str, Column]) -> tuple[Column, Colum
     from 1 on.
     """
     names, repeats = signals(structure).parameters, _wave(structure).repeats(p)
-    omega: Column = 2.0 * math.pi * p["tow_speed"] / repeats
+    omega = _frequency(structure, p)
     mean, along_sine, along_cosine, slope = _series(structure)(stacked(*(p[name] for name in names)))
     turns = _turns(structure)
     n = ca.DM(turns)

@@ -101,9 +101,6 @@ class Rates(NamedTuple):
     steepest: Any = 0.0
 
 
-_NO_RATES = Rates()
-
-
 @dataclass(frozen=True)
 class Term:
     """An effect in the equation of motion, without numbers. Methods that a class does not override have no influence.
@@ -163,7 +160,7 @@ class Term:
     @staticmethod
     def rates(p: Parameters) -> Rates:
         """Return the slopes of the force; all zero if the parameters of the effect are missing."""
-        return _NO_RATES
+        return Rates()
 
     @staticmethod
     def imposed(p: Parameters) -> Sequence[Any]:

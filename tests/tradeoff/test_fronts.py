@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.scenes import scene_of
 from helpers.small_designs import design
 
 import plough_opt as po
@@ -49,6 +50,8 @@ def test_broken_front_and_its_hole(broken):
     assert np.all((x <= 0.3 + 1e-6) | (x >= 0.8))
     (hole,) = broken.holes
     assert hole.settled
+    # Where there are dominated designs, those without a value are not missed.
+    assert broken.failures == ()
     # An end is located to 1e-7 of the second objective; beside a minimum that is the root of it in the first.
     assert hole.start == pytest.approx((0.3, 0.0), abs=2e-4)
     assert hole.end == pytest.approx((0.8, 0.0), abs=1e-5)
@@ -105,10 +108,11 @@ def test_a_hole_in_which_the_optimiser_failed_is_not_settled(broken, status, set
 # --- anchors and positions ----------------------------------------------------------------------------------
 
 
-def test_the_design_stays_as_it_was(plane):
+def test_the_design_stays_as_it_was_and_of_mirror_images_one_is_shown(plane):
     d, x, y = plane
     d.minimise((x - 0.7) ** 2 + y**2)
-    po.trade_off(d, x**2 + y**2, (x - 1.0) ** 2 + y**2, points=5)
+    rest = (y**2 - 0.25) ** 2
+    assert len(po.trade_off(d, x**2 + rest, (x - 1.0) ** 2 + rest, points=5).points) == 5
     assert d.solve().variables["x"] == pytest.approx(0.7, abs=1e-6)
 
 
@@ -161,6 +165,7 @@ def test_a_point_that_bends_down_is_no_optimum(convex, concave):
     assert concave.points[10].curvature is None
     assert "it is not a minimum" in replace(middle, curvature=-1e-3).doubt
     assert replace(middle, curvature=-1e-9).doubt == ""
+    assert "violates a requirement by 2.0e-06" in replace(middle, violation=2e-6).doubt
 
 
 def test_positions_without_a_design_are_named():
@@ -187,6 +192,14 @@ def test_no_design_meets_the_requirements(plane):
     assert caught.value.conflicts == pytest.approx({"far": 1.0}, abs=1e-6)
 
 
+def test_no_design_meets_all_digits_of_a_requirement(plane):
+    d, x, y = plane
+    # To a search this is near enough.
+    d.require("near", 1.0 - x**2 - y**2, at_least=1.0 + 3e-7)
+    with pytest.raises(po.NotConverged, match="no optimum of objective number 1 alone"):
+        po.trade_off(d, x, y, x + y, points=5, search="near")
+
+
 @pytest.mark.parametrize(
     ("objectives", "options", "said"),
     [
@@ -197,13 +210,16 @@ def test_no_design_meets_the_requirements(plane):
         pytest.param(lambda x, y: (po.Goal("a", x), po.Goal("a", y)), {}, "the same name 'a'", id="names"),
         pytest.param(lambda x, y: (po.Goal(" ", x), y), {}, "an objective's name = ' ' must be a text", id="no name"),
         pytest.param(lambda x, y: (x, y), {"search": ["X"]}, "search = 'X' is not a variable", id="search"),
+        pytest.param(lambda x, y: (y, po.simulate(scene_of(mass=-x), 0.1).mean_draft), {}, "mass = -0.3 kg", id="mass"),
+        pytest.param(lambda x, _: (ca.fabs(x) + x / 9, ca.fabs(x) - x / 9), {"points": 5, "search": "near"},
+                     "no point of the front could be certified: the first-order conditions", id="kink"),
         *(
             pytest.param(lambda x, y: (x, y), {"points": n}, "a whole number from 5 to 1000", id=f"{n} points")
             for n in (4, 1001, 7.5)
         ),
     ],
-)
+)  # fmt: skip
 def test_questions_that_cannot_be(plane, objectives, options, said):
     d, x, y = plane
-    with pytest.raises(po.InputError, match=said):
+    with pytest.raises(po.PloughError, match=said):
         po.trade_off(d, *objectives(x, y), **options)

@@ -286,8 +286,9 @@ def declarations(design: Design, goals: Sequence[Goal]) -> Declarations:
 def _sizes(expressions: list[ca.MX], symbols: list[ca.MX], numbers: list[float]) -> list[float]:
     """Return the sizes of the objectives at the guess; 1 for an objective that is zero or has no value there."""
     try:
-        found = TightEvaluation(expressions, symbols).values(numbers)
-    except (PloughError, RuntimeError):  # building the program reports which objective fails, and why
+        with np.errstate(all="ignore"):
+            found = TightEvaluation(expressions, symbols).values(numbers)
+    except (PloughError, RuntimeError, ValueError):  # building the program reports which objective fails, and why
         return [1.0] * len(expressions)
     sizes = (abs(float(value.item())) for value in found)
     return [size if np.isfinite(size) and size > 0.0 else 1.0 for size in sizes]

@@ -73,6 +73,8 @@ def test_in_a_gap_only_points_count():
     middle = np.array([[0.5, 0.5]])
     assert lead_over_front(broken, middle, 0.2) == pytest.approx([0.2])
     assert lead_over_points(broken, middle) == pytest.approx([0.2])
+    # A front of one point has no line.
+    assert lead_over_front(LINE[:1], middle, 0.2) == pytest.approx([0.5])
     # With steps four times as long the same neighbours are not far apart.
     assert lead_over_front(broken, middle, 0.8) == pytest.approx([0.0], abs=1e-12)
 
@@ -81,6 +83,8 @@ def test_designs_beyond_a_plane():
     plane = np.array([[i, j, 6 - i - j] for i in range(7) for j in range(7 - i)]) / 6.0
     designs = np.array([[0.3, 0.3, 0.4], [0.3, 0.3, 0.37], [0.3, 0.3, 0.43]])
     assert lead_over_front(plane, designs, 1.0 / 6.0) == pytest.approx([0.0, 0.01, -0.01], abs=1e-12)
+    # Points on a line have no triangle, and a lead of half a step does not count.
+    assert lead_over_front(plane[:7], designs, 1 / 6) == pytest.approx(lead_over_points(plane[:7], designs) - 1 / 12)
     # Beyond the edge a lead of half a step does not count.
     outside = np.array([[-0.05, 0.5, 0.55]])
     assert lead_over_front(plane, outside, 1.0 / 6.0)[0] < 0.0 < lead_over_points(plane, outside)[0]

@@ -52,6 +52,8 @@ def test_picture(broken, tmp_path):
     drawn = np.vstack([lines["front, part 1"], lines["front, part 2"]])
     assert drawn == pytest.approx(broken.objectives)
     assert len(lines["local optima, dominated"]) == len(broken.dominated)
+    far = replace(broken, dominated=(replace(broken.dominated[0], objectives=(9.0, 9.0)),)).plot(Figure().subplots())
+    assert "local optima, dominated" not in [text.get_text() for text in far.get_legend().get_texts()]
 
 
 # --- tables -------------------------------------------------------------------------------------------------
@@ -62,20 +64,15 @@ def surface():
     """Surface of three objectives and four variables, with names and values as long as those of a problem file."""
     d = po.Design()
     names = {"share.wedge_angle": 1.0, "share.height": 0.1, "scene.stiffness": 1e5, "scene.tow_speed": 1.0}
-    x = [d.variable(name, guess=0.7 * size, lower=0.0, upper=1.5 * size, unit="") for name, size in names.items()]
-    x = [own / size for own, size in zip(x, names.values(), strict=True)]
+    x = [d.variable(n, guess=s / 2, lower=s / 20, upper=2 * s, unit="", log=s > 1.0) / s for n, s in names.items()]
     goals = ("mean_draft", "N", 4321.09876), ("force_rms", "N", 12.3456789), ("loosened_radius", "m", 0.0123456)
-    rest = 0.1 + (x[2] - 0.5) ** 2 + (x[3] - 0.5) ** 2
-    corners = (0.0, 0.0), (1.0, 0.0), (0.0, 1.0)
-    return po.trade_off(
-        d,
-        *(
-            po.Goal(name, size * (rest + (x[0] - a) ** 2 + (x[1] - b) ** 2), unit)
-            for (name, unit, size), (a, b) in zip(goals, corners, strict=True)
-        ),
-        points=10,
-        search="near",
-    )
+    rest = 0.1 + (x[2] - x[0]) ** 2 + (x[3] - x[1]) ** 2
+    corners = (0.1, 0.1), (1.0, 0.1), (0.1, 1.0)
+    goals = [
+        po.Goal(name, size * (rest + (x[0] - a) ** 2 + (x[1] - b) ** 2), unit)
+        for (name, unit, size), (a, b) in zip(goals, corners, strict=True)
+    ]
+    return po.trade_off(d, *goals, points=10, search="near")
 
 
 def printed(front, width=120):
@@ -100,6 +97,27 @@ def test_a_surface_fits_into_120_characters_with_every_number_whole(surface):
     (line,) = [line for line in printed(surface, 1000) if line.startswith("Knee")]
     assert f"at {surface.knee.objectives[0] / 1e3:.5g} kN, " in line
     assert (line.count(" N"), len(line.split(";"))) == (0, 3)
+
+
+def test_picture_of_a_surface(surface, tmp_path):
+    # Two points are a part of their own, which has no triangles.
+    front = replace(surface, parts=(tuple(range(2, len(surface.points))), (0, 1)))
+    space, *panels = [a for a in front.plot(tmp_path / "s.png").axes if a.get_label() != "<colorbar>"]
+    assert (space.get_zlabel(), len(space.collections)) == ("loosened radius [m]", 1)
+    drawn = np.hstack([line.get_data_3d() for line in space.lines if line.get_label().startswith("front, part")])
+    shown = front.objectives / [1e3, 1e3, 1.0]
+    assert np.roll(drawn.T, 2, axis=0) == pytest.approx(shown)
+    # The third objective, four variables, and an empty place.
+    assert [axes.axison for axes in panels] == [True] * 5 + [False]
+    colours = [axes.collections[0] for axes in panels[:5]]
+    assert np.asarray(colours[0].get_array()) == pytest.approx(shown[:, 2])
+    for own in colours:
+        assert np.asarray(own.get_offsets()) == pytest.approx(shown[:, :2])
+    # The scale of the logarithmic stiffness, in the second column, ends 2 % beyond its values.
+    log = colours[1].norm
+    assert (log.vmin * 1.02, log.vmax / 1.02) == pytest.approx((front.designs[:, 2].min(), front.designs[:, 2].max()))
+    axes = Figure().add_subplot(projection="3d")
+    assert front.plot(axes) is axes
 
 
 def test_failures_are_given_in_words_and_each_reason_once(surface):

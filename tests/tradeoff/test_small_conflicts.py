@@ -18,13 +18,19 @@ def small():
 
 
 def test_a_small_conflict_is_traced_and_its_size_given(small):
-    assert small.notes == (
-        "'power' hardly conflicts with the rest: along the whole front it changes by 0.003 % of its value",
-    )
+    (note,) = small.notes
+    assert note == "'power' hardly conflicts with the rest: along the whole front it changes by 0.003 % of its value"
     power, deflection = small.objectives.T
     # Efficient designs lie between both optima. The power's change of 3e-5 is known to its rounding, 1e-12.
     assert np.sqrt((power / 4073.0 - 1.0) / 3e-5) + np.sqrt(deflection) == pytest.approx(1.0, abs=1e-4)
     assert len(small.points) == 11
+
+
+def test_conflicts_that_are_all_small_are_given_with_their_sizes():
+    d, x, y = design(x=(0.4, -2.0, 2.0), y=(0.4, -2.0, 2.0))
+    front = po.trade_off(d, 1.0 + 0.01 * (x**2 + y**2), 1.0 + 0.005 * ((x - 1.0) ** 2 + y**2), points=5)
+    # From the best to the worst value.
+    assert front.notes[0].endswith("hardly conflict: along the whole front they change by 0.99 % and 0.5 %")
 
 
 def test_a_cost_beyond_the_front_is_not_given(small):
@@ -33,9 +39,7 @@ def test_a_cost_beyond_the_front_is_not_given(small):
     # The rate in units is still given, and the cost of 1 % less deflection, which is on the front.
     x = small.designs[5, 0]
     assert small.rate(5) == pytest.approx((x - 1.0) / (4073.0 * 3e-5 * x), rel=1e-4)
-    assert small.cost(5, of=0, by=1) == pytest.approx(
-        abs(small.rate(5, 0, 1) * small.objectives[5, 1] / 4073.0), rel=1e-3
-    )
+    assert small.cost(5, 0, 1) == pytest.approx(abs(small.rate(5, 0, 1) * small.objectives[5, 1] / 4073.0), rel=1e-3)
 
 
 def test_the_picture_has_no_offset_and_ticks_that_do_not_touch(small):
@@ -52,18 +56,14 @@ def test_the_picture_has_no_offset_and_ticks_that_do_not_touch(small):
     assert high - low == pytest.approx(0.01 * 4.073, rel=0.01)
 
 
+THREE = "'first objective', 'second objective' and 'third objective' do not conflict: one design is best in all three"
 BOTH = "'first objective' and 'second objective' do not conflict: one design is best in both"
 # An objective that is 0 at its best changes by more than 5 % at every other design, which would all be needles.
 CONFLICTS = {
     "none": (lambda x, y: (x**2 + y**2, 2.0 * (x**2 + y**2) + 3.0), [0.0, 0.0], BOTH),
-    "less than the optimiser's tolerance": (
-        lambda x, y: (1.0 + 2e-6 * (x**2 + y**2), 1.0 + (x - 1.0) ** 2 + y**2), [1.0, 0.0],
-        f"{BOTH}, to within 0.0002 %",
-    ),
-    "none of three": (
-        lambda x, y: (1.0 + x**2 + y**2, 2.0 + x**2 + y**2, 3.0 + x**4 + y**2), [0.0, 0.0],
-        "'first objective', 'second objective' and 'third objective' do not conflict: one design is best in all three",
-    ),
+    "less than the optimiser's tolerance":
+        (lambda x, y: (1 + 2e-6 * (x**2 + y**2), 1 + (x - 1) ** 2 + y**2), [1.0, 0.0], f"{BOTH}, to within 0.0002 %"),
+    "none of three": (lambda x, y: (1.0 + x**2 + y**2, 2.0 + x**2 + y**2, 3.0 + x**4 + y**2), [0.0, 0.0], THREE),
 }  # fmt: skip
 
 

@@ -6,7 +6,6 @@ import math
 import numpy as np
 import pytest
 from helpers.small_designs import design
-from matplotlib.figure import Figure
 
 import plough_opt as po
 from plough_opt.studies.tradeoff.domination import undominated
@@ -171,19 +170,3 @@ def test_an_objective_that_conflicts_with_none_leaves_a_curve():
     assert [goal.name for goal in front.goals] == ["a", "b"]
     assert front.notes[0] == "'idle' does not conflict with the others: it is at its best all along their front"
     assert np.sqrt(front.objectives).sum(axis=1) == pytest.approx(1.0, abs=1e-6)
-
-
-# --- files and pictures -------------------------------------------------------------------------------------
-
-
-def test_picture_of_a_surface(sphere, tmp_path):
-    space, *panels = [axes for axes in sphere.plot(tmp_path / "s.png").axes if axes.get_label() != "<colorbar>"]
-    assert space.get_zlabel() == "c"
-    (line,) = [line for line in space.lines if line.get_label() == "front"]
-    assert np.transpose(line.get_data_3d()) == pytest.approx(sphere.objectives)
-    assert len(panels) == 4  # the third objective and three variables
-    assert np.asarray(panels[0].collections[0].get_array()) == pytest.approx(sphere.objectives[:, 2])
-    for panel in panels:
-        assert np.asarray(panel.collections[0].get_offsets()) == pytest.approx(sphere.objectives[:, :2])
-    axes = Figure().add_subplot(projection="3d")
-    assert sphere.plot(axes) is axes

@@ -121,11 +121,14 @@ def test_errors_that_do_not_fall_evenly_lead_both_modes_to_the_same(clock):
 
 
 def test_what_may_still_win_is_narrowed_down_and_what_is_too_slow_is_not(clock):
-    fast = clock.contestant(error=lambda _: 25.0)
+    fast = clock.contestant(error=lambda n: 25.0 if n > 50 else contest.refuse("too coarse"))
     # The coarsest of its settings measured in any case is slower, but far too exact.
     slow = clock.contestant("slow", factors=(1, 2, 4), error=lambda _: 5e-10, seconds=lambda n, _: 2.5e-3 * n / 40.0)
     slower = clock.contestant("slower", seconds=lambda n, _: 0.03 * n / 40.0)
-    assert winner([fast, slow, slower], 1e-3).method == "slow"
+    entries = measured([fast, slow, slower], "error", 1e-3, 1e3)
+    assert cheapest(entries, "error", 1e-3).method == "slow"
+    # Of the settings without a result only those measured in any case are reported.
+    assert [e.setting for e in entries if e.failure == "too coarse"] == [f"{n} steps" for n in (5, 10, 20, 40)]
     counts = Counter(name for name, _ in clock.built)
     assert counts["fast"] > len(fast.always)
     assert counts["slower"] == len(slower.always)

@@ -9,7 +9,7 @@ from helpers.small_designs import design, softest
 import plough_opt as po
 from plough_opt.core import compiler
 from plough_opt.core.compiler import find_compiler
-from plough_opt.studies.accuracy import optimum
+from plough_opt.studies.accuracy import local_solve, optimum
 from plough_opt.studies.accuracy.optimum import REPORTED, REQUIREMENTS, TRUE, VARIABLES, design_contest
 
 
@@ -70,8 +70,9 @@ def test_derivatives_change_the_time_and_not_the_answer(contest):
 
 
 @pytest.fixture
-def bowl():
-    """Return a design without a run, whose optimum is x = 1.25 and, by the requirement, y = 1."""
+def bowl(monkeypatch):
+    """Return a design without a run, whose optimum is x = 1.25 and, by the requirement, y = 1; there is no compiler."""
+    monkeypatch.setattr(compiler, "find_compiler", lambda: None)
     d, x, y = design(x=(0.5, 0.0, 2.0), y=(1.5, 0.5, 2.0))
     d.minimise(1.0 + (x - 1.25) ** 2 + y)
     d.require("least y", y, at_least=1.0)
@@ -79,8 +80,7 @@ def bowl():
     return d
 
 
-def test_a_design_without_a_run_has_derivatives_alone(bowl, monkeypatch):
-    monkeypatch.setattr(compiler, "find_compiler", lambda: None)
+def test_a_design_without_a_run_has_derivatives_alone(bowl):
     contest = design_contest(bowl, budget=0.0)
     best = contest.best
     # IPOPT stops 1e-11 inside the limit, and 1e-10 beside the bottom; the reference does not.
@@ -97,9 +97,13 @@ def test_a_design_without_a_run_has_derivatives_alone(bowl, monkeypatch):
 
 
 def test_a_solve_that_takes_too_long_is_a_row_with_its_reason(bowl, monkeypatch):
-    monkeypatch.setattr(compiler, "find_compiler", lambda: None)
-    rows = [entry for entry in design_contest(bowl, budget=0.0, limit=1e-9).entries if entry.family == "derivatives"]
-    assert all("no optimum after 1e-09 s" in entry.failure for entry in rows)
+    late = po.study_design(bowl, limit=1e-9, thin=True)
+    # The first search takes longer, too, and so no other follows.
+    assert [(row.search, row.asked) for row in late.thoroughness] == [("near", 1)]
+    monkeypatch.setattr(local_solve, "_MOST_ITERATIONS", 1)
+    early = design_contest(bowl, budget=0.0)
+    for contest, said in ((late, "no optimum after 1e-09 s"), (early, ", after 1 iterations")):
+        assert all(said in entry.failure for entry in entries_of(contest, "derivatives"))
 
 
 def test_an_optimum_elsewhere_is_named(monkeypatch):

@@ -7,6 +7,7 @@ from typing import Any, Final, TypeVar
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError, IntegrationError, PloughError
 from plough_opt.core.expressions import as_number
@@ -137,10 +138,7 @@ def prepared(task: Task, accuracy: Accuracy, *, compiled: bool = False) -> tuple
         once = partial(solver.function.call, [ca.DM([*(known[name] for name in solver.names), task.duration])])
 
     def run() -> Run:
-        results: Any = once()
-        if results is None or not all(np.all(np.isfinite(np.asarray(part))) for part in results):
-            raise IntegrationError("the result is not finite")
-        states, means, variances = map(np.asarray, results)
+        states, means, variances = _finite(once())
         states = states.T if code is None else states
         fractions = timeline.output_fractions
         found = assemble(scene, task.duration, fractions, states, means.ravel(), variances.ravel(), accuracy)
@@ -149,6 +147,14 @@ def prepared(task: Task, accuracy: Accuracy, *, compiled: bool = False) -> tuple
         return found
 
     return once, run
+
+
+def _finite(results: Any) -> list[NDArray[np.float64]]:
+    """Return results as arrays; raise IntegrationError if there are none, or one is not finite."""
+    found = [np.asarray(part) for part in results or ()]
+    if not found or not all(np.all(np.isfinite(part)) for part in found):
+        raise IntegrationError("the result is not finite")
+    return found
 
 
 def integrators(task: Task, reference: Reference) -> list[Entry]:
@@ -195,10 +201,8 @@ def gradients(task: Task, reference: ReferenceGradient) -> list[Entry]:
         function = ca.Function("gradient", [x], [ca.densify(ca.jacobian(averages, x))])
 
         def find() -> Any:
-            found = np.asarray(function(at)) * at
-            if not np.all(np.isfinite(found)):
-                raise IntegrationError("the result is not finite")
-            return found
+            (found,) = _finite([function(at)])
+            return found * at
 
         return lambda: function(at), find
 

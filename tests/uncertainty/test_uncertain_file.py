@@ -74,14 +74,11 @@ def test_the_command_saves_both_optima_and_every_check(command, tmp_path):
     saved = json.loads(command.printed)
     assert saved["kind"] == "robust optimum"
     assert {check["result"]: check["text"] for check in saved["checks"]} == {
-        "mean_draft": "mean of the largest 10 %",
-        "loosened_radius": "probability of at least 0.15",
-        "mean_deflection": "probability of at most 0.1",
-        "specific_draft": "mean",
-        "cone_index": "mean - 1.5 standard deviations",
-        "tow_power": "mean of the smallest 20 %",
+        "mean_draft": "mean of the largest 10 %", "loosened_radius": "probability of at least 0.15",
+        "mean_deflection": "probability of at most 0.1", "specific_draft": "mean",
+        "cone_index": "mean - 1.5 standard deviations", "tow_power": "mean of the smallest 20 %",
         "added_mass": "largest of the samples",
-    }
+    }  # fmt: skip
     assert saved["indices"]["mean_draft"]["names"] == ["cohesion", "friction_angle given cohesion", "density_ratio"]
 
 
@@ -103,8 +100,7 @@ def test_tables_show_the_soil_both_designs_and_the_fresh_samples(found):
     confirmed = [replace(own, checks=own.checks[:1]) for own in (found.fresh, found.nominal_fresh)]
     other = str(RobustOptimum(best, found.run, found.nominal, found.robust, *confirmed, {}))
     assert re.search(rf"All robust optima found\n.*\n.* {one.objective:.9g} .* m\n.* 7\.654321 .* m\n", other)
-    assert "In the robust design fresh samples confirm every measure." in other
-    assert "Sobol" not in other
+    assert ("In the robust design fresh samples confirm every measure." in other, "Sobol" in other) == (True, False)
 
 
 def test_the_optimum_follows_from_the_samples(found):
@@ -207,8 +203,7 @@ def test_mistakes_are_reported_with_their_line(written, old, new, line, words):
 @pytest.mark.parametrize(
     ("change", "arguments", "status", "words"),
     [
-        (("[minimise]", '"soil.cohesion" = { lower = "10 kPa", upper = "30 kPa" }\n[minimise]'), (), 2,
-         "so it cannot be uncertain"),
+        (("[minimise]", '"soil.cohesion" = {lower = "9 kPa", upper = "30 kPa"}\n[minimise]'), (), 2, "so it cannot be"),
         ((TEXT[TEXT.index("[uncertain]") : TEXT.index("[share]")], ""), (), 2, "belongs to an uncertain soil"),
         (("", ""), ("--sensitivity",), 2, "--sensitivity"),
         (('"0.15 m"', '"0.295 m"'), (*SET, "--set", 'share.wedge_angle="38 deg"'), 1, "loosened_radius"),

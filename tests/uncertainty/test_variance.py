@@ -42,10 +42,9 @@ def test_indices_and_intervals_are_those_of_scipy(ishigami):
     assert own.first == pytest.approx(others.first_order, rel=1e-11, abs=1e-13)
     assert own.total == pytest.approx(others.total_order, rel=1e-11, abs=1e-13)
     spread = others.bootstrap(confidence_level=0.95, n_resamples=2000)
-    for low, high, theirs in (
-        (own.first_low, own.first_high, spread.first_order.confidence_interval),
-        (own.total_low, own.total_high, spread.total_order.confidence_interval),
-    ):
+    for kind in ("first", "total"):
+        low, high = (getattr(own, f"{kind}_{end}") for end in ("low", "high"))
+        theirs = getattr(spread, f"{kind}_order").confidence_interval
         # SciPy corrects for bias and skew. The 2.5 % points of 200 resamples scatter by some 7 % of the width.
         width = theirs.high - theirs.low
         assert np.all(np.abs(low - theirs.low) < 0.25 * width)

@@ -46,10 +46,10 @@ def _robust(count=8, accuracy=None, path=False, **effects):
 
 
 # Each further structure is translated by the C compiler once.
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=pytest.mark.slow if name in ("rest", "ramp", "smooth") else ()) for name in EFFECTS],
-)
+SLOW = [pytest.param(n, marks=pytest.mark.slow) if n in ("rest", "ramp", "smooth") else n for n in EFFECTS]
+
+
+@pytest.mark.parametrize("name", SLOW)
 def test_values_over_samples_agree_with_single_simulations(name):
     # One of the scenes along the path too, and one by a named method.
     path, accuracy = name == "damper, wave", po.Accuracy("dop853", steps=200) if name == "damper" else None
@@ -95,13 +95,11 @@ def test_intervals_hold_what_very_many_samples_give(quasi_static):
 
 def test_checks_report_the_optimisers_value_and_the_bias(quasi_static):
     _, robust, found = quasi_static
-    check = found["draft", "mean of"]
+    check, cvar = found["draft", "mean of"], po.uncertainty.cvar
     own, fresh = robust.values(AT)["draft"], found.values["draft"]
-    assert check.seen == pytest.approx(po.uncertainty.cvar(own, 0.9, width=300.0), rel=1e-12)
-    assert check.sharp == pytest.approx(po.uncertainty.cvar(own, 0.9), rel=1e-12)
-    assert check.rounding == pytest.approx(
-        po.uncertainty.cvar(fresh, 0.9, width=300.0) - po.uncertainty.cvar(fresh, 0.9), abs=1e-9
-    )
+    assert check.seen == pytest.approx(cvar(own, 0.9, width=300.0), rel=1e-12)
+    assert check.sharp == pytest.approx(cvar(own, 0.9), rel=1e-12)
+    assert check.rounding == pytest.approx(cvar(fresh, 0.9, width=300.0) - cvar(fresh, 0.9), abs=1e-9)
     assert 0.0 < check.rounding < 35 / 256 * 300.0 / 0.1
     assert check.optimism == check.fresh - check.seen
     assert "draft, rms, deflection, power, last over 32 samples of cohesion" in str(robust)

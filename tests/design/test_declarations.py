@@ -5,6 +5,7 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.scenes import Shank, scene_of
 from helpers.small_designs import design
 from hypothesis import given
 from hypothesis import strategies as st
@@ -73,6 +74,11 @@ def test_every_declaration_needs_a_new_name(name):
             declare()
 
 
+def _pushed(x):
+    """Return the draft of a share that runs away if x is negative."""
+    return po.simulate(scene_of(own=(Shank(viscous=1e7 * x),), strength_wave=po.StrengthWave(0.3, 0.2)), 0.2).mean_draft
+
+
 # Symbols that the design did not declare, one of them with the name of its variable.
 STRANGER, NAMESAKE = ca.MX.sym("stranger"), ca.MX.sym("x")
 # Objective, what is to be at least 0.1, and the message.
@@ -83,6 +89,7 @@ AT_THE_START = [
     (ca.log, lambda x: x, r"the objective is not a finite number at the start \(x = -0.5 m\)"),
     (lambda x: x, ca.log, r"requirement 'radius' is not a finite number at the start \(x = -0.5 m\)"),
     (lambda x: ca.log(x - 2.0), lambda x: x, "the objective is not a finite number"),
+    (_pushed, lambda x: x, r"cannot be evaluated at the start \(x = -0.5 m\): the motion of a .* has no finite result"),
 ]
 
 

@@ -177,11 +177,8 @@ def test_r1_is_solved_to_its_global_optimum_and_has_three_in_order(r1):
 
 
 def test_r1_optima_are_named_by_their_branch(r1):
-    assert [optimum.name.split(",")[0] for optimum in r1.best.local_optima] == [
-        "soft branch",
-        "stiff branch",
-        "stiff branch",
-    ]
+    branches = [optimum.name.split(",")[0] for optimum in r1.best.local_optima]
+    assert branches == ["soft branch", "stiff branch", "stiff branch"]
     # sqrt(5000/M) over 2 pi V0/ell, M and all by hand from the scene.
     scene = r1.best(r1.scene)
     ratio = math.sqrt(scene.stiffness / scene.inertia) / (2.0 * math.pi * 2.0 / 0.6)

@@ -22,9 +22,8 @@ def test_runs_agree_with_an_adaptive_integrator(start, ramp):
     runs = (static, drag, 40.0 + steel + added, stiffness, damping, speed, amplitude, 0.5, ramp)
     with_paths, without = simulate(*runs, start, 0.8, paths=True), simulate(*runs, start, 0.8)
     for k in range(2):
-        effects = po.Effects(
-            strength_wave=po.StrengthWave(amplitude[k], 0.5), damping=damping[k], tow_ramp=ramp or None, start=start
-        )
+        wave = po.StrengthWave(amplitude[k], 0.5)
+        effects = po.Effects(strength_wave=wave, damping=damping[k], tow_ramp=ramp or None, start=start)
         wedge = po.Wedge(angle[k], 0.3, height[k])
         mass = 40.0 + wedge.equivalent_cone().solid_mass(7850.0)
         wanted = follow(po.Scene(R1_SOIL, wedge, stiffness[k], mass, speed[k], effects), 0.8, outputs=40)

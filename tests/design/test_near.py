@@ -31,10 +31,8 @@ def _at(problem, y):
 def _near(problem, y):
     """Return the position that a near search finds from a guess at a position."""
     values = problem.values(y)[0]
-    guessed = replace(
-        problem, variables=tuple(replace(v, guess=x) for v, x in zip(problem.variables, values, strict=True))
-    )
-    best = as_design(guessed)[0].solve(search="near")
+    variables = tuple(replace(v, guess=x) for v, x in zip(problem.variables, values, strict=True))
+    best = as_design(replace(problem, variables=variables))[0].solve(search="near")
     return problem.positions([[best.variables[v.name] for v in problem.variables]])[0]
 
 

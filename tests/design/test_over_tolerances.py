@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers.problem_files import COTTON, PROBLEMS, SUBSOILER
+from helpers.scenes import scene_of
 from helpers.small_designs import design
 
 import plough_opt as po
@@ -79,6 +80,17 @@ def test_a_worst_objective_below_the_first_bounds_is_found(monkeypatch):
     monkeypatch.setattr(boxed, "bounds_on_worst", lambda *_: (4.0, 5.0))
     worst = 1.0 + (np.ptp(_offsets(_parabola(None), 0.7)) / 2.0) ** 2
     assert _parabola("worst").solve().objective == pytest.approx(worst, rel=1e-9)
+
+
+# Runs of a design, their effects, and the number of designs in a box.
+RUNS = [(1, {}, BOX_DESIGNS), (3, {}, 16), (40, {}, 8), (1, {"contact": po.StickSlip()}, 8)]
+
+
+@pytest.mark.parametrize(("runs", "effects", "count"), RUNS)
+def test_a_box_holds_fewer_designs_if_these_take_long(runs, effects, count):
+    d, k0 = design(stiffness=(5e4, 2e4, 1e5))
+    d.minimise(sum(po.simulate(scene_of(stiffness=k0 + k, **effects), 0.1).mean_draft for k in range(runs)))
+    assert boxed.designs_per_box(d.declared) == count
 
 
 BOXED = {"x": (1.0, 0.1, 10.0, "", False, 0.2), "y": (2.0, 0.1, 10.0, "", False, "5 %")}

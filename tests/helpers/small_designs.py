@@ -2,8 +2,6 @@
 
 import plough_opt as po
 
-OPTIONS = ("unit", "log", "tolerance")
-
 
 def design(**variables):
     """Return a design and the symbols of its variables.
@@ -14,8 +12,8 @@ def design(**variables):
     """
     d = po.Design()
     symbols = [
-        d.variable(name, guess=guess, lower=lower, upper=upper, **dict(zip(OPTIONS, more, strict=False)))
-        for name, (guess, lower, upper, *more) in variables.items()
+        d.variable(name, guess=at, lower=low, upper=high, **dict(zip(("unit", "log", "tolerance"), more, strict=False)))
+        for name, (at, low, high, *more) in variables.items()
     ]
     return d, *symbols
 

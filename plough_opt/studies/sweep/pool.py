@@ -117,17 +117,17 @@ class ProcessPool(Executor):
         with self._lock:
             self._deaths = 0
 
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
-        """Kill all processes at once, without waiting for the tasks under way."""
+    def shutdown(self, *_arguments: Any, **_options: Any) -> None:
+        """Kill all processes at once, whatever the options, without waiting for the tasks under way."""
         self._closing.set()
         with self._lock:
             for process in self._processes:
                 process.kill()
-        for future in self._waiting() if cancel_futures else ():
+        for future in self._waiting():
             future.cancel()
         for _ in self._threads:
             self._calls.put(None)
-        for thread in self._threads if wait else ():
+        for thread in self._threads:
             thread.join()
 
     def _keep_alive(self) -> None:

@@ -136,13 +136,14 @@ class Database:
 
     def write_ahead(self) -> None:
         """Let others read while one run writes; several runs may call this at the same moment."""
+        end = time.monotonic() + _BUSY
         with self._naming_errors():
-            for trial in range(100):
+            while True:
                 try:
                     self._connection.execute("PRAGMA journal_mode = WAL")
                     break
                 except sqlite3.OperationalError as error:
-                    if "locked" not in str(error) or trial == 99:
+                    if "locked" not in str(error) or time.monotonic() > end:
                         raise
                     time.sleep(0.05)
         # Nothing is lost if the process dies. A power cut may lose the last transactions but damages nothing.

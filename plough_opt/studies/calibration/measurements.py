@@ -1,7 +1,7 @@
 """`Measurements`: checked values of one measured result over conditions or time, from Python or from a CSV file."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -63,12 +63,12 @@ class Measurements:
 
     result: str
     values: Vector
-    conditions: Mapping[str, Vector] = field(default_factory=dict)
-    sigma: Vector | None = None
-    weights: Vector | None = None
-    time: Vector | None = None
-    name: str = "measurements"
-    lines: tuple[int, ...] = ()
+    conditions: Mapping[str, Vector]
+    sigma: Vector | None
+    weights: Vector | None
+    time: Vector | None
+    name: str
+    lines: tuple[int, ...]
 
     def __init__(
         self,

@@ -8,8 +8,7 @@ import pytest
 from scipy import interpolate
 
 import plough_opt as po
-from plough_opt.studies.calibration import quality
-from plough_opt.studies.calibration.setup import interpolation
+from plough_opt.studies.calibration.setup import Rows, interpolation
 
 WAVE = po.StrengthWave(0.3, 0.2)
 
@@ -99,7 +98,7 @@ def test_fitted_runs_are_checked_by_runs_with_an_error_estimate(monkeypatch):
     runs = [po.simulate(dataclasses.replace(fit.scene, tow_speed=v), 30.0).mean_draft for v in speeds]
     error = np.max(np.abs(runs - fit.predicted))
     assert any(f"differ from the fitted ones by up to {error:.2g} standard" in text for text in fit.warnings)
-    monkeypatch.setattr(quality, "checked", Mock(side_effect=po.IntegrationError("too fast")))
+    monkeypatch.setattr(Rows, "checked", Mock(side_effect=po.IntegrationError("too fast")))
     assert "the run of the fitted scene could not be checked: too fast" in calibration.fit().warnings
 
 

@@ -17,7 +17,7 @@ from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 from plough_opt.studies.calibration.estimate import Estimate, estimate
 from plough_opt.studies.calibration.least_squares import AT_BOUND
 from plough_opt.studies.calibration.measurements import RECORD, measurable
-from plough_opt.studies.calibration.setup import Rows, SceneOfRows, checked, is_closed
+from plough_opt.studies.calibration.setup import Rows, SceneOfRows, is_closed
 
 Vector = NDArray[np.float64]
 
@@ -127,7 +127,7 @@ def _accuracy_notes(fit: Estimate, at_fit: list[list[SceneOfRows]]) -> Iterator[
                 continue
             count += 1
             try:
-                run = checked(rows, scene, duration, which)
+                run = rows.checked(scene, duration, which)
             except IntegrationError as error:
                 yield f"the run of the fitted scene could not be checked: {error}"
                 return

@@ -148,9 +148,32 @@ class Rows:
         forces, order = [], []
         at_guess = self.scenes(self.model.guess)
         for (scene, duration, rows), (example, _, _) in zip(self.scenes(ca.vertsplit(y)), at_guess, strict=True):
-            forces.append(_force_at(scene, duration, self.measured, rows, self.model, example))
+            forces.append(self._force_at(scene, duration, rows, example))
             order.extend(rows.tolist())
         return ca.MX(stacked(*forces))[np.argsort(order).tolist(), 0]
+
+    def _force_at(self, scene: Scene, duration: Any, rows: NDArray[np.intp], example: Scene) -> Expression:
+        """Return the mount force of a run at the times of some rows.
+
+        Args:
+            scene: the scene, numeric or symbolic.
+            duration: its duration [s].
+            rows: indices of the rows.
+            example: a numeric scene of the same kind, which determines the number of output times.
+        """
+        assert self.measured.time is not None
+        times = self.measured.time[rows]
+        outputs = _outputs(example, duration, times)
+        run = simulate(scene, duration, accuracy=self.model.accuracy, outputs=outputs)
+        forces: Expression = ca.DM(interpolation(times / duration, outputs)) @ run.mount_force
+        return forces
+
+    def checked(self, scene: Scene, duration: Expression | None, rows: NDArray[np.intp]) -> Vector:
+        """Return the results of some rows from a numeric run, whose error is checked."""
+        if self.measured.result == RECORD:
+            return np.asarray(self._force_at(scene, duration, rows, scene), dtype=float).ravel()
+        run = simulate(scene, duration, accuracy=self.model.accuracy)
+        return np.full(len(rows), float(as_number(MEASURES[self.measured.result].of(run))))
 
 
 def predictor(sets: Sequence[Rows], model: Model) -> ca.Function:
@@ -175,36 +198,6 @@ def is_closed(scene: Scene, result: str) -> bool:
     steady = not effects.waves and not effects.ramps and not effects.entry and not effects.own
     from_steady = not effects.motion or effects.start == "equilibrium"
     return result == "mean_draft" and steady and from_steady and not effects.printed.repelling_spring
-
-
-def checked(rows: Rows, scene: Scene, duration: Expression | None, which: NDArray[np.intp]) -> Vector:
-    """Return the results of some rows from a numeric run, whose error is checked."""
-    if rows.measured.result == RECORD:
-        force = _force_at(scene, duration, rows.measured, which, rows.model, scene)
-        return np.asarray(force, dtype=float).ravel()
-    run = simulate(scene, duration, accuracy=rows.model.accuracy)
-    return np.full(len(which), float(as_number(MEASURES[rows.measured.result].of(run))))
-
-
-def _force_at(
-    scene: Scene, duration: Any, measured: Measurements, rows: NDArray[np.intp], model: Model, example: Scene
-) -> Expression:
-    """Return the mount force of a run at the times of some rows.
-
-    Args:
-        scene: the scene, numeric or symbolic.
-        duration: its duration [s].
-        measured: the measurements.
-        rows: indices of the rows.
-        model: the model, for its accuracy.
-        example: a numeric scene of the same kind, which determines the number of output times.
-    """
-    assert measured.time is not None
-    times = measured.time[rows]
-    outputs = _outputs(example, duration, times)
-    run = simulate(scene, duration, accuracy=model.accuracy, outputs=outputs)
-    forces: Expression = ca.DM(interpolation(times / duration, outputs)) @ run.mount_force
-    return forces
 
 
 def _outputs(scene: Scene, duration: float, times: Vector) -> int:

@@ -112,6 +112,14 @@ def test_the_store_of_another_sweep_is_refused_with_the_difference(inline, tmp_p
             po.sweep(function, over, executor=inline, store=store, **more)
 
 
+def test_functions_of_a_session_are_told_apart_by_their_code(inline, tmp_path):
+    one, same, other = (eval(f"lambda values: {{'x': {factor} * values['a']}}") for factor in (2, 2, 3))
+    options = {"executor": inline, "store": tmp_path / "sweep.db"}
+    assert [po.sweep(each, {"a": [1.0, 2.0]}, **options).already for each in (one, same)] == [0, 2]
+    with pytest.raises(po.InputError, match=r"belongs to another sweep \(text of the function: digest"):
+        po.sweep(other, {"a": [1.0, 2.0]}, **options)
+
+
 def test_a_file_that_is_not_a_store_is_refused_and_left_as_it_is(inline, tmp_path):
     text, other, empty = (tmp_path / name for name in ("text.db", "other.db", "empty.db"))
     text.write_text("this is not a database, however long it may be" * 40)

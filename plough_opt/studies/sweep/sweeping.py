@@ -2,6 +2,7 @@
 
 import hashlib
 import inspect
+import marshal
 import pickle
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
@@ -156,11 +157,12 @@ def _check_arguments(evaluation: object, over: object, executor: object, workers
 
 
 def _identity(evaluation: Evaluation) -> dict[str, str]:
-    """Return texts that identify a function: its name, and a digest of its source or its pickle."""
+    """Return texts that identify a function: its name, and a digest of its source, its pickle or its code."""
     written: Any = evaluation if hasattr(evaluation, "__qualname__") else None
     try:
         content = pickle.dumps(evaluation) if written is None else inspect.getsource(written).encode()
-    except Exception:  # there is no source, or pickling fails, with any error
-        content = b""
+    except Exception:  # there is no source, as in a session of Python, or pickling fails, with any error
+        code = getattr(evaluation, "__code__", None)
+        content = b"" if code is None else marshal.dumps(code, 2)  # later formats depend on references
     name = getattr(evaluation, "__qualname__", type(evaluation).__qualname__)
     return {"function": name, "text of the function": f"digest {hashlib.sha256(content).hexdigest()[:16]}"}

@@ -10,6 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import plough_opt as po
+from helpers.problem_files import REFERENCE
+
+COMMAND = ("sweep", REFERENCE, "--over", "soil.cohesion=10 kPa, 20 kPa", "--set", "effects.motion=false")
 
 
 def waves(values):

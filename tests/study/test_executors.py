@@ -12,10 +12,10 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from helpers import swept
+from helpers.commands import call, printed
 from helpers.problem_files import REFERENCE
 
 import plough_opt as po
-from plough_opt.app import main
 from plough_opt.studies.sweep import cluster as clusters
 from plough_opt.studies.sweep.pool import WorkerDied
 
@@ -42,36 +42,29 @@ def test_a_cluster_that_loses_a_worker_midway_gives_the_same_bits(cluster, inlin
             killed.append((stored, failed))
         assert count == 60
 
-    executor = cluster.get_executor(pure=False)
-    options = {"store": store, "executor": executor, "workers": 2, "progress": kill_one}
+    options = {"executor": cluster.get_executor(pure=False), "workers": 2, "store": store, "progress": kill_one}
     with po.sweep(lambda values: counted(values), OVER, **options) as found:  # a lambda cannot be imported
         assert (found.complete, found.failed) == (True, 0)
         np.testing.assert_array_equal(found.table, po.sweep(swept.waves, OVER, executor=inline).table)
     assert killed[0][0] < 60
 
 
-COMMAND = ("sweep", str(REFERENCE), "--over", "soil.cohesion=10 kPa, 20 kPa", "--set", "effects.motion=false")
-
-
-def test_the_command_gives_the_same_results_on_a_cluster(cluster, inline, capsys, tmp_path):
-    status = main([*COMMAND, "--scheduler", cluster.scheduler.address, "--store", str(tmp_path / "sweep.db")])
-    shown = capsys.readouterr()
-    assert status == 0, shown.err
-    assert "2 points, 0 failed" in shown.out
+def test_the_command_gives_the_same_results_on_a_cluster(cluster, inline, tmp_path):
+    options = ("--scheduler", cluster.scheduler.address, "--store", tmp_path / "sweep.db")
+    assert "2 points, 0 failed" in printed(*swept.COMMAND, *options)
     problem = po.read_problem(REFERENCE, ["effects.motion=false"])
     expected = po.sweep(problem, {"soil.cohesion": [1e4, 2e4]}, executor=inline).table
     np.testing.assert_array_equal(po.Sweep.load(tmp_path / "sweep.db").table, expected)
 
 
-def test_the_command_reports_a_scheduler_that_does_not_answer(monkeypatch, capsys, tmp_path):
+def test_the_command_reports_a_scheduler_that_does_not_answer(monkeypatch, tmp_path):
     distributed = pytest.importorskip("distributed")
-
     monkeypatch.setattr(distributed, "Client", Mock(side_effect=OSError("Timed out trying to connect")))
-    assert main([*COMMAND, "--store", str(tmp_path / "sweep.db"), "--scheduler", "tcp://nowhere:1"]) == 2
-    assert "no dask scheduler answers at" in capsys.readouterr().err
+    done = call(*swept.COMMAND, "--store", tmp_path / "sweep.db", "--scheduler", "tcp://nowhere:1")
+    assert (done.status, "no dask scheduler answers at" in done.said) == (2, True)
 
 
-def test_a_cluster_without_workers_ends_the_sweep(monkeypatch, capsys):
+def test_a_cluster_without_workers_ends_the_sweep(monkeypatch):
     distributed = pytest.importorskip("distributed")
     # With these constants it takes less than a minute, the last check and its answer included.
     assert clusters._PATIENCE + 2.0 * clusters._CHECK_EVERY < 60.0
@@ -79,8 +72,8 @@ def test_a_cluster_without_workers_ends_the_sweep(monkeypatch, capsys):
     monkeypatch.setattr(clusters, "_CHECK_EVERY", 0.5)
     arguments = {"n_workers": 0, "processes": False, "dashboard_address": ":0"}
     with distributed.LocalCluster(**arguments) as empty, distributed.Client(empty, set_as_default=False) as client:
-        assert main([*COMMAND, "--scheduler", empty.scheduler_address]) == 2
-        assert "it has no workers; start some with: dask worker" in capsys.readouterr().err
+        done = call(*swept.COMMAND, "--scheduler", empty.scheduler_address)
+        assert (done.status, "it has no workers; start some with: dask worker" in done.said) == (2, True)
         executor = client.get_executor(pure=False)
         with pytest.raises(po.InputError, match=r"the cluster has had no workers for \d s: start some; finished"):
             po.sweep(swept.waves, OVER, executor=executor, workers=1)

@@ -130,6 +130,12 @@ TEXTS = [
 ]
 
 
+@pytest.mark.parametrize(("text", "unit", "expected"), TEXTS)
+def test_texts_of_grids_lists_and_samples(text, unit, expected):
+    # To the last bit, as from a file.
+    assert read_axis(text, Unit(unit), sampled=isinstance(expected, po.Range))[0] == expected
+
+
 INVALID_TEXTS = [
     ("5..5 kPa:9", False, "from 5 to 5 is empty"),
     ("5..45:9", False, '"5" has no unit'),
@@ -147,18 +153,10 @@ INVALID_TEXTS = [
 ]
 
 
-class TestAxes:
-    """Ranges written as texts."""
-
-    @pytest.mark.parametrize(("text", "unit", "expected"), TEXTS)
-    def test_grids_lists_and_samples(self, text, unit, expected):
-        # To the last bit, as from a file.
-        assert read_axis(text, Unit(unit), sampled=isinstance(expected, po.Range))[0] == expected
-
-    @pytest.mark.parametrize(("text", "sampled", "expected"), INVALID_TEXTS)
-    def test_invalid_texts_are_refused(self, text, sampled, expected):
-        with pytest.raises(po.InputError, match=expected):
-            read_axis(text, Unit("Pa"), sampled=sampled)
+@pytest.mark.parametrize(("text", "sampled", "expected"), INVALID_TEXTS)
+def test_invalid_texts_are_refused(text, sampled, expected):
+    with pytest.raises(po.InputError, match=expected):
+        read_axis(text, Unit("Pa"), sampled=sampled)
 
 
 REFUSED = [
@@ -180,5 +178,4 @@ def test_invalid_sweeps_are_refused_before_anything_is_computed(problem, inline,
 
 
 def test_units_of_an_optimisation_cover_its_results(problem):
-    assert Optimisation(problem).units["margin of loosened_radius"] == "m"
-    assert Optimisation(problem).units["scene.stiffness"] == "N/m"
+    assert {"margin of loosened_radius": "m", "scene.stiffness": "N/m"}.items() <= Optimisation(problem).units.items()

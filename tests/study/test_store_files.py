@@ -13,10 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import swept
-from helpers.problem_files import REFERENCE
+from helpers.commands import call, printed
 
 import plough_opt as po
-from plough_opt.app import main
 from plough_opt.studies.sweep.store import Store
 from plough_opt.studies.sweep.work import Done
 
@@ -156,24 +155,20 @@ def test_a_store_is_read_from_a_read_only_folder(store, state):
         assert sorted(place.iterdir()) == sorted(place / file.name for file in copied)
 
 
-COMMAND = ("sweep", str(REFERENCE), "--over", "soil.cohesion=10 kPa, 20 kPa", "--set", "effects.motion=false")
-
-
-def test_the_command_reports_undetermined_points_with_status_1(tmp_path, capsys):
+def test_the_command_reports_undetermined_points_with_status_1(tmp_path):
     store = tmp_path / "sweep.db"
-    assert main([*COMMAND, "--workers", "1", "--store", str(store)]) == 0
-    first = capsys.readouterr().out
+    first = printed(*swept.COMMAND, "--workers", "1", "--store", store)
     assert list(tmp_path.iterdir()) == [store]
     change(store, "DELETE FROM points WHERE point = 1")
     with contextlib.closing(Store(store)) as opened:
         done = Done(1, reasons={0: "3 workers ended while each worked on this point alone"})
         opened.keep(np.array([1]), np.array([[2e4]]), done, without="undetermined")
         opened.finish()
-    assert main([*COMMAND, "--store", str(store)]) == 1
-    out, error = (" ".join(text.split()) for text in capsys.readouterr())
-    assert "2 points, 0 failed, 1 undetermined" in out
-    assert "undetermined at soil.cohesion = 20 kPa: 3 workers ended" in out
-    assert "1 of 2 points are undetermined" in error
-    assert "run the same command with --retry" in error
-    assert main([*COMMAND, "--workers", "1", "--store", str(store), "--retry"]) == 0
-    assert capsys.readouterr().out.splitlines()[:-1] == first.splitlines()[:-1]
+    done = call(*swept.COMMAND, "--store", store)
+    assert done.status == 1
+    assert "2 points, 0 failed, 1 undetermined" in done.out
+    assert "undetermined at soil.cohesion = 20 kPa: 3 workers ended" in " ".join(done.out.split())
+    assert "1 of 2 points are undetermined" in done.said
+    assert "run the same command with --retry" in done.said
+    again = printed(*swept.COMMAND, "--workers", "1", "--store", store, "--retry")
+    assert again.splitlines()[:-1] == first.splitlines()[:-1]

@@ -57,14 +57,13 @@ def to_plain(value: Any, hint: Any = Any) -> Any:
     if isinstance(value, list | tuple | set):
         entries = sorted(value) if isinstance(value, set) else value
         return [to_plain(own, _entry(hint, k)) for k, own in enumerate(entries)]
-    kind = type(value)
     if inspect.isfunction(value):
         return {_FUNCTION: _path(value)}
-    if not (is_dataclass(kind) or kind in _classes(hint)):
+    kind, known = type(value), _classes(hint)
+    if not (is_dataclass(kind) or kind in known):
         raise InputError(f"a value of type {kind.__name__} cannot be saved: {value!r:.60}")
     hints = annotations_of(kind)
     plain = {name: to_plain(getattr(value, name), hints.get(name, Any)) for name in fields_of(kind)}
-    known = _classes(hint)
     return plain if known == [kind] else {_CLASS: kind.__name__ if kind in known else _path(kind), **plain}
 
 

@@ -41,9 +41,13 @@ def test_unknowns_of_the_command_line_and_one_measured_by_itself(tmp_path):
     assert "cannot be told apart" in out.replace("\n", " ")
     out = printed("calibrate", FILE, "--data", DATA, *options, "--known", "soil.ambient_pressure=101.3 +- 2 kPa")
     assert "not determined" not in out.lower()
-    few = tmp_path / "few.csv"
-    few.write_text("".join(DATA.read_text(encoding="utf-8").splitlines(keepends=True)[:7]), encoding="utf-8")
-    assert "No cross-validation: 3 folds leave fewer rows than unknowns" in printed("calibrate", FILE, "--data", few)
+    few, lines = tmp_path / "few.csv", DATA.read_text(encoding="utf-8").splitlines(keepends=True)
+    for count, unknown, why in (
+        (7, (), "3 folds leave fewer rows than unknowns"),
+        (5, options[:2], "cross-validation needs two"),
+    ):
+        few.write_text("".join(lines[:count]), encoding="utf-8")
+        assert f"No cross-validation: {why}" in printed("calibrate", FILE, "--data", few, *unknown)
     few.write_text("scene.tow_speed [km/h], mean_draft [kN]\n3, 1.8\n", encoding="utf-8")
     done = call("calibrate", FILE, "--data", few, *options, "--known", "soil.ambient_pressure=101.3 +- 2 kPa")
     assert (done.status, "few.csv: no sigma is stated, but other sets state theirs" in done.said) == (2, True)

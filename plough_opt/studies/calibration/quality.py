@@ -195,6 +195,8 @@ def cross_validate(fit: Estimate, folds: int | None, seed: int) -> CrossValidati
     results = np.array([m.result for m in setup.measured for _ in range(m.rows)])
     order = np.flatnonzero(np.isin(results, measurable()))
     count = len(order)
+    if count < 2:
+        raise InputError("cross-validation needs two rows or more")
     if folds is None:
         folds = (count if count <= _MOST_LEFT_OUT else 20) if setup.problem.closed else min(5, count)
     if not is_count(folds) or not 2 <= folds <= count:

@@ -201,7 +201,7 @@ class LocalOptimum(Saveable):
         required = Grid.of("Requirements", "requirement", "limits", "value", "margin", "", mark="")
         for one in self.limits:
             if one.kind == "bound":
-                bounds.row(one.name, one.shown.text(one.value, 7), one.limits, "at its bound" if one.active else "")
+                bounds.row(one.name, one.shown.text(one.rounded, 7), one.limits, "at its bound" if one.active else "")
             else:
                 value, decides = one.shown.text(one.value), "decides" if one.active else ""
                 required.row(one.name, one.limits, value, one.margin_text(), decides)

@@ -77,7 +77,8 @@ def test_the_table_has_every_quantity_that_matters_in_order_of_size(file, saved)
     assert cells(done.out, radius.name)[1:4] == [f"{radius.elasticity:+.3g}", "0", "+1"]
     # No percentage is one of a variable whose best value is 0.
     free = "variables.effects.rate_term={ lower = '0 s^2/m^2', upper = '1 s^2/m^2' }"
-    assert "value 0" in printed("optimise", file, "--sensitivity", "--set", free)
+    out = printed("optimise", file, "--sensitivity", "--set", free)
+    assert ("value 0" in out, " 0 s^2/m^2 │" in out) == (True, True)
 
 
 def test_an_optimum_that_is_not_unique_is_printed_with_a_note(file):

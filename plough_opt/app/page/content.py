@@ -108,10 +108,10 @@ def variables(report: Report) -> list[dict[str, str | float | bool]]:
     return [
         {
             "name": called(key),
-            "value": nice(v.display.text(report.best.variables[key], 5)),
+            "value": nice(v.display.text(bounds[key].rounded, 5)),
             "lower": nice(v.display.text(v.lower)),
             "upper": nice(v.display.text(v.upper)),
-            "place": _place(report.best.variables[key], v.lower, v.upper, v.log),
+            "place": _place(bounds[key].rounded, v.lower, v.upper, v.log),
             "active": bounds[key].active,
         }
         for key, v in report.problem.variables.items()

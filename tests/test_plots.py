@@ -101,6 +101,8 @@ def test_a_constant_is_drawn_without_its_rounding_and_times_of_rest_are_shaded()
     plots.draw_panel(axes, steady, deflection_of(steady))  # as an animation does
     assert legend(axes) == ["deflection", f"mean {steady.mean_deflection:.3g} m"]
     assert axes.get_ylim()[0] < 0.96 * steady.mean_deflection
+    slight = po.simulate(scene_of(strength_wave=po.StrengthWave(1e-3, 0.2)), 0.2, outputs=20)
+    assert plots.plot_run(slight).axes[1].get_ylim()[0] < 0.96 * slight.mean_deflection
     stuck = po.simulate(scene_of(contact=po.StickSlip(), start="rest"), 0.2, outputs=200)
     axes = plots.plot_run(stuck).axes[0]
     assert legend(axes)[-1] == "sticks"
@@ -130,8 +132,8 @@ def test_a_share_given_as_a_cone_has_no_faces_to_show(scene):
 
 def test_an_optimum_is_drawn_with_its_response_and_every_optimum_of_the_search(optimum):
     best, run = optimum
-    two = (best.local_optima[0], dataclasses.replace(best.local_optima[0], variables={"mount": 1e5}, objective=3.0))
-    figure = plots.plot_optimum(dataclasses.replace(best, local_optima=two), run)
+    other = dataclasses.replace(best.local_optima[0], variables={"mount": 1e5}, objective=3.0, spread=None)
+    figure = plots.plot_optimum(dataclasses.replace(best, local_optima=(best.local_optima[0], other)), run)
     _, _, force, deflection, search = figure.axes
     assert labels(force) == ("time [s]", "force [kN]")
     assert labels(deflection) == ("time [s]", "deflection [mm]")

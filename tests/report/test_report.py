@@ -1,5 +1,6 @@
 """`plough-opt report`: what the page says, and what it does in a real browser."""
 
+import dataclasses
 import gzip
 import json
 import math
@@ -12,6 +13,7 @@ from helpers.commands import cells, printed
 from helpers.problem_files import PROBLEMS, SUBSOILER, changed
 
 import plough_opt as po
+from plough_opt.app.page.content import Report
 from plough_opt.app.page.writing import ASSETS, page, reported
 
 # Two variables fewer than the file has, so that the search is short.
@@ -149,6 +151,12 @@ def test_an_objective_over_the_tolerances_is_named():
     over = po.read_problem(SUBSOILER, (*FIXED, "effects={motion=false}", "minimise.over=mean", "require={}"))
     asked = Page(page(reported(over, lambda *_: None, accuracy=False))).text["question"]
     assert "The objective is the mean of 64 designs within the tolerances, all of which meet the requirements." in asked
+
+
+def test_a_limit_that_is_just_met_is_named(solved):
+    found = dataclasses.replace(solved[0].every_sensitivity()[0], touching=("half_angle",))
+    report = Report(po.read_problem(SUBSOILER, FIXED), solved[1], solved[0], (found,))
+    assert "Half angle is just met: sensitivities apply to increasing values." in Page(page(report)).text["warnings"]
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,7 @@ REFUSED = [
     ("init \x1b[2J/a", "\\x1b"),
     ("init FILE", "'cotton_subsoiler.toml' exists already and is left as it is: name another file"),
     ("init nowhere/share.toml", "cannot be written"),
+    ("optimise stick_slip.toml", "stick_slip.toml: nothing to choose: add a table [variables]"),
     ("optimise FILE --set minimise={}", "nothing to minimise: add a table [minimise]"),
     ("optimize FILE --set 'scene.tow_sped=1 m/s'", "'scene.tow_sped' is not a known key"),
     ("simulate FILE --plot run.jpg", "'run.jpg' is not a valid file name for the picture: it must end in .png"),

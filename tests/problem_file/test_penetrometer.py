@@ -49,6 +49,8 @@ def test_an_average_over_depth_of_each_insertion(write):
     assert found.spread == pytest.approx(np.std(MEANS, ddof=1), rel=1e-12)
     law = found.distribution()
     assert [law.mean(), law.std()] == pytest.approx([found.mean, found.spread], rel=1e-12)
+    with pytest.raises(po.InputError, match="must be two depths in metres from 0 upwards, the shallower first"):
+        po.read_penetrometer(write().parent / "field.csv", (0.45, 0.25))
 
 
 def test_insertions_below_each_other_are_the_same(tmp_path):
@@ -134,8 +136,3 @@ def test_some_insertions_have_no_distribution():
     for insertions, words in (([1e6, 2e6], "2 insertions, but a spread needs 3"), ([1e6] * 3, "nothing is uncertain")):
         with pytest.raises(po.InputError, match=words):
             po.Penetrometer("field.csv", insertions).distribution()
-
-
-def test_a_depth_begins_above_its_end(write):
-    with pytest.raises(po.InputError, match="must be two depths in metres from 0 upwards, the shallower first"):
-        po.read_penetrometer(write().parent / "field.csv", (0.45, 0.25))

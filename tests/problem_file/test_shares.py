@@ -50,9 +50,7 @@ def test_they_are_one_design_of_all_scenes(read):
     heights = {"share.height": own.variables["front"], "rear.share.height": own.variables["rear"]}
     assert best.variables == pytest.approx(heights, rel=1e-8)
     assert machine.mean_draft == pytest.approx(sum(own(po.simulate(scene, 0.5)).mean_draft for scene in scenes), 1e-8)
-    assert {one.name for one in best.limits if one.kind == "requirement"} == {
-        "front.loosened_radius", "rear.loosened_radius",
-    }  # fmt: skip
+    assert {*best.margins} == {"front.loosened_radius", "rear.loosened_radius"}
 
 
 def test_what_is_chosen_above_is_one_value_for_all_shares(read):

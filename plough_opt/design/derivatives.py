@@ -222,7 +222,7 @@ def _warnings(program: Program, value_error: float, slope_error: float) -> Itera
             f"the optimiser's objective has a relative error of {value_error:.1e}: use more steps or a tighter"
             " tolerance"
         )
-    if wanted is not None and value_error > wanted:
+    if wanted is not None and not value_error <= wanted:  # also if the optimiser's objective is NaN
         yield f"the wanted relative error {wanted:.1e} of objective and limits was not reached: it is {value_error:.1e}"
     if slope_error > wanted_of_derivatives:
         yield (

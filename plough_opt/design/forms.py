@@ -70,7 +70,7 @@ def relaxed(nlp: Nlp, owner: Sequence[int]) -> Nlp:
 
 
 def first_slack(g: Vector, limits: tuple[Vector, Vector], owner: Sequence[int]) -> Vector:
-    """Return the least slacks (s, t) of `relaxed` that make a start feasible.
+    """Return the least slacks (s, t) of `relaxed` that make a start feasible; 0 where a row has no value there.
 
     Args:
         g: rows of the requirements at the start.
@@ -79,6 +79,6 @@ def first_slack(g: Vector, limits: tuple[Vector, Vector], owner: Sequence[int]) 
     """
     count = len(set(owner))
     slack = np.zeros(2 * count)
-    np.maximum.at(slack[:count], owner, limits[0] - g)
-    np.maximum.at(slack[count:], owner, g - limits[1])
+    np.fmax.at(slack[:count], owner, limits[0] - g)
+    np.fmax.at(slack[count:], owner, g - limits[1])
     return slack

@@ -5,8 +5,7 @@ import re
 
 import casadi as ca
 import pytest
-from helpers.scenes import scene_of
-from helpers.small_designs import design
+from helpers.small_designs import design, sticking
 
 import plough_opt as po
 from plough_opt.design import ipopt
@@ -95,14 +94,9 @@ def test_a_path_that_cannot_be_kept(r1_scene):
     assert caught.value.blockers == ["upper bound 500 kN/m of 'stiffness'"]
 
 
-def _sticking(x):
-    """Return the draft of a run that is integrated by itself, because of its events."""
-    return po.simulate(scene_of(stiffness=2e4 * (1.0 + x), contact=po.StickSlip()), 0.02, outputs=1).mean_draft
-
-
 def test_the_least_shortfall_is_found_beside_a_higher_hill_than_the_guess():
     d, x = design(x=(0.2, 0.0, 1.0))
-    d.minimise(_sticking(x))
+    d.minimise(sticking(x))
     hills = 0.5 * ca.exp(-(((x - 0.2) / 0.1) ** 2)) + 0.8 * ca.exp(-(((x - 0.8) / 0.1) ** 2))
     d.require("high", hills, at_least=1.0)
     with pytest.raises(po.InfeasibleDesign) as caught:
@@ -144,7 +138,7 @@ def test_near_an_optimum_too_little_is_done_to_confirm_it(monkeypatch, required,
 UNCONFIRMED = {
     "kink": (lambda x: 1.0 + ca.fabs(x - 0.3), (), 0.3, 1e-5),
     "more equalities than variables": (lambda x: 1.0 + x**2, (0.8, 1.8), 0.8, 1e-6),
-    "the same near the guess": (_sticking, (0.8, 1.8), 0.8, 1e-6),
+    "the same near the guess": (sticking, (0.8, 1.8), 0.8, 1e-6),
     # Below 0.5 the objective is undefined, and at 0.5 its slope is infinite.
     "a model that ends between the bounds": (lambda x: ca.sqrt(x - 0.5) + x, (), 0.5, 2.5e-3),
 }
@@ -156,7 +150,7 @@ def test_optima_that_derivatives_do_not_confirm(objective, values, wanted, near)
     d.minimise(objective(x))
     for k, value in enumerate(values):
         d.require(f"x + {k}", x + k, at_least=value, at_most=value)
-    best = d.solve(search="near" if objective is _sticking else "auto")
+    best = d.solve(search="near" if objective is sticking else "auto")
     assert best.status == "unconfirmed"
     assert any("did not confirm" in warning for warning in best.warnings)
     assert best.variables["x"] == pytest.approx(wanted, abs=near)

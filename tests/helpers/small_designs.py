@@ -1,6 +1,7 @@
 """Designs with a few variables."""
 
 import plough_opt as po
+from helpers.scenes import scene_of
 
 
 def design(**variables):
@@ -16,6 +17,11 @@ def design(**variables):
         for name, (at, low, high, *more) in variables.items()
     ]
     return d, *symbols
+
+
+def sticking(x):
+    """Return the draft of a run that is integrated by itself, because of its events."""
+    return po.simulate(scene_of(stiffness=2e4 * (1.0 + x), contact=po.StickSlip()), 0.02, outputs=1).mean_draft
 
 
 def softest(soil, wave, stiffness=(7e4, 6e4, 1.2e5), duration=0.4, accuracy=None, **effects):

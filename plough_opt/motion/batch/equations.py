@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Column, Expression, absolute, minimum, stacked
+from plough_opt.core.expressions import Column, Expression, absolute, minimum, stacked, where
 from plough_opt.core.labels import labels_in, without_labels
 from plough_opt.motion.batch.engine import Array
 from plough_opt.motion.batch.layout import Layout
@@ -26,7 +26,7 @@ from plough_opt.motion.terms import Structure, parameters, pull, start_deflectio
 RESULTS = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
 """Names of the results of each design, before its error."""
 
-# Keeps the allowed error of a step above zero if nothing resists the share.
+# Keeps the allowed error of a step above zero if nothing moves the share.
 _TINY = 1e-300
 
 # The number of steps of a run is estimated as _FEWEST_STEPS + phase / _PHASE_PER_STEP, with the phase in rad.
@@ -89,7 +89,9 @@ def setup(layout: Layout, scene: Scene, duration: Expression, inputs: Sequence[C
     structure, known = layout.structure, parameters(scene)
     values = [known[name] for name in layout.names]
     end = minimum(known["ramp_time"], duration) if structure.ramp else duration
-    size = absolute(scene.steady_resistance / scene.stiffness) + _TINY
+    steady = absolute(scene.steady_resistance / scene.stiffness)
+    # Where the soil never resists, the strut alone moves the share.
+    size = where(steady > 0.0, steady, scene.tow_speed / scene.natural_frequency) + _TINY
     phase, part = _phase_and_error_part(layout)(stacked(*values, end, duration))
     rate = start_rate(structure, known)
     start = StartValues(

@@ -62,8 +62,8 @@ class Grid:
     title: str = ""
     caption: str = ""
     rows: list[tuple[str, ...]] = field(default_factory=list)
-    bold: set[int] = field(default_factory=set)
-    ends: set[int] = field(default_factory=set)
+    bold: list[int] = field(default_factory=list)
+    ends: list[int] = field(default_factory=list)
     plain: bool = False
 
     @classmethod
@@ -88,9 +88,9 @@ class Grid:
     def row(self, *cells: str, bold: bool = False, end: bool = False) -> None:
         """Add a row."""
         if bold:
-            self.bold.add(len(self.rows))
+            self.bold.append(len(self.rows))
         if end:
-            self.ends.add(len(self.rows))
+            self.ends.append(len(self.rows))
         self.rows.append(cells)
 
     @property

@@ -5,6 +5,7 @@ import platform
 import re
 import shutil
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import pytest
 from helpers.commands import call, cells, printed
@@ -50,6 +51,10 @@ def test_a_saved_result_holds_what_made_it(folder, saved):
         assert origin.seed == 0
         assert origin.made.endswith("+00:00")
         assert platform.node() == "" or platform.node() not in path.read_text(encoding="utf-8").split()
+
+
+def test_a_file_name_that_is_no_text_is_saved_with_question_marks():
+    assert replace(po.read_problem(SUBSOILER), name="a\udce4.toml").origin.file == "a?.toml"
 
 
 def test_show_prints_the_same_tables(folder, saved):

@@ -133,8 +133,9 @@ class Problem:
             seed: seed of the random samples, if any.
         """
         limits = {name: limit.ends(self._measure(name).unit) for name, limit in self.table.require.items()}
-        return Origin(self.title, self.displays, Path(self.name).name, self.text, seed=seed, overrides=self.overrides,
-                      data=self.data, limits=limits).now()  # fmt: skip
+        name = Path(self.name).name.encode(errors="replace").decode()  # names of files need not be text
+        return Origin(self.title, self.displays, name, self.text, seed=seed, overrides=self.overrides, data=self.data,
+                      limits=limits).now()  # fmt: skip
 
     def _measure(self, name: str) -> Measure:
         """Return the measure of a result such as "mean_draft" or "front.loosened_radius"."""

@@ -9,18 +9,18 @@ import math
 import numbers
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache, wraps
-from typing import Any, Protocol, TypeAlias, TypeVar, overload, runtime_checkable
+from typing import Annotated, Any, Protocol, TypeAlias, TypeVar, overload
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError
+from plough_opt.core.plain_data import NUMBERS
 
 
-@runtime_checkable
-class Expression(Protocol):
-    """A float, a NumPy array, or a CasADi ``SX``, ``MX`` or ``DM``; every physical function accepts any of them."""
+class _Expression(Protocol):
+    """The operators that floats, NumPy arrays and CasADi ``SX``, ``MX`` and ``DM`` share."""
 
     def __add__(self, other: Any, /) -> "Expression": ...
     def __radd__(self, other: Any, /) -> "Expression": ...
@@ -40,7 +40,10 @@ class Expression(Protocol):
     def __float__(self) -> float: ...
 
 
-Column: TypeAlias = Any
+Expression: TypeAlias = Annotated[_Expression, NUMBERS]
+"""A float, a NumPy array, or a CasADi ``SX``, ``MX`` or ``DM``; every physical function accepts any of them."""
+
+Column: TypeAlias = Annotated[Any, NUMBERS]
 """Column of values, a NumPy array or a CasADi matrix; it is ``Any`` because the two share too few signatures."""
 
 

@@ -8,17 +8,17 @@ import os
 import platform
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, ClassVar, Final, Self, TypeVar
+from typing import Any, ClassVar, Final, Literal, Self, TypeVar
 
 from plough_opt.core.checks import path_of
 from plough_opt.core.errors import InputError, short
 from plough_opt.core.files import read_text, write_file, write_new
-from plough_opt.core.plain_data import Misfit, fields_of, from_plain, to_plain
+from plough_opt.core.plain_data import from_plain, to_plain
 from plough_opt.core.tables import Page, Readable
 from plough_opt.core.units import Display, customary
 
@@ -27,7 +27,6 @@ SCHEMA: Final = 2
 
 # Largest file read: some hundred times the largest that the commands write.
 _MOST_BYTES: Final = 100_000_000
-_HEAD: Final = ("schema", "kind", "title", "versions", "shown")
 _Result = TypeVar("_Result", bound="Saveable")
 
 
@@ -35,6 +34,17 @@ def versions() -> dict[str, str]:
     """Return the versions of the packages that a result depends on, of Python, and the kind of machine."""
     packages = {name: version(name) for name in ("plough_opt", "casadi", "numpy")}
     return {**packages, "python": platform.python_version(), "machine": platform.machine()}
+
+
+@dataclass(frozen=True)
+class _Head:
+    """What every saved result begins with."""
+
+    schema: Literal[2]
+    kind: str
+    title: str
+    versions: dict[str, str]
+    shown: Page
 
 
 @dataclass(frozen=True)
@@ -145,11 +155,9 @@ class Saveable(Readable):
 
     Attributes:
         kind: identifies the class in a file.
-        unsaved: names of fields that are needed only for further computations, and are None in a result that was read.
     """
 
     kind: ClassVar[str]
-    unsaved: ClassVar[frozenset[str]] = frozenset()
 
     def also_saved(self) -> dict[str, Any]:
         """Return further entries of the file, for other programs that read it."""
@@ -173,10 +181,10 @@ class Saveable(Readable):
             InputError: the result contains something that cannot be saved.
         """
         origin: Origin = getattr(self, "origin", Origin())
-        head = (SCHEMA, self.kind, origin.title, self.made_by, to_plain(page or self.shown_page(), Page))
+        head = to_plain(_Head(SCHEMA, self.kind, origin.title, self.made_by, page or self.shown_page()), _Head)
         extra = getattr(self, "_extra", None)  # set if the result was read
         extra = to_plain(self.also_saved()) if extra is None else extra
-        plain = dict(zip(_HEAD, head, strict=True)) | extra | to_plain(self, type(self))
+        plain = head | extra | to_plain(self, type(self))
         return json.dumps(plain, indent=2, allow_nan=False)
 
     def save(self, path: str | Path) -> Path:
@@ -212,11 +220,10 @@ def read_result(path: str | Path, kinds: dict[str, type[_Result]]) -> _Result:
     try:
         return _result_of(_parsed(text), kinds)
     except (ValueError, RecursionError, TypeError) as error:
-        place = f"at {short(error.place)}: " if isinstance(error, Misfit) and error.place else ""
         kind = next(iter(kinds)) if len(kinds) == 1 else "result"
         wanted = f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
         raise InputError(
-            f"'{path}' is not {wanted} of this version (schema {SCHEMA}): {place}{short(str(error), 200)}; name a file"
+            f"'{path}' is not {wanted} of this version (schema {SCHEMA}): {short(str(error), 200)}; name a file"
             " that save or --json wrote, or save the result again"
         ) from None
 
@@ -228,17 +235,16 @@ def _result_of(data: Any, kinds: dict[str, type[_Result]]) -> _Result:
         ValueError: the document does not hold a result of these kinds.
     """
     if not isinstance(data, dict):
-        raise Misfit("", "Input should be an object")
-    for key, known in (("schema", [SCHEMA]), ("kind", [*kinds])):
-        if data.get(key) not in known:
-            raise Misfit(key, f"{key} = {data.get(key)!r:.60}: Input should be {' or '.join(map(repr, known))}")
-    found: _Result = from_plain(kinds[data["kind"]], data)
+        raise ValueError("Input should be an object")
+    first = [one.name for one in fields(_Head)]
+    head: _Head = from_plain(_Head, {key: data[key] for key in first if key in data})
+    if head.kind not in kinds:
+        raise ValueError(f"at kind: {head.kind!r:.60}: Input should be {' or '.join(map(repr, kinds))}")
+    found: _Result = from_plain(kinds[head.kind], data)
     found.check_saved()
-    from_plain(str, data.get("title"), "title")
-    for name, hint, key in (("_shown", Page, "shown"), ("_made_by", dict[str, str], "versions")):
-        object.__setattr__(found, name, from_plain(hint, data.get(key), key))
-    extra = {key: own for key, own in data.items() if key not in _HEAD and key not in fields_of(type(found))}
-    object.__setattr__(found, "_extra", extra)
+    extra = {key: own for key, own in data.items() if key not in {*first, *vars(found)}}
+    for name, own in (("_shown", head.shown), ("_made_by", head.versions), ("_extra", extra)):
+        object.__setattr__(found, name, own)
     return found
 
 

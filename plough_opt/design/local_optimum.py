@@ -6,10 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
 from plough_opt.core.files import drawn
+from plough_opt.core.plain_data import Array, Unbounded
 from plough_opt.core.saving import Saveable
 from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.core.units import Display, customary
@@ -18,8 +16,6 @@ from plough_opt.design.tolerance import Spread
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
-
-Array = NDArray[np.float64]
 
 
 def expected_unseen(followed: int, reached: int) -> float | None:
@@ -186,7 +182,7 @@ class LocalOptimum(Saveable):
     variables: dict[str, float]
     limits: tuple[Limit, ...]
     gap: float
-    error_estimate: float
+    error_estimate: Unbounded
     iterations: int
     spread: Spread | None = None
     kind = "local optimum"

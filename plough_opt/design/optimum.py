@@ -6,13 +6,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from plough_opt.core.checks import mapping_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_casadi, map_expressions
 from plough_opt.core.files import drawn
-from plough_opt.core.plain_data import to_plain
+from plough_opt.core.plain_data import ByName, Unsaved
 from plough_opt.core.saving import Origin
 from plough_opt.core.tables import Grid, Page, Part, data_frame
 from plough_opt.core.units import in_words
@@ -70,13 +70,12 @@ class Optimum(LocalOptimum):
     search: Search | None = None
     seconds: float = 0.0
     warnings: tuple[str, ...] = ()
-    solved: Solved | None = field(repr=False, default=None)
-    rounder: Callable[[Mapping[str, Any]], Rounded] | None = field(repr=False, default=None)
+    solved: Annotated[Solved | None, Unsaved()] = field(repr=False, default=None)
+    rounder: Annotated[Callable[[Mapping[str, Any]], Rounded] | None, Unsaved()] = field(repr=False, default=None)
     sensitivities: tuple[Sensitivity, ...] = ()
-    run: Run | Machine | None = None
+    run: Annotated[Run | Machine, ByName()] | None = None
     origin: Origin = field(default=Origin())
     kind = "optimum"
-    unsaved = frozenset({"solved", "rounder"})
 
     def __call__(self, item: Any) -> Any:
         """Return an expression, or an object with expressions nested in it, with numbers in their place.
@@ -143,7 +142,7 @@ class Optimum(LocalOptimum):
 
     def also_saved(self) -> dict[str, Any]:
         """Return the best design alone, as further content of a saved file."""
-        return {"best": to_plain(self.local_optima[0], LocalOptimum)} if self.local_optima else {}
+        return {"best": self.local_optima[0]} if self.local_optima else {}
 
     def plot(self, target: str | Path | None = None) -> Figure:
         """Draw share, response and search if the optimum has its run; else the variables between their bounds.
@@ -227,7 +226,7 @@ class Optimum(LocalOptimum):
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without the design's graph, which cannot be pickled."""
-        return {**self.__dict__, **dict.fromkeys(self.unsaved)}
+        return {**self.__dict__, "solved": None, "rounder": None}
 
     def _with_numbers(self, item: Any) -> Any:
         if isinstance(item, Run):

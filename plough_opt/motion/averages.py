@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from plough_opt.core.expressions import Expression
+from plough_opt.core.plain_data import Complex, Unbounded
 
 
 @dataclass(frozen=True)
@@ -72,8 +73,8 @@ class Checks:
         settles: for a periodic orbit, the motion to which a share settles from equilibrium.
     """
 
-    error_estimate: float
+    error_estimate: Unbounded
     seconds: float
     notes: tuple[str, ...]
-    floquet: tuple[complex, ...] = ()
+    floquet: tuple[Complex, ...] = ()
     settles: Settled | None = None

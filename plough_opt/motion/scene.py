@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 from plough_opt.core.checks import check_domain, check_kind
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_symbolic, rms, sqrt
 from plough_opt.core.labels import checked_in_designs, unlabelled
+from plough_opt.core.plain_data import ByName
 from plough_opt.core.quantities import read_fields
 from plough_opt.laws import law_of
 from plough_opt.laws.forces import PlasticGas
@@ -74,12 +75,12 @@ class Scene:
     """
 
     soil: Soil
-    share: Wedge | Cone
+    share: Annotated[Wedge | Cone, ByName()]
     stiffness: Expression
     mass: Expression
     tow_speed: Expression
     effects: Effects = field(default_factory=Effects)
-    medium: str | ResistanceLaw = "plastic"
+    medium: str | Annotated[ResistanceLaw, ByName()] = "plastic"
 
     def __post_init__(self) -> None:
         check_kind("the scene's soil", self.soil, Soil, "a Soil, for instance named_soil('serozem')")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from plough_opt.core.expressions import (
     log1p_ratio,
     sin,
 )
+from plough_opt.core.plain_data import FUNCTION
 from plough_opt.core.quantities import EVERY, QUANTITIES, read_fields
 
 STANDARD_ATMOSPHERE = 101325.0
@@ -56,7 +57,7 @@ class DensityProfile:
         InputError: the density is not a function, or the order is below 1.
     """
 
-    density: Callable[..., Expression]
+    density: Annotated[Callable[..., Expression], FUNCTION]
     parameters: tuple[Expression, ...] = ()
     order: int = field(default=16, metadata=COUNT)
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.files import drawn
+from plough_opt.core.plain_data import Array
 from plough_opt.core.saving import Saveable
 from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.core.units import customary
@@ -27,8 +28,6 @@ _UNITS: Final = {
 }  # fmt: skip
 # Failures that a table quotes.
 _QUOTED: Final = 3
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -1,13 +1,14 @@
 """Effects: the choice of effects in a scene, and checks of which exclude each other."""
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
 from plough_opt.core.checks import check_choice, check_kind, check_switch, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import COUNT, Expression, as_number, is_count, is_symbolic
+from plough_opt.core.plain_data import ByName
 from plough_opt.core.quantities import MOST_WAVES, read_fields
 from plough_opt.laws.printed import Formulation, Printed, errors_of
 from plough_opt.motion.effects.own import OwnResistance, check_own
@@ -87,15 +88,15 @@ class Effects:
     inertial_drag: bool = True
     added_mass: bool = True
     ambient_pressure: bool = True
-    contact: Literal["resisting"] | Smooth | StickSlip = "resisting"
+    contact: Literal["resisting"] | Annotated[Smooth | StickSlip, ByName()] = "resisting"
     start: Literal["equilibrium", "rest", "towed"] = "equilibrium"
     entry: bool = False
     strength_wave: StrengthWave | tuple[StrengthWave, ...] | None = None
-    random_strength: RandomStrength | Spectrum | None = None
+    random_strength: Annotated[RandomStrength | Spectrum, ByName()] | None = None
     tow_ramp: Expression | None = None
     damping: Expression | None = None
     rate_term: Expression | None = None
-    own: tuple[OwnResistance, ...] = ()
+    own: tuple[Annotated[OwnResistance, ByName()], ...] = ()
     orbit: Literal["transient", "periodic", "linearised"] | HarmonicBalance = "transient"
     formulation: Formulation = "derived"
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from plough_opt.core.errors import InputError, PloughError
+from plough_opt.core.plain_data import Unbounded
 
 # Times that differ by less than this factor are equal within the noise of repetitions.
 _EQUAL_TIMES: Final = 1.1
@@ -68,9 +69,9 @@ class Entry:
     family: str
     method: str
     setting: str
-    seconds: float
+    seconds: Unbounded
     setup: float = 0.0
-    errors: Mapping[str, float] = field(default_factory=dict)
+    errors: Mapping[str, Unbounded] = field(default_factory=dict)
     failure: str | None = None
     elsewhere: str = ""
     checked: float | None = None

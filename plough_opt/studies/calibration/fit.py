@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_choice
 from plough_opt.core.errors import InputError
+from plough_opt.core.plain_data import Unsaved
 from plough_opt.core.saving import Origin, Saveable, versions
 from plough_opt.core.tables import Page, Part, data_frame
 from plough_opt.motion.scene import Scene
@@ -73,7 +74,6 @@ class Fit(Saveable):
     """
 
     kind = "calibration"
-    unsaved = frozenset({"source"})
 
     title: str
     unknowns: tuple[parts.FittedUnknown, ...]
@@ -92,7 +92,7 @@ class Fit(Saveable):
     saved_intervals: tuple[parts.KnownInterval, ...] = ()
     saved_next: tuple[NextMeasurement, ...] = ()
     versions: Mapping[str, str] = field(default_factory=versions)
-    source: Estimate | None = field(default=None, repr=False, compare=False)
+    source: Annotated[Estimate | None, Unsaved()] = field(default=None, repr=False, compare=False)
     origin: Origin = field(default=Origin())
 
     @property

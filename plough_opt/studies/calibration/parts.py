@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from plough_opt.core.plain_data import Unbounded
 from plough_opt.core.saving import Origin
 from plough_opt.core.tables import Grid
 from plough_opt.studies.calibration.candidates import NextMeasurement
@@ -34,7 +35,7 @@ class FittedUnknown:
     name: str
     unit: str
     value: float
-    standard_error: float
+    standard_error: Unbounded
     lower: float
     upper: float
     determined: bool
@@ -73,8 +74,8 @@ class Row:
     time: float | None
     observed: float
     predicted: float
-    sigma: float
-    standard_error: float
+    sigma: Unbounded
+    standard_error: Unbounded
     residual: float
 
 

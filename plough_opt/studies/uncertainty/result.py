@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
 
 from plough_opt.core.files import COLOURS, save_figure
+from plough_opt.core.plain_data import Unsaved
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, Part, data_frame
@@ -56,7 +57,7 @@ class RobustOptimum(Saveable):
     best: Optimum
     run: Run
     nominal: Optimum
-    robust: Robust
+    robust: Annotated[Robust, Unsaved()]
     fresh: Verification
     nominal_fresh: Verification
     indices: Mapping[str, SobolIndices]
@@ -64,7 +65,6 @@ class RobustOptimum(Saveable):
     requirements: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     origin: Origin = field(default=Origin())
     kind = "robust optimum"
-    unsaved = frozenset({"robust"})
 
     def page(self) -> Page:
         """Return tables of the soil, of the robust and the nominal design, and of both verifications."""

@@ -4,17 +4,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from plough_opt.core.checks import check_kind, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
+from plough_opt.core.plain_data import Array as Vector
 from plough_opt.design import Optimum
 from plough_opt.studies.uncertainty.distribution import SoilDistribution
 from plough_opt.studies.uncertainty.robust import Robust
-
-Vector = NDArray[np.float64]
 
 _CONFIDENCE = 0.95
 _RESAMPLES = 200

@@ -9,16 +9,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from plough_opt.core.checks import check_kind, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
+from plough_opt.core.plain_data import Array as Vector
 from plough_opt.design import Optimum
 from plough_opt.studies.uncertainty.robust import RequestedMeasure, Robust
-
-Vector = NDArray[np.float64]
 
 SAMPLES = 4096
 """Default number of fresh samples."""

@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 import plough_opt as po
 
 HEADINGS = "position [m], cone_index [kPa]"
+TIMES = "time [s], cone_index [kPa]\n" + "".join(f"{second}, 2\n" for second in range(40))
 TRUE = ((0.2, 0.73, 0.4), (0.1, 2.1, -1.2))
 
 
@@ -73,8 +74,7 @@ def test_the_spectrum_integrates_to_the_variance(even):
     assert np.all((made.spectrum.lower < made.spectrum.density) & (made.spectrum.density < made.spectrum.upper))
     # Eight segments that overlap by half under a Hann window: Percival, Walden (1993), section 6.17.
     freedom = 36.0 * 8.0**2 / (19.0 * 8.0 - 1.0) if even else 2.0
-    widest = freedom / stats.chi2.ppf(0.025, freedom)
-    assert made.spectrum.upper / made.spectrum.density == pytest.approx(widest, rel=1e-12)
+    assert made.spectrum.upper / made.spectrum.density == pytest.approx(freedom / stats.chi2.ppf(0.025, freedom), 1e-12)
     # The density of white noise is constant and lies inside 95 % of the bands.
     inside = []
     for seed in range(40 if even else 4):
@@ -139,6 +139,8 @@ def waves_command(tmp_path):
         pytest.param(f"{HEADINGS}\n" + "1, 2\n" * 2_000_000, (), "at most 10 MB can be read", id="huge"),
         ("position [m], force [kN]\n1, 2\n", (), "a measured force contains the rig.s own oscillation"),
         ("time [s], cone_index [kPa]\n1, 2\n", (), "need the tow speed"),
+        (TIMES, ("--tow-speed", "0 m/s"), "positions must increase, but 0 m follows 0 m"),
+        (None, ("--mass", "9 kg", "--stiffness", "9 kN/m", "--tow-speed", "0 m/s"), "tow speed of a rig = 0 m/s"),
         (None, ("--mass", "20 kg"), "a rig also needs --stiffness, --tow-speed"),
         (None, ("--part", "2"), "part = 2.0"),
         (None, ("--plot", "x.bmp"), "it must end in .png"),
@@ -148,6 +150,11 @@ def test_errors_give_file_and_line(waves_command, text, options, words):
     done = waves_command(text, *options)
     assert (done.status, done.out) == (2, "")
     assert re.search(words, done.said), done.err
+
+
+def test_times_become_positions_by_a_speed_with_a_unit(tmp_path):
+    (tmp_path / "record.csv").write_text(TIMES, encoding="utf-8")
+    assert po.read_strength_record(tmp_path / "record.csv", tow_speed="7.2 km/h").position[-1] == 78.0
 
 
 def test_the_command_prints_lines_for_a_problem_file(waves_command, tmp_path):

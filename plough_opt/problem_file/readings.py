@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from plough_opt.core.checks import LARGEST, LEAST, array_of, check_text, path_of, plain_number, shown
 from plough_opt.core.csv_rows import check_rising, columns_of, raise_listed, readings_of, table_of
 from plough_opt.core.errors import InputError
+from plough_opt.core.quantities import QUANTITIES
 from plough_opt.core.units import Unit
 from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.schema import RANDOM
@@ -231,6 +232,7 @@ def read_strength_record(path: str | Path, rig: Rig | None = None, *, tow_speed:
     Raises:
         InputError: the file does not exist, a column or cell is invalid (each listed with its line), a force is given
             without a rig, or times without a speed.
+        DomainError: the speed is below 0.
 
     Example:
         >>> import plough_opt as po
@@ -254,10 +256,13 @@ def read_strength_record(path: str | Path, rig: Rig | None = None, *, tow_speed:
         )
     if "cone_index" in found:
         rig = None
-    speed = tow_speed if tow_speed is not None else rig.tow_speed if rig is not None else None
-    if "time" in found and speed is None:
+    speed = rig.tow_speed if tow_speed is None and rig is not None else tow_speed
+    if "position" in found:
+        position = found["position"]
+    elif speed is None:
         raise InputError(f"{path}: readings over time need the tow speed, which turns times into positions")
-    position = found["position"] if "position" in found else found["time"] * (speed or 1.0)
+    else:
+        position = found["time"] * plain_number("tow speed", QUANTITIES["scene.tow_speed"].read(speed))
     return StrengthRecord(position, found["force" if "force" in found else "cone_index"], rig, str(path))
 
 

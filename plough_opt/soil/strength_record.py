@@ -39,7 +39,7 @@ class Rig:
         mass: moving mass [kg].
         stiffness: spring stiffness [N/m].
         damping: damping coefficient [N s/m], at least 0.
-        tow_speed: speed at which it was pulled [m/s].
+        tow_speed: speed at which it was pulled [m/s], above 0.
 
     Raises:
         DomainError: a number lies outside its domain.
@@ -59,6 +59,7 @@ class Rig:
         read_fields(
             self, damping="effects.damping", **{name: f"scene.{name}" for name in ("mass", "stiffness", "tow_speed")}
         )
+        check_domain("tow speed of a rig", self.tow_speed, "m/s", above=0.0)
 
     def response(self, wave_number: Vector) -> NDArray[np.complex128]:
         """Return mount force over soil resistance [-] at wave numbers [rad/m]: (k + i w c)/(k - m w^2 + i w c)."""

@@ -159,8 +159,7 @@ def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
     panels = list(best.variables) if best.search is not None and len(best.search.objective) > 0 else []
     required = [limit for limit in best.limits if limit.kind == "requirement"]
     rows = -(-len(panels) // _PANELS)
-    response = changing(run, best.limits) if isinstance(run, Run) else []
-    response = [panel for panel in response if panel.name != "speed"]
+    response = [p for p in changing(run, best.limits) if p.name != "speed"] if isinstance(run, Run) else []
     first = 2 if response else 1  # first row of the search
     figure = Figure(figsize=(12.5, 0.8 + 3.2 * first + 3.0 * rows), layout="constrained")
     figure.suptitle(subject(run) if isinstance(run, Run) else run.origin.title)

@@ -43,8 +43,7 @@ def reported(problem: Problem, notify: Progress, *, seed: int = 0, accuracy: boo
     assert isinstance(run, Run)  # the command refuses several shares
     study = None
     if accuracy:
-        periodic = run.scene.effects.orbit != "transient"
-        duration: Any = None if periodic else problem.values().get("scene.duration")
+        duration: Any = problem.values().get("scene.duration")
         study = study_accuracy(run.scene, duration, allowance=_ALLOWANCE, derivatives=False, thin=True, progress=notify)
     return Report(problem, run, best, sensitivities, unknown, study)
 

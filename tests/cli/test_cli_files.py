@@ -78,15 +78,12 @@ def test_an_output_that_may_not_be_written_is_refused(monkeypatch, tmp_path):
     assert (done.status, done.err.endswith("a.png' cannot be written: permission denied\n")) == (2, True)
 
 
-@pytest.mark.parametrize(
-    ("variable", "value", "line", "told"),
-    [
+def test_environments_that_cannot_be_are_bad_input(command, tmp_path):
+    for variable, value, line, told in (
         ("MPLBACKEND", "bogus", ("simulate", "--plot", "a.png"), "--plot: matplotlib cannot start: "),
         ("CC", "'", ("export", "--to", "fmu", "--output", "a.fmu"), '$CC = "\'" is not a command: No closing'),
-    ],
-)
-def test_environments_that_cannot_be_are_bad_input(command, tmp_path, variable, value, line, told):
-    done = command(line[0], SUBSOILER, *line[1:], environment={variable: value}, cwd=tmp_path)
-    assert done.status == 2
-    assert done.err.startswith(f"bad input: {told}")
-    assert list(tmp_path.iterdir()) == []
+    ):
+        done = command(line[0], SUBSOILER, *line[1:], environment={variable: value}, cwd=tmp_path)
+        assert done.status == 2
+        assert done.err.startswith(f"bad input: {told}")
+        assert list(tmp_path.iterdir()) == []

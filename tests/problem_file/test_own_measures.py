@@ -45,9 +45,8 @@ def by_hand(run):
 def test_values_are_those_of_the_arithmetic(read):
     problem = read(written(RIGHT))
     run = problem.simulate()
-    found = measures_of(problem.table)
     for name, value in by_hand(run).items():
-        shown = float(found[name].of(run)) / problem.displays[name].factor
+        shown = float(measures_of(problem.table)[name].of(run)) / problem.displays[name].factor
         assert shown == pytest.approx(value, rel=1e-14), name  # a few roundings
         assert problem.displays[name].symbol == RIGHT[name][1]
 

@@ -152,6 +152,11 @@ def instructions(function: ca.Function) -> Iterator[tuple[int, list[int], list[i
         yield code, function.instruction_output(k), function.instruction_input(k), constant
 
 
+def name_of(code: int) -> str:
+    """Return CasADi's name of an operation, such as "floor"."""
+    return next(name[3:].lower() for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == code)
+
+
 def c_source(maps: Mapping[str, ca.Function], phases: Sequence[Phase], parameters: int) -> str:
     """Return the C source of a library with a function for each map and the function ``run``, which takes all steps.
 
@@ -302,5 +307,5 @@ def _expression(code: int, of: list[_Value]) -> str:
         return f"(V)((M){of[1].vector} & {of[0].mask})"
     functions = LIBRARY | LIBRARY_OF_TWO | LANE_BY_LANE
     if code not in _OWN and code not in functions:
-        raise InputError(f"a batch cannot evaluate CasADi's operation number {code}: use po.simulate for each design")
+        raise InputError(f"a batch cannot evaluate the operation '{name_of(code)}': use po.simulate for each design")
     return f"{_OWN.get(code) or f'v_{functions[code]}'}({', '.join(each.vector for each in of)})"

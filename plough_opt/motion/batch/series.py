@@ -17,7 +17,7 @@ from functools import partial
 import casadi as ca
 
 from plough_opt.core.errors import InputError
-from plough_opt.motion.batch.c_source import instructions
+from plough_opt.motion.batch.c_source import instructions, name_of
 
 _ZERO, _ONE = ca.SX(0), ca.SX(1)
 
@@ -241,10 +241,9 @@ def _apply(graph: Graph, operation: int, of: list[Series]) -> Series:
         return _elementary(graph, operation, *of)
     if operation in _LOGICAL:
         return graph.stepwise(partial(_evaluated, operation), *of)
-    name = next(name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == operation)
     raise InputError(
-        f"a batch cannot expand the operation '{name[3:].lower()}' of a quantity that changes with time: write the own"
-        " resistance without it, or use po.simulate for each design"
+        f"a batch cannot expand the operation '{name_of(operation)}' of a quantity that changes with time: write the"
+        " own resistance without it, or use po.simulate for each design"
     )
 
 

@@ -112,7 +112,7 @@ def test_workers_end_with_the_pool_and_print_to_the_error_stream(capfd):
         pool.submit(print, "from inside").result(60.0)
         pool.submit(os.system, "echo from a child").result(60.0)
         assert str(pool.submit(swept.refuse).exception(60.0)) == "RuntimeError: not here"
-        pool.submit(time.sleep, 0.1)
+        pool.submit(time.sleep, 1.0)
         assert pool.submit(print, "cancelled").cancel()
         # The next call goes to the successor of an idle worker that has died.
         worker = pool.submit(os.getpid).result(60.0)

@@ -36,9 +36,8 @@ def full():
 
 
 def row(comparison, model, depth=None):
-    found = [r for r in comparison.others if r.model == model and (depth is None or r.depth == depth)]
-    assert len(found) == 1, [r.model for r in comparison.others]
-    return found[0]
+    (found,) = (r for r in comparison.others if r.model == model and (depth is None or r.depth == depth))
+    return found
 
 
 def printed(comparison):

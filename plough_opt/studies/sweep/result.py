@@ -89,7 +89,7 @@ class Sweep(Readable):
     origin = Origin()
     how = ""
 
-    def __init__(self, store: Store, already: int = 0) -> None:
+    def __init__(self, store: Store, already: int) -> None:
         self._store, self.already, self.path = store, already, store.path
         about = store.about
         self.names, self.results, self.units, self.question = about.names, about.results, about.units, about.question

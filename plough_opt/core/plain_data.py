@@ -6,7 +6,7 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, is_dataclass, make_dataclass
-from functools import cache, partial, reduce
+from functools import lru_cache, partial, reduce
 from inspect import isfunction, signature
 from operator import or_
 from types import UnionType
@@ -76,7 +76,7 @@ def _read(hint: Any, data: Any) -> Any:
     return _adapter(hint).validate_json(json.dumps([data]))[0]
 
 
-@cache
+@lru_cache(maxsize=256)
 def _adapter(hint: Any) -> TypeAdapter[Any]:
     """Return the converter of a tuple of one value, because pydantic accepts no settings for a dataclass itself."""
     from pydantic import TypeAdapter
@@ -162,7 +162,7 @@ def _read_object(known: dict[str, type], data: dict[str, Any]) -> Any:
     raise ValueError(f"is not of type {' or '.join(known)}")
 
 
-@cache
+@lru_cache(maxsize=256)
 def _form(kind: Any) -> Any:
     """Return a dataclass with the fields of a class; of any type if that is no dataclass or its types are local."""
     try:

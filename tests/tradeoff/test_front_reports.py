@@ -30,7 +30,7 @@ def test_table_and_back(broken, tmp_path):
     assert [int(row["part"]) for row in own] == [1 + (k in broken.parts[1]) for k in range(len(own))]
 
 
-def test_picture(broken, tmp_path):
+def test_picture(broken, concave, tmp_path):
     alone = Figure().subplots()
     assert broken.plot(alone) is alone
     assert len(alone.figure.axes) == 1
@@ -52,8 +52,9 @@ def test_picture(broken, tmp_path):
     drawn = np.vstack([lines["front, part 1"], lines["front, part 2"]])
     assert drawn == pytest.approx(broken.objectives)
     assert len(lines["local optima, dominated"]) == len(broken.dominated)
-    far = replace(broken, dominated=(replace(broken.dominated[0], objectives=(9.0, 9.0)),)).plot(Figure().subplots())
-    assert "local optima, dominated" not in [text.get_text() for text in far.get_legend().get_texts()]
+    # Optima far away are neither shown nor named, and a concave front has no knee.
+    far = replace(concave, dominated=(replace(concave.points[0], objectives=(9.0, 9.0)),)).plot(Figure().subplots())
+    assert [text.get_text() for text in far.get_legend().get_texts()] == ["front"]
 
 
 # --- tables -------------------------------------------------------------------------------------------------

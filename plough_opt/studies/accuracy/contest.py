@@ -16,6 +16,7 @@ from typing import Any, Final
 
 from plough_opt.core.errors import InputError, PloughError
 from plough_opt.core.plain_data import Unbounded
+from plough_opt.design.exploring import Progress, silent
 
 # Times that differ by less than this factor are equal within the noise of repetitions.
 _EQUAL_TIMES: Final = 1.1
@@ -40,13 +41,6 @@ _COARSEST: Final = -56
 
 Use = Callable[[], object]
 """One use of a method, which is timed."""
-
-Progress = Callable[[str, float], None]
-"""Called with what is being done and the fraction done."""
-
-
-def silent(_stage: str, _part: float) -> None:
-    """Report no progress."""
 
 
 @dataclass(frozen=True)

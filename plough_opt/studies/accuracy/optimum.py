@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from plough_opt.core.errors import NotConverged
 from plough_opt.design import Design
 from plough_opt.design.basin import first_optimum
+from plough_opt.design.exploring import Progress, silent
 from plough_opt.design.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.nlp import Nlp, build_nlp
 from plough_opt.design.optimality import decides, newton_step, symmetric
@@ -25,7 +26,7 @@ from plough_opt.design.program import Program
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.methods import METHODS, is_stepped
 from plough_opt.motion.plan import steps_for
-from plough_opt.studies.accuracy.contest import Contestant, Entry, Progress, measured, refuse, silent
+from plough_opt.studies.accuracy.contest import Contestant, Entry, measured, refuse
 from plough_opt.studies.accuracy.local_solve import (
     Derivatives,
     Solve,

@@ -24,14 +24,15 @@ from plough_opt.core.expressions import as_number, holds_casadi, is_count, map_e
 from plough_opt.core.process import available
 from plough_opt.core.quantities import BESIDE
 from plough_opt.core.saving import versions
-from plough_opt.design import Design, Optimum
+from plough_opt.design import Design, Optimum, Progress
 from plough_opt.design.effort import Search
+from plough_opt.design.exploring import silent
 from plough_opt.laws.cones import ElasticMedium
 from plough_opt.laws.forces import PlasticGas
 from plough_opt.motion.accuracy import DEFAULT_ERROR
 from plough_opt.motion.plan import MOST_OUTPUTS
 from plough_opt.motion.scene import Scene
-from plough_opt.studies.accuracy.contest import Entry, Progress, silent
+from plough_opt.studies.accuracy.contest import Entry
 from plough_opt.studies.accuracy.methods import AUTO, Task, gradients, integrators, models, periodic_orbit_of
 from plough_opt.studies.accuracy.optimum import GRADIENT, VARIABLES, design_contest
 from plough_opt.studies.accuracy.quadratures import density_profile, elastic_contact, quasi_static_course

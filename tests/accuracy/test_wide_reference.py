@@ -173,16 +173,17 @@ def test_against_another_solver_averages_and_all(name):
     assert np.array_equal(found.run.mode[clear].astype(int), other.mode[clear])
 
 
-@pytest.mark.parametrize(
-    ("changes", "duration"),
-    [
-        # At 1.7 m/s a third of the period, thrice, is more than the period in the widest floats.
-        pytest.param({"tow_speed": 1.7, "strength_wave": WAVE}, 0.2 / 1.7, id="rounding"),
-        # Two waves of 0.2 m and 0.3 m repeat together after 0.6 m.
-        pytest.param({"strength_wave": (WAVE, po.StrengthWave(0.2, 0.3, 1.0))}, 0.3, id="two waves"),
-    ],
-)
-def test_an_orbit_returns_to_where_it_began_and_is_that_of_simulate(changes, duration):
+ORBITS = {
+    # At 1.7 m/s a third of the period, thrice, is more than the period in the widest floats.
+    "rounding": ({"tow_speed": 1.7, "strength_wave": WAVE}, 0.2 / 1.7),
+    # Two waves of 0.2 m and 0.3 m repeat together after 0.6 m.
+    "two waves": ({"strength_wave": (WAVE, po.StrengthWave(0.2, 0.3, 1.0))}, 0.3),
+}
+
+
+@pytest.mark.parametrize("name", ORBITS)
+def test_an_orbit_returns_to_where_it_began_and_is_that_of_simulate(name):
+    changes, duration = ORBITS[name]
     share = scene_of(damping=400.0, orbit="periodic", **changes)
     found = reference_run(share, outputs=3)
     peak = float(np.max(np.abs(found.run.mount_force)))

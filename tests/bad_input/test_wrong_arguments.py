@@ -20,7 +20,6 @@ LEFT_OUT = {
     # Starts processes; tested with sweeps.
     ("sweep", "executor", "None"),
     # Whole numbers with more digits than Python prints.
-    ("Output", "name", "vaster"),
     ("sweep", "samples", "vaster"),
     # An SX expression with an MX scene.
     ("Batch", "duration", "SX"),

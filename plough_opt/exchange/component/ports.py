@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_domain, plain_number, shown
-from plough_opt.core.errors import InputError, nearest, unprintable
+from plough_opt.core.checks import check_domain, check_text, plain_number, shown
+from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Expression, as_number
 from plough_opt.core.quantities import EVERY, Quantity
 from plough_opt.core.units import has_unit, in_si, unit_of
@@ -50,7 +50,8 @@ class Input:
         symbol: a CasADi symbol in the scene; it needs bounds.
 
     Raises:
-        InputError: a text that is not a quantity of this kind, or plain numbers with a unit that is not SI.
+        InputError: a name that is no text, a text that is not a quantity of this kind, or plain numbers with a unit
+            that is not SI.
 
     Example:
         >>> import plough_opt as po
@@ -66,7 +67,8 @@ class Input:
     symbol: Expression | None = None
 
     def __post_init__(self) -> None:
-        known = EVERY.get(self.name) if self.symbol is None and isinstance(self.name, str) else None
+        check_text("the name of an input", self.name)
+        known = EVERY.get(self.name) if self.symbol is None else None
         _read_in_si(self, None if known is None else known.unit, ("lower", "upper", "value"))
 
 
@@ -101,7 +103,7 @@ class Output:
         unit: SI unit; not needed for a named result.
 
     Raises:
-        InputError: limits that contradict each other.
+        InputError: a name that is no text, or limits that contradict each other.
 
     Example:
         >>> import plough_opt as po
@@ -116,7 +118,8 @@ class Output:
     unit: str | None = None
 
     def __post_init__(self) -> None:
-        known = MEASURES.get(self.name) if self.of is None and isinstance(self.name, str) else None
+        check_text("the name of an output", self.name)
+        known = MEASURES.get(self.name) if self.of is None else None
         _read_in_si(self, None if known is None else known.unit.symbol, ("lower", "upper"))
         for side in ("lower", "upper"):
             limit = getattr(self, side)
@@ -200,11 +203,9 @@ def check_names(kind: str, names: Sequence[str]) -> None:
         raise InputError(f"a component needs {kind}s: name at least one")
     name_of: dict[str, str] = {}
     for name in names:
-        argument = identifier(name) if isinstance(name, str) else ""
-        if not argument.isidentifier() or unprintable(name, allowed=""):
-            raise InputError(
-                f"{kind} {shown(name)} must be a name that begins with a letter and has printable characters only"
-            )
+        argument = identifier(name)
+        if not argument.isidentifier():
+            raise InputError(f"{kind} {shown(name)} must be a name that begins with a letter")
         if argument in name_of:
             other = name_of[argument]
             raise InputError(f"{kind} '{name}' is given twice" if other == name else f"'{other}' and '{name}' clash")

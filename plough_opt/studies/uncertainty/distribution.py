@@ -354,5 +354,5 @@ def _check_draw(count: int, seed: int) -> None:
     """Raise InputError for an invalid number of samples or an invalid seed."""
     if not is_count(count) or count > _MOST_SAMPLES:
         raise InputError(f"the number of samples {shown(count)} must be a whole number from 1 to {_MOST_SAMPLES}")
-    if not (is_count(seed) or (seed == 0 and not isinstance(seed, bool))):
+    if isinstance(seed, bool) or not (isinstance(seed, int | np.integer) and seed >= 0):
         raise InputError(f"the seed {shown(seed)} must be a whole number of at least 0")

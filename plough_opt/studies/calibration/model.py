@@ -162,7 +162,7 @@ def model_of(
         raise InputError(
             f"{shown(given)} must be a Problem, a Scene, or a function of values by key that returns a Scene"
         )
-    return Model(title, build, current, duration, accuracy, _unknowns(unknown or {}, current))
+    return Model(title, build, current, duration, accuracy, _unknowns(unknown, current))
 
 
 def _of_file(problem: Described, values: Mapping[str, Expression]) -> Scene:
@@ -181,15 +181,16 @@ def _current(scene: Scene) -> dict[str, float]:
     return {name: float(as_number(value)) for name, value in values.items()}
 
 
-def _unknowns(given: Mapping[str, Any], current: Mapping[str, float]) -> tuple[Unknown, ...]:
+def _unknowns(given: Mapping[str, Any] | None, current: Mapping[str, float]) -> tuple[Unknown, ...]:
     """Return the checked unknowns.
 
     Raises:
         InputError: there are no unknowns, a name is unknown, or bounds are invalid.
     """
-    if not mapping_of("unknown", given, "{'soil.cohesion': (1e3, 80e3)}"):
+    bounds_of = mapping_of("unknown", given, "{'soil.cohesion': (1e3, 80e3)}")
+    if not bounds_of:
         raise InputError("there are no unknowns: name each with its bounds, as {'soil.cohesion': (1e3, 80e3)}")
-    return tuple(_unknown(name, bounds, current.get(name)) for name, bounds in given.items())
+    return tuple(_unknown(name, bounds, current.get(name)) for name, bounds in bounds_of.items())
 
 
 def _unknown(name: str, bounds: Any, current: float | None) -> Unknown:

@@ -99,9 +99,12 @@ def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
         limits: limits to show in addition to those of the run's problem file.
 
     Raises:
-        InputError: ``run`` is not a run.
+        InputError: ``run`` is not a run, or a limit is none.
     """
     check_kind("the run", run, Run, "a numeric Run, as returned by po.simulate")
+    check_kind("limits", limits, list | tuple, "a list of limits, such as those of an optimum")
+    for limit in limits:
+        check_kind("a limit", limit, Limit, "one of an optimum's limits")
     panels = changing(run, limits)
     figure = Figure(figsize=(9, 1.0 + 2.3 * max(1, len(panels))), layout="constrained")
     figure.suptitle(subject(run))

@@ -123,8 +123,9 @@ def _driven_away(scene: Scene, last: Run) -> str | None:
     growing = float(p.get("drag", 0.0) + p["static"] * p.get("rate_term", 0.0))
     rest = p["static"] + abs(float(last.mount_force[-1]))
     fastest = retreat >= 0.99 * float(np.max(np.abs(last.speed)))
-    may_grow = scene.effects.contact == "resisting" and growing * retreat**2 > rest
-    if not (last.accuracy.adaptive and fastest and may_grow):  # fixed steps may just have been too long
+    if not last.accuracy.adaptive:  # fixed steps may just have been too long, and the last speed any number
+        return None
+    if scene.effects.contact != "resisting" or not fastest or growing * retreat**2 <= rest:
         return None
     return (
         f"the share retreats there at {retreat:.3g} m/s, and under contact 'resisting' the resistance drives the share"

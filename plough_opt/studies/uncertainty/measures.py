@@ -19,7 +19,7 @@ import numpy as np
 
 from plough_opt.core.checks import LARGEST, LEAST, array_of, plain_number, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Column, is_casadi, maximum, minimum, sqrt, where
+from plough_opt.core.expressions import Column, is_casadi, maximum, minimum, sqrt, total, where
 
 # They reduce a bracket of a million widths to 1e-9 widths, an error that one Newton step squares.
 _HALVINGS = 50
@@ -69,7 +69,7 @@ def _clipped(u: Column) -> Column:
 def expected(values: Column) -> Column:
     """Return the mean."""
     column = _column(values)
-    return _sum(column) / _count(column)
+    return total(column) / _count(column)
 
 
 def standard_deviation(values: Column) -> Column:
@@ -79,7 +79,7 @@ def standard_deviation(values: Column) -> Column:
     """
     column = _column(values)
     mean = expected(column)
-    variance = _sum((column - mean) ** 2) / _count(column)
+    variance: Column = total((column - mean) ** 2) / _count(column)
     if not is_casadi(column):
         return float(np.sqrt(variance))
     return sqrt(variance + (_LEAST_SPREAD * mean) ** 2 + _TINY)
@@ -257,10 +257,6 @@ def _column(values: Column) -> Column:
 
 def _count(column: Column) -> int:
     return int(column.numel()) if is_casadi(column) else int(column.size)
-
-
-def _sum(column: Column) -> Column:
-    return ca.sum1(column) if is_casadi(column) else float(np.sum(column))
 
 
 def _least(column: Column) -> Column:

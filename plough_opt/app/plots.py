@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from plough_opt.app.run_picture import SIDE_BY_SIDE, changing, draw_panel, draw_side_by_side, subject
+from plough_opt.app.run_picture import CONSTANT, SIDE_BY_SIDE, changing, draw_panel, draw_side_by_side, subject
 from plough_opt.app.run_picture import plot_designs as plot_designs
 from plough_opt.app.run_picture import plot_forces as plot_forces
 from plough_opt.app.run_picture import plot_run as plot_run
@@ -35,8 +35,6 @@ save = save_figure
 _MOST_PANELS = 6
 # Points in one panel: more would hide each other.
 _MOST_POINTS = 20_000
-# Relative change below which a result counts as constant: smaller changes are rounding.
-_CONSTANT = 1e-6
 # A swept quantity whose largest value exceeds the smallest by more than this factor has a logarithmic axis.
 _LOG_RATIO = 20.0
 # Panels of the search in one row.
@@ -119,7 +117,7 @@ def plot_sweep(swept: Sweep) -> Figure:
             axes.set_xscale("log")
         # Show a constant result from 0, so that its rounding is not magnified.
         finite = values[np.isfinite(values)]
-        if len(finite) and float(np.max(finite)) > 0.0 and np.ptp(finite) < _CONSTANT * np.max(np.abs(finite)):
+        if len(finite) and float(np.max(finite)) > 0.0 and np.ptp(finite) < CONSTANT * np.max(np.abs(finite)):
             axes.set_ylim(0.0, 1.2 * float(np.max(finite)))
     if shades is not None and names:
         figure.colorbar(points, ax=every[: len(names)], label=shades_label)

@@ -24,9 +24,9 @@ OWN, LIMIT, SOIL, STRUT = COLOURS[0], COLOURS[1], COLOURS[4], COLOURS[6]
 """Colours in every picture: the share's motion and force, limits, the soil, and the strut."""
 SIDE_BY_SIDE: Final = {"mount_force": "N", "deflection": "m"}
 """Results over time that are drawn for several runs -> SI unit."""
+CONSTANT: Final = 1e-6
+"""Relative change below which a result counts as constant: smaller changes are rounding."""
 
-# Relative change below which a result counts as constant: smaller changes are rounding.
-_CONSTANT = 1e-6
 # Smallest margin on either side of a limit, relative to its size: a smaller one would magnify rounding.
 _LEAST_ROOM = 0.02
 
@@ -52,7 +52,7 @@ class Panel:
     @property
     def changes(self) -> bool:
         """Whether any line changes over time."""
-        return any(np.ptp(values) > _CONSTANT * np.max(np.abs(values)) for values, _, _ in self.lines.values())
+        return any(np.ptp(values) > CONSTANT * np.max(np.abs(values)) for values, _, _ in self.lines.values())
 
 
 def force_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
@@ -132,7 +132,7 @@ def draw_panel(axes: Axes, run: Run, panel: Panel, columns: int = 5) -> None:
         name, mean, rms = panel.mean
         label = f"{name} {unit.text(mean, 3)}"
         axes.axhline(mean / unit.factor, color="black", linewidth=1.0, linestyle="--", label=label)
-        if rms > _CONSTANT * abs(mean):
+        if rms > CONSTANT * abs(mean):
             axes.axhspan((mean - rms) / unit.factor, (mean + rms) / unit.factor, color="black", alpha=0.08,
                          label=f"± RMS {unit.text(rms, 3)}")  # fmt: skip
     if panel.name == "force":
@@ -143,7 +143,7 @@ def draw_panel(axes: Axes, run: Run, panel: Panel, columns: int = 5) -> None:
     axes.set(xlabel="time [s]", ylabel=unit.heading(panel.name), xlim=(float(run.time[0]), float(run.time[-1])))
     low, high = axes.get_ylim()
     # Widen the range around an almost constant result, so that its rounding is not magnified.
-    least = _CONSTANT * max(abs(low), abs(high))
+    least = CONSTANT * max(abs(low), abs(high))
     if high - low < 0.1 * max(abs(low), abs(high)):
         low, high = low - 0.05 * abs(low) - least, high + 0.05 * abs(high) + least
     rows = -(-len(axes.get_legend_handles_labels()[0]) // columns)

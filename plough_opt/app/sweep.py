@@ -83,15 +83,14 @@ def _over(options: argparse.Namespace) -> dict[str, object]:
     fixed = {text.partition("=")[0].strip() for text in options.set}
     over: dict[str, object] = {}
     for text in options.over:
-        name, separator, written = (part.strip() for part in text.partition("="))
-        if not (name and separator and written):
+        name, _, written = (part.strip() for part in text.partition("="))
+        if not (name and written):
             raise InputError(f'--over {text}: expected KEY=RANGE, like soil.cohesion="5..45 kPa:9"')
         if name in over:
             raise InputError(f"--over {text}: '{name}' is swept twice: remove one")
         if name in fixed:
             raise InputError(f"--over {text}: '{name}' is also fixed by --set: remove one of the two")
-        quoted = len(written) > 1 and written[0] == written[-1] and written[0] in "\"'"
-        over[name] = written[1:-1] if quoted else written
+        over[name] = written.strip("\"'")  # quotes that a shell left
     return over
 
 

@@ -78,8 +78,8 @@ class _RobustDesign:
         self._problem, self._table, self._field = problem, table, field
         self._samples = field.sample(table.samples, seed=table.seed)
         self._measures = measures_of(problem.table)
-        self._names = tuple({**problem.table.minimise, **problem.table.require})
-        self._averages = tuple(name for name in self._names if not self._measures[name].everywhere)
+        names = {**problem.table.minimise, **problem.table.require}
+        self._averages = tuple(name for name in names if not self._measures[name].everywhere)
         self._spreads: Spreads = {}
 
     @cached_property

@@ -142,10 +142,6 @@ class Candidates(ABC):
             for weights, size in zip(self.anchor_weights, sizes, strict=True)
         ]
 
-    def _parameters_alone(self) -> list[Vector]:
-        """Return the parameters of the first anchor of each objective."""
-        return self.anchor_parameters()[:: len(self.anchor_weights) // self.front.count]
-
     @abstractmethod
     def all_anchors(self, starts: Sequence[Sequence[Vector]]) -> list[list[Point]]:
         """Return the local optima of each anchor's subproblem, from starts for each objective alone."""
@@ -157,12 +153,14 @@ class Candidates(ABC):
             InfeasibleDesign: no design meets the requirements.
             NotConverged: no design has a value.
         """
+        # The first of the anchors that begin with the same objective stands for that objective alone.
+        alone = self.anchor_parameters()[:: len(self.anchor_weights) // self.front.count]
         if not self.archive.vary:
             self.progress("solving from the guess", 0.0)
             guess = self.front.program.start()
-            starts = [[near_optimum(FrontLandscape(self.archive, p), guess).y] for p in self._parameters_alone()]
+            starts = [[near_optimum(FrontLandscape(self.archive, p), guess).y] for p in alone]
         else:
-            starts = [list(self.archive.basin_minima(p).points) for p in self._parameters_alone()]
+            starts = [list(self.archive.basin_minima(p).points) for p in alone]
         # The ranges between the starts, which needles are judged by until the anchors are known.
         ends = self.archive.evaluate(np.array([own[0] for own in starts]))[0]
         sizes = np.maximum(np.abs(ends).max(axis=0), 1.0)

@@ -128,7 +128,7 @@ def test_a_loaded_result_equals_the_saved_one(name, tmp_path):
     assert 'src="data:image/png;base64,' in html
     # Designs and runs can be compared by the command.
     neither = {"BatchResult", "Fit", "TradeOff", "AccuracyStudy"}
-    assert call("compare", path, tmp_path / "again.json").status == (2 if name in neither else 0)
+    assert call("compare", path, run().save(tmp_path / "run.json")).status == (2 if name in neither else 0)
 
 
 def test_a_run_prints_and_saves_its_numbers():

@@ -149,7 +149,7 @@ def _table(saved: Mapping[str, Any], numbers: Mapping[str, Mapping[str, tuple[fl
             if len(set(values)) == 1:
                 continue  # a quantity with the same value everywhere
             quantity = EVERY[key if key in EVERY else key.partition(".")[2]]
-            origin = next(iter(_runs(next(iter(saved.values()))).values())).origin
+            origin = next(run.origin for one in saved.values() for run in _runs(one).values())
             display = origin.display(quantity.name, quantity.unit, *(x for x in values if x is not None))
         decides = [(design := _design(one)) is not None and key in design.active for one in saved.values()]
         texts = [

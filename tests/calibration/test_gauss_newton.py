@@ -91,6 +91,22 @@ def test_outliers_pull_a_robust_fit_less(plane, three):
     assert any("the stated sigma" in warning for warning in plain.warnings)
 
 
+def test_all_optima_are_found_and_close_ones_give_a_warning(measured):
+    def scene_of(values):
+        x = values["soil.cohesion"] / 40e3 - 1.0
+        soil = {"cohesion": 20e3 + 10e3 * (4.0 * x**3 - 3.0 * x), "tool_friction": 0.46 + 0.03 * x}
+        return steady_scene(values["scene.tow_speed"], values["share.wedge_angle"], **soil)
+
+    fit = po.calibrate(scene_of, measured, {"soil.cohesion": (0.0, 80e3)}, starts=16)
+    r, places = residuals(measured), np.linspace(-1.0, 1.0, 4001)
+    loss = [np.sum(r([20 + 10 * (4 * x**3 - 3 * x), 0.46 + 0.03 * x, 2.0]) ** 2) / 2.0 for x in places]
+    least = sorted(b for a, b, c in zip(loss, loss[1:], loss[2:], strict=False) if b < min(a, c))
+    # The nearest place is within 10 Pa of an optimum, a twentieth of its standard error: 0.05^2/2 of a loss.
+    assert list(fit.optima) == pytest.approx(least, abs=2e-3)
+    near = sum(one - least[0] < 0.5 * 1.96**2 for one in least[1:])
+    assert any(text.startswith(f"{near} other local optima fit almost as well") for text in fit.warnings)
+
+
 def test_a_robust_fit_settles_on_its_own_scale():
     """Poor data, from which fit and scale approach each other slowly."""
     conditions = {"scene.tow_speed": [0.86, 1.11, 1.99, 2.94], "share.wedge_angle": [0.465, 0.476, 0.679, 0.919]}

@@ -143,12 +143,13 @@ def test_a_design_keeps_the_rupture_angle_inside_its_range():
         mckyes_ali_draft(SOIL, dataclasses.replace(tine, rake_angle=tine.rake_angle - po.deg(0.1)), 1.5)
 
 
+ROUGH = {"friction_angle": po.deg(80.0), "tool_friction": 2.0}
+FLUID = {"friction_angle": 0.0}
+OUTSIDE = [(FLUID, 1.0, "friction angle"), ({}, -1.0, "speed"), ({}, 5.1, "speed"), (ROUGH, 1.0, "together")]
+
+
 @pytest.mark.parametrize("draft", DRAFTS)
-@pytest.mark.parametrize(
-    ("soil", "speed", "word"),
-    [({"friction_angle": 0.0}, 1.0, "friction angle"), ({}, -1.0, "speed"), ({}, 5.1, "speed"),
-     ({"friction_angle": po.deg(80.0), "tool_friction": 2.0}, 1.0, "together")],
-)  # fmt: skip
+@pytest.mark.parametrize(("soil", "speed", "word"), OUTSIDE)
 def test_soils_and_speeds_outside_their_domain_are_refused(draft, soil, speed, word):
     with pytest.raises(po.DomainError, match=word):
         draft(dataclasses.replace(SOIL, **soil), TINE, speed)

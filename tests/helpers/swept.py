@@ -145,10 +145,10 @@ def stored(path, columns="point"):
     return []
 
 
-def until(enough, process):
-    """Wait until a condition holds; fail if the process ends first."""
+def until(enough, process=None):
+    """Wait until a condition holds; fail if a process ends first."""
     end = time.monotonic() + 60.0
     while not enough():
-        assert process.poll() is None, process.communicate()
+        assert process is None or process.poll() is None, process.communicate()
         assert time.monotonic() < end
         time.sleep(0.01)

@@ -51,8 +51,7 @@ def test_killed_workers_do_not_change_the_table(inline, tmp_path, seed, values, 
     with ProcessPool(1, swept.waves) as pool:
         pool.submit(math.sqrt, 4.0).result(60.0)
     start = time.monotonic() - began
-    # Some die before they have started, others at work.
-    pauses = (0.05 * start, 3.0 * start)
+    pauses = (0.05 * start, 3.0 * start)  # some die before they have started, others at work
     over = {"a": po.Range(0.0, 1.0, values), "b": [1.0, 2.0]}
     truth = po.sweep(swept.waves, over, executor=inline).table
     counted, store = swept.Counted(tmp_path / "calls", 0.02), tmp_path / "sweep.db"
@@ -87,22 +86,18 @@ def test_a_point_that_kills_three_workers_is_undetermined_until_a_retry(tmp_path
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_sweep_whose_workers_all_die_ends_with_the_reason(monkeypatch):
+def test_a_sweep_whose_workers_all_die_or_cannot_begin_ends_with_the_reason(monkeypatch):
     assert pools._PATIENCE == 40.0  # as docs/sweeps.md says
     monkeypatch.setattr(pools, "_PATIENCE", 0.5)
-    for command, words in (
-        (pools._command, r"worker processes ended within \d+ s before .* by signal 9 \(Killed\)"),
-        (lambda: ["/none"], r"worker processes ended within \d+ s before .* could not be started \(.*/none"),
-        ([].pop, "the worker processes cannot be kept at work: IndexError"),
+    for evaluation, command, words in (
+        (swept.Unreadable(), pools._command, "the worker processes could not begin: RuntimeError: not here"),
+        (swept.kills_always, pools._command, r"processes ended within \d+ s before .* by signal 9 \(Killed\)"),
+        (swept.waves, lambda: ["/none"], r"processes ended within \d+ s before .* could not be started \(.*/none"),
+        (swept.waves, [].pop, "the worker processes cannot be kept at work: IndexError"),
     ):
         monkeypatch.setattr(pools, "_command", command)
         with pytest.raises(po.InputError, match=words):
-            po.sweep(swept.kills_always, {"a": np.arange(64.0)}, workers=1)
-
-
-def test_an_evaluation_that_a_worker_cannot_unpickle_is_refused():
-    with pytest.raises(po.InputError, match="the worker processes could not begin: RuntimeError: not here"):
-        po.sweep(swept.Unreadable(), {"a": [1.0, 2.0]}, workers=1)
+            po.sweep(evaluation, {"a": np.arange(64.0)}, workers=1)
 
 
 @by_proc

@@ -2,7 +2,6 @@
 
 import collections
 import platform
-import time
 from pathlib import Path
 
 import numpy as np
@@ -35,10 +34,7 @@ def test_a_killed_sweep_resumes_without_repeating_stored_points(script, inline, 
     assert workers
     assert 10 <= len(kept) < 2 * VALUES
     # Workers end with their parent.
-    end = time.monotonic() + 30.0
-    while any(swept.process_of(worker)[0] not in "XZ" for worker in workers):
-        assert time.monotonic() < end
-        time.sleep(0.01)
+    swept.until(lambda: all(swept.process_of(worker)[0] in "XZ" for worker in workers))
 
     with po.sweep(swept.Counted(file, 0.02), OVER, store=store, executor=inline, workers=1) as resumed:
         assert (resumed.already, resumed.complete) == (len(kept), True)

@@ -95,11 +95,6 @@ def test_a_sweep_in_which_everything_fails_has_no_results(inline, tmp_path, give
     assert result.table.dtype.names == ("point", "a", *names)
 
 
-def test_results_with_other_names_at_another_point_stop_the_sweep(inline):
-    with pytest.raises(po.InputError, match=r"results of one point are .*: return the same names"):
-        po.sweep(swept.two_names, {"a": [1.0, 2.0]}, executor=inline)
-
-
 def test_the_store_of_another_sweep_is_refused_with_the_difference(inline, tmp_path):
     store = tmp_path / "sweep.db"
     po.sweep(swept.waves, {"a": [1.0, 2.0], "b": [1.0, 2.0]}, executor=inline, store=store).close()
@@ -156,11 +151,15 @@ def test_another_run_may_have_created_the_file_and_a_closed_store_is_refused(inl
     assert not (tmp_path / "a.csv").exists()
 
 
-def test_what_cannot_be_called_or_sent_to_processes_is_refused():
+def test_what_cannot_be_called_sent_to_workers_or_put_into_one_table_is_refused(inline):
+    ended = ThreadPoolExecutor(1)
+    ended.shutdown()
     for what, more, words in (
         (3, {}, "3 cannot be swept: use a problem, or a function"),
         (lambda values: values, {}, "cannot be sent"),
         (swept.waves, {"method": "batch"}, "what and method are for problem files"),
+        (swept.waves, {"executor": ended}, "the executor failed at a task: RuntimeError: .* after shutdown"),
+        (swept.two_names, {"executor": inline}, r"results of one point are .*: return the same names"),
     ):
         with pytest.raises(po.InputError, match=words):
             po.sweep(what, OVER, **more)
@@ -168,10 +167,6 @@ def test_what_cannot_be_called_or_sent_to_processes_is_refused():
 
 def test_a_broken_executor_is_reported_and_stored_points_remain(tmp_path):
     store = tmp_path / "sweep.db"
-    ended = ThreadPoolExecutor(1)
-    ended.shutdown()
-    with pytest.raises(po.InputError, match=r"the executor failed at a task: RuntimeError: .* after shutdown"):
-        po.sweep(swept.waves, OVER, executor=ended)
     expected = r"the executor is broken: .*continues from there with a new one"
     with ProcessPoolExecutor(1) as pool, pytest.raises(po.InputError, match=expected):
         po.sweep(swept.Deadly(tmp_path / "died"), {"a": np.arange(8.0)}, executor=pool, workers=1, store=store)

@@ -222,14 +222,7 @@ class Solver:
         self._low, self._high = ca.DM(low), ca.DM(high)
         self._solvers: dict[tuple[str, bool, bool], ca.Function] = {}
 
-    def solve(
-        self,
-        start: Vector,
-        p: Vector,
-        lower: Vector | float = 0.0,
-        upper: Vector | float = 1.0,
-        options: SolveOptions = FROM_AFAR,
-    ) -> Point:
+    def solve(self, start: Vector, p: Vector, lower: Vector, upper: Vector, options: SolveOptions) -> Point:
         """Return the local optimum that IPOPT reaches from a start.
 
         Args:

@@ -112,7 +112,7 @@ class Landscape:
         self.dimensions = len(program.declared.variables)
         owner = np.array(program.owner, dtype=int)
         self.first_rows: list[int] = np.flatnonzero(np.diff(owner, prepend=-1)).tolist()
-        self._scale = np.array(program.scales)[owner] if len(owner) else np.empty(0)
+        self._scale = np.array(program.scales)[owner]
         self.objective_scale = program.objective_scale
         self.vectorised = program.population.vectorised
         self.eliminated = program.linear_variables(p)

@@ -278,6 +278,6 @@ def _confirmed(program: Program, p: Vector, at: Point, direction: Vector) -> boo
     for sign in (1.0, -1.0):
         moved = at.y + sign * _ASIDE * direction / abs(direction[leading])
         if np.all((moved >= 0.0) & (moved <= 1.0)):
-            there = program.solve(moved, p, SolveOptions(near=True), fixed=leading)
+            there = program.solve(moved, p, SolveOptions(near=True), fixed=[leading])
             return there.solved and abs(there.f - at.f) <= _FLAT_OBJECTIVE * max(1.0, abs(at.f))
     return False

@@ -325,12 +325,7 @@ class Program:
         return min((accuracy.error or DEFAULT_ERROR for accuracy in automatic), default=None)
 
     def solve(
-        self,
-        start: Vector,
-        p: Vector,
-        options: SolveOptions = FROM_AFAR,
-        box: float = 1.0,
-        fixed: int | Sequence[int] = (),
+        self, start: Vector, p: Vector, options: SolveOptions = FROM_AFAR, box: float = 1.0, fixed: Sequence[int] = ()
     ) -> Point:
         """Return the local optimum that IPOPT reaches from a scaled start.
 
@@ -368,10 +363,10 @@ class Program:
         return replace(point, y=y, lam_y=point.lam_y[:n]), slack[:count] + slack[count:]
 
 
-def _bounds(start: Vector, box: float, fixed: int | Sequence[int]) -> tuple[Vector, Vector]:
+def _bounds(start: Vector, box: float, fixed: Sequence[int]) -> tuple[Vector, Vector]:
     """Return bounds of the scaled variables: a box around a start, with some variables held at the start."""
     lower, upper = np.maximum(start - box, 0.0), np.minimum(start + box, 1.0)
-    held = np.atleast_1d(np.asarray(fixed, dtype=int))
+    held = list(fixed)
     lower[held] = upper[held] = start[held]
     return lower, upper
 

@@ -208,8 +208,6 @@ _FLAT_OBJECTIVE = 1e-9
 _ACTIVE = 1e-7
 # Scaled step from a point along a suspicious direction.
 _ASIDE = 0.02
-# Most descents from one saddle point to the next.
-_MOST_DESCENTS = 3
 
 
 def flat_directions(program: Program, p: Vector, at: Point) -> list[Vector]:
@@ -237,7 +235,8 @@ def minimum_from(
         downhill: (the point, a design near it) -> the end of a descent from that design if it is lower than the
             point, else None. Without this function IPOPT starts from the design itself.
     """
-    for _ in range(_MOST_DESCENTS):
+    # At the top of a hill each descent may move a single variable.
+    for _ in range(len(at.y) + 1):
         curvatures, directions = known = _reduced_curvatures(program, p, at)
         if not curvatures.size or curvatures[0] >= -_FLAT_CURVATURE:
             return replace(at, curvatures=known)

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from helpers.small_designs import design
+from helpers.small_designs import design, sticking
 
 import plough_opt as po
 
@@ -82,6 +82,13 @@ def test_a_start_on_a_hilltop_or_a_saddle_is_left_on_the_lower_side(others, lean
     d.minimise(hill)
     # The gradient is zero at the start; the ends of x are 0.15 and 0.35 lower.
     assert d.solve(search=search).objective == pytest.approx(1.65, rel=1e-8)
+
+
+def test_the_hilltops_of_several_variables_are_all_left():
+    """Also if a run's events leave the descents to IPOPT, which moves one variable after the other."""
+    d, *x = design(**{f"x{k}": (0.5, 0.0, 1.0) for k in range(4)})
+    d.minimise(2.0 - sum((v - 0.5) ** 2 + 0.8 * (v - 0.5) ** 3 for v in x) + 1e-12 * sticking((x[0] - 0.5) ** 2))
+    assert d.solve(search="near").objective == pytest.approx(2.0 - 4 * 0.35, rel=1e-7)
 
 
 def test_a_saddle_with_too_little_to_gain_is_an_answer():

@@ -229,7 +229,7 @@ def _starts(
         always = set(itertools.product(*neighbours)) if near <= _MOST_OPTIMISED else set()
         kept = [k for k, values in enumerate(combinations) if values in always]
         found = promising(landscape, solved.point.y, fixed, np.array(scaled), kept)[:_MOST_OPTIMISED]
-        return [(one.start, combinations[one.number]) for one in found]
+        return [(one.start.points[0], combinations[one.number]) for one in found]
     designs = np.repeat(solved.point.y[None], len(combinations), axis=0)
     designs[:, fixed] = scaled
     return list(zip(designs, combinations, strict=True))

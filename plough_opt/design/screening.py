@@ -41,19 +41,22 @@ class Promising:
 
     Attributes:
         number: its row among the combinations.
-        start: scaled design from which to optimise the free variables.
-        merit: merit of the start.
+        start: the design, evaluated, from which to optimise the free variables.
     """
 
     number: int
-    start: Vector
-    merit: float
+    start: Evaluations
+
+    @property
+    def merit(self) -> float:
+        """Merit of the start; every feasible one is below any that is not."""
+        return float(self.start.strict_merit[0])
 
 
 def promising(
     landscape: Landscape, optimum: Vector, fixed: list[int], combinations: Vector, kept: list[int]
 ) -> list[Promising]:
-    """Return the combinations that can be best, lowest merit first.
+    """Return the combinations that can be best, lowest merit first and infeasible ones last.
 
     All are evaluated with the free variables at the optimum and at a sample. The lowest are sampled again in shrinking
     boxes around their best design, and from the lowest designs of the remaining ones descents start.
@@ -69,7 +72,7 @@ def promising(
     if not screen.free:
         evaluated = landscape(screen.designs(np.arange(len(combinations)), np.empty((len(combinations), 0))))
         best = _lowest(evaluated, _DESCENT_COMBINATIONS, kept)
-        return _ordered([Promising(int(k), evaluated.points[k], float(evaluated.merit[k])) for k in best])
+        return _ordered([Promising(int(k), evaluated.select([k])) for k in best])
     numbers, samples = screen.sampled(kept)
     descents = max(2, min(_MOST_DESCENTS_EACH, _DESCENTS // len(numbers)))
     sample_by_number = dict(zip(numbers.tolist(), samples, strict=True))
@@ -142,15 +145,14 @@ class _Screen:
         # A design that cannot be evaluated has no slope to follow.
         starts = [k for k in starts if np.isfinite(designs.merit[k])][:count]
         ends = [self._end(designs.points[k]) for k in starts] or [designs.select([0])]
-        best = min(ends, key=lambda one: float(one.merit[0]))
-        return Promising(number, best.points[0], float(best.merit[0]))
+        return min((Promising(number, end) for end in ends), key=lambda one: one.merit)
 
     def evolved(self, known: Promising, designs: Evaluations) -> Promising:
         """Return the end of an evolution from a combination's lowest designs if it is lower than the known start."""
         n = len(self.free)
         size = _DESIGNS_PER_VARIABLE * n
         lowest = np.argsort(designs.merit, kind="stable")[:size]
-        start = np.vstack([known.start[self.free], designs.points[lowest][:, self.free]])
+        start = np.vstack([known.start.points[:, self.free], designs.points[lowest][:, self.free]])
         if len(start) < size:
             start = np.vstack([start, self._rng.random((size - len(start), n))])
 
@@ -158,9 +160,8 @@ class _Screen:
             return self._landscape(self.designs(np.full(len(x), known.number), x)).merit
 
         best = evolved(merit, start, _GENERATIONS, self._rng, from_best=n < MANY_VARIABLES, alike=_CONVERGED)
-        end = self._end(self.designs(np.array([known.number]), best[None])[0])
-        merit_there = float(end.merit[0])
-        return Promising(known.number, end.points[0], merit_there) if merit_there < known.merit else known
+        end = Promising(known.number, self._end(self.designs(np.array([known.number]), best[None])[0]))
+        return end if end.merit < known.merit else known
 
     def _end(self, start: Vector) -> Evaluations:
         """Return the end of a descent in the free variables, feasible if a least-violation search leads there."""

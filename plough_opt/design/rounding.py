@@ -162,6 +162,8 @@ def rounded(solved: Solved, judge: Judge, unrounded: float, catalogues: Mapping[
     landscape = Landscape(program, p)
     offered = allowed(program.declared.variables, catalogues)
     fixed = [own.number for own in offered]
+    # A variable with a catalogue is not solved for, even if objective and requirements are linear in it.
+    landscape.eliminated = [one for one in landscape.eliminated if one.number not in fixed]
     count = math.prod(own.count for own in offered)
     every = landscape.vectorised and count < _MOST_SCREENED
     starts = _starts(landscape, solved, offered, every)

@@ -110,6 +110,18 @@ def test_the_lowest_of_many_basins_of_several_free_variables_is_found(worse):
     assert found.objective == pytest.approx(1.0 + min(float(rippled(x, bottom[0])) for x in values), rel=1e-9)
 
 
+def test_a_variable_that_searches_solve_for_keeps_its_catalogue_value():
+    d, x, y, z = design(**dict.fromkeys("xyz", (0.5, 0.0, 1.0)))
+    d.minimise(10.0 + x + 50.0 * y + z)
+    d.require("least", x, at_least=0.2)
+    # The first part has lower designs that nearly meet it, the second one lies around (0.9, 0.9).
+    lower = (y - 0.2) ** 2 + (z - 0.2) ** 2 + 1e-3
+    d.require("either", ca.fmin(lower, (y - 0.9) ** 2 + (z - 0.9) ** 2 - 1e-3), at_most=0.0)
+    found = d.solve().rounded(x=[0.1, 0.3])
+    assert [choice.values for choice in found.tried] == [{"x": 0.3}, {"x": 0.1}]
+    assert found.objective == pytest.approx(10.3 + 51.0 * 0.9 - math.sqrt(2501.0 * 1e-3), rel=SOLVED)
+
+
 def test_of_very_many_combinations_only_the_neighbours_are_tried():
     best, _, _ = _solved()
     found = best.rounded(tip_width=0.01, y=1e-3)

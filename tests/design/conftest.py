@@ -20,7 +20,6 @@ def build_r1(r1_soil):
     """Build problem R1, or a relative of it, in the vocabulary of the package."""
 
     def build(
-        *,
         soil=r1_soil,
         guess=(25.0, 0.25, 5e4),
         radius=0.12,
@@ -46,9 +45,7 @@ def build_r1(r1_soil):
         d.require("loosened radius", po.loosened_radius(cone, soil), at_least=radius, unit="m")
         d.require("mean deflection", run.mean_draft / k0, at_most=0.15, unit="m")
         d.require("half angle", cone.half_angle, at_most=po.deg(15.0), unit="rad")
-        return SimpleNamespace(
-            design=d, angle=angle, height=height, k0=k0, share=share, cone=cone, scene=scene, run=run, soil=soil
-        )
+        return SimpleNamespace(design=d, height=height, k0=k0, share=share, cone=cone, scene=scene, run=run, soil=soil)
 
     return build
 

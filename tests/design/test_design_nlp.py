@@ -261,10 +261,8 @@ def test_differences_of_runs_give_the_error_of_their_derivatives(build_r1, refin
     p = own.inputs(y, none).full().ravel()
     scales = p[list(own.varying)]
     columns = np.array([1.0, *scales, *(a * b for k, a in enumerate(scales) for b in scales[k:])])
-    used, better = (
-        np.asarray(jets(one.structure, one.timeline, own.varying, 2)(p)) * columns
-        for one in (own.solver, finer_than(own.solver))
-    )
+    pair = own.solver, finer_than(own.solver)
+    used, better = (np.asarray(jets(one.structure, one.timeline, own.varying, 2)(p)) * columns for one in pair)
     exact = difference_of_jets(own.solver, p, used, better, own.first)
     assert exact > 1e-9
     # Changes by 0.3 rad of the phase bend an error that oscillates with it by 0.3**2/12 of itself.

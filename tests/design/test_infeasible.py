@@ -11,18 +11,13 @@ import plough_opt as po
 from plough_opt.design import ipopt
 
 
-def _sqrt_a(soil):
-    """Return the ratio of the front's radius to the cone's, from a cone of slope 1 and height 1."""
-    return po.loosened_radius(po.Cone(math.pi / 4, 1.0), soil)
-
-
 def test_the_shortfall_of_an_impossible_radius(build_r1):
     problem = build_r1(radius=0.9)
     with pytest.raises(po.InfeasibleDesign) as caught:
         problem.design.solve()
     error = caught.value
-    # The largest share: half a metre high, at the largest half angle.
-    shortfall = 0.9 - 0.5 * math.tan(po.deg(15.0)) * _sqrt_a(problem.soil)
+    # The largest share: half a metre high, at the largest half angle. A cone of slope 1 has a base of radius 1.
+    shortfall = 0.9 - 0.5 * math.tan(po.deg(15.0)) * po.loosened_radius(po.Cone(math.pi / 4, 1.0), problem.soil)
     assert error.conflicts == {"loosened radius": pytest.approx(shortfall, rel=1e-7)}
     assert len(error.blockers) == 2
     assert any("requirement 'half angle'" in blocker for blocker in error.blockers)

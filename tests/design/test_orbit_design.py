@@ -41,13 +41,6 @@ def objective(run):
     return run.force_rms / 1e3 + run.mean_draft / 1e3
 
 
-def program_of(problem):
-    """Return the program of a design, built."""
-    program = Program(problem.design.declared)
-    program.build(np.array([]))
-    return program
-
-
 @pytest.fixture(scope="module")
 def solved(build):
     """Return the function from a kind of orbit to the design with limited deflection and its optimum, solved once."""
@@ -124,7 +117,8 @@ STEPS = [("linearised", None, 56), ("periodic", None, 12), ("periodic", OWN, Non
 
 @pytest.mark.parametrize(("name", "accuracy", "steps"), STEPS)
 def test_derivatives_of_the_program_are_those_of_differences(build, name, accuracy, steps):
-    program = program_of(build(CHOICES[name], limit=LIMIT, accuracy=accuracy))
+    program = Program(build(CHOICES[name], limit=LIMIT, accuracy=accuracy).design.declared)
+    program.build(np.array([]))
     assert program.built.steps == [steps]
     for y in (0.2, 0.8):
         check_derivatives(program.nlp, np.array([y]), [], 1e-8, 1e-7, step=1e-3)

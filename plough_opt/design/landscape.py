@@ -98,6 +98,7 @@ class Landscape:
     Attributes:
         program: the design's program.
         p: parameters.
+        held: numbers of variables that are never eliminated, because their values are given.
         dimensions: number of variables.
         first_rows: number of each requirement's first row.
         objective_scale: of the objective. It stays the same if the program is rescaled later.
@@ -106,16 +107,16 @@ class Landscape:
         designs_tried: number of designs evaluated so far.
     """
 
-    def __init__(self, program: Program, p: Vector) -> None:
-        """Create the landscape of a program whose scales are set."""
-        self.program, self.p = program, p
+    def __init__(self, program: Program, p: Vector, held: Sequence[int] = ()) -> None:
+        """Create the landscape of a program whose scales are set; ``held`` are numbers of variables to keep."""
+        self.program, self.p, self.held = program, p, held
         self.dimensions = len(program.declared.variables)
         owner = np.array(program.owner, dtype=int)
         self.first_rows: list[int] = np.flatnonzero(np.diff(owner, prepend=-1)).tolist()
         self._scale = np.array(program.scales)[owner]
         self.objective_scale = program.objective_scale
         self.vectorised = program.population.vectorised
-        self.eliminated = program.linear_variables(p)
+        self.eliminated = [one for one in program.linear_variables(p) if one.number not in held]
         self.designs_tried = 0
 
     def rows(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:

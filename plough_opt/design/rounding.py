@@ -159,11 +159,9 @@ def rounded(solved: Solved, judge: Judge, unrounded: float, catalogues: Mapping[
     """
     started = time.perf_counter()
     program, p = solved.program, solved.p
-    landscape = Landscape(program, p)
     offered = allowed(program.declared.variables, catalogues)
     fixed = [own.number for own in offered]
-    # A variable with a catalogue is not solved for, even if objective and requirements are linear in it.
-    landscape.eliminated = [one for one in landscape.eliminated if one.number not in fixed]
+    landscape = Landscape(program, p, fixed)
     count = math.prod(own.count for own in offered)
     every = landscape.vectorised and count < _MOST_SCREENED
     starts = _starts(landscape, solved, offered, every)

@@ -67,7 +67,8 @@ def choose_share(source: Source, name: object) -> set[str]:
     """
     shares = names_of_shares(source)
     if name not in shares:
-        raise InputError(f"no share is named {short(repr(name))}: {nearest(str(name), shares)}")
+        known = nearest(str(name), shares) if shares else "the file has no table [shares]"
+        raise InputError(f"no share is named {short(repr(name))}: {known}")
     data = copy.deepcopy(source.data)
     own = data.pop(TABLE)[name]
     for table in (data, own):

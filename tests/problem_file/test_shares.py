@@ -146,7 +146,7 @@ def test_a_change_to_an_unknown_share_or_to_no_table_is_refused(refusal):
     for change in ("shares=reer", "shares.reer.soil.cohesion=3 kPa"):
         assert "did you mean 'rear'" in refusal(TWO, change)
     assert "'shares' must hold a table for each share" in refusal(TWO, "shares.front=3")
-    assert "no share is named" in refusal(STATIC, "shares=rear")
+    assert refusal(STATIC, "shares=rear") == "no share is named 'rear': the file has no table [shares]"
 
 
 def test_the_commands_show_them_side_by_side(read, tmp_path):

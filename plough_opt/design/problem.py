@@ -211,7 +211,8 @@ class Design:
                 * ``"near"`` or ``"local"``: the optimum in the basin of the guess, never worse than a guess that meets
                   the requirements. From any other guess it starts at the nearest design that meets them.
                 * names of variables: these alone, with the others starting at the guess.
-                * a number of designs to try, or a time such as ``"20 s"``.
+                * a number of designs, or a time such as ``"20 s"``, after which no further round of the search begins.
+                  The first round is always completed; with a small number its sample is smaller, but not its descents.
 
                 The same search gives the same answer, bit for bit, on any number of threads of a machine, except for a
                 search limited by time.

@@ -53,7 +53,8 @@ def assembled(tracer: Tracer, goals: Sequence[Goal], title: str) -> TradeOff:
     shown = arrangement.shown
     failures = _failures(tracer, shown, certified)
     if not shown:
-        raise NotConverged(f"no point of the front could be certified: {failures[-1].reason}", "Not_Certified")
+        why = failures[-1].reason if failures else "none of the designs found lies on it"
+        raise NotConverged(f"no point of the front could be certified: {why}", "Not_Certified")
     efficient = set(arrangement.efficient)
     others = [candidate for candidate in tracer.candidates if candidate not in efficient]
     certified |= {one: certificate(front, one, beaten=True) for one in others if one not in certified}

@@ -107,15 +107,26 @@ def test_all_optima_are_found_and_close_ones_give_a_warning(measured):
     assert any(text.startswith(f"{near} other local optima fit almost as well") for text in fit.warnings)
 
 
-def test_a_robust_fit_settles_on_its_own_scale():
-    """Poor data, from which fit and scale approach each other slowly."""
-    conditions = {"scene.tow_speed": [0.86, 1.11, 1.99, 2.94], "share.wedge_angle": [0.465, 0.476, 0.679, 0.919]}
-    data = po.Measurements("mean_draft", [1459.0, 1421.0, 4615.0, 6184.0], conditions)
+SLOWLY = [0.86, 1.11, 1.99, 2.94], [0.465, 0.476, 0.679, 0.919], [1459.0, 1421.0, 4615.0, 6184.0]
+NEVER = (
+    [1.07, 1.14, 1.3, 1.86, 2.15, 2.51],
+    [0.465, 0.544, 0.568, 0.834, 0.94, 0.974],
+    [2328.0, 1748.0, 4311.0, 2338.0, 6300.0, 19271.0],
+)
+
+
+@pytest.mark.parametrize(("rows", "settles"), [(SLOWLY, True), (NEVER, False)], ids=["slowly", "never"])
+def test_a_robust_fit_settles_on_its_own_scale_or_says_that_it_does_not(rows, settles):
+    """Poor data, from which fit and scale approach each other slowly or take turns."""
+    speed, angle, drafts = rows
+    data = po.Measurements("mean_draft", drafts, {"scene.tow_speed": speed, "share.wedge_angle": angle})
     unknown = {"soil.cohesion": (1e3, 80e3), "soil.tool_friction": (0.05, 1.5)}
     fit = po.calibrate(steady_scene(), data, unknown, loss="huber")
-    scale = 1.4826 * np.median(np.abs(fit.residuals)) * 2.0**0.5
+    scale = 1.4826 * np.median(np.abs(fit.residuals)) * (len(drafts) / (len(drafts) - 2)) ** 0.5
+    ratio = scale * fit.source.data.weights[0]
     # Each scale is nearer by a seventh, and the last two differ by 1e-4.
-    assert 1.0 / fit.source.data.weights == pytest.approx(scale, rel=1e-3)
+    assert settles == (ratio == pytest.approx(1.0, rel=1e-3))
+    assert settles != any(f"scatter {ratio:.3g} times" in warning for warning in fit.warnings)
 
 
 def test_an_unknown_at_its_bound_gives_a_warning(measured, three):

@@ -60,6 +60,7 @@ class Estimate:
         variance: variance of a weighted residual in the covariance; 1 if sigma is stated.
         rise: rise of twice the sum of losses at the end of an interval, over the squared quantile.
         normal: whether quantiles are normal, because the variance is known; otherwise they are Student's.
+        drift: ratio of the residuals' scale to the scale that a robust loss assumed; 1 where the two have settled.
     """
 
     setup: Setup
@@ -72,6 +73,7 @@ class Estimate:
     variance: float
     rise: float
     normal: bool
+    drift: float
 
     @property
     def unknowns(self) -> tuple[Unknown, ...]:
@@ -111,7 +113,7 @@ def estimate(setup: Setup, data: Data, guess: Vector, starts: int) -> Estimate:
     Raises:
         NotConverged: no start led to an optimum.
     """
-    problem, scaled = setup.problem, data
+    problem, scaled, drift = setup.problem, data, 1.0
     best, optima = _best(problem, data, guess, starts)
     if problem.loss.robust and not data.stated:
         # A robust loss depends on the scale of the residuals, and the scale on the fit: repeat both until they settle.
@@ -123,7 +125,8 @@ def estimate(setup: Setup, data: Data, guess: Vector, starts: int) -> Estimate:
                 break
             best = problem.solve(best.y, scaled)
         best, optima = _best(problem, scaled, best.y, starts)
-    return _with_accuracy(setup, scaled, best, optima)
+        drift = _scale(problem, data, best.y) / scale
+    return _with_accuracy(setup, scaled, best, optima, drift)
 
 
 def _best(problem: LeastSquares, data: Data, guess: Vector, starts: int) -> tuple[Minimum, tuple[float, ...]]:
@@ -162,7 +165,7 @@ def _scale(problem: LeastSquares, data: Data, y: Vector) -> float:
     return max(_MAD * float(np.median(size)) * math.sqrt(len(size) / (len(size) - problem.unknowns)), _LEAST_SCALE)
 
 
-def _with_accuracy(setup: Setup, data: Data, best: Minimum, optima: tuple[float, ...]) -> Estimate:
+def _with_accuracy(setup: Setup, data: Data, best: Minimum, optima: tuple[float, ...], drift: float) -> Estimate:
     """Return the estimate with the accuracy of the unknowns."""
     problem = setup.problem
     predicted, slope = problem.at(best.y)
@@ -175,7 +178,7 @@ def _with_accuracy(setup: Setup, data: Data, best: Minimum, optima: tuple[float,
     curvature = max(float(np.mean(problem.loss.curvature(own))), _LEAST_CURVATURE)
     variance = square / curvature**2
     spread = spread_of(weighted, variance**0.5)
-    return Estimate(setup, data, best, optima, residuals, spread, freedom, variance, square / curvature, normal)
+    return Estimate(setup, data, best, optima, residuals, spread, freedom, variance, square / curvature, normal, drift)
 
 
 @dataclass(frozen=True)

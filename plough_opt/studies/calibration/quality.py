@@ -25,6 +25,8 @@ Vector = NDArray[np.float64]
 _SIGNIFICANCE: Final = 1e-3
 # A residual above this many standard deviations is an outlier.
 _OUTLIER: Final = 4.0
+# The scale of a robust loss has not settled if the residuals differ from it by more than this part.
+_DRIFT: Final = 0.01
 # Least number of residuals of a record from which their correlation is estimated.
 _FEWEST_CORRELATED: Final = 8
 # Differences between checked runs and predictions are reported above this part of a standard deviation.
@@ -41,6 +43,7 @@ def caveats(fit: Estimate) -> tuple[str, ...]:
     scenes = [scene for own in at_fit for scene, _, _ in own]
     return (
         *_scatter_notes(fit),
+        *_scale_notes(fit),
         *_outlier_notes(fit),
         *_correlation_notes(fit),
         *_bound_notes(fit),
@@ -64,6 +67,15 @@ def _scatter_notes(fit: Estimate) -> Iterator[str]:
         )
     elif stats.chi2.cdf(square, fit.freedom) < _SIGNIFICANCE:
         yield f"residuals are only {ratio}: sigma is too large"
+
+
+def _scale_notes(fit: Estimate) -> Iterator[str]:
+    """Yield a warning if a robust loss and the scale of its residuals did not settle."""
+    if abs(fit.drift - 1.0) > _DRIFT:
+        yield (
+            f"the residuals scatter {fit.drift:.3g} times as much as the robust loss assumes: fit and scatter did not"
+            " settle, as few rows allow several such fits; state sigma, or use loss 'squares'"
+        )
 
 
 def _outlier_notes(fit: Estimate) -> Iterator[str]:

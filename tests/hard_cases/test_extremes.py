@@ -21,8 +21,10 @@ def scene(soil=R1_SOIL, share=SHARP, mass=24.0, **changes):
 
 
 def assert_finite(run):
-    for name in (*RESULTS, "opening", "mode", "error_estimate"):
+    for name in (*RESULTS, "opening", "mode"):
         assert np.all(np.isfinite(getattr(run, name))), name
+    chaotic = any("too sensitive to be predicted at all" in note for note in run.warnings)
+    assert chaotic if np.isinf(run.error_estimate) else run.error_estimate >= 0.0
 
 
 @pytest.fixture

@@ -90,7 +90,8 @@ def test_an_optimum_that_is_not_unique_is_printed_with_a_note(file):
     assert done.status == 0
     stages = [line.split(" s  ")[1] for line in done.err.splitlines()]
     assert all(one != two for one, two in pairwise(stages))  # each once, however often it is reported
-    assert str(po.read_problem(flat).optimise(search=8)[0].search) in done.out
+    # Parameters instead of numbers round otherwise, which may change the number of designs along the flat direction.
+    assert str(po.read_problem(flat).optimise(search=8)[0].search).partition(" tried")[2] in done.out
     assert "not unique" in done.out
     assert "note: no sensitivities: the optimum is not unique" in done.said
     assert "one per cent" not in done.out

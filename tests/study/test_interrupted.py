@@ -122,7 +122,8 @@ class TestClaims:
         one.claim(10)
         for owner, points in (("elsewhere:4194305", None), ("{}:4194305", 10), ("{}:none", 10)):
             one.run("UPDATE claims SET owner = ?", owner.format(platform.node()))  # no process has this number
-            assert (claim := open_store().claim(4)) is points or len(claim) == points
+            claim = open_store().claim(4)
+            assert claim is points or len(claim) == points
 
     def test_failures_are_not_retried_while_another_run_lives(self, open_store):
         one, two = open_store(), open_store()

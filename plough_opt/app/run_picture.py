@@ -99,7 +99,7 @@ def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
         limits: limits to show in addition to those of the run's problem file.
 
     Raises:
-        InputError: ``run`` is not a run, or a limit is none.
+        InputError: ``run`` is not a run, or ``limits`` holds something else than limits.
     """
     check_kind("the run", run, Run, "a numeric Run, as returned by po.simulate")
     check_kind("limits", limits, list | tuple, "a list of limits, such as those of an optimum")

@@ -63,7 +63,7 @@ def from_plain(hint: Any, data: Any) -> Any:
     except ValidationError as error:
         worst = max(error.errors(), key=lambda one: len(one["loc"]))
     place = ""
-    for key in worst["loc"]:  # some of them are no keys but alternatives of a union
+    for key in worst["loc"]:  # some are not keys but alternatives of a union
         if isinstance(key, int) if isinstance(data, list) else isinstance(data, dict) and key in data:
             place, data = f"{place}.{key}", data[key]
     place += f".{worst['loc'][-1]}" if worst["type"] == "missing" else ""
@@ -164,7 +164,7 @@ def _read_object(known: dict[str, type], data: dict[str, Any]) -> Any:
 
 @lru_cache(maxsize=256)
 def _form(kind: Any) -> Any:
-    """Return a dataclass with the fields of a class; of any type if that is no dataclass or its types are local."""
+    """Return a dataclass with the fields of a class, of any type if it is not a dataclass or its types are local."""
     try:
         hints = get_type_hints(kind, include_extras=True) if is_dataclass(kind) else {}
     except NameError:
@@ -197,9 +197,9 @@ FUNCTION: Final = Saved(
 )
 Array: TypeAlias = Annotated[NDArray[np.float64], Saved(list[_Entry] | list[list[_Entry]], _array)]
 Complex: TypeAlias = Annotated[complex, Saved(tuple[float, float], lambda parts: complex(*parts))]
-# Numbers that may be unknown: errors of unpredictable motions, values that data do not determine, times of failures.
-Unbounded: TypeAlias = Annotated[float, Saved(float | Literal["Infinity"], float)]
-Bound: TypeAlias = Annotated[float, Saved(float | Literal["Infinity", "-Infinity"], float)]
+# Numbers that are infinite where unknown: errors of unpredictable motions, undetermined values, times of failures.
+MaybeInfinite: TypeAlias = Annotated[float, Saved(float | Literal["Infinity"], float)]
+IntervalEnd: TypeAlias = Annotated[float, Saved(float | Literal["Infinity", "-Infinity"], float)]
 
 
 def _path(thing: Any) -> str:

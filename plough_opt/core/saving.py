@@ -38,7 +38,7 @@ def versions() -> dict[str, str]:
 
 @dataclass(frozen=True)
 class _Head:
-    """What every saved result begins with."""
+    """Entries with which every saved result begins."""
 
     schema: Literal[2]
     kind: str

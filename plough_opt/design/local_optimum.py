@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from plough_opt.core.files import drawn
-from plough_opt.core.plain_data import Array, Unbounded
+from plough_opt.core.plain_data import Array, MaybeInfinite
 from plough_opt.core.saving import Saveable
 from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.core.units import Display, customary
@@ -182,7 +182,7 @@ class LocalOptimum(Saveable):
     variables: dict[str, float]
     limits: tuple[Limit, ...]
     gap: float
-    error_estimate: Unbounded
+    error_estimate: MaybeInfinite
     iterations: int
     spread: Spread | None = None
     kind = "local optimum"

@@ -39,7 +39,7 @@ _MOST_POLISHED_OF_FEW = 8
 _MOST_POLISHED_OF_MANY = 3
 # With more variables, basins are optimised only if their criterion is within this part of the best.
 _CAN_WIN = 0.15
-# The objective's scale is at least this part of its median over the sample: at an optimum of 0 its slopes are rounding.
+# The objective's scale is at least this part of its median over the sample: a scale of 0 would magnify rounding.
 _LEAST_SCALE = 1e-4
 # Optima count as the same if no scaled variable differs by this much.
 _SAME = 1e-4

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from plough_opt.core.expressions import Expression
-from plough_opt.core.plain_data import Complex, Unbounded
+from plough_opt.core.plain_data import Complex, MaybeInfinite
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Checks:
         settles: for a periodic orbit, the motion to which a share settles from equilibrium.
     """
 
-    error_estimate: Unbounded
+    error_estimate: MaybeInfinite
     seconds: float
     notes: tuple[str, ...]
     floquet: tuple[Complex, ...] = ()

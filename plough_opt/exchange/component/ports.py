@@ -50,7 +50,7 @@ class Input:
         symbol: a CasADi symbol in the scene; it needs bounds.
 
     Raises:
-        InputError: a name that is no text, a text that is not a quantity of this kind, or plain numbers with a unit
+        InputError: a name that is not a text, a text that is not a quantity of this kind, or plain numbers with a unit
             that is not SI.
 
     Example:
@@ -103,7 +103,7 @@ class Output:
         unit: SI unit; not needed for a named result.
 
     Raises:
-        InputError: a name that is no text, or limits that contradict each other.
+        InputError: a name that is not a text, or limits that contradict each other.
 
     Example:
         >>> import plough_opt as po

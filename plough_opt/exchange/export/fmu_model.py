@@ -211,7 +211,7 @@ def _quantities(named: NamedScene) -> Iterator[Variable]:
     """Yield the named quantities of a scene as parameters."""
     for name, value in named.values.items():
         one, is_ramp = EVERY[name], name == "effects.tow_ramp"
-        # Without its equations a ramp cannot be given a duration above 0, nor one with them a duration of 0.
+        # A model has the equations of a ramp or not: without them its duration stays 0, with them it is above 0.
         if not is_ramp or named.scene.effects.ramps:
             yield Variable(name, one.unit or "1", one.meaning, float(value), one.low, one.high, one.above or is_ramp,
                            one.below, shown=one.shown)  # fmt: skip

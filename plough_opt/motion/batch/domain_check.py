@@ -69,7 +69,7 @@ class DomainCheck:
         BESIDE["scene.duration"].check(value(next(varying)))
         if scene.soil.density_profile is None:
             scene.check_reaction()
-        else:  # accepts no arrays, and designs without a compaction front have no finite results anyway
+        else:  # a profile accepts no arrays; designs without a compaction front have no finite results anyway
             check_strength(scene.effects.waves)
         return scene
 

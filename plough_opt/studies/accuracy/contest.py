@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from plough_opt.core.errors import InputError, PloughError
-from plough_opt.core.plain_data import Unbounded
+from plough_opt.core.plain_data import MaybeInfinite
 from plough_opt.design.exploring import Progress, silent
 
 # Times that differ by less than this factor are equal within the noise of repetitions.
@@ -63,9 +63,9 @@ class Entry:
     family: str
     method: str
     setting: str
-    seconds: Unbounded
+    seconds: MaybeInfinite
     setup: float = 0.0
-    errors: Mapping[str, Unbounded] = field(default_factory=dict)
+    errors: Mapping[str, MaybeInfinite] = field(default_factory=dict)
     failure: str | None = None
     elsewhere: str = ""
     checked: float | None = None

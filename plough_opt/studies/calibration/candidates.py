@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_kind
 from plough_opt.core.errors import DomainError, InputError
-from plough_opt.core.plain_data import Unbounded
+from plough_opt.core.plain_data import MaybeInfinite
 from plough_opt.core.units import in_words
 from plough_opt.studies.calibration.estimate import Estimate
 from plough_opt.studies.calibration.identifiability import UNIFORM
@@ -50,7 +50,7 @@ class Candidate:
 
     result: str
     conditions: Mapping[str, float] = field(default_factory=dict)
-    sigma: Unbounded | None = None
+    sigma: MaybeInfinite | None = None
     why: str = ""
 
     def describe(self) -> str:
@@ -75,9 +75,9 @@ class NextMeasurement:
     """
 
     candidate: Candidate
-    sigma: Unbounded
+    sigma: MaybeInfinite
     information: float
-    errors: Mapping[str, tuple[Unbounded, Unbounded]]
+    errors: Mapping[str, tuple[MaybeInfinite, MaybeInfinite]]
     units: Mapping[str, str]
 
     def words(self) -> str:

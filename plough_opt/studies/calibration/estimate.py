@@ -12,7 +12,7 @@ from scipy.stats import qmc
 
 from plough_opt.core.checks import shown
 from plough_opt.core.errors import InputError, NotConverged
-from plough_opt.core.plain_data import Bound
+from plough_opt.core.plain_data import IntervalEnd
 from plough_opt.studies.calibration.identifiability import Spread, spread_of
 from plough_opt.studies.calibration.least_squares import AT_BOUND, Data, LeastSquares, Minimum
 from plough_opt.studies.calibration.model import Unknown
@@ -193,8 +193,8 @@ class Interval:
             the profile could not be computed.
     """
 
-    lower: Bound
-    upper: Bound
+    lower: IntervalEnd
+    upper: IntervalEnd
     clipped: tuple[str, ...] = ()
     kind: Kind = "profile"
 

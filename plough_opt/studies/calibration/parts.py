@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from plough_opt.core.plain_data import Unbounded
+from plough_opt.core.plain_data import MaybeInfinite
 from plough_opt.core.saving import Origin
 from plough_opt.core.tables import Grid
 from plough_opt.studies.calibration.candidates import NextMeasurement
@@ -35,7 +35,7 @@ class FittedUnknown:
     name: str
     unit: str
     value: float
-    standard_error: Unbounded
+    standard_error: MaybeInfinite
     lower: float
     upper: float
     determined: bool
@@ -74,8 +74,8 @@ class Row:
     time: float | None
     observed: float
     predicted: float
-    sigma: Unbounded
-    standard_error: Unbounded
+    sigma: MaybeInfinite
+    standard_error: MaybeInfinite
     residual: float
 
 

@@ -23,8 +23,8 @@ _DOMINATED: Final = "local optima, dominated"
 _FRONT_WIDTH: Final = 7.0
 # By number of objectives: width and height of a variable's panel, and least height of the figure [inch].
 _PANEL_SIZES: Final = {2: (3.6, 1.75, 5.2), 3: (4.2, 2.1, 5.6)}
-# Half of the least range of a variable's axis, as part of its bounds, or on a logarithmic scale the range beyond its
-# values, as part of them. A variable that hardly changes is so drawn as hardly changing.
+# Least half range of a variable's axis as a fraction of the range between its bounds; on a logarithmic scale the
+# margin beyond its values as a fraction of these. A variable that hardly changes then looks as if it hardly changes.
 _LEAST_RANGE: Final = 0.02
 # Least range of an objective's axis, relative to its value.
 _LEAST_CHANGE: Final = 0.01

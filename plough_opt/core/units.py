@@ -25,11 +25,24 @@ _QUANTITY = re.compile(
 _LONGEST: Final = 100
 # A power that is not a single digit: pint would compute 9^9^9 before rejecting it as a unit.
 _POWER = re.compile(r"(?:\^|\*\*)(?!\s*-?[0-9](?:\.[0-9])?(?![\w.^]|\s*(?:\^|\*\*)))")
-# Common units, from which the nearest is suggested for one that pint does not know.
-_COMMON = (
-    "m", "cm", "mm", "km", "deg", "rad", "kg", "g", "t", "s", "ms", "min", "h", "N", "kN", "Pa", "kPa", "MPa",
-    "m/s", "km/h", "mph", "N/m", "kN/m", "N/mm", "N*s/m", "kN*s/m", "kg/m^3", "g/cm^3", "W", "kW", "s^2/m^2", "%",
-)  # fmt: skip
+# Common units by what they measure, in pint's root units, with their factors. They are parsed without pint, whose
+# registry takes longer to build than a simulation; for a unit that pint does not know, the nearest are suggested.
+_COMMON: Final = {
+    "dimensionless": {"": 1.0, "%": 0.01},
+    "radian": {"rad": 1.0, "deg": 0.017453292519943295, "°": 0.017453292519943295},
+    "meter": {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254},
+    "second": {"s": 1.0, "ms": 0.001, "min": 60.0, "h": 3600.0},
+    "gram": {"kg": 1e3, "g": 1.0, "t": 1e6},
+    "meter / second": {"m/s": 1.0, "km/h": 0.2777777777777778, "mph": 0.44704},
+    "gram * meter / second ** 2": {"N": 1e3, "kN": 1e6, "lbf": 4448.221615260501},
+    "gram * meter ** 2 / second ** 3": {"W": 1e3, "kW": 1e6},
+    "gram / meter / second ** 2": {"Pa": 1e3, "kPa": 1e6, "MPa": 1e9, "bar": 1e8, "psi": 6894757.293168363},
+    "gram / meter ** 3": {"kg/m^3": 1e3, "g/cm^3": 999999.9999999999},
+    "gram / second ** 2": {"N/m": 1e3, "kN/m": 1e6, "N/mm": 1e6},
+    "gram / second": {"N*s/m": 1e3, "kN*s/m": 1e6},
+    "second ** 2 / meter ** 2": {"s^2/m^2": 1.0},
+}
+_ROOTS: Final = {unit: (factor, root) for root, units in _COMMON.items() for unit, factor in units.items()}
 _EXAMPLES = {
     "m": '"0.3 m"', "rad": '"25 deg"', "kg": '"20 kg"', "s": '"2 s"', "m/s": '"7.2 km/h"', "N/m": '"50 kN/m"',
     "N*s/m": '"400 N*s/m"', "Pa": '"20 kPa"', "kg/m^3": '"1350 kg/m^3"', "N": '"1 kN"', "W": '"1 kW"',
@@ -211,12 +224,14 @@ def _to_si(unit: str) -> tuple[float, str]:
     if unit in _EXAMPLES or unit in ("1", "-"):
         return 1.0, unit
     try:
-        factor, base = registry().get_base_units(registry().parse_units(unit.replace("%", "percent")))
-    except Exception:  # pint's parser raises errors of many types
+        factor, kind = _root(unit, unit)
+    except InputError:
         return 1.0, unit
-    kind = _root(unit, unit)[1]
-    known = next((symbol for symbol in _EXAMPLES if _root(symbol, symbol)[1] == kind), None)
-    return float(cast(float, factor)), f"{base:~}".replace(" ", "").replace("**", "^") if known is None else known
+    for symbol in _EXAMPLES:
+        if _ROOTS[symbol][1] == kind:
+            return factor / _ROOTS[symbol][0], symbol
+    base_factor, base = registry().get_base_units(registry().parse_units(unit))
+    return float(cast(float, base_factor)), f"{base:~}".replace(" ", "").replace("**", "^")
 
 
 @dataclass(frozen=True)
@@ -281,6 +296,8 @@ def display_of(value: object, unit: Unit) -> Display:
 
 def _root(written: str, value: object) -> tuple[float, str]:
     """Return a unit's factor to pint's root units, and those units, which distinguish an angle from a number."""
+    if written in _ROOTS:
+        return _ROOTS[written]
     try:
         factor, root = registry().get_root_units(registry().parse_units(written.replace("%", "percent")))
     except Exception as error:  # pint's parser raises errors of many types
@@ -289,5 +306,6 @@ def _root(written: str, value: object) -> tuple[float, str]:
             text = f'= "{value}" is not a quantity: its unit cannot be read; write one like "kN*s/m"'
             raise InputError(text) from None
         names = names if isinstance(names, str) else ", ".join(names)
-        raise InputError(f"= \"{value}\" has an unknown unit '{names}': {nearest(names, _COMMON)}") from None
+        valid = nearest(names, filter(None, _ROOTS))
+        raise InputError(f"= \"{value}\" has an unknown unit '{names}': {valid}") from None
     return float(cast(float, factor)), str(root)

@@ -1,12 +1,16 @@
 """Quantities with units: what is read, what is refused and why, and how a value is given back."""
 
 import math
+import subprocess
+import sys
+from pathlib import Path
 
 import hypothesis.strategies as st
 import pytest
 from hypothesis import given, settings
 
 import plough_opt as po
+from plough_opt.core import units
 from plough_opt.core.units import Unit, display_of
 
 # SI unit, what a user writes, the value in SI worked out by hand.
@@ -34,6 +38,26 @@ def test_a_quantity_is_read_in_si(unit, written, expected):
     value = Unit(unit).parse(written)
     assert isinstance(value, float)
     assert value == pytest.approx(expected, rel=1e-14)
+
+
+def test_common_units_have_pint_factors():
+    # They are parsed without pint, and must be equal to the last bit to what it gives for any other spelling.
+    for unit, (factor, root) in units._ROOTS.items():
+        expected, kind = units.registry().get_root_units(unit.replace("%", "percent"))
+        assert (factor, root) == (expected, str(kind)), unit
+
+
+def test_the_problems_are_read_without_a_registry_of_units():
+    code = """if True:
+        import sys
+        import plough_opt as po
+        for path in sys.argv[1:]:
+            problem = po.read_problem(path)
+            for share in problem.shares.values() or [problem]:
+                share.scene()
+        sys.exit("pint" in sys.modules)"""
+    problems = sorted(map(str, Path("problems").glob("*.toml")))
+    assert subprocess.run([sys.executable, "-c", code, *problems], check=False).returncode == 0
 
 
 NO_QUANTITY = "is not a quantity: write it like "

@@ -158,7 +158,7 @@ def copied(source: Path, to: Path) -> Path:
     """Copy everything the tests read, with compiled bytecode."""
     for name in ("plough_opt", "tests", "problems", "docs", "notebooks", ".ci"):
         shutil.copytree(source / name, to / name)
-    for name in ("pyproject.toml", "README.md", "CONTRIBUTING.md", "ARCHITECTURE.md", "plough_opt_command.py"):
+    for name in ("pyproject.toml", "README.md", "CONTRIBUTING.md", "ARCHITECTURE.md"):
         shutil.copy(source / name, to / name)
     return to
 

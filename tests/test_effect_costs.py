@@ -6,7 +6,7 @@ import pytest
 from helpers.scenes import scene_of
 
 import plough_opt as po
-from plough_opt.app import main
+from plough_opt.app.main import main
 from plough_opt.motion import effect_costs, following
 from plough_opt.motion.equation import equation_of_motion
 from plough_opt.motion.integrators import integration

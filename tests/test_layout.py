@@ -58,7 +58,7 @@ def test_links_and_named_tests_exist(page):
 
 
 def test_names_are_listed_and_heavy_libraries_left_alone_by_an_import():
-    heavy = ("matplotlib", "pint", "pydantic", "scipy", "rich")
+    heavy = ("casadi", "matplotlib", "numpy", "pint", "pydantic", "rich", "scipy")
     code = (
         "import sys, plough_opt as po; listed = dir(po); print(sorted({*po.__all__} - {*listed}),"
         f"len(listed) - len({{*listed}}), [name for name in {heavy} if name in sys.modules])"

@@ -1,5 +1,5 @@
 """Command line, its tables and pictures, and reports as HTML pages."""
 
-from plough_opt.app.main import main
+import lazy_loader
 
-__all__ = ["main"]
+__getattr__, __dir__, __all__ = lazy_loader.attach(__name__, ["plots"])

@@ -86,9 +86,9 @@ def test_every_public_name_has_a_recipe():
     results = {
         "AccuracyStudy", "BatchResult", "Component", "Design", "DomainError", "Fit", "ImplausibleValue",
         "InfeasibleDesign", "InputError", "IntegrationError", "LocalOptimum", "NotConverged", "Optimum",
-        "OwnResistance", "PloughError",
-        "Problem", "RecordWaves", "Refinement", "ResistanceLaw", "Run", "ShareInSoil", "SoilReaction", "Sweep",
-        "TradeOff", "crosscheck", "elastic", "expressions", "laws", "plastic", "plots", "soil_names", "uncertainty",
+        "OwnResistance", "PloughError", "Problem", "RecordWaves", "Refinement", "ResistanceLaw", "Run", "ShareInSoil",
+        "SoilReaction", "Sweep", "TradeOff", "crosscheck", "elastic", "export", "expressions", "laws", "plastic",
+        "plots", "soil_names", "uncertainty",
     }  # fmt: skip
     covered = {name.partition(".")[0].rstrip("[]()") for name in recipes()}
     assert set(po.__all__) - results <= covered

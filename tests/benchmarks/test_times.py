@@ -32,7 +32,7 @@ def problem(request):
 
 @pytest.mark.parametrize("name", FILES)
 def test_optimise_from_the_command_line(benchmark, name):
-    script = "import sys; from plough_opt.app import main; sys.exit(main(sys.argv[1:]))"
+    script = "import sys; from plough_opt.app.main import main; sys.exit(main(sys.argv[1:]))"
     command = [sys.executable, "-c", script, "optimise", str(PROBLEMS / name)]
     quiet = {"check": True, "stdout": subprocess.DEVNULL}
     benchmark.pedantic(subprocess.run, (command,), quiet, rounds=3, warmup_rounds=1)

@@ -12,7 +12,7 @@ def command():
 
     def run(*arguments, environment=None, **options):
         own = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"} | (environment or {})
-        line = [sys.executable, "-c", "import sys; from plough_opt.app import main; sys.exit(main())"]
+        line = [sys.executable, "-c", "import sys; from plough_opt.app.main import main; sys.exit(main())"]
         options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "encoding": "utf-8"} | options
         done = subprocess.run([*line, *map(str, arguments)], env=own, timeout=60, check=False, **options)
         return Outcome(done.returncode, done.stdout or "", done.stderr or "")

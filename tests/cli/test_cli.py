@@ -15,7 +15,7 @@ from helpers.commands import call, cells, printed
 from helpers.problem_files import REFERENCE, SUBSOILER, changed
 
 import plough_opt as po
-from plough_opt.app import main
+from plough_opt.app.main import main
 from plough_opt.problem_file import TEMPLATE
 
 BRIEF = ("--set", "scene.duration=0.2 s", "--set", "scene.outputs=20")

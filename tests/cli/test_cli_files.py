@@ -64,7 +64,7 @@ class Interrupt:
         if name == "casadi":
             raise KeyboardInterrupt
 sys.meta_path.insert(0, Interrupt())
-from plough_opt_command import main
+from plough_opt.__main__ import main
 sys.exit(main())
 """
         line = [sys.executable, "-c", code, "init", str(tmp_path / "a.toml")]

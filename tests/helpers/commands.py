@@ -7,7 +7,7 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-from plough_opt.app import main
+from plough_opt.app.main import main
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,70 @@
+"""The public names of the toolkit and the modules that define them, each imported on first use."""
+
+from . import export as export, expressions as expressions, laws as laws, uncertainty as uncertainty
+from .app import plots as plots
+from .core.errors import (
+    DomainError as DomainError,
+    ImplausibleValue as ImplausibleValue,
+    InfeasibleDesign as InfeasibleDesign,
+    InputError as InputError,
+    IntegrationError as IntegrationError,
+    NotConverged as NotConverged,
+    PloughError as PloughError,
+)
+from .core.refinement import Refinement as Refinement, refine as refine
+from .design import Design as Design, LocalOptimum as LocalOptimum, Optimum as Optimum
+from .exchange.component import Component as Component, Input as Input, Output as Output, component as component
+from .exchange.results import load as load
+from .laws.forces import (
+    added_mass as added_mass,
+    cone_index as cone_index,
+    loosened_radius as loosened_radius,
+    resistance as resistance,
+    resistance_coefficients as resistance_coefficients,
+    soil_reaction as soil_reaction,
+)
+from .laws.law import ResistanceLaw as ResistanceLaw, ShareInSoil as ShareInSoil, SoilReaction as SoilReaction
+from .laws.printed import Printed as Printed
+from .motion import Run as Run, simulate as simulate
+from .motion.accuracy import Accuracy as Accuracy
+from .motion.batch import Batch as Batch, BatchResult as BatchResult
+from .motion.effects import (
+    Effects as Effects,
+    HarmonicBalance as HarmonicBalance,
+    OwnResistance as OwnResistance,
+    Smooth as Smooth,
+    StickSlip as StickSlip,
+)
+from .motion.machine import Machine as Machine
+from .motion.scene import Scene as Scene
+from .problem_file import Problem as Problem, read_problem as read_problem
+from .problem_file.readings import (
+    Penetrometer as Penetrometer,
+    read_penetrometer as read_penetrometer,
+    read_strength_record as read_strength_record,
+)
+from .problem_file.sweeping import sweep as sweep
+from .soil import elastic as elastic, plastic as plastic
+from .soil.geometry import Cone as Cone, Wedge as Wedge, deg as deg
+from .soil.random_strength import RandomStrength as RandomStrength, Spectrum as Spectrum
+from .soil.record_waves import RecordWaves as RecordWaves, strength_waves as strength_waves
+from .soil.soil import Soil as Soil, named_soil as named_soil, soil_names as soil_names
+from .soil.strength_record import Rig as Rig, StrengthRecord as StrengthRecord, strength_spectrum as strength_spectrum
+from .soil.waves import StrengthWave as StrengthWave
+from .studies import crosscheck as crosscheck
+from .studies.accuracy.result import AccuracyStudy as AccuracyStudy
+from .studies.accuracy.study import study_accuracy as study_accuracy, study_design as study_design
+from .studies.calibration import (
+    Calibration as Calibration,
+    Candidate as Candidate,
+    Fit as Fit,
+    Measurements as Measurements,
+    calibrate as calibrate,
+    read_measurements as read_measurements,
+)
+from .studies.sweep.points import Range as Range
+from .studies.sweep.result import Sweep as Sweep
+from .studies.tradeoff import Goal as Goal, TradeOff as TradeOff, trade_off as trade_off
+from .studies.uncertainty import Robust as Robust, SoilDistribution as SoilDistribution
+
+__version__: str

@@ -1,15 +1,30 @@
 """Compilation of C on whatever the system offers: no compiler, a damaged or read-only cache, and several processes."""
 
 import ctypes
+import errno
+import hashlib
 import os
+import random
+import re
+import socket
 import subprocess
 import sys
+import tempfile
+import warnings
+from pathlib import Path
 
 import casadi as ca
 import pytest
+from helpers import swept
 
 import plough_opt as po
-from plough_opt.core.compiler import find_compiler, library
+from plough_opt.core import compiler as compilers
+from plough_opt.core.compiler import compiler_problem, find_compiler, library
+
+NOBODY = 65534
+by_root = pytest.mark.skipif(
+    os.name != "posix" or os.geteuid() != 0, reason="only root can give a file to another user"
+)
 
 SOURCE = "double twice(double x) { return 2.0 * x; }"
 SCRIPT = f"from plough_opt.core.compiler import library; print(library({SOURCE!r}, ((('-O1',), ()),)))"
@@ -104,3 +119,219 @@ def test_several_processes_at_once(cache):
     assert [process.returncode for process in running] == [0, 0, 0]
     assert printed == {str(path) for path in cache.iterdir()}
     assert len(printed) == 1
+
+
+# --- libraries that somebody else could have put into the cache ------------------------------------------------------
+
+
+def given_away(path):
+    os.chown(path, NOBODY, NOBODY)
+
+
+@pytest.mark.parametrize(
+    "harm", [pytest.param(given_away, marks=by_root), lambda path: path.chmod(0o720), lambda path: path.chmod(0o1702)]
+)
+def test_a_library_that_others_own_or_may_write_is_compiled_again(cache, harm):
+    path = compiled()
+    before = path.stat().st_ino
+    harm(path)
+    assert compiled() == path
+    assert (path.stat().st_ino == before, path.stat().st_uid, path.stat().st_mode & 0o777) == (
+        False, os.geteuid(), 0o700,
+    )  # fmt: skip
+    assert cache.stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.parametrize(
+    ("harm", "safe"),
+    [
+        (lambda folder: folder.chmod(0o720), False),
+        (lambda folder: folder.chmod(0o702), False),
+        (lambda folder: folder.chmod(0o1777), True),
+        (lambda folder: folder.parent.chmod(0o777), False),
+        (lambda folder: folder.parent.chmod(0o1777), True),
+        pytest.param(given_away, False, marks=by_root),
+        pytest.param(lambda folder: given_away(folder.parent), False, marks=by_root),
+    ],
+)
+def test_a_cache_that_others_may_write_is_not_used(cache, harm, safe):
+    path = compiled()
+    harm(cache)
+    if safe:
+        assert compiled() == path
+    else:
+        with pytest.warns(UserWarning, match="code is not kept for other runs: .*chmod go-w"):
+            assert compiled() != path
+
+
+def replaced_by(make):
+    def replace(path):
+        path.unlink()
+        make(path)
+
+    return replace
+
+
+def bound(path):
+    with socket.socket(socket.AF_UNIX) as one:
+        # The path of a socket must be short.
+        descriptor = os.open(path.parent, os.O_RDONLY)
+        one.bind(f"/proc/self/fd/{descriptor}/{path.name}")
+        os.close(descriptor)
+
+
+def of_another(path):
+    """Put a sound library without the symbol in place, as if it had this name, with the digest of its content."""
+    content = compiled(SOURCE + "/* other */").read_bytes()[:-32].replace(b"twice", b"other")
+    path.write_bytes(content + hashlib.sha256(content).digest())
+
+
+@pytest.mark.usefixtures("cache")
+@pytest.mark.parametrize(
+    ("make", "stays"),
+    [
+        (os.mkfifo, False),
+        pytest.param(bound, False, marks=pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="no /proc")),
+        (lambda path: path.symlink_to("nowhere"), False),
+        (lambda path: path.symlink_to("/dev/zero"), False),
+        (lambda path: path.symlink_to(compiled(SOURCE + "/* other */")), False),
+        (of_another, False),
+        (Path.mkdir, True),
+    ],
+    ids=["fifo", "socket", "dangling", "device", "link", "another", "folder"],
+)
+def test_anything_else_in_the_place_of_a_library_is_replaced_or_left(make, stays):
+    path = compiled()
+    replaced_by(make)(path)
+    again = library(SOURCE, ((("-O1",), ()),), ["twice"])
+    assert again.is_file()
+    assert not again.is_symlink()
+    assert (again != path) == stays
+    assert ctypes.CDLL(str(again)).twice
+
+
+# --- compilers that fail -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def compiler(tmp_path, monkeypatch):
+    """Make a shell script the compiler."""
+    monkeypatch.setattr(compilers, "_hanging", {})
+
+    def make(text):
+        script = tmp_path / "my-cc"
+        script.write_text(f'#!/bin/sh\nfor one; do [ "$one" = --version ] && exit; done\n{text}\n')
+        script.chmod(0o755)
+        monkeypatch.setenv("CC", f"{script} -DARGUMENT")
+
+    return make
+
+
+# Writes half of a library and claims success.
+HALF = """last=; for one; do [ "$last" = -o ] && out=$one; last=$one; done
+cc "${@}" && dd if="$out" of="$out.half" bs=1000 count=4 2>/dev/null && mv "$out.half" "$out" """
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("echo first >&2; echo second >&2; exit 3", r"my-cc failed \(first\)"),
+        ("exit 3", "exit status 3"),
+        ("kill -9 $$", "ended by signal 9"),
+        ("exit 0", "wrote no library"),
+        ("sleep 60 & echo $! > PIDS; sleep 60", r"did not end within 1.5 s"),
+        (HALF, "cannot be loaded"),
+    ],
+)
+def test_a_failing_compiler_is_named_and_leaves_nothing_behind(cache, compiler, monkeypatch, tmp_path, text, words):
+    monkeypatch.setattr(compilers, "_TIMEOUT", 1.5 if "sleep" in text else 60.0)
+    compiler(text.replace("PIDS", str(tmp_path / "pids")))
+    for _ in range(2):
+        assert library(SOURCE, ((("-O1",), ()), ((), ()))) is None
+        assert re.search(words, compiler_problem())
+    assert list(cache.iterdir()) == []
+    if "sleep" in text:
+        assert swept.process_of(int((tmp_path / "pids").read_text()))[0] in "XZ"
+
+
+@pytest.mark.parametrize("who", ["compiler", "package"])
+def test_a_full_cache_is_replaced_by_a_temporary_folder(cache, compiler, monkeypatch, who):
+    def write(path, content, to=Path.write_bytes):
+        if path.is_relative_to(cache):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return to(path, content)
+
+    if who == "package":
+        monkeypatch.setattr(Path, "write_bytes", write)
+    else:
+        compiler('case "$TMPDIR" in */cache/*) echo full >&2; exit 1;; esac; cc "$@"')
+    path = compiled()
+    assert not path.is_relative_to(cache)
+    assert list(cache.iterdir()) == []
+
+
+def test_folders_of_killed_processes_are_removed(cache):
+    compiled()
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    names = {number: cache / f"plough_opt-{number}-x" for number in (ended.pid, os.getpid(), 1)}
+    for folder in (*names.values(), cache / f"plough_opt-{ended.pid}-young"):
+        folder.mkdir()
+        (folder / "0.so").touch()
+        if "young" not in folder.name:
+            os.utime(folder, (0, 0))
+    compiled(SOURCE + "/* other */")
+    left = {path.name.rpartition("-")[0] + path.name[-2:] for path in cache.iterdir() if path.is_dir()}
+    assert left == {f"plough_opt-{number}" + end for number, end in ((ended.pid, "ng"), (os.getpid(), "-x"), (1, "-x"))}
+
+
+def test_a_fuzz_of_environments(tmp_path, monkeypatch, compiler):
+    """In any environment a library works, or none is made and the reason is known; nothing else is left."""
+    made, random_ = tmp_path / "made.so", random.Random(6)
+    assert compilers.compile_library(SOURCE, (find_compiler() or ("cc",)), made, ()) is None
+    (tmp_path / "file").touch()
+    (tmp_path / "open").mkdir()
+    (tmp_path / "open").chmod(0o777)
+    monkeypatch.chdir(tmp_path)
+    copying = f'last=; for one; do [ "$last" = -o ] && cp {made} "$one"; last=$one; done; true'
+    folders = [
+        "",
+        "relative",
+        str(tmp_path / "file"),
+        "/proc",
+        "/dev/full",
+        str(tmp_path / "open"),
+        "\udcff",
+        "new",
+        None,
+    ]
+    programs, found = os.environ["PATH"], []
+    for number in range(24):
+        monkeypatch.setattr(compilers, "_hanging", {})
+        compilers._temporary_folder.cache_clear()
+        monkeypatch.setattr(tempfile, "tempdir", None)
+        compiler(random_.choice([copying, copying, copying, "exit 1", "kill -9 $$"]))
+        monkeypatch.setenv("PATH", programs)
+        if random_.random() < 0.2:
+            monkeypatch.setenv("CC", random_.choice([str(tmp_path), "/no/such/cc -O2", "   ", "./file"]))
+            monkeypatch.setenv("PATH", random_.choice(["", str(tmp_path)]))
+        for name in ("XDG_CACHE_HOME", "HOME", "TMPDIR"):
+            place = random_.choice(folders)
+            place = str(tmp_path / f"new{number}") if place == "new" else place
+            monkeypatch.delenv(name, raising=False) if place is None else monkeypatch.setenv(name, place)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            path = library(f"/* {number} */", ((("-O1",), ()),), ["twice"])
+        found.append(path is not None)
+        if path is None:
+            assert compiler_problem()
+        else:
+            assert ctypes.CDLL(str(path)).twice
+            assert path.is_absolute()
+            assert all(compilers._is_safe(part.stat()) for part in (path, *path.parents))
+            path.unlink()
+            if path.parent.name.startswith("plough_opt-"):
+                path.parent.rmdir()
+        assert not list(tmp_path.rglob("plough_opt-*/*"))
+    compilers._temporary_folder.cache_clear()
+    assert 3 < sum(found) < 24

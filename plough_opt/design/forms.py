@@ -24,7 +24,7 @@ def as_machine_code(nlp: Nlp) -> Nlp | None:
     generator = ca.CodeGenerator("design.c")
     for name, function in functions.items():
         generator.add(_named(function, name))
-    path = library(generator.dump(), _VARIANTS)
+    path = library(generator.dump(), _VARIANTS, tuple(functions))
     if path is None:
         return None
     values, slopes = (ca.external(name, str(path)) for name in functions)

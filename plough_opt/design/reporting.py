@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from plough_opt.core.compiler import NO_COMPILER
+from plough_opt.core.compiler import interpretation_warning
 from plough_opt.design.derivatives import SMALL, gap_of
 from plough_opt.design.exploring import Explored
 from plough_opt.design.ipopt import Point, Vector
@@ -112,7 +112,7 @@ def _warnings_at(program: Program, numbers: Sequence[float], runs: Sequence[tupl
         else:
             moving += repeat(scene, float(parameters[-1])).warnings
     still = program.exact.quasi_static_scenes(numbers)
-    slow = (NO_COMPILER,) if program.compiled and program.nlp is program.built.plain else ()
+    slow = (interpretation_warning(),) if program.compiled and program.nlp is program.built.plain else ()
     return (*slow, *without_repetition([*moving, *(text for scene in still for text in scene.warnings())]))
 
 

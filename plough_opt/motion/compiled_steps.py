@@ -110,7 +110,7 @@ class CompiledSteps:
 @lru_cache(maxsize=64)
 def compiled_steps(structure: Structure) -> CompiledSteps | None:
     """Return a structure's steps in machine code, compiled or from the user's cache; None without a compiler."""
-    path = library(_source(structure), _VARIANTS)
+    path = library(_source(structure), _VARIANTS, ("motion_follow",))
     return None if path is None else CompiledSteps(structure, ctypes.CDLL(str(path)))
 
 

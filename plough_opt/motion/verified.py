@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from plough_opt.core.compiler import NO_COMPILER
+from plough_opt.core.compiler import interpretation_warning
 from plough_opt.core.errors import IntegrationError
 from plough_opt.core.expressions import as_number
 from plough_opt.motion import judgement, plan
@@ -74,7 +74,7 @@ def interpreted(case: Case, run: Run) -> tuple[str, ...]:
     elif not run.accuracy.order_8:
         kind = f"a run by '{run.accuracy.method}'"
     else:
-        return () if case.code else (NO_COMPILER,)
+        return () if case.code else (interpretation_warning(),)
     return (f"compiled=True has no effect on {kind}: machine code takes steps of order 8 from a start only",)
 
 

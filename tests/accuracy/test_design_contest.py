@@ -90,7 +90,7 @@ def test_a_design_without_a_run_has_derivatives_alone(bowl):
     assert {entry.family for entry in contest.entries} == {"derivatives", "compiled"}
     for entry in contest.entries:
         if entry.family == "compiled":
-            assert entry.failure == "no C compiler was found ($CC, cc, gcc, clang), or it failed"
+            assert "no C compiler was found" in entry.failure
         else:
             # Rounding divided by the step of a forward difference, and a tolerance of 1e-6.
             assert max(entry.errors.values()) < (1e-5 if "differences" in entry.method else 1e-9)

@@ -11,7 +11,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from plough_opt.core.checks import check_choice
-from plough_opt.core.compiler import compile_library, find_compiler
+from plough_opt.core.compiler import NOT_FOUND, compile_library, find_compiler
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import as_number, is_casadi, is_symbolic, map_expressions
 from plough_opt.core.files import check_file, write_file
@@ -139,8 +139,7 @@ def _compiled(source: str) -> bytes:
     command = find_compiler()
     if command is None:
         raise InputError(
-            "no C compiler was found (cc, gcc, clang, or $CC): install one, or use binary=False (--sources) and let the"
-            " importing tool compile the sources"
+            f"{NOT_FOUND}: install one, or use binary=False (--sources) and let the importing tool compile the sources"
         )
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "share"

@@ -48,7 +48,7 @@ class Engine:
         """
         self._functions, self._phases = functions, phases
         self._compiled = {name: one for name, one in functions.items() if one.is_a("SXFunction")}
-        path = library(c_source(self._compiled, phases, parameters), _VARIANTS)
+        path = library(c_source(self._compiled, phases, parameters), _VARIANTS, (*self._compiled, "run"))
         self.compiled = path is not None
         self._library = None if path is None else ctypes.CDLL(str(path))
 

@@ -254,7 +254,7 @@ def _library(structure: Structure) -> ctypes.CDLL | None:
         once="\n".join(text.once),
         each="\n".join(text.each),
     )
-    path = library("\n".join([head(), body]), _VARIANTS)
+    path = library("\n".join([head(), body]), _VARIANTS, ("many_runs",))
     if path is None:
         return None
     loaded, whole, address = ctypes.CDLL(str(path)), ctypes.c_int64, ctypes.c_void_p

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
+from plough_opt.core.compiler import compiler_problem
 from plough_opt.core.errors import NotConverged
 from plough_opt.design.forms import as_machine_code
 from plough_opt.design.ipopt import FAR, NEAR, OPTIONS, REMEDIES, Point, Vector
@@ -133,5 +134,5 @@ def compiled(nlp: Nlp) -> Nlp:
     """
     translated = as_machine_code(nlp)
     if translated is None:
-        raise NotConverged("no C compiler was found ($CC, cc, gcc, clang), or it failed", "Not_Compiled")
+        raise NotConverged(compiler_problem(), "Not_Compiled")
     return translated

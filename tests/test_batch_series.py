@@ -99,7 +99,10 @@ def test_operations_in_c_and_numpy(tmp_path, monkeypatch):
     rows[1, 5] = 0.0
     expected = np.asarray(function.map(rows.shape[1])(rows))
     # The C library's vector functions keep four units in the last place, of which atanh near 1 makes ten times as many.
-    assert Interpreter(function)(rows) == pytest.approx(expected, rel=1e-14, abs=1e-15)
+    interpreted = Interpreter(function)(rows)
+    assert interpreted == pytest.approx(expected, rel=1e-14, abs=1e-15)
+    for few in (1, 8, 9):  # one by one, or as arrays
+        assert np.array_equal(Interpreter(function)(rows[:, :few]), interpreted[:, :few])
     assert engine.evaluate("operations", rows) == pytest.approx(expected, rel=1e-14, abs=1e-15)
     # The sum 0 + 1 + ... (n - 1) over what divides it, for each design its own number of steps.
     ends, parts = np.arange(203.0) % 17.0, random.uniform(1.0, 2.0, 203)

@@ -1,7 +1,7 @@
 """The arithmetic of a batch: compiled C, or NumPy without a compiler, for many designs side by side."""
 
 import ctypes
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -102,56 +102,66 @@ def _error_function(x: Array) -> Array:
     return np.asarray(erf(x))
 
 
-# NumPy's function for each of CasADi's operations. Most have the same names in C.
-_FUNCTIONS: dict[int, Callable[..., Any]] = {
-    **{code: getattr(np, name) for code, name in (LIBRARY | LIBRARY_OF_TWO | LANE_BY_LANE).items() if name != "erf"},
-    ca.OP_ERF: _error_function,
-    ca.OP_ASSIGN: lambda x: x,
-    ca.OP_ADD: np.add,
-    ca.OP_SUB: np.subtract,
-    ca.OP_MUL: np.multiply,
-    ca.OP_DIV: np.divide,
-    ca.OP_INV: np.reciprocal,
-    ca.OP_NEG: np.negative,
-    ca.OP_SQ: np.square,
-    ca.OP_TWICE: lambda x: x + x,
-    ca.OP_FABS: np.abs,
-    ca.OP_SIGN: np.sign,
-    ca.OP_FMIN: np.fmin,
-    ca.OP_FMAX: np.fmax,
-    ca.OP_LT: np.less,
-    ca.OP_LE: np.less_equal,
-    ca.OP_EQ: np.equal,
-    ca.OP_NE: np.not_equal,
-    ca.OP_NOT: np.logical_not,
-    ca.OP_AND: np.logical_and,
-    ca.OP_OR: np.logical_or,
-    ca.OP_IF_ELSE_ZERO: lambda condition, x: np.where(condition, x, 0.0),
+# Python's expression for each of CasADi's frequent operations; CasADi calculates with conditions as with 0 and 1.
+_EXPRESSIONS = {
+    ca.OP_ASSIGN: "{0}",
+    ca.OP_ADD: "{0} + {1}",
+    ca.OP_SUB: "{0} - {1}",
+    ca.OP_MUL: "{0} * {1}",
+    ca.OP_DIV: "{0} / {1}",
+    ca.OP_INV: "1.0 / {0}",
+    ca.OP_NEG: "-{0}",
+    ca.OP_SQ: "{0} * {0}",
+    ca.OP_TWICE: "{0} + {0}",
+    ca.OP_LT: "({0} < {1}) * 1.0",
+    ca.OP_LE: "({0} <= {1}) * 1.0",
+    ca.OP_EQ: "({0} == {1}) * 1.0",
+    ca.OP_NE: "({0} != {1}) * 1.0",
+    ca.OP_NOT: "({0} == 0.0) * 1.0",
+    ca.OP_AND: "logical_and({0}, {1}) * 1.0",
+    ca.OP_OR: "logical_or({0}, {1}) * 1.0",
+    ca.OP_FABS: "abs({0})",
+    ca.OP_SIGN: "sign({0})",
+    ca.OP_FMIN: "fmin({0}, {1})",
+    ca.OP_FMAX: "fmax({0}, {1})",
+    ca.OP_IF_ELSE_ZERO: "where({0}, {1}, 0.0)",
+    **{code: f"{name}({{0}})" for code, name in (LIBRARY | LANE_BY_LANE).items()},
+    **{code: f"{name}({{0}}, {{1}})" for code, name in LIBRARY_OF_TWO.items()},
 }
-_CONDITIONS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR)
+# Up to this many designs are evaluated one by one, because arithmetic of NumPy's numbers is many times faster than that
+# of short arrays. The results are the same.
+_FEW = 8
 
 
 class Interpreter:
-    """Evaluates a Function of SX with one result, a dense column, by NumPy."""
+    """Evaluates a Function of SX with one result, a dense column, by Python and NumPy."""
 
     def __init__(self, function: ca.Function) -> None:
-        """Read the Function's operations; intermediate results share places as in CasADi's own evaluation."""
-        self._results, self._places = function.numel_out(), function.sz_w()
-        self._operations = [*instructions(function)]
+        """Write the Function's operations in Python; intermediate results share names as in CasADi's own evaluation."""
+        self._results = function.numel_out()
+        names: dict[str, Any] = {**vars(np), "erf": _error_function}
+        lines = [f"def evaluate({', '.join(f'x{k}' for k in range(function.n_in()))}, results):"]
+        for number, (code, into, of, constant) in enumerate(instructions(function)):
+            if code == ca.OP_OUTPUT:
+                line = f"results[{into[1]}] = w{of[0]}"
+            elif code == ca.OP_INPUT:
+                line = f"w{into[0]} = x{of[0]}[{of[1]}]"
+            elif code == ca.OP_CONST:
+                names[f"c{number}"] = np.float64(constant)
+                line = f"w{into[0]} = c{number}"
+            else:
+                line = f"w{into[0]} = " + _EXPRESSIONS[code].format(*(f"w{k}" for k in of))
+            lines.append(f"  {line}")
+        exec("\n".join(lines), names)
+        self._evaluate = names["evaluate"]
 
     def __call__(self, *arguments: Array) -> Array:
         """Return the result, a row for each element; arguments have a row for each element too."""
-        work: list[Any] = [None] * self._places
-        results = np.empty((self._results, arguments[0].shape[1]))
-        for code, into, of, constant in self._operations:
-            if code == ca.OP_INPUT:
-                work[into[0]] = arguments[of[0]][of[1]]
-            elif code == ca.OP_CONST:
-                work[into[0]] = constant
-            elif code == ca.OP_OUTPUT:
-                results[into[1]] = work[of[0]]
-            else:
-                found = _FUNCTIONS[code](*[work[k] for k in of])
-                # CasADi calculates with conditions as with the numbers 0 and 1.
-                work[into[0]] = np.multiply(found, 1.0) if code in _CONDITIONS else found
+        count = arguments[0].shape[1]
+        results = np.empty((self._results, count))
+        if count > _FEW:
+            self._evaluate(*arguments, results)
+        else:
+            for k in range(count):
+                self._evaluate(*(argument[:, k] for argument in arguments), results[:, k])
         return results

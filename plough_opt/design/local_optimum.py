@@ -52,6 +52,7 @@ class Search:
         objective: sample: objective of each design, NaN if it has no value.
         violation: sample: sum of the largest violation of each requirement, in parts of its limit's size; infinite if a
             design has no value.
+        slow: why the sampled runs were not compiled, or "".
     """
 
     asked: str
@@ -67,6 +68,7 @@ class Search:
     values: Array
     objective: Array
     violation: Array
+    slow: str = ""
 
     @property
     def unseen_basins(self) -> float | None:
@@ -87,6 +89,8 @@ class Search:
         text = f"{self.designs} designs tried over {over}: {self.basins} basin{'s' if self.basins != 1 else ''} found"
         if self.polished < self.basins:
             text += f", of which the {self.polished} that could be best were optimised"
+        if self.slow:
+            text += f" ({self.slow}: with a compiler the search would take a fraction of the time)"
         if self.unseen_basins is None:
             why = (
                 f"{self.followed} random designs, which led to {self.reached} of them, are too few"

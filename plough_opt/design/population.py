@@ -133,6 +133,7 @@ class Population:
     Attributes:
         vectorised: whether all runs are integrated together, at about ten microseconds each. Runs with events and
             periodic orbits are integrated one by one, which takes a thousand times as long.
+        compiled: whether machine code integrates those that are integrated together.
         runs: number of runs in a design.
     """
 
@@ -148,7 +149,7 @@ class Population:
         """
         full = algebra_of(parts, y, p)
         self.runs = len(parts.runs)
-        self.vectorised, self._rough = True, rough
+        self.vectorised, self.compiled, self._rough = True, True, rough
         members_by_key: dict[object, list[int]] = {}
         for k, run in enumerate(parts.runs):
             averages = averages_only(run, full, 2 + k)
@@ -171,6 +172,7 @@ class Population:
                 pass
             else:
                 threads = available()
+                self.compiled &= many.compiled
 
                 def integrate(theta: Vector, finer: float, together: int) -> Vector:
                     return many(theta, finer=finer, together=together, threads=threads)

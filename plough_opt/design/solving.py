@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from plough_opt.core.compiler import compiler_problem
 from plough_opt.core.errors import NotConverged
 from plough_opt.design.basin import near_optimum
 from plough_opt.design.derivatives import build_surely, with_enough_steps
@@ -234,6 +235,7 @@ class _Solve:
             values=program.values_of(sample.points)[:, own],
             objective=sample.f * landscape.objective_scale,
             violation=sample.violation,
+            slow="" if program.population.compiled or not explored else compiler_problem(),
         )
 
 

@@ -4,6 +4,12 @@ Units are SI and angles are in radians. Every physical function accepts floats, 
 sense, NumPy arrays, and returns a result of the same type.
 """
 
+import sys
+
+# `python -m plough_opt` begins sys.path with the current folder, whose files would replace modules of their names.
+if sys.argv[:1] == ["-m"] and sys.orig_argv[-len(sys.argv)].endswith("plough_opt") and not sys.flags.safe_path:
+    del sys.path[0]
+
 from typing import Any
 
 import lazy_loader

@@ -30,6 +30,7 @@ def add_options(verb: argparse.ArgumentParser) -> None:
     add_option(verb, "scheduler", "ADDRESS", "use the workers of a dask scheduler: tcp://host:8786")
     add_option(verb, "store", "FILE", "database of finished points (default: named after the sweep)")
     verb.add_argument("--retry", action="store_true", help="repeat points that failed, are undetermined or are damaged")
+    add_option(verb, "limit", "SECONDS", "time after which a point fails (default: 3600)", type=float)
     add_option(verb, "npz", "FILE", "write an array for each column")
     every = "draw every result: .png, .svg or .pdf"
     add_shared(verb, "json", "csv", seed="seed of the sample (default: 0)", plot=every)
@@ -59,6 +60,7 @@ def sweep(options: argparse.Namespace) -> None:
             executor=executor,
             workers=workers or options.workers,
             retry=options.retry,
+            limit=options.limit,
             progress=not quiet(),
         )
     try:

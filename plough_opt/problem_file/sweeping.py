@@ -105,6 +105,7 @@ def sweep(
     executor: Executor | None = None,
     workers: int | None = None,
     retry: bool = False,
+    limit: float | None = None,
     progress: bool | Progress = False,
     units: Mapping[str, str] | None = None,
 ) -> Sweep:
@@ -140,6 +141,8 @@ def sweep(
             (default: processes on all cores of this machine, which end with the sweep).
         workers: number of workers of the executor, so that all have work (default: the cores of this machine).
         retry: repeat points that failed, are undetermined, or have damaged rows in the store.
+        limit: time [s] after which a point has failed and its worker is replaced (default: 3600). Only for the
+            processes of this machine, because those of another executor cannot be ended from here.
         progress: True for a bar on the error stream, if that is a terminal; or a function called with the numbers of
             stored points, all points, and failed points.
         units: for a function, name -> unit, for the headings of tables.
@@ -156,7 +159,7 @@ def sweep(
     """
     rest: dict[str, Any] = {
         "samples": samples, "seed": seed, "store": store, "executor": executor, "workers": workers, "retry": retry,
-        "progress": progress,
+        "limit": limit, "progress": progress,
     }  # fmt: skip
     if isinstance(what_to_sweep, Problem):
         if units is not None:

@@ -152,3 +152,10 @@ def until(enough, process=None):
         assert process is None or process.poll() is None, process.communicate()
         assert time.monotonic() < end
         time.sleep(0.01)
+
+
+def hangs_at_two(values):
+    """Return `waves`, except at a = 2, where it does not return."""
+    if values["a"] == 2.0:
+        time.sleep(3600.0)
+    return waves({"a": values["a"], "b": 1.0})

@@ -17,7 +17,7 @@ from plough_opt.core.errors import InputError
 from plough_opt.studies.sweep.cluster import Cluster
 from plough_opt.studies.sweep.database import State
 from plough_opt.studies.sweep.points import Grid, Sample
-from plough_opt.studies.sweep.pool import STORED, ProcessPool, WorkerDied
+from plough_opt.studies.sweep.pool import STORED, OutOfTime, ProcessPool, WorkerDied
 from plough_opt.studies.sweep.store import Store
 from plough_opt.studies.sweep.work import Array, Done, Evaluation, ManyPoints, work
 
@@ -87,6 +87,8 @@ class Engine:
         self._progress = progress
         self._key = uuid.uuid4().hex
         self._size, self._largest = _SIZES_OF_MANY if isinstance(evaluation, ManyPoints) else _SIZES
+        # A batch of few designs takes about as long as one of many, so its tasks do not shrink.
+        self._least = self._size
         self._under_way: dict[Future[Done], _Task] = {}
         self._retries: deque[_Task] = deque()
         self._single_points: deque[_Task] = deque()
@@ -150,6 +152,8 @@ class Engine:
                 self._take(task, future.result())
             elif isinstance(error, WorkerDied):
                 self._try_again(task, error.deaths, str(error))
+            elif isinstance(error, OutOfTime):
+                self._single_out(task, str(error))
             elif isinstance(error, InputError):
                 raise error
             elif isinstance(error, BrokenExecutor):
@@ -167,7 +171,7 @@ class Engine:
         self._returned = True
         each = done.seconds / done.points
         wanted = int(min(_TASK_SECONDS / max(each, 1e-9), _GROWTH * self._size))
-        self._size = max(1, min(wanted, self._largest))
+        self._size = max(self._least, min(wanted, self._largest))
 
     def _keep(self, task: _Task, done: Done, without: State = "failed") -> None:
         """Store finished points; those without results get the given state."""
@@ -196,6 +200,13 @@ class Engine:
             self._retries.extend(task.part(which, deaths=_DEATHS_WHOLE - 1) for which in parts)
         else:
             self._single_points.append(task.part(slice(None), alone=True))
+
+    def _single_out(self, task: _Task, reason: str) -> None:
+        """Queue the points of a task that took too long one by one; a single point has failed."""
+        if len(task.numbers) == 1:
+            self._keep(task, Done(1, reasons={0: reason}))
+        else:
+            self._retries.extend(task.part(slice(k, k + 1)) for k in range(len(task.numbers)))
 
     def _count(self) -> None:
         """Show the counts of the store, because other runs store points too."""

@@ -7,6 +7,7 @@ itself prints goes to the error stream.
 from __future__ import annotations
 
 import contextlib
+import math
 import multiprocessing.spawn
 import os
 import pickle
@@ -17,6 +18,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future
 from pathlib import Path
 from typing import IO, Any, Final
@@ -35,6 +37,8 @@ _MOST_DEATHS = 3
 _PATIENCE = 40.0
 # Pause [s] before a dead process is replaced.
 _PAUSE: Final = 0.2
+# Time [s] in which a process must import the script and become ready. On a busy machine it takes some seconds.
+_START: Final = 600.0
 # Message of a process that is ready for calls.
 _READY: Final = "ready"
 # Environment variables by which MPI launchers control their processes; children of these must not inherit them.
@@ -60,6 +64,10 @@ class WorkerDied(BrokenExecutor):
         self.deaths = deaths
 
 
+class OutOfTime(Exception):
+    """A process did not finish its task within the limit, and was ended."""
+
+
 class ProcessPool(Executor):
     """An executor whose processes are replaced when they die; the task of a dead process fails with `WorkerDied`.
 
@@ -68,12 +76,14 @@ class ProcessPool(Executor):
     parent would reach some workers and not others.
     """
 
-    def __init__(self, workers: int, evaluation: Evaluation) -> None:
+    def __init__(self, workers: int, evaluation: Evaluation, limit: float = math.inf) -> None:
         """Start the threads.
 
         Args:
             workers: number of processes.
             evaluation: unpickled by each process before it reports that it is ready.
+            limit: time [s] after which a process that has not finished its task is replaced; the task then fails with
+                `OutOfTime`.
 
         Raises:
             InputError: this process is itself a worker, because its script sweeps when it is imported.
@@ -88,6 +98,7 @@ class ProcessPool(Executor):
         self._first_message = script, pickle.dumps(evaluation)
         # One thread per core for all workers together; more would slow all of them down.
         self._environment = environment(max(1, available() // workers))
+        self._limit = limit
         self._calls: queue.SimpleQueue[tuple[Future[Any], bytes] | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._processes: dict[subprocess.Popen[bytes], float] = {}  # process -> time [s] of its start
@@ -144,13 +155,14 @@ class ProcessPool(Executor):
                 if process is None:
                     return
                 try:
-                    _send(process.stdin, self._first_message)
-                    if (answer := _receive(process.stdout)) != _READY:
+                    if (answer := self._begin(process)) != _READY:
                         self._give_up(f"the worker processes could not begin: {answer}")
                         return
                     while (call := self._calls.get()) is not None:
                         self._execute(process, *call)
                     return
+                except OutOfTime:
+                    pass
                 except (OSError, EOFError):
                     self._note_death(_end(process))
                 finally:
@@ -172,12 +184,22 @@ class ProcessPool(Executor):
             self._processes[process] = time.monotonic()
             return process
 
+    def _begin(self, process: subprocess.Popen[bytes]) -> str:
+        """Prepare a process for calls; return `_READY`, or why that failed. Raise OSError or EOFError if it died."""
+        try:
+            with _limited(_START, process):
+                _send(process.stdin, self._first_message)
+                return str(_receive(process.stdout))
+        except OutOfTime:
+            return f"they were not ready after {_START:g} s"
+
     def _execute(self, process: subprocess.Popen[bytes], future: Future[Any], call: bytes) -> None:
         """Send a task to a process and pass the outcome to its future.
 
         Raises:
             OSError: the process died.
             EOFError: the process died.
+            OutOfTime: the process was ended, because it took too long.
         """
         if process.poll() is not None:
             self._calls.put((future, call))  # the process died before the task reached it
@@ -185,8 +207,12 @@ class ProcessPool(Executor):
         if not future.set_running_or_notify_cancel():
             return
         try:
-            _send(process.stdin, call)
-            result, error = _receive(process.stdout)
+            with _limited(self._limit, process):
+                _send(process.stdin, call)
+                result, error = _receive(process.stdout)
+        except OutOfTime as late:
+            future.set_exception(late)
+            raise
         except (OSError, EOFError):
             future.set_exception(WorkerDied(f"the last ended {_end(process)}"))
             raise
@@ -245,7 +271,36 @@ def _command() -> list[str]:
         f"import sys; sys.path[:] = {places!r}\n"
         "from plough_opt.studies.sweep.pool import serve; serve()"
     )
-    return [multiprocessing.spawn.get_executable(), "-c", begin]
+    # -P keeps the current folder out of sys.path, unless it is one of the places.
+    return [multiprocessing.spawn.get_executable(), "-P", "-c", begin]
+
+
+@contextlib.contextmanager
+def _limited(seconds: float, process: subprocess.Popen[bytes]) -> Iterator[None]:
+    """Kill a process if the code inside waits for it longer than this.
+
+    Raises:
+        OutOfTime: the process was killed for this reason.
+    """
+    late = threading.Event()
+
+    def end() -> None:
+        late.set()
+        process.kill()
+
+    timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), end)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    except (OSError, EOFError):
+        if late.is_set():
+            raise OutOfTime(
+                f"no result after {seconds:g} s, so its worker was ended: set a longer limit (--limit, limit=...)"
+            ) from None
+        raise
+    finally:
+        timer.cancel()
 
 
 def _end(process: subprocess.Popen[bytes]) -> str:
@@ -291,19 +346,20 @@ def serve() -> None:
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
     sys.stderr = Sieve(sys.stderr)
-    try:
-        _prepare(*_receive(inlet))
-    except EOFError:
-        return
-    except BaseException as error:  # SystemExit too, because a script may call sys.exit
-        _send(outlet, f"{type(error).__name__}: {error}")
-        return
-    calls: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    calls: queue.SimpleQueue[Any] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(inlet, calls), daemon=True).start()
-    _send(outlet, _READY)
-    while True:
-        outlet.write(_outcome(calls.get()))
-        outlet.flush()
+    try:
+        _prepare(*calls.get())
+        answer = _READY
+    except BaseException as error:  # SystemExit too, because a script may call sys.exit
+        answer = f"{type(error).__name__}: {error}"
+    try:
+        _send(outlet, answer)
+        while answer == _READY:
+            outlet.write(_outcome(calls.get()))
+            outlet.flush()
+    except BrokenPipeError:  # the pool has ended
+        os._exit(1)
 
 
 def _prepare(script: dict[str, Any], evaluation: bytes) -> None:
@@ -316,7 +372,7 @@ def _prepare(script: dict[str, Any], evaluation: bytes) -> None:
     _preparing = False
 
 
-def _listen(inlet: IO[bytes], calls: queue.SimpleQueue[bytes]) -> None:
+def _listen(inlet: IO[bytes], calls: queue.SimpleQueue[Any]) -> None:
     """Queue the calls of the pool, and end this process when the pool ends, even during a computation."""
     try:
         while True:
@@ -335,4 +391,5 @@ def _outcome(call: bytes) -> bytes:
         picklable = error if type(error) is InputError else RuntimeError(f"{type(error).__name__}: {error}")
         return pickle.dumps((None, picklable))
     finally:
-        sys.stdout.flush()
+        with contextlib.suppress(OSError):  # nobody reads the error stream any more
+            sys.stdout.flush()

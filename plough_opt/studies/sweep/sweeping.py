@@ -9,11 +9,11 @@ from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from rich.console import Console
 
-from plough_opt.core.checks import check_kind, check_switch, path_of, shown
+from plough_opt.core.checks import check_kind, check_switch, path_of, plain_number, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
 from plough_opt.core.process import available, progress_on
@@ -27,6 +27,9 @@ from plough_opt.studies.sweep.result import Sweep
 from plough_opt.studies.sweep.store import Store
 from plough_opt.studies.sweep.work import Evaluation, ManyPoints
 
+LIMIT: Final = 3600.0
+"""Time [s] after which a point has failed. A whole optimisation takes seconds to minutes."""
+
 
 def sweep(
     evaluation: Evaluation,
@@ -38,6 +41,7 @@ def sweep(
     executor: Executor | None = None,
     workers: int | None = None,
     retry: bool = False,
+    limit: float | None = None,
     progress: bool | Progress = False,
     question: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
@@ -61,6 +65,8 @@ def sweep(
             Default: processes on all cores of this machine, which end with the sweep.
         workers: number of workers of the executor, so that enough tasks are submitted (default: cores of this machine).
         retry: compute the points again that failed, are undetermined, or whose rows in the store are damaged.
+        limit: time [s] after which a point has failed, and its worker is replaced (default: `LIMIT`, an hour). Only for
+            the processes of this machine, because those of another executor cannot be ended from here.
         progress: True for a bar on the error stream (lines, if that is not a terminal), or a function that is called
             with the numbers of stored points, of all points, and of failed ones.
         question: everything else that the results depend on, as texts. A store with other texts is refused.
@@ -73,6 +79,7 @@ def sweep(
     """
     _check_arguments(evaluation, over, executor, workers, units)
     check_switch("retry", retry)
+    seconds = _limit(limit, executor)
     points = points_of({name: axis_of(name, given) for name, given in over.items()}, samples, seed)
     check_columns(points.names)
     packages = {f"version of {name}": text for name, text in {**versions(), "scipy": version("scipy")}.items()}
@@ -94,7 +101,7 @@ def sweep(
                 if progress is True:
                     callback = stack.enter_context(bar(Console(stderr=True)))
                 if executor is None:
-                    used: Executor = stack.enter_context(ProcessPool(count, evaluation))
+                    used: Executor = stack.enter_context(ProcessPool(count, evaluation, seconds))
                 else:
                     used = Cluster.of(executor) or executor
                 Engine(evaluation, points, opened, used, count, callback).run()
@@ -154,6 +161,22 @@ def _check_arguments(evaluation: object, over: object, executor: object, workers
             f"{shown(evaluation)} cannot be sent to other processes ({error}): use a function at the top level of a"
             " module, an instance of a class at the top level, or an executor that works in this process"
         ) from None
+
+
+def _limit(limit: object, executor: object) -> float:
+    """Return the time limit [s] of a point.
+
+    Raises:
+        InputError: it is not a number above 0, or an executor is given too.
+    """
+    if limit is None:
+        return LIMIT
+    if executor is not None:
+        raise InputError("limit is for the processes of this machine: remove it, or the executor")
+    seconds = plain_number("the limit of a point", limit)
+    if not seconds > 0.0:
+        raise InputError(f"limit = {shown(limit)} must be a time above 0 s")
+    return seconds
 
 
 def _identity(evaluation: Evaluation) -> dict[str, str]:

@@ -13,12 +13,17 @@ from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.quantities import quantities
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display
+from plough_opt.laws import LAWS
+from plough_opt.motion.effects import OWN_EFFECTS
+from plough_opt.motion.methods import METHODS
+from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file.evaluations import Optimisation, Simulation, SimulationOfMany, fixed_at
 from plough_opt.problem_file.problem import Problem
 from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.reading import check_changed
 from plough_opt.studies.sweep import sweeping as study
 from plough_opt.studies.sweep.engine import Progress
+from plough_opt.studies.sweep.identity import digest_of
 from plough_opt.studies.sweep.points import Axis, Range, axis_of, points_of
 from plough_opt.studies.sweep.result import Sweep
 from plough_opt.studies.sweep.work import Evaluation
@@ -222,7 +227,9 @@ def _question(problem: Problem, axes: Mapping[str, Axis], what: What, how: str) 
         chosen = problem.table.model_dump(include={"variables", "minimise", "require"})
         chosen["variables"] = {name: one for name, one in chosen["variables"].items() if name not in axes}
         found |= _flat(chosen)
-    return {name: str(value) for name, value in found.items() if name not in axes and value is not None}
+    texts = {name: str(value) for name, value in found.items() if name not in axes and value is not None}
+    files = {f"content of {name}": f"digest {digest_of(text)}" for name, text in problem.data.items()}
+    return {**texts, **files, "laws, effects, measures and methods": digest_of((LAWS, OWN_EFFECTS, MEASURES, METHODS))}
 
 
 def _flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:

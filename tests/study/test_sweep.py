@@ -111,7 +111,7 @@ def test_functions_of_a_session_are_told_apart_by_their_code(inline, tmp_path):
     one, same, other = (eval(f"lambda values: {{'x': {factor} * values['a']}}") for factor in (2, 2, 3))
     options = {"executor": inline, "store": tmp_path / "sweep.db"}
     assert [po.sweep(each, {"a": [1.0, 2.0]}, **options).already for each in (one, same)] == [0, 2]
-    with pytest.raises(po.InputError, match=r"belongs to another sweep \(text of the function: digest"):
+    with pytest.raises(po.InputError, match=r"belongs to another sweep \(code of the function: "):
         po.sweep(other, {"a": [1.0, 2.0]}, **options)
 
 

@@ -1,15 +1,12 @@
 """`sweep`: evaluates a function of named numbers at every point of a grid or a sample."""
 
-import hashlib
-import inspect
-import marshal
 import pickle
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from rich.console import Console
 
@@ -21,6 +18,7 @@ from plough_opt.core.saving import versions
 from plough_opt.studies.sweep.cluster import Cluster
 from plough_opt.studies.sweep.database import About, check_columns
 from plough_opt.studies.sweep.engine import Engine, Progress
+from plough_opt.studies.sweep.identity import digest_of
 from plough_opt.studies.sweep.points import axis_of, points_of
 from plough_opt.studies.sweep.pool import ProcessPool
 from plough_opt.studies.sweep.result import Sweep
@@ -69,12 +67,14 @@ def sweep(
             the processes of this machine, because those of another executor cannot be ended from here.
         progress: True for a bar on the error stream (lines, if that is not a terminal), or a function that is called
             with the numbers of stored points, of all points, and of failed ones.
-        question: everything else that the results depend on, as texts. A store with other texts is refused.
+        question: everything else that the results depend on, as texts. A store with other texts is refused. By
+            default they are the function's name and a digest of its code, arguments and state.
         units: name -> unit, for quantities and results in the headings of tables.
 
     Raises:
-        InputError: the arguments cannot be swept; the store holds another sweep, is damaged or loses rows; the executor
-            is broken, or all workers die.
+        InputError: the arguments cannot be swept; the function depends on something that a store cannot recognise
+            again, such as an open file; the store holds another sweep, is damaged or loses rows; the executor is
+            broken, or all workers die.
         KeyboardInterrupt: the sweep was interrupted; the message says how many points are stored.
     """
     _check_arguments(evaluation, over, executor, workers, units)
@@ -83,7 +83,7 @@ def sweep(
     points = points_of({name: axis_of(name, given) for name, given in over.items()}, samples, seed)
     check_columns(points.names)
     packages = {f"version of {name}": text for name, text in {**versions(), "scipy": version("scipy")}.items()}
-    full_question = {**points.question(), **(question or _identity(evaluation)), **packages}
+    full_question = {**points.question(), **(question or _identity(evaluation, store)), **packages}
     store = None if store is None else path_of("the store", store)
     if not retry and store is not None and (finished := _finished(store, full_question)) is not None:
         return finished
@@ -179,13 +179,7 @@ def _limit(limit: object, executor: object) -> float:
     return seconds
 
 
-def _identity(evaluation: Evaluation) -> dict[str, str]:
-    """Return texts that identify a function: its name, and a digest of its source, its pickle or its code."""
-    written: Any = evaluation if hasattr(evaluation, "__qualname__") else None
-    try:
-        content = pickle.dumps(evaluation) if written is None else inspect.getsource(written).encode()
-    except Exception:  # there is no source, as in a session of Python, or pickling fails, with any error
-        code = getattr(evaluation, "__code__", None)
-        content = b"" if code is None else marshal.dumps(code, 2)  # later formats depend on references
+def _identity(evaluation: Evaluation, store: object) -> dict[str, str]:
+    """Return texts that identify a function: its name and, for a store, a digest of all that it depends on."""
     name = getattr(evaluation, "__qualname__", type(evaluation).__qualname__)
-    return {"function": name, "text of the function": f"digest {hashlib.sha256(content).hexdigest()[:16]}"}
+    return {"function": name} if store is None else {"function": name, "code of the function": digest_of(evaluation)}

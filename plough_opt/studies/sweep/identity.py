@@ -1,0 +1,191 @@
+"""A digest of everything that a function's results depend on, by which a store recognises its own sweep.
+
+It covers the function's code, defaults, closure and the globals that it names, the state and the class of objects, and
+so on inwards. Modules of the standard library and of installed packages are identified by name and version. Bytecode is
+compared and not source, so comments and the place in a file do not matter.
+"""
+
+import copyreg
+import functools
+import hashlib
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from types import (
+    BuiltinFunctionType,
+    CellType,
+    CodeType,
+    FunctionType,
+    GetSetDescriptorType,
+    MappingProxyType,
+    MemberDescriptorType,
+    MethodType,
+    ModuleType,
+    WrapperDescriptorType,
+)
+from typing import Any, Final
+
+import casadi as ca
+import numpy as np
+
+from plough_opt.core.checks import shown
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import is_casadi
+
+# Types whose repr is their whole content.
+_PLAIN: Final = (type(None), bool, int, float, complex, str, bytes, type(...), type(NotImplemented), range, slice)
+# Types that are identified by name, because they hold no code of a user's.
+_NAMED: Final = (BuiltinFunctionType, GetSetDescriptorType, MemberDescriptorType, WrapperDescriptorType, np.ufunc)
+# What code does, without its name and its place in a file.
+_OF_CODE: Final = (
+    "co_code", "co_consts", "co_names", "co_varnames", "co_freevars", "co_cellvars", "co_argcount",
+    "co_posonlyargcount", "co_kwonlyargcount", "co_flags",
+)  # fmt: skip
+
+
+def digest_of(item: object) -> str:
+    """Return a digest of a function or an object, the same in every process on a machine.
+
+    Raises:
+        InputError: a part of it has no content that another process would recognise, such as a lock or an open file.
+    """
+    return _Reader().digest(item).hex()[:16]
+
+
+class _Reader:
+    """Reads an object and everything that it refers to, each object once."""
+
+    def __init__(self) -> None:
+        # id -> object, which is kept so that the id remains its own, and its digest; while it is read, its number.
+        self._read: dict[int, tuple[object, bytes]] = {}
+
+    def digest(self, item: Any) -> bytes:
+        """Return the digest of an object."""
+        if type(item) in _PLAIN:
+            return _hash(type(item).__name__, repr(item))
+        if id(item) not in self._read:
+            self._read[id(item)] = item, _hash("itself", str(len(self._read)))
+            kind, parts = self._parts(item)
+            self._read[id(item)] = item, _hash(kind, *map(self.digest, parts))
+        return self._read[id(item)][1]
+
+    def _parts(self, item: Any) -> tuple[str, Iterable[Any]]:
+        """Return a text and objects that together are the content of an object."""
+        module = getattr(item, "__module__", None)
+        name = f"{module}.{getattr(item, '__qualname__', '')}"
+        if isinstance(item, ModuleType):
+            name = item.__name__
+            return f"module {name} {_version(name)}", () if _installed(name) else _texts(item)
+        if isinstance(item, type | FunctionType) and _installed(module):
+            return f"{name} {_version(module)}", ()
+        if isinstance(item, type):
+            return f"class {name}", (*item.__bases__, *_attributes(item))
+        if isinstance(item, FunctionType):
+            own = (item.__code__, item.__defaults__, item.__kwdefaults__, item.__closure__)
+            return "function", (*own, *_globals(item.__code__, item.__globals__))
+        if isinstance(item, CodeType):
+            return "code", [getattr(item, name) for name in _OF_CODE]
+        if isinstance(item, _NAMED):
+            owner = getattr(item, "__self__", None)
+            return f"{type(item).__name__} {name or item.__name__}", () if isinstance(owner, ModuleType) else (owner,)
+        if isinstance(item, set | frozenset):
+            return type(item).__name__, sorted(_Reader().digest(one) for one in item)
+        if isinstance(item, np.ndarray | np.generic) and item.dtype != object:
+            return f"array {item.dtype.str} {np.shape(item)}", (item.tobytes(),)
+        return type(item).__name__, _inside(item)
+
+
+def _inside(item: Any) -> Iterable[Any]:
+    """Return the parts of an object, by which its class could make it again.
+
+    Raises:
+        InputError: it has none.
+    """
+    if isinstance(item, tuple | list) and type(item) in (tuple, list):
+        return item
+    if isinstance(item, dict | MappingProxyType) and type(item) in (dict, MappingProxyType):
+        return [part for pair in item.items() for part in pair]
+    if isinstance(item, CellType):
+        return _contents(item)
+    if isinstance(item, MethodType):
+        return item.__func__, item.__self__
+    if isinstance(item, staticmethod | classmethod):
+        return (item.__func__,)
+    if isinstance(item, property):
+        return item.fget, item.fset, item.fdel
+    if isinstance(item, functools.cached_property):
+        return (item.func,)
+    if hasattr(item, "__wrapped__"):  # a cache of functools
+        return type(item), item.__wrapped__
+    try:
+        if isinstance(item, ca.DM):
+            return item.shape, item.sparsity().serialize(), item.nonzeros()
+        if is_casadi(item):
+            return (ca.Function("item", ca.symvar(item), [item]).serialize(),)
+        if isinstance(item, ca.Function):
+            return (item.serialize(),)
+        registered = copyreg.dispatch_table.get(type(item))
+        made = item.__reduce_ex__(4) if registered is None else registered(item)
+        parts = (made,) if isinstance(made, str) else made
+        return [list(part) if isinstance(part, Iterator) else part for part in parts]
+    except Exception as error:
+        raise InputError(
+            f"a store cannot recognise the function again, because it depends on {shown(item)}, whose content cannot be"
+            f" read ({error}): create it inside the function, or sweep without a store"
+        ) from None
+
+
+def _globals(code: CodeType, names: dict[str, Any]) -> list[Any]:
+    """Return the globals that code names, each after its name."""
+    own = [part for name in code.co_names if name in names for part in (name, names[name])]
+    inner = [_globals(one, names) for one in code.co_consts if isinstance(one, CodeType)]
+    return [*own, *(part for found in inner for part in found)]
+
+
+def _attributes(of: type) -> Iterator[Any]:
+    """Yield the names and the values that a class defines, without what Python and libraries keep there."""
+    for name, value in vars(of).items():
+        if not name.startswith(("__", "_abc_")) or isinstance(value, FunctionType | property | staticmethod):
+            yield name
+            yield value
+
+
+def _texts(module: ModuleType) -> Iterator[Any]:
+    """Yield the text of a user's module, and the other modules of a user's that it imports from."""
+    path = Path(module.__file__ or "")
+    yield path.read_bytes() if path.is_file() else b""
+    for value in list(vars(module).values()):
+        other = value if isinstance(value, ModuleType) else sys.modules.get(getattr(value, "__module__", None) or "")
+        if other is not None and not _installed(other.__name__):
+            yield other
+
+
+def _contents(cell: CellType) -> tuple[Any, ...]:
+    try:
+        return (cell.cell_contents,)
+    except ValueError:  # empty
+        return ()
+
+
+def _installed(module: str | None) -> bool:
+    """Return whether a module belongs to Python, to this package or to an installed one."""
+    if module is None:  # code that `exec` has read
+        return False
+    top = module.partition(".")[0]
+    if top == "plough_opt" or top in sys.stdlib_module_names:
+        return True
+    file = getattr(sys.modules.get(module), "__file__", None)
+    return file is not None and not {"site-packages", "dist-packages"}.isdisjoint(Path(file).parts)
+
+
+def _version(module: str | None) -> str:
+    return str(getattr(sys.modules.get((module or "").partition(".")[0]), "__version__", ""))
+
+
+def _hash(*parts: str | bytes) -> bytes:
+    """Return the digest of texts and digests; their lengths keep them apart."""
+    found = hashlib.sha256()
+    for part in parts:
+        content = part.encode("utf-8", "surrogatepass") if isinstance(part, str) else part
+        found.update(len(content).to_bytes(8, "little") + content)
+    return found.digest()

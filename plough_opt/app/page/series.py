@@ -13,8 +13,7 @@ from plough_opt.design.landscape import FEASIBLE
 from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import called
 from plough_opt.soil.solid import Solid
-from plough_opt.studies.accuracy.contest import Entry
-from plough_opt.studies.accuracy.result import Question
+from plough_opt.studies.accuracy.result import Entry, Question
 
 _BLUE, _RED, _GREEN, _, _ORANGE, _SKY, _GREY = COLOURS
 # Sides of the polygon that represents a cone's base: a circle at the resolution of a screen.

@@ -1,97 +1,49 @@
-"""Contest for the optimum of a design: transcriptions, integrators, derivatives and compiled functions.
+"""Optimum of a design: what searches of growing effort cost, interpreted and compiled, and the reference they miss.
 
-Each method solves the same design locally from the same start. It has four errors: of the objective that it reports; of
-the true objective at the design that it found; of the variables; and the true violation of a requirement there.
+The reference is not a contestant. It starts from the best design that any search found; IPOPT, with four times the
+steps, stops a little inside the active limits, and from there Newton's method leads onto them, with gradients by an
+integrator that the searches do not use.
 """
 
-import math
-from collections.abc import Callable, Iterator, Mapping
+import contextlib
+import copy
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from statistics import median
 from typing import Final
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.errors import NotConverged
-from plough_opt.design import Design
-from plough_opt.design.basin import first_optimum
-from plough_opt.design.exploring import Progress, silent
+from plough_opt.core.compiler import NO_COMPILER
+from plough_opt.core.errors import InfeasibleDesign, InputError, NotConverged
+from plough_opt.design import Design, Optimum, Progress
+from plough_opt.design.declarations import Declarations
+from plough_opt.design.effort import Search
 from plough_opt.design.ipopt import Point, SolveOptions, Vector
-from plough_opt.design.nlp import Nlp, build_nlp
+from plough_opt.design.nlp import averages_only
 from plough_opt.design.optimality import decides, newton_step, symmetric
-from plough_opt.design.polishing import minimum_from
 from plough_opt.design.program import Program
+from plough_opt.design.split import split
 from plough_opt.motion.accuracy import Accuracy
-from plough_opt.motion.methods import METHODS, is_stepped
-from plough_opt.motion.plan import steps_for
-from plough_opt.studies.accuracy.contest import Contestant, Entry, measured, refuse
-from plough_opt.studies.accuracy.local_solve import (
-    Derivatives,
-    Solve,
-    Start,
-    compiled,
-    solve_nlp,
-    solve_transcribed,
-)
-from plough_opt.studies.accuracy.methods import text
-from plough_opt.studies.accuracy.transcription import Mesh, Points, Question, Transcription, transcribe
+from plough_opt.motion.integrators import integration
+from plough_opt.motion.plan import MOST_ADAPTIVE, phase, steps_for
+from plough_opt.motion.timeline import Timeline
+from plough_opt.studies.accuracy.result import SEARCH, Entry, Thoroughness
 
-REPORTED = "objective as reported"
-"""Key of the error of the objective that a method reports."""
+DEFAULT: Final = ("interpreted", "auto")
+"""Method and setting of `Design.solve` without arguments."""
 
-TRUE = "objective in truth"
-"""Key of the error of the true objective at the design that a method found."""
-
-VARIABLES = "variables"
-"""Key of the error of the scaled variables."""
-
-REQUIREMENTS = "requirements"
-"""Key of the largest true violation of a requirement, relative to its limit."""
-
+# Efforts of the searches, from the basin of the guess to four times the default.
+_EFFORTS: Final[tuple[Search, ...]] = ("near", 250, 1000, "auto", "thorough")
+# Number of seeds for each effort, and in a thin study.
+_SEEDS, _THIN_SEEDS = 8, 3
+# Objectives or medians with a smaller relative difference belong to the same optimum: medians come from rough runs.
+_SAME = 1e-5
 # Factor on the number of steps of a solve for the reference. With order 8 the error is smaller by 4^8.
 _FINER = 4.0
-# Scaled designs closer than this are the same optimum; a coarse method may end farther away and yet lead to it.
-_SAME = 1e-4
-# Distance of a near start from the optimum in each scaled variable, towards the middle of its range.
-_NEAR_START = 0.02
-# IPOPT's tolerance in `Design.solve`, and one that can be met with noisy derivatives.
-_TIGHT: Final = 1e-10
-_NOISY: Final = 1e-6
-# Single shooting: phase of the fastest oscillation in a step of order 8 [rad], or the tolerance if there are events.
-_SINGLE_PHASE = 0.8
-_SINGLE_TOLERANCE = 1e-10
-# Numbers of segments of multiple shooting.
-_SEGMENTS = (4, 16)
-# Collocation: points, degree, and phases in an interval from coarse to fine [rad].
-_MESHES: tuple[tuple[Points, int, tuple[float, ...]], ...] = (
-    ("radau", 3, (1.0, 0.5)),
-    ("radau", 5, (2.0, 1.0)),
-    ("legendre", 4, (1.5, 0.75)),
-)
-# Methods with fixed steps: phases in a step from coarse to fine [rad].
-_FIXED: tuple[tuple[str, tuple[float, ...]], ...] = (
-    ("dop853", (2.0, 1.2, 0.8, 0.5)),
-    ("rk", (0.2, 0.1)),
-    ("collocation", (1.0, 0.5)),
-)
-# Adaptive methods: tolerances from coarse to fine.
-_ADAPTIVE: tuple[tuple[str, tuple[float, ...]], ...] = (
-    ("erk", (1e-6, 1e-9)),
-    ("cvodes", (1e-6, 1e-9)),
-    ("rosenbrock", (1e-6,)),
-)
-_HESSIAN, GRADIENT = "exact Hessian, carried along", "exact gradient, L-BFGS"
-_OF_GRAPH = "exact Hessian, of the graph"
-# Derivatives of the program of `Design.solve`, with IPOPT's tolerance.
-_CARRIED: tuple[tuple[str, Derivatives, float], ...] = (
-    (_HESSIAN, "exact", _TIGHT),
-    (GRADIENT, "gradient", _TIGHT),
-    ("central differences, L-BFGS", "central", _NOISY),
-    ("forward differences, L-BFGS", "forward", _NOISY),
-)
-_NO_CODE = "finds the periodic orbit by Newton's method, which CasADi does not translate into C"
 # Gradients of the reference: tolerance of the adaptive method; for a periodic orbit phase in a step of order 8 [rad].
 _TIGHT_TOLERANCE = 1e-12
 _TIGHT_PHASE = 0.1
@@ -106,177 +58,193 @@ _LEAST_SIZE = 1e-12
 _FLAT = 1e-10
 
 
+# --- searches ---
+
+
 @dataclass(frozen=True)
-class TightOptimum:
-    """Local optimum known much more accurately than by any contestant.
+class SearchTrial:
+    """Searches of one effort with several seeds.
 
     Attributes:
+        method: "interpreted" or "compiled".
+        search: effort as an argument of `Design.solve`.
+        optima: optimum that each seed led to, or None.
+        seconds: median time of a search [s].
+        setup: time to build the program of this effort once, with that of a compiler [s].
+    """
+
+    method: str
+    search: Search
+    optima: tuple[Optimum | None, ...]
+    seconds: float
+    setup: float
+
+    @property
+    def setting(self) -> str:
+        """The effort as text."""
+        return f"{self.search} designs" if isinstance(self.search, int) else str(self.search)
+
+    @property
+    def found(self) -> list[Optimum]:
+        """The optima."""
+        return [optimum for optimum in self.optima if optimum is not None]
+
+    def entry(self, reference: "OptimumReference") -> Entry:
+        """Return the entry of the effort, with the largest error of any seed."""
+        errors = [reference.errors(optimum) for optimum in self.found]
+        if not errors:
+            return Entry(SEARCH, self.method, self.setting, np.inf, failure="no seed led to an optimum")
+        largest = {name: max(one[name] for one in errors) for name in errors[0]}
+        return Entry(SEARCH, self.method, self.setting, self.seconds, self.setup, largest)
+
+    def thoroughness(self, best: Optimum) -> Thoroughness:
+        """Return how often the effort finds the best optimum.
+
+        A search is right if it finds the best optimum that any of the searches found, since no other truth is known.
+        """
+        least = ranked_value(best)
+        right = sum(ranked_value(optimum) <= least + _SAME * abs(least) for optimum in self.found)
+        designs = int(median([optimum.search.designs for optimum in self.found if optimum.search] or [0]))
+        return Thoroughness(self.setting, designs, len(self.optima), right, self.seconds)
+
+
+def search_trials(design: Design, *, limit: float, thin: bool, progress: Progress) -> list[SearchTrial]:
+    """Return the searches of all efforts, interpreted and, if that is possible, compiled.
+
+    Args:
+        design: design with an objective.
+        limit: time of one search [s] above which an effort is tried with one seed only, and larger ones not at all.
+        thin: whether to take fewer seeds.
+        progress: called with what is being done and the fraction done.
+
+    Raises:
+        InfeasibleDesign: no design meets the requirements.
+        NotConverged: the optimiser stopped without an optimum.
+    """
+    trials = list[SearchTrial]()
+    # The first solve of a process also imports libraries. The copies have programs of their own, so that the design's
+    # stays as it is.
+    progress("building the program", 0.0)
+    copy.copy(design).solve(search="near")
+    for part, method in enumerate(("interpreted", "compiled")):
+        own, compiled = copy.copy(design), method == "compiled"
+        for number, search in enumerate(_EFFORTS):
+            progress(f"searching, {method}: {search}", (part + number / len(_EFFORTS)) / 2.0)
+            first, built = _solved(own, search, 0, compiled=compiled)
+            if first is not None and NO_COMPILER in first.warnings:
+                return trials
+            # Repeated, it finds its program built, and translated by the compiler.
+            runs = [_solved(own, search, 0, compiled=compiled)]
+            seconds = runs[0][1]
+            seeds = 1 if search == "near" or seconds > limit else _THIN_SEEDS if thin else _SEEDS
+            runs += [_solved(own, search, seed, compiled=compiled) for seed in range(1, seeds)]
+            optima, times = zip(*runs, strict=True)
+            trials.append(SearchTrial(method, search, optima, median(times), max(built - seconds, 0.0)))
+            if seconds > limit:
+                break
+    return trials
+
+
+def _solved(design: Design, search: Search, seed: int, *, compiled: bool) -> tuple[Optimum | None, float]:
+    """Return the optimum that a search finds, or None, and its time [s]."""
+    began, best = time.perf_counter(), None
+    with contextlib.suppress(InfeasibleDesign, NotConverged):
+        best = design.solve(search=search, seed=seed, compiled=compiled)
+    return best, time.perf_counter() - began
+
+
+def ranked_value(best: Optimum) -> float:
+    """Return the value by which `Design.solve` ranks optima: the median over tolerances, or else the objective."""
+    return best.objective if best.spread is None else best.spread.median
+
+
+# --- the reference ---
+
+
+@dataclass(frozen=True)
+class OptimumReference:
+    """Local optimum known much more accurately than by any search.
+
+    Attributes:
+        declared: the design's declarations.
         variables: name -> value, SI units.
         objective: objective by a tight integration.
-        floor: its relative error, below which contestants do not differ [-].
+        size: what errors of the objective are relative to.
+        floor: relative error of the objective, below which searches do not differ [-].
         y: scaled variables.
         off: error of the scaled variables: the next of Newton's steps, which is rounding [-].
     """
 
-    variables: dict[str, float]
+    declared: Declarations
+    variables: Mapping[str, float]
     objective: float
+    size: float
     floor: float
     y: Vector
     off: float
 
-
-@dataclass(frozen=True)
-class DesignContest:
-    """Errors and times of every method for a design.
-
-    Attributes:
-        best: the reference.
-        entries: entry of each contestant.
-    """
-
-    best: TightOptimum
-    entries: tuple[Entry, ...]
-
-
-def design_contest(
-    design: Design,
-    *,
-    wanted: float = 1e-6,
-    budget: float = 0.5,
-    limit: float = 10.0,
-    near: bool = False,
-    thin: bool = False,
-    progress: Progress = silent,
-) -> DesignContest:
-    """Return error and time of every method that can solve a design locally.
-
-    Args:
-        design: design with an objective; its parameters have their declared values.
-        wanted: relative error of the objective; the methods that reach it soonest are timed again [-].
-        budget: time of a solve's repetitions after which no further one begins [s].
-        limit: time after which IPOPT gives up [s]; the entry says so.
-        near: whether to start near the optimum, as after a small change of parameters, instead of at the guess.
-        thin: whether to leave out every other setting of a method.
-        progress: called with the method that is next and the fraction done.
-
-    Raises:
-        InputError: the design has no objective or no variables.
-        InfeasibleDesign: no design meets the requirements.
-        NotConverged: the reference was not found.
-    """
-    judge = _Judge(design)
-    best, question = judge.best, judge.question
-    y = best.y + _NEAR_START * np.where(best.y < 0.5, 1.0, -1.0) if near else question.program.start()
-    settings: dict[tuple[str, str], list[tuple[str, Callable[[], Solve]]]] = {}
-    total = max(map(question.phase, (best.y, y)))
-    for family, name, words, build in _Settings(question, Start(y, near, limit), total).rows():
-        settings.setdefault((family, name), []).append((words, build))
-    contestants = [
-        Contestant(
-            family, name, lambda setting: setting[1](), judge.errors, own[:: 2 if thin else 1],
-            label=lambda setting: setting[0], patience=lambda _: math.inf, elsewhere=judge.elsewhere,
-        )
-        for (family, name), own in settings.items()
-    ]  # fmt: skip
-    entries = measured(contestants, REPORTED, wanted, 10.0 * budget, progress=progress)
-    return DesignContest(best, tuple(entries))
-
-
-class _Judge:
-    """The accurate optimum to which the guess leads, and the errors of each contestant relative to it.
-
-    IPOPT, which every contestant uses, stops a little inside the active limits. From there Newton's method leads onto
-    them, with gradients by an integrator that shares nothing with those of the contestants.
-
-    Attributes:
-        question: program of the design as `Design.solve` builds it.
-        best: the optimum.
-    """
-
-    def __init__(self, design: Design) -> None:
-        """Find the optimum to which the guess leads, with the steps of `Design.solve` and then with finer ones."""
-        declared = design.declared
-        p = self._p = np.array([parameter.value for parameter in declared.parameters])
-        program = self._tight = Program(declared)
-        program.build(p)
-        self.question = Question.of(program, p)
-        first = minimum_from(program, p, first_optimum(program, p))
-        program.build(p, _FINER)
-        point = program.solve(first.y, p, SolveOptions(near=True))
-        if not point.solved:
-            raise NotConverged("the reference was lost when the steps were refined: tighten the bounds", point.status)
-        self._slopes = _tight_slopes(self.question, point.y)
-        self.best = self._optimum(point)
-
-    def errors(self, found: Point) -> Mapping[str, float]:
-        """Return the errors of the point that a contestant found."""
-        best, program = self.best, self._tight
-        values, _ = program.exact_values(found.y, self._p)
-        size = max(abs(best.objective), program.objective_scale * _LEAST_SIZE)
-        limits = [r.margin(v) for r, v in zip(program.declared.requirements, values[1:], strict=True)]
-        broken = [max(0.0, -margin) / scale for margin, scale in zip(limits, program.scales, strict=True)]
+    def errors(self, found: Optimum) -> dict[str, float]:
+        """Return the relative error of an optimum's objective, and the largest error of its scaled variables [-]."""
+        y = _scaled(self.declared, found.variables)
         return {
-            REPORTED: abs(found.f * program.objective_scale - best.objective) / size,
-            TRUE: abs(float(values[0].item()) - best.objective) / size,
-            VARIABLES: float(np.max(np.abs(found.y - best.y))),
-            REQUIREMENTS: max(broken, default=0.0),
+            "objective": abs(found.objective - self.objective) / self.size,
+            "variables": float(np.max(np.abs(y - self.y))),
         }
 
-    def elsewhere(self, found: Point) -> str:
-        """Return a clause on where a contestant ended; empty if in the reference."""
-        if self._near(found.y):
-            return ""
-        point = self._tight.solve(found.y, self._p, SolveOptions(near=True))
-        if not point.solved:
-            raise NotConverged("it stopped at a design that leads to no true optimum", point.status)
-        own = point.f * self._tight.objective_scale
-        return (
-            "" if self._near(point.y) else f"ended in another optimum, {own:.7g} instead of {self.best.objective:.7g}"
-        )
 
-    def _near(self, y: Vector) -> bool:
-        return bool(np.max(np.abs(y - self.best.y)) < _SAME)
+def reference_optimum(declared: Declarations, best: Optimum) -> OptimumReference:
+    """Return the accurate optimum near the best one that was found.
 
-    def _optimum(self, point: Point) -> TightOptimum:
-        """Return the accurate optimum near the point where IPOPT stopped on the tight program."""
-        program = self._tight
-        y, residual, off = self._polished(point)
-        found, check = (float(values[0].item()) for values in program.exact_values(y, self._p))
-        apart = abs(found - check) / max(abs(found), program.objective_scale * _LEAST_SIZE)
-        variables = zip(program.declared.variables, program.values(y), strict=True)
-        # The error of an objective at its optimum is the residual times the error of the variables.
-        floor = max(apart, residual * max(off, residual), float(np.finfo(float).eps))
-        return TightOptimum({v.name: float(x) for v, x in variables}, found, floor, y, off)
+    Args:
+        declared: the design's declarations; its parameters have their declared values.
+        best: the best optimum found.
 
-    def _polished(self, point: Point) -> tuple[Vector, float, float]:
-        """Return scaled variables on the active limits, the residual of the conditions there, and the next step."""
-        program, y, n = self._tight, point.y, len(point.y)
-        g = np.asarray(program.nlp.values(y, self._p)[1]).ravel()
-        active, limits = _active_limits(program, point, g)
-        hessian = symmetric(np.asarray(program.nlp.hess_lag(y, self._p, 1.0, point.lam_g)))
-        best = (y, np.inf, np.inf)
-        for _ in range(_MOST_NEWTON_STEPS):
-            gradient, g, jacobian = (np.asarray(result) for result in self._slopes(y))
-            rows = np.vstack([jacobian, np.eye(n)])[active]
-            margins = np.r_[g.ravel(), y][active] - limits
-            move, pulls = newton_step(hessian, gradient.ravel(), rows, margins, _FLAT)
-            left = np.r_[gradient.ravel() - rows.T @ pulls, margins]
-            residual, step = float(np.max(np.abs(left))), float(np.max(np.abs(move)))
-            if step < best[2]:
-                best = (y, residual, step)
-            y = y + move
-            if not step < best[2] * _DIVERGES or np.max(np.abs(y - point.y)) > _FAR:
-                break
-        return best
+    Raises:
+        InputError: the objective is over the tolerance box.
+        NotConverged: IPOPT loses the optimum when the steps are refined.
+    """
+    if best.over:
+        raise InputError(f"{best.over}, whose optimum is not known more accurately")
+    p = declared.parameter_values({})
+    program = Program(declared)
+    program.build(p, _FINER)
+    point = program.solve(_scaled(declared, best.variables), p, SolveOptions(near=True))
+    if not point.solved:
+        raise NotConverged("the reference was lost when the steps were refined: tighten the bounds", point.status)
+    y, residual, off = _polished(program, p, point)
+    objective, check = (float(values[0].item()) for values in program.exact_values(y, p))
+    size = max(abs(objective), program.objective_scale * _LEAST_SIZE)
+    # The error of an objective at its optimum is the residual times the error of the variables.
+    floor = max(abs(objective - check) / size, residual * max(off, residual), float(np.finfo(float).eps))
+    named = zip(declared.variables, program.values(y), strict=True)
+    return OptimumReference(declared, {v.name: float(x) for v, x in named}, objective, size, floor, y, off)
 
 
-def _tight_slopes(question: Question, y: Vector) -> ca.Function:
-    """Return y -> (gradient of the objective, requirements, their Jacobian), with steps that suit one design."""
-    accuracy = Accuracy("erk", tolerance=_TIGHT_TOLERANCE)
-    if question.orbits:
-        accuracy = Accuracy("dop853", steps=question.intervals(steps_for(question.phase(y), _TIGHT_PHASE)))
-    own = transcribe(question, accuracy)
-    return ca.Function("slopes", [own.x], [ca.gradient(own.f, own.x), own.g[0], ca.jacobian(own.g[0], own.x)])
+def _scaled(declared: Declarations, values: Mapping[str, float]) -> Vector:
+    return np.array([v.scaled(values[v.name]) for v in declared.variables])
+
+
+def _polished(program: Program, p: Vector, point: Point) -> tuple[Vector, float, float]:
+    """Return scaled variables on the active limits, the residual of the conditions there, and the next step."""
+    y, n = point.y, len(point.y)
+    slopes = _tight_slopes(program, p, y)
+    g = np.asarray(program.nlp.values(y, p)[1]).ravel()
+    active, limits = _active_limits(program, point, g)
+    hessian = symmetric(np.asarray(program.nlp.hess_lag(y, p, 1.0, point.lam_g)))
+    best = (y, np.inf, np.inf)
+    for _ in range(_MOST_NEWTON_STEPS):
+        gradient, g, jacobian = (np.asarray(result) for result in slopes(y))
+        rows = np.vstack([jacobian, np.eye(n)])[active]
+        margins = np.r_[g.ravel(), y][active] - limits
+        move, pulls = newton_step(hessian, gradient.ravel(), rows, margins, _FLAT)
+        left = np.r_[gradient.ravel() - rows.T @ pulls, margins]
+        residual, step = float(np.max(np.abs(left))), float(np.max(np.abs(move)))
+        if step < best[2]:
+            best = (y, residual, step)
+        y = y + move
+        if not step < best[2] * _DIVERGES or np.max(np.abs(y - point.y)) > _FAR:
+            break
+    return best
 
 
 def _active_limits(program: Program, point: Point, g: Vector) -> tuple[NDArray[np.intp], Vector]:
@@ -293,89 +261,28 @@ def _active_limits(program: Program, point: Point, g: Vector) -> tuple[NDArray[n
     return chosen, limits[chosen]
 
 
-_Row = tuple[str, str, str, Callable[[], Solve]]
-"""Family, method, setting as text, and a function that builds its solve."""
+def _tight_slopes(program: Program, p: Vector, at: Vector) -> ca.Function:
+    """Return y -> (gradient of the objective, requirements, their Jacobian), with runs integrated as suits a design."""
+    y = ca.MX.sym("y", len(at))
+    parts = split(program.scaled(y, ca.MX(ca.DM(p))), [y])
+    whole = ca.Function("whole", [y, *parts.results], list(parts.expressions))
+    results = []
+    for k, (run, result) in enumerate(zip(parts.runs, parts.results, strict=True)):
+        own = run.integration
+        accuracy = Accuracy("erk", tolerance=_TIGHT_TOLERANCE)
+        if own.structure.orbit != "transient":
+            *known, duration = np.asarray(ca.Function("inputs", [y], [run.inputs])(at)).ravel()
+            steps = steps_for(phase(dict(zip(own.names, known, strict=True)), duration), _TIGHT_PHASE)
+            accuracy = Accuracy("dop853", steps=steps)
+        outputs = 1 if averages_only(run, whole, 1 + k) else own.timeline.outputs
+        timeline = Timeline(outputs, accuracy.steps or MOST_ADAPTIVE, own.timeline.kink)
+        used = ca.veccat(*integration(own.structure, accuracy, timeline).function.call([run.inputs]))
+        # Outputs that the design does not use are left out of the integration.
+        results.append(ca.vertcat(ca.MX.zeros(result.numel() - used.numel()), used))
+    f, g = whole(y, *results)
+    return ca.Function("slopes", [y], [ca.gradient(f, y), g, ca.jacobian(g, y)])
 
 
-@dataclass(frozen=True)
-class _Settings:
-    """Settings of all contestants. A design without a motion has nothing to transcribe or integrate.
-
-    Attributes:
-        question: program of the design.
-        start: start of every solve.
-        total: largest phase of a run at the start and at the reference [rad].
-    """
-
-    question: Question
-    start: Start
-    total: float
-
-    def rows(self) -> Iterator[_Row]:
-        """Yield all settings of all methods."""
-        if self.question.parts.runs:
-            yield from self._transcriptions()
-            yield from self._integrators()
-        yield from self._derivatives()
-
-    def _steps(self, angle: float) -> int:
-        """Return the number of steps of a run, each of a phase [rad]."""
-        return self.question.intervals(steps_for(self.total, angle))
-
-    def _transcriptions(self) -> Iterator[_Row]:
-        """Yield the transcriptions of the program, each with exact derivatives by CasADi."""
-        count = self._steps(_SINGLE_PHASE)
-        single, words = Accuracy("dop853", steps=count), f"{count} steps of order 8"
-        if self.question.refusal("dop853"):
-            single, words = Accuracy("erk", tolerance=_SINGLE_TOLERANCE), f"erk, tolerance {_SINGLE_TOLERANCE:.0e}"
-        forms: list[tuple[str, str, Transcription]] = [("single shooting", words, single)]
-        for segments in dict.fromkeys(map(self.question.intervals, _SEGMENTS)):
-            each = math.ceil(count / segments)
-            words = f"{segments} segments of {each} step{'s' * (each > 1)}"
-            forms.append(("multiple shooting", words, Mesh(segments, steps=each)))
-        for points, degree, angles in _MESHES:
-            for intervals in dict.fromkeys(map(self._steps, angles)):
-                words = f"{intervals} intervals of degree {degree}"
-                forms.append((f"collocation, {points.title()}", words, Mesh(intervals, degree=degree, points=points)))
-        for name, words, form in forms:
-            yield "transcription", name, words, partial(self._by_casadi, form)
-
-    def _integrators(self) -> Iterator[_Row]:
-        """Yield single shooting by other integrators, each with an exact gradient and limited-memory BFGS."""
-        others = {name: METHODS[name].finer for name in METHODS if is_stepped(name) and name not in ("auto", "dop853")}
-        fixed = (*_FIXED, *((name, (1.0 / by, 0.5 / by)) for name, by in others.items()))
-        counts = [(method, dict.fromkeys(map(self._steps, angles))) for method, angles in fixed]
-        settings = [Accuracy(method, steps=count) for method, own in counts for count in own]
-        settings += [Accuracy(method, tolerance=tolerance) for method, own in _ADAPTIVE for tolerance in own]
-        for accuracy in settings:
-            tolerance = _TIGHT if accuracy.steps else _NOISY
-            build = partial(self._by_casadi, accuracy, exact=False, tolerance=tolerance)
-            if reason := self.question.refusal(accuracy.method):
-                build = partial(refuse, reason)
-            yield "integrator", accuracy.method, text(accuracy), build
-
-    def _derivatives(self) -> Iterator[_Row]:
-        """Yield the choices of derivatives, interpreted and compiled, of the program that `Design.solve` uses."""
-        question = self.question
-        counts = [count for count in question.steps if count is not None]
-        unit = "harmonics" if question.orbits else "steps of order 8"
-        words = ", ".join(f"{count} {unit}" for count in dict.fromkeys(counts))
-
-        def built(derivatives: Derivatives, tolerance: float, change: Callable[[Nlp], Nlp] = lambda nlp: nlp) -> Solve:
-            # In this program derivatives are carried along the steps of a run.
-            nlp = build_nlp(question.parts, question.y, ca.MX.sym("p", 0), list(question.steps))
-            return solve_nlp(change(nlp), question, self.start, derivatives, tolerance)
-
-        for name, derivatives, tolerance in _CARRIED:
-            yield "derivatives", name, words, partial(built, derivatives, tolerance)
-        if counts and not question.orbits:
-            of_graph = partial(self._by_casadi, Accuracy("dop853", steps=max(counts)))
-            yield "derivatives", _OF_GRAPH, words, of_graph
-        build = partial(refuse, _NO_CODE) if question.orbits else partial(built, "gradient", _TIGHT, compiled)
-        yield "compiled", f"{GRADIENT}, compiled", words, build
-
-    def _by_casadi(self, form: Transcription, *, exact: bool = True, tolerance: float = _TIGHT) -> Solve:
-        """Return the solve of a transcription. Collocation, with its many small pieces, is expanded into scalars."""
-        own = transcribe(self.question, form, self.start.y)
-        scalar = isinstance(form, Mesh) and not form.steps
-        return solve_transcribed(own, self.start, exact=exact, tolerance=tolerance, scalar=scalar)
+def best_of(trials: Sequence[SearchTrial]) -> Optimum:
+    """Return the best optimum of any search."""
+    return min((optimum for trial in trials for optimum in trial.found), key=ranked_value)

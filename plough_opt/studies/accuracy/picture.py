@@ -4,17 +4,16 @@ Colours are those of Okabe and Ito (2008), which colour-blind readers can distin
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
 from plough_opt.core.files import COLOURS
-from plough_opt.studies.accuracy.contest import Entry, duration_text
 
 _BLUE, _RED, _GREEN, _PINK, _ORANGE, _SKY, _GREY = COLOURS
 _STYLES: Final[dict[str, tuple[str, str]]] = {
@@ -40,27 +39,29 @@ _DIGITS: Final = {6.0: (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0), 60.0: (1.0, 2.0, 5.0
 _LEAST: Final = 1e-19
 
 
+Points = Sequence[tuple[float, float]]
+"""Time [s] and relative error [-] of each entry."""
+
+
 @dataclass(frozen=True)
 class Panel:
     """Contents of a panel.
 
     Attributes:
         title: title of the panel.
-        error: key of `Entry.errors`.
-        entries: entries with this error.
+        methods: name of a method -> its entries.
         front: efficient entries, from the fastest to the most exact.
+        default: the default, or nothing.
         floor: relative error of the reference itself [-].
         wanted: wanted relative error [-].
-        default: default method and setting.
     """
 
     title: str
-    error: str
-    entries: Sequence[Entry]
-    front: Sequence[Entry]
+    methods: Mapping[str, Points]
+    front: Points
+    default: Points
     floor: float
     wanted: float
-    default: tuple[str, str]
 
 
 def style_of(method: str, number: int) -> dict[str, Any]:
@@ -78,17 +79,16 @@ def style_of(method: str, number: int) -> dict[str, Any]:
 def draw(axes: Axes, panel: Panel) -> dict[str, Line2D]:
     """Draw a panel; return the lines of its methods by name, for a legend."""
     lines: dict[str, Line2D] = {}
-    front = [(e.seconds, max(e.errors[panel.error], panel.floor, _LEAST)) for e in panel.front]
+    front = [(seconds, max(error, panel.floor, _LEAST)) for seconds, error in panel.front]
     axes.step(*zip(*front, strict=True), where="post", color=_FRONT, linewidth=6.0, alpha=0.75, zorder=1,
               solid_capstyle="round", label="efficient front")  # fmt: skip
-    for number, method in enumerate(dict.fromkeys(entry.method for entry in panel.entries)):
-        own = sorted((e for e in panel.entries if e.method == method), key=lambda e: -e.errors[panel.error])
-        times, errors = [e.seconds for e in own], [max(e.errors[panel.error], _LEAST) for e in own]
+    for number, (method, points) in enumerate(panel.methods.items()):
+        own = sorted(points, key=lambda point: -point[1])
+        times, errors = [seconds for seconds, _ in own], [max(error, _LEAST) for _, error in own]
         (lines[method],) = axes.plot(times, errors, linewidth=1.0, zorder=3, label=method, **style_of(method, number))
-    for entry in panel.entries:
-        if (entry.method, entry.setting) == panel.default:
-            axes.plot(entry.seconds, max(entry.errors[panel.error], _LEAST), "o", markersize=15, markerfacecolor="none",
-                      markeredgecolor="black", markeredgewidth=1.1, zorder=4)  # fmt: skip
+    for seconds, error in panel.default:
+        axes.plot(seconds, max(error, _LEAST), "o", markersize=15, markerfacecolor="none", markeredgecolor="black",
+                  markeredgewidth=1.1, zorder=4)  # fmt: skip
     _dress(axes, panel)
     return lines
 
@@ -106,7 +106,7 @@ class _Times(LogLocator):
 def _dress(axes: Axes, panel: Panel) -> None:
     """Set scales, limits and labels, and draw the reference's own error and the wanted error."""
     axes.set(xscale="log", yscale="log", title=panel.title, xlabel="time of one use", ylabel="relative error")
-    errors = [max(e.errors[panel.error], _LEAST) for e in panel.entries]
+    errors = [max(error, _LEAST) for points in panel.methods.values() for _, error in points]
     low = 10.0 ** math.floor(math.log10(min(panel.floor, *errors)) - 0.7)
     high = 10.0 ** math.ceil(math.log10(max(panel.wanted, *errors)) + 0.3)
     axes.set_ylim(low, high)
@@ -114,7 +114,7 @@ def _dress(axes: Axes, panel: Panel) -> None:
     axes.axhline(panel.wanted, color="black", linestyle=(0, (4, 3)), linewidth=1.0, zorder=2)
     axes.xaxis.set_major_locator(_Times(numticks=8))
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda seconds, _: duration_text(seconds)))
+    axes.xaxis.set_major_formatter(EngFormatter(unit="s"))
     axes.yaxis.set_major_locator(LogLocator(numticks=8))
     axes.grid(alpha=0.25)
 

@@ -3,33 +3,83 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
+from plough_opt.core.plain_data import MaybeInfinite
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Column, Grid, Page, Part, data_frame
-from plough_opt.studies.accuracy.contest import Entry, cheapest, duration_text, efficient
-from plough_opt.studies.accuracy.methods import AUTO, COMPILED, MACHINE_CODE, error_text
-from plough_opt.studies.accuracy.optimum import REPORTED, REQUIREMENTS, TRUE, VARIABLES
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+AUTO: Final = "auto"
+"""Name of the default, which chooses its method and checks the result."""
+
+COMPILED: Final = "auto, compiled"
+"""Name of the default in machine code."""
+
+BARE: Final = "dop853, compiled"
+"""Name of steps of order 8 in machine code, without a check."""
+
+MACHINE_CODE: Final = "machine code"
+"""Family of compiled contestants."""
+
+SEARCH: Final = "search"
+"""Family of the searches for the optimum of a design."""
+
 # Names of the references, which are keys of saved studies.
 MOTION = "motion"
 LASTING = "lasting orbit"
 DERIVATIVES = "gradient"
-PROFILE = "density profile"
-COURSE = "quasi-static course"
-CONTACT = "elastic contact"
 OPTIMUM = "optimum"
+VARIABLES = "optimum, variables"
+
 
 # Times that differ by less than this factor are called about equal.
 _NOISE = 1.15
+# Times that differ by less than this factor are equal within the noise of repetitions.
+_EQUAL_TIMES: Final = 1.1
+# An error counts as smaller only below this part of another.
+_SMALLER: Final = 0.9
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Result of one method with one setting.
+
+    Attributes:
+        family: kind of choice, such as ``"integrator"`` or ``"search"``.
+        method: name of the method.
+        setting: setting as text, such as ``"tolerance 1e-08"`` or ``"40 steps"``.
+        seconds: processor time of one use after a warm-up [s], the least of several; infinite for a failure.
+        setup: time to build the method once, with that of a compiler [s].
+        errors: relative errors by name [-]; empty for a failure.
+        failure: reason why there is no result, or None.
+        checked: time of `simulate` with this method, which checks the result [s]; None if not measured.
+    """
+
+    family: str
+    method: str
+    setting: str
+    seconds: MaybeInfinite
+    setup: float = 0.0
+    errors: Mapping[str, MaybeInfinite] = field(default_factory=dict)
+    failure: str | None = None
+    checked: float | None = None
+
+    @property
+    def label(self) -> str:
+        """Method and setting."""
+        return f"{self.method}, {self.setting}" if self.setting else self.method
+
+    def reaches(self, error: str, wanted: float) -> bool:
+        """Return whether there is a result whose error of a name is at most a wanted one [-]."""
+        return self.failure is None and self.errors.get(error, math.inf) <= wanted
 
 
 @dataclass(frozen=True)
@@ -76,7 +126,7 @@ class Thoroughness:
 
 @dataclass(frozen=True, repr=False)
 class AccuracyStudy(Saveable):
-    """Error against time of every method that can simulate a scene or solve a design.
+    """Error against time of every method that can simulate a scene, or of searches for the optimum of a design.
 
     Times depend on the machine and its load; their ratios are more reliable.
 
@@ -96,10 +146,9 @@ class AccuracyStudy(Saveable):
 
     Example:
         >>> import plough_opt as po
-        >>> still = po.Effects(motion=False)
         >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
-        >>> scene = po.Scene(po.named_soil("serozem"), share, "50 kN/m", "30 kg", "2 m/s", still)
-        >>> study = po.study_accuracy(scene, "0.1 s", thin=True, allowance=0.01)
+        >>> scene = po.Scene(po.named_soil("serozem"), share, "50 kN/m", "30 kg", "2 m/s")
+        >>> study = po.study_accuracy(scene, "0.1 s", thin=True, allowance=0.01, derivatives=False)
         >>> len(study.entries) > 3
         True
     """
@@ -123,10 +172,7 @@ class AccuracyStudy(Saveable):
         return tuple(question for question in found if question.reference in self.floors and self.of(question))
 
     def of(self, question: Question) -> list[Entry]:
-        """Return the entries ranked by an error, without those that ended in another optimum than the reference."""
-        return [entry for entry in self._listed(question) if not entry.elsewhere]
-
-    def _listed(self, question: Question) -> list[Entry]:
+        """Return the entries ranked by an error."""
         return [e for e in self.entries if e.family in question.families and question.error in e.errors]
 
     @property
@@ -136,14 +182,11 @@ class AccuracyStudy(Saveable):
 
     @property
     def refusals(self) -> tuple[str, ...]:
-        """Sentence for each reason why entries have no result, or are not ranked."""
+        """Sentence for each reason why entries have no result."""
         labels: dict[str, list[str]] = {}
-        for entry in self.entries:
-            if entry.failure is not None:
-                labels.setdefault(f"no result of {{}}: {entry.failure}", []).append(entry.label)
-            elif entry.elsewhere:
-                labels.setdefault(f"not ranked, {{}}: {entry.elsewhere}", []).append(entry.label)
-        return tuple(sentence.replace("{}", "; ".join(who), 1) for sentence, who in labels.items())
+        for entry in self.failures:
+            labels.setdefault(str(entry.failure), []).append(entry.label)
+        return tuple(f"no result of {'; '.join(who)}: {reason}" for reason, who in labels.items())
 
     def front(self, question: Question) -> list[Entry]:
         """Return the entries that no other beats in both time and error; errors below the reference's own are equal."""
@@ -189,11 +232,11 @@ class AccuracyStudy(Saveable):
 
     def page(self) -> Page:
         """Return a report: a table for each question, entries without a result, notes and advice."""
-        timed = "one local solve; ≠ ended in another optimum"
+        timed = "medians over the seeds, errors the largest of any seed"
         if self.duration is not None:
-            timed = "a named method integrates once, auto is all of simulate with its check"
+            timed = "the least of several: a named method integrates once, auto is all of simulate with its check"
         parts: list[Part] = [self.table(question) for question in self.questions]
-        parts.append(f"Times are the least of several: {timed}. Set-up is done once.")
+        parts += [f"Times are {timed}. Set-up is done once."] if parts else []
         if self.thoroughness:
             efforts = Grid.of("What thoroughness costs", "search", "designs tried", "found the best", "median time")
             for row in self.thoroughness:
@@ -234,11 +277,11 @@ class AccuracyStudy(Saveable):
             plain=True,
         )
         front = self.front(question)
-        for entry in sorted(self._listed(question), key=lambda entry: entry.seconds):
+        for entry in sorted(self.of(question), key=lambda entry: entry.seconds):
             errors = (f"{entry.errors[key]:.0e}".replace("0e+00", "0") if key in entry.errors else ""
                       for key in question.columns)  # fmt: skip
             table.row(
-                "≠" if entry.elsewhere else "*" if entry in front else "",
+                "*" if entry in front else "",
                 entry.label + (" (default)" if (entry.method, entry.setting) == question.default else ""),
                 duration_text(entry.seconds),
                 duration_text(float(f"{entry.setup:.2g}")) if entry.setup > 0.0 else "",
@@ -276,14 +319,20 @@ class AccuracyStudy(Saveable):
         """Return the contents of a question's panel in a picture."""
         from plough_opt.studies.accuracy.picture import Panel
 
+        def points(entries: Sequence[Entry]) -> list[tuple[float, float]]:
+            return [(entry.seconds, entry.errors[question.error]) for entry in entries]
+
+        entries = self.of(question)
         return Panel(
             title=question.title,
-            error=question.error,
-            entries=self.of(question),
-            front=self.front(question),
+            methods={
+                name: points([entry for entry in entries if entry.method == name])
+                for name in dict.fromkeys(entry.method for entry in entries)
+            },
+            front=points(self.front(question)),
+            default=points([entry for entry in entries if (entry.method, entry.setting) == question.default]),
             floor=self.floors[question.reference],
             wanted=self.wanted,
-            default=question.default,
         )
 
     def also_saved(self) -> dict[str, Any]:
@@ -292,9 +341,6 @@ class AccuracyStudy(Saveable):
 
 
 _FORCES = {"mean draft": "mean\ndraft", "RMS": "RMS", "last force": "last\nforce", "trajectory": "trajec-\ntory"}
-_OF_OPTIMA = {REPORTED: "reported\nvalue", TRUE: "true\nvalue", VARIABLES: "varia-\nbles",
-              REQUIREMENTS: "broken\nlimits"}  # fmt: skip
-_VALUE = "the reported value; the true one comes from a tight integration"
 _LARGER = "the larger of mean draft and RMS"
 _QUESTIONS = (
     Question("averages of the motion", "averages", ("integrator", "model"), MOTION, _FORCES, _LARGER),
@@ -303,15 +349,8 @@ _QUESTIONS = (
              {f"lasting {key}": heading for key, heading in _FORCES.items()}, _LARGER),
     Question("gradients of the averages", "gradient", ("derivatives",), DERIVATIVES,
              {"gradient of mean draft": "of mean\ndraft", "gradient of RMS": "of\nRMS"}, _LARGER),
-    Question("quasi-static averages", "averages", ("quadrature",), COURSE, _FORCES, _LARGER),
-    Question("resistance by a density profile", "reaction", ("quadrature",), PROFILE,
-             {"static resistance": "static\nresistance", "drag": "drag", "added mass": "added\nmass"},
-             "the largest of these"),
-    Question("elastic contact force", "contact force", ("quadrature",), CONTACT, {"contact force": "contact\nforce"},
-             "that"),
-    Question("optimum of the design", REPORTED, ("transcription", "integrator", "derivatives"), OPTIMUM, _OF_OPTIMA,
-             _VALUE),
-    Question("optimum of the design, in machine code", REPORTED, ("compiled",), OPTIMUM, _OF_OPTIMA, _VALUE),
+    Question("objective of the optimum", "objective", (SEARCH,), OPTIMUM, {"objective": "objective"}),
+    Question("variables of the optimum", "variables", (SEARCH,), VARIABLES, {"variables": "variables"}),
 )  # fmt: skip
 
 
@@ -340,3 +379,61 @@ def _compared(entry: Entry, best: Entry | None, question: Question) -> str:
     if not _times(ratio):
         return f"{text}, about as long"
     return f"{text}, {_times(ratio)}as long" if ratio > 1.0 else f"{text}, {_times(1.0 / ratio)}faster"
+
+
+def efficient(entries: Sequence[Entry], error: str, floor: float = 0.0) -> list[Entry]:
+    """Return the entries that no other beats in both time and one error, from the fastest to the most exact.
+
+    A slower entry must have an error smaller by at least a tenth.
+
+    Args:
+        entries: entries of one contest; failures are left out.
+        error: key of `Entry.errors`.
+        floor: error of the reference itself [-], below which errors do not differ.
+    """
+    ranked = sorted(
+        (entry for entry in entries if entry.failure is None and error in entry.errors),
+        key=lambda entry: (entry.seconds, entry.errors[error]),
+    )
+    front: list[Entry] = []
+    least = math.inf
+    for entry in ranked:
+        found = max(entry.errors[error], floor)
+        if found < _SMALLER * least:
+            front.append(entry)
+            least = found
+    return front
+
+
+def cheapest(entries: Sequence[Entry], error: str, wanted: float) -> Entry | None:
+    """Return the fastest entry whose error is at most the wanted one [-], or None.
+
+    Of each method only the coarsest such setting counts, because a finer one cannot be faster but by the noise of the
+    clock. If several methods are equally fast within that noise, it is the first of them, so that the choice is
+    repeatable.
+
+    Args:
+        entries: entries, those of a method from coarse to fine.
+        error: key of `Entry.errors`.
+        wanted: error to reach [-].
+    """
+    good: dict[tuple[str, str], Entry] = {}
+    for entry in entries:
+        if entry.reaches(error, wanted):
+            good.setdefault((entry.family, entry.method), entry)
+    least = min((entry.seconds for entry in good.values()), default=math.inf)
+    return next((entry for entry in good.values() if entry.seconds <= _EQUAL_TIMES * least), None)
+
+
+def duration_text(seconds: float) -> str:
+    """Return a time with its unit."""
+    # Rounding may make a thousandth a little less, which still is one of the larger unit.
+    for least, unit in ((1.0, "s"), (1e-3, "ms")):
+        if seconds >= 0.99 * least:
+            return f"{seconds / least:.3g} {unit}"
+    return f"{seconds * 1e6:.3g} µs"
+
+
+def error_text(error: float) -> str:
+    """Return an error as text with the fewest digits, from 1 to 3, that give its value."""
+    return min((f"{error:.{digits}e}" for digits in range(3)), key=lambda text: (float(text) != error, len(text)))

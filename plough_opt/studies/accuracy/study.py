@@ -1,14 +1,12 @@
-"""Functions `study_accuracy` and `study_design`: what accuracy costs in time, and which method to choose."""
+"""Functions `study_accuracy` and `study_design`: what accuracy costs in time, and what to choose."""
 
-import contextlib
+import math
 import platform
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
-from statistics import median
-from typing import Final, TypeVar
+from typing import TypeVar
 
 from plough_opt.core.checks import (
     check_callable,
@@ -19,49 +17,37 @@ from plough_opt.core.checks import (
     plain_number,
     shown,
 )
-from plough_opt.core.errors import InfeasibleDesign, InputError, NotConverged, PloughError
+from plough_opt.core.compiler import NO_COMPILER
+from plough_opt.core.errors import InputError, PloughError
 from plough_opt.core.expressions import as_number, holds_casadi, is_count, map_expressions
 from plough_opt.core.process import available
 from plough_opt.core.quantities import BESIDE
 from plough_opt.core.saving import versions
-from plough_opt.design import Design, Optimum, Progress
-from plough_opt.design.effort import Search
+from plough_opt.design import Design, Progress
 from plough_opt.design.exploring import silent
-from plough_opt.laws.cones import ElasticMedium
-from plough_opt.laws.forces import PlasticGas
 from plough_opt.motion.accuracy import DEFAULT_ERROR
 from plough_opt.motion.plan import MOST_OUTPUTS
 from plough_opt.motion.scene import Scene
-from plough_opt.studies.accuracy.contest import Entry
-from plough_opt.studies.accuracy.methods import AUTO, Task, gradients, integrators, models, periodic_orbit_of
-from plough_opt.studies.accuracy.optimum import GRADIENT, VARIABLES, design_contest
-from plough_opt.studies.accuracy.quadratures import density_profile, elastic_contact, quasi_static_course
-from plough_opt.studies.accuracy.reference import Reference, reference_gradient, reference_run
+from plough_opt.studies.accuracy.methods import Task, gradients, integrators, models, periodic_orbit_of
+from plough_opt.studies.accuracy.optimum import DEFAULT, best_of, reference_optimum, search_trials
+from plough_opt.studies.accuracy.reference import HAS_EXTENDED, Reference, reference_gradient, reference_run
 from plough_opt.studies.accuracy.result import (
-    CONTACT,
-    COURSE,
+    AUTO,
     DERIVATIVES,
     LASTING,
     MOTION,
     OPTIMUM,
-    PROFILE,
+    SEARCH,
+    VARIABLES,
     AccuracyStudy,
-    Thoroughness,
+    Entry,
 )
-from plough_opt.studies.accuracy.wide import WIDER
 
 OUTPUTS = 40
 """Default number of intervals between output times: few, so that coarse steps can compete."""
 
 ALLOWANCE = 1.0
 """Default time that one use of a method may take [s]."""
-
-# Efforts of the searches, from the basin of the guess to four times the default.
-_EFFORTS: Final[tuple[Search, ...]] = ("near", 250, 1000, "auto", "thorough")
-# Number of seeds for each effort, and in a thin study.
-_SEEDS, _THIN_SEEDS = 8, 3
-# Objectives or medians with a smaller relative difference belong to the same optimum: medians come from rough runs.
-_SAME = 1e-5
 
 _T = TypeVar("_T")
 
@@ -78,7 +64,7 @@ def study_accuracy(
     title: str = "",
     progress: Progress | None = None,
 ) -> AccuracyStudy:
-    """Return error against time of every method, model and quadrature that can simulate a scene.
+    """Return error against time of every method and model that can simulate a scene.
 
     Args:
         scene: scene with numbers. If its orbit is approximate, such as "linearised", all methods are measured against
@@ -99,10 +85,9 @@ def study_accuracy(
 
     Example:
         >>> import plough_opt as po
-        >>> still = po.Effects(motion=False)
         >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
-        >>> scene = po.Scene(po.named_soil("serozem"), share, "50 kN/m", "30 kg", "2 m/s", still)
-        >>> po.study_accuracy(scene, "0.1 s", thin=True, allowance=0.01).duration
+        >>> scene = po.Scene(po.named_soil("serozem"), share, "50 kN/m", "30 kg", "2 m/s")
+        >>> po.study_accuracy(scene, "0.1 s", thin=True, allowance=0.01, derivatives=False).duration
         0.1
     """
     check_kind("the scene", scene, Scene, "a numeric Scene")
@@ -123,7 +108,7 @@ def study_accuracy(
         raise InputError("the duration is missing: give the time to simulate in seconds")
     duration = plain_number("duration", BESIDE["scene.duration"].read(duration))
     task = Task(scene, float(duration), int(outputs), float(allowance), thin, wanted)
-    entries, floors, defaults, notes = _contests(task, progress or silent, derivatives=derivatives)
+    entries, floors, notes = _contests(task, progress or silent, derivatives=derivatives)
     return AccuracyStudy(
         title=title,
         duration=task.duration,
@@ -131,7 +116,7 @@ def study_accuracy(
         entries=tuple(entries),
         floors=floors,
         notes=tuple(notes),
-        defaults=defaults,
+        defaults={MOTION: (AUTO, f"error {DEFAULT_ERROR:.0e}"), DERIVATIVES: (AUTO, "default")},
         versions=_versions(),
     )
 
@@ -141,23 +126,20 @@ def study_design(
     *,
     wanted: float = 1e-6,
     limit: float = 10.0,
-    near: bool = False,
     thin: bool = False,
     title: str = "",
     progress: Progress | None = None,
 ) -> AccuracyStudy:
-    """Return error of the optimum against time of every transcription, integrator and kind of derivative.
+    """Return error of the optimum against time of searches of growing effort, interpreted and compiled.
 
-    Each method solves the design locally from the same start, with the declared values of the parameters. In addition
-    the study reports what a thorough search costs: how often searches of growing effort, with different seeds, find the
-    best optimum that any of them finds.
+    Every effort is an argument of `Design.solve`, with several seeds and the declared values of the parameters. The
+    study also reports how often each effort finds the best optimum that any of them finds.
 
     Args:
         design: design with an objective.
-        wanted: relative error of the objective that the advice is for [-], from 1e-15 to 0.1.
-        limit: time after which a solve is given up [s]; its entry says so.
-        near: whether to start near the optimum, as after a small change of parameters, instead of at the guess.
-        thin: whether to leave out every other setting of a method.
+        wanted: relative error of objective and variables that the advice is for [-], from 1e-15 to 0.1.
+        limit: time of one search [s] above which an effort is tried with one seed only, and larger ones not at all.
+        thin: whether to take fewer seeds.
         title: title of the design, for reports.
         progress: called with what is being done and the fraction done.
 
@@ -165,7 +147,7 @@ def study_design(
         InputError: the design has no objective or no variables.
         DomainError: an argument is outside its range.
         InfeasibleDesign: no design meets the requirements.
-        NotConverged: the reference was not found.
+        NotConverged: the optimiser stopped without an optimum.
 
     Example:
         >>> import plough_opt as po
@@ -177,32 +159,39 @@ def study_design(
         >>> study = po.study_design(design, thin=True)  # doctest: +SKIP
     """
     check_kind("the design", design, Design, "a Design")
-    _check(wanted, title, progress, near=near, thin=thin)
-    check_domain("time allowed to a solve", plain_number("limit", limit), "s", above=0.0)
-    progress = progress or silent
-    found = design_contest(design, wanted=wanted, limit=limit, near=near, thin=thin, progress=progress)
-    ours = [(e.method, e.setting) for e in found.entries if (e.family, e.method) == ("derivatives", GRADIENT)]
+    _check(wanted, title, progress, thin=thin)
+    check_domain("time allowed to a search", plain_number("limit", limit), "s", above=0.0)
+    trials = search_trials(design, limit=limit, thin=thin, progress=progress or silent)
+    best, entries, floors, notes = best_of(trials), list[Entry](), dict[str, float](), list[str]()
+    try:
+        reference = reference_optimum(design.declared, best)
+        entries = [trial.entry(reference) for trial in trials]
+        floors = {OPTIMUM: reference.floor, VARIABLES: reference.off}
+    except PloughError as error:
+        notes.append(f"no reference for the optimum: {error}")
+    if all(trial.method != "compiled" for trial in trials):
+        entries.append(Entry(SEARCH, "compiled", "", math.inf, failure=NO_COMPILER))
     return AccuracyStudy(
         title=title,
         duration=None,
         wanted=wanted,
-        entries=found.entries,
-        floors={OPTIMUM: found.best.floor, f"{OPTIMUM}, {VARIABLES}": found.best.off},
-        defaults={OPTIMUM: ours[0]},
+        entries=tuple(entries),
+        floors=floors,
+        notes=tuple(notes),
+        defaults=dict.fromkeys(floors, DEFAULT),
         versions=_versions(),
-        thoroughness=_thoroughness(design, limit=limit, thin=thin, progress=progress),
+        thoroughness=tuple(trial.thoroughness(best) for trial in trials if trial.method == DEFAULT[0]),
     )
 
 
-def _contests(
-    task: Task, progress: Progress, *, derivatives: bool
-) -> tuple[list[Entry], dict[str, float], dict[str, tuple[str, str]], list[str]]:
-    """Return the entries of all contests for a scene; by name of the reference its error and the default; and notes.
+def _contests(task: Task, progress: Progress, *, derivatives: bool) -> tuple[list[Entry], dict[str, float], list[str]]:
+    """Return the entries of all contests for a scene; by name of the reference its error; and notes.
 
     Notes say what has no reference.
     """
     scene, entries, floors, notes = task.scene, list[Entry](), dict[str, float](), list[str]()
-    defaults = {MOTION: (AUTO, f"error {DEFAULT_ERROR:.0e}"), DERIVATIVES: (AUTO, "default")}
+    if not scene.effects.motion:
+        return [], {}, ["a quasi-static scene has no motion to integrate, and so there is no method to choose"]
 
     def found(name: str, find: Callable[[], _T]) -> _T | None:
         try:
@@ -217,87 +206,25 @@ def _contests(
             floors.update({name: run.errors["averages"], f"{name}, trajectory": run.errors["trajectory"]})
         return run
 
-    if scene.effects.motion:
-        progress("integrating the reference", 0.0)
-        own, around = reference(MOTION, scene, task.given), periodic_orbit_of(scene)
-        transient = scene.effects.orbit == "transient"
-        periodic = reference(LASTING, around, None) if transient and around is not None else None
-        if own is not None:
-            progress("integrators", 0.1)
-            entries += integrators(task, own)
-        if own is not None or periodic is not None:
-            progress("models", 0.5)
-            entries += models(task, own, periodic)
-        if derivatives:
-            progress("derivatives", 0.6)
-            gradient = found(DERIVATIVES, partial(reference_gradient, scene, task.given))
-            if gradient is not None:
-                floors[DERIVATIVES] = gradient.error
-                entries += gradients(task, gradient)
-        if not WIDER:
-            notes.append("this machine has no floats wider than a double, so the references are not more exact")
-    quadratures = {
-        COURSE: (quasi_static_course, not scene.effects.motion and not isinstance(scene.law, ElasticMedium)),
-        CONTACT: (elastic_contact, not scene.effects.motion and isinstance(scene.law, ElasticMedium)),
-        PROFILE: (density_profile, scene.soil.density_profile is not None and isinstance(scene.law, PlasticGas)),
-    }
-    progress("quadratures", 0.9)
-    for name, (measure, takes_part) in quadratures.items():
-        result = found(name, partial(measure, task)) if takes_part else None
-        if result is not None:
-            entries += result[0]
-            floors[name], defaults[name] = result[1:]
-    return entries, floors, defaults, notes
-
-
-def _thoroughness(design: Design, *, limit: float, thin: bool, progress: Progress) -> tuple[Thoroughness, ...]:
-    """Return success and time of each effort of a search.
-
-    A search is right if it finds the best optimum that any of the searches found, since no other truth is known.
-
-    Args:
-        design: design with an objective.
-        limit: time of one search [s] above which an effort is tried with one seed only, and larger ones not at all.
-        thin: whether to take fewer seeds.
-        progress: called with what is being done and the fraction done.
-
-    Raises:
-        InfeasibleDesign: no search found a design that meets the requirements.
-    """
-    design.solve(search="near")  # builds the program, which all searches share
-    found: dict[Search, list[tuple[Optimum | None, float]]] = {}
-    for number, search in enumerate(_EFFORTS):
-        progress(f"searching: {search}", number / len(_EFFORTS))
-        runs = found[search] = [_solved(design, search, 0)]
-        too_long = runs[0][1] > limit
-        seeds = 1 if search == "near" or too_long else _THIN_SEEDS if thin else _SEEDS
-        runs += [_solved(design, search, seed) for seed in range(1, seeds)]
-        if too_long:
-            break
-    best = min(_ranked_value(one) for runs in found.values() for one, _ in runs if one is not None)
-    return tuple(
-        Thoroughness(
-            search=f"{search} designs" if isinstance(search, int) else str(search),
-            designs=int(median([one.search.designs for one, _ in runs if one and one.search] or [0])),
-            asked=len(runs),
-            right=sum(one is not None and _ranked_value(one) <= best + _SAME * abs(best) for one, _ in runs),
-            seconds=median(seconds for _, seconds in runs),
-        )
-        for search, runs in found.items()
-    )
-
-
-def _solved(design: Design, search: Search, seed: int) -> tuple[Optimum | None, float]:
-    """Return the optimum that a search finds, or None, and its time [s]."""
-    began, best = time.perf_counter(), None
-    with contextlib.suppress(InfeasibleDesign, NotConverged):
-        best = design.solve(search=search, seed=seed)
-    return best, time.perf_counter() - began
-
-
-def _ranked_value(best: Optimum) -> float:
-    """Return the value by which `Design.solve` ranks optima: the median over tolerances, or else the objective."""
-    return best.objective if best.spread is None else best.spread.median
+    progress("integrating the reference", 0.0)
+    own, around = reference(MOTION, scene, task.given), periodic_orbit_of(scene)
+    transient = scene.effects.orbit == "transient"
+    periodic = reference(LASTING, around, None) if transient and around is not None else None
+    if own is not None:
+        progress("integrators", 0.1)
+        entries += integrators(task, own)
+    if own is not None or periodic is not None:
+        progress("models", 0.5)
+        entries += models(task, own, periodic)
+    if derivatives:
+        progress("derivatives", 0.7)
+        gradient = found(DERIVATIVES, partial(reference_gradient, scene, task.given))
+        if gradient is not None:
+            floors[DERIVATIVES] = gradient.error
+            entries += gradients(task, gradient)
+    if not HAS_EXTENDED:
+        notes.append("this machine has no floats wider than a double, so the references are not more exact")
+    return entries, floors, notes
 
 
 def _versions() -> dict[str, str]:

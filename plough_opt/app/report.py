@@ -159,18 +159,18 @@ def print_effects(console: Console, costs: Sequence[EffectCost]) -> None:
 
 
 def print_comparison(console: Console, comparison: Comparison) -> None:
-    """Print the drafts of other models, then refusals, assumptions, reasons for differences, and sources."""
+    """Print the drafts of other models, then refusals, assumptions and sources."""
     console.print(comparison.table())
     for title, sentences in (
         ("Outside the domain", comparison.refusals),
         ("Assumed", comparison.estimates),
-        ("Why they differ", comparison.reasons),
         ("Not verified, and sources", comparison.standings),
     ):
         if sentences:
             console.print(f"[bold]{title}[/]")
         for sentence in sentences:
             console.print(f"* {escape(sentence)}", soft_wrap=True)
+    console.print("Agreement of two models validates neither. docs/crosscheck.md says why they differ.", soft_wrap=True)
 
 
 def _scene_table(problem: Problem, scene: Scene, share: str = "") -> Grid:

@@ -89,7 +89,7 @@ EVERY = {
     "BatchResult": batch,
     "Fit": fit,
     "TradeOff": front,
-    "AccuracyStudy": lambda: po.study_accuracy(STILL, 0.1, thin=True, allowance=0.01),
+    "AccuracyStudy": lambda: po.study_accuracy(SCENE, 0.1, thin=True, allowance=0.01, derivatives=False),
     "RobustOptimum": robust,
 }
 

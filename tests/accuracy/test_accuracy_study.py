@@ -1,30 +1,31 @@
-"""The accuracy study: true errors, advice, what is left out, and pictures."""
+"""The accuracy study of a scene: true errors, advice, failures, pictures; the contest; the script of five scenes."""
 
 import ast
 import dataclasses
 import io
+import itertools
 import math
 import re
+from collections import Counter
+from pathlib import Path
 
 import casadi as ca
+import matplotlib.image
 import numpy as np
 import pytest
 from helpers.problem_files import PROBLEMS
-from helpers.scenes import SEROZEM, scene_of
+from helpers.scenes import scene_of
+from helpers.scripts import imported
 from matplotlib.figure import Figure
 from rich.console import Console
 
 import plough_opt as po
 from plough_opt.core.compiler import find_compiler
-from plough_opt.core.expressions import exp
-from plough_opt.laws.forces import soil_reaction
-from plough_opt.studies.accuracy import contest, methods, picture
+from plough_opt.studies.accuracy import methods, picture
 from plough_opt.studies.accuracy import study as studies
-from plough_opt.studies.accuracy.contest import Entry, cheapest, efficient
-from plough_opt.studies.accuracy.methods import AUTO, COMPILED, Task, prepared
-from plough_opt.studies.accuracy.quadratures import profile_reaction
+from plough_opt.studies.accuracy.methods import FACTORS, Contestant, Task, measured, prepared, step_counts
 from plough_opt.studies.accuracy.reference import reference_run
-from plough_opt.studies.accuracy.result import AccuracyStudy
+from plough_opt.studies.accuracy.result import AUTO, COMPILED, AccuracyStudy, Entry, cheapest, efficient
 
 WAVE = po.StrengthWave(amplitude=0.3, wavelength=0.2)
 
@@ -34,7 +35,7 @@ def linear(request):
     """Return a scene with a closed form, and its study, with a clock by which no method takes too long."""
     plain = scene_of(start="rest", inertial_drag=False)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(contest, "least_times", lambda uses, *_: [1e-3] * len(uses))
+        patch.setattr(methods, "least_times", lambda uses, *_: [1e-3] * len(uses))
         thin = request.param == "thin"
         study = po.study_accuracy(plain, 0.15, wanted=1e-15, outputs=10, allowance=1e3, thin=thin)
     return plain, study
@@ -42,7 +43,7 @@ def linear(request):
 
 def test_every_integrator_has_the_errors_of_its_setting(linear):
     plain, study = linear
-    true = reference_run(plain, 0.15, outputs=10).run  # tests/accuracy/test_wide_reference.py proves it
+    true = reference_run(plain, 0.15, outputs=10).run  # tests/accuracy/test_reference.py proves it
     size = max(abs(true.mean_draft), true.force_rms)
     checked = 0
     families = {"integrator": False, methods.MACHINE_CODE: True}
@@ -144,47 +145,6 @@ def test_a_stand_in_scene_is_measured_against_the_orbit():
     assert study.duration == pytest.approx(0.1)
 
 
-# --- quadratures over the density profile, the path and the face ---
-
-
-def test_the_reference_of_a_profile_has_another_rule_and_the_same_limit():
-    # Soil without internal friction, with a dense core a third as wide as the front. The reference ignores the order.
-    smooth, cone = dataclasses.replace(SEROZEM, friction_angle=0.0), scene_of().cone
-    coarse = smooth.with_density_profile(lambda r, w: 1350 * (1.08 + 0.3 / (1.0 + (r / w) ** 2)), 0.05, order=2)
-    fine = dataclasses.replace(coarse, density_profile=dataclasses.replace(coarse.density_profile, order=64))
-    exact, finest = profile_reaction(cone, coarse, 4, 24), soil_reaction(cone, fine)
-    for name in ("static", "drag", "added_mass"):
-        assert float(getattr(exact, name)) == pytest.approx(float(getattr(finest, name)), rel=1e-13)
-
-
-def test_orders_of_a_profile_converge():
-    varied = SEROZEM.with_density_profile(lambda r, w: 1350 * (1.05 + 0.3 * exp(-((r / w) ** 2))), 0.15, order=12)
-    study = po.study_accuracy(scene_of(soil=varied, motion=False), 0.1, outputs=4, allowance=0.05)
-    (question,) = (q for q in study.questions if q.error == "reaction")
-    errors = [e.errors["reaction"] for e in study.of(question)]
-    assert errors[0] > 1e-4 > 1e-13 > errors[3]
-    assert question.default == ("density profile", "order 12")
-
-
-def test_quadratures_of_a_quasi_static_course_converge():
-    # tests/motion/test_quasi_static.py compares what simulate gives with closed forms.
-    study = po.study_accuracy(scene_of(motion=False, strength_wave=WAVE), 1.0, outputs=5, allowance=0.05)
-    (question,) = study.questions
-    default = next(e for e in study.of(question) if (e.method, e.setting) == question.default)
-    assert default.errors["averages"] < 1e-13
-    assert study.of(question)[0].errors["averages"] > 1e-3
-
-
-def test_the_elastic_contact_by_two_quadratures():
-    # This blunt cone loses contact on a seventh of its face.
-    blunt = dataclasses.replace(scene_of(motion=False, medium="elastic"), share=po.Cone(po.deg(40), 0.25))
-    study = po.study_accuracy(blunt, 1.0, thin=True, allowance=0.05)
-    errors = {e.label: e.errors["contact force"] for e in study.entries}
-    assert errors["graded cells"] < 1e-11
-    assert errors["whole face, 4 points"] > 1e-4 > errors["whole face, 256 points"]
-    assert study.floors["elastic contact"] < 1e-14
-
-
 # --- failures are rows with the reason ---
 
 
@@ -198,6 +158,13 @@ def test_methods_without_events():
     assert {e.method for e in study.entries if e.family == "derivatives"} == {"auto", "erk", "rosenbrock"}
 
 
+def test_a_scene_without_a_motion_has_nothing_to_choose():
+    study = po.study_accuracy(scene_of(motion=False, strength_wave=WAVE), 0.1)
+    assert (study.entries, study.questions, study.advice) == ((), (), "")
+    assert any("no motion" in note and "no method" in note for note in study.notes)
+    assert "Times" not in str(study)
+
+
 def test_what_enters_the_soil_has_no_quasi_static_limit():
     enters = scene_of(start="towed", entry=True)
     study = po.study_accuracy(enters, 0.05, outputs=2, thin=True, allowance=1e-4, derivatives=False)
@@ -206,7 +173,7 @@ def test_what_enters_the_soil_has_no_quasi_static_limit():
 
 
 def test_what_takes_too_long_is_cut_off_and_the_default_late(monkeypatch):
-    monkeypatch.setattr(studies, "WIDER", False)
+    monkeypatch.setattr(studies, "HAS_EXTENDED", False)
     study = po.study_accuracy(scene_of(), 0.1, outputs=4, allowance=1e-9, derivatives=False)
     cut = {e.label: e for e in study.failures if "cut off" in e.failure}
     assert {"dop853", "rk", "auto"} <= {e.method for e in cut.values()}
@@ -276,7 +243,7 @@ A, TIGHT, B = ("a", "loose", 1e-3, 1e-3), ("a", "tight", 2e-3, 1e-7), ("b", "", 
             (A, ("b", "", 2.0, 1e-5), ("auto", "error 1e-08", 3.0, 1e-4)), 1e-6,
             ("nothing", "1e-06", "b", "1e-05", "2 s", "the default, auto, error 1e-08, takes 3 s"), id="none"),
         pytest.param(
-            (("dop853", "80 steps", 1e-3, 1e-7, None, "", 3e-3), ("auto", "error 1e-06", 2e-3, 1e-9),
+            (("dop853", "80 steps", 1e-3, 1e-7, None, 3e-3), ("auto", "error 1e-06", 2e-3, 1e-9),
              ("auto", "error 1e-08", 6e-3, 1e-10), ("rk", "900 steps", 9e-3, 1e-8)), 1e-6,
             ("dop853, 80 steps: 1 ms", "9.0 times cheaper", "rk, 900 steps", "3 ms", "Accuracy(error=1e-06)", "2 ms",
              "1.5 times faster", "default", "6 ms", "2.0 times as long"),
@@ -286,18 +253,6 @@ A, TIGHT, B = ("a", "loose", 1e-3, 1e-3), ("a", "tight", 2e-3, 1e-7), ("b", "", 
 )  # fmt: skip
 def test_the_cheapest_good_setting_is_advised(rows, wanted, facts):
     assert re.search(".*".join(map(re.escape, facts)), made(*rows, wanted=wanted).advice)
-
-
-def test_another_optimum_is_neither_ranked_nor_advised():
-    study = made(("a", "", 1e-3, 1e-9), ("b", "", 2e-3, 1e-9))
-    away = dataclasses.replace(study.entries[0], elsewhere="ended in another optimum, 5 instead of 4")
-    study = dataclasses.replace(study, entries=(away, study.entries[1]))
-    (question,) = study.questions
-    assert study.front(question) == [study.entries[1]]
-    assert "take b: 2 ms" in study.advice
-    assert [row[0] for row in study.table(question).rows] == ["≠", "*"]
-    assert study.refusals == ("not ranked, a: ended in another optimum, 5 instead of 4",)
-    assert [entry.method for entry in study.panel(question).entries] == ["b"]
 
 
 def test_failures_with_the_same_reason_share_a_sentence():
@@ -318,6 +273,24 @@ def test_a_table_fits_a_narrow_terminal_with_every_figure():
     # Each entry is on one line.
     for method, setting in rows:
         assert re.search(rf" {method}, {setting}.* 125 µs +120 ms( +1e-13){{4}} *\n", printed)
+
+
+# --- studies that were saved when designs and quadratures had other contestants ---
+
+BEFORE = Path(__file__).parent / "saved_before"
+
+
+@pytest.mark.parametrize(("name", "titles"), [("scene", ["averages of the motion"]), ("design", [])])
+def test_a_study_saved_before_still_loads(name, titles, tmp_path):
+    study = po.load(BEFORE / f"{name}.json")
+    assert (type(study), study.title, study.wanted) == (AccuracyStudy, "Saved before", 1e-6)
+    # It prints the page that was saved; what still exists is ranked, and every entry is in the frame.
+    assert "Error against time of" in str(study)
+    assert [question.title for question in study.questions] == titles
+    assert all(len(study.of(question)) > 3 and "the default" in study.advise(question) for question in study.questions)
+    assert len(study.to_dataframe()) == len(study.entries) > 3
+    assert [row.right for row in study.thoroughness] == ([0, 3, 3, 3, 3] if name == "design" else [])
+    assert po.load(study.save(tmp_path / "again.json")) == study
 
 
 # --- a panel for each question, with all entries that its table ranks ---
@@ -358,3 +331,207 @@ def test_axes_show_every_entry_the_front_and_the_wanted_error():
     assert np.all(np.asarray(lines["a"].get_ydata()) > 0.0)
     assert list(lines["efficient front"].get_xdata()) == [1e-3, 2e-3]
     assert any(list(line.get_ydata()) == [1e-6, 1e-6] for line in axes.lines)
+
+
+# --- the contest: times in turns, the efficient front, and the cheapest setting that is good enough ---
+
+
+def entry(seconds, error, failure=None):
+    return Entry("integrator", "m", "", seconds, errors={} if failure else {"e": error}, failure=failure)
+
+
+FAST, MORE_EXACT, MOST_EXACT = entry(1, 1e-2), entry(2, 1e-5), entry(4, 1e-9)
+TINY = [entry(1, 3e-16), entry(2, 1e-17)]
+
+
+@pytest.mark.parametrize(
+    ("entries", "floor", "front"),
+    [
+        pytest.param([entry(5, 1e-8), MOST_EXACT, entry(3, 1e-4), FAST, entry(1, 1e-1), MORE_EXACT], 0.0,
+                     [FAST, MORE_EXACT, MOST_EXACT], id="from the fastest to the most exact"),
+        pytest.param([entry(1, 0.0, failure="no"), Entry("model", "q", "", 0.1, errors={"other": 0.0}), FAST], 0.0,
+                     [FAST], id="failures and other errors do not count"),
+        pytest.param(TINY, 1e-15, TINY[:1], id="errors below the floor are one"),
+        pytest.param(TINY, 0.0, TINY, id="without a floor they are two"),
+        pytest.param([entry(1, 1e-9), entry(2, 0.95e-9), entry(3, 0.85e-9)], 0.0, [entry(1, 1e-9), entry(3, 0.85e-9)],
+                     id="a little more exact is no gain"),
+    ],
+)  # fmt: skip
+def test_the_front_holds_what_no_other_beats_in_both(entries, floor, front):
+    assert efficient(entries, "e", floor) == front
+
+
+def test_the_cheapest_just_meets_the_error():
+    good, exact = entry(2, 1e-6), entry(9, 1e-12)
+    assert cheapest([entry(1, 1.1e-6), good, exact], "e", 1e-6) is good
+    assert cheapest([entry(1, 1e-3), entry(1, 0.0, failure="no")], "e", 1e-6) is None
+    # A finer setting of one method is faster by noise alone.
+    assert cheapest([good, entry(1.5, 1e-12)], "e", 1e-6) is good
+    # Of two methods that are equally fast within the noise of the clock, the first.
+    other = dataclasses.replace(good, method="n")
+    assert cheapest([dataclasses.replace(other, seconds=2.1), good], "e", 1e-6).method == "n"
+    assert cheapest([dataclasses.replace(other, seconds=2.3), good], "e", 1e-6) is good
+
+
+@dataclasses.dataclass
+class Clock:
+    """Processor time that uses wind, and the steps of all settings built and of all uses so far."""
+
+    now: float = 0.0
+    built: list = dataclasses.field(default_factory=list)
+    used: list = dataclasses.field(default_factory=list)
+
+    def contestant(self, method="fast", order=8, factors=FACTORS, *, error=lambda _: 0.5, seconds=None):
+        """Return a contestant of some order.
+
+        Args:
+            method: its name.
+            order: order of its error over the steps.
+            factors: multiples of 40 steps that are measured in any case.
+            error: steps -> factor on the error.
+            seconds: (steps, number of the use of that setting) -> time of a use [s].
+        """
+        seconds = seconds or (lambda steps, _: 1e-3 * steps / 40.0)
+
+        def prepare(steps):
+            self.built.append((method, steps))
+            numbers = itertools.count()
+
+            def use():
+                self.used.append(steps)
+                assert len(self.used) < 100_000, "the contest does not end"
+                self.now += seconds(steps, next(numbers))
+
+            return use, lambda: (use(), {"error": error(steps) * (40.0 / steps) ** order})[1]
+
+        rungs, shown = step_counts(40, factors)
+        return Contestant("family", method, prepare, lambda found: found, rungs, shown, "{} steps".format)
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    own = Clock()
+    monkeypatch.setattr(methods.time, "process_time", lambda: own.now)
+    return own
+
+
+def winner(contestants, wanted, allowance=1e3):
+    return cheapest(measured(contestants, "error", wanted, allowance), "error", wanted)
+
+
+@pytest.mark.parametrize(("order", "wanted"), [(4, 1e-1), (4, 1e-6), (8, 1e-4), (8, 1e-9)])
+def test_it_is_within_a_tenth_of_the_least_steps_in_thin_and_in_full_mode(clock, wanted, order):
+    true = 40.0 * (0.5 / wanted) ** (1.0 / order)
+    found = []
+    for thin in (False, True):
+        clock.built.clear()
+        factors = Task(None, 0.2, 4, 1.0, thin=thin).some(FACTORS)
+        found.append(winner([clock.contestant("fast", order, factors)], wanted))
+    full, thin = (best and best.setting for best in found)
+    assert full == thin
+    assert (full is not None) == (true <= 40.0 * max(FACTORS))
+    if full is not None:
+        assert int(full.split()[0]) == pytest.approx(true, rel=0.1, abs=1.0)
+        # The halvings of some seventy settings, and those measured in any case.
+        assert len(clock.built) <= 4 + 7
+
+
+def test_errors_that_do_not_fall_evenly_lead_both_modes_to_the_same(clock):
+    # Every fifth setting is a hundred times as exact by chance.
+    lucky = dict(zip(step_counts(40, FACTORS)[0], itertools.cycle((0.5, 0.5, 5e-3, 0.5, 0.5)), strict=False))
+    tracks = (clock.contestant("fast", 4, factors, error=lucky.get) for factors in (FACTORS, (0.125, 0.5, 2.0, 4.0)))
+    full, thin = (winner([track], 3e-3).setting for track in tracks)
+    assert full == thin
+
+
+def test_what_may_still_win_is_narrowed_down_and_what_is_too_slow_is_not(clock):
+    fast = clock.contestant(error=lambda n: 25.0 if n > 50 else methods.refuse("too coarse"))
+    # The coarsest of its settings measured in any case is slower, but far too exact.
+    slow = clock.contestant("slow", factors=(1, 2, 4), error=lambda _: 5e-10, seconds=lambda n, _: 2.5e-3 * n / 40.0)
+    slower = clock.contestant("slower", seconds=lambda n, _: 0.03 * n / 40.0)
+    entries = measured([fast, slow, slower], "error", 1e-3, 1e3)
+    assert cheapest(entries, "error", 1e-3).method == "slow"
+    # Of the settings without a result only those measured in any case are reported.
+    assert [e.setting for e in entries if e.failure == "too coarse"] == [f"{n} steps" for n in (5, 10, 20, 40)]
+    counts = Counter(name for name, _ in clock.built)
+    assert counts["fast"] > len(fast.always)
+    assert counts["slower"] == len(slower.always)
+
+
+def test_one_slow_measurement_changes_no_advice(clock):
+    """A good setting is timed again, even if it seemed slow at first."""
+    wanted = 0.5 * 0.5**8
+
+    def seconds(steps, number):
+        # Slow at first, and now and then in turns.
+        slow = steps == 80 and (number < 16 or number % 5 == 0)
+        return 1e-3 * steps / 40.0 * (3.0 if slow else 1.0)
+
+    best = winner([clock.contestant(seconds=seconds)], wanted, 1.0)
+    assert (best.setting, best.seconds) == ("80 steps", pytest.approx(2e-3))
+
+
+@pytest.mark.parametrize(("allowance", "turns"), [(10.0, 4), (1.0, 3)])
+def test_turns_of_what_takes_long_are_few(clock, allowance, turns):
+    for count in (1, 2):
+        slow = [clock.contestant(name, factors=(1,), seconds=lambda *_: 3.0) for name in "ab"[:count]]
+        measured(slow, "error", 0.5, allowance)
+        # Once for its result and once again. What may win takes turns until all have taken twice the allowance.
+        assert len(clock.used) == 2 * len(clock.built) + 2 * turns * (count == 2)
+
+
+def test_a_clock_that_ticks_coarsely_still_tells_short_uses_apart(clock, monkeypatch):
+    """On Windows, and under a limit of processor time, a use between two ticks seems to take no time."""
+    monkeypatch.setattr(methods.time, "process_time", lambda: clock.now // 0.016 * 0.016)
+    entries = measured([clock.contestant(factors=(1, 2), seconds=lambda n, _: 1e-4 * n / 40.0)], "error", 1.0, 10.0)
+    # A turn is one tick: some 160 uses of one setting and 80 of the other.
+    times = {e.setting: e.seconds for e in entries}
+    assert [times["40 steps"], times["80 steps"]] == pytest.approx([1e-4, 2e-4], rel=0.05)
+
+
+def test_a_repetition_that_takes_too_long_leaves_the_first_time(clock):
+    def seconds(_steps, number):
+        if number:
+            clock.now += 5.0
+            raise po.NotConverged("no optimum after 5 s", "Maximum_WallTime_Exceeded")
+        return 1.0
+
+    (only,) = measured([clock.contestant(factors=(0.0078125,), seconds=seconds)], "error", 1e9, 10.0)
+    assert (only.failure, only.seconds) == (None, 1.0)
+
+
+# --- the script that studies five scenes ---
+
+
+@pytest.fixture
+def cost():
+    with imported("accuracy_cost") as module:
+        yield module
+
+
+def test_the_scenes_are_what_they_are_called(cost):
+    smooth, stiff, resonant, sticks, entry = cost.scenes().values()
+    assert float(stiff[0].natural_frequency) * stiff[1] / (2.0 * math.pi) == pytest.approx(1400, rel=0.05)
+    assert float(resonant[0].natural_frequency) == pytest.approx(float(resonant[0].wave_frequency), rel=1e-12)
+    assert set(po.simulate(*sticks, outputs=300).mode) == {0.0, 1.0}
+    travel = po.simulate(*entry).travel
+    assert travel[0] == 0.0 < entry[0].cone.height < travel[-1]
+    assert float(smooth[0].natural_frequency) * smooth[1] < 100
+
+
+@pytest.mark.slow
+def test_short_versions_of_the_scenes(cost, tmp_path, monkeypatch, capsys):
+    soft = {name: dataclasses.replace(s, stiffness=min(s.stiffness, 2e5)) for name, (s, _) in cost.scenes().items()}
+    short = {name: (soft[name], duration / 20.0) for name, (_, duration) in cost.scenes().items()}
+    monkeypatch.setattr(cost, "scenes", lambda: short)
+    cost.main(["--thin", "--folder", str(tmp_path)])
+    printed = capsys.readouterr().out
+    for words in ("averages of the motion: for 1e-06 take ", "averages of the motion: relative error against time"):
+        assert printed.count(words) == 5
+    assert "cannot locate events" in printed
+    assert "casadi 3" in printed
+    assert matplotlib.image.imread(tmp_path / "accuracy_cost.png").shape[:2] == (1014, 1560)
+    for word, name in zip(("smooth", "stiff", "resonant", "stick", "entry"), cost.scenes(), strict=True):
+        study = po.AccuracyStudy.load(tmp_path / f"accuracy_cost_{word}.json")
+        assert study.title == name
+        assert study.advice in printed

@@ -172,7 +172,7 @@ class OptimumReference:
         size: what errors of the objective are relative to.
         floor: relative error of the objective, below which searches do not differ [-].
         y: scaled variables.
-        off: error of the scaled variables: the next of Newton's steps, which is rounding [-].
+        off: error of the scaled variables: the next of Newton's steps, at least the rounding of a double [-].
     """
 
     declared: Declarations
@@ -215,9 +215,10 @@ def reference_optimum(declared: Declarations, best: Optimum) -> OptimumReference
     objective, check = (float(values[0].item()) for values in program.exact_values(y, p))
     size = max(abs(objective), program.objective_scale * _LEAST_SIZE)
     # The error of an objective at its optimum is the residual times the error of the variables.
-    floor = max(abs(objective - check) / size, residual * max(off, residual), float(np.finfo(float).eps))
+    rounding = float(np.finfo(float).eps)
+    floor = max(abs(objective - check) / size, residual * max(off, residual), rounding)
     named = zip(declared.variables, program.values(y), strict=True)
-    return OptimumReference(declared, {v.name: float(x) for v, x in named}, objective, size, floor, y, off)
+    return OptimumReference(declared, {v.name: float(x) for v, x in named}, objective, size, floor, y, max(off, rounding))
 
 
 def _scaled(declared: Declarations, values: Mapping[str, float]) -> Vector:

@@ -12,9 +12,16 @@ from helpers.scenes import SEROZEM, scene_of
 
 import plough_opt as po
 from plough_opt.core.expressions import maximum
-from plough_opt.studies.accuracy.reference import QUANTITIES, errors_of, reference_gradient, reference_run
-from plough_opt.studies.accuracy.wide import EPS, PI, first_end
-from plough_opt.studies.accuracy.wide import WIDE as W
+from plough_opt.studies.accuracy.reference import (
+    EPS,
+    PI,
+    QUANTITIES,
+    errors_of,
+    first_end,
+    reference_gradient,
+    reference_run,
+)
+from plough_opt.studies.accuracy.reference import LONGDOUBLE as W
 
 mp = precise_motion.mp
 WAVE = po.StrengthWave(amplitude=0.3, wavelength=0.2)
@@ -236,12 +243,12 @@ class Held:
         ({"own": (Held(),), "contact": po.StickSlip(), "start": "rest"}, 0.1, {}, "a force is not finite"),
         ({"contact": po.StickSlip()}, 0.1, {"Motion.next_event": lambda *at: (at[2].start, 0)}, "hangs at t = 0 s"),
         ({}, 0.1, {"_MOST_STEPS": 1, "_CHECKED_EVERY": 1}, "would take more than 1 steps at t = 0 s"),
-        ({"damping": 50.0, "strength_wave": WAVE, "orbit": "periodic"}, None, {"_MOST_ITERATIONS": 1}, "no periodic"),
+        ({"damping": 50.0, "strength_wave": WAVE, "orbit": "periodic"}, None, {"_MOST_NEWTON": 1}, "no periodic"),
     ],
 )
 def test_what_has_no_reference_says_why(monkeypatch, effects, duration, patches, said):
     for name, value in patches.items():
-        monkeypatch.setattr(f"plough_opt.studies.accuracy.following.{name}", value)
+        monkeypatch.setattr(f"plough_opt.studies.accuracy.reference.{name}", value)
     with pytest.raises(po.PloughError, match=said):
         reference_run(scene_of(**effects), duration)
 

@@ -213,7 +213,7 @@ def tradeoff(options: argparse.Namespace) -> None:
 def add_accuracy(verb: argparse.ArgumentParser) -> None:
     """Add the options of the accuracy study."""
     add_option(verb, "error", "E", "relative error to reach (default: 1e-6)", type=float, default=1e-6)
-    limit = "time limit of one use of a method; a solve may take ten times as long (default: 1)"
+    limit = "time limit of one use of a method; a search may take ten times as long (default: 1)"
     add_option(verb, "seconds", "S", limit, type=float, default=1.0)
     verb.add_argument("--design", action="store_true", help="study the optimum of the design instead of its scene")
     verb.add_argument("--thin", action="store_true", help="try only every other setting")

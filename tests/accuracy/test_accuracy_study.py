@@ -43,7 +43,7 @@ def linear(request):
 
 def test_every_integrator_has_the_errors_of_its_setting(linear):
     plain, study = linear
-    true = reference_run(plain, 0.15, outputs=10).run  # tests/accuracy/test_reference.py proves it
+    true = reference_run(plain, 0.15, outputs=10).run  # tests/accuracy/test_motion_reference.py proves it
     size = max(abs(true.mean_draft), true.force_rms)
     checked = 0
     families = {"integrator": False, methods.MACHINE_CODE: True}

@@ -17,11 +17,12 @@ def static(tmp_path):
     return path
 
 
-def test_tables_advice_and_files(tmp_path):
+def test_tables_advice_and_files(static, tmp_path):
     picture, output = tmp_path / "cost.png", tmp_path / "deep" / "cost.json"
+    moving = ("--set", "effects.motion=true", "--set", "scene.duration=0.1 s")
     uncertain = "uncertain.soil.cohesion={ distribution = 'normal', mean = '20 kPa', std = '1 kPa' }"
     options = ("--thin", "--error", "1e-5", "--seconds", "0.05", "--plot", picture, "--output", output)
-    done = call("accuracy", SUBSOILER, *options, "--set", uncertain, "--set", "scene.duration=0.1 s")
+    done = call("accuracy", static, *options, *moving, "--set", uncertain)
     assert done.status == 0
     assert "averages of the motion: relative error against time" in done.out
     (advice,) = (line for line in done.out.splitlines() if line.startswith("averages of the motion: for 1e-05 take "))

@@ -218,7 +218,8 @@ def reference_optimum(declared: Declarations, best: Optimum) -> OptimumReference
     rounding = float(np.finfo(float).eps)
     floor = max(abs(objective - check) / size, residual * max(off, residual), rounding)
     named = zip(declared.variables, program.values(y), strict=True)
-    return OptimumReference(declared, {v.name: float(x) for v, x in named}, objective, size, floor, y, max(off, rounding))
+    variables = {v.name: float(x) for v, x in named}
+    return OptimumReference(declared, variables, objective, size, floor, y, max(off, rounding))
 
 
 def _scaled(declared: Declarations, values: Mapping[str, float]) -> Vector:

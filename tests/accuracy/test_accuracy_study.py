@@ -307,6 +307,14 @@ def test_each_question_has_a_panel_and_two_share_a_legend_below(damped, tmp_path
     assert (tmp_path / "study.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.parametrize("beside", [{"floors": {}}, {"entries": ()}], ids=["reference", "entries"])
+def test_a_picture_without_errors_is_refused_with_the_reason(beside):
+    study = dataclasses.replace(made(("a", "", 0.2, 1e-3)), **beside)
+    for target in (None, Figure().subplots()):
+        with pytest.raises(po.InputError, match="no error to draw: a note"):
+            study.plot(target)
+
+
 def test_a_short_axis_has_numbers_too():
     figure = made(("a", "", 0.2, 1e-3), ("b", "", 0.3, 1e-5)).plot()
     figure.draw_without_rendering()

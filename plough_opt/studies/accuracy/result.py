@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from plough_opt.core.errors import InputError
 from plough_opt.core.plain_data import MaybeInfinite
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Column, Grid, Page, Part, data_frame
@@ -296,7 +297,7 @@ class AccuracyStudy(Saveable):
             target: file to write (.png, .svg, .pdf), axes for the first question alone, or None.
 
         Raises:
-            InputError: the file has no known picture format, or cannot be written.
+            InputError: no entry has an error, or the file has no known picture format or cannot be written.
         """
         from matplotlib.axes import Axes
         from matplotlib.figure import Figure
@@ -305,6 +306,9 @@ class AccuracyStudy(Saveable):
         from plough_opt.studies.accuracy.picture import draw, figure_of
 
         panels = [self.panel(question) for question in self.questions]
+        if not panels:
+            why = "; ".join((*self.notes, *self.refusals)) or "it has no entries"
+            raise InputError(f"the accuracy study of {self.title!r} has no error to draw: {why}")
         if isinstance(target, Axes):
             draw(target, panels[0])
             whole = target.get_figure(root=True)

@@ -17,7 +17,7 @@ from plough_opt.core.quantities import read_fields
 from plough_opt.laws import law_of
 from plough_opt.laws.forces import PlasticGas
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction, without_pressure
-from plough_opt.motion.effects import Effects, Smooth
+from plough_opt.motion.effects import TERMS, Effects, Place, Smooth, resisted
 from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.random_strength import Sliding, Stationary, stationary_response
 from plough_opt.soil.soil import Soil
@@ -187,10 +187,13 @@ class Scene:
     @property
     @_checked_in_designs
     def steady_resistance(self) -> Expression:
-        """Resistance F0 (1 + kappa V0^2) + Fd V0^2 [N] at the tow speed, without the strength wave."""
-        rate = self.effects.rate_term if self.effects.rate_term is not None else 0.0
-        own = sum(effect.force(0.0, self.tow_speed) for effect in self.effects.own)
-        return self.reaction.static * (1.0 + rate * self.tow_speed**2) + self.reaction.drag * self.tow_speed**2 + own
+        """Resistance [N] by all effects of a share that slides at the tow speed, without the strength wave."""
+        terms = [term for kind in TERMS for term in kind.of(self)]
+        p: dict[str, Expression] = {"static": self.reaction.static}
+        for term in terms:
+            p |= term.values(self)
+        force: Expression = resisted(terms, p["static"], Place(None, self.tow_speed), p)
+        return force
 
     @property
     @_checked_stationary

@@ -19,7 +19,7 @@ from plough_opt.core.expressions import Expression
 from plough_opt.core.labels import unlabelled
 from plough_opt.motion.effects import TERMS, Damping, Entry, HarmonicBalance, Own, SmoothContact, StickSlipContact
 from plough_opt.motion.effects.strength_waves import StrengthWaves
-from plough_opt.motion.effects.term import Changed, Parameters, Place, Term
+from plough_opt.motion.effects.term import Changed, Parameters, Place, Term, resisted
 from plough_opt.motion.effects.tow_ramp import Strut, TowRamp
 from plough_opt.motion.scene import Scene
 
@@ -217,9 +217,7 @@ def resistance_change(structure: Structure, p: Parameters, travel: Expression, g
 
 def _resist(structure: Structure, p: Parameters, force: Any, at: Place) -> Expression:
     """Return the resistance that the terms, one after another, make of the static force [N]."""
-    found: Expression = force
-    for term in structure.terms:
-        found = term.resist(found, at, p)
+    found: Expression = resisted(structure.terms, force, at, p)
     return found
 
 

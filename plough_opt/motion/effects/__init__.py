@@ -9,13 +9,13 @@ from plough_opt.motion.effects.rate_term import RateTerm
 from plough_opt.motion.effects.smooth import Smooth, SmoothContact
 from plough_opt.motion.effects.stick_slip import StickSlip, StickSlipContact
 from plough_opt.motion.effects.strength_waves import StrengthWaves, wave_names
-from plough_opt.motion.effects.term import Changed, Parameters, Place, Term
+from plough_opt.motion.effects.term import Changed, Parameters, Place, Term, resisted
 from plough_opt.motion.effects.tow_ramp import Strut, TowRamp, ramp_time
 
 __all__ = [
     "MOST_HARMONICS", "OWN_EFFECTS", "TERMS", "Changed", "Damping", "Effects", "Entry", "HarmonicBalance", "Own",
     "OwnResistance", "Parameters", "Place", "RestingResistance", "Smooth", "SmoothContact", "StickSlip",
-    "StickSlipContact", "StrengthWaves", "Strut", "Term", "TowRamp", "ramp_time", "slopes", "wave_names",
+    "StickSlipContact", "StrengthWaves", "Strut", "Term", "TowRamp", "ramp_time", "resisted", "slopes", "wave_names",
 ]  # fmt: skip
 
 TERMS: tuple[type[Term], ...] = (

@@ -200,7 +200,8 @@ class Own(Term):
 
     @staticmethod
     def rates(p: Parameters) -> Rates:
-        return Rates(stiffness=p.get("own_stiffness", 0.0), steepest=p.get("own_damping", 0.0))
+        sliding = p.get("own_damping", 0.0)
+        return Rates(p.get("own_stiffness", 0.0), sliding, p.get("own_steepest", 0.0) - sliding)
 
 
 def _size(value: Expression) -> int:
@@ -208,13 +209,17 @@ def _size(value: Expression) -> int:
 
 
 def slopes(own: Sequence[Own], p: Parameters) -> dict[str, float]:
-    """Return the steepest slopes of own resistances by travel [N/m] and speed [N s/m], at speed 0 and the tow speed."""
-    steepest = {"own_stiffness": 0.0, "own_damping": 0.0}
+    """Return the steepest slopes of own resistances by travel [N/m] and speed [N s/m], at speed 0 and the tow speed.
+
+    "own_damping" is the slope by speed at the tow speed, as far as it is positive and so damps a sliding share.
+    """
+    found = {"own_stiffness": 0.0, "own_steepest": 0.0, "own_damping": 0.0}
     for speed in (0.0, float(as_number(p["tow_speed"]))):
-        for name, dx, dv in (("own_stiffness", _DIFFERENCE, 0.0), ("own_damping", 0.0, _DIFFERENCE)):
+        for name, dx, dv in (("own_stiffness", _DIFFERENCE, 0.0), ("own_steepest", 0.0, _DIFFERENCE)):
             with np.errstate(all="ignore"):
                 ahead, behind = (sum(term.force(p, s * dx, speed + s * dv) for term in own) for s in (1.0, -1.0))
-            slope = abs(float(as_number(ahead - behind))) / (2.0 * _DIFFERENCE)
+            slope = float(as_number(ahead - behind)) / (2.0 * _DIFFERENCE)
             if math.isfinite(slope):
-                steepest[name] = max(steepest[name], slope)
-    return steepest
+                found[name] = max(found[name], abs(slope))
+                found["own_damping"] = max(slope, 0.0) if dv else found["own_damping"]
+    return found

@@ -1,7 +1,7 @@
 """Static resistance that grows with the squared speed, for calibration."""
 
 from plough_opt.core.expressions import Expression
-from plough_opt.motion.effects.term import Parameters, Place, Term
+from plough_opt.motion.effects.term import Parameters, Place, Rates, Term, peak_strength
 
 
 class RateTerm(Term):
@@ -13,3 +13,8 @@ class RateTerm(Term):
 
     def resist(self, force: Expression, at: Place, p: Parameters) -> Expression:
         return force * (1.0 + p["rate_term"] * at.squared_speed)
+
+    @staticmethod
+    def rates(p: Parameters) -> Rates:
+        slope = 2.0 * p.get("rate_term", 0.0) * p.get("static", 0.0) * p.get("tow_speed", 0.0)
+        return Rates(damping=slope, steepest=(peak_strength(p) - 1.0) * slope)

@@ -5,7 +5,7 @@ from typing import Any
 
 from plough_opt.core.expressions import Expression, as_number, maximum, minimum
 from plough_opt.core.quantities import read_fields
-from plough_opt.motion.effects.term import Parameters, Place, Rates, Term
+from plough_opt.motion.effects.term import Parameters, Place, Rates, Term, peak_strength
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,7 @@ class SmoothContact(Term):
     def rates(p: Parameters) -> Rates:
         if "width" not in p:
             return Rates()
+        slope = p["static"] * Smooth(p["width"]).step(p["tow_speed"])[1]
         # Steepest slope of the step, in the strongest soil along the path.
-        strongest = 1.0 + sum(value for name, value in p.items() if name.startswith("wave_amplitude"))
-        return Rates(steepest=315.0 / 128.0 * p["static"] * strongest / p["width"])
+        steepest = 315.0 / 128.0 * p["static"] * peak_strength(p) / p["width"]
+        return Rates(damping=slope, steepest=steepest - slope)

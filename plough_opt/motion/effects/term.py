@@ -101,6 +101,11 @@ class Rates(NamedTuple):
     steepest: Any = 0.0
 
 
+def peak_strength(p: Parameters) -> Any:
+    """Return the ratio of the soil's greatest strength along the path to its mean."""
+    return 1.0 + sum(value for name, value in p.items() if name.startswith("wave_amplitude"))
+
+
 @dataclass(frozen=True)
 class Term:
     """An effect in the equation of motion, without numbers. Methods that a class does not override have no influence.
@@ -166,3 +171,10 @@ class Term:
     def imposed(p: Parameters) -> Sequence[Any]:
         """Return the angular frequencies [rad/s] that the effect imposes on a share."""
         return ()
+
+
+def resisted(terms: Sequence[Term], force: Any, at: Place, p: Parameters) -> Any:
+    """Return the resistance [N] that terms, one after another, make of the static force."""
+    for term in terms:
+        force = term.resist(force, at, p)
+    return force

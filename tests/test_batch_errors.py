@@ -1,14 +1,17 @@
 """How a batch follows the errors of its steps: by single steps, over long runs, and whoever else is in the call."""
 
 import math
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 import pytest
+from helpers import event_splitting
+from helpers.scenes import scene_of
 from scipy.integrate import solve_ivp
 
 import plough_opt as po
-from plough_opt.core.expressions import as_number
+from plough_opt.core.expressions import Expression, as_number, maximum, where
 from plough_opt.motion.batch.error_ellipse import deviation_map, ellipse_after, largest_squared_error
 from plough_opt.motion.batch.layout import Layout, StepStart
 from plough_opt.motion.terms import Structure, parameters
@@ -133,6 +136,70 @@ def test_long_runs_keep_the_wanted_error(batch_of, r1_scene, r1_wave, damping):
         # Rounding of that many steps of order 8 adds up to about 1e-10.
         assert finer.mean_draft[k] == pytest.approx(run.mean_draft, rel=2e-9)
         assert finer.force_rms[k] == pytest.approx(run.force_rms, rel=2e-9)
+
+
+@dataclass(frozen=True)
+class Jumping:
+    """Resistances that jump with speed and travel, and a spring that begins at a place."""
+
+    pull: Expression
+    speed: Expression
+    below: Expression
+    bump: Expression
+    place: Expression
+    spring: Expression
+    begins: Expression
+
+    def force(self, travel, speed):
+        at_speed = self.pull * where(speed > self.speed, 1.0, self.below)
+        return (
+            at_speed
+            + self.bump * where(travel > self.place, 1.0, 0.0)
+            + self.spring * maximum(travel - self.begins, 0.0)
+        )
+
+
+def jumps(count, seed):
+    """Return designs of `Jumping` and a tow speed, many with switches at zero at the start, or with two at once."""
+    random, rows = np.random.default_rng(seed), []
+    for _ in range(count):
+        pace = random.choice([0.5, 1.0, 2.0])
+        speed = random.choice([pace, 0.0, pace * random.uniform(0.5, 1.2)])
+        place = random.choice([0.0, 0.1, random.uniform(-0.05, 0.5)])
+        rows.append([random.uniform(-300.0, 300.0), speed, random.uniform(0.0, 1.0), random.choice([0.0, 300.0, -200.0]),
+                     place, random.choice([0.0, 5000.0]), random.choice([0.0, 0.1]), pace])  # fmt: skip
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("start", "count"),
+    [("rest", 20), *(pytest.param(start, 80, marks=pytest.mark.slow) for start in ("rest", "towed", "equilibrium"))],
+)
+def test_the_estimate_covers_jumps_at_the_start_and_two_at_once(start, count):
+    symbols = [ca.MX.sym(f"x{k}") for k in range(8)]
+
+    def scene(own, pace):
+        return scene_of(own=(own,), start=start, tow_speed=pace, strength_wave=po.StrengthWave(0.3, 0.2))
+
+    rows = jumps(count, 1)
+    result = po.Batch(scene(Jumping(*symbols[:7]), symbols[7]), 0.4, symbols, error=1e-10)(rows)
+    for k, row in enumerate(rows):
+        one = Jumping(*row[:7])
+
+        def own(travel, speed, sides, one=one):
+            del speed
+            at_speed = one.pull * (1.0 if sides[0] else one.below)
+            return at_speed + one.bump * sides[1] + one.spring * (travel - one.begins) * sides[2]
+
+        switches = [
+            lambda _, __, speed, one=one: speed - one.speed,
+            lambda _, travel, __, one=one: travel - one.place,
+            lambda _, travel, __, one=one: travel - one.begins,
+        ]
+        mean, rms = event_splitting.averages(scene(one, row[7]), own, switches, 0.4)
+        error = max(abs(result.mean_draft[k] - mean), abs(result.force_rms[k] - rms)) / max(abs(mean), rms)
+        # The reference is as exact as its tolerance of 2e-13 for each step.
+        assert error <= result.error_estimate[k] + 2e-12, (k, row)
 
 
 def test_motions_that_forget_their_start(batch_of, r1_wave):

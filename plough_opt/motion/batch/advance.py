@@ -7,11 +7,13 @@ variances of the signals. The error of the step is added to those before it by `
 
 import itertools
 import math
+from functools import reduce
 
 import casadi as ca
 
 from plough_opt.motion.batch.error_ellipse import TINY, deviation_map, ellipse_after, largest_squared_error
 from plough_opt.motion.batch.layout import Layout, StepStart
+from plough_opt.motion.batch.series import Switch
 from plough_opt.motion.equation import equation_of_motion, signals
 
 # Degree in time of the strut's speed during a ramp, by which the product with it has more orders than the motion.
@@ -34,8 +36,6 @@ _INTERVALS = 8
 # Halvings of the interval that contains the sign change, and steps of Newton's method after them.
 _HALVINGS = 4
 _NEWTON_STEPS = 3
-# The next step begins this far beyond the root, as a fraction of the step, so that the sign has surely changed.
-_BEYOND = 1e-7
 
 
 def advance(layout: Layout, order: int, phase: int) -> ca.Function:
@@ -57,7 +57,7 @@ def advance(layout: Layout, order: int, phase: int) -> ca.Function:
     if layout.structure.relaxed or layout.structure.ramp:
         # The force on a share that begins to move may grow by a high power of time that its first series does not show.
         longest = ca.fmin(longest, x[0] + p[layout.longest_first_step])
-    size, time = _size(x[0], end, longest, switches)
+    size, time, kept = _size(x[0], end, longest, switches)
     powers = _powers(size, len(observed[0]) - 1)
     terms = [[c * power for c, power in zip(series, powers, strict=False)] for series in observed]
     part_of_time = size / ca.fmax(time, TINY)
@@ -68,13 +68,14 @@ def advance(layout: Layout, order: int, phase: int) -> ca.Function:
     ellipse = ellipse_after(ellipse_before, deviation_map(start, (w, rate), powers), made)
     squared_error = 0.5 * (largest_squared_error(start, ellipse_before) + largest_squared_error(start, ellipse))
     mean_squared_error = mean_before + part_of_time * (squared_error - mean_before)
-    result = ca.vertcat(time, *state, *averages, *ellipse, mean_squared_error)
+    result = ca.vertcat(time, *state, *averages, *kept, *ellipse, mean_squared_error)
     return ca.Function("advance", [x, p], [ca.cse(result)])
 
 
-def _solution(start: StepStart, order: int) -> tuple[list[ca.SX], list[ca.SX], list[list[ca.SX]]]:
-    """Return the coefficients of w, of w' and of the switches, whose signs select the right-hand side's formula."""
-    motion, graph = equation_of_motion(start.layout.structure), start.graph()
+def _solution(start: StepStart, order: int) -> tuple[list[ca.SX], list[ca.SX], list[Switch]]:
+    """Return the coefficients of w and of w', and the switches of the right-hand side."""
+    motion = equation_of_motion(start.layout.structure)
+    graph = start.graph(ca.vertsplit(start.state[-4 - start.layout.switches : -4]))
     w, rate = graph.given(start.state[1]), graph.given(start.state[2])
     w_rate, acceleration = start.series(graph, motion.function, [w, rate], motion.names)
     for k in range(order):
@@ -82,7 +83,7 @@ def _solution(start: StepStart, order: int) -> tuple[list[ca.SX], list[ca.SX], l
         w.coefficients.append(w_rate[k] / (k + 1))
         rate.coefficients.append(acceleration[k] / (k + 1))
     w.coefficients.append(rate[order] / (order + 1))
-    return w.coefficients, rate.coefficients, [switch.coefficients for switch in graph.switches]
+    return w.coefficients, rate.coefficients, graph.switches
 
 
 def _signals(start: StepStart, w: list[ca.SX], rate: list[ca.SX]) -> list[list[ca.SX]]:
@@ -109,34 +110,38 @@ def _last_terms(start: StepStart, series: list[ca.SX], highest: int) -> ca.SX:
     return _WEIGHT * (_UNKNOWN_RATES if unknown else 1.0) * total
 
 
-def _size(now: ca.SX, end: ca.SX, longest: ca.SX, switches: list[list[ca.SX]]) -> tuple[ca.SX, ca.SX]:
-    """Return the size of a step and the time at its end.
+def _size(now: ca.SX, end: ca.SX, longest: ca.SX, switches: list[Switch]) -> tuple[ca.SX, ca.SX, list[ca.SX]]:
+    """Return the size of a step, the time at its end, and there `Switch.kept` of each switch.
 
     The time that remains is divided into equal steps. The step ends early at the first sign change of a switch.
     """
     count = ca.fmax(ca.ceil((end - now) / longest), 1.0)
-    size, is_last = (end - now) / count, count <= 1.0
-    for switch in switches:
-        change = _first_sign_change(switch, size)
-        is_last = ca.logic_and(is_last, change >= size)
-        size = ca.fmin(change, size)
-    return size, ca.if_else(is_last, end, now + size)
+    whole, is_last = (end - now) / count, count <= 1.0
+    changes = [_first_change(switch, whole) for switch in switches]
+    size = reduce(ca.fmin, [change for change, _ in changes], whole)
+    kept = []
+    for switch, (change, side) in zip(switches, changes, strict=True):
+        is_last = ca.logic_and(is_last, change >= whole)
+        at_end = switch.side_of(_value_and_slope(switch.series.coefficients, size)[0])
+        kept.append(ca.if_else(change <= size, side, ca.if_else(at_end == switch.side, 0.0, switch.side)))
+    return size, ca.if_else(is_last, end, now + size), kept
 
 
-def _first_sign_change(polynomial: list[ca.SX], size: ca.SX) -> ca.SX:
-    """Return a time [s] just after a polynomial first changes its sign within a step, or infinity if it does not.
+def _first_change(switch: Switch, size: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return the time [s] at which a switch first changes its side within a step, and the new side.
 
-    The polynomial is sampled at equal distances and, between each two of these, where its slopes there let it turn. The
-    interval of the first change is halved, then Newton's method finds the root.
+    The time is infinite if it does not. A switch that is zero at the start may change at once. Otherwise it is sampled
+    at equal distances and, between each two of these, where its slopes there let it turn. The interval of the first
+    change is halved, then Newton's method finds the root.
 
     Args:
-        polynomial: Taylor coefficients by the time since the start of the step.
+        switch: with Taylor coefficients by the time since the start of the step.
         size: of the step [s].
     """
-    positive_at_first = polynomial[0] > 0.0
+    polynomial, side = switch.series.coefficients, switch.side
 
     def has_changed(value: ca.SX) -> ca.SX:
-        return ca.logic_not((value > 0.0) == positive_at_first)
+        return switch.side_of(value) != side
 
     low, high, found = ca.SX(0), ca.SX(1), ca.SX(0)
     samples = [(ca.SX(0), polynomial[0]), *_samples(polynomial, size)]
@@ -153,9 +158,12 @@ def _first_sign_change(polynomial: list[ca.SX], size: ca.SX) -> ca.SX:
     for _ in range(_NEWTON_STEPS):
         value, slope = _value_and_slope(polynomial, size * root)
         root = ca.fmin(ca.fmax(root - value / (size * _nonzero(slope)), low), high)
-    after = ca.fmin(root + _BEYOND, high)
-    high = ca.if_else(has_changed(_value_and_slope(polynomial, size * after)[0]), after, high)
-    return ca.if_else(found, high * size, math.inf)
+    # The sign just after the start is that of the first coefficient other than zero.
+    first = reduce(lambda later, c: ca.if_else(c == 0.0, later, c), reversed(polynomial))
+    at_once = ca.logic_and(polynomial[0] == 0.0, has_changed(first))
+    after = switch.side_of(_value_and_slope(polynomial, size * high)[0])
+    change = ca.if_else(found, root * size, math.inf)
+    return ca.if_else(at_once, 0.0, change), ca.if_else(at_once, switch.side_of(first), after)
 
 
 def _samples(polynomial: list[ca.SX], size: ca.SX) -> list[tuple[ca.SX, ca.SX]]:
@@ -163,9 +171,10 @@ def _samples(polynomial: list[ca.SX], size: ca.SX) -> list[tuple[ca.SX, ca.SX]]:
     ends = [_value_and_slope(polynomial, size * (k / _INTERVALS)) for k in range(_INTERVALS + 1)]
     samples = []
     for k, ((_, slope_before), (value, slope_after)) in enumerate(itertools.pairwise(ends)):
-        # Where a slope that changes linearly from one end to the other is zero.
-        part = ca.fmin(ca.fmax(slope_before / _nonzero(slope_before - slope_after), 0.0), 1.0)
-        turn = (k + part) / _INTERVALS
+        # Where a slope that changes linearly from one end to the other is zero. The start is no sample: at a sign
+        # change the value there is only rounding.
+        part = slope_before / _nonzero(slope_before - slope_after)
+        turn = (k + ca.if_else(ca.logic_and(part > 0.0, part < 1.0), part, 1.0)) / _INTERVALS
         samples += [(turn, _value_and_slope(polynomial, size * turn)[0]), (ca.SX((k + 1) / _INTERVALS), value)]
     return samples
 

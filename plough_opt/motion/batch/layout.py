@@ -10,7 +10,7 @@ import casadi as ca
 
 from plough_opt.motion.batch.series import Graph, Series, series_of
 from plough_opt.motion.effects import StrengthWaves
-from plough_opt.motion.equation import signals
+from plough_opt.motion.equation import equation_of_motion, signals
 from plough_opt.motion.terms import Structure
 
 
@@ -21,27 +21,32 @@ class Layout:
     The parameters are those of the equation of motion, followed by the end of the tow ramp [s], the duration [s], the
     longest first step [s], and the error of the deflection [m] that one step may make.
 
-    The state is time [s], w [m], w' [m/s], the averages so far (means, then variances), and four numbers for the error
-    so far: the three of the error ellipse, and the time average of the squared error of the mount force over the
-    stiffness (see `plough_opt.motion.batch.error_ellipse`).
+    The state is time [s], w [m], w' [m/s], the averages so far (means, then variances), `Switch.kept` of each switch of
+    the equation, and four numbers for the error so far: the three of the error ellipse, and the time average of the
+    squared error of the mount force over the stiffness (see `plough_opt.motion.batch.error_ellipse`).
 
     Attributes:
         structure: the terms that are on.
         names: names of the equation's parameters.
         averaged: number of signals whose mean is taken: see `plough_opt.motion.equation`.
         squared: how many of these, from the first, also have a variance.
+        switches: number of switches that select the formula of the equation of motion.
     """
 
     structure: Structure
     names: tuple[str, ...]
     averaged: int
     squared: int
+    switches: int
 
     @classmethod
     def of(cls, structure: Structure) -> Layout:
         """Return the layout of a structure."""
-        observed = signals(structure)
-        return cls(structure, observed.parameters, observed.count, observed.squared)
+        observed, motion = signals(structure), equation_of_motion(structure)
+        graph, unknown = Graph(), ca.SX.sym("unknown")
+        state, known = [graph.given(unknown) for _ in range(2)], [graph.constant(unknown) for _ in motion.names]
+        series_of(graph, motion.function, [[graph.clock(unknown)], state, known])
+        return cls(structure, observed.parameters, observed.count, observed.squared, len(graph.switches))
 
     @property
     def ends(self) -> tuple[int, ...]:
@@ -67,7 +72,7 @@ class Layout:
     @property
     def states(self) -> int:
         """Size of the state."""
-        return 7 + self.averaged + self.squared
+        return 7 + self.averaged + self.squared + self.switches
 
     def value(self, p: ca.SX, name: str) -> ca.SX:
         """Return a parameter of the equation by its name."""
@@ -100,9 +105,9 @@ class StepStart:
     p: ca.SX
     ramp_ended: bool
 
-    def graph(self) -> Graph:
+    def graph(self, kept: Sequence[ca.SX] = ()) -> Graph:
         """Return an empty graph of Taylor series in the time since this moment."""
-        return Graph(self.ramp_ended)
+        return Graph(self.ramp_ended, kept)
 
     def series(self, graph: Graph, function: ca.Function, motion: list[Series], names: Sequence[str]) -> list[Series]:
         """Enter a Function of (time, (w, w'), parameters) in a graph and return the series of its results.

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import casadi as ca
@@ -60,18 +61,46 @@ class Series:
         return (order + 1) * factor * base[order + 1]
 
 
+@dataclass(frozen=True)
+class Switch:
+    """A series whose sign selects the right-hand side's formula.
+
+    Attributes:
+        series: the series.
+        at_zero: the side, -1, 0 or 1, to which the value 0 belongs.
+        kept: -1 or 1 if the step starts at a sign change, whose rounded value does not decide the side; otherwise 0.
+    """
+
+    series: Series
+    at_zero: int
+    kept: ca.SX
+
+    def side_of(self, value: ca.SX) -> ca.SX:
+        """Return the side, -1, 0 or 1, of a value of the series."""
+        if self.at_zero == 0:
+            return ca.sign(value)
+        return ca.if_else(value > 0.0, 1.0, -1.0) if self.at_zero < 0 else ca.if_else(value < 0.0, -1.0, 1.0)
+
+    @property
+    def side(self) -> ca.SX:
+        """The side whose formula holds in the step."""
+        by_value = self.side_of(self.series[0])
+        return by_value if self.kept.is_zero() else ca.if_else(self.kept == 0.0, by_value, self.kept)
+
+
 class Graph:
     """Series that depend on each other, in an order in which each coefficient needs only those before it.
 
     Attributes:
         ramp_ended: whether the tow ramp is over. In minimum(time, ramp time) the ramp time is then the smaller.
-        switches: series whose signs select the right-hand side's formula.
+        kept: `Switch.kept` of the first switches, in their order; 0 for all others.
+        switches: the switches, in their order.
     """
 
-    def __init__(self, ramp_ended: bool = False) -> None:
+    def __init__(self, ramp_ended: bool = False, kept: Sequence[ca.SX] = ()) -> None:
         """Begin without any series."""
-        self.ramp_ended = ramp_ended
-        self.switches: list[Series] = []
+        self.ramp_ended, self.kept = ramp_ended, kept
+        self.switches: list[Switch] = []
         self._all: list[Series] = []
         self._sines_and_cosines: dict[int, tuple[Series, Series]] = {}
         self._squares: dict[int, Series] = {}
@@ -164,18 +193,20 @@ class Graph:
             self._sines_and_cosines[id(x)] = sine, cosine
         return self._sines_and_cosines[id(x)]
 
-    def chosen(self, switch: Series, if_not_positive: Series, if_positive: Series) -> Series:
-        """Return one of two series, by the sign that a switch has at the start of the step."""
-        return self._add(Series(lambda _, k: ca.if_else(switch[0] <= 0.0, if_not_positive[k], if_positive[k])))
+    def smaller(self, a: Series, b: Series) -> Series:
+        """Return the smaller of two series."""
+        switch = self.switch(self.total(a, b, -1.0), -1)
+        return self._add(Series(lambda _, k: ca.if_else(switch.side < 0.0, a[k], b[k])))
 
     def masked(self, x: Series, condition: Series) -> Series:
         """Return a series if a condition is not 0 at the start of the step, otherwise 0."""
         return self._add(Series(lambda _, k: ca.if_else(condition[0], x[k], 0.0)))
 
-    def switch(self, series: Series) -> Series:
-        """Register a series whose sign selects the right-hand side's formula, and return it."""
-        self.switches.append(series)
-        return series
+    def switch(self, series: Series, at_zero: int) -> Switch:
+        """Register a series whose sign selects the right-hand side's formula; see `Switch`."""
+        number = len(self.switches)
+        self.switches.append(Switch(series, at_zero, self.kept[number] if number < len(self.kept) else _ZERO))
+        return self.switches[-1]
 
     def stepwise(self, f: Callable[..., ca.SX], *arguments: Series) -> Series:
         """Return f(arguments), which is constant as long as no switch changes its sign."""
@@ -269,17 +300,18 @@ def _power(graph: Graph, x: Series, exponent: Series) -> Series:
     return result
 
 
-def _smaller(graph: Graph, a: Series, b: Series) -> Series:
-    return graph.chosen(graph.switch(graph.total(a, b, -1.0)), a, b)
-
-
 def _larger(graph: Graph, a: Series, b: Series) -> Series:
-    return graph.chosen(graph.switch(graph.scaled(graph.total(a, b, -1.0), -1.0)), a, b)
+    return graph.scaled(graph.smaller(graph.scaled(a, -1.0), graph.scaled(b, -1.0)), -1.0)
 
 
-def _compared(graph: Graph, a: Series, b: Series, operation: int) -> Series:
-    graph.switch(graph.total(a, b, -1.0))
-    return graph.stepwise(partial(_evaluated, operation), a, b)
+def _less(graph: Graph, a: Series, b: Series, at_zero: int) -> Series:
+    switch = graph.switch(graph.total(a, b, -1.0), at_zero)
+    return graph.stepwise(lambda: switch.side < 0.0)
+
+
+def _sign(graph: Graph, x: Series) -> Series:
+    switch = graph.switch(x, 0)
+    return graph.stepwise(lambda: switch.side)
 
 
 def _only_if(graph: Graph, condition: Series, x: Series) -> Series:
@@ -304,13 +336,13 @@ _RULES: dict[int, Callable[..., Series]] = {
     ca.OP_CONSTPOW: _power,
     ca.OP_SIN: lambda graph, x: graph.sine_and_cosine(x)[0],
     ca.OP_COS: lambda graph, x: graph.sine_and_cosine(x)[1],
-    ca.OP_FMIN: _smaller,
+    ca.OP_FMIN: Graph.smaller,
     ca.OP_FMAX: _larger,
     ca.OP_FABS: lambda graph, x: _larger(graph, x, graph.scaled(x, -1.0)),
-    ca.OP_SIGN: lambda graph, x: graph.stepwise(ca.sign, graph.switch(x)),
+    ca.OP_SIGN: _sign,
     ca.OP_IF_ELSE_ZERO: _only_if,
-    ca.OP_LT: partial(_compared, operation=ca.OP_LT),
-    ca.OP_LE: partial(_compared, operation=ca.OP_LE),
+    ca.OP_LT: partial(_less, at_zero=1),
+    ca.OP_LE: partial(_less, at_zero=-1),
 }
 
 # Functions y = f(x) of one argument, with f'(x) written in x or in y, whichever is shorter.

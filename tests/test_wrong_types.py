@@ -1,12 +1,16 @@
 """Arguments of the wrong type or outside a formula's domain are refused by name."""
 
 import dataclasses
+import decimal
+import fractions
 import math
 import pickle
+import warnings
 from importlib.resources import files
 
 import casadi as ca
 import numpy as np
+import pandas
 import pytest
 from helpers.refusals import refusals
 from helpers.scenes import scene_of
@@ -14,6 +18,8 @@ from helpers.scenes import scene_of
 import plough_opt as po
 from plough_opt.core.expressions import exp
 from plough_opt.core.saving import Origin
+from plough_opt.core.units import registry
+from plough_opt.soil import plastic
 
 SOIL = po.named_soil("serozem")
 CONE = po.Cone(0.2, 0.25)
@@ -76,6 +82,7 @@ WRONG = {
     "16 bits": (lambda: po.Cone(0.2, np.float16([1, 10])), "share height has type float16, .* float"),
     # What would overflow.
     "largest speed but one": (lambda: po.resistance(CONE, SOIL, 1.1e60, 0.0), "must be at most"),
+    "width of a contact": (lambda: po.Smooth(5e-324), "width of the smooth contact = .* must be at least"),
     "place at a wedge's tip": (lambda: po.elastic.wedge_pressure(5e-324, NODES, SOIL, 2.0), "node 1"),
     "samples": (lambda: po.uncertainty.worst([1.0, 1e308], width=0.1), "must (be|lie)"),
     "reading": (lambda: po.Penetrometer("a.csv", [1e6, 1e308]), "cone indices"),
@@ -103,6 +110,60 @@ test_wrong_types_are_refused_with_the_right_ones = refusals((po.InputError, po.D
 def test_a_switch_must_be_a_bool(name, value):
     with pytest.raises(po.InputError, match=f"{name} = {value!r} must be True or False"):
         po.Effects(**{name: value})
+
+
+# --- every type of number gives the value of the float, or is refused ---
+
+KINDS = {
+    **{kind.__name__: kind for kind in (np.int8, np.int16, np.int32, np.int64, np.uint8, np.uint16, np.uint32)},
+    **{kind.__name__: kind for kind in (np.uint64, np.float16, np.float32, np.float64, np.longdouble, complex)},
+    "int": int, "a subclass": type("Metres", (float,), {}), "0-d": lambda x: np.array(x), "bool": lambda _: True,
+    "0-d int": lambda x: np.array(int(x)), "a fraction": fractions.Fraction, "a decimal": decimal.Decimal,
+    "text": lambda x: f"{x}", "None": lambda _: None, "a column": lambda x: pandas.Series([x, x]),
+    "a quantity": lambda x: registry().Quantity(x, "m^7"), "a symbol's name": lambda _: "x",
+}  # fmt: skip
+# Largest value tried and a function of it.
+TAKES = {
+    "height": (2e9, lambda x: po.Cone(0.17, x).volume),
+    "half angle": (1, lambda x: po.Cone(x, 0.25).volume),
+    "degrees": (80, po.deg),
+    "speed": (1e30, lambda x: po.resistance(CONE, SOIL, x, 0.0)),
+    "acceleration": (1e30, lambda x: po.resistance(CONE, SOIL, 1.0, x)),
+    "cohesion": (1e9, lambda x: po.soil_reaction(CONE, dataclasses.replace(SOIL, cohesion=x)).static),
+    "density": (1e5, lambda x: po.soil_reaction(CONE, dataclasses.replace(SOIL, density=x)).drag),
+    "cavity": (1e30, lambda x: plastic.front_radius(plastic.Cavity(x, 1.0, 0.0), SOIL)),
+    "cavity rate": (1e30, lambda x: plastic.surface_pressure(plastic.Cavity(0.1, x, 0.0), SOIL)),
+    "stiffness": (2e9, lambda x: scene_of(stiffness=x).natural_frequency),
+    "mass": (2e9, lambda x: scene_of(mass=x).inertia),
+    "tow speed": (1e9, lambda x: scene_of(tow_speed=x).steady_resistance),
+    "elastic speed": (30, lambda x: po.elastic.wedge_force(NODES, SOIL, x)),
+    "width": (1e9, lambda x: po.Smooth(x).width * 3.0),
+}
+
+
+@pytest.mark.parametrize("takes", TAKES)
+def test_every_type_of_number_gives_the_value_of_the_float_or_is_refused(takes):
+    most, function = TAKES[takes]
+    random, refused = np.random.default_rng(8), set()
+    for name, kind in KINDS.items():
+        for value in [float(round(10.0 ** random.uniform(0.0, math.log10(most)))) for _ in range(3)] + [float(most)]:
+            with warnings.catch_warnings(), np.errstate(all="ignore"):
+                warnings.simplefilter("ignore")  # of implausible sizes, and of casts out of range in this test
+                try:
+                    given = kind(value)
+                except OverflowError:  # an integer without so many digits
+                    continue
+                try:
+                    found = function(given)
+                except (po.InputError, po.DomainError):
+                    refused.add(name)
+                    continue
+                expected = function(float(given))
+            # A float of four bytes is exactly the float that is expected.
+            assert np.all(np.isfinite(found)), (name, value)
+            np.testing.assert_allclose(found, expected, rtol=1e-14, err_msg=f"{name} {value}")
+    assert refused >= {"complex", "a fraction", "a decimal", "text", "None", "a column", "a quantity", "bool"}
+    assert not refused & {"float64", "a subclass", "0-d"}
 
 
 # --- pickled errors ---

@@ -135,10 +135,11 @@ def check_domain(
     at_least: float = -np.inf,
     at_most: float = np.inf,
     why: str = "",
-) -> None:
-    """Raise DomainError if a number lies outside its domain; a symbol passes, because its value is checked later.
+) -> Any:
+    """Return a number as float, an array as array of floats, and a CasADi expression as it is, if inside the domain.
 
-    Numbers larger than `LARGEST` in magnitude are outside every domain.
+    Formulas use what is returned: integers and short floats would overflow in powers. A symbol passes, because its
+    value is checked later. Numbers larger than `LARGEST` in magnitude are outside every domain.
 
     Args:
         name: name of the value, for the user.
@@ -154,10 +155,10 @@ def check_domain(
         DomainError: the value is not a finite number or lies outside; the message gives name, value and limit.
     """
     at_least, at_most = max(at_least, -LARGEST), min(at_most, LARGEST)
-    if isinstance(value, float) and above < value < below and at_least <= value <= at_most:
-        return
+    if type(value) is float and above < value < below and at_least <= value <= at_most:
+        return value
     if is_symbolic(value):
-        return
+        return value
     _check_kind(name, value, unit)
     numbers = np.atleast_1d(as_number(value))
     rules = [
@@ -179,13 +180,19 @@ def check_domain(
                 why = "beyond that, products of quantities overflow or underflow: check its unit"
             reason = f": {why}" if why else ""
             raise DomainError(f"{name} = {bad:.{digits}g}{suffix} must be {relation}{bound}{reason}")
+    if is_casadi(value) or isinstance(value, np.float64):
+        return value
+    return np.asarray(value, dtype=float) if isinstance(value, np.ndarray) else float(value)
 
 
 def _check_kind(name: str, value: Expression, unit: str) -> None:
-    """Raise DomainError for a string, list or bool, and for one- or two-byte numbers, whose squares overflow."""
+    """Raise DomainError for anything but real numbers and arrays, and for numbers of one or two bytes.
+
+    A pint quantity or a column of pandas would lose its unit or its index, or return results of its own type.
+    """
     if is_casadi(value):
         return
-    if isinstance(value, list | tuple):
+    if not isinstance(value, int | float | np.generic | np.ndarray):
         raise DomainError(f"{name} = {shown(value)} must be a number or a NumPy array, in {unit or 'no unit'}")
     kind = np.asarray(value).dtype
     if kind.kind not in "iuf":

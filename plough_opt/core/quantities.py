@@ -124,12 +124,11 @@ class Quantity:
         plain, value = not has_unit(value), in_si(self.called, value, self.unit)
         slip = self.slip(value) if plain else ""
         try:
-            self.check(value)
+            read: Expression = self.check(value)
         except DomainError as error:
             raise DomainError(f"{error}; {slip}" if slip else str(error)) from None
         if slip:
             _warn_implausible(f"{self.called} = {value:g} {self.unit}: {slip}", stacklevel + 1)
-        read: Expression = value
         return read
 
     def slip(self, value: Any) -> str:
@@ -146,9 +145,13 @@ class Quantity:
                 return f"did you mean {value:g} {symbol}?"
         return ""
 
-    def check(self, value: Expression) -> None:
-        """Raise DomainError if a value is not a finite number inside the domain; a symbol passes."""
-        check_domain(
+    def check(self, value: Expression) -> Any:
+        """Return what `check_domain` returns.
+
+        Raises:
+            DomainError: the value is not a finite number inside the domain; a symbol passes.
+        """
+        return check_domain(
             self.called,
             value,
             self.unit,

@@ -146,8 +146,8 @@ def resistance(cone: Cone, soil: Soil, speed: Expression, acceleration: Expressi
         >>> bool(fast > slow)
         True
     """
-    check_domain("speed", speed, "m/s", at_least=0.0, why="the plastic gas does not follow a retreating share")
-    check_domain("acceleration", acceleration, "m/s^2")
+    speed = check_domain("speed", speed, "m/s", at_least=0.0, why="the plastic gas does not follow a retreating share")
+    acceleration = check_domain("acceleration", acceleration, "m/s^2")
     return soil_reaction(cone, soil).at(speed, acceleration)
 
 

@@ -61,7 +61,7 @@ def front(radius: Expression, soil: Soil) -> Expression:
             falls below the undisturbed density somewhere behind the front.
     """
     check_soil(soil)
-    check_domain("cavity radius", radius, "m", at_least=0.0)
+    radius = check_domain("cavity radius", radius, "m", at_least=0.0)
     if soil.density_profile is None:
         return radius * exp(-log1p(-soil.density_ratio) / 2.0)
     square = _front_square(radius**2, soil)

@@ -27,8 +27,8 @@ def deg(angle: Expression) -> Expression:
         >>> round(po.deg(180.0), 6)
         3.141593
     """
-    check_domain("angle", angle, "degrees")
-    return angle * (math.pi / 180.0)
+    found: Expression = check_domain("angle", angle, "degrees") * (math.pi / 180.0)
+    return found
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ front. There the stresses satisfy the Mohr-Coulomb yield condition. For a consta
 closed form; for a density profile (`Soil.with_density_profile`) they are Gauss-Legendre quadratures.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,9 +46,9 @@ class Cavity:
     acceleration: Expression
 
     def __post_init__(self) -> None:
-        check_domain("cavity radius", self.radius, "m", at_least=0.0)
-        check_domain("cavity rate", self.rate, "m/s", at_least=0.0)
-        check_domain("cavity acceleration", self.acceleration, "m/s^2")
+        for name, unit, least in (("radius", "m", 0.0), ("rate", "m/s", 0.0), ("acceleration", "m/s^2", -math.inf)):
+            value = check_domain(f"cavity {name}", getattr(self, name), unit, at_least=least)
+            object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True)

@@ -151,7 +151,7 @@ def medium(soil: Soil, speed: Expression) -> Medium:
     """
     with unlabelled():
         modulus, fastest = shear_modulus(soil), shear_wave_speed(soil)
-    check_domain("speed", speed, "m/s", at_least=0.0)
+    speed = check_domain("speed", speed, "m/s", at_least=0.0)
     mach = speed / fastest
     check_domain(
         "speed over shear wave speed",

@@ -166,8 +166,8 @@ def jumps(count, seed):
         pace = random.choice([0.5, 1.0, 2.0])
         speed = random.choice([pace, 0.0, pace * random.uniform(0.5, 1.2)])
         place = random.choice([0.0, 0.1, random.uniform(-0.05, 0.5)])
-        rows.append([random.uniform(-300.0, 300.0), speed, random.uniform(0.0, 1.0), random.choice([0.0, 300.0, -200.0]),
-                     place, random.choice([0.0, 5000.0]), random.choice([0.0, 0.1]), pace])  # fmt: skip
+        pull, below, bump = random.uniform(-300.0, 300.0), random.uniform(0.0, 1.0), random.choice([0.0, 300.0, -200.0])
+        rows.append([pull, speed, below, bump, place, random.choice([0.0, 5000.0]), random.choice([0.0, 0.1]), pace])
     return rows
 
 

@@ -49,6 +49,7 @@ class Case:
         p: the equation's parameters by name.
         code: compiled steps of order 8, if requested and available.
         event_refinement: factor on the number of outputs of a motion with events, so that none goes unnoticed.
+        explained: whether an integration that fails looks for the time and the cause.
     """
 
     scene: Scene
@@ -58,6 +59,7 @@ class Case:
     p: dict[str, float]
     code: CompiledSteps | None = None
     event_refinement: int = 1
+    explained: bool = True
 
     @classmethod
     def of(cls, scene: Scene, duration: float, outputs: int, *, compiled: bool = False) -> Case:
@@ -183,6 +185,8 @@ def _raise_failure(case: Case, solver: Integration, p: list[float]) -> NoReturn:
             f"no periodic orbit of a {scene.describe()} was found from its linear response: damp the mount, or use"
             " orbit = 'transient' to see whether the motion settles"
         )
+    if not case.explained:
+        raise IntegrationError(f"the motion of a {scene.describe()} could not be integrated")
     raise failed_by(scene, duration, solver, *_until_failure(case, solver, p))
 
 

@@ -80,7 +80,7 @@ def failed_by(scene: Scene, duration: float, solver: Integration, last: Run | No
         return Escape(failure + unsound)
     if scene.effects.printed.repelling_spring:
         return Escape(failure + _runaway(scene))
-    if last is not None and (driven := _driven_away(scene, last)) is not None:
+    if last is not None and (driven := _driven_by_own(scene, last) or _driven_away(scene, last)) is not None:
         return Escape(failure + driven)
     return IntegrationError(failure + _too_difficult(scene, duration, solver))
 
@@ -105,9 +105,8 @@ def unsound_own(scene: Scene, last: Run | None, pause: float) -> str | None:
         places += [(travel + float(beyond) * pause * speed, speed) for beyond in _BEYOND]
     for term in structure.own:
         for travel, speed in places:
-            with np.errstate(all="ignore"):
-                force = float(as_number(term.force(p, travel, speed)))
-                held = float(as_number(term.at_rest(p, travel))) if structure.sticks else 0.0
+            force = float(as_number(term.force(p, travel, speed)))
+            held = float(as_number(term.at_rest(p, travel))) if structure.sticks else 0.0
             if not math.isfinite(force + held):
                 found, at = (held, "rest") if math.isfinite(force) else (force, f"a speed of {speed:.6g} m/s")
                 return (
@@ -115,6 +114,24 @@ def unsound_own(scene: Scene, last: Run | None, pause: float) -> str | None:
                     " it must return a finite resistance wherever the share may go"
                 )
     return None
+
+
+def _driven_by_own(scene: Scene, last: Run) -> str | None:
+    """Return a sentence if the motion ends because an own effect drives the share ever faster; else None."""
+    travel, speed = float(last.travel[-1]), float(last.speed[-1])
+    structure, p = Structure.of(scene), parameters(scene)
+    forces = {term: float(as_number(term.force(p, travel, speed))) for term in structure.own}
+    strongest = max(forces, key=lambda term: abs(forces[term]), default=None)
+    if strongest is None or not last.accuracy.adaptive or abs(speed) < 0.99 * float(np.max(np.abs(last.speed))):
+        return None
+    # A resistance against the motion has its sign; one that drives the share must exceed the spring's force too.
+    force, others = forces[strongest], abs(float(last.mount_force[-1])) + float(as_number(p["static"]))
+    if force * speed >= 0.0 or abs(force) < others:
+        return None
+    return (
+        f"the own effect {strongest.kind.__name__} drives the share ever faster: it returns {force:.3g} N there, at a"
+        f" travel of {travel:.3g} m and a speed of {speed:.3g} m/s: let it oppose the motion, or limit it at high speed"
+    )
 
 
 def _driven_away(scene: Scene, last: Run) -> str | None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from plough_opt.core.checks import check_domain
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_symbolic, maximum, sqrt
 from plough_opt.motion.accuracy import DEFAULT_DERIVATIVES, DEFAULT_TOLERANCE, Accuracy
@@ -46,6 +47,8 @@ _LARGEST_KNOWN_ERROR = 1e-3
 _ERROR_EXPONENT = 1.0 / 8.5
 # Safety factor on the extrapolated number of steps.
 _SAFETY = 1.12
+# Order below which the error of long steps of order 8 shows a jump or a kink, across which more steps hardly help.
+_LEAST_ORDER = 4.0
 # Least factor between two numbers of steps that are tried.
 _LEAST_REFINEMENT = 1.15
 # The same factor after an error too large to extrapolate from.
@@ -59,12 +62,20 @@ _MOST_STEPS = 4_000_000
 # Phase [rad] over a run that steps of order 8 resolve within seconds.
 _ORDER_8_PHASE = 4e5
 
+# The slope of a smooth contact acts only while the share is slower than its width. Above the first phase [rad], by that
+# slope, equal steps that resolve it everywhere take ten times as long as those of an adaptive method. Up to the second
+# one that may be an explicit method, which reaches a smaller error than an implicit one.
+_SMOOTH_PHASE = 5e3
+_BRIEFLY_STIFF_PHASE = 2e6
+
 RUN_TOLERANCE = 0.2
 """Tolerance of an adaptive run relative to that of its check, whose error is then about ten times as large."""
 # At the tightest tolerance an adaptive method needs about 100 steps per rad. It may take three times as many.
 _ADAPTIVE_PER_PHASE = 300.0
 # Steps that an adaptive method may take in addition, to get started.
 _FEWEST_ADAPTIVE = 1e4
+# Common logarithm of the most steps of a numeric run, which CasADi counts in an int. An implicit method takes fewer.
+_LARGEST_COUNT = 9.0
 MOST_ADAPTIVE = 10_000_000
 """Steps after which an adaptive method gives up on a symbolic scene, whose phase is unknown."""
 
@@ -87,13 +98,26 @@ MOST_OUTPUTS = 10_000_000
 _DECAYED = 30.0
 
 
+# Parameters that follow from the law of resistance: name in messages, unit, exclusive lower limit.
+_OF_LAW = {
+    "static": ("static resistance", "N", -math.inf),
+    "drag": ("coefficient of the squared speed", "N s^2/m^2", -math.inf),
+    "inertia": ("moving mass with the soil that it carries along", "kg", 0.0),
+}
+
+
 def numbers_of(scene: Scene, structure: Structure | None = None) -> dict[str, float]:
     """Return the parameters of a numeric scene by name, with the steepest slopes of its own resistances.
 
     Raises:
         InputError: a parameter is an array.
+        DomainError: the law of resistance has no finite value for this scene.
     """
     p = {name: _number(name, value) for name, value in parameters(scene, structure).items()}
+    law = scene.law
+    why = f"{law.label} has no such value for this share, soil and speed" + (f" ({law.standing})" * bool(law.standing))
+    for name, (what, unit, least) in _OF_LAW.items():
+        check_domain(what, p.get(name, 1.0), unit, above=least, why=why)
     return p | slopes(Own.of(scene), p) if scene.effects.own else p
 
 
@@ -214,7 +238,7 @@ def unknown_steps(scene: Scene, accuracy: Accuracy, outputs: int) -> int:
 
 def most_steps(total_phase: float) -> int:
     """Return the number of steps, a power of ten, after which an adaptive method gives up on a diverging motion."""
-    return int(10.0 ** math.ceil(math.log10(_FEWEST_ADAPTIVE + _ADAPTIVE_PER_PHASE * total_phase)))
+    return int(10.0 ** math.ceil(min(_LARGEST_COUNT, math.log10(_FEWEST_ADAPTIVE + _ADAPTIVE_PER_PHASE * total_phase))))
 
 
 def with_setting(accuracy: Accuracy, steps: int, outputs: int) -> Accuracy:
@@ -238,6 +262,8 @@ def suited(structure: Structure, total_phase: float) -> tuple[str, ...]:
     """Return the methods that suit an equation over a total phase [rad], cheapest first."""
     if structure.orbit != "transient":
         return ("dop853",)
+    if structure.smooth and total_phase > _SMOOTH_PHASE:
+        return ("erk", "rosenbrock") if total_phase <= _BRIEFLY_STIFF_PHASE else ("rosenbrock",)
     adaptive: str = "rosenbrock" if total_phase > STIFF_PHASE else "erk"
     return (adaptive,) if structure.events or total_phase > _ORDER_8_PHASE else ("dop853", adaptive)
 
@@ -276,6 +302,18 @@ def next_steps(steps: int, error: float, wanted: float) -> int:
         return _rounded(math.ceil(_BLIND_REFINEMENT * steps), 5)
     by_law = math.ceil(_SAFETY * steps * (error / wanted) ** _ERROR_EXPONENT)
     return max(_rounded(math.ceil(_LEAST_REFINEMENT * steps), 5), _rounded(by_law, 5))
+
+
+def has_lost_order(steps: int, error: float, fewer: int, error_before: float) -> bool:
+    """Return whether an error hardly falls with the number of steps of order 8.
+
+    Args:
+        steps: number of steps tried last.
+        error: error that they left.
+        fewer: number tried before.
+        error_before: error that those left; infinite if there are none or they failed.
+    """
+    return error_before <= _LARGEST_KNOWN_ERROR and error > error_before * (fewer / steps) ** _LEAST_ORDER
 
 
 def pair_of(steps: int) -> tuple[Accuracy, Accuracy]:

@@ -105,6 +105,7 @@ def _automatic(case: Case, wanted: float) -> tuple[Integrated, float]:
         best, failure = _by_measured_steps(case, wanted)
         if best is not None and (best[1] <= wanted or _hopeless(case, *best, wanted)):
             return best
+    case = replace(case, explained=best is None)
     for method in methods:
         target = wanted
         for attempt in range(1 if method == "rosenbrock" else _TIGHTENINGS):
@@ -147,11 +148,12 @@ def _by_measured_steps(case: Case, wanted: float) -> tuple[tuple[Integrated, flo
 
     Returns:
         The run that reaches the error or comes nearest, with its error, and the last failure; None for either of them
-        if there is none.
+        if there is none. Once the error does not fall with its order, no more steps are tried, and the error is that of
+        the attempt before, because the difference of two irregular errors bounds neither.
     """
     best: tuple[Integrated, float] | None = None
     failure: IntegrationError | None = None
-    steps = plan.first_steps(case.p, case.duration)
+    steps, before = plan.first_steps(case.p, case.duration), (1, math.inf)
     for _ in range(_STEP_ATTEMPTS):
         error = math.inf
         try:
@@ -165,7 +167,10 @@ def _by_measured_steps(case: Case, wanted: float) -> tuple[tuple[Integrated, flo
                 best = found, error
             if error <= wanted:
                 break
-        steps = plan.next_steps(steps, error, wanted)
+            if plan.has_lost_order(steps, error, *before):
+                best = best[0], max(before[1], error)
+                break
+        steps, before = plan.next_steps(steps, error, wanted), (steps, error)
     return best, failure
 
 

@@ -5,12 +5,14 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 import pytest
+from helpers import event_splitting
 from helpers.differences import order_4
 from helpers.linear_motion import oscillation
 from helpers.scenes import Own, Shank, scene_of
 
 import plough_opt as po
-from plough_opt.core.expressions import Expression, where
+from plough_opt.core.expressions import Expression, exp, where
+from plough_opt.motion import verified
 from plough_opt.studies.accuracy.reference import reference_run
 
 WAVE = po.StrengthWave(0.3, 0.2)
@@ -79,6 +81,50 @@ def test_a_named_method_checks_itself_where_steps_of_order_8_are_too_long():
     runs = [po.simulate(scene_of(own=(bed,)), 0.3, accuracy=po.Accuracy(method)) for method in ("erk", "rosenbrock")]
     assert runs[0].mean_draft == pytest.approx(runs[1].mean_draft, rel=1e-9)
     assert all(abs(run.mean_draft / runs[1].mean_draft - 1.0) <= run.error_estimate < 1e-7 for run in runs)
+
+
+# --- jumps, and forces that run away ---
+
+
+@pytest.mark.parametrize("start", ["rest", "equilibrium"])
+@pytest.mark.parametrize("at", ["speed", "travel"])
+def test_a_jump_leaves_equal_steps_for_a_method_that_finds_it(start, at, monkeypatch):
+    jump = {"speed": lambda travel, speed: 0.0 * travel - 500.0 * where(speed > 1.9, 1.0, 0.5),
+            "travel": lambda travel, speed: 500.0 * where(travel > 0.5, 1.0, 0.5) + 0.0 * speed}[at]  # fmt: skip
+    scene, counted, integrate = scene_of(own=(Own(jump),), start=start, strength_wave=WAVE), [], verified.integrate
+
+    def count(case, accuracy, *given, **named):
+        counted.append(accuracy.steps or 0)
+        return integrate(case, accuracy, *given, **named)
+
+    monkeypatch.setattr(verified, "integrate", count)
+    run = po.simulate(scene, 1.0)
+    switch = {"speed": lambda _, __, speed: speed - 1.9, "travel": lambda _, travel, __: travel - 0.5}[at]
+    size = -500.0 if at == "speed" else 500.0
+    mean, rms = event_splitting.averages(scene, lambda _, __, sides: size * (0.5 + 0.5 * sides[0]), [switch], 1.0)
+    error = max(abs(run.mean_draft - mean), abs(run.force_rms - rms)) / mean
+    assert error <= run.error_estimate <= 1e-6
+    # The law of order 8 would ask for millions.
+    assert sum(counted) < 20_000
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_force_that_runs_away_is_named_or_the_run_ends(seed):
+    random = np.random.default_rng(seed)
+    size, power = 10.0 ** random.uniform(-1.0, 5.0) * random.choice([-1.0, 1.0]), int(random.integers(2, 6))
+    law = [lambda _, v: size * v**power, lambda _, v: size * v * exp(0.3 * power * v)][seed % 2]
+    effects = {"start": random.choice(["rest", "towed"]), "contact": ["resisting", po.Smooth(0.1)][random.integers(2)]}
+    scene = scene_of(stiffness=10.0 ** random.uniform(4.0, 6.0), own=(Own(law),), **effects)
+    try:
+        run = po.simulate(scene, random.uniform(0.1, 0.5), outputs=20)
+    except po.IntegrationError as error:
+        words = str(error)
+    else:
+        words = "beyond t = own effect Own"
+        assert np.isfinite(run.mount_force).all()
+        assert run.error_estimate <= 1e-8 or run.checks.notes
+    assert "own effect Own" in words
+    assert "beyond t = " in words
 
 
 # --- under stick and slip ---

@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers import three_modes
-from helpers.scenes import R1_SOIL, SHARP, scene_of
+from helpers.scenes import R1_SOIL, SHARP, Shank, scene_of
 
 import plough_opt as po
 
@@ -67,6 +67,22 @@ def test_a_share_that_retreats_carries_a_warning():
     # Only the added mass acts on a retreating share.
     force = run.scene.reaction.added_mass / run.scene.inertia * run.mount_force
     assert run.soil_resistance[back] == pytest.approx(force[back], rel=1e-9, abs=1e-6)
+
+
+@pytest.mark.parametrize("width", [2.0, 0.1, 1e-3])
+def test_a_narrow_step_takes_no_more_evaluations_of_the_equation_than_a_wide_one(width):
+    """Equal steps that resolve the step's slope everywhere would be 300,000 at the narrowest width."""
+    run = po.simulate(scene(po.Smooth(width), start="rest", strength_wave=WAVE), 1.0)
+    assert run.error_estimate <= 1e-8
+    assert (run.accuracy.steps or 0) <= 20_000
+
+
+@pytest.mark.parametrize("contact", [po.Smooth(0.5), po.Smooth(2.5), po.Smooth(20.0), "resisting", po.StickSlip(1.1)])
+def test_a_settled_share_has_the_steady_resistance(contact):
+    own = () if isinstance(contact, po.StickSlip) else (Shank(100.0, 50.0),)
+    settles = {"start": "towed", "damping": 3000.0, "rate_term": 0.05, "own": own}
+    run = po.simulate(scene(contact, speed=2.0, **settles), 6.0)
+    assert run.mount_force[-1] == pytest.approx(run.scene.steady_resistance, rel=1e-9)
 
 
 @pytest.mark.parametrize("width", [1e-4, 1e-7])

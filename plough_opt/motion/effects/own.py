@@ -186,7 +186,10 @@ class Own(Term):
         """Return the value of a method of the user's class at a travel, and at a speed if it takes one."""
         values = (p[name] for name in self.names)
         effect: OwnResistance = map_expressions(self.template, lambda _: next(values))
-        found: Expression = getattr(effect, method)(*at)
+        # In floats of Python a power that overflows, or a division by zero, would raise an error.
+        given = [np.float64(x) if isinstance(x, float) else x for x in at]
+        with np.errstate(all="ignore"):
+            found: Expression = getattr(effect, method)(*given)
         if not (is_quantity(found) or isinstance(found, np.ndarray)) or _size(found) not in {1, *map(_size, at)}:
             raise InputError(
                 f"{self.kind.__name__}.{method} returned {found!r}: an own effect must return its resistance [N], a"
@@ -216,8 +219,7 @@ def slopes(own: Sequence[Own], p: Parameters) -> dict[str, float]:
     found = {"own_stiffness": 0.0, "own_steepest": 0.0, "own_damping": 0.0}
     for speed in (0.0, float(as_number(p["tow_speed"]))):
         for name, dx, dv in (("own_stiffness", _DIFFERENCE, 0.0), ("own_steepest", 0.0, _DIFFERENCE)):
-            with np.errstate(all="ignore"):
-                ahead, behind = (sum(term.force(p, s * dx, speed + s * dv) for term in own) for s in (1.0, -1.0))
+            ahead, behind = (sum(term.force(p, s * dx, speed + s * dv) for term in own) for s in (1.0, -1.0))
             slope = float(as_number(ahead - behind)) / (2.0 * _DIFFERENCE)
             if math.isfinite(slope):
                 found[name] = max(found[name], abs(slope))

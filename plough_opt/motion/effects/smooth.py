@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
+from plough_opt.core.checks import LEAST, check_domain
 from plough_opt.core.expressions import Expression, as_number, maximum, minimum
 from plough_opt.core.quantities import read_fields
 from plough_opt.motion.effects.term import Parameters, Place, Rates, Term, peak_strength
@@ -29,6 +30,7 @@ class Smooth:
 
     def __post_init__(self) -> None:
         read_fields(self, width="effects.contact_width")
+        check_domain("width of the smooth contact", self.width, "m/s", at_least=LEAST)
 
     def step(self, speed: Expression) -> tuple[Expression, Expression]:
         """Return the step at a speed of the share [m/s], from 0 to 1, and its derivative [s/m]."""

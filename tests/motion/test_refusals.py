@@ -228,7 +228,8 @@ LATE = [
     *[(run(2.0, strength_wave=po.StrengthWave(0.3, 1e-6), motion=motion), COUNTLESS) for motion in (True, False)],
     *[(run(1e9, strength_wave=po.StrengthWave(0.3, 0.6), motion=motion), COUNTLESS) for motion in (True, False)],
     *[(run(method=method, stiffness=stiffness, own=(own,)), words) for method, stiffness, own, words in (
-        ("erk", 5e4, DRAWN, r"the own effect Own drives the share ever faster: .* at a travel of 0\.3 m"), ("dop853", 5e4, BED, ": steps are too long"),
+        ("erk", 5e4, DRAWN, r"the own effect Own drives the share ever faster: .* at a travel of 0\.3 m"),
+        ("dop853", 5e4, BED, ": steps are too long"),
         ("erk", 1e12, DRAWN, r"it oscillates \S+ times until then: .* a softer or a damped mount"))],
     # A stiff mount would take minutes.
     (run(stiffness=1e12, start="rest"), "times, which would take"),

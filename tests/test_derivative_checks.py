@@ -80,7 +80,7 @@ def test_a_design_takes_as_many_steps_as_derivatives_need(effects):
         d = design(po.Accuracy(derivatives=wanted), **effects)
         best = d.solve(search="near")
         assert about_derivatives(best.warnings) == []
-        program = d._program
+        program = best.solved.program
         y = np.array([program.declared.variables[0].scaled(best.variables["stiffness"])])
         assert error_of_derivatives(program, y, np.zeros(0)) < wanted
         steps += program.built.steps

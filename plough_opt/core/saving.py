@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Final, Literal, Self, TypeVar
 
 from plough_opt.core.checks import path_of
+from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import InputError, short
 from plough_opt.core.files import read_text, write_file, write_new
 from plough_opt.core.plain_data import from_plain, to_plain
@@ -150,7 +151,7 @@ class Origin:
         return next(written, None) or customary(unit, *values.values())
 
 
-class Saveable(Readable):
+class Saveable(ByValue, Readable):
     """A dataclass of results that can be saved as JSON and read back.
 
     Attributes:

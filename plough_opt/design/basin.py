@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from plough_opt.design.derivatives import build_surely
+from plough_opt.design.derivatives import with_sure_steps
 from plough_opt.design.descents import descend, nearest_feasible
 from plough_opt.design.effort import effort_of
 from plough_opt.design.exploring import Explorer
@@ -32,8 +32,10 @@ _POSITIONS_ACROSS = 256  # on a line across the whole range
 _BARRIER = 1e-3  # A rise of the merit by this fraction is a barrier.
 
 
-def near_optimum(landscape: Landscape, start: Vector) -> Point:
+def near_optimum(landscape: Landscape, start: Vector) -> tuple[Program, Point]:
     """Return the optimum of the guess's basin or, if the guess is infeasible, of the nearest feasible design's basin.
+
+    It is returned with the program that has enough integration steps for it.
 
     Args:
         landscape: of the program.
@@ -44,11 +46,11 @@ def near_optimum(landscape: Landscape, start: Vector) -> Point:
     """
     program, p = landscape.program, landscape.p
     if not landscape.vectorised:
-        program.build(p, starts=[start])
+        program = program.with_steps(p, starts=[start])
         guess, point = point_as_found(program, p, start), program.solve(start, p)
         if point.solved and not (guess.solved and point.f > guess.f):
-            return point
-        return polished(program, p, start) if guess.solved else from_least_violation(program, p, start)
+            return program, point
+        return program, (polished if guess.solved else from_least_violation)(program, p, start)
     begin = landscape(start[None])
     if not begin.feasible[0]:
         begin = _nearest_feasible(landscape, begin)
@@ -57,8 +59,8 @@ def near_optimum(landscape: Landscape, start: Vector) -> Point:
     y = begin.points[0]
     end = descend(landscape, y).points[0]
     y = end if _is_downhill(landscape, y, end) else _descended_in_boxes(landscape, y)
-    build_surely(program, p, [y])
-    return polished(program, p, y)
+    program = with_sure_steps(program, p, [y])
+    return program, polished(program, p, y)
 
 
 def _descended_in_boxes(landscape: Landscape, y: Vector) -> Vector:
@@ -118,10 +120,9 @@ def _far_feasible(landscape: Landscape, start: Vector) -> Evaluations:
     return landscape(feasible_from(landscape, explored, start)[None])
 
 
-def first_optimum(program: Program, p: Vector) -> Point:
-    """Return the optimum of the basin in which a program's guess lies."""
-    program.prepare(p)
-    return near_optimum(Landscape(program, p), program.start())
+def first_optimum(program: Program, p: Vector) -> tuple[Program, Point]:
+    """Return the optimum of the basin in which a program's guess lies, as `near_optimum`."""
+    return near_optimum(Landscape(program.at(p), p), program.start())
 
 
 def _is_downhill(landscape: Landscape, start: Vector, end: Vector) -> bool:

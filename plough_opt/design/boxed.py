@@ -69,7 +69,7 @@ class ToleranceBoxSolver:
                 " requirements"
             )
             declared = over_box(own, count, bounds)
-            self._built = key, Program(declared, compiled=self._bare.compiled, bare=self._bare, over=over)
+            self._built = key, Program.of(declared, compiled=self._bare.compiled, bare=self._bare, over=over)
         return self._built[1]
 
 
@@ -120,8 +120,7 @@ def bounds_on_worst(program: Program, p: Vector) -> tuple[float, float]:
         program: of the bare design.
         p: parameters.
     """
-    program.prepare(p, any_guess=True)
-    landscape = Landscape(program, p)
+    landscape = Landscape(program.at(p, any_guess=True), p)
     sampled = evaluated_sample(landscape, _SAMPLE_SIZE if landscape.vectorised else _FEWEST)
     valid = np.flatnonzero(np.isfinite(sampled.f))
     inside = landscape(boxes(program.declared.variables, sampled.points[valid]))

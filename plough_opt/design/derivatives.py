@@ -7,6 +7,7 @@ best one.
 import contextlib
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -45,7 +46,11 @@ _MOST_RUNS = 8
 
 def error_of_derivatives(program: Program, y: Vector, p: Vector) -> float:
     """Return the largest error of the derivatives of a program's runs at a scaled design."""
-    return max((_error(own, own.inputs(y, p).full()) for own in program.built.plain.groups), default=0.0)
+    known, at = program.built.errors, (y.tobytes(), p.tobytes())
+    if at not in known:
+        known.clear()
+        known[at] = max((_error(own, own.inputs(y, p).full()) for own in program.built.plain.groups), default=0.0)
+    return known[at]
 
 
 def _error(own: RunGroup, theta: Vector) -> float:
@@ -131,22 +136,23 @@ def _jet(results: Vector, pair: tuple[np.ndarray, np.ndarray], step: float, miss
     return np.vstack([np.zeros((missing, jet.shape[1])), jet])
 
 
-def build_surely(program: Program, p: Vector, starts: Sequence[Vector]) -> None:
-    """Build a program for certain designs, with enough steps for accurate derivatives at the first of them.
+def with_sure_steps(program: Program, p: Vector, starts: Sequence[Vector]) -> Program:
+    """Return a program with steps for certain designs, enough for accurate derivatives at the first of them.
 
     Args:
-        program: prepared.
+        program: scaled.
         p: parameters.
         starts: scaled designs.
 
     Raises:
-        InputError, DomainError: as `Program.build`.
+        InputError, DomainError: as `Program.with_steps`.
     """
-    program.build(p, starts=starts)
-    error, wanted = _known_error(program, starts[0], p), _wanted_of_derivatives(program)
+    program = program.with_steps(p, starts=starts)
+    error, wanted = error_of_derivatives(program, starts[0], p), _wanted_of_derivatives(program)
     if error > wanted:
         with contextlib.suppress(DomainError):  # too many steps
-            program.build(p, _steps_factor(error / wanted), starts)
+            return program.with_steps(p, _steps_factor(error / wanted), starts)
+    return replace(program, checked=(starts[0], error))
 
 
 def _wanted_of_derivatives(program: Program) -> float:
@@ -161,47 +167,47 @@ def _steps_factor(excess: float) -> float:
 
 def _known_error(program: Program, y: Vector, p: Vector) -> float:
     """Return `error_of_derivatives`, from the last check if that was at nearly the same design."""
-    checked = program.built.checked
-    if checked is None or not np.array_equal(checked[0], p) or np.max(np.abs(checked[1] - y)) >= _SAME_ERROR:
-        checked = program.built.checked = p, y, error_of_derivatives(program, y, p)
-    return checked[2]
+    if program.checked is not None and np.max(np.abs(program.checked[0] - y)) < _SAME_ERROR:
+        return program.checked[1]
+    return error_of_derivatives(program, y, p)
 
 
 def with_enough_steps(
     program: Program, p: Vector, points: list[Point], progress: Callable[[str, float], None]
-) -> tuple[list[Point], tuple[str, ...]]:
+) -> tuple[Program, list[Point], tuple[str, ...]]:
     """Refine the steps, and solve again, until the points are accurate or more steps do not help.
 
     Across kinks derivatives lose more accuracy than values do, so they may need more steps than the objective.
 
     Args:
-        program: built.
+        program: with integration steps.
         p: parameters.
         points: optima, best first.
         progress: called with what is being done and the fraction done.
 
     Returns:
-        The points, and a warning for each error that is still too large.
+        The program, the points, and a warning for each error that is still too large.
     """
-    wanted, factor, last = program.wanted_error, program.built.refinement, math.inf
+    wanted, factor, last = program.wanted_error, program.refinement, math.inf
     for number in range(_MOST_REFINEMENTS + 1):
         value_error, slope_error = _value_error(program, p, points), _slope_error(program, p, points[0])
         excess = max(value_error / (wanted or math.inf), slope_error / _wanted_of_derivatives(program))
         # A motion may be too sensitive for any number of steps.
         if excess <= 1.0 or excess > _PROGRESS * last or number == _MOST_REFINEMENTS:
             break
-        before = program.built
         progress(f"refining: error {max(value_error, slope_error):.1e}", number / _MOST_REFINEMENTS)
         factor *= _steps_factor(excess)
         try:
-            program.build(p, factor, [point.y for point in points])
+            finer = program.with_steps(p, factor, [point.y for point in points])
         except DomainError:  # too many steps
             break
         # Numbers of steps are rounded: a factor near 1 may leave the program as it was.
-        last = math.inf if program.built is before else excess
-        if program.built is not before:
-            points = [solved_again(program, p, point) for point in points]
-    return points, tuple(_warnings(program, value_error, slope_error))
+        if finer.built is program.built:
+            last = math.inf
+            continue
+        program, last = finer, excess
+        points = [solved_again(program, p, point) for point in points]
+    return program, points, tuple(_warnings(program, value_error, slope_error))
 
 
 def _value_error(program: Program, p: Vector, points: Sequence[Point]) -> float:

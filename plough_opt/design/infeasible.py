@@ -43,7 +43,6 @@ def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Ve
     Raises:
         InfeasibleDesign: the least violation found from several designs is not 0.
     """
-    program = landscape.program
     starts = [start, *_distant_starts(explored.sample)]
     known: Sequence[float] = [np.inf] * len(starts)
     if landscape.vectorised:
@@ -54,8 +53,8 @@ def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Ve
         ends = ends.select(ends.violation <= (1.0 + _NEAR_LEAST) * ends.violation[0])
         starts, known = list(ends.points), ends.violation.tolist()
     starts = starts[:_POLISHED]
-    program.build(landscape.p, starts=starts)
-    points = [_polished(landscape, one, violation) for one, violation in zip(starts, known, strict=False)]
+    program = landscape.program.with_steps(landscape.p, starts=starts)
+    points = [_polished(landscape, program, one, violation) for one, violation in zip(starts, known, strict=False)]
     solved = [own for own in points if own[0].solved] or points
     best, short = min(solved, key=lambda own: own[0].f)
     if best.f < _VIOLATED:
@@ -63,17 +62,18 @@ def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Ve
     raise _infeasible(program, best, short, landscape.designs_tried)
 
 
-def _polished(landscape: Landscape, y: Vector, violation: float) -> tuple[Point, Vector]:
+def _polished(landscape: Landscape, program: Program, y: Vector, violation: float) -> tuple[Point, Vector]:
     """Return the design of least violation near another one, and the violation of each requirement.
 
     If IPOPT finds none that is as good, for instance because the violation has a kink, the other design is returned.
 
     Args:
         landscape: the landscape that was searched.
+        program: its program, with integration steps.
         y: the other design, scaled.
         violation: its summed violation; infinite if unknown.
     """
-    program, p = landscape.program, landscape.p
+    p = landscape.p
     if not np.isfinite(violation):
         return program.solve_relaxed(y, p)
     for box, exact in _ATTEMPTS:
@@ -99,7 +99,7 @@ def from_least_violation(program: Program, p: Vector, start: Vector, fixed: Sequ
     """Return the optimum found from the feasible design nearest to a start, with some variables held.
 
     Args:
-        program: the design's program, built.
+        program: the design's program, with integration steps.
         p: parameters.
         start: the scaled start.
         fixed: numbers of the variables to hold.

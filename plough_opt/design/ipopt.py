@@ -151,10 +151,14 @@ class LastPoint:
     def __init__(self, nlp: Nlp) -> None:
         """Start with an empty cache for a program."""
         self._nlp = nlp
+        self.interrupted = False
+        self.forget()
+
+    def forget(self) -> None:
+        """Empty the cache, so that no solve depends on an earlier one: values alone differ from those with slopes."""
         self._at: list[list[float]] = []
         self._results: list[ca.DM] = []
         self._slopes_expected = True
-        self.interrupted = False
 
     def __call__(self, at: Sequence[ca.DM], *, sloping: bool) -> list[ca.DM]:
         """Return `Nlp.values` at a point (y, p), or `Nlp.slopes` with ``sloping``."""
@@ -250,6 +254,7 @@ class Solver:
 
     def _attempt(self, given: dict[str, Any], begin: str, exact: bool, enough: bool) -> Point:
         solver = self._solver(begin, exact, enough)
+        self._last.forget()
         result = solver(**given)
         if self._last.interrupted:
             self._last.interrupted = False

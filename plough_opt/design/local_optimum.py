@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from plough_opt.core.equality import ByValue
 from plough_opt.core.files import drawn
 from plough_opt.core.plain_data import Array, MaybeInfinite
 from plough_opt.core.saving import Saveable
@@ -28,8 +29,8 @@ def expected_unseen(followed: int, reached: int) -> float | None:
     return reached * (reached + 1) / (followed - reached - 2) if followed > reached + 2 else None
 
 
-@dataclass(frozen=True)
-class Search:
+@dataclass(frozen=True, eq=False)
+class Search(ByValue):
     """A record of a search.
 
     It estimates how many basins were missed, with the Bayesian rule of Boender and Rinnooy Kan, "Bayesian stopping
@@ -156,7 +157,7 @@ class Limit:
         return self.shown.text(0.0 if rounding else self.margin)
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class LocalOptimum(Saveable):
     """A local optimum.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -32,7 +32,7 @@ _ROUNDING = 1e-9
 _WITHOUT_DESIGN = "this optimum was saved without its design: evaluate expressions before saving it, or solve again"
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Optimum(LocalOptimum):
     """The best local optimum found. Called with any object of the design, it returns the object with numbers.
 
@@ -70,8 +70,7 @@ class Optimum(LocalOptimum):
     search: Search | None = None
     seconds: float = 0.0
     warnings: tuple[str, ...] = ()
-    solved: Annotated[Solved | None, Unsaved()] = field(repr=False, default=None)
-    rounder: Annotated[Callable[[Mapping[str, Any]], Rounded] | None, Unsaved()] = field(repr=False, default=None)
+    solved: Annotated[Solved | None, Unsaved()] = field(repr=False, compare=False, default=None)
     sensitivities: tuple[Sensitivity, ...] = ()
     run: Annotated[Run | Machine, ByName()] | None = None
     origin: Origin = field(default=Origin())
@@ -209,9 +208,13 @@ class Optimum(LocalOptimum):
             InputError: there is no such variable, or a catalogue has no value between the variable's bounds.
             InfeasibleDesign: no combination meets the requirements; the error lists the violations of each.
         """
-        if self.rounder is None:
-            raise InputError("this optimum is rounded already" if isinstance(self, Rounded) else _WITHOUT_DESIGN)
-        return self.rounder({**mapping_of("catalogues", catalogues, "a variable's name -> its values"), **more})
+        if isinstance(self, Rounded):
+            raise InputError("this optimum is rounded already")
+        offered = {**mapping_of("catalogues", catalogues, "a variable's name -> its values"), **more}
+        solved = self._with_design()
+        assert solved.rounder is not None, "only rounded optima have none"
+        found: Rounded = solved.rounder(solved, offered)
+        return found
 
     def _unique(self) -> Solved:
         if self.flat_directions:
@@ -223,10 +226,6 @@ class Optimum(LocalOptimum):
         if self.solved is None:
             raise InputError(_WITHOUT_DESIGN)
         return self.solved
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return the state without the design's graph, which cannot be pickled."""
-        return {**self.__dict__, "solved": None, "rounder": None}
 
     def _with_numbers(self, item: Any) -> Any:
         if isinstance(item, Run):
@@ -253,7 +252,7 @@ class Choice:
     spread: Spread | None = None
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Rounded(Optimum):
     """An optimum some of whose variables are held at catalogue values.
 

@@ -246,7 +246,7 @@ class Design:
         declared = self.declared
         values = declared.parameter_values(mapping_of("parameters", parameters, "name -> value"))
         if self._program is None or self._program.compiled != compiled:
-            self._program, self._boxed = Program(declared, compiled=compiled), None
+            self._program, self._boxed = Program.of(declared, compiled=compiled), None
         request = Request(values, search, judge, seed, progress or silent, started)
         if self._over is None:
             best = solve_program(self._program, request)

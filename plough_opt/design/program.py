@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TypeVar
 
 import casadi as ca
@@ -13,9 +13,10 @@ import numpy as np
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column
+from plough_opt.design.built_program import BuiltProgram
 from plough_opt.design.declarations import Declarations, Requirement
-from plough_opt.design.forms import as_machine_code, first_slack, relaxed
-from plough_opt.design.ipopt import FROM_AFAR, Point, SolveOptions, Solver, Vector
+from plough_opt.design.forms import first_slack
+from plough_opt.design.ipopt import FROM_AFAR, Point, SolveOptions, Vector
 from plough_opt.design.nlp import Nlp, build_nlp
 from plough_opt.design.population import LinearVariable, Population, linear_variables
 from plough_opt.design.split import split
@@ -33,79 +34,68 @@ _SAMPLE_SEED = 256
 Cached = TypeVar("Cached")
 
 
-@dataclass
-class BuiltProgram:
-    """A program with certain numbers of integration steps; its solvers are built when first needed.
+@dataclass(frozen=True)
+class _Caches:
+    """What all programs of a design share; an entry depends on nothing but its key.
 
-    Attributes:
-        steps: for each run, the number of steps, or None for the method it was written with.
-        rough_steps: the same for the rough program.
-        write: builds the program from numbers of steps.
-        owner: for each row of the requirements, the number of its requirement.
-        limits: scaled lower and upper limits of the rows.
-        compiled: whether to translate the program into machine code.
-        refinement: factor on the numbers of steps, as given to `Program.build`.
-        checked: parameters, scaled design and error of derivatives at the last check, if there was one.
+    Several built programs are kept, so that solving the same question again gives the same result to the last bit,
+    whatever was solved in between.
     """
 
-    steps: list[int | None]
-    rough_steps: list[int | None]
-    write: Callable[[list[int | None]], Nlp]
-    owner: Sequence[int]
-    limits: tuple[Vector, Vector]
-    compiled: bool
-    refinement: float = 1.0
-    checked: tuple[Vector, Vector, float] | None = None
-
-    @cached_property
-    def plain(self) -> Nlp:
-        """The program, interpreted."""
-        return self.write(self.steps)
-
-    @cached_property
-    def nlp(self) -> Nlp:
-        """The program, in machine code if ``compiled`` and if there is a compiler."""
-        return (as_machine_code(self.plain) if self.compiled else None) or self.plain
-
-    @cached_property
-    def rough(self) -> Nlp:
-        """The program with two fifths of the steps, enough to tell the sign of the Lagrangian's curvatures."""
-        return self.write(self.rough_steps)
-
-    @cached_property
-    def solver(self) -> Solver:
-        """IPOPT on the program."""
-        return Solver(self.nlp, *self.limits)
-
-    @cached_property
-    def relaxed(self) -> Solver:
-        """IPOPT on the sum of the requirements' violations."""
-        return Solver(relaxed(self.nlp, self.owner), *self.limits)
+    built: dict[Hashable, BuiltProgram] = field(default_factory=dict)
+    population: dict[Hashable, Population] = field(default_factory=dict)
+    values_at_guess: dict[Hashable, list[Vector]] = field(default_factory=dict)
+    linear: dict[Hashable, list[LinearVariable]] = field(default_factory=dict)
+    exact_values: dict[Hashable, tuple[list[Vector], list[Vector]]] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, eq=False)
 class Program:
     """The scaled program of a design: variables between 0 and 1, objective and requirements of order 1.
 
-    It is made in three stages. The constructor splits the declared expressions around their runs. `prepare` sets the
-    scales, which depend on the values of the parameters. `build` chooses the numbers of integration steps and writes
-    the program, which can then be solved.
+    A program never changes. `Program.of` splits the declared expressions around their runs, `at` returns the program
+    with scales, which depend on the values of the parameters, and `with_steps` the one with numbers of integration
+    steps, which can be solved. All of them share the functions that were built.
 
     Attributes:
         declared: the declarations; limits of theories that the expressions use are appended to the requirements.
+        own_requirements: the requirements that were declared, without the limits of theories.
         exact: objective and requirements by tight integration.
         owner: for each row of the requirements, the number of its requirement.
         compiled: whether to translate the program into machine code.
-        bare: as given to the constructor.
-        over: as given to the constructor.
-        objective_scale: divisor of the objective, after `prepare`.
-        scales: divisor of each requirement, after `prepare`.
-        low: scaled lower limits of the rows, after `prepare`.
-        high: scaled upper limits of the rows, after `prepare`.
+        bare: as given to `Program.of`.
+        over: as given to `Program.of`.
+        objective_scale: divisor of the objective.
+        scales: divisor of each requirement.
+        low: scaled lower limits of the rows.
+        high: scaled upper limits of the rows.
+        refinement: factor on the numbers of steps.
+        checked: scaled design and error of derivatives at the last check of this program, if there was one.
     """
 
-    def __init__(
-        self, declared: Declarations, *, compiled: bool = False, bare: Program | None = None, over: str = ""
-    ) -> None:
+    declared: Declarations
+    own_requirements: tuple[Requirement, ...]
+    exact: TightEvaluation
+    owner: list[int]
+    compiled: bool
+    bare: Program | None
+    over: str
+    _y: ca.MX
+    _p: ca.MX
+    _caches: _Caches = field(default_factory=_Caches)
+    objective_scale: float = 1.0
+    scales: tuple[float, ...] = ()
+    low: Vector = field(default_factory=partial(np.empty, 0))
+    high: Vector = field(default_factory=partial(np.empty, 0))
+    refinement: float = 1.0
+    checked: tuple[Vector, float] | None = None
+    _scaled_at: bytes | None = None
+    _built: BuiltProgram | None = None
+
+    @classmethod
+    def of(
+        cls, declared: Declarations, *, compiled: bool = False, bare: Program | None = None, over: str = ""
+    ) -> Program:
         """Split the expressions around their runs, and add the limits of the theories that they use as requirements.
 
         Args:
@@ -117,55 +107,23 @@ class Program:
         Raises:
             InputError: an expression contains a symbol that was not declared, or a run uses the method 'idas'.
         """
-        self.declared = declared
-        self._refuse_undeclared()
-        self.exact = TightEvaluation(self.expressions, declared.symbols())
-        self._implied = tuple(
-            Requirement(limit.name, carried, None, limit.at_most, limit.unit)
-            for limit, carried in self.exact.limits.items()
-        )
-        if self._implied:
-            self.declared = replace(declared, requirements=(*declared.requirements, *self._implied))
-            self.exact = TightEvaluation(self.expressions, declared.symbols(), shared=self.exact)
-        self._refuse_idas()
-        self.owner = [k for k, r in enumerate(self.declared.requirements) for _ in range(r.expression.numel())]
-        self._y, self._p = ca.MX.sym("y", len(declared.variables)), ca.MX.sym("p", len(declared.parameters))
-        self.compiled, self.bare, self.over = compiled, bare, over
-        self.objective_scale = 1.0
-        self.scales: list[float] = []
-        self._built: BuiltProgram | None = None
-        self._prepared: bytes | None = None
-        # Caches, each by what its entries depend on. Several built programs are kept, so that solving the same question
-        # again gives the same result to the last bit, whatever was solved in between.
-        self._programs: dict[Hashable, BuiltProgram] = {}
-        self._values_at_guess: dict[bytes, list[Vector]] = {}
-        self._linear: dict[Hashable, list[LinearVariable]] = {}
-        self._exact_values: dict[Hashable, tuple[list[Vector], list[Vector]]] = {}
-
-    @property
-    def expressions(self) -> list[ca.MX]:
-        """Objective and requirements."""
-        return [self.declared.objective, *(r.expression for r in self.declared.requirements)]
-
-    @property
-    def own_requirements(self) -> tuple[Requirement, ...]:
-        """The requirements that were declared, without the limits of theories."""
-        return self.declared.requirements[: len(self.declared.requirements) - len(self._implied)]
-
-    def _refuse_undeclared(self) -> None:
-        names = ["objective", *(r.name for r in self.declared.requirements)]
-        for name, expression in zip(names, self.expressions, strict=True):
-            if strangers := self.declared.strangers(expression):
-                raise InputError(
-                    f"'{name}' holds symbols that this design did not declare ({', '.join(strangers)}): create them"
-                    " with its design.variable or design.parameter"
-                )
-
-    def _refuse_idas(self) -> None:
-        if any(run.integration.accuracy.method == "idas" for run in self.exact.runs):
+        _refuse_undeclared(declared)
+        own = declared.requirements
+        exact = TightEvaluation(_expressions(declared), declared.symbols())
+        if exact.limits:
+            implied = (
+                Requirement(limit.name, carried, None, limit.at_most, limit.unit)
+                for limit, carried in exact.limits.items()
+            )
+            declared = replace(declared, requirements=(*own, *implied))
+            exact = TightEvaluation(_expressions(declared), declared.symbols(), shared=exact)
+        if any(run.integration.accuracy.method == "idas" for run in exact.runs):
             raise InputError(
                 "method 'idas' has no second derivatives, which a design needs: use 'auto', 'erk' or 'cvodes'"
             )
+        owner = [k for k, r in enumerate(declared.requirements) for _ in range(r.expression.numel())]
+        y, p = ca.MX.sym("y", len(declared.variables)), ca.MX.sym("p", len(declared.parameters))
+        return cls(declared, own, exact, owner, compiled, bare, over, y, p)
 
     def start(self) -> Vector:
         """Return the guess, scaled."""
@@ -188,10 +146,10 @@ class Program:
         numbers = [*self.values(y), *p]
         evaluate = self.exact.values
         at = y.tobytes(), p.tobytes()
-        return _cached(self._exact_values, at, 1, lambda: (evaluate(numbers), evaluate(numbers, check=True)))
+        return _cached(self._caches.exact_values, at, 1, lambda: (evaluate(numbers), evaluate(numbers, check=True)))
 
-    def prepare(self, p: Vector, *, any_guess: bool = False) -> None:
-        """Check the bounds and set the scales from the values at the guess.
+    def at(self, p: Vector, *, any_guess: bool = False) -> Program:
+        """Return the program scaled by its values at the guess, after a check of the bounds.
 
         Args:
             p: parameters.
@@ -201,41 +159,39 @@ class Program:
             InputError: the objective or a requirement has no value at the guess nor, with ``any_guess``, in the sample.
             DomainError: the bounds exceed the model's domain.
         """
-        key = p.tobytes()
-        values = self._values_at_guess.get(key)
-        if values is None:
+        key, cache = p.tobytes(), self._caches.values_at_guess
+        if key not in cache:
             check_bounds(self.declared, self.exact, p)
-            try:
-                values = values_at_guess(self.declared, self.exact, self._implied, p)
-                self._values_at_guess = {key: values}
-            except InputError as error:
-                if not any_guess:
-                    raise
-                values = self._typical_values(p, error)
-        self._set_scales(values)
-        self._prepared = key
+        try:
+            implied = self.declared.requirements[len(self.own_requirements) :]
+            values = _cached(cache, key, 1, lambda: values_at_guess(self.declared, self.exact, implied, p))
+        except InputError as error:
+            if not any_guess:
+                raise
+            values = self._typical_values(p, error)
+        return self._scaled_by(values, key)
 
-    def build(self, p: Vector, refinement: float = 1.0, starts: Sequence[Vector] | None = None) -> None:
-        """Write the program with as many integration steps as certain designs need.
+    def with_steps(self, p: Vector, refinement: float = 1.0, starts: Sequence[Vector] | None = None) -> Program:
+        """Return the program with as many integration steps as certain designs need.
 
         Args:
             p: parameters.
-            refinement: factor on the numbers of steps.
+            refinement: factor on the number of steps.
             starts: the designs, scaled; by default the guess and the guess with each variable at either of its bounds.
 
         Raises:
-            InputError, DomainError: as `prepare`, or the motion of one of the designs is too fast to integrate.
+            InputError, DomainError: as `at`, or the motion of one of the designs is too fast to integrate.
         """
-        if self._prepared != p.tobytes():
-            self.prepare(p)
+        if self._scaled_at != p.tobytes():
+            return self.at(p).with_steps(p, refinement, starts)
         variables = self.declared.variables
         if starts is None:
             ends = (values for _, values in corners(self.declared))
             starts = [np.array([v.scaled(x) for v, x in zip(variables, values, strict=True)]) for values in ends]
         steps = steps_at(self.exact, [[*self.values(y), *p] for y in starts], refinement)
         key = (*steps, self.objective_scale, *self.scales)
-        self._built = _cached(self._programs, key, _MOST_PROGRAMS, lambda: self._write(steps))
-        self._built.refinement = refinement
+        built = _cached(self._caches.built, key, _MOST_PROGRAMS, lambda: self._write(steps))
+        return replace(self, refinement=refinement, checked=None, _built=built)
 
     def _write(self, steps: list[int | None]) -> BuiltProgram:
         """Return the program with certain numbers of steps."""
@@ -248,25 +204,32 @@ class Program:
         declared = self.declared
         symbols = [own.symbol for own in declared.parameters]
         return _cached(
-            self._linear, p.tobytes(), 1, lambda: linear_variables(self.expressions, declared.variables, symbols, p)
+            self._caches.linear,
+            p.tobytes(),
+            1,
+            lambda: linear_variables(_expressions(declared), declared.variables, symbols, p),
         )
 
     @property
     def built(self) -> BuiltProgram:
-        """The program that was built last."""
-        assert self._built is not None, "build the program first"
+        """The program with its numbers of integration steps."""
+        assert self._built is not None, "choose the numbers of steps first"
         return self._built
 
     @property
     def nlp(self) -> Nlp:
-        """Objective and requirements of the program that was built last."""
+        """Objective and requirements as functions, with the program's numbers of integration steps."""
         return self.built.nlp
 
-    @cached_property
+    @property
     def population(self) -> Population:
         """Evaluates objective and requirements, unscaled, at many scaled designs at once."""
-        raw = [self.declared.objective, ca.vertcat(*(r.expression for r in self.declared.requirements))]
-        return Population(split(self._of_scaled(raw, self._y, self._p), [self._y, self._p]), self._y, self._p)
+        return _cached(self._caches.population, None, 1, self._write_population)
+
+    def _write_population(self) -> Population:
+        objective, *rows = _expressions(self.declared)
+        raw = self._of_scaled([objective, ca.vertcat(*rows)], self._y, self._p)
+        return Population(split(raw, [self._y, self._p]), self._y, self._p)
 
     def scaled(self, y: ca.MX, p: ca.MX) -> list[ca.MX]:
         """Return scaled objective and requirements as expressions of scaled variables and parameters."""
@@ -281,26 +244,32 @@ class Program:
         return list(ca.graph_substitute(expressions, declared.symbols(), replacements))
 
     def with_parameters_varied(self) -> Nlp:
-        """Return the program that was built last as one of variables (y, p), so that derivatives by p are available."""
+        """Return the program as one of variables (y, p), so that derivatives by p are available."""
         n = self._y.numel()
         both, none = ca.MX.sym("z", n + self._p.numel()), ca.MX.sym("p", 0)
         parts = split(self.scaled(both[:n], both[n:]), [both, none])
         return build_nlp(parts, both, none, self.built.steps)
 
-    def _set_scales(self, values: list[Vector]) -> None:
-        """Scale the objective by its value, and each requirement by its limits or, if these are 0, by its value."""
-        self.objective_scale = _power_of_four(float(values[0].item()))
+    def _scaled_by(self, values: list[Vector], key: bytes) -> Program:
+        """Return the program with its objective scaled by a value, and each requirement by its limits or else a value.
+
+        Args:
+            values: of objective and requirements.
+            key: the parameters, as bytes.
+        """
         requirements = self.declared.requirements
-        self.scales = [
+        scales = tuple(
             r.scale or (_power_of_four(size) if (size := float(np.max(np.abs(value)))) else 1.0)
             for r, value in zip(requirements, values[1:], strict=True)
-        ]
-        self.low = np.array([requirements[k].low / self.scales[k] for k in self.owner])
-        self.high = np.array([requirements[k].high / self.scales[k] for k in self.owner])
+        )
+        low = np.array([requirements[k].low / scales[k] for k in self.owner])
+        high = np.array([requirements[k].high / scales[k] for k in self.owner])
+        scaled = replace(self, scales=scales, low=low, high=high, _scaled_at=key, _built=None)
+        return scaled.with_objective_scale(float(values[0].item()))
 
-    def scale_by(self, objective: float) -> None:
-        """Scale the objective by another of its values, which a search found better than the guess."""
-        self.objective_scale = _power_of_four(objective)
+    def with_objective_scale(self, objective: float) -> Program:
+        """Return the program with its objective scaled by a value, such as one that a search found."""
+        return replace(self, objective_scale=_power_of_four(objective), _built=None)
 
     def _typical_values(self, p: Vector, error: InputError) -> list[Vector]:
         """Return the medians of the expressions' sizes over a sample.
@@ -361,6 +330,21 @@ class Program:
         point = self.built.relaxed.solve(np.r_[start, slack], p, lower, upper, options)
         y, slack = np.clip(point.y[:n], 0.0, 1.0), point.y[n:]
         return replace(point, y=y, lam_y=point.lam_y[:n]), slack[:count] + slack[count:]
+
+
+def _expressions(declared: Declarations) -> list[ca.MX]:
+    """Return objective and requirements."""
+    return [declared.objective, *(r.expression for r in declared.requirements)]
+
+
+def _refuse_undeclared(declared: Declarations) -> None:
+    names = ["objective", *(r.name for r in declared.requirements)]
+    for name, expression in zip(names, _expressions(declared), strict=True):
+        if strangers := declared.strangers(expression):
+            raise InputError(
+                f"'{name}' holds symbols that this design did not declare ({', '.join(strangers)}): create them"
+                " with its design.variable or design.parameter"
+            )
 
 
 def _bounds(start: Vector, box: float, fixed: Sequence[int]) -> tuple[Vector, Vector]:

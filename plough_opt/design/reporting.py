@@ -45,19 +45,21 @@ def remarks(explored: Explored | None, point: Point, best: LocalOptimum) -> Iter
         )
 
 
-def reports(landscape: Landscape, points: Sequence[Point]) -> tuple[tuple[LocalOptimum, ...], tuple[str, ...]]:
+def reports(
+    program: Program, landscape: Landscape, points: Sequence[Point]
+) -> tuple[tuple[LocalOptimum, ...], tuple[str, ...]]:
     """Return the reports on points, each with its own name, and the warnings about the runs of the first."""
-    program, p = landscape.program, landscape.p
+    p = landscape.p
     numbers = [[*program.values(point.y), *p] for point in points]
     runs = [[program.exact.inputs(k, own) for k in range(len(program.exact.runs))] for own in numbers]
     names = _names_of(program, [[scene for _, scene in own] for own in runs])
-    optima = [_local_optimum(landscape, point, name) for point, name in zip(points, names, strict=True)]
+    optima = [_local_optimum(program, landscape, point, name) for point, name in zip(points, names, strict=True)]
     return tuple(optima), _warnings_at(program, numbers[0], runs[0])
 
 
-def _local_optimum(landscape: Landscape, point: Point, name: str) -> LocalOptimum:
+def _local_optimum(program: Program, landscape: Landscape, point: Point, name: str) -> LocalOptimum:
     """Return the report on a point, from tightly integrated runs."""
-    program, p = landscape.program, landscape.p
+    p = landscape.p
     found, check = program.exact_values(point.y, p)
     objective = float(found[0].item())
     values = program.values(point.y)

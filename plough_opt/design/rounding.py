@@ -148,24 +148,25 @@ _NOT_WORSE = 1e-5
 _MOST_NAMED = 5
 
 
-def rounded(solved: Solved, judge: Judge, unrounded: float, catalogues: Mapping[str, Catalogue]) -> Rounded:
+def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogues: Mapping[str, Catalogue]) -> Rounded:
     """Return the best design with some variables in catalogue values: see `Optimum.rounded`.
 
     Args:
-        solved: the design's program with its optimum.
         judge: what the combinations are ranked by.
+        seed: seed of the samples.
         unrounded: the optimum's objective.
+        solved: the design's program with its optimum.
         catalogues: for each variable to round, its values or step.
     """
     started = time.perf_counter()
-    program, p = solved.program, solved.p
-    offered = allowed(program.declared.variables, catalogues)
+    p = solved.p
+    offered = allowed(solved.program.declared.variables, catalogues)
     fixed = [own.number for own in offered]
-    landscape = Landscape(program, p, fixed)
+    landscape = Landscape(solved.program, p, fixed)
     count = math.prod(own.count for own in offered)
     every = landscape.vectorised and count < _MOST_SCREENED
-    starts = _starts(landscape, solved, offered, every)
-    program.build(p, starts=[start for start, _ in starts])
+    starts = _starts(landscape, solved, offered, seed, every)
+    program = solved.program.with_steps(p, starts=[start for start, _ in starts])
     reached: list[tuple[Choice, Point, Combination]] = []
     failed: list[Choice] = []
     for start, values in starts:
@@ -185,7 +186,7 @@ def rounded(solved: Solved, judge: Judge, unrounded: float, catalogues: Mapping[
     # A rounded variable is held by its catalogue, not by a bound, so its bound must not count as active.
     multipliers = point.lam_y.copy()
     multipliers[fixed] = 0.0
-    (local,), warnings = reports(landscape, [replace(point, lam_y=multipliers)])
+    (local,), warnings = reports(program, landscape, [replace(point, lam_y=multipliers)])
     local = replace(local, variables={**local.variables, **choice.values})
     return Rounded(
         **local.__dict__,
@@ -208,7 +209,7 @@ Combination = tuple[float, ...]
 
 
 def _starts(
-    landscape: Landscape, solved: Solved, offered: Sequence[Allowed], every: bool
+    landscape: Landscape, solved: Solved, offered: Sequence[Allowed], seed: int, every: bool
 ) -> list[tuple[Vector, Combination]]:
     """Return the designs to optimise with their combinations: those that can be best, or the optimum's neighbours.
 
@@ -216,6 +217,7 @@ def _starts(
         landscape: of the design.
         solved: the optimum.
         offered: the values that the rounded variables may take.
+        seed: seed of the samples.
         every: whether to screen all combinations, or to return only the optimum's neighbours.
     """
     neighbours = [own.neighbours(float(solved.values[own.number])) for own in offered]
@@ -228,7 +230,7 @@ def _starts(
     if every:
         always = set(itertools.product(*neighbours)) if near <= _MOST_OPTIMISED else set()
         kept = [k for k, values in enumerate(combinations) if values in always]
-        found = promising(landscape, solved.point.y, fixed, np.array(scaled), kept)[:_MOST_OPTIMISED]
+        found = promising(landscape, solved.point.y, fixed, np.array(scaled), kept, seed)[:_MOST_OPTIMISED]
         return [(one.start.points[0], combinations[one.number]) for one in found]
     designs = np.repeat(solved.point.y[None], len(combinations), axis=0)
     designs[:, fixed] = scaled

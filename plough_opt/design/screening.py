@@ -54,7 +54,7 @@ class Promising:
 
 
 def promising(
-    landscape: Landscape, optimum: Vector, fixed: list[int], combinations: Vector, kept: list[int]
+    landscape: Landscape, optimum: Vector, fixed: list[int], combinations: Vector, kept: list[int], seed: int = 0
 ) -> list[Promising]:
     """Return the combinations that can be best, lowest merit first and infeasible ones last.
 
@@ -67,8 +67,9 @@ def promising(
         fixed: numbers of the variables with a catalogue.
         combinations: scaled values of these variables, a row for each combination.
         kept: rows that are never dropped, such as the optimum's neighbours.
+        seed: of the samples.
     """
-    screen = _Screen(landscape, optimum, fixed, combinations)
+    screen = _Screen(landscape, optimum, fixed, combinations, seed)
     if not screen.free:
         evaluated = landscape(screen.designs(np.arange(len(combinations)), np.empty((len(combinations), 0))))
         best = _lowest(evaluated, _DESCENT_COMBINATIONS, kept)
@@ -88,10 +89,12 @@ def promising(
 class _Screen:
     """Evaluates combinations over the variables that have no catalogue."""
 
-    def __init__(self, landscape: Landscape, optimum: Vector, fixed: list[int], combinations: Vector) -> None:
+    def __init__(
+        self, landscape: Landscape, optimum: Vector, fixed: list[int], combinations: Vector, seed: int
+    ) -> None:
         self._landscape, self._optimum, self._fixed, self._combinations = landscape, optimum, fixed, combinations
         self.free = [k for k in range(len(optimum)) if k not in fixed]
-        self._rng = np.random.default_rng([SEED, len(combinations)])
+        self._rng = np.random.default_rng([SEED, len(combinations), *([seed] if seed else [])])
 
     def designs(self, numbers: np.ndarray, free: Vector) -> Vector:
         """Return the designs that join combinations, by number, with values of the free variables, a row each."""

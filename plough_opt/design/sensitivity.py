@@ -1,10 +1,13 @@
 """Sensitivities of a solved design to parameters and limits, and values of expressions at its optimum."""
 
+from __future__ import annotations
+
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -117,10 +120,16 @@ class Solved:
         p: parameters.
         point: the optimum.
         values: values of the variables, in their units.
+        rounder: as given.
     """
 
     def __init__(
-        self, program: Program, p: Vector, point: Point, fixed: Mapping[int, float] = MappingProxyType({})
+        self,
+        program: Program,
+        p: Vector,
+        point: Point,
+        fixed: Mapping[int, float] = MappingProxyType({}),
+        rounder: Callable[[Solved, Mapping[str, Any]], Any] | None = None,
     ) -> None:
         """Store an optimum of a built program.
 
@@ -129,11 +138,20 @@ class Solved:
             p: parameters.
             point: the optimum.
             fixed: number -> value of the variables that are held.
+            rounder: (this object, catalogues) -> the optimum with some variables rounded.
         """
-        self.program, self.p, self.point = program, p, point
+        self.program, self.p, self.point, self.rounder = program, p, point, rounder
         self._fixed = tuple(fixed)
         self.values = program.values(point.y)
         self.values[list(self._fixed)] = list(fixed.values())
+
+    def __deepcopy__(self, _memo: object) -> Solved:
+        """Return this object, which never changes."""
+        return self
+
+    def __reduce__(self) -> tuple[type[None], tuple[()]]:
+        """Return None in place of the design's functions, which cannot be pickled."""
+        return type(None), ()
 
     def evaluate(self, expression: ca.MX) -> Vector:
         """Return the value of an expression of the design's symbols at the optimum, its runs integrated tightly.

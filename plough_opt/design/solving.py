@@ -9,7 +9,7 @@ import numpy as np
 from plough_opt.core.compiler import compiler_problem
 from plough_opt.core.errors import NotConverged
 from plough_opt.design.basin import near_optimum
-from plough_opt.design.derivatives import build_surely, with_enough_steps
+from plough_opt.design.derivatives import with_enough_steps, with_sure_steps
 from plough_opt.design.descents import descend, lower_from
 from plough_opt.design.effort import Search, effort_of, searched
 from plough_opt.design.exploring import Explored, Explorer, Progress
@@ -84,12 +84,11 @@ def solve_program(program: Program, request: Request) -> Optimum:
     """
     vary = searched(request.search, program.declared.variables)
     request.progress("preparing the model", 0.0)
-    program.prepare(request.p, any_guess=bool(vary))
-    return _Solve(program, request).solved(vary)
+    return _Solve(program.at(request.p, any_guess=bool(vary)), request).solved(vary)
 
 
 class _Solve:
-    """A solve of a prepared program."""
+    """A solve of a scaled program, which gets its integration steps on the way."""
 
     def __init__(self, program: Program, request: Request) -> None:
         self._program, self._request, self._p, self._progress = program, request, request.p, request.progress
@@ -102,7 +101,7 @@ class _Solve:
         Args:
             vary: numbers of the variables to search over; if empty, the optimum of the guess's basin is returned.
         """
-        program, p, landscape = self._program, self._p, self._landscape
+        p, landscape = self._p, self._landscape
         # Variables that follow from the others by algebra need no search.
         given = {variable.number for variable in landscape.eliminated}
         vary = tuple(k for k in vary if k not in given) or vary
@@ -111,16 +110,19 @@ class _Solve:
             explored, points = self._search(vary)
         else:
             self._progress("solving from the guess", 0.0)
-            points = [near_optimum(landscape, program.start())]
+            self._program, point = near_optimum(landscape, self._program.start())
+            points = [point]
         order = ranked(landscape, self._request.judge, np.array([point.y for point in points]))
-        points, accuracy_warnings = with_enough_steps(program, p, [points[k] for k in order], self._progress)
+        program, points, accuracy_warnings = with_enough_steps(
+            self._program, p, [points[k] for k in order], self._progress
+        )
         self._progress("checking", 0.0)
         best = converged_tightly(program, p, points[0])
         best = minimum_from(program, p, best, partial(lower_from, landscape) if landscape.vectorised else None)
-        optima, warnings = reports(landscape, [best, *points[1:]])
+        optima, warnings = reports(program, landscape, [best, *points[1:]])
         confirmed = best.status != AS_FOUND
         directions = flat_directions(program, p, best) if confirmed else []
-        solved = Solved(program, p, best)
+        rounder = partial(rounded, self._request.judge, self._request.seed, optima[0].objective)
         return Optimum(
             **optima[0].__dict__,
             status="unconfirmed" if not confirmed else "not unique" if directions else "solved",
@@ -130,8 +132,7 @@ class _Solve:
             search=self._record(vary, explored, len(points)),
             seconds=time.perf_counter() - self._request.started,
             warnings=(*accuracy_warnings, *remarks(explored, best, optima[0]), *warnings),
-            solved=solved,
-            rounder=partial(rounded, solved, self._request.judge, optima[0].objective),
+            solved=Solved(program, p, best, rounder=rounder),
         )
 
     def _search(self, vary: tuple[int, ...]) -> tuple[Explored, list[Point]]:
@@ -155,7 +156,7 @@ class _Solve:
             y = feasible_from(landscape, explored, start)
             minima = descend(landscape, y)
             points = self._optima(minima, *size)
-            if not points and (met := point_as_found(program, self._p, y)).solved:
+            if not points and (met := point_as_found(self._program, self._p, y)).solved:
                 points = [met]
         if not points:
             best_seen = program.declared.describe(program.values(minima.points[0]))
@@ -175,11 +176,11 @@ class _Solve:
             rounds: number of rounds of the search; the more rounds, the more basins are optimised.
             least_scale: smallest scale of the objective, in units of the merit.
         """
-        program, landscape, p = self._program, self._landscape, self._p
+        landscape, p = self._landscape, self._p
         lowest = abs(float(minima.f[np.argmin(minima.merit)]))
-        program.scale_by(max(lowest, least_scale) * landscape.objective_scale)
+        program = self._program.with_objective_scale(max(lowest, least_scale) * landscape.objective_scale)
         chosen = _basins_that_can_win(self._criterion(minima.points), variables <= _FEW_VARIABLES, rounds)
-        build_surely(program, p, list(minima.points[chosen]))
+        program = self._program = with_sure_steps(program, p, list(minima.points[chosen]))
         points: list[Point] = []
         for number, k in enumerate(chosen):
             self._progress(f"optimising basin {number + 1} of {len(chosen)}", number / len(chosen))

@@ -117,7 +117,7 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
         return None
     program = landscape.program.bare or landscape.program
     if program is not landscape.program:
-        program.prepare(landscape.p, any_guess=True)
+        program = program.at(landscape.p, any_guess=True)
         landscape = Landscape(program, landscape.p, landscape.held)
     y = y[: len(program.declared.variables)]
     _, f, g = landscape.rows_after_elimination(boxes(program.declared.variables, y[None]), finer=FINER)

@@ -40,9 +40,9 @@ def test_optimise_from_the_command_line(benchmark, name):
 
 def test_build(benchmark, problem):
     def fresh():
-        return (Program(problem.design()[0].declared),), {}
+        return (Program.of(problem.design()[0].declared),), {}
 
-    benchmark.pedantic(lambda program: program.build(NOTHING), setup=fresh, rounds=5, warmup_rounds=1)
+    benchmark.pedantic(lambda program: program.with_steps(NOTHING), setup=fresh, rounds=5, warmup_rounds=1)
 
 
 def test_full_solve(benchmark, problem):

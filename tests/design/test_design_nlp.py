@@ -64,9 +64,7 @@ def _check_against_ad(program, y, first=1e-9, second=1e-8):
 
 def _built(d):
     """Return the program of a design, built at its declared parameters."""
-    program = Program(d.declared)
-    program.build(np.array([p.value for p in d.declared.parameters]))
-    return program
+    return Program.of(d.declared).with_steps(np.array([p.value for p in d.declared.parameters]))
 
 
 @pytest.fixture
@@ -254,9 +252,9 @@ def test_differences_of_runs_give_the_error_of_their_derivatives(build_r1, refin
     if find_compiler() is None:
         pytest.skip("without a compiler there are no differences of very many runs")
     d = build_r1(damping=damping).design
-    d.solve(search="near")
-    program, y, none = d._program, d._program.start(), np.empty(0)
-    program.build(none, refinement, [y])
+    program, none = Program.of(d.declared), np.empty(0)
+    y = program.start()
+    program = program.with_steps(none, refinement, [y])
     (own,) = program.nlp.groups
     p = own.inputs(y, none).full().ravel()
     scales = p[list(own.varying)]

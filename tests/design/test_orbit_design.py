@@ -117,8 +117,8 @@ STEPS = [("linearised", None, 56), ("periodic", None, 12), ("periodic", OWN, Non
 
 @pytest.mark.parametrize(("name", "accuracy", "steps"), STEPS)
 def test_derivatives_of_the_program_are_those_of_differences(build, name, accuracy, steps):
-    program = Program(build(CHOICES[name], limit=LIMIT, accuracy=accuracy).design.declared)
-    program.build(np.array([]))
+    declared = build(CHOICES[name], limit=LIMIT, accuracy=accuracy).design.declared
+    program = Program.of(declared).with_steps(np.array([]))
     assert program.built.steps == [steps]
     for y in (0.2, 0.8):
         check_derivatives(program.nlp, np.array([y]), [], 1e-8, 1e-7, step=1e-3)

@@ -22,12 +22,12 @@ def two_valleys():
     """Return the landscape of ((x^2 - 1)^2 + y^2)/2 + x/10, with valleys at x near 1 and -1."""
     d, x, y = design(x=(0.5, -2.0, 2.0), y=(0.5, -2.0, 2.0))
     d.minimise(0.5 * ((x**2 - 1.0) ** 2 + y**2) + 0.1 * x + 1.0)
-    d.solve(search="near")
-    return Landscape(d._program, np.empty(0))
+    none = np.empty(0)
+    return Landscape(Program.of(d.declared).at(none), none)
 
 
 def test_evaluation_in_small_chunks_changes_no_bit(build_r1, monkeypatch):
-    program, points = Program(build_r1().design.declared), np.random.default_rng(3).random((30, 3))
+    program, points = Program.of(build_r1().design.declared), np.random.default_rng(3).random((30, 3))
     for together in (1, 5):
         f, g = program.population(points, np.empty(0), together=together)
         with monkeypatch.context() as patch:

@@ -17,9 +17,7 @@ FIXED = po.Accuracy("dop853", steps=60)
 
 
 def _program(d):
-    program = Program(d.declared)
-    program.build(np.zeros(0))
-    return program
+    return Program.of(d.declared).with_steps(np.zeros(0))
 
 
 def _path(count):

@@ -158,7 +158,7 @@ class Candidates(ABC):
         if not self.archive.vary:
             self.progress("solving from the guess", 0.0)
             guess = self.front.program.start()
-            starts = [[near_optimum(FrontLandscape(self.archive, p), guess).y] for p in alone]
+            starts = [[near_optimum(FrontLandscape(self.archive, p), guess)[1].y] for p in alone]
         else:
             starts = [list(self.archive.basin_minima(p).points) for p in alone]
         # The ranges between the starts, which needles are judged by until the anchors are known.

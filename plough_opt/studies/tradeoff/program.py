@@ -80,7 +80,7 @@ class FrontProgram:
         own = [ca.MX.sym(f"{_POSITION} {k}") for k in range(count * (count + 1))]
         weights, limits = ca.vertcat(*own[: 1 + count]), ca.vertcat(*own[1 - count :])
         normals = ca.reshape(ca.vertcat(*own[1 + count : 1 - count]), count, count - 1).T
-        self.program = Program(
+        self.program = Program.of(
             replace(
                 declared,
                 parameters=(*declared.parameters, *(Parameter(symbol.name(), symbol, 0.0, "") for symbol in own)),
@@ -120,7 +120,7 @@ class FrontProgram:
             (0.0, 1.0, *np.zeros(count - 1)), np.eye(count)[1:], np.zeros(count - 1)
         )
         self._refinement, self.building = 1.0, 0.0
-        self.program.prepare(self.neutral_parameters())
+        self.program = self.program.at(self.neutral_parameters())
 
     def build(self, starts: Sequence[Vector]) -> None:
         """Write the program with enough integration steps for some scaled designs, unless that is already so."""
@@ -133,8 +133,9 @@ class FrontProgram:
         self._build()
 
     def _build(self) -> None:
-        program, began = self.program, time.perf_counter()
-        program.build(self.neutral_parameters(), self._refinement, self._starts)
+        began = time.perf_counter()
+        program = self.program.with_steps(self.neutral_parameters(), self._refinement, self._starts)
+        self.program = program
         self.building += time.perf_counter() - began
         batched = program.wanted_error and program.population.vectorised
         self.correctors[True] = Corrector(program)

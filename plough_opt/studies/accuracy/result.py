@@ -125,7 +125,7 @@ class Thoroughness:
     seconds: float
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class AccuracyStudy(Saveable):
     """Error against time of every method that can simulate a scene, or of searches for the optimum of a design.
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class TradeOff(Saveable, Front):
     """Front of designs, from the best in the first objective to the worst: a curve for two, a surface for three.
 

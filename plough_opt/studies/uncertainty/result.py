@@ -37,7 +37,7 @@ _CUT_OFF: Final = 0.001
 _NEGLIGIBLE: Final = 5e-4
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class RobustOptimum(Saveable):
     """The result of a robust design question.
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from plough_opt.core.checks import check_kind, mapping_of, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression
 from plough_opt.core.files import drawn
+from plough_opt.core.notes import merge
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page
 from plough_opt.motion.run import Run, response_table
@@ -21,21 +21,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_NUMBER: Final = re.compile(r"\d[\d.e+-]*")
-
-
 def without_repetition(sentences: Sequence[str]) -> list[str]:
-    """Return sentences without repetition.
-
-    Sentences that differ only in their numbers are reduced to the first one, which then states how many were omitted.
-    """
-    groups: dict[str, list[str]] = {}
-    for text in dict.fromkeys(sentences):
-        groups.setdefault(_NUMBER.sub("#", text), []).append(text)
-    return [
-        first if not others else f"{first}; the same with other numbers in {len(others)} more scenes of the design"
-        for first, *others in groups.values()
-    ]
+    """Return sentences without repetition; those that differ only in their numbers become one with their ranges."""
+    notes: dict[str, str] = {}
+    for text in sentences:
+        merge(notes, text)
+    return list(notes.values())
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -144,10 +144,14 @@ class SimulationOfMany:
         kinds = 2 * (of_name["half_angle"] > PLANE_SECTIONS_LIMIT) + (ambient_share > 0.0)
         notes = []
         for kind in np.unique(kinds[sound]):
-            # Scenes of one kind have the same warnings with different numbers: report those of the first.
+            # Scenes of one kind have the same warnings, with numbers that are extreme where these columns are.
             which = np.flatnonzero(sound & (kinds == kind))
-            scene = self.problem.scene(dict(zip(self.names, values[which[0]].tolist(), strict=True)))
-            notes.append((int(which[0]), len(which), (*batch.warnings, *scene.warnings())))
+            extreme = np.column_stack([values, ambient_share])[which]
+            ends = dict.fromkeys([0, *np.argmin(extreme, axis=0).tolist(), *np.argmax(extreme, axis=0).tolist()])
+            for k in which[list(ends)]:
+                scene = self.problem.scene(dict(zip(self.names, values[k].tolist(), strict=True)))
+                points = len(which) if k == which[0] else 0  # All points of a kind are counted with the first.
+                notes.append((int(k), points, (*batch.warnings, *scene.warnings())))
         if missed := np.flatnonzero(found.missed).tolist():
             notes.append((missed[0], len(missed), (f"the wanted relative error {self.error:.1e} was not reached",)))
         return results, found.reasons, notes

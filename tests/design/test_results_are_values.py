@@ -52,8 +52,10 @@ EVENTS = {
     "round": lambda _, results: results[0][1].rounded(stiffness=[5e4, 9e4], height=[0.23, 0.25]),
     "sensitivity": lambda _, results: results[-1][1].every_sensitivity(),
     "print": lambda _, results: print(results[0][1]),
-    "declare": lambda d, results: d.parameter(f"p{len(d._parameters)}", 1.0),
-    "front": lambda d, _: po.trade_off(d, d._variables[0].symbol, 1.0 / d._variables[0].symbol, points=5, search="near"),
+    "declare": lambda d, _: d.parameter(f"p{len(d._parameters)}", 1.0),
+    "front": lambda d, _: po.trade_off(
+        d, d._variables[0].symbol, 1.0 / d._variables[0].symbol, points=5, search="near"
+    ),
 }
 
 
@@ -95,7 +97,11 @@ def test_a_copy_keeps_the_design_and_a_pickle_leaves_it_out():
         assert str(one.rounded(height=[0.23])) == str(best.rounded(height=[0.23]))
     again = pickle.loads(pickle.dumps(best))
     assert again == best
-    for refused in (lambda: again(run.mean_draft), lambda: again.rounded(height=[0.23]), lambda: again.sensitivity("x")):
+    for refused in (
+        lambda: again(run.mean_draft),
+        lambda: again.rounded(height=[0.23]),
+        lambda: again.sensitivity("x"),
+    ):
         with pytest.raises(po.InputError, match="saved without its design"):
             refused()
 
@@ -106,7 +112,15 @@ def _results():
     best = d.solve(search=16)
     front = po.trade_off(d, run.mean_draft / 1e3, run.force_rms / 1e3, points=5, search="near")
     still = po.simulate(best(run.scene), 0.1, outputs=2)
-    return [best, best.local_optima[0], best.rounded(height=[0.23]), best.search, front, still, po.Machine({"a": still})]
+    return [
+        best,
+        best.local_optima[0],
+        best.rounded(height=[0.23]),
+        best.search,
+        front,
+        still,
+        po.Machine({"a": still}),
+    ]
 
 
 def test_results_are_equal_if_their_numbers_are(tmp_path):

@@ -37,6 +37,23 @@ def test_every_point_has_the_results_of_a_single_simulation(problem, inline):
         assert row["moving_mass"] == run.scene.mass
 
 
+def test_a_warning_gives_the_range_of_its_numbers_over_all_points(problem, inline):
+    over, found = {"soil.cohesion": "1, 40, 20, 100, 3 kPa", "share.height": "0.2, 0.3 m"}, set()
+    for method in ("each", "batch"):
+        with po.sweep(problem, over, method=method, executor=inline) as swept:
+            found |= {note for note in swept.notes if "carries" in note}
+            points = list(swept.table)
+    shares = []
+    for row in points:
+        changes = (f"soil.cohesion={row['soil.cohesion'] / 1e3} kPa", f"share.height={row['share.height']} m")
+        warnings = po.read_problem(SUBSOILER, (*BRIEF, *changes)).simulate().warnings
+        (text,) = (text for text in warnings if "carries" in text)
+        shares.append(float(text.partition("carries ")[2].partition(" %")[0]))
+    (note,) = found
+    assert note.startswith("at 10 of 10 points")
+    assert f"carries {min(shares):.0f} to {max(shares):.0f} %" in note
+
+
 def test_each_warning_is_kept_once_with_the_number_of_its_points(problem, inline):
     over, found = {"share.wedge_angle": "30, 55 deg", "share.height": "1e-170, 0.2, 0.3 m"}, []
     for method in ("each", "batch"):

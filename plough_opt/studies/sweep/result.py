@@ -163,7 +163,7 @@ class Sweep(Readable):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Warnings, each kind once, as worded for its first point, with the number of points that have it."""
+        """Warnings, each kind once, with the ranges of its numbers and the number of points that have it."""
         count = len(self)
         # Points that were computed again after their rows were lost or damaged were counted twice.
         return tuple(f"at {min(points, count)} of {count} points: {text}" for text, points in self._store.notes())

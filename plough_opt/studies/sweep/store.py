@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError
+from plough_opt.core.notes import merge
 from plough_opt.studies.sweep import database
 from plough_opt.studies.sweep.database import Database, State, quoted
 from plough_opt.studies.sweep.work import Array, Done
@@ -27,10 +28,9 @@ _LEASE: Final = 30.0
 _SEARCHED: Final = 256
 # Most points in one claim when missing points are computed again: as many as a batch simulates at once.
 _LARGEST_GAP: Final = 2048
-# Adds to the count of a note, and takes over its text if its point comes before all others of this kind.
+# Adds to the count of a note, and takes over its text, with which that of the other points is merged.
 _NOTE: Final = (
-    "INSERT INTO notes VALUES (?, ?, ?, ?) ON CONFLICT (kind) DO UPDATE SET"
-    " text = CASE WHEN excluded.first < first THEN excluded.text ELSE text END,"
+    "INSERT INTO notes VALUES (?, ?, ?, ?) ON CONFLICT (kind) DO UPDATE SET text = excluded.text,"
     " first = min(first, excluded.first), points = points + excluded.points"
 )
 # Deletes the claim that contains a point if all points of its range are stored.
@@ -222,8 +222,10 @@ class Store(Database):
         with self.transaction():
             new = self.run_many(f"INSERT OR IGNORE INTO points ({columns}) VALUES ({marks})", rows)
             if new == len(numbers):
-                for kind, (text, place, points) in sorted(done.notes.items()):
-                    self.run(_NOTE, kind, text, int(numbers[place]), points)
+                notes = dict(self.run("SELECT kind, text FROM notes"))
+                for text, place, points in done.notes.values():
+                    kind = merge(notes, text)
+                    self.run(_NOTE, kind, notes[kind], int(numbers[place]), points)
             self.run(_END_CLAIM, self._owner, int(numbers[0]), int(numbers[0]))
         return new
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,12 +13,11 @@ from numpy.typing import NDArray
 
 from plough_opt.core.checks import NOT_NUMBERS
 from plough_opt.core.errors import InputError, PloughError
+from plough_opt.core.notes import merge
 from plough_opt.core.process import one_of_several
 
 Array = NDArray[np.float64]
 
-# A number in a note. Notes that differ only in numbers are of the same kind.
-_NUMBER = re.compile(r"[-+]?[0-9]+\.?[0-9]*(?:e[-+]?[0-9]+)?")
 # Largest number of evaluations that a worker keeps, with everything that they have built.
 _MOST_KEPT: Final = 4
 _kept: dict[str, Evaluation] = {}
@@ -29,7 +27,7 @@ class WithNotes(dict[str, float]):
     """Results of a point, with notes on them.
 
     Attributes:
-        notes: sentences; sentences that differ only in numbers count as the same note.
+        notes: sentences; sentences that differ only in numbers become one note, with their ranges.
     """
 
     def __init__(self, results: Mapping[str, float], notes: Sequence[str] = ()) -> None:
@@ -69,7 +67,7 @@ class Done:
         results: a row for each of these, meaningless for failed ones; None if all failed.
         names: of the results.
         reasons: row of a failed point -> reason.
-        notes: kind -> (text, row of the first point, number of points).
+        notes: kind -> (text with the ranges of its numbers, row of the first point, number of points).
         seconds: time taken [s].
     """
 
@@ -82,10 +80,10 @@ class Done:
 
     def note(self, place: int, texts: Sequence[str], points: int = 1) -> None:
         """Count notes on a point, or on several points of which the first one is given."""
-        for text in dict.fromkeys(texts):
-            kind = _NUMBER.sub("", text)
-            first, start, count = self.notes.get(kind, (text, place, 0))
-            self.notes[kind] = (first, start, count + points)
+        notes = {kind: text for kind, (text, _, _) in self.notes.items()}
+        for kind in {merge(notes, text): None for text in texts}:
+            _, start, count = self.notes.get(kind, ("", place, 0))
+            self.notes[kind] = (notes[kind], start, count + points)
 
 
 def work(key: str, evaluation: Evaluation, names: tuple[str, ...], values: Array, budget: float) -> Done:

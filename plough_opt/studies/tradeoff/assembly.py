@@ -1,6 +1,5 @@
 """Assembly of a front from its candidates: certificates, order, parts, holes and sentences for the reader."""
 
-import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -8,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from plough_opt.core.errors import NotConverged
+from plough_opt.core.notes import merge
 from plough_opt.core.saving import Origin
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.optimality import PULLS, decides
@@ -29,7 +29,6 @@ _HARDLY = 0.02
 _SMALL = 1e-3
 # Relative range below which it is rounding.
 _ROUNDING = 1e-8
-_NUMBER = re.compile(r"[-+]?[0-9]+\.?[0-9]*(?:e[-+]?[0-9]+)?")
 
 
 def assembled(tracer: Tracer, goals: Sequence[Goal], title: str) -> TradeOff:
@@ -244,20 +243,18 @@ def search_in_words(tracer: Tracer) -> str:
 
 
 def warnings_of(front: FrontProgram, designs: Sequence[Vector]) -> tuple[str, ...]:
-    """Return the warnings of the designs' scenes and runs, each kind once, with the numbers of its first design.
+    """Return the warnings of the designs' scenes and runs, each kind once, with the ranges of its numbers.
 
     Args:
         front: the program.
         designs: the efficient designs, in order, as scaled variables.
     """
-    first, counts = dict[str, str](), Counter[str]()
+    notes, counts = dict[str, str](), Counter[str]()
     for y in designs:
         texts = [text for run in front.runs(y) for text in (*run.scene.warnings(), *remarks(run))]
         texts += [text for scene in front.still_scenes(y) for text in scene.warnings()]
-        kinds = {_NUMBER.sub("", text): text for text in texts}
-        first = kinds | first
-        counts.update(kinds.keys())
-    return tuple(f"at {counts[kind]} of {len(designs)} designs: {text}" for kind, text in first.items())
+        counts.update({merge(notes, text) for text in texts})
+    return tuple(f"at {counts[kind]} of {len(designs)} designs: {text}" for kind, text in notes.items())
 
 
 def _listed(words: Sequence[str]) -> str:

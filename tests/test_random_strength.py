@@ -11,9 +11,11 @@ from helpers.differences import differences
 from helpers.random_motion import realisation
 from helpers.refusals import refusals
 from scipy.integrate import quad
+from scipy.linalg import expm, solve_continuous_lyapunov
 
 import plough_opt as po
 from plough_opt.motion.terms import Structure, parameters, resistance
+from plough_opt.soil.random_strength import rare_peak
 
 RANDOM = po.RandomStrength(rms=0.05, correlation_length=0.3)
 # A measured spectrum with an empty band and a peak.
@@ -179,3 +181,62 @@ def test_a_share_that_would_stop_carries_a_warning():
     for own in (calm, wild):
         warned = any("sometimes stops or retreats" in text for text in own.warnings())
         assert warned == (3.0 * own._stationary.speed_rms > own.tow_speed) == (own is wild)
+
+
+# Damping [N s/m], correlation length [m], and the least part of all passes that exceed the peak: upcrossings of a mount
+# with hardly any damping come in clusters.
+PEAKS = [(600.0, 0.3, 0.035), (3000.0, 0.05, 0.035), (30.0, 1.0, 0.01)]
+
+
+@pytest.mark.parametrize(("damping", "length", "least"), PEAKS)
+def test_the_peak_is_exceeded_in_a_twentieth_of_simulated_passes(damping, length, least):
+    """The linear motion z'' and a correlation of first order, (z, z', s), in exact steps of white noise."""
+    own, passes, seconds = scene(po.RandomStrength(0.05, length), damping=damping), 2000, 5.0
+    k, m, v, static = own.stiffness, float(own.inertia), own.tow_speed, own.reaction.static
+    d = damping + 2.0 * own.reaction.drag * v
+    rates = np.array([[0.0, 1.0, 0.0], [-k / m, -d / m, static / m], [0.0, 0.0, -v / length]])
+    noise = np.diag([0.0, 0.0, 2.0 * 0.05**2 * v / length])
+    covariance = solve_continuous_lyapunov(rates, -noise)
+    step = 2.0 * math.pi / math.sqrt(k / m) / 30.0
+    forward = expm(rates * step)
+    kicks = np.linalg.cholesky(covariance - forward @ covariance @ forward.T)
+    rng = np.random.default_rng(1)
+    x = np.linalg.cholesky(covariance) @ rng.standard_normal((3, passes))
+    observed = np.array([[k, damping, 0.0], [1.0, 0.0, 0.0]])
+    largest = observed @ x
+    for _ in range(round(seconds / step)):
+        x = forward @ x + kicks @ rng.standard_normal(x.shape)
+        largest = np.maximum(largest, observed @ x)
+    found = own._stationary
+    deviations, slopes = (np.sqrt(np.diag(own @ covariance @ own.T)) for own in (observed, observed @ rates))
+    assert (found.force_rms, found.displacement_rms) == pytest.approx(deviations, rel=1e-12)
+    assert (found.force_rate_rms, found.speed_rms) == pytest.approx(slopes, rel=1e-10)
+    for peaks, deviation, rate in zip(largest, deviations, slopes, strict=True):
+        exceeded = np.mean(peaks > rare_peak(deviation, rate, seconds))
+        # A part of 5 % of 2000 passes has a standard error of 0.5 %.
+        assert least < exceeded < 0.05 + 0.015
+
+
+def test_the_peaks_of_a_pass():
+    own = scene()
+    found, mean = own._stationary, own.steady_resistance
+    crossings = found.force_rate_rms / (2.0 * math.pi * found.force_rms) * 1000.0 / own.tow_speed
+    wanted = mean + found.force_rms * math.sqrt(2.0 * math.log((0.5 + crossings) / 0.05))
+    assert own.stationary_peak_force == pytest.approx(wanted, rel=1e-14)
+    assert own.stationary_peak_deflection > mean / own.stiffness
+    # Constant strength has no peaks, and neither does a share that follows the strut rigidly.
+    assert scene(po.RandomStrength(0.0, 0.3)).stationary_peak_force == mean
+    with pytest.raises(po.InputError, match="mount that moves"):
+        _ = scene(motion=False).stationary_peak_force
+    for random in (RANDOM, TABLE):
+        x = ca.MX.sym("x")
+        peak = dataclasses.replace(scene(random), stiffness=x).stationary_peak_force
+        number = dataclasses.replace(scene(random), stiffness=1.7e5).stationary_peak_force
+        assert float(ca.evalf(ca.substitute(peak, x, 1.7e5))) == pytest.approx(number, rel=1e-9)
+
+
+def test_a_table_does_not_offer_the_peak_of_the_simulated_motion_alone():
+    text = str(po.simulate(scene(), 0.2))
+    assert "peak mount force without random strength" in text
+    assert "mount force exceeded in 5 % of passes of 1 km" in text
+    assert "exceeded" not in str(po.simulate(scene(None), 0.2))

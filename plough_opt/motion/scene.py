@@ -19,7 +19,7 @@ from plough_opt.laws.forces import PlasticGas
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction, without_pressure
 from plough_opt.motion.effects import TERMS, Effects, Place, Smooth, resisted
 from plough_opt.soil.geometry import Cone, Wedge
-from plough_opt.soil.random_strength import Sliding, Stationary, stationary_response
+from plough_opt.soil.random_strength import PASS, Sliding, Stationary, rare_peak, stationary_response
 from plough_opt.soil.soil import Soil
 from plough_opt.soil.waves import check_strength
 
@@ -216,6 +216,34 @@ class Scene:
         """RMS of the deflection about its mean [m]: see `stationary_force_rms`."""
         return self._stationary.displacement_rms
 
+    @property
+    @_checked_stationary
+    def stationary_peak_force(self) -> Expression:
+        """Mount force [N] that at most 5 % of the passes of 1 km exceed: see `plough_opt.soil.random_strength`.
+
+        The motion is that of `stationary_force_rms`, about the resistance of steady sliding, and strength is Gaussian.
+
+        Raises:
+            InputError, DomainError: as `stationary_force_rms`; and for a share that follows the strut rigidly
+                (``motion=False``), to which random strength has no finite rate of change.
+        """
+        found = self._moving
+        return self.steady_resistance + rare_peak(found.force_rms, found.force_rate_rms, PASS / self.tow_speed)
+
+    @property
+    @_checked_stationary
+    def stationary_peak_deflection(self) -> Expression:
+        """Deflection [m] that at most 5 % of the passes of 1 km exceed: see `stationary_peak_force`."""
+        found = self._moving
+        peak = rare_peak(found.displacement_rms, found.speed_rms, PASS / self.tow_speed)
+        return self.steady_resistance / self.stiffness + peak
+
+    @property
+    def _moving(self) -> Stationary:
+        if not self.effects.motion:
+            raise InputError("a peak under random strength needs a mount that moves: give motion = true")
+        return self._stationary
+
     @cached_property
     def _stationary(self) -> Stationary:
         """Linearised response about steady sliding."""
@@ -229,7 +257,7 @@ class Scene:
             variance = sum(wave.amplitude**2 / 2.0 for wave in effects.waves)
             if effects.random_strength is not None:
                 variance = variance + effects.random_strength.variance
-            return Stationary(force * rms(variance, 1.0), 0.0, 0.0)
+            return Stationary(force * rms(variance, 1.0), 0.0, 0.0, 0.0)
         if isinstance(effects.contact, Smooth):
             # The smooth step multiplies all resistance, and below its width its slope adds to that of the resistance.
             step, steepness = effects.contact.step(speed)

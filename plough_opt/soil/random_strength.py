@@ -24,6 +24,8 @@ from plough_opt.core.expressions import (
     exp,
     gauss_legendre,
     holds_casadi,
+    log,
+    maximum,
     one_node,
     rms,
     sqrt,
@@ -33,6 +35,12 @@ from plough_opt.core.quantities import read_fields
 from plough_opt.soil.waves import StrengthWave
 
 Vector = NDArray[np.float64]
+
+PASS = 1000.0
+"""Distance [m] of a pass over a field, for which peaks are given."""
+
+EXCEEDED = 0.05
+"""Largest part of all passes in which such a peak is exceeded."""
 
 # Quadrature nodes per panel of a tabulated spectrum. For a panel as wide as the mount's natural frequency the error is
 # rounding at a tenth of critical damping, 1e-6 at a hundredth and 1e-4 at a thousandth.
@@ -197,11 +205,30 @@ class Stationary:
         force_rms: standard deviation of the mount force [N].
         displacement_rms: standard deviation of the deflection [m].
         speed_rms: standard deviation of the share's speed [m/s].
+        force_rate_rms: standard deviation of the mount force's rate of change [N/s].
     """
 
     force_rms: Expression
     displacement_rms: Expression
     speed_rms: Expression
+    force_rate_rms: Expression
+
+
+def rare_peak(deviation: Expression, rate: Expression, time: Expression) -> Expression:
+    """Return the height above its mean that a stationary Gaussian process exceeds in at most `EXCEEDED` of all passes.
+
+    The probability that the largest value in a time T exceeds u is at most that at its start, which is at most
+    exp(-u^2/2 s^2)/2, plus the expected number of upcrossings, (T r/2 pi s) exp(-u^2/2 s^2) by S. O. Rice,
+    "Mathematical analysis of random noise", Bell System Technical Journal 24 (1945). Upcrossings of a lightly damped
+    mount come in clusters, so that the true probability is lower.
+
+    Args:
+        deviation: standard deviation s of the process.
+        rate: standard deviation r of its rate of change [1/s].
+        time: T [s].
+    """
+    crossings = rate * time / (2.0 * math.pi * maximum(deviation, np.finfo(float).tiny))
+    return deviation * sqrt(2.0 * log((0.5 + crossings) / EXCEEDED))
 
 
 def stationary_response(
@@ -221,8 +248,20 @@ def stationary_response(
         place, rate = place + more[0], rate + more[1]
     # Deflection and rate of a stationary motion are uncorrelated.
     force = to.stiffness**2 * place + damper**2 * rate
-    size = to.force / to.stiffness
-    return Stationary(rms(force, to.force), rms(place, size), rms(rate, size * sqrt(to.stiffness / to.inertia)))
+    # So are rate and acceleration, whose variance follows from M z'' = G s - d z' - k0 z and the stationarity of z^2,
+    # z'^2 and z z'; it is at least rate^2/place, whatever the rounding.
+    strength = sum((wave.amplitude**2 / 2.0 for wave in waves), 0.0 if random is None else random.variance)
+    forced = to.force**2 * strength - to.stiffness**2 * place
+    stiff = 2.0 * to.stiffness * to.inertia - to.damping**2
+    acceleration = (forced + stiff * rate) / to.inertia**2
+    acceleration = maximum(acceleration, rate**2 / maximum(place, np.finfo(float).tiny))
+    size, frequency = to.force / to.stiffness, sqrt(to.stiffness / to.inertia)
+    return Stationary(
+        rms(force, to.force),
+        rms(place, size),
+        rms(rate, size * frequency),
+        rms(to.stiffness**2 * rate + damper**2 * acceleration, to.force * frequency),
+    )
 
 
 @one_node

@@ -142,7 +142,7 @@ def add_optimise(verb: argparse.ArgumentParser) -> None:
     """Add the options of an optimisation."""
     search = (
         "effort of the search: auto, thorough (four times the designs), near (only the guess's basin), a number of"
-        ' designs, a time such as "20 s", or the variables to sample, with commas (default: auto)'
+        ' designs to sample, or a time such as "20 s", after which no further round begins, or the variables to sample, with commas (default: auto)'
     )
     add_option(verb, "search", "HOW", search, default="auto")
     judge = "rank optima by their median within the tolerances, or by their own objective (default: tolerance)"
@@ -189,7 +189,7 @@ def _optimise_robust(problem: Problem, options: argparse.Namespace) -> None:
 
 def _search_of(text: str) -> Search:
     """Return the search that a text describes: a word, a number of designs, a time, or keys of variables."""
-    if text.strip().isdigit():
+    if text.strip().isdecimal():
         return int(text)
     return tuple(part.strip() for part in text.split(",")) if "," in text else text
 

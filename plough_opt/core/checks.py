@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from numbers import Integral
 from os import PathLike
 from pathlib import Path
 from types import UnionType
@@ -225,6 +226,13 @@ def plain_number(what: str, value: Any) -> float:
     if abs(number) > LARGEST:
         raise InputError(f"{what}: {shown(value)} must be at most {LARGEST:g} in magnitude: check its unit")
     return number
+
+
+def whole_number(what: str, value: Any) -> int:
+    """Return an integer, also one of NumPy, as an int; raise InputError if it is not a whole number of at least 0."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < 0:
+        raise InputError(f"{what} = {shown(value)} must be a whole number of at least 0")
+    return int(value)
 
 
 def check_text(what: str, value: Any) -> None:

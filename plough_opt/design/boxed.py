@@ -21,8 +21,8 @@ from plough_opt.design.tolerance import BOX_DESIGNS, boxes, unit_box
 Over = Literal["mean", "worst"]
 """Which value of the objective over the tolerance box is minimised: its mean, or the worst."""
 
-WORST = "worst objective"
-"""Name of the auxiliary variable that bounds the objective of every design in the box."""
+WORST = "worst objective\n"
+"""Name of the auxiliary variable that bounds the objective of every design in the box; users' names have no line."""
 
 # Most runs of all designs in a box together: they take seconds for a whole solve.
 _MOST_RUNS = 64

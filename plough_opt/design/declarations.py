@@ -1,11 +1,13 @@
 """Variables, parameters and requirements of a design, checked when they are declared."""
 
+from __future__ import annotations
+
 import math
 import re
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import cast
+from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -14,7 +16,7 @@ from numpy.typing import NDArray
 from plough_opt.core.checks import plain_number, shown
 from plough_opt.core.errors import InputError, nearest, short
 from plough_opt.core.expressions import Expression, absolute, exp, log, maximum, minimum
-from plough_opt.core.units import Display, customary, in_words
+from plough_opt.core.units import Display, customary, in_si, in_words
 
 # A saved result quotes at most this many characters of an expression: a whole one fills pages.
 _MOST_CHARACTERS = 400
@@ -43,9 +45,10 @@ class Variable:
         if not isinstance(self.log, bool | np.bool_):
             raise InputError(f"{text}: log = {shown(self.log)} must be True or False")
         if not self.lower < self.upper:
+            equal = "; to fix a quantity, use the number itself in place of a variable" * (self.lower == self.upper)
             raise InputError(
                 f"{text}: its bounds contradict each other: lower {in_words(self.lower, self.unit)} is not below"
-                f" upper {in_words(self.upper, self.unit)}"
+                f" upper {in_words(self.upper, self.unit)}{equal}"
             )
         if not self.lower <= self.guess <= self.upper:
             low, high, guess = (in_words(x, self.unit) for x in (self.lower, self.upper, self.guess))
@@ -121,7 +124,7 @@ class Variable:
 
 # Half width of the tolerance interval if none is declared, as a part of the range of the scaled variable.
 _DEFAULT_TOLERANCE = 0.003
-_PER_CENT = re.compile(r"\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)\s*%\s*")
+_PER_CENT = re.compile(r"\s*((?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*%\s*")
 
 
 @dataclass(frozen=True)
@@ -138,6 +141,11 @@ class Parameter:
         if not self.domain[0] <= self.value <= self.domain[1]:
             low, high, value = (in_words(x, self.unit) for x in (*self.domain, self.value))
             raise InputError(f"parameter '{self.name}': {value} lies outside its domain {low} to {high}")
+
+    def at(self, value: Any) -> Parameter:
+        """Return the parameter with another value: a number in its SI unit, a text with a unit, or a pint quantity."""
+        what = f"parameter '{self.name}'"
+        return replace(self, value=plain_number(what, in_si(what, value, self.unit)))
 
 
 @dataclass(frozen=True)
@@ -211,20 +219,22 @@ class Declarations:
         """Return the symbols of the variables, followed by those of the parameters."""
         return [*(v.symbol for v in self.variables), *(p.symbol for p in self.parameters)]
 
-    def parameter_values(self, changed: Mapping[str, float]) -> NDArray[np.float64]:
+    def parameter_values(self, changed: Mapping[str, Any]) -> NDArray[np.float64]:
         """Return the values of all parameters.
 
         Args:
-            changed: name -> value of the parameters that differ from their declaration.
+            changed: name -> value of the parameters that differ from their declaration: a number in the parameter's SI
+                unit, a text such as "50 kN/m", or a pint quantity.
 
         Raises:
-            InputError: a name is not a parameter, or a value is not a finite number.
+            InputError: a name is not a parameter, or a value is not a finite number, has another unit, or lies outside
+                the parameter's domain.
         """
         names = [p.name for p in self.parameters]
         for name in changed:
             if name not in names:
                 raise InputError(f"'{name}' is not a parameter of this design: {nearest(name, names)}")
-        return np.array([plain_number(f"parameter '{p.name}'", changed.get(p.name, p.value)) for p in self.parameters])
+        return np.array([p.at(changed[p.name]).value if p.name in changed else p.value for p in self.parameters])
 
     def plain(self, values: Sequence[float] | NDArray[np.float64]) -> dict[str, dict[str, str | float | None]]:
         """Return all declarations as plain data, to be saved with a result.

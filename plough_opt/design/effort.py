@@ -1,16 +1,21 @@
 """How thoroughly a search over a design's variables is carried out."""
 
+import contextlib
+import math
 import re
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from plough_opt.core.checks import shown
 from plough_opt.core.errors import InputError, nearest
+from plough_opt.core.units import in_si
 from plough_opt.design.declarations import Variable
 
 Search = str | int | Sequence[str]
-"""One of `WORDS`, a time such as "20 s", a number of designs, or names of the variables to search."""
+"""One of `WORDS`, a time such as "20 s" or "5 min", a number of designs, or names of the variables to search."""
 
 WORDS = ("auto", "thorough", "near", "local")
 """The words accepted as `search`; "local" means the same as "near"."""
@@ -33,7 +38,8 @@ _THOROUGH = 4
 _FEW_VARIABLES = 3
 # Largest number of designs accepted as `search`: it takes days.
 _MOST_ACCEPTED = 1_000_000_000
-_SECONDS = re.compile(r"\s*([0-9.]+(?:e[+-]?[0-9]+)?)\s*s\s*")
+# A text that begins like a number.
+_NUMBER = re.compile(r"\s*[-+]?\.?[0-9]")
 
 
 @dataclass(frozen=True)
@@ -92,28 +98,40 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
     designs = min(_DESIGNS.get(dimensions, _MOST_DESIGNS), max(_ONE_BY_ONE, _MOST_RUNS // max(runs, 1)))
     designs = 1 << (designs.bit_length() - 1)  # only powers of two make Sobol points even
     islands = _ISLANDS.get(dimensions, _MOST_ISLANDS) if designs * runs < _MOST_RUNS else 0
-    if isinstance(search, int) and search < designs:
+    if not vectorised:
+        designs, islands = 1 << (max(_FEWEST, _ONE_BY_ONE // max(runs, 1)).bit_length() - 1), 0
+    number = number_of(search)
+    if number is not None and number < designs:
         # Less than a round: only a sample, of a power of two.
-        designs, islands = 1 << max(3, search.bit_length() - 1), 0
+        designs, islands = 1 << max(3, number.bit_length() - 1), 0
     many = dimensions > _FEW_VARIABLES
     return Effort(
-        designs=designs if vectorised else 1 << (max(_FEWEST, _ONE_BY_ONE // max(runs, 1)).bit_length() - 1),
-        islands=islands if vectorised else 0,
+        designs=designs,
+        islands=islands,
         population=40 if many else 24,
         generations=60 if many else 30,
         descents=4 + 3 * dimensions,
         followed=4 + 2 * dimensions,
         dense=not many and search != "thorough",
         rounds=_THOROUGH if search == "thorough" else 1,
-        most_designs=search if isinstance(search, int) else None,
+        most_designs=number,
         seconds=seconds_of(search),
     )
 
 
+def number_of(search: Search) -> int | None:
+    """Return the number of designs, also one of NumPy, or None if `search` is anything else."""
+    return int(search) if isinstance(search, int | np.integer) and not isinstance(search, bool) else None
+
+
 def seconds_of(search: Search) -> float | None:
-    """Return the number of seconds in a text such as "20 s", or None if `search` is anything else."""
-    found = _SECONDS.fullmatch(search) if isinstance(search, str) else None
-    return float(found[1]) if found else None
+    """Return the number of seconds in a text such as "20 s" or "5 min", or None if `search` is anything else."""
+    if not isinstance(search, str) or not _NUMBER.match(search):
+        return None
+    with contextlib.suppress(InputError):
+        seconds = float(in_si("search", search, "s"))
+        return seconds if 0.0 <= seconds < math.inf else None
+    return None
 
 
 def searched(search: Search, variables: Sequence[Variable]) -> tuple[int, ...]:
@@ -122,15 +140,17 @@ def searched(search: Search, variables: Sequence[Variable]) -> tuple[int, ...]:
     Raises:
         InputError: `search` is neither valid nor the name of a variable.
     """
-    names = [v.name for v in variables]
-    every = tuple(range(len(names)))
-    if isinstance(search, bool) or not isinstance(search, str | int | Sequence):
-        raise InputError(f"search = {shown(search)} must be 'auto', 'thorough', 'near', a number of designs, a time"
-                         " such as '20 s', or names of variables")  # fmt: skip
-    if isinstance(search, int):
-        if not 1 <= search <= _MOST_ACCEPTED:
+    names = [v.name for v in variables if not v.auxiliary]
+    every = tuple(range(len(variables)))
+    number = number_of(search)
+    if number is not None:
+        if not 1 <= number <= _MOST_ACCEPTED:
             raise InputError(f"search = {shown(search)} must be a number of designs, from 1 to {_MOST_ACCEPTED}")
         return every
+    begins_with_number = isinstance(search, str) and _NUMBER.match(search) and search not in names
+    if not isinstance(search, str | Sequence) or (begins_with_number and seconds_of(search) is None):
+        raise InputError(f"search = {shown(search)} must be 'auto', 'thorough', 'near', a number of designs, a time"
+                         " such as '20 s', or names of variables")  # fmt: skip
     if search in ("near", "local"):
         return ()
     if search in ("auto", "thorough") or seconds_of(search) is not None:

@@ -12,7 +12,7 @@ from plough_opt.design.effort import Effort
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import SAME, Evaluations, Landscape, barriers, concatenated, end_straight_downhill
 from plough_opt.design.local_optimum import expected_unseen
-from plough_opt.design.sampling import MANY_VARIABLES, SEED, evolved, lines_through, local_minima, sample
+from plough_opt.design.sampling import MANY_VARIABLES, SEED, dips_along, evolved, lines_through, local_minima, sample
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction of it done."""
@@ -30,6 +30,9 @@ _ZOOM_RADIUS = 0.06  # half width of a box
 _ZOOM_RADII_IF_RARE = (0.06, 0.015, 0.004)  # If feasible designs are rare, their region may have any size.
 _ZOOM_DESCENTS = 4  # from each box
 _ZOOM_GAIN = 1e-6  # relative gain that justifies another round
+_ZOOM_ENDS = 64  # lowest ends of descents whose differences are steps to other ripples
+_ZOOM_MOVES = 12  # descents from designs after such a step
+_ZOOM_DIGITS = 4  # of such steps: ends of the same descent differ in later digits
 
 # The search with the variables at bounds held, which is smaller than the full search.
 _AT_A_BOUND = 1e-6  # A variable closer than this to a bound is at the bound.
@@ -244,10 +247,8 @@ class Explorer:
             return
         lines = lines_through(minima.points[0], _LINE_POSITIONS, self.variables)
         evaluated = self.landscape(lines)
-        promising, merit = self._worth_descending(evaluated), self._merit(evaluated)
-        wall = np.pad(merit.reshape(-1, _LINE_POSITIONS), ((0, 0), (1, 1)), constant_values=np.inf)
-        dips = np.flatnonzero(((wall[:, 1:-1] < wall[:, :-2]) & (wall[:, 1:-1] <= wall[:, 2:])).ravel())
-        for k in dips[np.argsort(merit[dips], kind="stable")][: _DIPS_PER_VARIABLE * len(self.variables)]:
+        promising, dips = self._worth_descending(evaluated), dips_along(self._merit(evaluated), _LINE_POSITIONS)
+        for k in dips[: _DIPS_PER_VARIABLE * len(self.variables)]:
             if promising[k] and np.max(np.abs(lines[k] - minima.points[0])) > _ANOTHER_DIP:
                 self.progress("descending from dips along each variable", 0.0)
                 self._end_from(lines[k])
@@ -264,6 +265,7 @@ class Explorer:
             for number, (centre, radius) in enumerate(boxes):
                 self.progress("looking closer at the best designs", number / len(boxes))
                 self._descend_inside(centre, radius, rng)
+            self._descend_from_translations()
             merits = [float(self._merit(end)[0]) for end in self._ends]
             lowest = min(merits[:before], default=np.inf)
             if not min(merits[before:], default=np.inf) < lowest - _ZOOM_GAIN * abs(lowest):
@@ -279,6 +281,24 @@ class Explorer:
         for k in local_minima(points, self._merit(evaluated))[0][:_ZOOM_DESCENTS]:
             if promising[k]:
                 self._end_from(designs[k])
+
+    def _descend_from_translations(self) -> None:
+        """Descend from the best end moved by differences of ends: ripples repeat, and several variables change at once.
+
+        A box holds hardly any sample in the ripple next to the best one if that differs in several variables.
+        """
+        ends = concatenated(self._ends)
+        merit = self._merit(ends)
+        order = np.argsort(merit, kind="stable")[:_ZOOM_ENDS]
+        lowest, highest = ends.points[order], merit[order[-1]]
+        moved = np.clip(lowest[0] + (lowest[:, None] - lowest).reshape(-1, lowest.shape[1]), 0.0, 1.0)
+        moved = moved[np.unique(moved.round(_ZOOM_DIGITS), axis=0, return_index=True)[1]]
+        near = np.max(np.abs(moved[:, None] - ends.points), axis=2).min(axis=1) < SAME
+        tried = self.landscape(moved[~near])
+        promising, merit = self._worth_descending(tried), self._merit(tried)
+        for k in np.argsort(merit, kind="stable")[:_ZOOM_MOVES]:
+            if promising[k] and merit[k] <= highest:
+                self._end_from(tried.points[k])
 
     def _follow(self, sampled: Evaluations, starts: list[int], known: dict[int, int]) -> None:
         """Record the end to which each random start leads.

@@ -188,7 +188,7 @@ class Optimum(LocalOptimum):
         return self.sensitivities or self._unique().every()
 
     def rounded(
-        self, catalogues: Mapping[str, float | Sequence[float]] | None = None, /, **more: float | Sequence[float]
+        self, catalogues: Mapping[str, Any] | None = None, /, **more: float | str | Sequence[float | str]
     ) -> Rounded:
         """Return the best design with some variables restricted to values that can be bought or made.
 
@@ -200,7 +200,8 @@ class Optimum(LocalOptimum):
         rounding and everything that was tried.
 
         Args:
-            catalogues: variable's name -> allowed values, or a step whose multiples are all allowed:
+            catalogues: variable's name -> allowed values, or a step whose multiples are all allowed, as numbers in SI,
+                texts such as "5 mm", or pint quantities:
                 ``best.rounded({"stiffness": [4e4, 5e4, 6.3e4], "wedge angle": po.deg(1)})``.
             more: the same by keyword, with underscores for spaces: ``wedge_angle=po.deg(1)``.
 

@@ -18,6 +18,7 @@ from plough_opt.core.checks import (
     mapping_of,
     plain_number,
     shown,
+    whole_number,
 )
 from plough_opt.core.errors import InputError, unprintable
 from plough_opt.core.expressions import Column, Expression, is_casadi
@@ -192,7 +193,7 @@ class Design:
     def solve(
         self,
         *,
-        parameters: Mapping[str, float] | None = None,
+        parameters: Mapping[str, Written] | None = None,
         search: Search = "auto",
         judge: Judge = "tolerance",
         seed: int = 0,
@@ -202,7 +203,7 @@ class Design:
         """Find the best design; the model is built once and kept for further solves.
 
         Args:
-            parameters: name -> value of the parameters that differ from their declaration.
+            parameters: name -> value of the parameters that differ from their declaration, as given to `parameter`.
             search: extent of the search.
 
                 * ``"auto"``: all variables, by a sample, evolution and descents; IPOPT then optimises the basins that
@@ -211,8 +212,9 @@ class Design:
                 * ``"near"`` or ``"local"``: the optimum in the basin of the guess, never worse than a guess that meets
                   the requirements. From any other guess it starts at the nearest design that meets them.
                 * names of variables: these alone, with the others starting at the guess.
-                * a number of designs, or a time such as ``"20 s"``, after which no further round of the search begins.
-                  The first round is always completed; with a small number its sample is smaller, but not its descents.
+                * a number of designs, or a time such as ``"20 s"`` or ``"5 min"``, after which no further round of the
+                  search begins. The first round is always completed: it samples at most this number of designs, a power
+                  of two from 8 on, and the descents from the best of them try more; the search's record counts all.
 
                 The same search gives the same answer, bit for bit, on any number of threads of a machine, except for a
                 search limited by time.
@@ -229,8 +231,8 @@ class Design:
             The best optimum found, with its objective by a tight integration, and all local optima.
 
         Raises:
-            InputError: there is nothing to minimise or to vary, a name is unknown, or the model has no value at the
-                start.
+            InputError: there is nothing to minimise or to vary, a name is unknown, a parameter's value is not valid, or
+                the model has no value at the start.
             DomainError: the bounds exceed the model's domain, or a motion is too fast to integrate.
             InfeasibleDesign: no design meets the requirements; the error names the conflicting ones and their
                 violations.
@@ -241,8 +243,7 @@ class Design:
         check_switch("compiled", compiled)
         if progress is not None:
             check_callable("progress", progress, "of what is being done and the fraction done")
-        if not isinstance(seed, int) or isinstance(seed, bool) or seed < 0:
-            raise InputError(f"seed = {shown(seed)} must be a whole number of at least 0")
+        seed = whole_number("seed", seed)
         declared = self.declared
         values = declared.parameter_values(mapping_of("parameters", parameters, "name -> value"))
         if self._program is None or self._program.compiled != compiled:

@@ -10,7 +10,7 @@ import numpy as np
 
 from plough_opt.core.checks import array_of, shown
 from plough_opt.core.errors import InfeasibleDesign, InputError, nearest
-from plough_opt.core.units import in_words
+from plough_opt.core.units import has_unit, in_si, in_words
 from plough_opt.design.declarations import Variable
 from plough_opt.design.infeasible import failures, from_least_violation
 from plough_opt.design.ipopt import Point, SolveOptions, Vector
@@ -23,8 +23,8 @@ from plough_opt.design.screening import promising
 from plough_opt.design.sensitivity import Solved
 from plough_opt.design.tolerance import Judge, ranking_criterion, spread
 
-Catalogue = float | Sequence[float]
-"""The values that a variable may take, or a step whose multiples it may take."""
+Catalogue = float | str | Sequence[float | str]
+"""The values that a variable may take, or a step whose multiples it may take: numbers in SI, or texts with units."""
 
 # A catalogue value within this fraction of the range from the optimum is taken for it: the optimiser stops this far
 # from a bound.
@@ -113,6 +113,10 @@ def _number_of(variables: Sequence[Variable], name: str) -> int:
 
 def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
     wrong = f"the catalogue of '{v.name}' must hold finite numbers, not {shown(catalogue)}"
+    what = f"the catalogue of '{v.name}'"
+    catalogue = in_si(what, catalogue, v.unit) if has_unit(catalogue) else catalogue
+    if isinstance(catalogue, list | tuple):
+        catalogue = [in_si(what, value, v.unit) for value in catalogue]
     values = array_of(catalogue, wrong).ravel()
     if not values.size or not np.all(np.isfinite(values)):
         raise InputError(wrong)

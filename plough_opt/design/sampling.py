@@ -146,6 +146,19 @@ def local_minima(points: Vector, merit: Vector) -> tuple[np.ndarray, np.ndarray]
     return lowest[np.argsort(merit[lowest], kind="stable")], ends
 
 
+def dips_along(merit: Vector, count: int) -> np.ndarray:
+    """Return the numbers of the positions that are lower than both neighbours on their line, lowest first.
+
+    Args:
+        merit: of each position, line after line.
+        count: number of positions on each line.
+    """
+    wall = np.pad(merit.reshape(-1, count), ((0, 0), (1, 1)), constant_values=np.inf)
+    dips = np.flatnonzero(((wall[:, 1:-1] < wall[:, :-2]) & (wall[:, 1:-1] <= wall[:, 2:])).ravel())
+    lowest_first: np.ndarray = dips[np.argsort(merit[dips], kind="stable")]
+    return lowest_first
+
+
 def evolved(
     merit: Callable[[Vector], Vector],
     points: Vector,

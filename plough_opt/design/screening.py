@@ -7,7 +7,15 @@ import numpy as np
 from plough_opt.design.descents import descend, least_violation
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.landscape import Evaluations, Landscape, concatenated
-from plough_opt.design.sampling import MANY_VARIABLES, SEED, evolved, local_minima, sobol_points
+from plough_opt.design.sampling import (
+    MANY_VARIABLES,
+    SEED,
+    dips_along,
+    evolved,
+    lines_through,
+    local_minima,
+    sobol_points,
+)
 
 # The first sample of the free variables.
 _SAMPLE = 2**16  # designs of all combinations together
@@ -30,6 +38,13 @@ _CAN_WIN = 0.15  # Their merit is within this fraction of the best.
 _DESIGNS_PER_VARIABLE = 12
 _GENERATIONS = 50
 _CONVERGED = 1e-6  # The evolution ends when the merits scatter by less than this fraction.
+
+# Positions on the line along each free variable through the lowest designs of these combinations, the dips on it from
+# which descents start, the number of looks along the lines, and the relative gain that justifies another one.
+_LINE_POSITIONS = 128
+_DIPS_PER_VARIABLE = 4
+_MOST_LOOKS = 4
+_GAIN = 1e-6
 
 # Weight of a violation in the second ranking, which keeps slightly infeasible combinations in the competition.
 _LOW_PENALTY = 1.0
@@ -164,7 +179,19 @@ class _Screen:
 
         best = evolved(merit, start, _GENERATIONS, self._rng, from_best=n < MANY_VARIABLES, alike=_CONVERGED)
         end = Promising(known.number, self._end(self.designs(np.array([known.number]), best[None])[0]))
-        return end if end.merit < known.merit else known
+        return self._along_each_variable(min(known, end, key=lambda one: one.merit))
+
+    def _along_each_variable(self, one: Promising) -> Promising:
+        """Return the lowest end of descents from dips along each free variable, which a sample may be too sparse for."""
+        for _ in range(_MOST_LOOKS):
+            lines = lines_through(one.start.points[0], _LINE_POSITIONS, self.free)
+            dips = dips_along(self._landscape(lines).merit, _LINE_POSITIONS)[: _DIPS_PER_VARIABLE * len(self.free)]
+            ends = [Promising(one.number, self._end(lines[k])) for k in dips]
+            best = min([one, *ends], key=lambda end: end.merit)
+            if not best.merit < one.merit - _GAIN * abs(one.merit):
+                break
+            one = best
+        return one
 
     def _end(self, start: Vector) -> Evaluations:
         """Return the end of a descent in the free variables, feasible if a least-violation search leads there."""

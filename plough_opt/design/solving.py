@@ -224,7 +224,7 @@ class _Solve:
         sample = explored.sample if explored else Evaluations(np.empty((0, len(variables))), none, none)
         return SearchRecord(
             asked=str(request.search),
-            variables=tuple(variables[k].name for k in vary),
+            variables=tuple(variables[k].name for k in vary if k in own),
             designs=landscape.designs_tried if explored else 0,
             one_by_one=not landscape.vectorised,
             basins=len(explored.minima.f) if explored else 1,
@@ -252,5 +252,7 @@ def _basins_that_can_win(criterion: Vector, few_variables: bool, rounds: int) ->
 def _in_units(program: Program, point: Point, direction: Vector) -> dict[str, float]:
     """Return a scaled direction as changes of the variables, the largest of them 1 % of its variable's range."""
     step = 0.01 * direction / np.max(np.abs(direction))
-    change = program.values(np.clip(point.y + step, 0.0, 1.0)) - program.values(point.y)
-    return {v.name: float(x) for v, x in zip(program.declared.variables, change, strict=True)}
+    # At a bound only one sense of the direction stays inside.
+    ends = [np.clip(point.y + sign * step, 0.0, 1.0) for sign in (1.0, -1.0)]
+    change = program.values(max(ends, key=lambda end: float(np.sum(np.abs(end - point.y))))) - program.values(point.y)
+    return {v.name: float(x) for v, x in zip(program.declared.variables, change, strict=True) if not v.auxiliary}

@@ -6,6 +6,7 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plough_opt.design.declarations import Variable
 from plough_opt.design.ipopt import Vector
@@ -17,6 +18,10 @@ Judge = Literal["tolerance", "bare"]
 
 NEEDLE = 0.05
 """An optimum is a needle, which no workshop can hit, if its median is above its own objective by this fraction."""
+
+# That fraction is of the objective, and at least of this part of its typical size over all designs: near 0 a fraction
+# of the objective would mean nothing.
+_SMALL = 0.25
 
 BOX_DESIGNS = 64
 """Number of designs sampled in a tolerance box."""
@@ -37,8 +42,8 @@ class Spread:
         margins: smallest margin of each requirement, positive if met, in its unit.
         kept: fraction of the designs that meet all requirements. It is about a tenth if two limits are active: a share
             that must meet its limits as made needs a margin.
-        needle: whether the median exceeds the design's own objective by more than 5 %, or half of the designs cannot be
-            evaluated.
+        needle: whether the median exceeds the design's own objective by more than 5 % (of a quarter of its median size
+            between the bounds if it is smaller than that), or half of the designs cannot be evaluated.
     """
 
     median: float
@@ -92,7 +97,7 @@ def ranked(landscape: Landscape, judge: Judge, points: Vector) -> list[int]:
     low, median, high = np.quantile(_objectives(landscape, points, FINER), (0.25, 0.5, 0.75), axis=1, method="higher")
     error = _MEDIAN_ERROR * np.where(np.isfinite(high), high - low, np.inf)
     best = int(np.argmin(median))
-    broad = median <= (1.0 + NEEDLE) * np.abs(own)
+    broad = ~_too_high(landscape, median, own)
     with np.errstate(invalid="ignore"):
         equal = broad & (median - median[best] <= 2.0 * np.hypot(error, error[best]))
     equal[best] = True
@@ -122,8 +127,10 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
     y = y[: len(program.declared.variables)]
     _, f, g = landscape.rows_after_elimination(boxes(program.declared.variables, y[None]), finer=FINER)
     valid = np.isfinite(f)
-    values = f[valid] * landscape.objective_scale if np.any(valid) else np.array([objective])
+    scale = landscape.objective_scale
+    values = f[valid] * scale if np.any(valid) else np.array([objective])
     median = float(np.median(values))
+    too_high = _too_high(landscape, np.array([median / scale]), np.array([objective / scale]))
     margins = np.minimum(g - program.low, program.high - g)[valid] if np.any(valid) else np.zeros((1, len(program.low)))
     least = np.array([margins[:, np.array(program.owner) == k].min() for k in range(len(program.scales))])
     return Spread(
@@ -134,8 +141,18 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
             for r, margin, scale in zip(program.declared.requirements, least, program.scales, strict=True)
         },
         kept=float(np.mean(landscape.violations(g).sum(axis=1) <= FEASIBLE)),
-        needle=bool(median - objective > NEEDLE * abs(objective) or 2 * np.sum(valid) < len(valid)),
+        needle=bool(too_high[0] or 2 * np.sum(valid) < len(valid)),
     )
+
+
+def _too_high(landscape: Landscape, median: Vector, own: Vector) -> NDArray[np.bool_]:
+    """Return for each design whether the median over its tolerances is a needle's; both in units of the merit."""
+    with np.errstate(all="ignore"):
+        everywhere = landscape.program.population(unit_box(landscape.dimensions), landscape.p)[0]
+    sizes = np.abs(everywhere[np.isfinite(everywhere)]) / landscape.objective_scale
+    typical = float(np.median(sizes)) if len(sizes) else 0.0
+    found: NDArray[np.bool_] = median - own > NEEDLE * np.maximum(np.abs(own), _SMALL * typical)
+    return found
 
 
 @lru_cache(maxsize=16)

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from plough_opt.core.checks import check_switch, plain_number, shown
+from plough_opt.core.checks import check_switch, plain_number, shown, whole_number
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
 from plough_opt.studies.sweep.work import Array
@@ -157,11 +157,9 @@ class Sample:
         """
         if not is_count(count) or not 2 <= count <= MOST_SAMPLES:
             raise InputError(f"{count!r} samples: give a whole number from 2 to {MOST_SAMPLES}, best a power of two")
-        if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-            raise InputError(f"the seed {seed!r} must be a whole number, at least 0")
         self.names = tuple(axes)
         self.count = count
-        self._seed = seed
+        self._seed = whole_number("the seed", seed)
         self._ranges: list[Range] = []
         self._position = 0
         for name, axis in axes.items():

@@ -4,6 +4,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from operator import is_
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -46,7 +47,7 @@ def trade_off(
     second: Goal | Expression,
     *others: Goal | Expression,
     points: int = 40,
-    parameters: Mapping[str, float] | None = None,
+    parameters: Mapping[str, Any] | None = None,
     search: Search = "auto",
     compiled: bool = False,
     title: str = "",

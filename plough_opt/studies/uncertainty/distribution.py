@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import integrate, special
 from scipy.stats import qmc
 
-from plough_opt.core.checks import NOT_NUMBERS, check_kind, check_text, plain_number, shown
+from plough_opt.core.checks import NOT_NUMBERS, check_kind, check_text, plain_number, shown, whole_number
 from plough_opt.core.errors import DomainError, InputError, nearest
 from plough_opt.core.expressions import is_casadi, is_count
 from plough_opt.core.quantities import QUANTITIES
@@ -354,5 +354,4 @@ def _check_draw(count: int, seed: int) -> None:
     """Raise InputError for an invalid number of samples or an invalid seed."""
     if not is_count(count) or count > _MOST_SAMPLES:
         raise InputError(f"the number of samples {shown(count)} must be a whole number from 1 to {_MOST_SAMPLES}")
-    if isinstance(seed, bool) or not (isinstance(seed, int | np.integer) and seed >= 0):
-        raise InputError(f"the seed {shown(seed)} must be a whole number of at least 0")
+    whole_number("the seed", seed)

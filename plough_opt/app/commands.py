@@ -142,7 +142,8 @@ def add_optimise(verb: argparse.ArgumentParser) -> None:
     """Add the options of an optimisation."""
     search = (
         "effort of the search: auto, thorough (four times the designs), near (only the guess's basin), a number of"
-        ' designs to sample, or a time such as "20 s", after which no further round begins, or the variables to sample, with commas (default: auto)'
+        ' designs to sample or a time such as "20 s", after which no further round begins, or the variables to sample,'
+        " with commas (default: auto)"
     )
     add_option(verb, "search", "HOW", search, default="auto")
     judge = "rank optima by their median within the tolerances, or by their own objective (default: tolerance)"

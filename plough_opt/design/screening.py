@@ -109,7 +109,7 @@ class _Screen:
     ) -> None:
         self._landscape, self._optimum, self._fixed, self._combinations = landscape, optimum, fixed, combinations
         self.free = [k for k in range(len(optimum)) if k not in fixed]
-        self._rng = np.random.default_rng([SEED, len(combinations), *([seed] if seed else [])])
+        self._rng = np.random.default_rng([SEED + seed, len(combinations)])
 
     def designs(self, numbers: np.ndarray, free: Vector) -> Vector:
         """Return the designs that join combinations, by number, with values of the free variables, a row each."""
@@ -182,7 +182,7 @@ class _Screen:
         return self._along_each_variable(min(known, end, key=lambda one: one.merit))
 
     def _along_each_variable(self, one: Promising) -> Promising:
-        """Return the lowest end of descents from dips along each free variable, which a sample may be too sparse for."""
+        """Return the lowest end of descents from dips along each free variable, which a sparse sample misses."""
         for _ in range(_MOST_LOOKS):
             lines = lines_through(one.start.points[0], _LINE_POSITIONS, self.free)
             dips = dips_along(self._landscape(lines).merit, _LINE_POSITIONS)[: _DIPS_PER_VARIABLE * len(self.free)]

@@ -29,17 +29,29 @@ BLOCK = 3
 KNOWN = {kind: {k: own for k, own in study.problems(kind).items() if own[1]} for kind in DEFAULT}
 
 
+# By default each problem is solved with one of these seeds, by its number; the slow tests solve all problems with all.
+SEEDS = range(5)
+
+
 def _blocks():
+    """Yield kinds, numbers of problems and shifts of their seeds."""
     for kind, default in DEFAULT.items():
-        for numbers, marks in ((default, ()), (sorted(KNOWN[kind].keys() - set(default)), pytest.mark.slow)):
-            for begin in range(0, len(numbers), BLOCK):
-                block = numbers[begin : begin + BLOCK]
-                yield pytest.param(kind, block, id=f"{kind} {'-'.join(map(str, block))}", marks=marks)
+        for shift in SEEDS:
+            rest = sorted(KNOWN[kind].keys() - (set() if shift else set(default)))
+            for numbers, marks in (((), ()) if shift else (default, ()), (rest, pytest.mark.slow)):
+                for begin in range(0, len(numbers), BLOCK):
+                    block = numbers[begin : begin + BLOCK]
+                    name = f"{kind} {'-'.join(map(str, block))} shift {shift}"
+                    yield pytest.param(kind, block, shift, id=name, marks=marks)
 
 
-@pytest.mark.parametrize(("kind", "numbers"), [*_blocks()])
-def test_the_best_or_the_least_shortfall_is_found(kind, numbers):
-    verdicts = {number: verdict_on(*KNOWN[kind][number]) for number in numbers}
+def seed_of(number, shift=0):
+    return SEEDS[(number + shift) % len(SEEDS)]
+
+
+@pytest.mark.parametrize(("kind", "numbers", "shift"), [*_blocks()])
+def test_the_best_or_the_least_shortfall_is_found(kind, numbers, shift):
+    verdicts = {number: verdict_on(*KNOWN[kind][number], seed=seed_of(number, shift)) for number in numbers}
     assert {number: own for number, own in verdicts.items() if not getattr(own, "right", False)} == {}
 
 
@@ -55,16 +67,29 @@ def test_a_truth_is_found_again(kind, number):
 
 
 PROBLEMS = study.problems("catalogue")
-# One that takes a second; the rest take half a minute.
-QUICK = (6,)
+# Two that take a second; the rest take half a minute.
+QUICK = (6, 10)
 
 
-@pytest.mark.parametrize(
-    "number", [number if number in QUICK else pytest.param(number, marks=pytest.mark.slow) for number in PROBLEMS]
-)
-def test_no_combination_of_the_catalogue_is_better(number):
+def _cases(numbers, quick, kind=()):
+    """Return problems with all seeds, of which the quick ones with the seed of their number are not slow."""
+    return [
+        pytest.param(
+            *kind,
+            number,
+            seed,
+            marks=[] if number in quick and seed == seed_of(number) else [pytest.mark.slow],
+            id=f"{' '.join((*kind, str(number)))} seed {seed}",
+        )
+        for number in numbers
+        for seed in SEEDS
+    ]
+
+
+@pytest.mark.parametrize(("number", "seed"), _cases(PROBLEMS, QUICK))
+def test_no_combination_of_the_catalogue_is_better(number, seed):
     problem, truth, offered = PROBLEMS[number]
-    best = as_design(problem)[0].solve(search="near", judge="bare")
+    best = as_design(problem)[0].solve(search="near", judge="bare", seed=seed)
     found = best.rounded(offered)
     y = problem.positions([[found.variables[v.name] for v in problem.variables]])
     seen = evaluate(problem, y)
@@ -94,12 +119,6 @@ FRONTS_BY_DEFAULT = {"front": (5, 6, 22), "surface": ()}
 FRONTS = {(kind, number): case for kind in FRONTS_BY_DEFAULT for number, case in study.problems(kind).items()}
 
 
-def case(kind, number):
-    """Return a parameter with its marks."""
-    marks = [] if number in FRONTS_BY_DEFAULT[kind] else [pytest.mark.slow]
-    return pytest.param(kind, number, marks=marks, id=f"{kind} {number}")
-
-
 def drawn(front):
     """Return points of a curve, and of the straight lines between neighbours."""
     rows = [front.objectives]
@@ -109,15 +128,18 @@ def drawn(front):
     return np.vstack(rows)
 
 
-@pytest.mark.parametrize(("kind", "number"), [case(*key) for key in sorted(FRONTS)])
-def test_the_whole_front_is_found(kind, number):
+@pytest.mark.parametrize(
+    ("kind", "number", "seed"),
+    [case for kind, quick in FRONTS_BY_DEFAULT.items() for case in _cases(study.problems(kind), quick, (kind,))],
+)
+def test_the_whole_front_is_found(kind, number, seed):
     problem, truth = FRONTS[kind, number]
     design, run, geometry = as_design(problem)
     goals = [
         po.Goal(name, geometry[name] if name in geometry else getattr(run, name), maximise=sign_of(name) < 0.0)
         for name in truth["names"]
     ]
-    front = po.trade_off(design, *goals, points=study.POINTS[len(goals)])
+    front = po.trade_off(design, *goals, points=study.POINTS[len(goals)], seed=seed)
     verdict = study.judge_front(problem, truth, front)
     assert verdict.right, (verdict, front.failures)
     assert np.all(np.isfinite(front.objectives))

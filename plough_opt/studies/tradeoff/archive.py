@@ -46,24 +46,26 @@ class Archive:
 
     Attributes:
         front: the program.
+        seed: of the samples.
         vary: numbers of the variables that are searched; empty if only the basin of the guess is wanted.
         tried: number of designs tried.
         vectorised: whether designs are integrated side by side.
         needles_beyond: number of needles found ahead of the front, without those that other designs dominate.
     """
 
-    def __init__(self, front: FrontProgram, search: Search, progress: Progress) -> None:
+    def __init__(self, front: FrontProgram, search: Search, progress: Progress, seed: int = 0) -> None:
         """Use a program whose scales are set.
 
         Args:
             front: the program.
             search: as in `plough_opt.trade_off`.
             progress: called with what is being done and the fraction done.
+            seed: of the samples.
 
         Raises:
             InputError: `search` names an unknown variable, or is not a valid effort.
         """
-        self.front, self.tried, self._progress = front, 0, progress
+        self.front, self.tried, self._progress, self.seed = front, 0, progress, seed
         program = front.program
         self._landscape = Landscape(program, front.neutral_parameters())
         self.vectorised = self._landscape.vectorised
@@ -169,7 +171,9 @@ class Archive:
         """
         landscape = FrontLandscape(self, p)
         judged = ranking_criterion(landscape, "tolerance")
-        explored = Explorer(landscape, self._start, self.vary, judged, self._effort, self._progress).explore()
+        explored = Explorer(
+            landscape, self._start, self.vary, judged, self._effort, self._progress, self.seed
+        ).explore()
         if not np.any(np.isfinite(explored.sample.merit)):
             raise NotConverged(
                 f"none of {landscape.designs_tried} designs between the bounds has a value: tighten the bounds, or"
@@ -204,11 +208,13 @@ class Archive:
 
         for number in range(self._effort.rounds):
             # `basin_minima` begins with the same sample, which is cached.
-            points, _ = sample(len(own), self._effort.designs, self._start[own], np.random.default_rng([SEED, number]))
+            points, _ = sample(
+                len(own), self._effort.designs, self._start[own], np.random.default_rng([SEED + self.seed, number])
+            )
             merits = merit(points)
             if np.any(np.isfinite(merits)):
                 best = points[np.argsort(merits, kind="stable")[: _DESIGNS_EACH * len(own)]]
-                rng = np.random.default_rng([SEED, number, 1])
+                rng = np.random.default_rng([SEED + self.seed, number, 1])
                 end = evolved(merit, best, _GENERATIONS, rng, from_best=True, alike=_CONVERGED)
                 found.append(whole(end[None])[0])
         return found

@@ -84,7 +84,7 @@ class Tracer(Candidates):
         """Add designs around the undominated ones to the archive, at first far from them and then near."""
         self.progress("sampling around the best designs", 0.0)
         self._rounds += 1
-        rng = np.random.default_rng([SEED, self._rounds])
+        rng = np.random.default_rng([SEED + self.archive.seed, self._rounds])
         for spread in _SPREADS:
             designs, objectives, leads = self._archive_with_leads()
             leading = np.flatnonzero(leads > 0.0)
@@ -245,7 +245,7 @@ class Tracer(Candidates):
         Where an optimum is a needle, the best designs that can be made lie at its edge and are not optima.
         """
         added: set[bytes] = set()
-        rng = np.random.default_rng([SEED, 0])
+        rng = np.random.default_rng([SEED + self.archive.seed, 0])
         for spread in _EDGE_SPREADS:
             if not (missed := self.missed(added, sparse=False)):
                 return

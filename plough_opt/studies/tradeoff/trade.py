@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from plough_opt.core.checks import check_callable, check_kind, check_switch, check_text, mapping_of, shown
+from plough_opt.core.checks import check_callable, check_kind, check_switch, check_text, mapping_of, shown, whole_number
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.core.expressions import Expression, is_count
 from plough_opt.design import Design, Progress
@@ -49,6 +49,7 @@ def trade_off(
     points: int = 40,
     parameters: Mapping[str, Any] | None = None,
     search: Search = "auto",
+    seed: int = 0,
     compiled: bool = False,
     title: str = "",
     progress: Progress | None = None,
@@ -80,6 +81,7 @@ def trade_off(
         search: as in `Design.solve`: "auto", "thorough", names of variables, a number of designs, or a text such as
             "20 s"; the objectives share it. With "near" the anchors are those to which the guess leads, and parts of
             the front that lie elsewhere stay unknown.
+        seed: seed of the samples.
         compiled: as in `Design.solve`.
         title: title of the design question, for reports.
         progress: called with what is being done and the fraction done.
@@ -117,12 +119,12 @@ def trade_off(
     front.prepare(front.declared.parameter_values(parameters))
     building = time.perf_counter() - started
     kind = CurveTracer if len(goals) == 2 else SurfaceTracer
-    tracer = kind(Archive(front, search, notify), int(points), notify)
+    tracer = kind(Archive(front, search, notify, whole_number("seed", seed)), int(points), notify)
     anchors = _anchors(front, tracer)
     idle = _normalise(front, anchors)
     if len(idle) == 1 and len(goals) == 3:
         conflicting = [goal for k, goal in enumerate(goals) if k not in idle]
-        found = trade_off(design, *conflicting, points=points, parameters=parameters, search=search, compiled=compiled,
+        found = trade_off(design, *conflicting, points=points, parameters=parameters, search=search, seed=seed, compiled=compiled,
                           title=title, progress=progress)  # fmt: skip
         note = f"'{goals[idle[0]].name}' does not conflict with the others: it is at its best all along their front"
         return replace(found, notes=(note, *found.notes), seconds=time.perf_counter() - started)

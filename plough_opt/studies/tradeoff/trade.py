@@ -124,8 +124,8 @@ def trade_off(
     idle = _normalise(front, anchors)
     if len(idle) == 1 and len(goals) == 3:
         conflicting = [goal for k, goal in enumerate(goals) if k not in idle]
-        found = trade_off(design, *conflicting, points=points, parameters=parameters, search=search, seed=seed, compiled=compiled,
-                          title=title, progress=progress)  # fmt: skip
+        found = trade_off(design, *conflicting, points=points, parameters=parameters, search=search, seed=seed,
+                          compiled=compiled, title=title, progress=progress)  # fmt: skip
         note = f"'{goals[idle[0]].name}' does not conflict with the others: it is at its best all along their front"
         return replace(found, notes=(note, *found.notes), seconds=time.perf_counter() - started)
     if idle:

@@ -293,7 +293,7 @@ class Explorer:
         lowest, highest = ends.points[order], merit[order[-1]]
         moved = np.clip(lowest[0] + (lowest[:, None] - lowest).reshape(-1, lowest.shape[1]), 0.0, 1.0)
         moved = moved[np.unique(moved.round(_ZOOM_DIGITS), axis=0, return_index=True)[1]]
-        near = np.max(np.abs(moved[:, None] - ends.points), axis=2).min(axis=1) < SAME
+        near = np.max(np.abs(moved[:, None] - lowest), axis=2).min(axis=1) < SAME
         tried = self.landscape(moved[~near])
         promising, merit = self._worth_descending(tried), self._merit(tried)
         for k in np.argsort(merit, kind="stable")[:_ZOOM_MOVES]:

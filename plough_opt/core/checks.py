@@ -139,8 +139,8 @@ def check_domain(
 ) -> Any:
     """Return a number as float, an array as array of floats, and a CasADi expression as it is, if inside the domain.
 
-    Formulas use what is returned: integers and short floats would overflow in powers. A symbol passes, because its
-    value is checked later. Numbers larger than `LARGEST` in magnitude are outside every domain.
+    Formulas use what is returned: integers and short floats would overflow in powers. Longer floats stay as they are.
+    A symbol passes, because its value is checked later. Numbers larger than `LARGEST` are outside every domain.
 
     Args:
         name: name of the value, for the user.
@@ -181,9 +181,9 @@ def check_domain(
                 why = "beyond that, products of quantities overflow or underflow: check its unit"
             reason = f": {why}" if why else ""
             raise DomainError(f"{name} = {bad:.{digits}g}{suffix} must be {relation}{bound}{reason}")
-    if is_casadi(value) or isinstance(value, np.float64):
+    if is_casadi(value) or isinstance(value, np.float64 | np.longdouble):
         return value
-    return np.asarray(value, dtype=float) if isinstance(value, np.ndarray) else float(value)
+    return value.astype(np.result_type(value, float), copy=False) if isinstance(value, np.ndarray) else float(value)
 
 
 def _check_kind(name: str, value: Expression, unit: str) -> None:

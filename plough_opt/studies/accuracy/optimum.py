@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.compiler import NO_COMPILER
+from plough_opt.core.compiler import interpretation_warning
 from plough_opt.core.errors import InfeasibleDesign, InputError, NotConverged
 from plough_opt.design import Design, Optimum, Progress
 from plough_opt.design.declarations import Declarations
@@ -131,7 +131,7 @@ def search_trials(design: Design, *, limit: float, thin: bool, progress: Progres
         for number, search in enumerate(_EFFORTS):
             progress(f"searching, {method}: {search}", (part + number / len(_EFFORTS)) / 2.0)
             first, built = _solved(own, search, 0, compiled=compiled)
-            if first is not None and NO_COMPILER in first.warnings:
+            if first is not None and interpretation_warning() in first.warnings:
                 return trials
             # Repeated, it finds its program built, and translated by the compiler.
             runs = [_solved(own, search, 0, compiled=compiled)]
@@ -206,8 +206,7 @@ def reference_optimum(declared: Declarations, best: Optimum) -> OptimumReference
     if best.over:
         raise InputError(f"{best.over}, whose optimum is not known more accurately")
     p = declared.parameter_values({})
-    program = Program(declared)
-    program.build(p, _FINER)
+    program = Program.of(declared).with_steps(p, _FINER)
     point = program.solve(_scaled(declared, best.variables), p, SolveOptions(near=True))
     if not point.solved:
         raise NotConverged("the reference was lost when the steps were refined: tighten the bounds", point.status)

@@ -17,7 +17,7 @@ from plough_opt.core.checks import (
     plain_number,
     shown,
 )
-from plough_opt.core.compiler import NO_COMPILER
+from plough_opt.core.compiler import interpretation_warning
 from plough_opt.core.errors import InputError, PloughError
 from plough_opt.core.expressions import as_number, holds_casadi, is_count, map_expressions
 from plough_opt.core.process import available
@@ -171,7 +171,7 @@ def study_design(
     except PloughError as error:
         notes.append(f"no reference for the optimum: {error}")
     if all(trial.method != "compiled" for trial in trials):
-        entries.append(Entry(SEARCH, "compiled", "", math.inf, failure=NO_COMPILER))
+        entries.append(Entry(SEARCH, "compiled", "", math.inf, failure=interpretation_warning()))
     return AccuracyStudy(
         title=title,
         duration=None,

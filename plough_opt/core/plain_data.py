@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, is_dataclass, make_dataclass
+import sysconfig
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, fields, is_dataclass, make_dataclass
 from functools import lru_cache, partial, reduce
 from inspect import isfunction, signature
 from operator import or_
-from types import UnionType
+from pathlib import Path
+from types import ModuleType, SimpleNamespace, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, short
+from plough_opt.core.process import additions
 
 # pydantic is slow to import, and most programs save nothing: it is imported on first use.
 if TYPE_CHECKING:
@@ -29,6 +34,10 @@ _SETTINGS: Final[ConfigDict] = {
 }  # fmt: skip
 # Keys that name a class and a function.
 _CLASS, _FUNCTION = "class", "function"
+# A class or function in a file: its module and its qualified name, which may hold "<locals>".
+_PATH: Final = re.compile(r"[\w.-]+:[\w.<>]+")
+# Top-level modules that this package installs.
+_TOOLKIT: Final = ("plough_opt", "plough_opt_command")
 
 
 def to_plain(value: Any, hint: Any = Any) -> Any:
@@ -152,29 +161,36 @@ def _read_object(known: dict[str, type], data: dict[str, Any]) -> Any:
     """Return an object of the class that its data names."""
     hint = next(iter(known.values()))
     name = str(data.get(_CLASS, hint.__name__))
-    kind = known.get(name) or _imported(name)
-    if kind is None and ":" in name and not is_dataclass(hint):
+    kind = known.get(name) or (_imported(name) if ":" in name else None)
+    if kind is None and ":" in name and not is_dataclass(hint) and _top(name) not in _TOOLKIT:
         kind = _stand_in(hint, name, [key for key in data if key != _CLASS])
-    if kind in known.values() or (isinstance(kind, type) and is_dataclass(kind)):
-        found = kind(**vars(_read(_form(kind), data)))
-        if isinstance(found, tuple(known.values())):
-            return found
+    if isinstance(kind, type) and is_dataclass(kind) and _suits(kind, known.values()):
+        return kind(**vars(_read(_form(kind), data)))
     raise ValueError(f"is not of type {' or '.join(known)}")
 
 
 @lru_cache(maxsize=256)
 def _form(kind: Any) -> Any:
-    """Return a dataclass with the fields of a class, of any type if it is not a dataclass or its types are local."""
-    try:
-        hints = get_type_hints(kind, include_extras=True) if is_dataclass(kind) else {}
-    except NameError:
-        hints = {}
+    """Return a dataclass with the fields of a class, of any type if it is not a dataclass or its type is local."""
+    hints = _hints(kind) if is_dataclass(kind) else {}
     saved: list[Any] = []
     for name, one in signature(kind).parameters.items():
         hint = _with_functions(hints.get(name, Any))
         hint = hint | None if one.default is None else hint
         saved.append((name, hint) if one.default is one.empty else (name, hint, one.default))
     return make_dataclass(kind.__name__, saved, kw_only=True)
+
+
+def _hints(kind: Any) -> dict[str, Any]:
+    """Return name -> type of the fields of a dataclass, without types that are local to a function."""
+    with suppress(NameError):
+        return get_type_hints(kind, include_extras=True)
+    found: dict[str, Any] = {}
+    for one in fields(kind):
+        alone = SimpleNamespace(__annotations__={one.name: one.type})
+        with suppress(NameError):
+            found |= get_type_hints(alone, vars(sys.modules[kind.__module__]), include_extras=True)
+    return found
 
 
 def _with_functions(hint: Any) -> Any:
@@ -192,9 +208,7 @@ _Entry = float | Literal["Infinity", "-Infinity"] | None
 NUMBERS: Final = Saved(
     float | int | list[float] | list[list[float]], lambda data: _array(data) if isinstance(data, list) else data
 )
-FUNCTION: Final = Saved(
-    dict[Literal["function"], str], lambda data: _imported(data[_FUNCTION]) or _missing(data[_FUNCTION])
-)
+FUNCTION: Final = Saved(dict[Literal["function"], str], lambda data: _function(data[_FUNCTION]))
 Array: TypeAlias = Annotated[NDArray[np.float64], Saved(list[_Entry] | list[list[_Entry]], _array)]
 Complex: TypeAlias = Annotated[complex, Saved(tuple[float, float], lambda parts: complex(*parts))]
 # Numbers that are infinite where unknown: errors of unpredictable motions, undetermined values, times of failures.
@@ -207,28 +221,90 @@ def _path(thing: Any) -> str:
 
 
 def _imported(path: str) -> Any:
-    """Return a class or function of a user's module, or None if that is not imported; a file must not import code."""
+    """Return the class or function that an imported module defines under this name, or None.
+
+    Nothing is imported, and names that a module itself only imports do not count.
+
+    Raises:
+        ValueError: the text is not a name with its module.
+    """
+    if _PATH.fullmatch(path) is None:
+        raise ValueError(f"{short(path)!r} does not name a class or a function, as 'module:name' would")
     module, _, names = path.partition(":")
-    thing = None if module.partition(".")[0] in sys.stdlib_module_names else sys.modules.get(module)
+    holder: Any = None
+    thing: Any = sys.modules.get(module)
     for name in names.split("."):
-        thing = getattr(thing, name, None)
-    return thing
+        holder, thing = thing, vars(thing).get(name) if isinstance(thing, ModuleType | type) else None
+    if isinstance(holder, type) and not isinstance(thing, type):  # other methods need an object
+        thing = thing.__func__ if isinstance(thing, staticmethod) else None
+    return thing if (isfunction(thing) or isinstance(thing, type)) and _path(thing) == path else None
+
+
+def _suits(kind: type, hints: Iterable[type]) -> bool:
+    """Return whether a class that a file names may be in the place of some classes.
+
+    It must inherit from one of them; a class of the user's own needs only their methods.
+    """
+    if any(hint in kind.__mro__ for hint in hints):
+        return True
+    with suppress(TypeError):  # a protocol with attributes must be inherited
+        return _is_users(kind.__module__) and issubclass(kind, tuple(hints))
+    return False
+
+
+def _function(path: str) -> Callable[..., Any]:
+    """Return a function of the user's own that a file names; any other is replaced by one that refuses to run."""
+    found = _imported(path)
+    return found if isfunction(found) and _is_users(found.__module__) else _missing(path)
+
+
+def _is_users(module: str) -> bool:
+    """Return whether an imported module is the user's own: not of Python, of this package or of an installed library.
+
+    An installed package that declares itself as an addition is the user's own too.
+    """
+    top = _top(module)
+    if top in sys.stdlib_module_names or top in _TOOLKIT:
+        return False
+    # `python -m` runs a module of Python or of a library as __main__; a session has no file.
+    file = Path(getattr(sys.modules[module], "__file__", None) or "")
+    installed = {"site-packages", "dist-packages"} & {*file.parts} or file.is_relative_to(sysconfig.get_path("stdlib"))
+    return not installed or top in additions()
+
+
+def _top(path: str) -> str:
+    """Return the first package of a module or of a name in it."""
+    return path.partition(":")[0].partition(".")[0]
 
 
 def _missing(path: str) -> Callable[..., Any]:
     """Return a replacement for a function that is not defined; calling it raises InputError."""
 
     def refuse(*_arguments: object, **_more: object) -> Any:
-        raise InputError(f"the result holds '{path}', which is not defined here: define or import it, and load again")
+        raise InputError(
+            f"the result holds '{path}', which is not defined here by a module of yours: define or import it, and load"
+            " again (of installed packages only those count that declare an entry point 'plough_opt')"
+        )
 
     refuse.__module__, _, refuse.__qualname__ = path.partition(":")  # by which it is saved again
     return refuse
 
 
 def _stand_in(hint: type, path: str, names: Sequence[str]) -> type:
-    """Return a replacement for a class that is not defined; it holds and shows the fields but cannot compute."""
+    """Return a replacement for a class that is not defined; it holds and shows the fields but cannot compute.
+
+    Raises:
+        ValueError: a name cannot be that of a field.
+    """
     methods = dict.fromkeys(("force", "at_rest", "reaction"), _missing(path))
-    made = make_dataclass(path.rpartition(".")[2].rpartition(":")[2], names, bases=(hint,), frozen=True,
-                          namespace={**methods, "label": path})  # fmt: skip
+    if wrong := [name for name in names if name in methods or name.startswith("__")]:
+        raise ValueError(f"{short(wrong[0])!r} cannot be the name of a field")
+    title, typed = path.rpartition(".")[2].rpartition(":")[2], [(name, Any) for name in names]
+    try:
+        made = make_dataclass(
+            title, typed, bases=(hint,), frozen=True, kw_only=True, namespace={**methods, "label": path}
+        )
+    except TypeError as error:
+        raise ValueError(f"{error}") from None
     made.__module__, _, made.__qualname__ = path.partition(":")  # by which it is saved again
     return made

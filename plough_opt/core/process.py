@@ -159,6 +159,11 @@ def load_additions() -> None:
             ) from error
 
 
+def additions() -> set[str]:
+    """Return the top-level packages that installed packages declare as additions."""
+    return {entry.module.partition(".")[0] for entry in entry_points(group=GROUP)}
+
+
 def optional(name: str, extra: str) -> Any:
     """Return a module of a library that an extra of this package installs.
 

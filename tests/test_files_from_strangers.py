@@ -1,0 +1,149 @@
+"""Files from strangers: they run no code, write nowhere else and do not command a terminal."""
+
+import json
+import sys
+import types
+from dataclasses import dataclass
+
+import pytest
+from helpers.scenes import Shank, scene_of
+
+import plough_opt as po
+from plough_opt.core.expressions import exp
+
+# Names of functions and classes that are imported while a result is read, each of which does more than return a number.
+DANGEROUS = [
+    *("os:system", "posix:system", "os:remove", "os:_exit", "os.path:os.system", "shutil:rmtree", "builtins:exec"),
+    *("builtins:print", "builtins:getattr", "subprocess:run", "subprocess:Popen", "subprocess:Popen.__init__"),
+    *("sys:exit", "sys:settrace", "importlib:import_module", "runpy:run_path", "pathlib:Path", "pathlib:Path.unlink"),
+    *("functools:partial", "types:FunctionType", "pickle:loads", "pickle:Unpickler", "pdb:set_trace", "code:interact"),
+    *("plough_opt.core.files:os.system", "plough_opt.core.files:write_file", "plough_opt.core.files:write_files"),
+    *("plough_opt.core.files:shutil.rmtree", "plough_opt.core.files:Path", "plough_opt.core.compiler:subprocess.run"),
+    *("plough_opt.core.saving:Saveable.save", "plough_opt.core.saving:Origin.restore", "plough_opt:load"),
+    *("plough_opt.core.process:load_additions", "plough_opt:simulate", "plough_opt.export:write_fmu"),
+    *("plough_opt_command:main", "plough_opt.app.main:main", "plough_opt.motion.run:Run", "plough_opt:Scene"),
+    *("numpy:save", "numpy:fromfile", "numpy:os.system", "numpy.lib._npyio_impl:save", "numpy:ndarray.tofile"),
+    *("casadi:Function.load", "casadi:Importer", "matplotlib.pyplot:savefig", "matplotlib:use", "rich:print"),
+    *("pytest:main", "_pytest.config:main", "helpers.scenes:Shank.__class__.__subclasses__"),
+    *("helpers.scenes:dataclass", "helpers.scenes:po.simulate", "helpers:scenes.Shank.force"),
+    *("helpers.scenes:Shank.force.__globals__", "helpers.scenes:Shank.__init__.__globals__", "__main__:__builtins__"),
+    *(f"{__name__}:po.core.files.os.system", f"{__name__}:json.dumps", f"{__name__}:BORROWED", f"{__name__}:ALIAS"),
+    *(f"{__name__}:Plain", f"{__name__}:Careless", f"{__name__}:INSTANCE", f"{__name__}:Plain.force"),
+    *(":", "a:", ":b", "", "a", "a:b:c", "a b:c", "\x1b:c"),
+]  # fmt: skip
+called = []
+
+
+def density(r, width):
+    return 1350.0 * (1.05 + 0.3 * exp(-((r / width) ** 2)))
+
+
+class Group:
+    """Functions that belong together."""
+
+    @staticmethod
+    def density(r, width):
+        return density(r, width)
+
+
+ALIAS = density
+BORROWED = json.dumps
+
+
+class Plain:
+    """No dataclass, but with the method of an effect."""
+
+    def __init__(self, **given):
+        called.append(given)
+
+    def force(self, travel, speed):
+        return 0.0 * travel + 0.0 * speed
+
+
+@dataclass(frozen=True)
+class Careless:
+    """A dataclass that is no effect, and acts when it is made."""
+
+    static: float = 0.0
+
+    def __post_init__(self):
+        called.append(self)
+
+
+INSTANCE = Careless.__new__(Careless)
+
+
+def run_of(function=density, **effects):
+    soil = po.named_soil("serozem").with_density_profile(function, 0.15, order=2)
+    return po.simulate(scene_of(soil, motion=False, **effects), 0.1, outputs=4)
+
+
+def forged(path, text, **changes):
+    """Write a result in which texts are replaced, and return its path."""
+    for old, new in changes.values():
+        assert json.dumps(old) in text
+        text = text.replace(json.dumps(old), json.dumps(new))
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_a_file_names_no_function_but_those_of_the_users_modules(tmp_path):
+    """Whatever else it names is replaced by a function that refuses to run."""
+    text, name = run_of().to_json(), f"{__name__}:density"
+    assert po.load(forged(tmp_path / "a.json", text)).scene.soil.density_profile.density is density
+    for path in DANGEROUS:
+        file = forged(tmp_path / "a.json", text, name=(name, path))
+        with pytest.raises(po.InputError, match=r"not defined here|does not name a class or a function"):
+            po.simulate(po.load(file).scene, 0.1)
+
+
+def test_a_file_names_no_class_but_effects_and_laws(tmp_path):
+    text, name = run_of(own=(Shank(30.0),)).to_json(), "helpers.scenes:Shank"
+    assert po.load(forged(tmp_path / "a.json", text)).scene.effects.own == (Shank(30.0),)
+    for path in DANGEROUS:
+        file = forged(tmp_path / "a.json", text, name=(name, path))
+        with pytest.raises(po.InputError, match=r"not defined here|does not name a class or a function|not of type"):
+            po.load(file).scene.effects.own[0].force(0.0, 1.0)
+    assert called == []
+
+
+WRONG_FIELDS = [
+    *(("static", value) for value in ("x", None, [[[1.0]]], {"function": "os:system"}, {"class": "elsewhere:Shank"})),
+    *((name, 1.0) for name in ("force", "at_rest", "__class__", "__dict__", "a b", "def", "")),
+]
+
+
+@pytest.mark.parametrize(("field", "value"), WRONG_FIELDS)
+def test_fields_of_an_effect_have_its_types(tmp_path, field, value):
+    data = json.loads(run_of(own=(Shank(30.0),)).to_json())
+    (own,) = data["scene"]["effects"]["own"]
+    own |= {field: value}
+    if field != "static":  # such names can only be in a class that is not defined
+        own["class"] = "elsewhere:Shank"
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps(data), encoding="utf-8")
+    with pytest.raises(po.InputError, match=r"scene\.effects\.own"):
+        po.load(path)
+
+
+def test_users_functions_effects_and_laws_are_read_again(tmp_path):
+    for function in (density, Group.density):
+        made = run_of(function, own=(Shank(30.0),))
+        found = po.load(made.save(tmp_path / "a.json"))
+        assert found.scene == made.scene
+        assert found.scene.soil.density_profile.density is function
+        assert po.simulate(found.scene, 0.1, outputs=4).mean_draft == made.mean_draft
+    steep = po.Wedge(po.deg(30), po.deg(55), 0.25)
+    scene = scene_of(share=steep, medium=po.laws.LAWS["mckyes_ali"](), motion=False)
+    assert po.load(po.simulate(scene, 0.1).save(tmp_path / "a.json")).scene == scene
+
+
+@pytest.mark.parametrize("entry", [True, False])
+def test_an_installed_package_counts_if_it_is_an_addition(tmp_path, monkeypatch, entry):
+    package = types.ModuleType("my_soils")
+    package.__file__ = str(tmp_path / "site-packages" / "my_soils.py")
+    exec("def density(r, width):\n    return 1400.0 + 0.0 * r", vars(package))
+    monkeypatch.setitem(sys.modules, "my_soils", package)
+    monkeypatch.setattr("plough_opt.core.plain_data.additions", lambda: {"my_soils"} if entry else set())
+    found = po.load(run_of(package.density).save(tmp_path / "a.json")).scene.soil.density_profile.density
+    assert (found is package.density) == entry

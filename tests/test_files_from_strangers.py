@@ -1,11 +1,17 @@
 """Files from strangers: they run no code, write nowhere else and do not command a terminal."""
 
+import dataclasses
+import functools
+import hashlib
 import json
+import shutil
 import sys
 import types
 from dataclasses import dataclass
 
 import pytest
+from helpers.commands import call, printed
+from helpers.problem_files import PROBLEMS, SUBSOILER
 from helpers.scenes import Shank, scene_of
 
 import plough_opt as po
@@ -147,3 +153,98 @@ def test_an_installed_package_counts_if_it_is_an_addition(tmp_path, monkeypatch,
     monkeypatch.setattr("plough_opt.core.plain_data.additions", lambda: {"my_soils"} if entry else set())
     found = po.load(run_of(package.density).save(tmp_path / "a.json")).scene.soil.density_profile.density
     assert (found is package.density) == entry
+
+
+@functools.cache
+def run_with_origin():
+    """Return a run with an origin, as JSON data."""
+    problem = po.read_problem(SUBSOILER, ["scene.outputs=4"])
+    return dataclasses.replace(run_of(), origin=problem.origin).to_json()
+
+
+def with_origin(path, **changes):
+    """Write a result whose origin is changed, and return the path."""
+    data = json.loads(run_with_origin())
+    data["origin"] |= changes
+    path.write_text(json.dumps(data), encoding="utf-8")
+    return path
+
+
+ELSEWHERE = [
+    *("../x", "/tmp/x", "a/../../x", "a/../b", "..", ".", "", "/", "//host/share/x", "C:x", "C:\\x", "a\\..\\b", "\\x"),
+    *("\\\\host\\share\\x", "\\\\?\\C:\\x", "a:stream", "NUL", "con.csv", "COM1", "a/lpt9.txt/b", "a.", "a ", "a/ /b"),
+    *("link/x", "link/deep/x", ".bashrc", ".ssh/authorized_keys", "a/.git/config", "numpy.py", "a/b.PY"),
+    *("subsoiler.TOML", "cotton_subsoiler.toml/x", "a\nb", "a\0b", "a\x1bb", "~/.profile", "a\u202eb"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("place", ["file", "data"])
+def test_a_problem_is_restored_below_its_folder(tmp_path, place):
+    """Names that lead elsewhere on any system, by themselves or by links, leave nothing anywhere."""
+    outside, target = tmp_path / "outside", tmp_path / "in" / "target"
+    outside.mkdir()
+    for name in ELSEWHERE:
+        given = {"file": name} if place == "file" else {"data": {"fine.csv": "a", name: "b"}}
+        path = with_origin(tmp_path / "a.json", **given)
+        target.mkdir(parents=True)
+        (target / "link").symlink_to(outside, target_is_directory=True)
+        (target / "subsoiler.TOML").symlink_to(outside / "y")
+        before = {*tmp_path.rglob("*")}
+        done = call("show", path, "--restore", target)
+        assert {*tmp_path.rglob("*")} == before, (name, done)
+        assert done.status == 2, name
+        shutil.rmtree(target)
+
+
+def test_files_that_are_one_on_some_systems_are_not_restored(tmp_path):
+    for data in ({"a.csv": "1", "A.csv": "2"}, {"x/\u00e9.csv": "1", "x/e\u0301.csv": "2"}, {"SHARE.toml": "1"},
+                 {"x/a.csv": "1", "x\\a.csv": "2"}, {"share.toml": "1"}):  # fmt: skip
+        path = with_origin(tmp_path / "a.json", file="share.toml", data=data)
+        done = call("show", path, "--restore", tmp_path / "new")
+        assert (done.status, "the same" in done.said) == (2, True)
+        assert not (tmp_path / "new").exists()
+
+
+def test_a_changed_problem_is_not_shown(tmp_path):
+    text = SUBSOILER.read_text(encoding="utf-8")
+    for changes in ({"text": text + "\n"}, {"sha256": "0" * 64}, {"text": ""}, {"sha256": "\x1b[2J"}):
+        path = with_origin(tmp_path / "a.json", **changes)
+        for words in ((), ("--problem",), ("--json",), ("--restore", tmp_path / "new")):
+            done = call("show", path, *words)
+            assert (done.status, done.out, "SHA-256" in done.said) == (2, "", True)
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(("mark", "end"), [("", "\n"), ("", "\r\n"), ("\ufeff", "\n")])
+def test_problem_and_data_are_restored_byte_for_byte(tmp_path, mark, end):
+    """Line ends and byte order marks as well, under the digest of the file."""
+    (tmp_path / "in").mkdir()
+    for name in ("field.toml", "insertions.csv", "transect.csv"):
+        text = mark + (PROBLEMS / name).read_text(encoding="utf-8").replace("\n", end)
+        (tmp_path / "in" / name).write_bytes(text.encode())
+    run = po.read_problem(tmp_path / "in" / "field.toml").simulate()
+    path = run.save(tmp_path / "a.json")
+    origin = po.load(path).origin
+    assert origin.sha256 == hashlib.sha256((tmp_path / "in" / "field.toml").read_bytes()).hexdigest()
+    origin.restore(tmp_path / "new")
+    for file in (tmp_path / "in").iterdir():
+        assert (tmp_path / "new" / file.name).read_bytes() == file.read_bytes()
+    assert po.read_problem(tmp_path / "new" / "field.toml").simulate().mean_draft == run.mean_draft
+    shown = printed("show", path, "--problem")
+    assert not {"\r", "\ufeff"} & {*shown}
+
+
+def test_two_data_files_of_one_name_are_both_kept(tmp_path):
+    texts = [f"scene.tow_speed [m/s],mean_draft [kN],sigma [kN]\n{rows}" for rows in
+             ("1,3.1,0.1\n2,4.0,0.1\n", "1.5,3.4,0.1\n2.5,4.7,0.1\n", "3,5.5,0.1\n")]  # fmt: skip
+    paths = [tmp_path / folder / "draft.csv" for folder in ("monday", "tuesday", "wednesday")]
+    for path, text in zip(paths, texts, strict=True):
+        path.parent.mkdir()
+        path.write_text(text, encoding="utf-8")
+    data = [word for path in paths for word in ("--data", path)]
+    unknown = ("--unknown", "soil.cohesion=1..80 kPa")
+    printed("calibrate", PROBLEMS / "reference.toml", *data, *unknown, "--output", tmp_path / "fit.json")
+    origin = po.load(tmp_path / "fit.json").origin
+    assert [*origin.data.values()] == texts
+    origin.restore(tmp_path / "new")
+    assert sorted(file.read_text(encoding="utf-8") for file in (tmp_path / "new").glob("*.csv")) == sorted(texts)

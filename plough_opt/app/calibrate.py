@@ -60,8 +60,7 @@ def calibrate(options: argparse.Namespace) -> None:
     with progress() as notify:
         notify("calibrating", 0.0)
         fit = run(problem, data, unknown, loss=options.loss)
-        measured = {Path(path).name: Path(path).read_text(encoding="utf-8-sig") for path in options.data}
-        fit = replace(fit, origin=replace(fit.origin, data={**fit.origin.data, **measured}))
+        fit = replace(fit, origin=fit.origin.with_data(options.data))
         notify("intervals", 0.5)
         fit.intervals(options.level)
         notify("what to measure next", 0.8)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError, nearest, short
-from plough_opt.core.files import read_text
+from plough_opt.core.files import BYTE_ORDER_MARK, read_text
 from plough_opt.core.units import Unit
 
 HEADING: Final = re.compile(r"\s*(?P<name>[\w.]+)\s*(?:\[(?P<unit>[^\]]*)\])?\s*")
@@ -38,7 +38,7 @@ def read_rows(path: Path, what: str) -> list[tuple[int, list[str]]]:
     Raises:
         InputError: the file is missing, too large or not UTF-8 text.
     """
-    text = read_text(path, f"a file of {what}", ".csv", _MOST_BYTES)
+    text = read_text(path, f"a file of {what}", ".csv", _MOST_BYTES).removeprefix(BYTE_ORDER_MARK)
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
     for number, line in lines:
         if len(line) > _LONGEST_LINE:

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 import secrets
 import shutil
 import signal
 import stat
 import tempfile
 import threading
+import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
-from pathlib import Path
+from importlib.machinery import all_suffixes
+from pathlib import Path, PureWindowsPath
 from types import FrameType
 from typing import IO, TYPE_CHECKING, Any, Final, TypeAlias
 
 from plough_opt.core.checks import shown
-from plough_opt.core.errors import InputError, short
+from plough_opt.core.errors import InputError, short, unprintable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,6 +33,12 @@ Content: TypeAlias = str | bytes | Callable[[IO[bytes]], object]
 _TERMINATING: Final = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 _LONGEST_STEM: Final = 100
 
+BYTE_ORDER_MARK: Final = "\ufeff"
+"""Character with which some editors begin a file in UTF-8."""
+
+# Names that Windows reserves for devices, with any ending.
+_DEVICE: Final = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9¹²³]) *(\..*)?", re.IGNORECASE)
+
 PICTURE_FORMATS = ("png", "svg", "pdf")
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8A8A8A")
@@ -37,7 +46,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8
 
 
 def read_text(path: Path, kind: str, ending: str, most: int, missing: str = "") -> str:
-    """Return the content of a text file.
+    """Return the content of a text file as it is, with its line ends and its byte order mark.
 
     Args:
         path: the file.
@@ -58,7 +67,7 @@ def read_text(path: Path, kind: str, ending: str, most: int, missing: str = "") 
         if len(content) > most:
             size = f"{most // 1000} kB" if most < 1_000_000 else f"{most // 1_000_000} MB"
             raise InputError(f"{name} is too long for {kind}: at most {size} can be read")
-        return content.decode("utf-8-sig")
+        return content.decode()
     except FileNotFoundError:
         there = sorted(one.name for one in path.parent.glob(f"*{ending}")) if path.parent.is_dir() else []
         close = [repr(str(path.parent / one)) for one in difflib.get_close_matches(path.name, there, n=2, cutoff=0.7)]
@@ -72,6 +81,11 @@ def read_text(path: Path, kind: str, ending: str, most: int, missing: str = "") 
         raise InputError(f"{name} cannot be read as text: it is not UTF-8") from None
     except OSError as error:
         raise InputError(f"{name} cannot be read: {error.strerror}") from None
+
+
+def exact_text(path: Path) -> str:
+    """Return the content of a text file that `read_text` has read before."""
+    return path.read_bytes().decode()
 
 
 def write_file(path: str | Path, kind: str, content: Content) -> Path:
@@ -126,6 +140,44 @@ def write_new(path: str | Path, kind: str, content: Content) -> Path:
     if os.path.lexists(path):
         raise InputError(f"'{path}' exists already and is left as it is: name another file")
     return write_file(path, kind, content)
+
+
+def write_below(folder: Path, kind: str, files: Sequence[tuple[str, Content]]) -> None:
+    """Write new files, whose names a file from elsewhere gives, below a folder: all of them or none.
+
+    Raises:
+        InputError: a name leads elsewhere on some system, directly or by a link, is hidden or that of a Python module,
+            is given twice if case is ignored, is also a folder, or exists; or a file cannot be written.
+    """
+    base, places = Path(os.path.realpath(folder)), dict[Path, Content]()
+    for name, content in files:
+        path = PureWindowsPath(name)  # which knows every separator
+        place = base / name
+        odd = path.suffix.lower() in all_suffixes() or unprintable(name, allowed="") is not None
+        if odd or ":" in name or path.root or not path.parts or not all(map(_is_plain, path.parts)):
+            raise InputError(
+                f"{shown(name)} is not written: a {kind} must be below its folder, and its name valid on every system"
+            )
+        if not Path(os.path.realpath(place.parent)).is_relative_to(base):
+            raise InputError(f"'{place}' is not written: a link leads out of '{folder}': name a new folder")
+        if os.path.lexists(place):
+            raise InputError(f"'{place}' exists already and is left as it is: name a new folder")
+        places[place] = content
+    one_in_another = any(parent in places for place in places for parent in place.parents)
+    if one_in_another or len({folded(name) for name, _ in files}) < len(files):
+        names = ", ".join(shown(name) for name, _ in files)
+        raise InputError(f"nothing is written: on some systems two of these paths are the same: {short(names, 200)}")
+    write_files(places, kind)
+
+
+def _is_plain(part: str) -> bool:
+    """Return whether a part of a path names a visible file or folder on every system."""
+    return not (part.startswith(".") or part.endswith((".", " ")) or _DEVICE.fullmatch(part))
+
+
+def folded(name: str) -> str:
+    """Return a name that is equal for names that are one file on a system that ignores case or separators."""
+    return unicodedata.normalize("NFC", name).replace("\\", "/").casefold()
 
 
 def write_folder(target: Path, kind: str, files: Mapping[str, Content]) -> Path:

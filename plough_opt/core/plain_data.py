@@ -161,10 +161,10 @@ def _read_object(known: dict[str, type], data: dict[str, Any]) -> Any:
     """Return an object of the class that its data names."""
     hint = next(iter(known.values()))
     name = str(data.get(_CLASS, hint.__name__))
-    kind = known.get(name) or (_imported(name) if ":" in name else None)
+    kind: Any = known.get(name) or (_imported(name) if ":" in name else None)
     if kind is None and ":" in name and not is_dataclass(hint) and _top(name) not in _TOOLKIT:
         kind = _stand_in(hint, name, [key for key in data if key != _CLASS])
-    if isinstance(kind, type) and is_dataclass(kind) and _suits(kind, known.values()):
+    if name in known or (isinstance(kind, type) and is_dataclass(kind) and _suits(kind, known.values())):
         return kind(**vars(_read(_form(kind), data)))
     raise ValueError(f"is not of type {' or '.join(known)}")
 

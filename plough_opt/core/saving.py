@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import os
 import platform
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -15,10 +16,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, ClassVar, Final, Literal, Self, TypeVar
 
-from plough_opt.core.checks import path_of
+from plough_opt.core.checks import path_of, shown
 from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import InputError, short
-from plough_opt.core.files import read_text, write_file, write_new
+from plough_opt.core.files import BYTE_ORDER_MARK, exact_text, folded, read_text, write_below, write_file
 from plough_opt.core.plain_data import from_plain, to_plain
 from plough_opt.core.tables import Page, Readable
 from plough_opt.core.units import Display, customary
@@ -56,8 +57,8 @@ class Origin:
         title: title of the question.
         displays: key or result -> unit in which the question writes it.
         file: name of the problem file, without its folder.
-        text: contents of the problem file.
-        sha256: SHA-256 digest of its bytes.
+        text: contents of the problem file, with the line ends and the byte order mark of the file.
+        sha256: SHA-256 digest of its bytes, computed if empty.
         overrides: changes made by ``--set``, in order.
         data: name of a data file, as written in the problem file -> contents of that file.
         limits: result -> lower and upper limit that the question requires, SI; None for no limit.
@@ -65,6 +66,9 @@ class Origin:
         seed: seed of the random samples.
         machine: kind of machine, without its name.
         made: date and time in UTC.
+
+    Raises:
+        InputError: the text does not have this digest.
     """
 
     title: str = ""
@@ -80,11 +84,31 @@ class Origin:
     machine: str = ""
     made: str = ""
 
+    def __post_init__(self) -> None:
+        digest = hashlib.sha256(self.text.encode()).hexdigest() if self.text else ""
+        if self.sha256 not in ("", digest):
+            raise InputError(
+                f"the problem file in it has the SHA-256 digest {digest[:12] or 'of no text'}, not {self.sha256[:12]!r}"
+                " as when it was saved: its text was changed"
+            )
+        object.__setattr__(self, "sha256", digest)
+
     def now(self) -> Origin:
         """Return the origin of a result computed now, on this machine."""
-        digest = hashlib.sha256(self.text.encode()).hexdigest() if self.text else ""
         machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} processors"
-        return replace(self, sha256=digest, machine=machine, made=datetime.now(UTC).isoformat(timespec="seconds"))
+        return replace(self, machine=machine, made=datetime.now(UTC).isoformat(timespec="seconds"))
+
+    def with_data(self, paths: Iterable[str | Path]) -> Origin:
+        """Return the origin with further data files, each under its name without folder.
+
+        A name that another file has gets a number: ``plot.csv``, ``plot-2.csv``.
+        """
+        data = dict(self.data)
+        for path in map(Path, paths):
+            taken = {folded(name) for name in (self.file, *data)}
+            names = (f"{path.stem}{'' if k == 1 else f'-{k}'}{path.suffix}" for k in itertools.count(1))
+            data[next(name for name in names if folded(name) not in taken)] = exact_text(path)
+        return replace(self, data=data)
 
     def lines(self, made_by: Mapping[str, str]) -> tuple[str, ...]:
         """Return sentences that say from which file, when and with which versions a result was computed.
@@ -105,10 +129,10 @@ class Origin:
         For a design in Python the text lists the declarations, one per line.
         """
         changes = [f"# --set {change}" for change in self.overrides]
-        data = [f"# --- {name} ---\n{text.rstrip()}" for name, text in self.data.items()]
+        data = [f"# --- {name} ---\n{_lines_of(text)}" for name, text in self.data.items()]
         declared = [f"{name}: " + ", ".join(f"{key} {value}" for key, value in own.items() if value is not None)
                     for name, own in self.declarations.items()]  # fmt: skip
-        return "\n".join([*([self.text.rstrip()] if self.text else []), *changes, *data, *declared])
+        return "\n".join([*([_lines_of(self.text)] if self.text else []), *changes, *data, *declared])
 
     def restore(self, folder: str | Path) -> Path:
         """Write the problem file and its data files into a folder; return the problem file's path.
@@ -116,18 +140,15 @@ class Origin:
         ``po.read_problem(path, origin.overrides)`` reads it again.
 
         Raises:
-            InputError: the result does not come from a problem file, a file exists already, or a data file lies
-                outside the problem file's folder.
+            InputError: the result does not come from a problem file, a file exists already, or a file would not lie
+                below the folder; then nothing is written.
         """
         if not self.text:
             raise InputError("this result does not come from a problem file: see its declarations instead")
         base = path_of("the folder", folder)
-        for name in self.data:
-            if Path(name).is_absolute() or ".." in Path(name).parts:
-                raise InputError(f"the problem reads '{name}', which is not below its folder: move it there")
-        for name, text in {**self.data, self.file: self.text}.items():
-            (base / name).parent.mkdir(parents=True, exist_ok=True)
-            write_new(base / name, "problem file" if name == self.file else "data file", text)
+        if "/" in self.file:
+            raise InputError(f"the problem file's name {shown(self.file)} has a folder, which no saved result has")
+        write_below(base, "problem and data file", [(self.file, self.text), *self.data.items()])
         return base / self.file
 
     def display(self, name: str, unit: str, *values: float) -> Display:
@@ -149,6 +170,11 @@ class Origin:
         """
         written = (self.displays[name] for name in values if name in self.displays)
         return next(written, None) or customary(unit, *values.values())
+
+
+def _lines_of(text: str) -> str:
+    """Return the text of a file with single line feeds, and none at its end."""
+    return text.removeprefix(BYTE_ORDER_MARK).replace("\r\n", "\n").rstrip()
 
 
 class Saveable(ByValue, Readable):
@@ -217,7 +243,7 @@ def read_result(path: str | Path, kinds: dict[str, type[_Result]]) -> _Result:
         InputError: the file does not exist, or holds another kind or layout.
     """
     path = path_of("the result", path)
-    text = read_text(path, "a saved result", ".json", _MOST_BYTES)
+    text = read_text(path, "a saved result", ".json", _MOST_BYTES).removeprefix(BYTE_ORDER_MARK)
     try:
         return _result_of(_parsed(text), kinds)
     except (ValueError, RecursionError, TypeError) as error:

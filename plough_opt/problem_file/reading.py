@@ -104,7 +104,7 @@ def _read(source: Source, folder: Path, notes: tuple[str, ...], overrides: tuple
         source.note_schema(error, valid_keys)
     source.raise_noted()
     problem = dataclasses.replace(
-        _checked(source, table, notes), over=over, readings=readings, spectrum=spectrum, text=source.text,
+        _checked(source, table, notes), over=over, readings=readings, spectrum=spectrum, text=source.original,
         data=source.read_files, overrides=overrides,
     )  # fmt: skip
     source.raise_noted()

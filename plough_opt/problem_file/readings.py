@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from plough_opt.core.checks import LARGEST, LEAST, array_of, check_text, path_of, plain_number, shown
 from plough_opt.core.csv_rows import check_rising, columns_of, raise_listed, readings_of, table_of
 from plough_opt.core.errors import InputError
+from plough_opt.core.files import exact_text
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.core.units import Unit
 from plough_opt.problem_file.ranges import read_axis
@@ -164,7 +165,7 @@ def average_readings(source: Source, folder: Path) -> str:
         between, _ = read_axis(depth, Unit("m"), sampled=True)
         assert isinstance(between, Range)  # which read_axis returns for samples
         found = read_penetrometer(folder / written, (between.lower, between.upper))
-        source.read_files[written] = (folder / written).read_text(encoding="utf-8")
+        source.read_files[written] = exact_text(folder / written)
         soil["cone_index"] = f"{found.mean / 1e6!r} MPa"
         _spread_in(source.data.get("uncertain"), found)
         return f"{found.mean / 1e6:.4g} MPa, mean of {len(found.insertions)} insertions over {depth} in {written}"
@@ -274,7 +275,7 @@ def spectrum_of_file(source: Source, folder: Path) -> Spectrum | None:
         return None
     with source.noting((*place, "record")):
         record = read_strength_record(folder / entry["record"])
-        source.read_files[entry["record"]] = (folder / entry["record"]).read_text(encoding="utf-8")
+        source.read_files[entry["record"]] = exact_text(folder / entry["record"])
         with source.noting((*place, "base_diameter"), prefix="'base_diameter' "):
             diameter = Unit("m").parse(entry.get("base_diameter", "0 m"))
             return strength_spectrum(record, base_diameter=diameter)

@@ -14,7 +14,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from plough_opt.core.errors import DomainError, InputError, nearest, short, unprintable
-from plough_opt.core.files import read_text
+from plough_opt.core.files import BYTE_ORDER_MARK, read_text
 from plough_opt.core.units import Unit
 
 Keys = tuple[str, ...]
@@ -56,7 +56,8 @@ class Source:
 
     Attributes:
         name: the name of the file in messages.
-        text: the text, its lines ended by single line feeds.
+        original: the text as it is in the file.
+        text: the text without byte order mark, its lines ended by single line feeds.
         data: the parsed tables, with overrides applied.
         overridden: path of each key that an override set -> the override as the user wrote it.
         begun: path of each table that an override created -> that override.
@@ -71,7 +72,8 @@ class Source:
             InputError: the text is not TOML or exceeds a size limit; the message gives the line.
         """
         self.name = name
-        self.text = text.replace("\r\n", "\n")
+        self.original = text
+        self.text = text.removeprefix(BYTE_ORDER_MARK).replace("\r\n", "\n")
         self.overridden: dict[Keys, str] = {}
         self.begun: dict[Keys, str] = {}
         self.share: Keys = ()
@@ -87,10 +89,10 @@ class Source:
         if (line_too_deep := nested_line(self.text)) is not None:
             raise InputError(f"{name}, line {line_too_deep}: {TOO_DEEP}")
         try:
-            self.data: dict[str, Any] = tomllib.loads(text)
+            self.data: dict[str, Any] = tomllib.loads(self.text)
         except tomllib.TOMLDecodeError as error:
             at = re.search(r"at line (\d+)", str(error))
-            where = f", line {at[1]}" if at else f", line {len(text.splitlines()) or 1}"
+            where = f", line {at[1]}" if at else f", line {len(self.text.splitlines()) or 1}"
             raise InputError(f"{name}{where}: not valid TOML: {_with_remedy(str(error).split(' (at')[0])}") from None
         if wrong := unreadable(self.data):
             raise self.error(*wrong)

@@ -1,7 +1,6 @@
 """`plough-opt report`: everything about a file's best share on one HTML page."""
 
 import argparse
-import hashlib
 import json
 from dataclasses import replace
 from datetime import datetime
@@ -33,10 +32,9 @@ def report(options: argparse.Namespace) -> None:
     check_file(options.output, "page", ".html")
     problem = read(options)
     _check(problem)
-    text = Path(options.file).read_text(encoding="utf-8")
     with progress() as notify:
         found = reported(problem, notify, seed=options.seed, accuracy=not options.no_accuracy)
-    found = replace(found, provenance=_provenance(options, text), text=text)
+    found = replace(found, provenance=_provenance(options, problem), text=problem.text)
     path = write_file(options.output, "report", page(found))
     if options.json:
         print(json.dumps({"wrote": [str(path)], "provenance": found.provenance}, indent=2, allow_nan=False))
@@ -57,14 +55,14 @@ def _check(problem: Problem) -> None:
         )
 
 
-def _provenance(options: argparse.Namespace, text: str) -> dict[str, str]:
+def _provenance(options: argparse.Namespace, problem: Problem) -> dict[str, str]:
     """Return heading -> text of everything that identifies how a report was made."""
     from plough_opt.core.saving import versions
 
     changes = {"changed by --set": "; ".join(options.set)} if options.set else {}
     return {
         "file": Path(options.file).name,
-        "SHA-256 of the file": hashlib.sha256(text.encode()).hexdigest(),
+        "SHA-256 of the file": problem.origin.sha256,
         **changes,
         "seed of the search": str(options.seed),
         "written": datetime.now().astimezone().isoformat(sep=" ", timespec="minutes"),

@@ -11,7 +11,7 @@ import shtab
 
 from plough_opt.app import report
 from plough_opt.app.options import QuantityOption, add_option, add_quantities, add_shared, given_quantities
-from plough_opt.app.terminal import console, give, printable, progress, read, wrote
+from plough_opt.app.terminal import console, give, progress, read, wrote
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import write_new
 from plough_opt.design.effort import Search
@@ -53,7 +53,7 @@ def init(options: argparse.Namespace) -> None:
         print(json.dumps({"wrote": [str(path)]}))
         return
     line = f"wrote {path}; next: plough-opt optimise {shlex.quote(str(path))}"
-    console().print(printable(line), markup=False, soft_wrap=True)
+    console().print(line, soft_wrap=True)
 
 
 def soils(options: argparse.Namespace) -> None:
@@ -116,7 +116,7 @@ def check(options: argparse.Namespace) -> None:
         if problem.variables:
             guess = ", ".join(f"{key} = {v.display.text(v.guess)}" for key, v in problem.variables.items())
             line = f"Compared at the file's guess, {guess}; use --set to compare another design, such as the optimum."
-            console().print(line, markup=False, soft_wrap=True)
+            console().print(line, soft_wrap=True)
         report.print_comparison(console(), comparison)
         if options.plot is not None:
             comparison.plot(options.plot)

@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any, Final
 
 from plough_opt.app.options import QuantityOption, add_option, add_quantities, add_shared, given_quantities
-from plough_opt.app.terminal import console, printable, progress, read, wrote
+from plough_opt.app.terminal import console, progress, read, wrote
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import check_file
 from plough_opt.exchange.component import Component
@@ -70,11 +70,11 @@ def export(options: argparse.Namespace) -> None:
         print(json.dumps({"wrote": paths, "says": written.said, "next": written.next}, indent=2, allow_nan=False))
         return
     if written.said:
-        console().print(printable(written.said), markup=False, soft_wrap=True)
+        console().print(written.said, soft_wrap=True)
     for path in written.paths:
         wrote(path)
     if written.next:
-        console().print(f"next: {written.next}", markup=False, soft_wrap=True)
+        console().print(f"next: {written.next}", soft_wrap=True)
 
 
 def _component(problem: Problem, options: argparse.Namespace, name: str) -> Component:

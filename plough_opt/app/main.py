@@ -12,10 +12,9 @@ import sys
 from collections.abc import Sequence
 from functools import partial
 from importlib.metadata import version
+from typing import NoReturn
 
 import shtab
-from rich.console import Console
-from rich.markup import escape
 
 from plough_opt.app import calibrate as calibrations
 from plough_opt.app import commands, saved
@@ -24,9 +23,10 @@ from plough_opt.app import sweep as sweeps
 from plough_opt.app import waves as strengths
 from plough_opt.app.options import add_option, add_shared
 from plough_opt.app.page import command as pages
-from plough_opt.app.terminal import add_how_much, interruptible, messages, printable, what_was_written
-from plough_opt.core.errors import DomainError, InputError, PloughError
+from plough_opt.app.terminal import add_how_much, interruptible, messages, what_was_written
+from plough_opt.core.errors import DomainError, InputError, PloughError, printable
 from plough_opt.core.process import load_additions, without_notices
+from plough_opt.core.screen import Screen
 
 SOLVED, UNSOLVED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -75,16 +75,24 @@ def _drop_output() -> None:
 
 def _complain(kind: str, error: object) -> None:
     """Print an error on the error stream."""
-    Console(stderr=True, highlight=False, soft_wrap=True).print(f"[bold red]{kind}:[/] {escape(printable(str(error)))}")
+    Screen(stderr=True).print_labelled(f"{kind}:", "bold red", str(error), soft_wrap=True)
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose messages, which quote the arguments, are fit for a terminal."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print a message on the error stream and exit."""
+        super().error(printable(message))
 
 
 def _parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="plough-opt", description="Design of subsoiler ploughshares: draft, oscillation, constraints."
     )
     parser.add_argument("--version", action="version", version=f"plough-opt {version('plough_opt')}")
-    common = argparse.ArgumentParser(add_help=False)
+    common = _Parser(add_help=False)
     add_how_much(common)
     verbs = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
     only_json = partial(add_shared, json="print JSON instead of a table")

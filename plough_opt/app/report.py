@@ -7,12 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.markup import escape
-
-from plough_opt.app.terminal import LOG
+from plough_opt.app.terminal import LOG, print_notes
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.core.quantities import quantities
+from plough_opt.core.screen import Screen
 from plough_opt.core.tables import Grid, Page
 from plough_opt.core.units import customary
 from plough_opt.design import Optimum, Progress, Sensitivity
@@ -39,7 +37,7 @@ def shown(problem: Problem, key: str, value: float, unit: str) -> str:
     return problem.origin.display(key, unit, value).text(value)
 
 
-def print_soils(console: Console, soils: Sequence[Soil]) -> None:
+def print_soils(screen: Screen, soils: Sequence[Soil]) -> None:
     """Print the named soils, then the sources of their values."""
     table = Grid.of(
         "Named soils (engineering choices inside published brackets; none measured as a set)",
@@ -56,10 +54,10 @@ def print_soils(console: Console, soils: Sequence[Soil]) -> None:
             f"{soil.tool_friction:.2f}",
             f"{cone_index(soil) / 1e3:.0f} kPa",
         )
-    console.print(table)
+    screen.print(table)
     for soil in soils:
-        console.print(f"[bold]{soil.name}[/]: {soil.source}")
-    console.print("All have an ambient pressure of 101.325 kPa. For soil with open pores set soil.ambient_pressure.")
+        screen.print_labelled(f"{soil.name}:", "bold", soil.source)
+    screen.print("All have an ambient pressure of 101.325 kPa. For soil with open pores set soil.ambient_pressure.")
 
 
 def run_page(problem: Problem, run: Run | Machine) -> Page:
@@ -88,26 +86,25 @@ def own_results(problem: Problem, run: Run | Machine) -> tuple[Grid, ...]:
     return (grid,) if rows else ()
 
 
-def print_check(console: Console, problem: Problem) -> None:
+def print_check(screen: Screen, problem: Problem) -> None:
     """Print the contents of a file's scenes, and the equation of motion that would be integrated."""
-    console.print(f"[bold]{escape(problem.title)}[/]: {escape(problem.name)} is valid.")
+    screen.print_labelled(f"{problem.title}:", "bold", f"{problem.name} is valid.")
     for name, part in problem.parts.items():
-        console.print(_scene_table(part, part.scene(), name))
-        console.print(_simulated(part, part.scene()))
+        screen.print(_scene_table(part, part.scene(), name))
+        screen.print(_simulated(part, part.scene()))
     if problem.variables:
         verb = "optimise" if problem.table.minimise or problem.table.trade_off is None else "tradeoff"
-        console.print(f"{len(problem.variables)} variables, {len(problem.table.require)} requirements: "
-                      f"plough-opt {verb} {escape(problem.name)}")  # fmt: skip
+        screen.print(f"{len(problem.variables)} variables, {len(problem.table.require)} requirements: "
+                      f"plough-opt {verb} {problem.name}")  # fmt: skip
     if problem.shares:
-        console.print(f"{len(problem.shares)} shares, designed as one machine: limits on drafts, powers and masses"
+        screen.print(f"{len(problem.shares)} shares, designed as one machine: limits on drafts, powers and masses"
                       " apply to their sum, other limits to each share; the objective is the sum over the shares.",
                       soft_wrap=True)  # fmt: skip
     if problem.table.uncertain is not None:
         names = ", ".join(key for key in problem.table.uncertain if key.startswith("soil."))
-        console.print(f"Uncertain: {escape(names)}. plough-opt optimise allows for this; all other commands use the"
+        screen.print(f"Uncertain: {names}. plough-opt optimise allows for this; all other commands use the"
                       " nominal soil.", soft_wrap=True)  # fmt: skip
-    for warning in warnings_of(problem):
-        console.print(f"[yellow]Note:[/] {escape(warning)}.")
+    print_notes(screen, warnings_of(problem))
 
 
 def warnings_of(problem: Problem) -> tuple[str, ...]:
@@ -143,7 +140,7 @@ def _simulated(problem: Problem, scene: Scene) -> Grid:
     return Grid.pairs("What is simulated", *rows)
 
 
-def print_effects(console: Console, costs: Sequence[EffectCost]) -> None:
+def print_effects(screen: Screen, costs: Sequence[EffectCost]) -> None:
     """Print what each effect adds to the equation of motion and to the operations of a run."""
     headings = ("effect", "", "nodes", "states", "events", "operations, with it over without")
     table = Grid.of("What each effect adds to this scene", *headings)
@@ -152,25 +149,25 @@ def print_effects(console: Console, costs: Sequence[EffectCost]) -> None:
         ratio = "an iteration" if cost.operations is None else f"{cost.operations:.3g}"
         cells = ("", "", "", "impossible, see below") if cost.refused else (*sizes, ratio)
         table.row(cost.name, "on" if cost.on else "off", *cells)
-    console.print(table)
+    screen.print(table)
     for cost in costs:
         if cost.refused:
-            console.print(f"{cost.name}: {escape(cost.refused)}.", soft_wrap=True)
+            screen.print(f"{cost.name}: {cost.refused}.", soft_wrap=True)
 
 
-def print_comparison(console: Console, comparison: Comparison) -> None:
+def print_comparison(screen: Screen, comparison: Comparison) -> None:
     """Print the drafts of other models, then refusals, assumptions and sources."""
-    console.print(comparison.table())
+    screen.print(comparison.table())
     for title, sentences in (
         ("Outside the domain", comparison.refusals),
         ("Assumed", comparison.estimates),
         ("Not verified, and sources", comparison.standings),
     ):
         if sentences:
-            console.print(f"[bold]{title}[/]")
+            screen.print(title, style="bold")
         for sentence in sentences:
-            console.print(f"* {escape(sentence)}", soft_wrap=True)
-    console.print("Agreement of two models validates neither. docs/crosscheck.md says why they differ.", soft_wrap=True)
+            screen.print(f"* {sentence}", soft_wrap=True)
+    screen.print("Agreement of two models validates neither. docs/crosscheck.md says why they differ.", soft_wrap=True)
 
 
 def _scene_table(problem: Problem, scene: Scene, share: str = "") -> Grid:

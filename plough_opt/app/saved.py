@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from plough_opt.app.options import add_option, add_shared
 from plough_opt.app.report import runs_of
-from plough_opt.app.terminal import check_outputs, console, give, printable, wrote
-from plough_opt.core.errors import InputError
+from plough_opt.app.terminal import check_outputs, console, give, wrote
+from plough_opt.core.errors import InputError, printable
 from plough_opt.core.quantities import EVERY
 from plough_opt.core.saving import Origin
 from plough_opt.core.tables import Grid, Page
@@ -61,11 +61,11 @@ def show(options: argparse.Namespace) -> None:
     found = load(path)
     origin: Origin = getattr(found, "origin", Origin())
     if options.problem:
-        print("\n".join(map(printable, origin.problem().splitlines())))
+        print(printable(origin.problem()))
     else:
-        give(options, found.shown_page(), lambda: path.read_text(encoding="utf-8").rstrip())
+        give(options, found.shown_page(), found.to_json)
         for line in () if options.json else origin.lines(found.made_by):
-            console().print(line, markup=False, soft_wrap=True)
+            console().print(line, soft_wrap=True)
     if options.restore is not None:
         wrote(origin.restore(options.restore))
 

@@ -7,19 +7,17 @@ import logging
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Final, NoReturn
 
-from rich.console import Console
-from rich.markup import escape
-
 from plough_opt import design as designs
-from plough_opt.core.errors import InputError, short, unprintable
+from plough_opt.core.errors import InputError, short
 from plough_opt.core.files import check_format, save_figure, write_file
 from plough_opt.core.process import progress_on
+from plough_opt.core.screen import Screen
 from plough_opt.core.tables import Page
 from plough_opt.problem_file import Problem, read_problem
 
@@ -40,11 +38,9 @@ class _ErrorStream(logging.Handler):
         self._timed = timed
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Print a message with control characters escaped."""
+        """Print a message."""
         time = f"{record.relativeCreated / 1e3:8.2f} s  " if self._timed else ""
-        Console(stderr=True, highlight=False, soft_wrap=True).print(
-            f"{time}{printable(record.getMessage())}", markup=False
-        )
+        Screen(stderr=True, soft_wrap=True).print(f"{time}{record.getMessage()}")
 
 
 def add_how_much(parser: argparse.ArgumentParser) -> None:
@@ -71,11 +67,6 @@ def messages(options: argparse.Namespace) -> Iterator[None]:
         _LIBRARY.removeHandler(handler)
         _LIBRARY.setLevel(before[0])
         LOG.setLevel(before[1])
-
-
-def printable(text: str) -> str:
-    """Return a user's text with control characters, which a terminal would obey, escaped as in Python."""
-    return "".join(repr(character)[1:-1] if unprintable(character) else character for character in text)
 
 
 def quiet() -> bool:
@@ -189,35 +180,29 @@ def what_was_written() -> str:
     return "no other file was written" if _written else "no file was written"
 
 
-def console() -> Console:
+def console() -> Screen:
     """Return the console for results; wide enough for all tables if it is not a terminal."""
-    terminal = _Console(highlight=False)
-    return terminal if terminal.is_terminal else _Console(highlight=False, width=120)
+    terminal = Screen()
+    return terminal if terminal.is_terminal else Screen(width=120)
 
 
-class _Console(Console):
-    """A console that lets `main` handle a closed pipe."""
-
-    def on_broken_pipe(self) -> None:
-        """Raise BrokenPipeError instead of ending the process."""
-        raise BrokenPipeError
-
-
-def print_page(to: Console, page: Page) -> None:
+def print_page(to: Screen, page: Page) -> None:
     """Print the page of a result: its tables, sentences and notes."""
     if page.title:
-        to.print(f"[bold]{escape(printable(page.title))}[/]")
+        to.print(page.title, style="bold")
     if page.heading:
-        to.print(printable(page.heading), markup=False, soft_wrap=True)
+        to.print(page.heading, soft_wrap=True)
     for part in page.parts:
-        if isinstance(part, str):
-            to.print(printable(part), markup=False, soft_wrap=True)
-        else:
-            to.print(part)
-    for note in dict.fromkeys(page.notes):
-        to.print(f"[yellow]Note:[/] {escape(printable(note))}.", soft_wrap=True)
+        to.print(part, soft_wrap=isinstance(part, str))
+    print_notes(to, dict.fromkeys(page.notes))
     if page.footer:
-        to.print(page.footer, markup=False, soft_wrap=True)
+        to.print(page.footer, soft_wrap=True)
+
+
+def print_notes(to: Screen, notes: Iterable[str]) -> None:
+    """Print remarks, each without its full stop."""
+    for note in notes:
+        to.print_labelled("Note:", "yellow", f"{note}.", soft_wrap=True)
 
 
 def give(
@@ -250,7 +235,7 @@ def wrote(path: Path) -> None:
 @contextmanager
 def progress() -> Iterator[designs.Progress]:
     """Yield a function that shows the present step on the error stream: a bar on a terminal, otherwise lines."""
-    stream = Console(stderr=True, highlight=False)
+    stream = Screen(stderr=True)
     with ExitStack() as stack:
         silent = quiet() or LOG.isEnabledFor(logging.DEBUG)
         show = _StepByStep() if silent else stack.enter_context(progress_on(stream))

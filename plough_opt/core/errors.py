@@ -7,6 +7,10 @@ from typing import Final
 
 # Most characters of a name that are compared with valid ones, because the time grows with the square of the length.
 _LONGEST_NAME: Final = 100
+# Categories of Unicode: control, format (such as the order of writing), surrogate, line and paragraph separator.
+_ODD: Final = ("Cc", "Cf", "Cs", "Zl", "Zp")
+# Format characters that spelling needs: a hyphen where a word may be broken, and two joiners of letters.
+_JOINERS: Final = "\u00ad\u200c\u200d"
 
 
 class PloughError(Exception):
@@ -19,8 +23,8 @@ class PloughError(Exception):
     """
 
     def __str__(self) -> str:
-        """Return the message, without the further arguments of a subclass."""
-        return str(self.args[0]) if self.args else ""
+        """Return the message, without the further arguments of a subclass, as text that a terminal can show."""
+        return printable(str(self.args[0])) if self.args else ""
 
 
 class DomainError(PloughError, ValueError):
@@ -121,8 +125,8 @@ def short(text: str, most: int = 60) -> str:
 def unprintable(text: str, *, allowed: str = "\t\n") -> str | None:
     """Return the first character of a text that files and terminals cannot show, such as "U+001B", or None.
 
-    Control characters (some are terminal commands), lone surrogates (which cannot be encoded) and code points that are
-    not characters cannot be shown.
+    Control characters (some are terminal commands), separators of lines, characters that change the order of others or
+    nothing visible, lone surrogates (which cannot be encoded) and code points that are not characters cannot be shown.
 
     Args:
         text: user's text.
@@ -130,10 +134,23 @@ def unprintable(text: str, *, allowed: str = "\t\n") -> str | None:
     """
     for character in text:
         code = ord(character)
-        odd = unicodedata.category(character) in ("Cc", "Cs") or code & 0xFFFE == 0xFFFE
-        if odd and character not in allowed:
+        odd = unicodedata.category(character) in _ODD or code & 0xFFFE == 0xFFFE
+        if odd and character not in allowed and character not in _JOINERS:
             return f"U+{code:04X}"
     return None
+
+
+def printable(text: str) -> str:
+    """Return a text whose characters that a terminal would obey or hide are escaped as in Python.
+
+    Everything that the toolkit prints passes here: pages, tables, messages and errors.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        character if character.isprintable() or not unprintable(character) else repr(character)[1:-1]
+        for character in text
+    )
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 from plough_opt.core.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from plough_opt.core.screen import Screen
 
 # A context variable, so that other threads keep their own values.
 _one_of_several: ContextVar[bool] = ContextVar("one_of_several", default=False)
@@ -128,12 +128,13 @@ def heartbeat(write: Callable[[str], object]) -> Iterator[Callable[[str], None]]
 
 
 @contextmanager
-def progress_on(stream: Console) -> Iterator[Callable[[str, float], object]]:
+def progress_on(stream: Screen) -> Iterator[Callable[[str, float], object]]:
     """Show progress on a stream, as a bar on a terminal or as lines; yield a function of the step and the part done."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn  # slow to import
 
     if stream.is_terminal:
-        columns = TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn(), TimeRemainingColumn()
+        text = TextColumn("{task.description}", markup=False)
+        columns = text, BarColumn(bar_width=24), TimeElapsedColumn(), TimeRemainingColumn()
         with Progress(*columns, console=stream, transient=True) as bar:
             task = bar.add_task("reading", total=1.0)
             yield lambda step, done: bar.update(task, description=step, completed=done)

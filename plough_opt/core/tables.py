@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from html import escape
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from plough_opt.core.errors import printable
 from plough_opt.core.process import optional
 
 if TYPE_CHECKING:
@@ -100,11 +101,19 @@ class Grid:
 
     def __str__(self) -> str:
         """Return the table as plain text."""
-        headings = [tuple(" ".join(column.heading.split()) for column in self.columns)] if self.headed else []
+        headings = [tuple(" ".join(text.split()) for text in self._headings())] if self.headed else []
         # A cell with several lines takes as many rows of text.
-        rows = [line for row in self.rows for line in _lines(row)]
+        rows = [line for row in self._cells() for line in _lines(row)]
         text = text_table([*headings, *rows], [k for k, column in enumerate(self.columns) if column.left])
-        return "\n".join(part for part in (self.title, text, self.caption) if part)
+        return "\n".join(part for part in (printable(self.title), text, printable(self.caption)) if part)
+
+    def _headings(self) -> list[str]:
+        """Return the headings of the columns as they are shown."""
+        return [printable(column.heading) for column in self.columns]
+
+    def _cells(self) -> list[list[str]]:
+        """Return the cells of all rows as they are shown."""
+        return [[*map(printable, row)] for row in self.rows]
 
     def __rich__(self) -> Table:
         """Return the table for a terminal."""
@@ -112,18 +121,19 @@ class Grid:
         from rich.table import Table
         from rich.text import Text
 
-        table = Table(title=Text(self.title, "table.title") if self.title else None, caption=self.caption or None,
+        table = Table(title=Text(printable(self.title), "table.title") if self.title else None,
+                      caption=Text(printable(self.caption), "table.caption") if self.caption else None,
                       show_header=self.headed, box=SIMPLE_HEAD if self.plain else HEAVY_HEAD,
                       caption_justify="left" if self.plain else "center", show_edge=not self.plain,
                       pad_edge=not self.plain, padding=(0, 1, 0, 0) if self.plain else (0, 1))  # fmt: skip
-        for column in self.columns:
+        for heading, column in zip(self._headings(), self.columns, strict=True):
             table.add_column(
-                Text(column.heading),
+                Text(heading),
                 justify="left" if column.left else "right",
                 overflow="fold" if column.fold else "ellipsis",
                 style="yellow" if column.mark else "",
             )
-        for k, row in enumerate(self.rows):
+        for k, row in enumerate(self._cells()):
             table.add_row(*map(Text, row), style="bold" if k in self.bold else None, end_section=k in self.ends)
         return table
 
@@ -133,17 +143,22 @@ class Grid:
 
         def row(cells: Sequence[str], tag: str, style: str = "") -> str:
             inner = "".join(
-                f'<{tag} style="text-align: {side}">{escape(cell).replace(chr(10), "<br>")}</{tag}>'
+                f'<{tag} style="text-align: {side}">{_escaped(cell)}</{tag}>'
                 for cell, side in zip(cells, left, strict=True)
             )
             return f"<tr{style}>{inner}</tr>"
 
-        lines = [row([column.heading for column in self.columns], "th")] if self.headed else []
+        lines = [row(self._headings(), "th")] if self.headed else []
         lines += [row(cells, "td", ' style="font-weight: bold"' if k in self.bold else "")
-                  for k, cells in enumerate(self.rows)]  # fmt: skip
-        title = f'<caption style="text-align: left">{escape(self.title)}</caption>' if self.title else ""
-        below = f"<p>{escape(self.caption).replace(chr(10), '<br>')}</p>" if self.caption else ""
+                  for k, cells in enumerate(self._cells())]  # fmt: skip
+        title = f'<caption style="text-align: left">{_escaped(self.title)}</caption>' if self.title else ""
+        below = f"<p>{_escaped(self.caption)}</p>" if self.caption else ""
         return f"<table>{title}{''.join(lines)}</table>{below}"
+
+
+def _escaped(text: str) -> str:
+    """Return a text as HTML, with its lines."""
+    return escape(printable(text)).replace("\n", "<br>")
 
 
 def _lines(row: Sequence[str]) -> list[tuple[str, ...]]:
@@ -177,18 +192,17 @@ class Page:
     def __str__(self) -> str:
         """Return the page as plain text."""
         notes = (f"Note: {text}." for text in dict.fromkeys(self.notes))
-        return "\n".join(
-            part for part in (self.title, self.heading, *map(str, self.parts), *notes, self.footer) if part
-        )
+        parts = (self.title, self.heading, *map(str, self.parts), *notes, self.footer)
+        return "\n".join(printable(part) for part in parts if part)
 
     def html(self, picture: str = "") -> str:
         """Return the page as HTML, with a picture after its tables."""
-        parts = (part.html() if isinstance(part, Grid) else f"<p>{escape(part)}</p>" for part in self.parts)
-        notes = "".join(f"<li>{escape(text)}.</li>" for text in dict.fromkeys(self.notes))
-        heading = f"<p>{escape(self.heading)}</p>" if self.title else ""
-        footer = f"<p>{escape(self.footer)}</p>" if self.footer else ""
+        parts = (part.html() if isinstance(part, Grid) else f"<p>{_escaped(part)}</p>" for part in self.parts)
+        notes = "".join(f"<li>{_escaped(text)}.</li>" for text in dict.fromkeys(self.notes))
+        heading = f"<p>{_escaped(self.heading)}</p>" if self.title else ""
+        footer = f"<p>{_escaped(self.footer)}</p>" if self.footer else ""
         return (
-            f"<div><p><b>{escape(self.title or self.heading)}</b></p>{heading}{''.join(parts)}{picture}"
+            f"<div><p><b>{_escaped(self.title or self.heading)}</b></p>{heading}{''.join(parts)}{picture}"
             f"{f'<ul>{notes}</ul>' if notes else ''}{footer}</div>"
         )
 
@@ -218,7 +232,7 @@ class Readable(ABC):
 
     def __repr__(self) -> str:
         """Return one line that says what was found, because all numbers would fill pages."""
-        return f"<{type(self).__name__}: {self.shown_page().heading}>"
+        return f"<{type(self).__name__}: {printable(self.shown_page().heading)}>"
 
     def _repr_html_(self) -> str:
         """Return tables and picture as HTML for a notebook."""

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from rich.console import Console
 
 import plough_opt as po
 from plough_opt.app.terminal import print_page
+from plough_opt.core.screen import Screen
 from plough_opt.studies.tradeoff.front import Failure
 
 # --- files and pictures -------------------------------------------------------------------------------------
@@ -79,7 +79,7 @@ def surface():
 def printed(front, width=120):
     """Return the lines of a front."""
     out = io.StringIO()
-    print_page(Console(file=out, width=width), front.page())
+    print_page(Screen(file=out, width=width), front.page())
     return out.getvalue().splitlines()
 
 

@@ -8,13 +8,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
-from rich.console import Console
-
 from plough_opt.core.checks import check_kind, check_switch, path_of, plain_number, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
 from plough_opt.core.process import available, progress_on
 from plough_opt.core.saving import versions
+from plough_opt.core.screen import Screen
 from plough_opt.studies.sweep.cluster import Cluster
 from plough_opt.studies.sweep.database import About, check_columns
 from plough_opt.studies.sweep.engine import Engine, Progress
@@ -99,7 +98,7 @@ def sweep(
             with ExitStack() as stack:
                 callback = progress if callable(progress) else lambda *_: None
                 if progress is True:
-                    callback = stack.enter_context(bar(Console(stderr=True)))
+                    callback = stack.enter_context(bar(Screen(stderr=True)))
                 if executor is None:
                     used: Executor = stack.enter_context(ProcessPool(count, evaluation, seconds))
                 else:
@@ -119,9 +118,9 @@ def sweep(
 
 
 @contextmanager
-def bar(console: Console) -> Iterator[Progress]:
+def bar(screen: Screen) -> Iterator[Progress]:
     """Show the progress of a sweep, as a bar on a terminal or as lines; yield the function that updates it."""
-    with progress_on(console) as show:
+    with progress_on(screen) as show:
         yield lambda stored, count, failed: show(
             f"sweep: {stored} of {count} points{f', {failed} failed' if failed else ''}", stored / count
         )

@@ -1,11 +1,11 @@
-"""Reading CSV files whose headings give names and units; errors give line and column."""
+"""Reading CSV files whose headings give names and units, with errors that give line and column; writing CSV files."""
 
 import csv
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ HEADING: Final = re.compile(r"\s*(?P<name>[\w.]+)\s*(?:\[(?P<unit>[^\]]*)\])?\s*
 _CUSTOMARY: Final = {"N": "kN", "rad": "deg", "m/s": "km/h", "Pa": "kPa", "N/m": "kN/m", "W": "kW"}
 # Infinite numbers and NaN match too, because they get a different error message.
 _NUMBER: Final = re.compile(r"[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?|nan|inf(?:inity)?)", re.IGNORECASE)
+# Beginning of a text that a spreadsheet would compute; an apostrophe before it makes it a text, and is doubled itself.
+_FORMULA: Final = re.compile(r"'*[=+\-@\t\r\n＝＋－＠]")
 # Most mistakes listed in one message.
 _MOST_LISTED: Final = 8
 # Largest file: some 300,000 rows, each of which may require a simulation.
@@ -47,7 +49,27 @@ def read_rows(path: Path, what: str) -> list[tuple[int, list[str]]]:
                 " one row per line"
             )
     delimiter = next((mark for mark in "\t;" if lines and mark in lines[0][1]), ",")
-    return [(k, next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))) for k, line in lines]
+    rows = [(k, next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))) for k, line in lines]
+    return [(k, [*map(_unshielded, cells)]) for k, cells in rows]
+
+
+def write_rows(file: TextIO, rows: Iterable[Sequence[object]]) -> None:
+    """Write rows as CSV. Numbers have all their digits, and a text that begins like a formula gets an apostrophe.
+
+    `read_rows` removes the apostrophe again.
+    """
+    csv.writer(file, lineterminator="\n").writerows(map(_shielded, row) for row in rows)
+
+
+def _unshielded(cell: str) -> str:
+    """Return a cell as it was before `_shielded`."""
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
+
+
+def _shielded(cell: object) -> object:
+    """Return a cell that a spreadsheet shows as it is."""
+    formula = isinstance(cell, str) and _FORMULA.match(cell) and not _NUMBER.fullmatch(cell)
+    return f"'{cell}" if formula else cell
 
 
 def readings_of(path: Path, example: str) -> tuple[str, list[str], list[tuple[int, list[str]]]]:

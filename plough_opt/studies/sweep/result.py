@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import itertools
 import json
@@ -18,8 +17,10 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import path_of, shown
+from plough_opt.core.csv_rows import write_rows
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import drawn, write_file
+from plough_opt.core.process import optional
 from plough_opt.core.saving import Origin
 from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame
 from plough_opt.motion.vocabulary import called
@@ -253,6 +254,7 @@ class Sweep(Readable):
         Raises:
             InputError: pandas is not installed.
         """
+        optional("pandas", "pandas")  # before all points are read
         table = self.table
         return data_frame({name: table[name] for name in table.dtype.names or ()}, self.units)
 
@@ -263,15 +265,15 @@ class Sweep(Readable):
             InputError: the path cannot be written.
         """
         columns = self._store.about.columns
+        headings = (f"{name} [{self.units[name]}]" if self.units.get(name) else name for name in columns)
+        rows = (
+            [*row, f"undetermined: {reason}" if state == "undetermined" else reason]
+            for *row, state, reason in self._store.rows("point", *columns, "state", "reason")
+        )
 
         def write(file: IO[bytes]) -> None:
             text = io.TextIOWrapper(file, encoding="utf-8", newline="")
-            table = csv.writer(text, lineterminator="\n")
-            headings = (f"{name} [{self.units[name]}]" if self.units.get(name) else name for name in columns)
-            table.writerow(["point", *headings, "reason"])
-            # The csv module writes a float with all its digits, and None as an empty cell.
-            for *row, state, reason in self._store.rows("point", *columns, "state", "reason"):
-                table.writerow([*row, f"undetermined: {reason}" if state == "undetermined" else reason])
+            write_rows(text, itertools.chain([["point", *headings, "reason"]], rows))
             text.detach()  # flushes, and leaves the file open for `write_file`
 
         return write_file(path, "table", write)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
+from plough_opt.core.csv_rows import write_rows
 from plough_opt.core.files import write_file
 from plough_opt.core.saving import Saveable
 from plough_opt.core.tables import Column, Grid, Page, data_frame
@@ -114,13 +114,13 @@ class TradeOff(Saveable, Front):
         Raises:
             InputError: the file cannot be written.
         """
-        text = StringIO()
-        table = csv.writer(text, lineterminator="\n")
         margins = list(self.points[0].margins)
         names = [goal.name for goal in self.goals]
         rates = ["rate"] if len(self.pairs) == 1 else [f"{names[of]} per {names[by]}" for of, by in self.pairs]
-        table.writerow(["status", "part", *(_heading(axis) for axis in (*self.goals, *self.variables)), *rates,
-                        *(f"margin of {name}" for name in margins), "active", "branch", "residual", "gap"])  # fmt: skip
+        table: list[list[object]] = [
+            ["status", "part", *(_heading(axis) for axis in (*self.goals, *self.variables)), *rates,
+             *(f"margin of {name}" for name in margins), "active", "branch", "residual", "gap"]
+        ]  # fmt: skip
         rows: list[tuple[str, object, FrontPoint]] = [
             ("front" if point.confirmed else "unconfirmed", part, point)
             for part, point in zip(self.part_of, self.points, strict=True)
@@ -129,8 +129,10 @@ class TradeOff(Saveable, Front):
             values = [*point.objectives, *(point.variables[v.name] for v in self.variables)]
             found = [point.rate_of(of, by) for of, by in self.pairs]
             rates = ["" if rate is None else repr(rate) for rate in found]
-            table.writerow([status, part, *map(repr, values), *rates, *(repr(point.margins[name]) for name in margins),
-                            "; ".join(point.active), point.branch, repr(point.residual), repr(point.gap)])  # fmt: skip
+            table.append([status, part, *map(repr, values), *rates, *(repr(point.margins[name]) for name in margins),
+                          "; ".join(point.active), point.branch, repr(point.residual), repr(point.gap)])  # fmt: skip
+        text = StringIO()
+        write_rows(text, table)
         return write_file(path, "table", text.getvalue())
 
 

@@ -87,7 +87,7 @@ def _component(problem: Problem, options: argparse.Namespace, name: str) -> Comp
 def _options(options: argparse.Namespace) -> dict[str, Any]:
     """Return the format's options; raise InputError for other options and for a path that cannot be written."""
     chosen = FORMATS[options.to]
-    chosen.check_place(options.output)
+    chosen.check(options.output)
     for name in _FORMAT_OPTIONS:
         if getattr(options, name) and name not in chosen.options:
             others = ", ".join(other for other, own in FORMATS.items() if name in own.options)

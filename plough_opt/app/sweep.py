@@ -42,6 +42,8 @@ def sweep(options: argparse.Namespace) -> None:
         raise InputError(f"--workers {options.workers}: a sweep needs at least one")
     if options.scheduler is not None and options.workers is not None:
         raise InputError("--workers start on this machine, but --scheduler has its own: remove one of the two")
+    if options.scheduler is not None:
+        optional("distributed", "cluster")  # before anything is read
     over = _over(options)
     problem = read(options)
     what: What = "optimise" if options.optimise else "simulate"

@@ -10,6 +10,7 @@ from plough_opt.app.options import add_shared
 from plough_opt.app.terminal import progress, read, wrote
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import check_file, write_file
+from plough_opt.core.process import optional
 from plough_opt.problem_file import Problem
 
 
@@ -27,6 +28,7 @@ def report(options: argparse.Namespace) -> None:
         InputError: the file has a mistake, has several shares, trades results or has an uncertain soil, or the page
             cannot be written.
     """
+    optional("jinja2", "report")
     from plough_opt.app.page.writing import page, reported  # the studies are slow to import
 
     check_file(options.output, "page", ".html")

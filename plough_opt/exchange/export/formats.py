@@ -9,10 +9,11 @@ from typing import Any, Final
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import check_file, check_new_folder
+from plough_opt.core.process import optional
 from plough_opt.exchange.component import Component
 from plough_opt.exchange.export.c import write_c
 from plough_opt.exchange.export.fmu import write_fmu
-from plough_opt.exchange.export.part import write_part
+from plough_opt.exchange.export.part import WRITERS, Library, write_part
 from plough_opt.exchange.export.serialised import write_casadi
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.geometry import Cone, Wedge
@@ -69,19 +70,23 @@ class Format:
         write: writes it.
         endings: possible endings of the file's name, such as (".fmu",); () for a new folder.
         options: names of its options beside the path: see `plough-opt export --help`.
+        needs: a module that it needs, and the extra of this package that installs it; () if it needs none.
     """
 
     what: str
     write: Callable[[Request], Written]
     endings: tuple[str, ...] = ()
     options: tuple[str, ...] = ("inputs", "outputs", "name")
+    needs: Library | tuple[()] = ()
 
-    def check_place(self, path: str) -> None:
-        """Raise InputError for a path that cannot be written, before anything is computed.
+    def check(self, path: str) -> None:
+        """Raise InputError for a path that cannot be written, or a missing library, before anything is computed.
 
         Raises:
-            InputError: the folder exists already, or the file's name has another ending.
+            InputError: the folder exists already, the file's name has another ending, or the library is not installed.
         """
+        if self.needs:
+            optional(*self.needs)
         if self.endings:
             check_file(path, self.what, *self.endings)
         else:
@@ -165,11 +170,13 @@ _PART_OPTIONS = ("opening", "thickness", "body", "at")
 FORMATS: Final[dict[str, Format]] = {
     "c": Format("a new folder with C source, header and a test", _c),
     "casadi": Format("serialised CasADi Function", _casadi, (".casadi",), ("inputs", "outputs", "name", "description")),
-    "openmdao": Format("a new folder with a Python module", _openmdao),
+    "openmdao": Format("a new folder with a Python module", _openmdao, needs=("openmdao.api", "openmdao")),
     "fmu": Format("FMU for model exchange, FMI 3.0", _fmu, (".fmu",), ("name", "strut", "sources")),
-    "stl": Format("triangles of the share in mm", _part, (".stl",), _PART_OPTIONS),
-    "gltf": Format("triangles of the share in m", _part, (".gltf", ".glb"), _PART_OPTIONS),
-    "dxf": Format("the share's faces laid flat in mm, a cutting pattern", _part, (".dxf",), _PART_OPTIONS),
-    "step": Format("the share's faces in mm for CAD", _part, (".step", ".stp"), _PART_OPTIONS),
+    "stl": Format("triangles of the share in mm", _part, (".stl",), _PART_OPTIONS, WRITERS[".stl"][0]),
+    "gltf": Format("triangles of the share in m", _part, (".gltf", ".glb"), _PART_OPTIONS, WRITERS[".gltf"][0]),
+    "dxf": Format(
+        "the share's faces laid flat in mm, a cutting pattern", _part, (".dxf",), _PART_OPTIONS, WRITERS[".dxf"][0]
+    ),
+    "step": Format("the share's faces in mm for CAD", _part, (".step", ".stp"), _PART_OPTIONS, WRITERS[".step"][0]),
 }
 """Name of a format in `plough-opt export --to` -> the format."""

@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 from plough_opt.core.checks import check_kind, path_of
 from plough_opt.core.errors import InputError
@@ -58,7 +58,8 @@ def write_part(
         DomainError: as `Wedge.mesh`.
     """
     check_kind("the share", share, Wedge | Cone, "a Wedge or a Cone")
-    ending = check_file(path_of("the part", path), "part", *WRITERS).suffix.lower()
+    needs, write = WRITERS[check_file(path_of("the part", path), "part", *WRITERS).suffix.lower()]
+    library = optional(*needs)
     if isinstance(share, Wedge):
         body = share.mesh(opening=opening, thickness=thickness)
         part = _Part(share, body, share.opening if opening is None else opening, thickness)
@@ -66,32 +67,29 @@ def write_part(
         part = _Part(share, share.mesh(), 0.0, None)
     else:
         raise InputError("opening and thickness belong to a wedge: leave them out for a cone, which is solid")
-    return write_file(path, "part", WRITERS[ending](part))
+    return write_file(path, "part", write(library, part))
 
 
-def _stl(part: _Part) -> bytes:
-    trimesh = optional("trimesh", "parts")
+def _stl(trimesh: Any, part: _Part) -> bytes:
     body = trimesh.Trimesh(_MM * part.body.vertices, part.body.triangles, process=False)
     return bytes(body.export(file_type="stl"))
 
 
-def _scene(part: _Part) -> Any:
-    trimesh = optional("trimesh", "parts")
+def _scene(trimesh: Any, part: _Part) -> Any:
     x, y, z = part.body.vertices.T
     return trimesh.Scene({"share": trimesh.Trimesh([*zip(x, z, -y, strict=True)], part.body.triangles, process=False)})
 
 
-def _glb(part: _Part) -> bytes:
-    return bytes(_scene(part).export(file_type="glb"))
+def _glb(trimesh: Any, part: _Part) -> bytes:
+    return bytes(_scene(trimesh, part).export(file_type="glb"))
 
 
-def _gltf(part: _Part) -> bytes:
-    files = _scene(part).export(file_type="gltf", embed_buffers=True)
+def _gltf(trimesh: Any, part: _Part) -> bytes:
+    files = _scene(trimesh, part).export(file_type="gltf", embed_buffers=True)
     return bytes(files["model.gltf"])
 
 
-def _dxf(part: _Part) -> str:
-    ezdxf = optional("ezdxf", "parts")
+def _dxf(ezdxf: Any, part: _Part) -> str:
     drawing = ezdxf.new("R2010", setup=True, units=ezdxf.units.MM)
     for name, (line, colour) in _LAYERS.items():
         drawing.layers.add(name, linetype=line, color=colour)
@@ -134,8 +132,7 @@ def _cone_pattern(page: Any, cone: Cone) -> tuple[float, float, list[str]]:
     return slant, slant * math.sin(min(half, math.pi / 2.0)), notes
 
 
-def _step(part: _Part) -> bytes:
-    cad = optional("build123d", "step")
+def _step(cad: Any, part: _Part) -> bytes:
     if isinstance(part.share, Cone):
         height = _MM * part.share.height
         solid = cad.Solid.make_cone(0.0, height * math.tan(part.share.half_angle), height, plane=cad.Plane.YZ)
@@ -149,12 +146,17 @@ def _step(part: _Part) -> bytes:
     return written.getvalue()
 
 
-WRITERS: Final[dict[str, Callable[[_Part], str | bytes]]] = {
-    ".stl": _stl,
-    ".gltf": _gltf,
-    ".glb": _glb,
-    ".dxf": _dxf,
-    ".step": _step,
-    ".stp": _step,
+Library: TypeAlias = tuple[str, str]
+"""A module, and the extra of this package that installs it."""
+
+_TRIMESH: Final[Library] = ("trimesh", "parts")
+_BUILD123D: Final[Library] = ("build123d", "step")
+WRITERS: Final[dict[str, tuple[Library, Callable[[Any, _Part], str | bytes]]]] = {
+    ".stl": (_TRIMESH, _stl),
+    ".gltf": (_TRIMESH, _gltf),
+    ".glb": (_TRIMESH, _glb),
+    ".dxf": (("ezdxf", "parts"), _dxf),
+    ".step": (_BUILD123D, _step),
+    ".stp": (_BUILD123D, _step),
 }
-"""Ending of a file's name -> function that returns the file's content for a part."""
+"""Ending of a file's name -> the library for it, and a function of both that returns the file's content for a part."""

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import hashlib
 import json
-import shutil
+import os
 import sys
 import types
 from dataclasses import dataclass
@@ -38,6 +38,39 @@ DANGEROUS = [
     *(":", "a:", ":b", "", "a", "a:b:c", "a b:c", "\x1b:c"),
 ]  # fmt: skip
 called = []
+acts = []  # what programs are started and what is written, while a list is there
+
+
+def _watch(event, arguments):
+    """Note programs that are started, and files that are opened to write, renamed or removed."""
+    if _watch.folder is None:
+        return
+    opened = event == "open" and arguments[2] & WRITING
+    if (opened or event in CHANGES) and isinstance(arguments[0], str | bytes | os.PathLike):
+        place = os.fsdecode(arguments[0])
+    elif event in ("os.system", "os.exec", "os.fork", "os.posix_spawn", "subprocess.Popen", "socket.connect"):
+        place = "/"
+    else:
+        return
+    inside = os.path.realpath(place).startswith((os.path.realpath(_watch.folder), os.devnull))
+    if not inside and "__pycache__" not in place:
+        acts.append((event, arguments))
+
+
+_watch.folder = None
+CHANGES = ("os.remove", "os.rename", "os.mkdir", "os.rmdir", "os.link", "os.symlink", "os.chmod", "os.truncate")
+WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
+sys.addaudithook(_watch)
+
+
+@pytest.fixture(autouse=True)
+def _nothing_else_happens(tmp_path):
+    """Fail a test that starts a program or writes outside its folder."""
+    acts.clear()
+    _watch.folder = tmp_path
+    yield
+    _watch.folder = None
+    assert acts == []
 
 
 def density(r, width):
@@ -181,19 +214,18 @@ ELSEWHERE = [
 @pytest.mark.parametrize("place", ["file", "data"])
 def test_a_problem_is_restored_below_its_folder(tmp_path, place):
     """Names that lead elsewhere on any system, by themselves or by links, leave nothing anywhere."""
-    outside, target = tmp_path / "outside", tmp_path / "in" / "target"
+    outside = tmp_path / "outside"
     outside.mkdir()
-    for name in ELSEWHERE:
+    for number, name in enumerate(ELSEWHERE):
         given = {"file": name} if place == "file" else {"data": {"fine.csv": "a", name: "b"}}
-        path = with_origin(tmp_path / "a.json", **given)
+        path, target = with_origin(tmp_path / "a.json", **given), tmp_path / "in" / str(number)
         target.mkdir(parents=True)
         (target / "link").symlink_to(outside, target_is_directory=True)
         (target / "subsoiler.TOML").symlink_to(outside / "y")
         before = {*tmp_path.rglob("*")}
         done = call("show", path, "--restore", target)
-        assert {*tmp_path.rglob("*")} == before, (name, done)
         assert done.status == 2, name
-        shutil.rmtree(target)
+        assert {*tmp_path.rglob("*")} == before, (name, done)
 
 
 def test_files_that_are_one_on_some_systems_are_not_restored(tmp_path):

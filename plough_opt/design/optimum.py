@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from plough_opt.core.checks import mapping_of
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, printable, short
 from plough_opt.core.expressions import is_casadi, map_expressions
 from plough_opt.core.files import drawn
 from plough_opt.core.plain_data import ByName, Unsaved
@@ -299,7 +299,13 @@ class Rounded(Optimum):
         for choice in self.infeasible:
             fails = ", ".join(f"'{name}' fails by {in_words(x, units[name])}" for name, x in choice.conflicts.items())
             text += f"; {values_in_words(choice.values, units)} is infeasible: {fails or 'not solved'}"
-        return text
+        return printable(text)
+
+    def check_saved(self) -> None:
+        """Raise ValueError if a variable or a shortfall has no limit, which gives its unit."""
+        named = {name for choice in self.tried for name in (*choice.values, *choice.conflicts)} | {*self.variables}
+        if missing := named - {limit.name for limit in self.limits}:
+            raise ValueError(f"at limits: there is none of {short(min(missing))!r}")
 
     def _extent_of_search(self) -> str:
         """Return in words how many combinations were evaluated and optimised."""

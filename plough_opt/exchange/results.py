@@ -58,5 +58,5 @@ def is_store(path: Path) -> bool:
     try:
         with path.open("rb") as file:
             return file.read(len(_STORE)) == _STORE
-    except OSError:  # `load` reports it
+    except (OSError, ValueError):  # `load` reports it
         return False

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from plough_opt.core.equality import ByValue
+from plough_opt.core.errors import printable
 from plough_opt.core.files import drawn
 from plough_opt.core.plain_data import Array, MaybeInfinite
 from plough_opt.core.saving import Saveable
@@ -86,7 +87,7 @@ class Search(ByValue):
         """Return in a few sentences what was searched and what may have been missed."""
         if not self.designs:
             return "Only the basin of the guess was searched."
-        over = ", ".join(self.variables)
+        over = printable(", ".join(self.variables))
         text = f"{self.designs} designs tried over {over}: {self.basins} basin{'s' if self.basins != 1 else ''} found"
         if self.polished < self.basins:
             text += f", of which the {self.polished} that could be best were optimised"

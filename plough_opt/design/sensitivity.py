@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.checks import check_kind, check_switch, shown
-from plough_opt.core.errors import InputError, NotConverged, nearest
+from plough_opt.core.errors import InputError, NotConverged, nearest, printable
 from plough_opt.core.units import in_words
 from plough_opt.design.active_set import ActiveSet, Move, sides_of
 from plough_opt.design.declarations import EVERYWHERE
@@ -85,7 +85,7 @@ class Sensitivity:
             text += f" These figures apply to increasing values: {met} is just met, and decides on one side only."
         if self.difference is not None:
             text += f" Solving again near this value gives a difference of {self.difference:.1e}."
-        return text
+        return printable(text)
 
 
 def _percent(name: str, elasticity: float | None, derivative: float, unit: str) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from plough_opt.core.checks import check_kind, shown
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, printable
 from plough_opt.core.expressions import is_count
 from plough_opt.core.plain_data import Array as Vector
 from plough_opt.design import Optimum
@@ -54,7 +54,7 @@ class SobolIndices:
             f" {100 * self.first_high[k]:.2g}), {100 * self.total[k]:.3g} % with others"
             for k in order
         ]
-        return f"variance of {self.result}: {'; '.join(parts)}{'. ' + self.note if self.note else ''}"
+        return printable(f"variance of {self.result}: {'; '.join(parts)}{'. ' + self.note if self.note else ''}")
 
 
 def sobol_indices(

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from plough_opt.core.checks import check_kind, shown
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, printable
 from plough_opt.core.expressions import is_count
 from plough_opt.core.plain_data import Array as Vector
 from plough_opt.design import Optimum
@@ -92,7 +92,7 @@ class Check:
     def __str__(self) -> str:
         """Return the check in a sentence."""
         smoothing = f"; smoothed over {self.width:.4g}, which changes it by {self.rounding:+.2g}" if self.width else ""
-        return (
+        return printable(
             f"{self.result}, {self.text}: the optimiser saw {self.seen:.6g}, fresh samples give {self.fresh:.6g}"
             f" ({self.interval}): {self.verdict}{smoothing}"
         )

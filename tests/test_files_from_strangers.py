@@ -274,7 +274,7 @@ def test_two_data_files_of_one_name_are_both_kept(tmp_path):
         path.parent.mkdir()
         path.write_text(text, encoding="utf-8")
     data = [word for path in paths for word in ("--data", path)]
-    unknown = ("--unknown", "soil.cohesion=1..80 kPa")
+    unknown = ("--unknown", "soil.cohesion=1..80 kPa", "--set", "effects={motion=false}")
     printed("calibrate", PROBLEMS / "reference.toml", *data, *unknown, "--output", tmp_path / "fit.json")
     origin = po.load(tmp_path / "fit.json").origin
     assert [*origin.data.values()] == texts

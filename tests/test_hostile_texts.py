@@ -196,3 +196,15 @@ def test_names_and_reasons_of_a_sweep_are_no_formulas(tmp_path):
         rows = [*csv.reader(found.to_csv(tmp_path / "a.csv").read_text(encoding="utf-8").splitlines())]
     reasons = [f"ValueError: =HYPERLINK({value})" for value in (-1.0, 2.0)]
     assert rows == [["point", "'@a", "reason"], ["0", "-1.0", reasons[0]], ["1", "2.0", reasons[1]]]
+
+
+def test_a_dollar_sign_in_a_picture_is_one(tmp_path):
+    data = json.loads(EVERY["Run"]().to_json())
+    for text in ("$\\frac$", "5 $ or $ 6"):
+        data["origin"]["title"] = data["scene"]["soil"]["name"] = text
+        (tmp_path / "a.json").write_text(json.dumps(data), encoding="utf-8")
+        run = po.load(tmp_path / "a.json")
+        figure = run.plot(tmp_path / "a.svg")
+        assert figure.get_suptitle().startswith(text)
+        assert "<img" in run._repr_html_()
+        assert call("compare", tmp_path / "a.json", tmp_path / "a.json", "--plot", tmp_path / "b.png").status == 0

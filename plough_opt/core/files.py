@@ -356,7 +356,18 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
         InputError: the ending is not a known format, or the file cannot be written.
     """
     ending = check_format(path).suffix[1:].lower()
-    return write_file(path, "plot", lambda file: figure.savefig(file, dpi=130, format=ending))
+    return write_file(path, "plot", lambda file: draw(figure, file, dpi=130, format=ending))
+
+
+def draw(figure: Figure, file: IO[bytes], **options: Any) -> None:
+    """Write a figure into a file; a dollar sign in its texts, which may be a user's, does not begin a formula."""
+    from matplotlib.text import Text
+
+    axes = [axis for one in figure.axes for axis in (one.xaxis, one.yaxis) if axis.get_scale() != "linear"]
+    powers = {text for axis in axes for text in axis.findobj(Text) if text is not axis.label}
+    for text in {*figure.findobj(Text)} - powers:
+        text.set_parse_math(False)
+    figure.savefig(file, **options)
 
 
 def check_format(path: str | Path) -> Path:

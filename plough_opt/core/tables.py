@@ -9,6 +9,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from plough_opt.core.errors import printable
+from plough_opt.core.files import draw
 from plough_opt.core.process import optional
 
 if TYPE_CHECKING:
@@ -246,7 +247,7 @@ def _image(figure: Figure) -> str:
     from io import BytesIO
 
     file = BytesIO()
-    figure.savefig(file, format="png", dpi=80)
+    draw(figure, file, format="png", dpi=80)
     return f'<img alt="picture of the result" src="data:image/png;base64,{b64encode(file.getvalue()).decode()}">'
 
 

@@ -161,12 +161,12 @@ def _read_object(known: dict[str, type], data: dict[str, Any]) -> Any:
     """Return an object of the class that its data names."""
     hint = next(iter(known.values()))
     name = str(data.get(_CLASS, hint.__name__))
-    kind: Any = known.get(name) or (_imported(name) if ":" in name else None)
-    if kind is None and ":" in name and not is_dataclass(hint) and _top(name) not in _TOOLKIT:
+    kind: Any = known.get(name) or (_class(name, known.values()) if ":" in name else None)
+    if kind is None and ":" in name and not is_dataclass(hint) and not _is_at_hand(name):
         kind = _stand_in(hint, name, [key for key in data if key != _CLASS])
-    if name in known or (isinstance(kind, type) and is_dataclass(kind) and _suits(kind, known.values())):
-        return kind(**vars(_read(_form(kind), data)))
-    raise ValueError(f"is not of type {' or '.join(known)}")
+    if kind is None:
+        raise ValueError(f"is not of type {' or '.join(known)}")
+    return kind(**vars(_read(_form(kind), data)))
 
 
 @lru_cache(maxsize=256)
@@ -240,16 +240,24 @@ def _imported(path: str) -> Any:
     return thing if (isfunction(thing) or isinstance(thing, type)) and _path(thing) == path else None
 
 
-def _suits(kind: type, hints: Iterable[type]) -> bool:
-    """Return whether a class that a file names may be in the place of some classes.
+def _class(path: str, hints: Iterable[type]) -> type | None:
+    """Return the dataclass that a file names if it may be in the place of some classes, or None.
 
     It must inherit from one of them; a class of the user's own needs only their methods.
     """
-    if any(hint in kind.__mro__ for hint in hints):
-        return True
+    found = _imported(path)
+    if not (isinstance(found, type) and is_dataclass(found)):
+        return None
+    if any(hint in found.__mro__ for hint in hints):
+        return found
     with suppress(TypeError):  # a protocol with attributes must be inherited
-        return _is_users(kind.__module__) and issubclass(kind, tuple(hints))
-    return False
+        return found if _is_users(found.__module__) and issubclass(found, tuple(hints)) else None
+    return None
+
+
+def _is_at_hand(path: str) -> bool:
+    """Return whether a name is one of this package, or of the user's own and defined, so that nothing replaces it."""
+    return _top(path) in _TOOLKIT or (_imported(path) is not None and _is_users(path.partition(":")[0]))
 
 
 def _function(path: str) -> Callable[..., Any]:

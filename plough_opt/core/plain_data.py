@@ -36,8 +36,8 @@ _SETTINGS: Final[ConfigDict] = {
 _CLASS, _FUNCTION = "class", "function"
 # A class or function in a file: its module and its qualified name, which may hold "<locals>".
 _PATH: Final = re.compile(r"[\w.-]+:[\w.<>]+")
-# Top-level modules that this package installs.
-_TOOLKIT: Final = ("plough_opt", "plough_opt_command")
+# The top-level module of this package.
+_TOOLKIT: Final = "plough_opt"
 
 
 def to_plain(value: Any, hint: Any = Any) -> Any:
@@ -257,7 +257,7 @@ def _class(path: str, hints: Iterable[type]) -> type | None:
 
 def _is_at_hand(path: str) -> bool:
     """Return whether a name is one of this package, or of the user's own and defined, so that nothing replaces it."""
-    return _top(path) in _TOOLKIT or (_imported(path) is not None and _is_users(path.partition(":")[0]))
+    return _top(path) == _TOOLKIT or (_imported(path) is not None and _is_users(path.partition(":")[0]))
 
 
 def _function(path: str) -> Callable[..., Any]:
@@ -272,7 +272,7 @@ def _is_users(module: str) -> bool:
     An installed package that declares itself as an addition is the user's own too.
     """
     top = _top(module)
-    if top in sys.stdlib_module_names or top in _TOOLKIT:
+    if top in sys.stdlib_module_names or top == _TOOLKIT:
         return False
     # `python -m` runs a module of Python or of a library as __main__; a session has no file.
     file = Path(getattr(sys.modules[module], "__file__", None) or "")

@@ -4,7 +4,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from plough_opt.core.labels import Limit, Meanings, attach, labels_in, meaning_of
+from plough_opt.core.checks import Limit
+from plough_opt.core.labels import Meanings, attach, labels_in, meaning_of
 
 LOW = Limit("something", at_most=2.0, unit="m")
 HIGH = Limit("something else", at_most=3.0)

@@ -1,12 +1,15 @@
 """Checks of arguments before anything is computed from them: type, and for numbers the domain."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
 from numbers import Integral
 from os import PathLike
 from pathlib import Path
 from types import UnionType
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +25,11 @@ LARGEST: Final = 1e60
 
 LEAST: Final = 1.0 / LARGEST
 """Smallest magnitude of a number whose powers are denominators, which must not underflow."""
+
+INSIDE: Final = 1e-9
+"""Part of a limit by which designs stay inside it: more than the 1e-10 by which the optimiser may exceed a limit."""
+
+_OVERFLOW = "beyond that, products of quantities overflow or underflow: check its unit"
 
 # NumPy types with fewer bytes have only three digits, or overflow when squared.
 _LEAST_BYTES = 4
@@ -126,6 +134,86 @@ def path_of(what: str, value: object) -> Path:
     raise InputError(f"{what} {shown(value)} must be a path: a string or a pathlib.Path")
 
 
+@dataclass(frozen=True)
+class Limit:
+    """The limits of a named value: those of `check_domain`, which describes the attributes."""
+
+    name: str
+    unit: str = ""
+    above: float = -np.inf
+    below: float = np.inf
+    at_least: float = -np.inf
+    at_most: float = np.inf
+    why: str = ""
+    inside: float = INSIDE
+
+    @property
+    def kept(self) -> tuple[float | None, float | None]:
+        """Smallest and largest value in a design, None without a limit; a limit of 0 itself stays 0."""
+        low, high = max(self.above, self.at_least), min(self.below, self.at_most)
+        least = None if low <= -LARGEST else low + self.inside * abs(low)
+        return least, None if high >= LARGEST else high - self.inside * abs(high)
+
+    def holds(self, values: Expression) -> NDArray[np.bool_]:
+        """Return for each number whether it lies inside the limits; NaN does not."""
+        numbers = as_number(values)
+        inside: NDArray[np.bool_] = (
+            (numbers > self.above) & (numbers < self.below) & (numbers >= self.at_least) & (numbers <= self.at_most)
+        )
+        return inside
+
+    def check(self, value: Expression) -> None:
+        """Raise DomainError if a number, or one of an array, lies outside."""
+        _check_kind(self.name, value, self.unit)
+        numbers = np.atleast_1d(as_number(value))
+        rules = [
+            (np.isfinite(numbers), "finite", None),
+            (numbers > self.above, "above", self.above),
+            (numbers < self.below, "below", self.below),
+            (numbers >= self.at_least, "at least", self.at_least),
+            (numbers <= self.at_most, "at most", self.at_most),
+        ]
+        suffix = f" {self.unit}" if self.unit else ""
+        for holds, relation, limit in rules:
+            # A missing limit is infinite: only the first rule can then fail.
+            if not np.all(holds):
+                bad = numbers[~holds][0]
+                # With six digits a number close to its limit would look like the limit itself.
+                digits = 6 if limit is None or f"{bad:.6g}" != f"{limit:.6g}" else 17
+                bound = "" if limit is None else f" {limit:.{digits}g}{suffix}"
+                extreme = limit in (LEAST, LARGEST, -LARGEST)
+                why = _OVERFLOW if extreme else self.why
+                reason = f": {why}" if why else ""
+                raise DomainError(f"{self.name} = {bad:.{digits}g}{suffix} must be {relation}{bound}{reason}")
+
+
+Recorded: TypeAlias = list[tuple[Limit, Any]]
+"""Limits, each with the value that it limits."""
+
+_OF_SYMBOLS: ContextVar[Recorded | None] = ContextVar("of_symbols", default=None)
+_OF_NUMBERS: ContextVar[Recorded | None] = ContextVar("of_numbers", default=None)
+
+
+@contextmanager
+def _recorded(record: ContextVar[Recorded | None]) -> Iterator[Recorded]:
+    found: Recorded = []
+    token = record.set(found)
+    try:
+        yield found
+    finally:
+        record.reset(token)
+
+
+def limits_of_symbols() -> AbstractContextManager[Recorded]:
+    """Return a context whose value collects the limits that `check_domain` finds on symbols in it."""
+    return _recorded(_OF_SYMBOLS)
+
+
+def limits_of_numbers() -> AbstractContextManager[Recorded]:
+    """Return a context in which `check_domain` collects the limits of numbers and arrays, and raises no error."""
+    return _recorded(_OF_NUMBERS)
+
+
 def check_domain(
     name: str,
     value: Expression,
@@ -136,11 +224,13 @@ def check_domain(
     at_least: float = -np.inf,
     at_most: float = np.inf,
     why: str = "",
+    inside: float = INSIDE,
 ) -> Any:
     """Return a number as float, an array as array of floats, and a CasADi expression as it is, if inside the domain.
 
     Formulas use what is returned: integers and short floats would overflow in powers. Longer floats stay as they are.
-    A symbol passes, because its value is checked later. Numbers larger than `LARGEST` are outside every domain.
+    A symbol passes; if the call is part of a resistance law, a design keeps its limits: see
+    `plough_opt.core.labels.limited_in_designs`. Numbers larger than `LARGEST` are outside every domain.
 
     Args:
         name: name of the value, for the user.
@@ -151,6 +241,7 @@ def check_domain(
         at_least: inclusive lower limit.
         at_most: inclusive upper limit.
         why: reason for the limit or what to do, appended to the message.
+        inside: part of a limit by which designs stay inside it.
 
     Raises:
         DomainError: the value is not a finite number or lies outside; the message gives name, value and limit.
@@ -158,29 +249,15 @@ def check_domain(
     at_least, at_most = max(at_least, -LARGEST), min(at_most, LARGEST)
     if type(value) is float and above < value < below and at_least <= value <= at_most:
         return value
-    if is_symbolic(value):
+    symbolic = is_symbolic(value)
+    record = (_OF_SYMBOLS if symbolic else _OF_NUMBERS).get()
+    if symbolic and record is None:
         return value
-    _check_kind(name, value, unit)
-    numbers = np.atleast_1d(as_number(value))
-    rules = [
-        (np.isfinite(numbers), "finite", None),
-        (numbers > above, "above", above),
-        (numbers < below, "below", below),
-        (numbers >= at_least, "at least", at_least),
-        (numbers <= at_most, "at most", at_most),
-    ]
-    suffix = f" {unit}" if unit else ""
-    for holds, relation, limit in rules:
-        # A missing limit is infinite: only the first rule can then fail.
-        if not np.all(holds):
-            bad = numbers[~holds][0]
-            # With six digits a number close to its limit would look like the limit itself.
-            digits = 6 if limit is None or f"{bad:.6g}" != f"{limit:.6g}" else 17
-            bound = "" if limit is None else f" {limit:.{digits}g}{suffix}"
-            if limit in (LEAST, LARGEST, -LARGEST):
-                why = "beyond that, products of quantities overflow or underflow: check its unit"
-            reason = f": {why}" if why else ""
-            raise DomainError(f"{name} = {bad:.{digits}g}{suffix} must be {relation}{bound}{reason}")
+    limit = Limit(name, unit, above, below, at_least, at_most, why, inside)
+    if record is not None:
+        record.append((limit, value))
+        return value
+    limit.check(value)
     if is_casadi(value) or isinstance(value, np.float64 | np.longdouble):
         return value
     return value.astype(np.result_type(value, float), copy=False) if isinstance(value, np.ndarray) else float(value)

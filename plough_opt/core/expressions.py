@@ -7,6 +7,7 @@ Every formula of the toolkit therefore uses the functions of this file.
 import dataclasses
 import math
 import numbers
+import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache, wraps
 from typing import Annotated, Any, Protocol, TypeAlias, TypeVar, overload
@@ -176,12 +177,19 @@ def map_expressions(value: Any, function: Callable[[Any], Any], leaf: Callable[[
             for field in dataclasses.fields(value)
             if field.init and field.metadata != COUNT
         }
-        return dataclasses.replace(value, **changed)
+        # What holds no expression need not be built and checked again.
+        return value if _same(changed, value) else dataclasses.replace(value, **changed)
     if isinstance(value, Mapping):
         return {key: map_expressions(item, function, leaf) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return type(value)(map_expressions(item, function, leaf) for item in value)
+        items = [map_expressions(item, function, leaf) for item in value]
+        return value if all(map(operator.is_, items, value)) else type(value)(items)
     return value
+
+
+def _same(changed: Mapping[str, Any], value: Any) -> bool:
+    """Return whether a dataclass has these very objects as its fields."""
+    return all(new is getattr(value, name) for name, new in changed.items())
 
 
 def template_of(value: Any) -> tuple[Any, list[Any]]:

@@ -9,12 +9,13 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import wraps
 from typing import Any, Final, Generic, ParamSpec, TypeVar
 
 import casadi as ca
 
+from plough_opt.core.checks import Limit, Recorded, limits_of_symbols
 from plough_opt.core.expressions import (
     Expression,
     classes_in,
@@ -36,18 +37,16 @@ _FIRST_PURGE: Final = 128
 
 
 @dataclass(frozen=True)
-class Limit:
-    """A meaning: the labelled value is valid only if the carried expression does not exceed a limit.
+class Domain:
+    """A meaning: the labelled value is valid only if the carried expressions keep limits.
 
     Attributes:
-        name: name of the limited expression, in reports.
-        at_most: its limit.
-        unit: unit of expression and limit.
+        limits: the limit of each carried expression.
+        bare: for each of them whether it is a symbol by itself, so that the bounds of a variable must keep the limit.
     """
 
-    name: str
-    at_most: float
-    unit: str = ""
+    limits: tuple[Limit, ...]
+    bare: tuple[bool, ...]
 
 
 @dataclass(frozen=True)
@@ -197,7 +196,8 @@ def checked_in_designs(
             result = law(*arguments, **named)
         if not holds_casadi(result):
             return result
-        template, quantities = template_of((arguments, named))
+        with limits_of_symbols():  # limits of placeholders mean nothing
+            template, quantities = template_of((arguments, named))
         carried = ca.vertcat(*quantities)
         # An array has one placeholder for all its elements; CasADi constants need no label.
         several = not isinstance(carried, ca.MX) or carried.numel() != len(quantities)
@@ -217,3 +217,53 @@ def checked_in_designs(
         return checked
 
     return labelled
+
+
+# Collects the limits of laws, with the limited expressions; None outside of `limits_of_laws`.
+_LIMITS: ContextVar[Recorded | None] = ContextVar("limits", default=None)
+
+
+@contextmanager
+def limits_of_laws() -> Iterator[Recorded]:
+    """Collect the limits of the laws that are called with symbols inside this context."""
+    found: Recorded = []
+    before = _LIMITS.set(found)
+    try:
+        yield found
+    finally:
+        _LIMITS.reset(before)
+
+
+def limited_in_designs(label: str) -> Callable[[Callable[_Given, _Result]], Callable[_Given, _Result]]:
+    """Return a decorator of a law, with which a design keeps the limits that `check_domain` finds on symbols in it.
+
+    Each limit becomes a requirement of the design. A limit on a symbol by itself does not: the bounds of that variable
+    must keep it.
+
+    Args:
+        label: name of the law in the requirements' names.
+    """
+
+    def decorated(law: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
+        @wraps(law)
+        def labelled(*arguments: _Given.args, **named: _Given.kwargs) -> _Result:
+            with limits_of_symbols() as found:
+                result = law(*arguments, **named)
+            # Columns are points at which a law is evaluated, such as nodes of a quadrature.
+            kept = [
+                (replace(limit, name=f"{label}: {limit.name}"), value)
+                for limit, value in found
+                if value.numel() == 1 and limit.kept != (None, None)
+            ]
+            if not kept:
+                return result
+            if (collected := _LIMITS.get()) is not None:
+                collected += kept
+            domain = Domain(tuple(limit for limit, _ in kept), tuple(value.is_symbolic() for _, value in kept))
+            carried = ca.vertcat(*(value for _, value in kept))
+            limited: _Result = map_expressions(result, lambda value: attach(value, carried, domain, domain))
+            return limited
+
+        return labelled
+
+    return decorated

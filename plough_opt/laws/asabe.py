@@ -5,6 +5,7 @@ from typing import Final
 
 from plough_opt.core.checks import check_domain, check_named
 from plough_opt.core.expressions import Expression
+from plough_opt.core.labels import limited_in_designs
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
 
 POINTS: Final = {"narrow": (226.0, 0.0, 1.8), "winged": (294.0, 0.0, 2.4)}
@@ -14,6 +15,7 @@ TEXTURES: Final = {"fine": 1.0, "medium": 0.70, "coarse": 0.45}
 """Soil texture (clay, loam, sand) -> factor F. Not verified."""
 
 _KM_PER_H, _CM = 3.6, 100.0
+_LABEL = "ASABE D497"
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class AsabeD497(ResistanceLaw):
     shanks: Expression = field(default=1.0, metadata={"unit": ""})
     depth: Expression | None = field(default=None, metadata={"unit": "m"})
 
-    label = "ASABE D497"
+    label = _LABEL
     source = "ASABE D497.7, Agricultural machinery management data"
     standing = "coefficients not verified against the standard's text, which is said to allow +-50 %"
     band = 0.5
@@ -47,6 +49,7 @@ class AsabeD497(ResistanceLaw):
         return SoilReaction(static=static, drag=drag)
 
 
+@limited_in_designs(_LABEL)
 def asabe_draft(
     depth: Expression, speed: Expression, texture: str, *, point: str = "narrow", shanks: Expression = 1.0
 ) -> Expression:

@@ -7,11 +7,14 @@ from typing import ClassVar
 
 from plough_opt.core.checks import check_domain
 from plough_opt.core.expressions import Expression, cos, expm1_ratio, log, sin, sqrt, tan
+from plough_opt.core.labels import limited_in_designs
 from plough_opt.laws.forces import check_cone
 from plough_opt.laws.law import STEADY, ResistanceLaw, ShareInSoil, SoilReaction
 from plough_opt.soil.elastic import cone_force
 from plough_opt.soil.geometry import Cone
 from plough_opt.soil.soil import Soil, check_soil
+
+_LABEL = "the spherical cavity (Forrestal-Luk)"
 
 
 @dataclass(frozen=True)
@@ -39,9 +42,6 @@ class ElasticMedium(ResistanceLaw):
         """Return the contact force at the tow speed as F0."""
         return SoilReaction(static=cone_force(at.cone, at.soil, at.speed))
 
-    def check(self, at: ShareInSoil) -> None:
-        """Check nothing: designs limit the speed by a requirement."""
-
     def warnings(self, at: ShareInSoil) -> tuple[str, ...]:
         """Return a warning that the force is an order of magnitude, and those of the base class."""
         return (
@@ -55,7 +55,7 @@ class ElasticMedium(ResistanceLaw):
 class SphericalCavity(ResistanceLaw):
     """`spherical_cavity_draft` as a law: F0 and Fd of the equivalent cone, without added mass and loosened radius."""
 
-    label = "the spherical cavity (Forrestal-Luk)"
+    label = _LABEL
     source = "M. J. Forrestal and V. K. Luk, Int. J. Impact Engineering 12 (1992) 427-444"
     standing = "derived anew in that form; made for projectiles, no test against tillage known"
     lacking: ClassVar[Mapping[str, str]] = {
@@ -117,6 +117,7 @@ def spherical_cavity(soil: Soil) -> CavityPressure:
     )
 
 
+@limited_in_designs(_LABEL)
 def spherical_cavity_draft(cone: Cone, soil: Soil, speed: Expression) -> Expression:
     """Return the draft [N] pi R^2 (tau0 A + B rho0 (V sin beta)^2)(1 + mu0 cot beta) of a cone, R = h tan(beta).
 

@@ -74,6 +74,11 @@ class ResistanceLaw(Protocol):
     ``label`` and ``reaction``; the other attributes describe what else it provides. A law with a name in
     `plough_opt.laws.LAWS` can be used in problem files too.
 
+    Its domain is what ``reaction`` declares by `plough_opt.core.checks.check_domain`: a name, an expression, its limits
+    and the reason. For numbers outside, ``reaction`` then raises DomainError, as do simulations, batches, sweeps and
+    components; a design keeps the limits, and names them if they decide the optimum. A design skips designs for which
+    ``reaction`` raises another InputError or DomainError, or gives NaN.
+
     Attributes:
         label: name in messages and tables.
         source: source of its equations.
@@ -122,10 +127,6 @@ class ResistanceLaw(Protocol):
         Raises:
             DomainError: a number lies outside the law's domain.
         """
-
-    def check(self, at: ShareInSoil) -> None:
-        """Raise DomainError for numbers outside the domain, except at limits that a design enforces itself."""
-        self.reaction(at)
 
     def loosened_radius(self, at: ShareInSoil) -> Expression:  # noqa: ARG002 - overriding methods use the argument
         """Return the radius to which the soil is loosened at the share's base [m].

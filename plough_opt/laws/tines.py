@@ -6,6 +6,7 @@ from typing import ClassVar, Final
 
 from plough_opt.core.checks import check_domain
 from plough_opt.core.expressions import Expression, cos, sin, sqrt, tan
+from plough_opt.core.labels import limited_in_designs
 from plough_opt.laws.law import STEADY, ResistanceLaw, ShareInSoil, SoilReaction
 from plough_opt.laws.wedge import (
     GRAVITY,
@@ -40,6 +41,7 @@ class McKyesAli(TineLaw):
         return _mckyes_ali(at.soil, self.tine(at), at.speed)
 
 
+@limited_in_designs("McKyes and Ali")
 def mckyes_ali_draft(soil: Soil, tine: Tine, speed: Expression) -> Expression:
     """Return the draft [N] of a narrow tine that shears off a wedge with a crescent at each side.
 
@@ -82,7 +84,7 @@ def rupture_angle(angles: WedgeAngles, ratio: Expression) -> Expression:
     Raises:
         DomainError: the minimum is at the end of the possible angles.
     """
-    return least_angle(_weight_factor, angles, ratio, what="McKyes and Ali")
+    return least_angle(_weight_factor, angles, ratio)
 
 
 def _weight_factor(angles: WedgeAngles, beta: Expression, ratio: Expression) -> Expression:
@@ -122,11 +124,8 @@ class UniversalEarthmoving(TineLaw):
         """Return F0 [N] and Fd [N s^2/m^2]; see `godwin_draft`."""
         return _godwin(at.soil, self.tine(at), at.speed, self.rupture_ratio)
 
-    def check(self, at: ShareInSoil) -> None:
-        """Raise DomainError for numbers outside the domain, because designs do not enforce it."""
-        self.reaction(at)
 
-
+@limited_in_designs("universal earthmoving equation")
 def godwin_draft(soil: Soil, tine: Tine, speed: Expression, *, rupture_ratio: Expression | None = None) -> Expression:
     """Return the draft [N] by the universal earthmoving equation, including crescents at the sides.
 
@@ -182,6 +181,7 @@ class SwickPerumpral(TineLaw):
         return SoilReaction(static=swick_perumpral_draft(at.soil, self.tine(at), at.speed))
 
 
+@limited_in_designs("Swick and Perumpral")
 def swick_perumpral_draft(soil: Soil, tine: Tine, speed: Expression) -> Expression:
     """Return the draft [N] of a plane wedge of accelerated soil, without forces at its sides.
 
@@ -201,7 +201,7 @@ def swick_perumpral_draft(soil: Soil, tine: Tine, speed: Expression) -> Expressi
     """
     angles = wedge_angles(soil, tine, speed)
     loads = (soil.density * GRAVITY * tine.depth, soil.cohesion, tine.surcharge, tine.adhesion, soil.density * speed**2)
-    beta = least_angle(_pressure, angles, *loads, what="Swick and Perumpral")
+    beta = least_angle(_pressure, angles, *loads)
     return horizontal(_pressure(angles, beta, *loads) * tine.width * tine.depth, tine, angles)
 
 

@@ -17,7 +17,6 @@ import numpy as np
 from plough_opt.core.checks import LEAST, check_domain, check_kind
 from plough_opt.core.errors import DomainError
 from plough_opt.core.expressions import Column, Expression, arctan, arctan2, cos, is_casadi, minimum, sin, sqrt, tan
-from plough_opt.core.labels import Limit, attach
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.soil import Soil, check_soil
@@ -104,10 +103,6 @@ class TineLaw(ResistanceLaw):
             surcharge=self.surcharge,
             adhesion=self.adhesion,
         )
-
-    def check(self, at: ShareInSoil) -> None:
-        """Raise DomainError if soil cannot fail as a wedge; designs enforce the end of the possible angles."""
-        wedge_angles(at.soil, self.tine(at), at.speed)
 
 
 @dataclass(frozen=True)
@@ -202,7 +197,7 @@ def horizontal(force: Expression, tine: Tine, angles: WedgeAngles) -> Expression
     return force * sin(angles.rake + angles.tool_friction) + along
 
 
-def least_angle(force: Callable[..., Column], angles: WedgeAngles, *parameters: Expression, what: str) -> Expression:
+def least_angle(force: Callable[..., Column], angles: WedgeAngles, *parameters: Expression) -> Expression:
     """Return the rupture angle [rad] that minimises ``force(angles, beta, *parameters)``.
 
     It lies between 0 and the smaller of 90 degrees and 180 degrees minus omega.
@@ -211,32 +206,29 @@ def least_angle(force: Callable[..., Column], angles: WedgeAngles, *parameters: 
         force: function written with `plough_opt.core.expressions`, smooth and finite inside that interval.
         angles: angles of the wedge.
         parameters: floats, arrays of one shape, or CasADi scalars.
-        what: name of the model, for messages.
 
     Raises:
-        DomainError: a numeric force is least at the end of the interval. For MX symbols a `Design` enforces this limit;
-            for SX symbols it is not checked.
+        DomainError: a numeric force is least at the end of the interval.
     """
     search = _search(force, len(parameters))
     upper = minimum(math.pi / 2, math.pi - angles.total)
     arguments = (upper, angles.rake, angles.tool_friction, angles.friction, *parameters)
+    found: Column
     if any(map(is_casadi, arguments)):
-        found: Column = search(*arguments)
-        over_end = force(angles, found, *parameters) / force(angles, upper * _INSIDE, *parameters)
-        limit = Limit(f"{what}: least force of a wedge over that at the end of the possible angles", at_most=1.0)
-        return attach(found, over_end, limit, limit)
-    rows = np.broadcast_arrays(*(np.asarray(argument, dtype=float) for argument in arguments))
-    beta = np.array([float(search(*row)) for row in zip(*(row.ravel() for row in rows), strict=True)])
-    beta = beta.reshape(rows[0].shape)
-    ends = rows[0] * _INSIDE
-    # Without a minimum inside, the angle is NaN and compares as False.
-    inside = (beta > 0.0) & (beta < ends) & (force(angles, beta, *parameters) < force(angles, ends, *parameters))
-    if not np.all(inside):
-        raise DomainError(
-            f"the force of {what} is least for a wedge at the end of the possible angles, where its derivation does not"
-            " hold: use a steeper rake angle or a wider tool"
-        )
-    return beta if beta.ndim else float(beta)
+        found = search(*arguments)
+    else:
+        rows = np.broadcast_arrays(*(np.asarray(argument, dtype=float) for argument in arguments))
+        each = search.map(rows[0].size)(*(row.reshape(1, -1) for row in rows))
+        beta = np.asarray(each).reshape(rows[0].shape)
+        found = beta if beta.ndim else float(beta)
+    check_domain(
+        "least force of a wedge over that at the end of the possible angles",
+        force(angles, found, *parameters) / force(angles, upper * _INSIDE, *parameters),
+        below=1.0,
+        why="its derivation does not hold there: use a steeper rake angle or a wider tool",
+    )
+    angle: Expression = found
+    return angle
 
 
 @lru_cache(maxsize=8)
@@ -266,4 +258,5 @@ def _search(force: Callable[..., Column], count: int) -> ca.Function:
         first, second = g(found, *p)
         found = found - first / second
     # Without a minimum inside the angle is undefined; NaN makes a solver shorten its step.
-    return ca.Function("least_angle", [upper, *p], [ca.if_else(falls, math.nan, found)])
+    outside = ca.logic_or(falls, ca.logic_or(found <= 0.0, found >= upper * _INSIDE))
+    return ca.Function("least_angle", [upper, *p], [ca.if_else(outside, math.nan, found)])

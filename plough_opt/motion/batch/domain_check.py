@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
+from contextlib import nullcontext
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.checks import limits_of_numbers
 from plough_opt.core.errors import PloughError
-from plough_opt.core.expressions import is_quantity, map_expressions, template_of
-from plough_opt.core.quantities import BESIDE, QUANTITIES
+from plough_opt.core.expressions import is_quantity, map_expressions
+from plough_opt.core.quantities import BESIDE
 from plough_opt.motion.batch.engine import Array
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.scene_quantities import quantities_of
 from plough_opt.soil.waves import check_strength
 
 
 class DomainCheck:
     """Rebuilds a scene with the numbers of many designs, and finds those for which that raises an error.
 
-    All designs are tried at once, as arrays. If that fails, designs with a quantity outside its own domain are checked
-    one by one and the others by repeated halving.
+    All designs are tried at once, as arrays, and only those beyond a limit one by one. If arrays fail, as in a class of
+    the user's, they are halved.
     """
 
     def __init__(self, template: Scene, fixed: list[float | None]) -> None:
@@ -32,26 +33,28 @@ class DomainCheck:
             template: the scene with a placeholder for each quantity.
             fixed: the value of each placeholder, or None if it varies between designs.
         """
-        self._template = template
-        self._fixed = fixed
-        names = {id(value): name for name, value in quantities_of(template).items() if value is not None}
-        placeholders = zip(template_of(template)[1], fixed, strict=True)
-        varying = [QUANTITIES.get(names.get(id(value), "")) for value, number in placeholders if number is None]
-        self._domains = [*varying, BESIDE["scene.duration"]]
+        numbers = iter(fixed)
+        # Parts of the scene that do not vary are built once.
+        self._template = map_expressions(
+            template, lambda placeholder: placeholder if (number := next(numbers)) is None else number, is_quantity
+        )
+        self._varying = fixed.count(None)
 
-    def reasons(self, rows: Array) -> dict[int, str]:
+    def reasons(self, rows: Array, *, declared: bool = True) -> dict[int, str]:
         """Return the positions of the designs outside the domain, each with the reason.
 
         Args:
             rows: a row for each quantity that varies, then one for the duration; a column for each design.
+            declared: whether limits that `check_domain` declares count, or only other errors of a user's class.
         """
         reasons: dict[int, str] = {}
         with np.errstate(all="ignore"):
-            if rows.shape[1] > 0 and not self._accepts(lambda k: rows[k]):
-                suspect = self._outside(rows)
-                for k in np.flatnonzero(suspect):
-                    self._search(rows, np.array([k]), reasons)
-                self._search(rows, np.flatnonzero(~suspect), reasons)
+            for k in self._suspects(rows, np.arange(rows.shape[1]), declared):
+                try:
+                    with nullcontext() if declared else limits_of_numbers():
+                        self.scene(partial(_number, rows[:, k]))
+                except PloughError as error:
+                    reasons[int(k)] = str(error)
         return reasons
 
     def scene(self, value: Callable[[int], Any]) -> Scene:
@@ -63,42 +66,30 @@ class DomainCheck:
         Raises:
             DomainError: a value outside the model's domain.
         """
-        varying = itertools.count()
-        values = iter([value(next(varying)) if number is None else number for number in self._fixed])
-        scene: Scene = map_expressions(self._template, lambda _: next(values), is_quantity)
-        BESIDE["scene.duration"].check(value(next(varying)))
+        values = map(value, range(self._varying))
+        scene: Scene = map_expressions(self._template, lambda _: next(values))
+        BESIDE["scene.duration"].check(value(self._varying))
         if scene.soil.density_profile is None:
             scene.check_reaction()
         else:  # a profile accepts no arrays; designs without a compaction front have no finite results anyway
             check_strength(scene.effects.waves)
         return scene
 
-    def _accepts(self, value: Callable[[int], Any]) -> bool:
-        """Return True if the scene can be built; a user's own class may raise any error for arrays."""
+    def _suspects(self, rows: Array, where: NDArray[np.int64], declared: bool) -> NDArray[np.int64]:
+        """Return those among some designs that have to be tried one by one."""
+        if len(where) <= 1:
+            return where
+        inside = np.ones(len(where), dtype=bool)
         try:
-            self.scene(value)
-        except Exception:
-            return False
-        return True
+            with limits_of_numbers() as limits:
+                self.scene(lambda row: rows[row, where])
+            for limit, values in limits if declared else ():
+                inside &= limit.holds(values)
+        except Exception:  # a user's own class may raise any error for arrays
+            halves = (self._suspects(rows, part, declared) for part in np.array_split(where, 2))
+            return np.concatenate([*halves])
+        return where[~inside]
 
-    def _outside(self, rows: Array) -> NDArray[np.bool_]:
-        """Return a mask of the designs with a quantity outside its own domain."""
-        outside = np.zeros(rows.shape[1], dtype=bool)
-        for values, quantity in zip(rows, self._domains, strict=True):
-            if quantity is not None:
-                outside |= ~((values >= quantity.low) & (values <= quantity.high))
-        return outside
 
-    def _search(self, rows: Array, where: NDArray[np.int64], reasons: dict[int, str]) -> None:
-        """Enter the reasons of those among some designs that cannot be built, by repeated halving."""
-        if len(where) == 0:
-            return
-        if len(where) == 1:
-            try:
-                self.scene(lambda k: float(rows[k, where[0]]))
-            except PloughError as error:
-                reasons[int(where[0])] = str(error)
-        elif not self._accepts(lambda k: rows[k, where]):
-            half = len(where) // 2
-            self._search(rows, where[:half], reasons)
-            self._search(rows, where[half:], reasons)
+def _number(column: Array, row: int) -> float:
+    return float(column[row])

@@ -18,7 +18,7 @@ from typing import NamedTuple, TypeVar
 
 from plough_opt.core.checks import LEAST, check_domain
 from plough_opt.core.expressions import Expression, arcsinh, arcsinh_ratio, gauss_legendre, one_node, sqrt, where
-from plough_opt.soil.elastic.medium import FAR, FAR_NODES, Medium, Ratios, medium
+from plough_opt.soil.elastic.medium import BELOW_SHEAR_WAVES, FAR, FAR_NODES, Medium, Ratios, medium, medium_law
 from plough_opt.soil.elastic.profile import Body, Profile, Segment, body, points
 from plough_opt.soil.soil import Soil
 
@@ -109,6 +109,7 @@ def cone_stress(
     return _around(stress_of, x, r, profile, soil, speed, section_factor)
 
 
+@medium_law
 def cone_pressure(
     x: Expression, profile: Profile, soil: Soil, speed: Expression, section_factor: Expression = SECTION_FACTOR
 ) -> Expression:
@@ -135,7 +136,7 @@ def cone_pressure(
     check_domain("x beyond the last node", x - cone.places[-1], "m", at_most=0.0, why="the face ends there")
     radius = cone.height(x)
     check_domain("radius of the cone at x", radius, "m", above=0.0)
-    return state.limited(face_pressure(cone.offsets(x), radius, cone, state, section_factor))
+    return face_pressure(cone.offsets(x), radius, cone, state, section_factor)
 
 
 def face_pressure(
@@ -149,10 +150,17 @@ def face_pressure(
 def state_of(soil: Soil, speed: Expression) -> Medium:
     """Return the medium at a speed below the shear wave speed, where the cone's logarithms are finite."""
     state = medium(soil, speed)
-    check_domain("speed over shear wave speed", state.mach, below=1.0, why="the cone's potentials diverge there")
+    check_domain(
+        "speed over shear wave speed",
+        state.mach,
+        below=1.0,
+        why="the cone's potentials diverge there",
+        inside=BELOW_SHEAR_WAVES,
+    )
     return state
 
 
+@medium_law
 def _around(
     field_of: Callable[[Potentials, Expression, Expression, Medium], _Field],
     x: Expression,
@@ -169,7 +177,7 @@ def _around(
     x, r = points(x, r, cone, state, section_factor)
     offsets = cone.offsets(x)
     found = potentials(offsets, r, cone, state, section_factor)
-    return state.limited(field_of(found, displaced(offsets, cone, section_factor), r, state))
+    return field_of(found, displaced(offsets, cone, section_factor), r, state)
 
 
 # --- potentials of a line of sources ---------------------------------------------------------------------------------

@@ -32,7 +32,7 @@ from plough_opt.core.expressions import (
 )
 from plough_opt.soil.elastic import cone as cones
 from plough_opt.soil.elastic import wedge as wedges
-from plough_opt.soil.elastic.medium import Medium, medium
+from plough_opt.soil.elastic.medium import Medium, medium, medium_law
 from plough_opt.soil.elastic.profile import Body, Profile, Segment, body
 from plough_opt.soil.soil import Soil
 
@@ -156,6 +156,7 @@ def _root(function: Curve, ends: Pair, values: Pair) -> Expression:
     return guess
 
 
+@medium_law
 def wedge_force(profile: Profile, soil: Soil, speed: Expression, *, separation: bool = True) -> Expression:
     """Return the contact force on both faces of a thin wedge, friction included [N per metre of its width].
 
@@ -189,7 +190,7 @@ def wedge_force(profile: Profile, soil: Soil, speed: Expression, *, separation: 
             return half.segment.slope + soil.tool_friction
 
         force = force + 2.0 * _lost(face, pressure, weight, holds_casadi((face, soil, speed)))
-    return state.limited(force)
+    return force
 
 
 def _face_integral(face: Body, state: Medium) -> Expression:
@@ -208,6 +209,7 @@ def _face_integral(face: Body, state: Medium) -> Expression:
     return -state.shear_modulus * state.rayleigh / state.alpha * total
 
 
+@medium_law
 def cone_force(
     profile: Profile,
     soil: Soil,
@@ -258,4 +260,4 @@ def cone_force(
         force = force + _over(half, *_ends(symbolic), lambda part, tau: pressure(part, tau) * weight(part, tau))
     if separation:
         force = force + _lost(face, absolute_pressure, weight, symbolic)
-    return state.limited(force)
+    return force

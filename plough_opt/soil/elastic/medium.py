@@ -1,7 +1,7 @@
 """The elastic soil at a given speed: wave speeds, and functions of the speed that all formulas share."""
 
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Final
 
 from plough_opt.core.checks import check_domain
 from plough_opt.core.errors import InputError
@@ -11,18 +11,19 @@ from plough_opt.core.expressions import (
     arctan2,
     arctan_ratio,
     arctanh_ratio,
-    is_symbolic,
     log,
-    map_expressions,
     sqrt,
     where,
 )
-from plough_opt.core.labels import Limit, attach, checked_in_designs, unlabelled
+from plough_opt.core.labels import checked_in_designs, limited_in_designs, unlabelled
 from plough_opt.soil.soil import Soil, check_soil
 
-_Result = TypeVar("_Result")
-# At the shear wave speed the fields are finite but their derivatives are not, so designs stay a little below it.
-_SUBSONIC = Limit("elastic medium: speed over shear wave speed", at_most=0.9999)
+medium_law = limited_in_designs("elastic medium")
+"""Decorator of functions of an elastic soil and a speed, whose limits designs keep."""
+
+BELOW_SHEAR_WAVES: Final = 1e-4
+"""Part by which designs stay below the shear wave speed, where the fields are finite but their derivatives are not."""
+
 # Newton steps for the cubic of the Rayleigh speed: each doubles the number of correct digits, which is three at first.
 _RAYLEIGH_STEPS = 5
 
@@ -134,13 +135,6 @@ class Medium(Ratios):
     shear_modulus: Expression
     mach: Expression
 
-    def limited(self, result: _Result) -> _Result:
-        """Return a result whose expressions are labelled with the limit on the speed, for designs."""
-        if not is_symbolic(self.mach):
-            return result
-        labelled: _Result = map_expressions(result, lambda value: attach(value, self.mach, _SUBSONIC, _SUBSONIC))
-        return labelled
-
 
 def medium(soil: Soil, speed: Expression) -> Medium:
     """Return the medium at a speed [m/s].
@@ -158,6 +152,7 @@ def medium(soil: Soil, speed: Expression) -> Medium:
         mach,
         at_most=1.0,
         why="the elastic medium is solved up to the shear wave speed; see elastic.shear_wave_speed(soil)",
+        inside=BELOW_SHEAR_WAVES,
     )
     _, ratio = _constants(soil)
     kappa = _kappa(ratio)

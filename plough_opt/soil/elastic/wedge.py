@@ -14,7 +14,16 @@ from dataclasses import dataclass, replace
 
 from plough_opt.core.checks import check_domain
 from plough_opt.core.expressions import Expression, arctan2, gauss_legendre, one_node, sqrt, where
-from plough_opt.soil.elastic.medium import FAR, FAR_NODES, Medium, Ratios, angle_difference, log_difference, medium
+from plough_opt.soil.elastic.medium import (
+    FAR,
+    FAR_NODES,
+    Medium,
+    Ratios,
+    angle_difference,
+    log_difference,
+    medium,
+    medium_law,
+)
 from plough_opt.soil.elastic.profile import Body, Profile, body, check_off_nodes, points
 from plough_opt.soil.soil import Soil
 
@@ -104,6 +113,7 @@ def stress_of(found: Potentials, soil: Medium) -> WedgeStress:
     )
 
 
+@medium_law
 def wedge_stress(x: Expression, y: Expression, profile: Profile, soil: Soil, speed: Expression) -> WedgeStress:
     """Return the stresses around a thin wedge in steady motion, equations (1) and (2) corrected.
 
@@ -126,9 +136,10 @@ def wedge_stress(x: Expression, y: Expression, profile: Profile, soil: Soil, spe
     state = medium(soil, speed)
     found, side = _potentials_at(x, y, profile, state)
     upper = stress_of(found, state)
-    return state.limited(replace(upper, xy=side * upper.xy))
+    return replace(upper, xy=side * upper.xy)
 
 
+@medium_law
 def wedge_gradient(x: Expression, y: Expression, profile: Profile, soil: Soil, speed: Expression) -> WedgeGradient:
     """Return the displacement gradient around a thin wedge; arguments and errors are those of `wedge_stress`.
 
@@ -138,16 +149,15 @@ def wedge_gradient(x: Expression, y: Expression, profile: Profile, soil: Soil, s
     found, side = _potentials_at(x, y, profile, state)
     alpha, eta = state.alpha, state.eta
     slip = 2.0 * found.p_change + found.p
-    return state.limited(
-        WedgeGradient(
-            ux_x=-(2.0 * alpha * eta * found.q_change + (2.0 * state.product - 1.0) * found.q) / alpha,
-            ux_y=side * (slip - 2.0 * (found.p + state.m * found.p_change)),
-            uy_x=side * slip,
-            uy_y=2.0 * eta * found.q_change + (2.0 * state.slowing - alpha) * found.q,
-        )
+    return WedgeGradient(
+        ux_x=-(2.0 * alpha * eta * found.q_change + (2.0 * state.product - 1.0) * found.q) / alpha,
+        ux_y=side * (slip - 2.0 * (found.p + state.m * found.p_change)),
+        uy_x=side * slip,
+        uy_y=2.0 * eta * found.q_change + (2.0 * state.slowing - alpha) * found.q,
     )
 
 
+@medium_law
 def wedge_displacement(x: Expression, y: Expression, profile: Profile, soil: Soil, speed: Expression) -> Expression:
     """Return the displacement uy around a thin wedge [m]; arguments and errors are those of `wedge_stress`.
 
@@ -160,9 +170,10 @@ def wedge_displacement(x: Expression, y: Expression, profile: Profile, soil: Soi
         place = offsets[segment.start], offsets[segment.start + 1], y, segment.length
         (shift,) = _shift(*place, *state.in_order)
         total = total + segment.slope / math.pi * shift
-    return state.limited(side * total)
+    return side * total
 
 
+@medium_law
 def wedge_pressure(x: Expression, profile: Profile, soil: Soil, speed: Expression) -> Expression:
     """Return the gauge pressure -sigma_yy [Pa] of the soil on the face of a thin wedge.
 
@@ -185,7 +196,7 @@ def wedge_pressure(x: Expression, profile: Profile, soil: Soil, speed: Expressio
     check_domain("x beyond the last node", x - wedge.places[-1], "m", at_most=0.0, why="the face ends there")
     offsets = wedge.offsets(x)
     check_off_nodes(offsets, 0.0)
-    return state.limited(face_pressure(offsets, wedge, state))
+    return face_pressure(offsets, wedge, state)
 
 
 def face_pressure(offsets: list[Expression], wedge: Body, soil: Medium) -> Expression:

@@ -159,6 +159,7 @@ class Requirement:
     unit: str
     auxiliary: bool = False  # added by the program and left out of reports
     display: Display | None = None  # unit in reports, if the user chose one
+    inside: float = 0.0  # distance that is kept from limits of 0
 
     def __post_init__(self) -> None:
         text = f"requirement '{self.name}'"
@@ -180,12 +181,12 @@ class Requirement:
     @property
     def low(self) -> float:
         """Lower limit; minus infinity if there is none."""
-        return -math.inf if self.at_least is None else self.at_least
+        return -math.inf if self.at_least is None else self.at_least or self.inside
 
     @property
     def high(self) -> float:
         """Upper limit; infinity if there is none."""
-        return math.inf if self.at_most is None else self.at_most
+        return math.inf if self.at_most is None else self.at_most or -self.inside
 
     @property
     def shown(self) -> Display:
@@ -260,6 +261,12 @@ class Declarations:
         """Return the names of an expression's symbols that were not declared here, even if the name was."""
         known = {hash(symbol) for symbol in self.symbols()}
         return sorted({s.name() for s in ca.symvar(expression) if hash(s) not in known})
+
+    def ranges(self) -> str:
+        """Return the bounds of the variables in words."""
+        return ", ".join(
+            f"{v.name} from {in_words(v.lower, v.unit)} to {in_words(v.upper, v.unit)}" for v in self.variables
+        )
 
     def describe(self, values: NDArray[np.float64]) -> str:
         """Return the variables with certain values in words."""

@@ -142,7 +142,8 @@ def polished(program: Program, p: Vector, start: Vector) -> Point:
     """Return the local optimum near a basin minimum of a search, or the start itself if no better design lies near."""
     highest = _highest_accepted(program, p, start)
     near = polished_by_quadratic_programs(program, p, start)
-    if near is not None and np.max(np.abs(near.y - start)) < _NEAR and near.f <= highest:
+    near_enough = near is not None and np.max(np.abs(near.y - start)) < _NEAR and near.f <= highest
+    if near is not None and near_enough and not program.refuses(near.y, p):
         return near
     as_found = point_as_found(program, p, start)
     for box, exact in ((1.0, False), (_NEAR, True), (_RIPPLE, True)):
@@ -196,7 +197,7 @@ def _violation(program: Program, p: Vector, y: Vector) -> tuple[float, float]:
     """Return the scaled objective, and the largest scaled violation; infinite if the design cannot be evaluated."""
     f, g = (np.asarray(result).ravel() for result in program.nlp.values(y, p))
     worst = np.max(np.maximum(program.low - g, g - program.high), initial=0.0)
-    valid = np.all(np.isfinite(f)) and np.all(np.isfinite(g))
+    valid = np.all(np.isfinite(f)) and np.all(np.isfinite(g)) and not program.refuses(y, p)
     return float(f[0]), float(worst) if valid else np.inf
 
 

@@ -12,6 +12,7 @@ from plough_opt.core.process import available
 from plough_opt.design.declarations import Variable
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.nlp import algebra_of, averages_only, holds_maps
+from plough_opt.design.scene_checks import SceneChecks, has_own_law
 from plough_opt.design.split import EmbeddedRun, Split, split
 from plough_opt.motion.batch.many_runs import ManyRuns
 from plough_opt.motion.integrators import Integration, integration
@@ -163,6 +164,7 @@ class Population:
         self._inputs = _RowFunction(given if holds_maps(given) else given.expand())
         self._algebra = _RowFunction(_algebra_of_groups(full, parts, self._groups))
         self._rows = self._algebra.function.numel_out(1)
+        self._own_laws = SceneChecks(parts, [y, p], has_own_law)
 
     def _group(self, parts: Split, members: list[int], key: object) -> _Group:
         if isinstance(key, tuple):
@@ -211,6 +213,8 @@ class Population:
             found = group.integrate(rows, finer, together).reshape(count, n, -1)
             results.append(found.transpose(1, 0, 2).reshape(n, -1))
         f, g = self._algebra(*given, *results)
+        # A user's law may refuse numbers although its expressions have values.
+        f[[*self._own_laws.reasons(*given, declared=False)]] = np.nan
         return f.ravel(), g
 
 

@@ -11,6 +11,7 @@ from typing import TypeVar
 import casadi as ca
 import numpy as np
 
+from plough_opt.core.checks import INSIDE
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column
 from plough_opt.design.built_program import BuiltProgram
@@ -30,6 +31,8 @@ _MOST_PROGRAMS = 6
 # Size and seed of the sample whose medians set the scales if the guess has no value.
 _SAMPLE = 256
 _SAMPLE_SEED = 256
+# Size of the sample in which at least one design must have a value.
+_LARGE_SAMPLE = 4096
 
 Cached = TypeVar("Cached")
 
@@ -111,10 +114,7 @@ class Program:
         own = declared.requirements
         exact = TightEvaluation(_expressions(declared), declared.symbols())
         if exact.limits:
-            implied = (
-                Requirement(limit.name, carried, None, limit.at_most, limit.unit)
-                for limit, carried in exact.limits.items()
-            )
+            implied = (Requirement(*limit, inside=INSIDE) for limit in exact.limits)
             declared = replace(declared, requirements=(*own, *implied))
             exact = TightEvaluation(_expressions(declared), declared.symbols(), shared=exact)
         if any(run.integration.accuracy.method == "idas" for run in exact.runs):
@@ -147,6 +147,10 @@ class Program:
         evaluate = self.exact.values
         at = y.tobytes(), p.tobytes()
         return _cached(self._caches.exact_values, at, 1, lambda: (evaluate(numbers), evaluate(numbers, check=True)))
+
+    def refuses(self, y: Vector, p: Vector) -> bool:
+        """Return whether a scaled design lies outside the domain of a law."""
+        return bool(self.exact.refusal([*self.values(np.clip(y, 0.0, 1.0)), *p]))
 
     def at(self, p: Vector, *, any_guess: bool = False) -> Program:
         """Return the program scaled by its values at the guess, after a check of the bounds.
@@ -278,12 +282,17 @@ class Program:
             p: parameters.
             error: the reason why the guess has no value, raised if the sample has none either.
         """
-        points = np.random.default_rng(_SAMPLE_SEED).random((_SAMPLE, len(self.declared.variables)))
-        with np.errstate(all="ignore"):
-            f, g = self.population(points, p)
-        sound = np.isfinite(f) & np.all(np.isfinite(g), axis=1)
-        if not np.any(sound):
-            raise error
+        for count in (_SAMPLE, _LARGE_SAMPLE):
+            points = np.random.default_rng(_SAMPLE_SEED).random((count, len(self.declared.variables)))
+            with np.errstate(all="ignore"):
+                f, g = self.population(points, p)
+            sound = np.isfinite(f) & np.all(np.isfinite(g), axis=1)
+            if np.any(sound):
+                break
+        else:
+            raise InputError(
+                f"none of {count} designs between the bounds has a value, with {self.declared.ranges()}: {error}"
+            )
         rows, owner = np.median(np.abs(g[sound]), axis=0), np.array(self.owner)
         return [np.median(np.abs(f[sound])), *(rows[owner == k] for k in range(len(self.declared.requirements)))]
 
@@ -305,7 +314,8 @@ class Program:
             box: largest distance of a scaled variable from the start.
             fixed: numbers of variables that are held at the start.
         """
-        return self.built.solver.solve(start, p, *_bounds(start, box, fixed), options)
+        point = self.built.solver.solve(start, p, *_bounds(start, box, fixed), options)
+        return replace(point, solved=False) if point.solved and self.refuses(point.y, p) else point
 
     def solve_relaxed(
         self, start: Vector, p: Vector, box: float = 1.0, fixed: Sequence[int] = (), *, exact: bool | None = None

@@ -143,8 +143,8 @@ class _Solve:
         explored = Explorer(landscape, start, vary, self._criterion, effort, self._progress, request.seed).explore()
         if not len(explored.minima.f) and explored.least_violating is None:
             raise NotConverged(
-                f"none of {landscape.designs_tried} designs between the bounds has a value: tighten the bounds, or"
-                " shorten the duration",
+                f"none of {landscape.designs_tried} designs between the bounds has a value, with"
+                f" {program.declared.ranges()}: tighten the bounds, or shorten the duration",
                 "no value",
             )
         size = len(vary), effort.rounds, _LEAST_SCALE * float(np.nanmedian(np.abs(explored.sample.f)))

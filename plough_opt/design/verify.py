@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.errors import DomainError, InputError, IntegrationError, PloughError
 from plough_opt.core.expressions import with_numbers
-from plough_opt.core.labels import Call, Limit
+from plough_opt.core.labels import Call, Domain
 from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.split import split
 from plough_opt.motion.accuracy import Accuracy
@@ -34,6 +34,8 @@ TIGHT = 1e-12
 """Relative error that the tight integration aims at."""
 
 
+# Name, smallest and largest value, and unit of a limited expression.
+_Kept: TypeAlias = tuple[str, float | None, float | None, str]
 _Tight: TypeAlias = Callable[[Integration, tuple[float, ...], bool], Vector]
 
 # Most runs whose results an evaluation caches: enough for a design of some hundred soil samples at a few points.
@@ -45,7 +47,7 @@ class TightEvaluation:
 
     Attributes:
         runs: the runs in the expressions.
-        limits: the limits of the theories used in the expressions, each with the quantities that must respect it.
+        limits: limits of the laws in the expressions, as arguments of a `Requirement`.
     """
 
     def __init__(
@@ -62,19 +64,27 @@ class TightEvaluation:
         parts = split(list(expressions), list(symbols))
         self.runs = parts.runs
         self._inputs = [ca.Function("inputs", list(symbols), [run.inputs, run.quantities]) for run in parts.runs]
-        limits: dict[Limit, list[ca.MX]] = {}
+        limits: dict[_Kept, list[ca.MX]] = {}
+        # Limits on single symbols, and the Function that gives these.
+        self._bare: list[tuple[Domain, ca.Function]] = []
         # Scenes without integration, and calls of laws, each with the Function that gives its quantities.
         self._scenes: list[tuple[Scene, ca.Function]] = []
         self._calls: list[tuple[Call, ca.Function]] = []
         for meaning, carried in parts.labels:
             quantities = ca.Function("quantities", list(symbols), [ca.densify(ca.vec(carried))])
-            if isinstance(meaning, Limit):
-                limits.setdefault(meaning, []).append(carried)
+            if isinstance(meaning, Domain):
+                self._bare.append((meaning, quantities))
+                for limit, bare, value in zip(meaning.limits, meaning.bare, ca.vertsplit(carried), strict=True):
+                    if not bare:
+                        limits.setdefault((limit.name, *limit.kept, limit.unit), []).append(value)
             elif isinstance(meaning, Scene):
                 self._scenes.append((meaning, quantities))
             elif isinstance(meaning, Call):
                 self._calls.append((meaning, quantities))
-        self.limits = {limit: ca.vertcat(*limits[limit]) for limit in sorted(limits, key=lambda limit: limit.name)}
+        self.limits = [
+            (name, ca.vertcat(*values), low, high, unit)
+            for (name, low, high, unit), values in sorted(limits.items(), key=lambda item: item[0][0])
+        ]
         self._algebra = ca.Function("algebra", [*symbols, *parts.results], list(parts.expressions))
 
     def inputs(self, run: int, numbers: Sequence[float]) -> tuple[Vector, Scene]:
@@ -100,9 +110,27 @@ class TightEvaluation:
         return [with_numbers(template, quantities(*numbers).nonzeros()) for template, quantities in self._scenes]
 
     def check_calls(self, numbers: Sequence[float]) -> None:
-        """Raise DomainError if these numbers take a law in the expressions out of its domain."""
+        """Raise DomainError if these numbers take a law in the expressions, or a symbol in it, out of its domain."""
         for call, quantities in self._calls:
             call.check(quantities(*numbers).nonzeros())
+        for domain, quantities in self._bare:
+            for limit, bare, value in zip(domain.limits, domain.bare, quantities(*numbers).nonzeros(), strict=True):
+                if bare:
+                    limit.check(value)
+
+    def refusal(self, numbers: Sequence[float]) -> str:
+        """Return why a scene or a law refuses these numbers; empty if none does."""
+        source = ""
+        try:
+            scenes = [self.inputs(k, numbers)[1] for k in range(len(self.runs))]
+            for scene in (*scenes, *self.quasi_static_scenes(numbers)):
+                source = scene.law.label
+                scene.check_reaction()
+                source = ""
+            self.check_calls(numbers)
+        except PloughError as error:
+            return str(error) if not source or source in str(error) else f"{source}: {error}"
+        return ""
 
     def followed(self, run: int, parameters: Vector, scene: Scene) -> Run:
         """Return a tightly integrated run.
@@ -134,8 +162,11 @@ class TightEvaluation:
         results = []
         for k, run in enumerate(self.runs):
             parameters, _ = self.given(k, numbers)
-            results.append(self._tight(run.integration, tuple(parameters.tolist()), check))
-            if not np.all(np.isfinite(results[-1])):
+            if np.all(np.isfinite(parameters)):
+                results.append(self._tight(run.integration, tuple(parameters.tolist()), check))
+            if len(results) <= k or not np.all(np.isfinite(results[-1])):
+                if refusal := self.refusal(numbers):
+                    raise DomainError(refusal)
                 _, scene = self.inputs(k, numbers)
                 raise IntegrationError(f"the motion of a {scene.describe()} has no finite result")
         return [np.asarray(result) for result in self._algebra.call([*map(ca.DM, numbers), *results])]
@@ -184,12 +215,17 @@ def values_at_guess(
         found = exact.values([*guess, *p])
     except (PloughError, RuntimeError) as error:
         raise InputError(f"the model cannot be evaluated at the start ({place}): {error}") from error
+    refusal = exact.refusal([*guess, *p])
     for limit, value in zip(implied, found[len(found) - len(implied) :], strict=True):
         if limit.margin(value) < 0.0:
+            least, most = float(np.min(value)), float(np.max(value))
+            worst, side = (most, f"up to {limit.high:.6g}") if most > limit.high else (least, f"from {limit.low:.6g}")
             raise InputError(
-                f"at the start ({place}) '{limit.name}' is {float(np.max(value)):.6g}, but the theory holds only up to"
-                f" {limit.high:.6g}: start below, and extend the bounds below"
+                f"at the start ({place}) '{limit.name}' is {worst:.6g}, but the theory holds only {side}: start there,"
+                f" and let the bounds reach there ({refusal})"
             )
+    if refusal:
+        raise InputError(f"the model cannot be evaluated at the start ({place}): {refusal}")
     names = ["the objective", *(f"requirement '{r.name}'" for r in declared.requirements)]
     for name, value in zip(names, found, strict=True):
         if not np.all(np.isfinite(value)):
@@ -208,14 +244,19 @@ def corners(declared: Declarations) -> list[tuple[str, list[float]]]:
 
 
 def check_bounds(declared: Declarations, exact: TightEvaluation, p: Vector) -> None:
-    """Raise DomainError if a scene or a law leaves the model's domain at one of the `corners`."""
+    """Raise DomainError if a scene or a law leaves the model's domain at one of the `corners`.
+
+    Limits that the design keeps as requirements do not count, and undefined laws are skipped.
+    """
     for clause, values in corners(declared):
         try:
             numbers = [*values, *p]
             scenes = [exact.inputs(k, numbers)[1] for k in range(len(exact.runs))]
             for scene in (*scenes, *exact.quasi_static_scenes(numbers)):
-                scene.check_reaction()
+                scene.check_bounds()
             exact.check_calls(numbers)
+            if exact.refusal(numbers):
+                continue
             for run, scene in zip(exact.runs, scenes, strict=True):
                 own = run.integration
                 if own.structure.orbit != "transient" and own.accuracy.method == "auto":

@@ -17,9 +17,8 @@ from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Column, Expression, is_casadi
 from plough_opt.design import Optimum
 from plough_opt.design.population import Population
+from plough_opt.design.scene_checks import SceneChecks
 from plough_opt.design.split import split
-from plough_opt.motion.batch.domain_check import DomainCheck
-from plough_opt.motion.scene import Scene
 from plough_opt.soil.soil import Soil
 
 Vector = NDArray[np.float64]
@@ -114,8 +113,9 @@ class Responses:
         self._y = ca.MX.sym("design and soil", len(self._design) + len(properties))
         (column,) = ca.graph_substitute([column], [*self._design, *properties], ca.vertsplit(self._y))
         none = ca.MX.sym("none", 0)
-        self._parts = split([column[0], column], [self._y, none])
-        self._population = Population(self._parts, self._y, none, rough=False)
+        parts = split([column[0], column], [self._y, none])
+        self._population = Population(parts, self._y, none, rough=False)
+        self._checks = SceneChecks(parts, [self._y])
 
     def __call__(self, at: Optimum | Mapping[str, float], samples: SoilSamples) -> ResponseValues:
         """Return the results for each soil at a design.
@@ -126,34 +126,12 @@ class Responses:
         """
         design = [_number(at, symbol) for symbol in self._design]
         rows = np.hstack([np.tile(design, (len(samples), 1)), samples.values])
-        failures = self._outside(rows)
+        failures = self._checks.reasons(rows)
         _, values = self._population(rows, np.empty(0), finer=_MORE_STEPS)
         for bad in np.flatnonzero(~np.all(np.isfinite(values), axis=1)):
             failures.setdefault(int(bad), "a result is not a finite number")
         kept = np.delete(values, list(failures), axis=0)
         return ResponseValues(dict(zip(self.names, kept.T, strict=True)), failures)
-
-    @cached_property
-    def _scenes(self) -> list[tuple[DomainCheck, ca.Function]]:
-        """For every scene in the results its domain check, and a Function from the symbols to its quantities."""
-        scenes = [(run.embedding.template, run.quantities, run.inputs[-1]) for run in self._parts.runs]
-        scenes += [
-            (meaning, carried, ca.MX(1.0)) for meaning, carried in self._parts.labels if isinstance(meaning, Scene)
-        ]
-        return [
-            (
-                DomainCheck(template, [None] * quantities.numel()),
-                ca.Function("quantities", [self._y], [ca.densify(ca.vertcat(quantities, duration))]),
-            )
-            for template, quantities, duration in scenes
-        ]
-
-    def _outside(self, rows: Vector) -> dict[int, str]:
-        """Return number -> reason of every row outside the model's domain."""
-        reasons: dict[int, str] = {}
-        for check, quantities in self._scenes:
-            reasons |= check.reasons(np.asarray(quantities.map(len(rows))(rows.T)))
-        return reasons
 
 
 def _number(at: Optimum | Mapping[str, float], symbol: ca.MX) -> float:

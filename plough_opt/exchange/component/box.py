@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import LEAST
-from plough_opt.core.errors import DomainError, IntegrationError
+from plough_opt.core.errors import DomainError, PloughError
 from plough_opt.exchange.component.ports import corner_points, interior_points, point_text
 from plough_opt.exchange.component.scenes import Resolution, Results, Scenes
 from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
@@ -139,7 +139,7 @@ class Box:
                 scene, duration = self.scenes.at_numbers(x)
                 scene.check_reaction()
                 refuse_runaway(scene, duration)
-            except (DomainError, IntegrationError) as error:
+            except PloughError as error:
                 raise DomainError(f"at {where}: {error}; give the inputs narrower bounds") from None
             p = numbers_of(scene)
             if self._moves:

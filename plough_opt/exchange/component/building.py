@@ -128,7 +128,7 @@ def build(
         for one, (unit, _), value in zip(requested, measures, values, strict=True)
     ]
     used = Accuracy("dop853", steps=resolution.steps) if scenes.scene.effects.motion else Accuracy()
-    return Component(function, scenes.inputs, tuple(output_ports), used, error, (*warnings, *notes))
+    return Component(function, scenes.inputs, tuple(output_ports), used, error, (*warnings, *notes), scenes.domain())
 
 
 def _largest(output: Output, values: ca.DM) -> float:

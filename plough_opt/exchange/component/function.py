@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import shown
+from plough_opt.core.checks import Limit, shown
 from plough_opt.core.errors import DomainError, InputError, nearest
 from plough_opt.core.expressions import Expression, as_number, is_casadi, is_symbolic
 from plough_opt.exchange.component.ports import Port, point_text
@@ -40,6 +40,7 @@ class Component(ca.Function):
         error_estimate: largest relative error [-] found at corners of the bounds and points inside. Errors of mean
             draft and RMS force are relative to the larger of the two, those of the mount force to its peak.
         warnings: warnings about its results.
+        domain: limits of the law of resistance, and a Function of the same inputs that returns the limited values.
 
     Example:
         >>> import plough_opt as po
@@ -58,10 +59,11 @@ class Component(ca.Function):
         accuracy: Accuracy,
         error_estimate: float,
         warnings: tuple[str, ...],
+        domain: tuple[tuple[Limit, ...], ca.Function],
     ) -> None:
         super().__init__(function)
         self.inputs, self.outputs, self.accuracy = inputs, outputs, accuracy
-        self.error_estimate, self.warnings = error_estimate, warnings
+        self.error_estimate, self.warnings, self.domain = error_estimate, warnings, domain
 
     def __call__(self, *values: Any, **named: Any) -> Any:
         """Return the outputs: as a tuple, or alone if there is one; as a dictionary if the inputs are given by name.
@@ -72,7 +74,8 @@ class Component(ca.Function):
 
         Raises:
             InputError: too many or too few inputs, an unknown name, or an array (``map`` takes many values).
-            DomainError: a number outside the bounds, for which the steps were not chosen; ``call`` accepts it.
+            DomainError: a number outside the bounds, for which the steps were not chosen, or outside the domain of the
+                law of resistance; ``call`` accepts it.
         """
         if named and values:
             raise InputError("give the inputs in order or by name, not both")
@@ -83,6 +86,9 @@ class Component(ca.Function):
         numeric = not any(map(is_symbolic, x))
         if numeric:
             x = [self._number(port, value) for port, value in zip(self.inputs, x, strict=True)]
+            limits, values_of = self.domain
+            for limit, value in zip(limits, values_of.call(x)[0].full().ravel().tolist(), strict=True):
+                limit.check(value)
         results: list[Any] = self.call(x)
         if numeric:
             results = [_float_or_array(value) for value in results]

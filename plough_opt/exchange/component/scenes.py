@@ -12,8 +12,10 @@ from typing import Any
 
 import casadi as ca
 
+from plough_opt.core.checks import Limit
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, stacked
+from plough_opt.core.labels import limits_of_laws
 from plough_opt.core.quantities import BESIDE
 from plough_opt.exchange.component.ports import Port
 from plough_opt.motion import Run
@@ -147,6 +149,14 @@ class Scenes:
         symbols = [ca.MX.sym(argument) for argument in arguments]
         values = results_of.call([*symbols, *integrate.call(parameters_of.call(symbols))])
         return ca.Function(self.name, symbols, values, arguments, names, options)
+
+    def domain(self) -> tuple[tuple[Limit, ...], ca.Function]:
+        """Return the limits of the law of resistance, and a Function from the inputs to the limited values."""
+        kind, x, _, _ = self._symbolic
+        with limits_of_laws() as found:
+            self.at(x)[0].check_reaction()
+        column = ca.vertcat(kind(), *(value for _, value in found))
+        return tuple(limit for limit, _ in found), ca.Function("domain", x, [column])
 
     def gives_columns(self, results: Results) -> bool:
         """Return whether any result is a column over the output times."""

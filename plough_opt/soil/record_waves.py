@@ -2,18 +2,18 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plough_opt.core.checks import shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import COLOURS, save_figure
 from plough_opt.core.quantities import MOST_WAVES
 from plough_opt.soil.random_strength import Spectrum, Vector
+from plough_opt.soil.record_noise import Continuum, Windows
 from plough_opt.soil.strength_record import (
     LEVEL,
     NEAR_RESONANCE,
@@ -28,8 +28,10 @@ from plough_opt.soil.waves import StrengthWave
 _OVERSAMPLING = 8
 # Relative strength whose standard deviation is below this varies by rounding alone.
 _ROUNDING = 1e-10
-# A further wave is accepted only if noise alone would give its peak with at most this probability.
+# A further wave is accepted only if random strength without it would be improved as much with at most this probability.
 _FALSE_ALARM = 0.01
+# Wave numbers at which the level of the noise is computed; it is smooth between them.
+_LEVELS = 32
 
 
 @dataclass(frozen=True)
@@ -108,10 +110,12 @@ class RecordWaves:
 def strength_waves(record: StrengthRecord, part: float = 0.8, *, base_diameter: float = 0.0) -> RecordWaves:
     """Return the strength waves that carry a given part of a record's variance.
 
-    The record is divided by its linear trend. Waves are added one by one at the highest peak of the residual's
-    least-squares spectrum, and after each addition all waves are refitted together by least squares. The search stops
-    once the waves carry the required part, eight are found, or the next peak may be noise. If the record is a force,
-    every wave is divided by the rig's response.
+    The record is divided by its linear trend. Its random part, the continuum, has the correlation of a variogram model
+    (exponential, Matern 3/2 or squared exponential, with a nugget), estimated by maximum likelihood. Waves are added
+    one by one at the highest peak over the continuum; after each addition all waves are refitted together by
+    generalised least squares, and the continuum anew. The search stops once the waves carry the required part, eight
+    are found, or the next peak may be random: of records of random strength alone, one to three in a hundred give one.
+    If the record is a force, every wave is divided by the rig's response.
 
     Args:
         record: strength or force along a path.
@@ -142,24 +146,21 @@ def strength_waves(record: StrengthRecord, part: float = 0.8, *, base_diameter: 
     if variance < _ROUNDING**2:
         raise InputError(f"{record.name}: its strength does not vary: give a record that does")
     grid, notes = _wave_numbers(record, diameter)
-    numbers: list[float] = []
-    residual = y
-    while len(numbers) < MOST_WAVES and float(np.mean(residual**2)) > (1.0 - part) * variance:
-        peak, height = _peak(record, x, residual, grid)
-        # For white noise each ordinate over the mean is exponentially distributed, and about one in _OVERSAMPLING is
-        # independent of the others.
-        if math.exp(-min(height, 700.0)) * len(grid) / _OVERSAMPLING > _FALSE_ALARM:
+    model = _Model(x, y, (), Windows(record).fitted(y))
+    while len(model.numbers) < MOST_WAVES and model.carried < part:
+        tried = [model.extended(peak, grid) for peak in _peaks(record, model, grid)]
+        best = max(tried, key=lambda one: one.log_likelihood)
+        if _false_alarm(best.log_likelihood - model.log_likelihood, len(x), len(best.numbers), grid) > _FALSE_ALARM:
             notes.append("the search stopped because no peak of the residual stands out from noise")
             break
-        numbers = _refined(x, y, [*numbers, peak], grid)
-        residual = _residual(x, y, numbers)
-    carried = 1.0 - float(np.mean(residual**2)) / variance
-    found = _with_intervals(record, x, y, residual, numbers, variance)
+        model = best
+    found = _with_intervals(record, model.refined(grid), variance)
     if any(one.wave.amplitude == 1.0 for one in found):
         notes.append("an amplitude above 1, more than the whole strength, was limited to 1: check the record")
-    if carried < part:
-        notes.append(f"these {len(found)} waves carry {carried:.3g} of the variance instead of the requested {part:g}")
-    return RecordWaves(found, spectrum_of(record), variance, 1.0 - carried, tuple(notes))
+    if model.carried < part:
+        carried = f"carry {model.carried:.3g} of the variance instead of the requested {part:g}"
+        notes.append(f"these {len(found)} waves {carried}")
+    return RecordWaves(found, spectrum_of(record), variance, 1.0 - model.carried, tuple(notes))
 
 
 def _wave_numbers(record: StrengthRecord, base_diameter: float) -> tuple[Vector, list[str]]:
@@ -190,69 +191,150 @@ def _wave_numbers(record: StrengthRecord, base_diameter: float) -> tuple[Vector,
     return grid, notes
 
 
+def _false_alarm(gain: float, points: int, waves: int, grid: Vector) -> float:
+    """Return the probability that a wave fitted to noise alone raises the log-likelihood by as much.
+
+    At a given wave number the gain is exponentially distributed; the largest of all wave numbers exceeds it about as
+    often as a crossing is expected (Baluev 2008, doi 10.1111/j.1365-2966.2008.12689.x).
+    """
+    # The fit uses up three parameters for each wave and two for the trend.
+    z = max(gain, 0.0) * max(points - 3 * waves - 2, 1) / points
+    crossings = len(grid) / _OVERSAMPLING * math.sqrt(math.pi / 3.0 * z)
+    return (1.0 + crossings) * math.exp(-min(z, 700.0))
+
+
 def _design(x: Vector, numbers: Sequence[float]) -> Vector:
-    """Return the design matrix: columns of sines, of cosines, and of ones."""
+    """Return the design matrix: columns of sines, of cosines, of ones, and of positions (the trend's error)."""
     angle = np.outer(x, numbers)
-    return np.hstack([np.sin(angle), np.cos(angle), np.ones((len(x), 1))])
+    return np.hstack([np.sin(angle), np.cos(angle), np.ones((len(x), 1)), x[:, None]])
 
 
-def _coefficients(x: Vector, y: Vector, numbers: Sequence[float]) -> Vector:
-    design = _design(x, numbers)
-    # The normal equations are a hundred times faster than the tall system, and the digits they lose for close wave
-    # numbers are far below the noise.
-    return np.asarray(np.linalg.lstsq(design.T @ design, design.T @ y, rcond=None)[0], dtype=float)
+@dataclass(frozen=True)
+class _Model:
+    """Waves with given wave numbers in random strength, fitted by generalised least squares.
+
+    Attributes:
+        x: positions from the first.
+        y: relative strength.
+        numbers: wave numbers of the waves.
+        continuum: random part of the strength.
+    """
+
+    x: Vector
+    y: Vector
+    numbers: tuple[float, ...]
+    continuum: Continuum
+
+    @cached_property
+    def design(self) -> Vector:
+        """Whitened design matrix."""
+        return self.continuum.whitened(_design(self.x, self.numbers))
+
+    @cached_property
+    def target(self) -> Vector:
+        """Whitened relative strength."""
+        return self.continuum.whitened(self.y[:, None])[:, 0]
+
+    @cached_property
+    def coefficients(self) -> Vector:
+        """Coefficients of the design matrix's columns."""
+        # The normal equations are a hundred times faster than the tall system, and the digits they lose for close wave
+        # numbers are far below the noise.
+        normal, right = self.design.T @ self.design, self.design.T @ self.target
+        return np.asarray(np.linalg.lstsq(normal, right, rcond=None)[0], dtype=float)
+
+    @property
+    def slopes(self) -> Vector:
+        """Derivatives of the whitened waves by their wave numbers, at fixed coefficients."""
+        count, angle = len(self.numbers), np.outer(self.x, self.numbers)
+        a, b = self.coefficients[:count], self.coefficients[count : 2 * count]
+        return self.continuum.whitened(self.x[:, None] * (a * np.cos(angle) - b * np.sin(angle)))
+
+    @cached_property
+    def residual(self) -> Vector:
+        """Relative strength without the waves and the trend's error."""
+        return np.asarray(self.y - _design(self.x, self.numbers) @ self.coefficients)
+
+    @cached_property
+    def log_likelihood(self) -> float:
+        """Logarithm of the likelihood."""
+        return self.continuum.log_likelihood(self.residual)
+
+    @property
+    def carried(self) -> float:
+        """Part of the variance that the waves carry."""
+        return max(0.0, 1.0 - float(np.mean(self.residual**2) / np.mean(self.y**2)))
+
+    def extended(self, peak: float, grid: Vector) -> "_Model":
+        """Return the model with a further wave near a peak."""
+        more = replace(self, numbers=(*self.numbers, peak)).refined(grid)
+        return replace(more, continuum=self.continuum.windows.fitted(more.residual))
+
+    def refined(self, grid: Vector) -> "_Model":
+        """Return the model with the wave numbers at which all waves together fit best."""
+        from scipy import optimize  # slow to import, and rarely needed
+
+        if not self.numbers:
+            return self
+        start = np.array(self.numbers)
+        step = float(grid[1] - grid[0]) * _OVERSAMPLING / 2.0  # half the resolution 2 pi/length
+
+        def moved(shift: Vector) -> _Model:
+            return replace(self, numbers=tuple(start + step * shift))
+
+        def residual(shift: Vector) -> Vector:
+            there = moved(shift)
+            return there.target - there.design @ there.coefficients
+
+        def slopes(shift: Vector) -> Vector:
+            there = moved(shift)
+            along = np.linalg.lstsq(there.design, there.slopes, rcond=None)[0]
+            # What the amplitudes, fitted anew, leave of a change (Kaufman 1975).
+            return step * (there.design @ along - there.slopes)
+
+        # Rounding may have put an earlier wave beyond the ends of the grid, but the start must lie within the bounds.
+        low, high = np.clip((grid[0] - start) / step, -1.0, 0.0), np.clip((grid[-1] - start) / step, 0.0, 1.0)
+        found = optimize.least_squares(residual, np.zeros(len(start)), slopes, bounds=(low, high))
+        return replace(self, numbers=tuple((start + step * found.x).tolist()))
 
 
-def _residual(x: Vector, y: Vector, numbers: Sequence[float]) -> Vector:
-    """Return strength without the best fit of waves with these wave numbers."""
-    return y - _design(x, numbers) @ _coefficients(x, y, numbers)
+def _peaks(record: StrengthRecord, model: _Model, grid: Vector) -> list[float]:
+    """Return the wave numbers of the residual's highest peaks, relative to its continuum and in absolute terms.
+
+    The second finds a long wave to which the continuum was fitted.
+    """
+    nodes = np.geomspace(grid[0], grid[-1], _LEVELS)
+    level = [float(np.sum(model.continuum.whitened(_design(model.x, [q])[:, :2]) ** 2)) for q in nodes]
+    relative = _power(record, model.continuum.weighted(model.residual), grid)
+    relative /= np.exp(np.interp(np.log(grid), np.log(nodes), np.log(level)))
+    first, second = (int(np.argmax(power)) for power in (relative, _power(record, model.residual, grid)))
+    # Within a resolution they are the same peak.
+    return [float(grid[first])] if abs(second - first) < _OVERSAMPLING else [float(grid[k]) for k in (first, second)]
 
 
-def _peak(record: StrengthRecord, x: Vector, y: Vector, grid: Vector) -> tuple[float, float]:
-    """Return the wave number of the highest peak of the least-squares spectrum, and its height over the mean."""
-    power: NDArray[Any]
+def _power(record: StrengthRecord, values: Vector, grid: Vector) -> Vector:
+    """Return the squared Fourier transform of values at a record's points, up to a factor."""
     if record.even:
-        step = 2.0 * math.pi / (_OVERSAMPLING * record.spacing * len(x))
-        power = np.abs(np.fft.rfft(y, _OVERSAMPLING * len(x)))[np.round(grid / step).astype(int)] ** 2
-    else:
-        from scipy import signal  # as above
+        step = 2.0 * math.pi / (_OVERSAMPLING * record.spacing * len(values))
+        power = np.abs(np.fft.rfft(values, _OVERSAMPLING * len(values)))[np.round(grid / step).astype(int)] ** 2
+        return np.asarray(power, dtype=float)
+    from scipy import signal  # as above
 
-        power = np.asarray(signal.lombscargle(x, y, grid))
-    best = int(np.argmax(power))
-    return float(grid[best]), float(power[best] / np.mean(power))
+    return np.asarray(signal.lombscargle(record.position - record.position[0], values, grid), dtype=float)
 
 
-def _refined(x: Vector, y: Vector, numbers: list[float], grid: Vector) -> list[float]:
-    """Return the wave numbers at which all waves together fit best by least squares."""
-    from scipy import optimize  # as above
-
-    start = np.array(numbers)
-    step = float(grid[1] - grid[0]) * _OVERSAMPLING / 2.0  # half the resolution 2 pi/length
-
-    def residual(shift: Vector) -> Vector:
-        return _residual(x, y, (start + step * shift).tolist())
-
-    # Rounding may have put an earlier wave beyond the ends of the grid, but the start must lie within the bounds.
-    low, high = np.clip((grid[0] - start) / step, -1.0, 0.0), np.clip((grid[-1] - start) / step, 0.0, 1.0)
-    found = optimize.least_squares(residual, np.zeros(len(start)), bounds=(low, high))
-    return [float(number) for number in start + step * found.x]
-
-
-def _with_intervals(
-    record: StrengthRecord, x: Vector, y: Vector, residual: Vector, numbers: Sequence[float], variance: float
-) -> tuple[FoundWave, ...]:
-    """Return the waves with their intervals, which follow from the scatter of the residual."""
+def _with_intervals(record: StrengthRecord, model: _Model, variance: float) -> tuple[FoundWave, ...]:
+    """Return the waves with their intervals, which follow from the noise at their wave numbers."""
     from scipy import stats  # as above
 
+    numbers = model.numbers
     if not numbers:
         return ()
-    count, coefficients = len(numbers), _coefficients(x, y, numbers)
-    a, b = coefficients[:count], coefficients[count : 2 * count]
-    angle = np.outer(x, numbers)
-    slopes = x[:, None] * (a * np.cos(angle) - b * np.sin(angle))
-    freedom = max(1, len(x) - 3 * count - 1)
-    inverse = np.linalg.pinv(np.hstack([_design(x, numbers), slopes]))
-    covariance = inverse @ inverse.T * float(np.sum(residual**2)) / freedom
+    count = len(numbers)
+    a, b = model.coefficients[:count], model.coefficients[count : 2 * count]
+    freedom = max(1, len(model.x) - 3 * count - 2)
+    inverse = np.linalg.pinv(np.hstack([model.design, model.slopes]))
+    covariance = inverse @ inverse.T * float(np.sum((model.target - model.design @ model.coefficients) ** 2)) / freedom
     quantile = float(stats.t.ppf((1.0 + LEVEL) / 2.0, freedom))
     response = np.ones(count, complex) if record.rig is None else record.rig.response(np.array(numbers))
     waves = []
@@ -264,7 +346,7 @@ def _with_intervals(
         gain = float(abs(response[k]))
         # Phases are reduced to the range from -pi to pi.
         phase = math.remainder(math.atan2(b[k], a[k]) - float(np.angle(response[k])), 2.0 * math.pi)
-        relative = quantile * math.sqrt(float(covariance[2 * count + 1 + k, 2 * count + 1 + k])) / number
+        relative = quantile * math.sqrt(float(covariance[2 * count + 2 + k, 2 * count + 2 + k])) / number
         wave = StrengthWave(min(size / gain, 1.0), 2.0 * math.pi / number, phase)
         found = FoundWave(wave, errors[0] / gain, 2.0 * math.pi / number * relative, errors[1], size**2 / 2 / variance)
         waves.append(found)

@@ -33,6 +33,8 @@ _LONGEST_LINE: Final = 10_000
 def read_rows(path: Path, what: str) -> list[tuple[int, list[str]]]:
     """Return the rows of a file with their line numbers, without comments and empty lines.
 
+    Separators at the end of lines, and lines of separators alone, as spreadsheets write them, are ignored.
+
     Args:
         path: the file.
         what: name of its content in messages, such as "measurements".
@@ -48,9 +50,11 @@ def read_rows(path: Path, what: str) -> list[tuple[int, list[str]]]:
                 f"{path}, line {number}: it has {len(line)} characters, but at most {_LONGEST_LINE} can be read: write"
                 " one row per line"
             )
-    delimiter = next((mark for mark in "\t;" if lines and mark in lines[0][1]), ",")
-    rows = [(k, next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))) for k, line in lines]
-    return [(k, [*map(_unshielded, cells)]) for k, cells in rows]
+    delimiter = next((mark for mark in "\t;" if lines and mark in lines[0][1].strip()), ",")
+    read = ((k, next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))) for k, line in lines)
+    rows = [(k, [*map(_unshielded, cells)]) for k, cells in read if any(map(str.strip, cells))]
+    width = max((k for k, heading in enumerate(rows[0][1], 1) if heading.strip()), default=0) if rows else 0
+    return [(k, cells if any(map(str.strip, cells[width:])) else cells[:width]) for k, cells in rows]
 
 
 def write_rows(file: TextIO, rows: Iterable[Sequence[object]]) -> None:

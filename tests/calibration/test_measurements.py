@@ -46,6 +46,36 @@ def test_sigma_in_per_cent_semicolons_tabs_weights_and_time(written):
     assert data.conditions["soil.tool_friction"].tolist() == [0.5, 0.6]
 
 
+PLAIN = HEADER + ROWS
+SAME = {
+    "CRLF": PLAIN.replace("\n", "\r\n"),
+    "CR": PLAIN.replace("\n", "\r"),
+    "byte order mark": f"\ufeff{PLAIN}",
+    "no last line end": PLAIN.rstrip("\n"),
+    "empty last lines": f"{PLAIN}\n  \n\t\n",
+    "separators at line ends": PLAIN.replace("\n", ",\n"),
+    "several, and spaces": PLAIN.replace("\n", ", , ,  \n"),
+    "separators below the header": HEADER + ROWS.replace("\n", ",\n"),
+    "lines of separators": f"{PLAIN},,,\n, ,\n",
+    "tabs at line ends": PLAIN.replace(", ", "\t").replace("\n", "\t\t\n"),
+    "semicolons at line ends": PLAIN.replace(",", ";").replace("\n", ";\r\n") + ";;;\r\n",
+    "a tab after the header": PLAIN.replace("[kN]\n", "[kN]\t\n"),
+    "a comment at the end": f"{PLAIN}# done",
+}
+
+
+@pytest.mark.parametrize("text", SAME.values(), ids=SAME)
+def test_a_file_reads_the_same_however_a_spreadsheet_wrote_it(written, text):
+    path = written("")
+    path.write_bytes(text.encode())
+    found, plain = po.read_measurements(path), po.read_measurements(written(PLAIN))
+    for name in ("values", "sigma", "lines"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(plain, name))
+    assert {key: column.tolist() for key, column in found.conditions.items()} == {
+        key: column.tolist() for key, column in plain.conditions.items()
+    }
+
+
 WRONG_FILES = [
     # a wrong column
     (HEADER.replace("tow_", "two_") + ROWS, "line 1, column 'scene.two_speed [km/h]': this column is unknown: did"),
@@ -59,6 +89,8 @@ WRONG_FILES = [
     ("soil.tool_friction [m], mean_draft [N]\n1, 2\n", "'m' is a unit, but a pure number"),
     # a gap, and other cells
     (HEADER + "3.6, 40, , 0.1\n" + ROWS, "line 2, column 'mean_draft [kN]': the cell is empty"),
+    (HEADER + "3.6, 40, 3.9, ,\n", "line 2, column 'sigma [kN]': the cell is empty"),
+    (HEADER + "3.6, 40, 3.9, 0.1, 7\n", "line 2: the row has 5 cells"),
     (HEADER + "3.6, 40, ３, 0.1\n", "'３' is not a number"),
     (HEADER + "3.6, 40, 1e308, 0.1\n", "'1e308' is not a finite number"),
     ("mean_draft [kN]; sigma [%]\n1e300; 1e300\n", "sigma = inf must be a finite number"),

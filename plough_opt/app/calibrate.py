@@ -35,6 +35,8 @@ def add_options(verb: argparse.ArgumentParser) -> None:
     add_option(verb, "known", 'KEY="VALUE"', known, action="append", default=[])
     loss = "loss function; all but squares give outliers less weight (default: squares)"
     verb.add_argument("--loss", choices=_LOSSES, default="squares", help=loss)
+    errors = "errors whose sigma is not stated: constant, or proportional to the result (default: constant)"
+    verb.add_argument("--errors", choices=("constant", "relative"), default="constant", help=errors)
     add_option(verb, "level", "P", "confidence level of the intervals (default: 0.95)", type=float, default=0.95)
     add_option(verb, "folds", "N", "number of folds in cross-validation (default: leave one row out)", type=int)
     add_shared(verb, "json", "output", plot="draw the residuals: .png, .svg or .pdf")
@@ -59,12 +61,12 @@ def calibrate(options: argparse.Namespace) -> None:
     data += map(_known, options.known)
     with progress() as notify:
         notify("calibrating", 0.0)
-        fit = run(problem, data, unknown, loss=options.loss)
+        fit = run(problem, data, unknown, loss=options.loss, errors=options.errors)
         fit = replace(fit, origin=fit.origin.with_data(options.data))
         notify("intervals", 0.5)
         fit.intervals(options.level)
         notify("what to measure next", 0.8)
-        fit.next_measurements()  # the page shows them; `fit` keeps the result
+        fit = fit.complete(options.level)
         text = fit.to_json() if options.json or options.output is not None else ""
         quality = "" if options.json else _quality(fit, options.folds)
         page = fit.page()

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_text, shown
+from plough_opt.core.checks import array_of, check_named, check_text, mapping_of, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
 from plough_opt.motion.scene import Scene
@@ -30,6 +30,8 @@ class Calibration:
         data: one set of measurements, or several.
         unknown: key of a problem file -> (lower, upper) or (lower, upper, guess), SI or text with units; default: the
             variables of the problem file that are not columns of the data.
+        errors: of values whose sigma is not stated: "constant" standard deviation in each set, or "relative", that is
+            proportional to the result.
         loss: "squares", or a robust loss that gives outliers less weight: "huber", "soft_l1", "cauchy".
         duration: simulated time [s] of runs whose averages were measured; default: the problem's.
         starts: number of starts: the guess, and the best of 64 points between the bounds (of 16 if they need runs).
@@ -55,6 +57,7 @@ class Calibration:
         unknown: Mapping[str, Any] | None = None,
         *,
         loss: str = "squares",
+        errors: str = "constant",
         duration: float | None = None,
         starts: int = 4,
         title: str = "",
@@ -62,13 +65,27 @@ class Calibration:
         check_text("title", title)
         if not is_count(starts) or starts > 16:
             raise InputError(f"starts = {shown(starts)} must be a whole number from 1 to 16")
-        self.setup = setup_of(given, data, unknown, loss, duration)
+        self.setup = setup_of(given, data, unknown, loss, errors, duration)
         self.starts = starts
         self.title = title or self.setup.model.title
 
-    def predict(self, values: Mapping[str, float]) -> Vector:
-        """Return the predictions of all rows at given values of the unknowns, SI."""
-        y = np.array([unknown.scaled(values[unknown.name]) for unknown in self.setup.model.unknowns])
+    def predict(self, values: Mapping[str, Any]) -> Vector:
+        """Return the predictions of all rows, SI.
+
+        Args:
+            values: unknown -> its value, SI or text with a unit.
+
+        Raises:
+            InputError: the values are not those of all unknowns.
+            DomainError: a value is not finite.
+        """
+        unknowns = {unknown.name: unknown for unknown in self.setup.model.unknowns}
+        given = mapping_of("the values", values, f"{{'{next(iter(unknowns))}': value}} for every unknown")
+        for name in given:
+            check_named("{} is not an unknown of this calibration", name, unknowns)
+        if missing := [name for name in unknowns if name not in given]:
+            raise InputError(f"the values lack {', '.join(missing)}: give every unknown a value")
+        y = np.array([unknown.scaled(unknown.read(f"'{name}'", given[name])) for name, unknown in unknowns.items()])
         return self.setup.problem.predict(y)
 
     def fit(self, observed: Vector | None = None) -> Fit:
@@ -84,9 +101,10 @@ class Calibration:
         started = time.perf_counter()
         data = self.setup.data
         if observed is not None:
-            values = np.asarray(observed, dtype=float)
+            expected = f"observed must be {len(data.observed)} finite numbers, one for each row"
+            values = array_of(observed, expected)
             if values.shape != data.observed.shape or not np.all(np.isfinite(values)):
-                raise InputError(f"observed must be {len(data.observed)} finite numbers, one for each row")
+                raise InputError(expected)
             data = replace(data, observed=values)
         return reported(self.title, estimate(self.setup, data, self.setup.model.guess, self.starts), started)
 
@@ -109,7 +127,7 @@ def calibrate(
         given: a problem file, a numeric scene, or a function of values by key that returns a scene.
         data: one set of measurements, or several.
         unknown: key of a problem file -> (lower, upper) or (lower, upper, guess), SI or text with units.
-        **options: loss, duration, starts and title; see `Calibration` for all arguments.
+        **options: loss, errors, duration, starts and title; see `Calibration` for all arguments.
 
     Raises:
         InputError: an unknown name, invalid bounds, too few rows, or data that do not belong to the scene.

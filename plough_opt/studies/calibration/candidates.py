@@ -26,6 +26,8 @@ _DIRECT_ERROR: Final = 0.05
 _FACTORS: Final = {"share.wedge_angle": (0.6, 1.5), "share.height": (0.7, 1.4), "scene.tow_speed": (0.5, 1.7)}
 # Largest wedge angle that is proposed.
 _STEEPEST: Final = math.radians(70.0)
+# Gains that agree to this number of decimals are equal, but for rounding in the order of the rows.
+_DIGITS: Final = 6
 # Known tool friction of steel coated with polyethylene.
 _COATED_FRICTION: Final = 0.2
 # Proposed increase of the ambient pressure [Pa], as at a larger depth.
@@ -127,7 +129,7 @@ def next_measurements(fit: Estimate, candidates: Sequence[Candidate] | None = No
         ranking.append(NextMeasurement(candidate, sigma, 0.5 * math.log1p(gain), errors, units))
     if not ranking:
         raise InputError("none of the candidates can be measured in this scene: check their results and conditions")
-    return tuple(sorted(ranking, key=lambda item: -item.information))
+    return tuple(sorted(ranking, key=lambda item: (-round(item.information, _DIGITS), item.candidate.describe())))
 
 
 def _predicted(candidate: Candidate, fit: Estimate, slopes: Vector) -> tuple[float, Vector]:
@@ -147,7 +149,8 @@ def _predicted(candidate: Candidate, fit: Estimate, slopes: Vector) -> tuple[flo
             return candidate.sigma or _direct_error(unknown), slopes[k] * np.eye(len(slopes))[k]
     if candidate.result not in measurable():
         raise InputError(f"'{candidate.result}' is neither a result of a run nor one of the unknowns")
-    medians = {key: float(np.median(column)) for m in fit.setup.measured for key, column in m.conditions.items()}
+    keys = dict.fromkeys(key for m in fit.setup.measured for key in m.conditions)
+    medians = {key: median for key in keys if (median := _median(key, fit.setup)) is not None}
     added = Measurements(candidate.result, [0.0], {**medians, **candidate.conditions})
     value, slope = predictor((Rows(added, fit.setup.model),), fit.setup.model)(fit.y)
     size, observed = abs(float(value)), np.abs(fit.data.observed)
@@ -189,8 +192,8 @@ def _direct_error(unknown: Unknown) -> float:
 
 
 def _median(key: str, setup: Setup) -> float | None:
-    """Return the median of a condition over all rows; the scene's own value if it was not varied."""
-    columns = [m.conditions[key] for m in setup.measured if key in m.conditions]
+    """Return the median of a condition over all rows that count; the scene's own value if it was not varied."""
+    columns = [m.conditions[key][m.counted] for m in setup.measured if key in m.conditions]
     return float(np.median(np.concatenate(columns))) if columns else setup.model.current.get(key)
 
 

@@ -113,20 +113,33 @@ def estimate(setup: Setup, data: Data, guess: Vector, starts: int) -> Estimate:
     Raises:
         NotConverged: no start led to an optimum.
     """
-    problem, scaled, drift = setup.problem, data, 1.0
-    best, optima = _best(problem, data, guess, starts)
-    if problem.loss.robust and not data.stated:
-        # A robust loss depends on the scale of the residuals, and the scale on the fit: repeat both until they settle.
-        scale = 1.0
+    problem, drift = setup.problem, 1.0
+    # Where errors are relative, the first weights are those of errors relative to the measured values.
+    scaled = data.at(data.observed)
+    best, optima = _best(problem, scaled, guess, starts)
+    if (problem.loss.robust or data.relative) and not data.stated:
+        # Relative weights, and the scale that a robust loss needs, depend on the fit: repeat until all settle.
         for _ in range(_MOST_RESCALINGS):
-            before, scale = scale, _scale(problem, data, best.y)
-            scaled = replace(data, weights=data.weights / scale)
-            if abs(scale - before) <= _SETTLED * scale:
+            before, scaled = scaled, _rescaled(problem, data, best.y)
+            if np.all(np.abs(scaled.weights - before.weights) <= _SETTLED * before.weights):
                 break
             best = problem.solve(best.y, scaled)
         best, optima = _best(problem, scaled, best.y, starts)
-        drift = _scale(problem, data, best.y) / scale
+        drift = _drift(scaled, _rescaled(problem, data, best.y))
     return _with_accuracy(setup, scaled, best, optima, drift)
+
+
+def _rescaled(problem: LeastSquares, data: Data, y: Vector) -> Data:
+    """Return the data with the weights that belong to a fit: over its predictions, and over the residuals' scale."""
+    sized = data.at(problem.predict(y))
+    return replace(sized, weights=sized.weights / _scale(problem, sized, y)) if problem.loss.robust else sized
+
+
+def _drift(used: Data, settled: Data) -> float:
+    """Return the factor by which errors exceed those of the weights that were used, where it differs most from 1."""
+    counted = used.weights > 0.0
+    ratios = used.weights[counted] / settled.weights[counted]
+    return float(ratios[np.argmax(np.abs(np.log(ratios)))])
 
 
 def _best(problem: LeastSquares, data: Data, guess: Vector, starts: int) -> tuple[Minimum, tuple[float, ...]]:
@@ -162,7 +175,8 @@ def _starts(problem: LeastSquares, data: Data, count: int) -> list[Vector]:
 def _scale(problem: LeastSquares, data: Data, y: Vector) -> float:
     """Return the standard deviation of the residuals, estimated from the median of their absolute values."""
     size = np.abs(data.weights * (problem.predict(y) - data.observed))[data.weights > 0.0]
-    return max(_MAD * float(np.median(size)) * math.sqrt(len(size) / (len(size) - problem.unknowns)), _LEAST_SCALE)
+    freedom = max(len(size) - problem.unknowns, 1)
+    return max(_MAD * float(np.median(size)) * math.sqrt(len(size) / freedom), _LEAST_SCALE)
 
 
 def _with_accuracy(setup: Setup, data: Data, best: Minimum, optima: tuple[float, ...], drift: float) -> Estimate:

@@ -24,7 +24,7 @@ from plough_opt.studies.calibration.candidates import Candidate, NextMeasurement
 from plough_opt.studies.calibration.estimate import Estimate, Interval, Kind, check_level, interval
 from plough_opt.studies.calibration.identifiability import Undetermined, undetermined
 from plough_opt.studies.calibration.quality import CrossValidation, caveats, cross_validate
-from plough_opt.studies.calibration.setup import NOMINAL
+from plough_opt.studies.calibration.setup import ERRORS, NOMINAL
 
 if TYPE_CHECKING:
     import pandas
@@ -51,8 +51,9 @@ class Fit(Saveable):
         optima: sums of the losses at all distinct local optima.
         freedom: degrees of freedom: number of rows of weight above 0, minus determined directions.
         scatter: square root of the sum of squared residuals over the degrees of freedom; residuals are relative to the
-            stated sigma, or to the mean measured value if no sigma is stated.
+            stated sigma; if no sigma is stated, to the mean measured value, or to each prediction.
         stated: whether sigma was stated.
+        errors: model of the errors if it was not: "constant" or "relative".
         status: status of the solver.
         warnings: warnings about the results.
         seconds: time taken [s].
@@ -88,9 +89,10 @@ class Fit(Saveable):
     stated: bool
     status: str
     warnings: tuple[str, ...]
-    seconds: float
+    seconds: float = field(compare=False)
     saved_intervals: tuple[parts.KnownInterval, ...] = ()
     saved_next: tuple[NextMeasurement, ...] = ()
+    errors: str = "constant"
     versions: Mapping[str, str] = field(default_factory=versions)
     source: Annotated[Estimate | None, Unsaved()] = field(default=None, repr=False, compare=False)
     origin: Origin = field(default=Origin())
@@ -200,18 +202,21 @@ class Fit(Saveable):
     def page(self) -> Page:
         """Return the unknowns, the undetermined combinations, the next measurements, and the scatter about the fit.
 
-        Intervals and the ranking of further measurements are costly, and are shown only if they are already computed.
+        Intervals and the ranking of further measurements are costly, and are shown only if the fit holds them: as one
+        that `complete` returned or a file holds.
         """
-        profiles = [(level, found) for (level, kind), found in self._intervals.items() if kind == "profile"]
-        level, intervals = profiles[-1] if profiles else (0.0, {})
+        profiles = [item for item in self.saved_intervals if item.asked == "profile"]
+        level = profiles[-1].level if profiles else 0.0
+        intervals = {item.name: item.interval for item in profiles if item.level == level}
         shown: list[Part] = [parts.unknowns_table(self.unknowns, level, intervals, self.origin)]
         correlated = [c for c in self.correlations_found if abs(c.value) >= _NOTABLE_CORRELATION]
         for c in sorted(correlated, key=lambda c: -abs(c.value)):
             shown.append(f"Errors of {c.first} and {c.second} are correlated: {c.value:+.3f}.")
         shown += [f"Not determined: {item.words}." for item in self.unidentifiable]
-        if self._ranking:
-            shown.append(parts.next_table(self.unknowns, self._ranking, self.origin))
-        kind = "times the stated sigma" if self.stated else "of the mean measured value"
+        if self.saved_next:
+            shown.append(parts.next_table(self.unknowns, self.saved_next, self.origin))
+        relative = "of the predicted values" if self.errors == "relative" else "of the mean measured value"
+        kind = "times the stated sigma" if self.stated else relative
         shown.append(f"Scatter about the fit: {self.scatter:.3g} {kind}, {self.freedom} degrees of freedom.")
         footer = f"Converged: no step lowers the loss ({self.status}); {self.seconds:.2f} s"
         files = ", ".join(dict.fromkeys(row.place.partition(",")[0] for row in self.rows))
@@ -248,17 +253,29 @@ class Fit(Saveable):
 
     def to_json(self, page: Page | None = None) -> str:
         """Return the fit as JSON, with its intervals and the ranking of measurements: see `Saveable.to_json`."""
-        if self.source is None:
-            return super().to_json(page)
-        self.intervals(0.95, "linearised")
-        self.intervals(0.95, "profile")
+        complete = self if self.source is None else self.complete()
+        return super(Fit, complete).to_json(page)
+
+    def complete(self, level: float = 0.95) -> Fit:
+        """Return the fit with its intervals and the ranking of measurements, which its tables then show.
+
+        Args:
+            level: level of the intervals in the tables; those of level 0.95 are always added.
+
+        Raises:
+            InputError: an invalid level, or a loaded fit that does not contain it.
+        """
+        for kind in ("linearised", "profile"):
+            self.intervals(0.95, kind)
+        asked = self.intervals(level)
+        computed = {**self._intervals}
+        computed[level, "profile"] = computed.pop((level, "profile"), asked)
         intervals = tuple(
             parts.KnownInterval(name, level, kind, interval)
-            for (level, kind), by_name in self._intervals.items()
+            for (level, kind), by_name in computed.items()
             for name, interval in by_name.items()
         )
-        complete = replace(self, source=None, saved_intervals=intervals, saved_next=self.next_measurements())
-        return complete.to_json(page or self.page())
+        return replace(self, saved_intervals=intervals, saved_next=self.next_measurements())
 
     @cached_property
     def _intervals(self) -> dict[tuple[float, Kind], dict[str, Interval]]:
@@ -282,7 +299,7 @@ class Fit(Saveable):
 
 def reported(title: str, estimate: Estimate, started: float) -> Fit:
     """Return the fit of an estimate; ``started`` is the value of `time.perf_counter` at its beginning."""
-    data = estimate.setup.data
+    data = estimate.setup.data.at(estimate.predicted)
     unscaled = data.weights * (estimate.predicted - estimate.data.observed)
     scatter = float(np.sqrt(np.sum(unscaled**2) / max(estimate.freedom, 1)))
     return Fit(
@@ -297,6 +314,7 @@ def reported(title: str, estimate: Estimate, started: float) -> Fit:
         freedom=estimate.freedom,
         scatter=scatter if data.stated else NOMINAL * scatter,
         stated=data.stated,
+        errors=ERRORS[data.relative],
         status=estimate.best.status,
         warnings=caveats(estimate),
         seconds=time.perf_counter() - started,

@@ -1,7 +1,7 @@
 """The least-squares problem of a calibration, its losses, and its solution by SciPy's trust-region method."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import casadi as ca
@@ -28,6 +28,8 @@ _LEAST_CURVATURE: Final = 0.1
 # A fit has converged if a Gauss-Newton step would lower the sum of squares by less than this, in squared standard
 # deviations: the unknowns are then within 1e-4 of a standard deviation.
 _DECREMENT: Final = 1e-8
+# A prediction below this part of the largest has the error of that part, so that none has an error of 0.
+_LEAST_SIZE: Final = 1e-3
 AT_BOUND: Final = 1e-6
 """A scaled unknown that is closer to a bound counts as being on it."""
 
@@ -66,6 +68,14 @@ class Loss:
         return np.asarray(first + 2.0 * z * second)
 
 
+def _squares(z: Any) -> tuple[Any, Any, Any]:
+    return z, np.ones_like(z), np.zeros_like(z)
+
+
+def _cauchy(z: Any) -> tuple[Any, Any, Any]:
+    return np.log1p(z), 1.0 / (1.0 + z), -1.0 / (1.0 + z) ** 2
+
+
 def _huber(z: Any) -> tuple[Any, Any, Any]:
     root = np.sqrt(np.maximum(z, 1.0))
     return np.where(z <= 1.0, z, 2.0 * root - 1.0), 1.0 / root, np.where(z <= 1.0, 0.0, -0.5 / root**3)
@@ -82,10 +92,10 @@ HUBER, SOFT_L1, CAUCHY = 1.345, 1.287, 2.385
 LOSSES: Final = {
     loss.name: loss
     for loss in (
-        Loss("squares", 1.0, lambda z: (z, np.ones_like(z), np.zeros_like(z))),
+        Loss("squares", 1.0, _squares),
         Loss("huber", HUBER, _huber),
         Loss("soft_l1", SOFT_L1, _soft_l1),
-        Loss("cauchy", CAUCHY, lambda z: (np.log1p(z), 1.0 / (1.0 + z), -1.0 / (1.0 + z) ** 2)),
+        Loss("cauchy", CAUCHY, _cauchy),
     )
 }
 
@@ -108,11 +118,20 @@ class Data:
         observed: measured values (n), SI.
         weights: weights of the residuals (n): 1/sigma, or relative weights if sigma is unknown.
         stated: whether the weights follow from stated sigmas.
+        relative: whether the errors are proportional to the predictions.
     """
 
     observed: Vector
     weights: Vector
     stated: bool
+    relative: bool = False
+
+    def at(self, predicted: Vector) -> "Data":
+        """Return the data with the weights that belong to predictions (n)."""
+        if not self.relative:
+            return self
+        size = np.abs(predicted)
+        return replace(self, weights=self.weights / np.maximum(size, _LEAST_SIZE * float(np.max(size)) or 1.0))
 
     @property
     def count(self) -> int:

@@ -12,7 +12,7 @@ from plough_opt.core.checks import array_of, check_kind, check_named, check_text
 from plough_opt.core.csv_rows import HEADING, columns_of, raise_listed, read_rows, table_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.quantities import every_quantity, quantities
-from plough_opt.core.units import Unit
+from plough_opt.core.units import Unit, in_si
 from plough_opt.motion.vocabulary import MEASURES
 
 Vector = NDArray[np.float64]
@@ -104,6 +104,11 @@ class Measurements:
         """Number of rows."""
         return len(self.values)
 
+    @property
+    def counted(self) -> NDArray[np.bool_]:
+        """Mask of the rows that are not left out by a weight of 0."""
+        return np.full(self.rows, True) if self.weights is None else self.weights > 0.0
+
     def row(self, number: int) -> str:
         """Return the name of a row for messages.
 
@@ -131,6 +136,8 @@ class Measurements:
 
     def _column(self, key: str, given: Any, rows: int | None = None) -> Vector:
         """Return a column of finite numbers; a single number stands for all rows, if their number is known."""
+        others = {"sigma": result_unit(self.result), "weights": Unit(""), "time": Unit("s")}
+        given = in_si(f"{self.name}: '{key}'", given, (others.get(key) or result_unit(key)).symbol)
         column = array_of(given, f"{self.name}: '{key}' must be a column of numbers, SI units")
         if column.ndim == 0 and rows is not None:
             column = np.full(rows, float(column))
@@ -150,7 +157,7 @@ class Measurements:
             if self.sigma is not None:
                 raise InputError(f"{self.name}: sigma and weights exclude each other: keep sigma")
             if not np.any(self.weights > 0.0):
-                raise InputError(f"{self.name}: every weight is 0, which leaves no row")
+                raise InputError(f"{self.name}: every weight is 0, which leaves no row: omit this set")
         if self.time is not None:
             self._check_rows("time", self.time, self.time < 0.0, "at least 0: it counts from the start of the run")
             if self.result != RECORD:

@@ -12,10 +12,11 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_domain, check_named, mapping_of, shown
+from plough_opt.core.checks import check_domain, check_named, mapping_of, plain_number, shown
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Expression, as_number, exp, is_symbolic
 from plough_opt.core.quantities import every_quantity, quantities
+from plough_opt.core.units import in_si
 from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.scene_quantities import quantities_of, with_quantities
@@ -75,6 +76,17 @@ class Unknown:
         if self.log:
             return self.lower * exp(y * math.log(self.upper / self.lower))
         return self.lower + y * (self.upper - self.lower)
+
+    def read(self, what: str, value: Any) -> float:
+        """Return a value in SI, given as a number, text with a unit or a pint quantity.
+
+        Raises:
+            InputError, DomainError: it is not a quantity of this kind, not finite, or outside the unknown's scale.
+        """
+        read = in_si(what, value, self.unit)
+        why = "its bounds make its scale logarithmic" if self.log else ""
+        check_domain(what, read, self.unit, above=0.0 if self.log else -np.inf, why=why)
+        return plain_number(what, read)
 
     def slope(self, y: float) -> float:
         """Return the derivative of the quantity by its scaled value."""
@@ -201,10 +213,7 @@ def _unknown(name: str, bounds: Any, current: float | None) -> Unknown:
         raise InputError(f"'{name}' = {shown(bounds)} must be (lower, upper) or (lower, upper, guess)")
     numbers = []
     for side, written in zip(("lower", "upper", "guess"), bounds, strict=False):
-        try:
-            number = units[name].parse(written) if isinstance(written, str) else written
-        except InputError as error:
-            raise InputError(f"{side} bound of '{name}' {error}") from None
+        number = in_si(f"{side} bound of '{name}'", written, units[name].symbol)
         check_domain(f"{side} bound of '{name}'", number, units[name].symbol)
         numbers.append(float(number))
     lower, upper = numbers[:2]

@@ -23,6 +23,9 @@ Vector = NDArray[np.float64]
 
 # Significance level of the tests for scatter and correlation.
 _SIGNIFICANCE: Final = 1e-3
+# Significance level of the test for errors that grow with the result: one fit in twenty is warned of in vain, and of 24
+# rows with proportional errors, whose results differ by a factor of five, four fits in five are.
+_GROWING: Final = 0.05
 # A residual above this many standard deviations is an outlier.
 _OUTLIER: Final = 4.0
 # The scale of a robust loss has not settled if the residuals differ from it by more than this part.
@@ -44,6 +47,7 @@ def caveats(fit: Estimate) -> tuple[str, ...]:
     return (
         *_scatter_notes(fit),
         *_scale_notes(fit),
+        *_error_notes(fit),
         *_outlier_notes(fit),
         *_correlation_notes(fit),
         *_bound_notes(fit),
@@ -75,6 +79,25 @@ def _scale_notes(fit: Estimate) -> Iterator[str]:
         yield (
             f"the residuals scatter {fit.drift:.3g} times as much as the robust loss assumes: fit and scatter did not"
             " settle, as few rows allow several such fits; state sigma, or use loss 'squares'"
+        )
+
+
+def _error_notes(fit: Estimate) -> Iterator[str]:
+    """Yield a warning if errors that are assumed constant grow with the result, by ranks (Spearman)."""
+    if fit.data.stated or fit.data.relative:
+        return
+    sizes, ranks = [], []
+    for rows, numbers in _by_set(fit, np.arange(len(fit.residuals))):
+        own = numbers[rows.measured.counted]
+        sizes += (np.abs(fit.predicted[own]) / np.mean(np.abs(fit.predicted[own]))).tolist()
+        ranks += np.abs(fit.residuals[own]).tolist()
+    if len(sizes) < _FEWEST_CORRELATED or np.ptp(sizes) == 0.0 or np.ptp(ranks) == 0.0:
+        return
+    found = stats.spearmanr(sizes, ranks, alternative="greater")
+    if found.pvalue < _GROWING:
+        yield (
+            "residuals grow with the predicted value, while the intervals assume errors of equal size and are then too"
+            " narrow: state sigma, or calibrate with errors 'relative'"
         )
 
 
@@ -177,7 +200,8 @@ class CrossValidation:
 
     Attributes:
         folds: number of parts that were left out in turn; equal to the number of rows if each was left out alone.
-        rows: numbers of the rows that were left out; rows that measure an unknown directly are never left out.
+        rows: numbers of the rows that were left out; neither rows of weight 0 nor rows that
+            measure an unknown directly are among them.
         errors: predicted minus observed values of these rows, by the fits without them, SI.
         rms: result -> root mean square of its errors, SI.
         rms_fitted: result -> root mean square of its residuals in the fit to all rows, which is smaller, SI.
@@ -205,15 +229,17 @@ def cross_validate(fit: Estimate, folds: int | None, seed: int) -> CrossValidati
     """
     setup, data = fit.setup, fit.data
     results = np.array([m.result for m in setup.measured for _ in range(m.rows)])
-    order = np.flatnonzero(np.isin(results, measurable()))
+    order = np.flatnonzero(np.isin(results, measurable()) & (data.weights > 0.0))
     count = len(order)
     if count < 2:
-        raise InputError("cross-validation needs two rows or more")
+        raise InputError("cross-validation needs two rows or more that are not left out by a weight of 0")
     if folds is None:
         folds = (count if count <= _MOST_LEFT_OUT else 20) if setup.problem.closed else min(5, count)
     if not is_count(folds) or not 2 <= folds <= count:
-        raise InputError(f"folds = {shown(folds)} must be a whole number from 2 to {count}, the number of rows")
-    rows = order.copy()
+        raise InputError(
+            f"folds = {shown(folds)} must be a whole number from 2 to {count}, the number of rows that count"
+        )
+    rows, names = order.copy(), dict.fromkeys(results[order])
     if RECORD not in results and folds < count:
         np.random.default_rng(seed).shuffle(order)
     errors = np.zeros(len(results))
@@ -226,7 +252,6 @@ def cross_validate(fit: Estimate, folds: int | None, seed: int) -> CrossValidati
         errors[part] = (without.predicted - data.observed)[part]
 
     def rms(values: Vector) -> dict[str, float]:
-        names = dict.fromkeys(results[rows])
-        return {str(name): float(np.sqrt(np.mean(values[results == name] ** 2))) for name in names}
+        return {str(name): float(np.sqrt(np.mean(values[rows][results[rows] == name] ** 2))) for name in names}
 
     return CrossValidation(folds, rows, errors[rows], rms(errors), rms(fit.predicted - data.observed))

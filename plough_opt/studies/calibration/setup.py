@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.checks import check_choice
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Column, Expression, as_number, stacked
 from plough_opt.laws.forces import cone_index
@@ -46,7 +47,10 @@ _MOST_EXPANDED: Final = 1000
 # A time counts as an output time if it is closer to it than this part of the duration.
 _ON_OUTPUT: Final = 1e-9
 NOMINAL: Final = 0.01
-"""Nominal standard deviation of an error, relative to the mean measured value, if no sigma is stated."""
+"""Nominal standard deviation of an error, relative to the mean measured or each predicted value, without sigma."""
+
+ERRORS: Final = ("constant", "relative")
+"""Models of errors whose sigma is not stated: the same for each set of measurements, or proportional to the result."""
 
 INSIDE: Final = 0.02
 """Starts keep at least this distance from the bounds, as a part of their distance: a search may stay at a bound."""
@@ -261,6 +265,7 @@ def setup_of(
     data: Measurements | Sequence[Measurements],
     unknown: Mapping[str, Any] | None,
     loss: str,
+    errors: str,
     duration: float | None,
 ) -> Setup:
     """Return a checked calibration; `Calibration` describes the arguments.
@@ -271,14 +276,18 @@ def setup_of(
     measured = (data,) if isinstance(data, Measurements) else tuple(data) if isinstance(data, Sequence) else ()
     if not measured or not all(isinstance(m, Measurements) for m in measured):
         raise InputError("the data must be Measurements, one set or several: read a file with po.read_measurements")
-    if not any(np.any(m.values) for m in measured):
+    for k, m in enumerate(measured):
+        if any(m is other for other in measured[:k]):
+            raise InputError(f"{m.name} is given twice, so its rows would count twice: remove one of the two")
+    if not any(np.any(m.values[m.counted]) for m in measured):
         raise InputError(f"{measured[0].name}: every measured value is 0, which no soil gives: check the column")
     chosen_loss = loss_of(loss)
+    check_choice("errors", errors, ERRORS)
     model = model_of(given, duration, unknown, {key for m in measured for key in m.conditions})
     _check_names(model, measured)
     _check_bounds(model, measured)
     rows = tuple(Rows(m, model) for m in measured)
-    setup = Setup(model, rows, LeastSquares(predictor(rows, model), chosen_loss), _data(measured))
+    setup = Setup(model, rows, LeastSquares(predictor(rows, model), chosen_loss), _data(measured, errors))
     _check_numbers(setup)
     return setup
 
@@ -309,22 +318,27 @@ def _check_bounds(model: Model, measured: Sequence[Measurements]) -> None:
             raise InputError(f"{place}: {error}") from None
 
 
-def _data(measured: Sequence[Measurements]) -> Data:
+def _data(measured: Sequence[Measurements], errors: str) -> Data:
     """Return values and weights of all rows.
 
     Raises:
-        InputError: some sets state sigma and others do not.
+        InputError: some sets state sigma and others do not, or all do and errors are relative too.
     """
+    relative = errors == "relative"
     stated = {m.sigma is not None for m in measured}
     if len(stated) > 1:
         without = next(m.name for m in measured if m.sigma is None)
         raise InputError(f"{without}: no sigma is stated, but other sets state theirs: give every set its sigma")
+    if relative and stated == {True}:
+        raise InputError(f"{measured[0].name}: sigma states the errors, so they cannot be 'relative' too: omit either")
+    squares = [np.ones(m.rows) if m.weights is None else m.weights for m in measured]
+    # Only ratios of weights count: their mean is 1, as without them.
+    mean = float(np.mean(np.concatenate([own[m.counted] for own, m in zip(squares, measured, strict=True)])))
     weights = []
-    for m in measured:
-        nominal = NOMINAL * float(np.mean(np.abs(m.values))) or 1.0
-        relative = np.ones(m.rows) if m.weights is None else m.weights
-        weights.append(np.sqrt(relative) / nominal if m.sigma is None else 1.0 / m.sigma)
-    return Data(np.concatenate([m.values for m in measured]), np.concatenate(weights), stated.pop())
+    for own, m in zip(squares, measured, strict=True):
+        nominal = NOMINAL if relative else NOMINAL * float(np.mean(np.abs(m.values[m.counted]))) or 1.0
+        weights.append(np.sqrt(own / mean) / nominal if m.sigma is None else 1.0 / m.sigma)
+    return Data(np.concatenate([m.values for m in measured]), np.concatenate(weights), stated.pop(), relative)
 
 
 def _check_numbers(setup: Setup) -> None:

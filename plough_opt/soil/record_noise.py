@@ -30,8 +30,10 @@ _SHAPES: Final[tuple[Callable[[Vector], Vector], ...]] = (
 # Nuggets that are tried, as parts of the variance: with less than the first, rounding would make the covariance of
 # smooth records singular.
 _NUGGETS: Final = (1e-9, 1e-7, 1e-5, 1e-4, 1e-3, 3e-3, 0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.7, 1.0)
-# Number of correlation lengths that are tried, in geometric progression from one lag to the length of a window.
-_LENGTHS: Final = 25
+# Number of correlation lengths that are tried, in geometric progression from one lag to this number of windows, over
+# which an exponential correlation is that of a random walk.
+_LENGTHS: Final = 37
+_LONGEST: Final = 16
 # The search starts from every sixth length and every fourth nugget.
 _COARSE: Final = (6, 4)
 # Places and log-likelihood have settled when they change by less than this: waves are decided on by differences of ten.
@@ -74,7 +76,7 @@ class Windows:
         # The tabulated correlation has a period of four windows, so that neither end of a window feels the next period.
         count = 2 ** math.ceil(math.log2(4.0 * longest / self._lag))
         q: Vector = (2.0 * math.pi * np.fft.rfftfreq(count, self._lag)).astype(np.float64)
-        density = _SHAPES[shape](q * self._lag * (longest / self._lag) ** (length / (_LENGTHS - 1)))
+        density = _SHAPES[shape](q * self._lag * (_LONGEST * longest / self._lag) ** (length / (_LENGTHS - 1)))
         if self._record.rig is not None:
             density = density * np.abs(self._record.rig.response(q)) ** 2
         table = np.fft.irfft(density)[: count // 2]

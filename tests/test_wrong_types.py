@@ -94,7 +94,7 @@ WRONG = {
     "always the same": (lambda: po.strength_waves(_record(np.full(40, 1.5e6))), "its strength does not vary"),
     "a wide base": (lambda: po.strength_waves(_record(1.0 + LINE % 2), base_diameter=39.0), "between 39 m"),
     "no problem to restore": (lambda: Origin().restore("new"), "does not come from a problem file: see its declar"),
-    "data elsewhere": (lambda: Origin(text="title=''", data={"../a": ""}).restore("new"), "is not below its folder"),
+    "data elsewhere": (lambda: Origin(text="title=''", data={"../a": ""}).restore("new"), "must be below its folder"),
     "a text to refine": (lambda: po.refine(hex, [2, 4]), "returned '0x8' at size 8, but must return numbers"),
     "a symbol to refine": (lambda: po.refine(lambda _: ca.SX.sym("x"), [2]), "'x' holds symbols"),
     "limits": (lambda: po.Output("mean_draft", lower=2.0, upper=1.0), "limits of 'mean_draft' .* 2 is above 1"),

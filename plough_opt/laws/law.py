@@ -149,6 +149,12 @@ class ResistanceLaw(Protocol):
             )
         return tuple(found)
 
+    def without_value(self, what: str) -> str:
+        """Return a clause that says what the law does not give for some share, soil and speed, and where it holds."""
+        return f"{self.label} gives no {what} for this share, soil and speed" + (
+            f" ({self.standing})" * bool(self.standing)
+        )
+
     def lacks(self, what: str) -> bool:
         """Return whether the law lacks something; see ``lacking``."""
         return what in self.lacking

@@ -98,26 +98,16 @@ MOST_OUTPUTS = 10_000_000
 _DECAYED = 30.0
 
 
-# Parameters that follow from the law of resistance: name in messages, unit, exclusive lower limit.
-_OF_LAW = {
-    "static": ("static resistance", "N", -math.inf),
-    "drag": ("coefficient of the squared speed", "N s^2/m^2", -math.inf),
-    "inertia": ("moving mass with the soil that it carries along", "kg", 0.0),
-}
-
-
 def numbers_of(scene: Scene, structure: Structure | None = None) -> dict[str, float]:
     """Return the parameters of a numeric scene by name, with the steepest slopes of its own resistances.
 
     Raises:
         InputError: a parameter is an array.
-        DomainError: the law of resistance has no finite value for this scene.
+        DomainError: the mass that moves, with the soil that it carries along, is not above 0.
     """
     p = {name: _number(name, value) for name, value in parameters(scene, structure).items()}
-    law = scene.law
-    why = f"{law.label} has no such value for this share, soil and speed" + (f" ({law.standing})" * bool(law.standing))
-    for name, (what, unit, least) in _OF_LAW.items():
-        check_domain(what, p.get(name, 1.0), unit, above=least, why=why)
+    why = scene.law.without_value("such added mass")
+    check_domain("moving mass with the soil that it carries along", p.get("inertia", 1.0), "kg", above=0.0, why=why)
     return p | slopes(Own.of(scene), p) if scene.effects.own else p
 
 

@@ -163,9 +163,10 @@ class Scene:
         """Return the reaction by the law of resistance; raise DomainError for numbers that are not finite."""
         with unlabelled():
             found = limited_in_designs(self.law.label)(self.law.reaction)(at)
-        check_domain(f"static resistance by {self.law.label}", found.static, "N")
-        check_domain(f"coefficient of the squared speed by {self.law.label}", found.drag, "N*s^2/m^2")
-        check_domain(f"added mass by {self.law.label}", found.added_mass, "kg")
+        why = self.law.without_value("finite value")
+        check_domain("static resistance", found.static, "N", why=why)
+        check_domain("coefficient of the squared speed", found.drag, "N*s^2/m^2", why=why)
+        check_domain("added mass", found.added_mass, "kg", why=why)
         return found
 
     @property

@@ -108,12 +108,13 @@ def box() -> tuple[np.ndarray, np.ndarray]:
 
 
 def settle(servo: Any, pressure: float, chunk: int, most: int) -> None:
-    """Run until the packing is at rest under the pressure [Pa], in chunks of steps, at most so many."""
+    """Run chunks of steps until the packing is at rest under the pressure [Pa]; raise RuntimeError after the most."""
     while O.iter < most:
         O.run(chunk, True)
         error = max(abs(p - pressure) for p in wall_pressures(servo)) / pressure
         if utils.unbalancedForce() < REST and error < PRESSURE_ERROR:
             return
+    raise RuntimeError(f"the packing is not at rest after {most} steps")
 
 
 def make_packing(case: dict[str, Any]) -> dict[str, Any]:
@@ -264,6 +265,8 @@ def pull(case: dict[str, Any]) -> dict[str, Any]:
     last = O.iter + 2 * int(case["travel"] / (case["speed"] * O.dt))
     while tool.travel < case["travel"] and O.iter < last:
         O.run(50, True)
+    if tool.travel < case["travel"]:
+        raise RuntimeError(f"the tool has covered {tool.travel:.3f} m of {case['travel']} m")
     moved = np.array([O.bodies[i].state.pos for i in ids]) - entry - before
     columns = ["time", "travel", "carriage", "mount", *groups]
     return {**facts, "series": np.array(tool.rows), "columns": columns, "before": before, "moved": moved}

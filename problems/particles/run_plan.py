@@ -157,16 +157,14 @@ def wedge_faces(case: Case) -> Faces:
     return {"working": upper + lower, "base": rear, "flanks": flanks}
 
 
-def equivalent_share(case: Case) -> po.Wedge:
-    """Return the share whose equivalent cone has the case's half angle: equations (5)-(7)."""
+def share_faces(case: Case) -> Faces:
+    """Return the faces of the share whose equivalent cone has the case's half angle, by equations (5)-(7).
+
+    They are two working faces and, if the underside is closed, that and the rear.
+    """
     beta = math.radians(case.half_angle)
     angle = math.atan(math.pi * math.cos(CHISEL_ANGLE) ** 2 * math.tan(beta) / math.cos(beta))
-    return po.Wedge(angle=angle, chisel_angle=CHISEL_ANGLE, height=case.height)
-
-
-def share_faces(case: Case) -> Faces:
-    """Return the faces of a share: two working faces, the rear, and the underside if it is closed."""
-    solid = equivalent_share(case).mesh()
+    solid = po.Wedge(angle=angle, chisel_angle=CHISEL_ANGLE, height=case.height).mesh()
     centre = (solid.vertices[:, 2].max() + solid.vertices[:, 2].min()) / 2.0
     corners = [(-float(x), float(y), float(z - centre)) for x, y, z in solid.vertices]
     first, second, rear, underside = ([corners[i] for i in triangle] for triangle in solid.triangles)

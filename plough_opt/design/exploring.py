@@ -220,8 +220,10 @@ class Explorer:
     def _worth_descending(self, designs: Evaluations) -> np.ndarray:
         """Return whether a descent from each design is worth its time."""
         promising: np.ndarray = (designs.violation <= self._most_violation) & np.isfinite(designs.f)
+        if not self._dense or isinstance(self.landscape, Shortfall):
+            return promising
         # A dense sample has led to the ends that infeasible designs lead to.
-        return promising & designs.feasible if self._dense else promising
+        return promising & designs.feasible
 
     def _search_face(self, rng: np.random.Generator) -> None:
         """Search again with those variables held that the best design has at a bound."""
@@ -261,7 +263,8 @@ class Explorer:
             if self.stop():
                 return
             centres, before = self._basins()[0].points[:_ZOOM_CENTRES], len(self._ends)
-            boxes = list(itertools.product(centres, _ZOOM_RADII_IF_RARE if self._feasible_rare else (_ZOOM_RADIUS,)))
+            rare = self._feasible_rare or isinstance(self.landscape, Shortfall)
+            boxes = list(itertools.product(centres, _ZOOM_RADII_IF_RARE if rare else (_ZOOM_RADIUS,)))
             for number, (centre, radius) in enumerate(boxes):
                 self.progress("looking closer at the best designs", number / len(boxes))
                 self._descend_inside(centre, radius, rng)

@@ -105,6 +105,7 @@ WAVES = [
     Field("exponential", 0.3, TWO),
     Field("white", waves=TWO),
     Field("squared exponential", 0.3, TWO),
+    Field("exponential", 0.3, TWO, length=20.0),
     Field("exponential", 0.6, ((0.2, 1.4),)),
     Field("exponential", 0.15, THREE),
     Field("exponential", 0.3, ((0.2, 0.73),), length=20.0, even=False),

@@ -150,7 +150,9 @@ def strength_waves(record: StrengthRecord, part: float = 0.8, *, base_diameter: 
     while len(model.numbers) < MOST_WAVES and model.carried < part:
         tried = [model.extended(peak, grid) for peak in _peaks(record, model, grid)]
         best = max(tried, key=lambda one: one.log_likelihood)
-        if _false_alarm(best.log_likelihood - model.log_likelihood, len(x), len(best.numbers), grid) > _FALSE_ALARM:
+        # Without the wave, the continuum found with it may be the more likely one.
+        without = max(model.log_likelihood, replace(model, continuum=best.continuum).log_likelihood)
+        if _false_alarm(best.log_likelihood - without, len(x), len(best.numbers), grid) > _FALSE_ALARM:
             notes.append("the search stopped because no peak of the residual stands out from noise")
             break
         model = best

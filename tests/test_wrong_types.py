@@ -16,6 +16,7 @@ from helpers.refusals import refusals
 from helpers.scenes import scene_of
 
 import plough_opt as po
+from plough_opt import crosscheck
 from plough_opt.core.expressions import exp
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import registry
@@ -137,6 +138,8 @@ TAKES = {
     "mass": (2e9, lambda x: scene_of(mass=x).inertia),
     "tow speed": (1e9, lambda x: scene_of(tow_speed=x).steady_resistance),
     "elastic speed": (30, lambda x: po.elastic.wedge_force(NODES, SOIL, x)),
+    "width of a tine": (1e5, lambda x: crosscheck.godwin_draft(SOIL, crosscheck.Tine(x, x, 1.0, adhesion=x), 1.0)),
+    "depth of a subsoiler": (1e9, lambda x: crosscheck.asabe_draft(x, 1.0, "fine", shanks=x)),
     "width": (1e9, lambda x: po.Smooth(x).width * 3.0),
 }
 

@@ -72,9 +72,9 @@ def asabe_draft(
     """
     check_named("no soil texture of D497 is named {}", texture, TEXTURES)
     check_named("no subsoiler point of D497 is named {}", point, POINTS)
-    check_domain("working depth", depth, "m", above=0.0)
-    check_domain("speed", speed, "m/s", at_least=0.0)
-    check_domain("number of shanks", shanks, above=0.0)
+    depth = check_domain("working depth", depth, "m", above=0.0)
+    speed = check_domain("speed", speed, "m/s", at_least=0.0)
+    shanks = check_domain("number of shanks", shanks, above=0.0)
     return draft_of_row(POINTS[point], TEXTURES[texture], depth, speed, shanks)
 
 

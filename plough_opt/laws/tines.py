@@ -157,7 +157,7 @@ def _godwin(soil: Soil, tine: Tine, speed: Expression, rupture_ratio: Expression
     beta = plane_rupture_angle(angles)
     n = wedge_factors(angles, beta)
     m = 1.0 / tan(tine.rake_angle) + cos(beta) / sin(beta) if rupture_ratio is None else rupture_ratio
-    check_domain("rupture distance ratio m", m, at_least=1.0)
+    m = check_domain("rupture distance ratio m", m, at_least=1.0)
     d, w = tine.depth, tine.width
     still = soil.density * GRAVITY * d * n.weight + soil.cohesion * n.cohesion
     still = still + tine.adhesion * n.adhesion + tine.surcharge * n.surcharge

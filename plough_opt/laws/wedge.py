@@ -59,11 +59,16 @@ class Tine:
     adhesion: Expression = 0.0
 
     def __post_init__(self) -> None:
-        check_domain("tool width", self.width, "m", above=0.0)
-        check_domain("working depth", self.depth, "m", above=0.0)
-        check_domain("rake angle", self.rake_angle, "rad", above=0.0, at_least=LEAST, at_most=math.pi / 2)
-        check_domain("surcharge", self.surcharge, "Pa", at_least=0.0)
-        check_domain("adhesion", self.adhesion, "Pa", at_least=0.0)
+        rake = check_domain("rake angle", self.rake_angle, "rad", above=0.0, at_least=LEAST, at_most=math.pi / 2)
+        checked = {
+            "width": check_domain("tool width", self.width, "m", above=0.0),
+            "depth": check_domain("working depth", self.depth, "m", above=0.0),
+            "rake_angle": rake,
+            "surcharge": check_domain("surcharge", self.surcharge, "Pa", at_least=0.0),
+            "adhesion": check_domain("adhesion", self.adhesion, "Pa", at_least=0.0),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True)

@@ -151,6 +151,8 @@ class Limit:
     def kept(self) -> tuple[float | None, float | None]:
         """Smallest and largest value in a design, None without a limit; a limit of 0 itself stays 0."""
         low, high = max(self.above, self.at_least), min(self.below, self.at_most)
+        if abs(low) <= LEAST:  # a limit only against underflow is that of 0
+            low = 0.0
         least = None if low <= -LARGEST else low + self.inside * abs(low)
         return least, None if high >= LARGEST else high - self.inside * abs(high)
 

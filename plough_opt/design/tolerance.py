@@ -17,10 +17,12 @@ Judge = Literal["tolerance", "bare"]
 """What optima are ranked by: the median objective over the tolerance box, or the objective itself."""
 
 NEEDLE = 0.05
-"""An optimum is a needle, which no workshop can hit, if its median is above its own objective by this fraction."""
+"""An optimum is a needle, which no workshop can hit, if its median is above its own objective by this fraction.
 
-# That fraction is of the objective, and at least of this part of its typical size over all designs: near 0 a fraction
-# of the objective would mean nothing.
+The fraction is of the objective's magnitude, and at least of a quarter of its typical size over all designs.
+"""
+
+# That quarter: near an objective of 0 a fraction of it would mean nothing.
 _SMALL = 0.25
 
 BOX_DESIGNS = 64

@@ -70,7 +70,7 @@ def test_a_share_that_retreats_carries_a_warning():
 
 
 @pytest.mark.parametrize("width", [2.0, 0.1, 1e-3])
-def test_a_narrow_step_takes_no_more_evaluations_of_the_equation_than_a_wide_one(width):
+def test_a_narrow_step_takes_far_fewer_equal_steps_than_would_resolve_its_slope(width):
     """Equal steps that resolve the step's slope everywhere would be 300,000 at the narrowest width."""
     run = po.simulate(scene(po.Smooth(width), start="rest", strength_wave=WAVE), 1.0)
     assert run.error_estimate <= 1e-8

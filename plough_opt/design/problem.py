@@ -310,7 +310,8 @@ def _read(
 
 def _ends(name: str, domain: Any) -> tuple[float, float]:
     """Return the ends of a domain, in order."""
-    if not (isinstance(domain, tuple) and len(domain) == 2 and all(isinstance(end, int | float) for end in domain)):
+    numbers = int | float | np.integer | np.floating
+    if not (isinstance(domain, tuple | list) and len(domain) == 2 and all(isinstance(end, numbers) for end in domain)):
         raise InputError(f"domain of '{name}' = {shown(domain)} must be a pair of ends, such as (0.0, math.inf)")
     low, high = map(float, domain)
     if not low < high:

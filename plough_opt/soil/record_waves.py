@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from plough_opt.core.checks import shown
+from plough_opt.core.checks import plain_number, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import COLOURS, save_figure
 from plough_opt.core.quantities import MOST_WAVES
@@ -30,6 +30,9 @@ _OVERSAMPLING = 8
 _ROUNDING = 1e-10
 # A further wave is accepted only if random strength without it would be improved as much with at most this probability.
 _FALSE_ALARM = 0.01
+# Least part of the variance of a further wave: in very smooth random strength the windows' likelihood errs by waves of
+# up to 5e-5 (squared exponential correlation over 6 to 12 lags, nugget 1e-6 and less).
+_LEAST_PART = 1e-4
 # Wave numbers at which the level of the noise is computed; it is smooth between them.
 _LEVELS = 32
 
@@ -114,7 +117,8 @@ def strength_waves(record: StrengthRecord, part: float = 0.8, *, base_diameter: 
     (exponential, Matern 3/2 or squared exponential, with a nugget), estimated by maximum likelihood. Waves are added
     one by one at the highest peak over the continuum; after each addition all waves are refitted together by
     generalised least squares, and the continuum anew. The search stops once the waves carry the required part, eight
-    are found, or the next peak may be random: of records of random strength alone, one to three in a hundred give one.
+    are found, or the next peak may be random: of records of exponentially correlated random strength alone, one to three in a hundred give one; strength that oscillates at
+    random about a wavelength often gives waves, and waves below 1e-4 of the variance are not reported.
     If the record is a force, every wave is divided by the rig's response.
 
     Args:
@@ -138,7 +142,8 @@ def strength_waves(record: StrengthRecord, part: float = 0.8, *, base_diameter: 
         >>> po.strength_waves(record).variance > 0.0
         True
     """
-    if isinstance(part, bool) or not (isinstance(part, int | float) and 0.0 < part <= 1.0):
+    part = plain_number("part of the variance", part)
+    if not 0.0 < part <= 1.0:
         raise InputError(f"part = {shown(part)} of the variance must be above 0 and at most 1")
     diameter = checked_diameter(record, base_diameter)
     x, y = record.position - record.position[0], record.relative()
@@ -152,7 +157,8 @@ def strength_waves(record: StrengthRecord, part: float = 0.8, *, base_diameter: 
         best = max(tried, key=lambda one: one.log_likelihood)
         # Without the wave, the continuum found with it may be the more likely one.
         without = max(model.log_likelihood, replace(model, continuum=best.continuum).log_likelihood)
-        if _false_alarm(best.log_likelihood - without, len(x), len(best.numbers), grid) > _FALSE_ALARM:
+        alarm = _false_alarm(best.log_likelihood - without, len(x), len(best.numbers), grid)
+        if alarm > _FALSE_ALARM or best.least_power < _LEAST_PART * variance:
             notes.append("the search stopped because no peak of the residual stands out from noise")
             break
         model = best
@@ -266,6 +272,12 @@ class _Model:
     def carried(self) -> float:
         """Part of the variance that the waves carry."""
         return max(0.0, 1.0 - float(np.mean(self.residual**2) / np.mean(self.y**2)))
+
+    @property
+    def least_power(self) -> float:
+        """Mean square of the smallest wave."""
+        a, b = self.coefficients[: 2 * len(self.numbers)].reshape(2, -1)
+        return float(np.min(a**2 + b**2)) / 2.0
 
     def extended(self, peak: float, grid: Vector) -> "_Model":
         """Return the model with a further wave near a peak."""

@@ -17,9 +17,11 @@ from helpers.scenes import scene_of
 
 import plough_opt as po
 from plough_opt import crosscheck
+from plough_opt.core.checks import LEAST, Limit
 from plough_opt.core.expressions import exp
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import registry
+from plough_opt.design import effort
 from plough_opt.soil import plastic
 
 SOIL = po.named_soil("serozem")
@@ -98,6 +100,8 @@ WRONG = {
     "data elsewhere": (lambda: Origin(text="title=''", data={"../a": ""}).restore("new"), "must be below its folder"),
     "a text to refine": (lambda: po.refine(hex, [2, 4]), "returned '0x8' at size 8, but must return numbers"),
     "a symbol to refine": (lambda: po.refine(lambda _: ca.SX.sym("x"), [2]), "'x' holds symbols"),
+    "a search in bytes": (lambda: effort.searched(b"near", ()), "search = b'near' must be 'auto'"),
+    "a search of nothing": (lambda: effort.searched([], ()), r"search = \[\] must be 'auto'"),
     "limits": (lambda: po.Output("mean_draft", lower=2.0, upper=1.0), "limits of 'mean_draft' .* 2 is above 1"),
     "node of three": (lambda: po.elastic.wedge_force([(0.0, 0.0), (0.5, 0.1, 0.2)], SOIL, 2.0), "is not a pair"),
 }
@@ -202,3 +206,11 @@ def test_a_requirement_may_have_the_name_of_a_fronts_own_one():
     for point in front.points:
         angle = po.Wedge(point.variables["angle"], 0.26, 0.25).equivalent_cone().half_angle
         assert point.margins["position on the front"] == pytest.approx(0.3 - angle, abs=1e-12)
+
+
+def test_a_limit_against_underflow_is_zero_in_a_design():
+    assert Limit("x", above=0.0, at_least=LEAST).kept == (0.0, None)
+
+
+def test_numbers_of_numpy_are_ends_of_a_domain():
+    po.Design().parameter("p", 0.5, unit="rad", domain=[np.int64(0), np.float32(2)])

@@ -148,7 +148,12 @@ def searched(search: Search, variables: Sequence[Variable]) -> tuple[int, ...]:
             raise InputError(f"search = {shown(search)} must be a number of designs, from 1 to {_MOST_ACCEPTED}")
         return every
     begins_with_number = isinstance(search, str) and _NUMBER.match(search) and search not in names
-    if not isinstance(search, str | Sequence) or isinstance(search, bytes) or len(search) == 0 or (begins_with_number and seconds_of(search) is None):
+    if (
+        not isinstance(search, str | Sequence)
+        or isinstance(search, bytes)
+        or len(search) == 0
+        or (begins_with_number and seconds_of(search) is None)
+    ):
         raise InputError(f"search = {shown(search)} must be 'auto', 'thorough', 'near', a number of designs, a time"
                          " such as '20 s', or names of variables")  # fmt: skip
     if search in ("near", "local"):

@@ -123,7 +123,7 @@ class Optimum(LocalOptimum):
             for name, change in direction.items()
             if change
         )
-        fix = "this variable" if np.count_nonzero(list(direction.values())) == 1 else "one of these variables"
+        fix = "this variable" if sum(map(bool, direction.values())) == 1 else "one of these variables"
         return f"The optimum is not unique: nothing changes along {moves}. Fix {fix}."
 
     def to_dataframe(self) -> pandas.DataFrame:

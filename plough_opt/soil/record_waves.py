@@ -117,8 +117,9 @@ def strength_waves(record: StrengthRecord, part: float = 0.8, *, base_diameter: 
     (exponential, Matern 3/2 or squared exponential, with a nugget), estimated by maximum likelihood. Waves are added
     one by one at the highest peak over the continuum; after each addition all waves are refitted together by
     generalised least squares, and the continuum anew. The search stops once the waves carry the required part, eight
-    are found, or the next peak may be random: of records of exponentially correlated random strength alone, one to three in a hundred give one; strength that oscillates at
-    random about a wavelength often gives waves, and waves below 1e-4 of the variance are not reported.
+    are found, or the next peak may be random or carries less than 1e-4 of the variance: of records of exponentially
+    correlated random strength alone, one to three in a hundred give one. Random strength that oscillates about a
+    wavelength often gives waves.
     If the record is a force, every wave is divided by the rig's response.
 
     Args:

@@ -40,6 +40,21 @@ def test_names_with_numbers_are_different_notes():
     assert len(notes) == 5
 
 
+@pytest.mark.parametrize("texts", [
+    ("x 1 2", "x 1 "),
+    ("at 1,000 N", "at 20,500 N"),
+    ("12.5m wide", "13.5m wide"),
+    ("on 2026-11-24", "on 2026-11-25"),
+    ("version 1.2.3", "version 1.2.4"),
+    ("at 17:40", "at 18:50"),
+])  # fmt: skip
+def test_other_digits_are_no_numbers(texts):
+    notes = {}
+    for text in texts:
+        merge(notes, text)
+    assert [*notes.values()] == [*texts]
+
+
 def share_of_draft(text):
     """Return the ends of the share of the draft that an ambient pressure carries, as a note gives them."""
     percent = text.partition("carries ")[2].partition(" %")[0].split(" to ")

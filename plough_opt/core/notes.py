@@ -3,9 +3,10 @@
 import re
 from typing import Final
 
-_NUMBER: Final = r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
-# A quoted name, whose digits are not numbers, or else a number or a range of numbers, not part of a word.
-_PART: Final = re.compile(rf"((?<!\w)'[^']*'(?!\w))|(?<![\w.]){_NUMBER}(?: to {_NUMBER})?(?!\w)")
+# Atomic, so that no part of "12.5m", "1,000" or a date counts as a number.
+_NUMBER: Final = r"(?<![\w.])(?<!\d[-+,:/])(?>[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?)(?!\w|[-+,.:/]\d)"
+# A quoted name, whose digits are not numbers, or else a number or a range of numbers.
+_PART: Final = re.compile(rf"((?<!\w)'[^']*'(?!\w))|{_NUMBER}(?: to {_NUMBER})?")
 
 
 def merge(notes: dict[str, str], text: str) -> str:
@@ -15,7 +16,7 @@ def merge(notes: dict[str, str], text: str) -> str:
         notes: kind of note -> note, in which numbers are ranges, such as "38 to 92 %", if they differ.
         text: the note, which may hold ranges too.
     """
-    kind = _PART.sub(lambda part: part[1] or "", text)
+    kind = _PART.sub(lambda part: part[1] or "\0", text)
     notes[kind] = _merged(notes[kind], text) if kind in notes else text
     return kind
 

@@ -208,6 +208,7 @@ def test_missing_effects_and_functions_are_named_and_not_run(tmp_path):
     path.write_text(text.replace(own, "elsewhere:Shank").replace(f"{__name__}:", "elsewhere:"), encoding="utf-8")
     found = po.load(path)
     assert strict(found.to_json()) == strict(path.read_text(encoding="utf-8"))
+    assert po.load(path).scene == found.scene
     (effect,) = found.scene.effects.own
     assert effect.static == 30.0
     for name, missing in (("Shank", effect.force), ("denser", found.scene.soil.density_profile.density)):
@@ -239,6 +240,12 @@ WRONG = "is not a result of this version (schema 2)"
         ({"mount_force": [1.0]}, "mount_force must have a number for each output time"),
         ({"averages": {name: [1.0] for name in AVERAGES}}, "averages.mean_draft must be a number"),
         ({"checks": None}, "a numeric run has its checks"),
+        ({"checks": {"floquet": [[1.0]]}}, "at checks"),
+        ({"shown": {"parts": [{"columns": [], "rows": [["a"]]}]}}, "1 cells, but the table has 0 columns"),
+        ({"shown": {"parts": [{"columns": [{}], "rows": [[]]}]}}, "0 cells, but the table has 1 columns"),
+        ({"duration": []}, "at duration: holds no number"),
+        ({"duration": [[]]}, "at duration: holds no number"),
+        ({"duration": [[1.0, 2.0], [3.0]]}, "at duration"),
         *((without, without) for without in ("title", "versions", "averages", "time")),
         (b"\x89PNG\r\n\x1a\n", "cannot be read"),
     ],

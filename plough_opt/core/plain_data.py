@@ -6,7 +6,7 @@ import json
 import re
 import sys
 import sysconfig
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass, make_dataclass
 from functools import lru_cache, partial, reduce
@@ -73,8 +73,9 @@ def from_plain(hint: Any, data: Any) -> Any:
         worst = max(error.errors(), key=lambda one: len(one["loc"]))
     place = ""
     for key in worst["loc"]:  # some are not keys but alternatives of a union
-        if isinstance(key, int) if isinstance(data, list) else isinstance(data, dict) and key in data:
-            place, data = f"{place}.{key}", data[key]
+        if isinstance(data, dict | list):
+            with suppress(LookupError, TypeError):
+                place, data = f"{place}.{key}", data[key]
     place += f".{worst['loc'][-1]}" if worst["type"] == "missing" else ""
     why = worst.get("ctx", {}).get("error", worst["msg"])
     raise ValueError(f"at {place[1:]}: {why}" if place else why)
@@ -163,7 +164,7 @@ def _read_object(known: dict[str, type], data: dict[str, Any]) -> Any:
     name = str(data.get(_CLASS, hint.__name__))
     kind: Any = known.get(name) or (_class(name, known.values()) if ":" in name else None)
     if kind is None and ":" in name and not is_dataclass(hint) and not _is_at_hand(name):
-        kind = _stand_in(hint, name, [key for key in data if key != _CLASS])
+        kind = _stand_in(hint, name, tuple(key for key in data if key != _CLASS))
     if kind is None:
         raise ValueError(f"is not of type {' or '.join(known)}")
     return kind(**vars(_read(_form(kind), data)))
@@ -205,15 +206,20 @@ def _with_functions(hint: Any) -> Any:
 
 _array: Final = partial(np.array, dtype=float)
 _Entry = float | Literal["Infinity", "-Infinity"] | None
-NUMBERS: Final = Saved(
-    float | int | list[float] | list[list[float]], lambda data: _array(data) if isinstance(data, list) else data
-)
+NUMBERS: Final = Saved(float | int | list[float] | list[list[float]], lambda data: _numbers(data))
 FUNCTION: Final = Saved(dict[Literal["function"], str], lambda data: _function(data[_FUNCTION]))
 Array: TypeAlias = Annotated[NDArray[np.float64], Saved(list[_Entry] | list[list[_Entry]], _array)]
 Complex: TypeAlias = Annotated[complex, Saved(tuple[float, float], lambda parts: complex(*parts))]
 # Numbers that are infinite where unknown: errors of unpredictable motions, undetermined values, times of failures.
 MaybeInfinite: TypeAlias = Annotated[float, Saved(float | Literal["Infinity"], float)]
 IntervalEnd: TypeAlias = Annotated[float, Saved(float | Literal["Infinity", "-Infinity"], float)]
+
+
+def _numbers(data: Any) -> Any:
+    """Return a number, or an array of at least one; raise ValueError if there is none, or if rows differ in length."""
+    if isinstance(data, list) and not _array(data).size:
+        raise ValueError("holds no number")
+    return _array(data) if isinstance(data, list) else data
 
 
 def _path(thing: Any) -> str:
@@ -285,6 +291,7 @@ def _top(path: str) -> str:
     return path.partition(":")[0].partition(".")[0]
 
 
+@lru_cache(maxsize=256)  # so that a result that is loaded twice is equal
 def _missing(path: str) -> Callable[..., Any]:
     """Return a replacement for a function that is not defined; calling it raises InputError."""
 
@@ -298,7 +305,8 @@ def _missing(path: str) -> Callable[..., Any]:
     return refuse
 
 
-def _stand_in(hint: type, path: str, names: Sequence[str]) -> type:
+@lru_cache(maxsize=256)
+def _stand_in(hint: type, path: str, names: tuple[str, ...]) -> type:
     """Return a replacement for a class that is not defined; it holds and shows the fields but cannot compute.
 
     Raises:

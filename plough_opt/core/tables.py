@@ -68,6 +68,12 @@ class Grid:
     ends: list[int] = field(default_factory=list)
     plain: bool = False
 
+    def __post_init__(self) -> None:
+        """Raise ValueError if a row does not have one cell per column."""
+        for row in self.rows:
+            if len(row) != len(self.columns):
+                raise ValueError(f"a row has {len(row)} cells, but the table has {len(self.columns)} columns")
+
     @classmethod
     def of(cls, title: str, *headings: str, left: Sequence[str] = (), fold: Sequence[str] = (), mark: str = "") -> Grid:
         """Return an empty table.

@@ -4,11 +4,13 @@ Units are SI and angles are in radians. Every physical function accepts floats, 
 sense, NumPy arrays, and returns a result of the same type.
 """
 
+import re
 import sys
 
 # `python -m plough_opt` begins sys.path with the current folder, whose files would replace modules of their names.
-if sys.argv[:1] == ["-m"] and sys.orig_argv[-len(sys.argv)].endswith("plough_opt") and not sys.flags.safe_path:
-    del sys.path[0]
+# The name may follow other short options directly, as in -Bmplough_opt.
+if sys.argv[:1] == ["-m"] and re.fullmatch("(-[A-Za-z]*m)?plough_opt", sys.orig_argv[-len(sys.argv)]):
+    del sys.path[: not sys.flags.safe_path]
 
 from typing import Any
 

@@ -60,7 +60,8 @@ def read_rows(path: Path, what: str) -> list[tuple[int, list[str]]]:
 def write_rows(file: TextIO, rows: Iterable[Sequence[object]]) -> None:
     """Write rows as CSV. Numbers have all their digits, and a text that begins like a formula gets an apostrophe.
 
-    `read_rows` removes the apostrophe again.
+    `read_rows` removes the apostrophe again. It does not read every text back as it was: a cell must not contain a line
+    break or begin with a blank, the first cell of a row must not begin with "#", nor a heading contain a tab or ";".
     """
     csv.writer(file, lineterminator="\n").writerows(map(_shielded, row) for row in rows)
 

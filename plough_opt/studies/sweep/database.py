@@ -37,7 +37,7 @@ CREATE TABLE claims (first INTEGER PRIMARY KEY, last INTEGER NOT NULL, owner TEX
 CREATE INDEX oldest ON claims (expires);
 CREATE TABLE notes (kind TEXT PRIMARY KEY, text TEXT NOT NULL, first INTEGER NOT NULL, points INTEGER NOT NULL);
 """
-# Table -> condition that no row written by a sweep meets.
+# Table -> condition that is true only of rows that no sweep has written.
 _WRONG: Final = {
     "claims": "typeof(first) != 'integer' OR typeof(last) != 'integer' OR typeof(owner) != 'text' OR first < 0"
     " OR typeof(expires) != 'real' OR last <= first",

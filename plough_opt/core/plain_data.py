@@ -73,7 +73,7 @@ def from_plain(hint: Any, data: Any) -> Any:
         worst = max(error.errors(), key=lambda one: len(one["loc"]))
     place = ""
     for key in worst["loc"]:  # some are not keys but alternatives of a union
-        if isinstance(data, dict | list):
+        if not isinstance(data, str):
             with suppress(LookupError, TypeError):
                 place, data = f"{place}.{key}", data[key]
     place += f".{worst['loc'][-1]}" if worst["type"] == "missing" else ""

@@ -149,7 +149,8 @@ def polished(program: Program, p: Vector, start: Vector) -> Point:
     for box, exact in ((1.0, False), (_NEAR, True), (_RIPPLE, True)):
         point = program.solve(start, p, SolveOptions(near=True, exact=exact, enough=True), box)
         if point.status in _STALLED and _violation(program, p, point.y)[1] <= FEASIBLE_ANSWER:
-            point = replace(point, solved=True, status=AS_FOUND)
+            # Multipliers that have not converged would name bounds that the design is far from.
+            point = replace(point_as_found(program, p, point.y), iterations=point.iterations)
         if point.solved and point.f <= highest:
             return point
     point = program.solve(start, p)

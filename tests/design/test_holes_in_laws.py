@@ -132,3 +132,27 @@ def test_optimum_of_the_defined_part_or_an_honest_status(problem):
     skipped = [text for text in best.warnings if "could not be evaluated and were skipped" in text]
     holed = problem.shape not in ("everywhere", "nowhere")
     assert bool(skipped) == (holed and problem.way != "declared")
+
+
+@dataclass(frozen=True)
+class DefinedAbove40(po.ResistanceLaw):
+    """A constant force that is undefined below 40 N."""
+
+    newtons: Expression
+
+    label = "a law with a hole"
+
+    def reaction(self, at):
+        if is_symbolic(self.newtons):
+            return po.SoilReaction(static=where(self.newtons < 40.0, math.nan, self.newtons))
+        return po.SoilReaction(static=math.nan if self.newtons < 40.0 else self.newtons)
+
+
+def test_the_edge_of_a_hole_is_not_reported_as_a_bound():
+    d, k = design(k=(50.0, 1.0, 200.0, "N"))
+    d.minimise(po.simulate(scene_of(medium=DefinedAbove40(k)), 1.0).mean_draft)
+    best = d.solve()
+    limit = best.limits[0]
+    assert best.variables["k"] == pytest.approx(40.0, rel=1e-6)
+    assert (limit.active, limit.multiplier, limit.rounded) == (False, 0.0, best.variables["k"])
+    assert "at its bound" not in str(best)

@@ -275,6 +275,7 @@ def test_folders_of_killed_processes_are_removed(cache):
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
     names = {number: cache / f"plough_opt-{number}-x" for number in (ended.pid, os.getpid(), 1)}
+    names[10**22] = cache / f"plough_opt-{10**22}-x"  # no process has such a number
     for folder in (*names.values(), cache / f"plough_opt-{ended.pid}-young"):
         folder.mkdir()
         (folder / "0.so").touch()
@@ -282,7 +283,10 @@ def test_folders_of_killed_processes_are_removed(cache):
             os.utime(folder, (0, 0))
     compiled(SOURCE + "/* other */")
     left = {path.name.rpartition("-")[0] + path.name[-2:] for path in cache.iterdir() if path.is_dir()}
-    assert left == {f"plough_opt-{number}" + end for number, end in ((ended.pid, "ng"), (os.getpid(), "-x"), (1, "-x"))}
+    assert left == {
+        f"plough_opt-{number}" + end
+        for number, end in ((ended.pid, "ng"), (os.getpid(), "-x"), (1, "-x"), (10**22, "-x"))
+    }
 
 
 def test_a_fuzz_of_environments(tmp_path, monkeypatch, compiler):

@@ -100,7 +100,7 @@ def library(source: str, variants: tuple[Variant, ...], symbols: Sequence[str] =
 
     The cache is ``$XDG_CACHE_HOME/plough_opt``, or ``~/.cache/plough_opt`` if that variable is not an absolute path. If
     it is not writable or not safe, a temporary folder of this process is used instead. A library is moved to its place
-    only once complete, so processes can share it; anything else in its place is replaced.
+    only once complete, so processes can share it; another file in its place is replaced.
 
     Args:
         source: the C source.
@@ -228,8 +228,8 @@ def _trial(path: Path, symbols: Sequence[str]) -> str | None:
     if not sys.executable:  # Python within another program
         return None
     try:
-        # -P, because the current folder may hold modules of any name; -S, because no package is needed.
-        status, line = _run([sys.executable, "-P", "-S", "-c", _TRIAL, str(path), *symbols], "", _ANSWER)
+        # -I, because the current folder or $PYTHONPATH may hold modules of any name; -S, because no package is needed.
+        status, line = _run([sys.executable, "-I", "-S", "-c", _TRIAL, str(path), *symbols], "", _ANSWER)
     except subprocess.TimeoutExpired:
         return f"loading it takes more than {_ANSWER:g} s"
     return None if status == 0 else f"the compiled library cannot be loaded: {line or f'exit status {status}'}"
@@ -309,7 +309,7 @@ def _remove_abandoned(place: Path) -> None:
     """Remove the temporary folders of processes that were killed."""
     for folder in place.glob(f"{_PREFIX}[0-9]*-*"):
         # The folder may belong to another user or be removed meanwhile.
-        with contextlib.suppress(OSError, ValueError):
+        with contextlib.suppress(OSError, ValueError, OverflowError):
             if time.time() - folder.lstat().st_mtime > _ABANDONED:
                 try:
                     os.kill(int(folder.name.split("-")[1]), 0)

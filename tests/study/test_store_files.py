@@ -74,6 +74,7 @@ def test_a_changed_row_is_named_and_computed_again_by_a_retry(store, inline, nam
 DAMAGED = {
     "ALTER TABLE points DROP COLUMN sine": "the columns point, state, reason, checksum, a, b, root",
     "UPDATE meta SET value = '7' WHERE key = 'results'": "results: Input should be a valid",
+    "UPDATE meta SET value = '[\"failed\", \"root\"]' WHERE key = 'results'": "'failed' cannot name a column",
     "DELETE FROM meta WHERE key = 'units'": "units: Field required",
     "UPDATE meta SET value = 'x' WHERE key = 'count'": "count: Input should be",
     "INSERT INTO claims VALUES (3, 'x', 'y', 0.0)": "its table of claims",

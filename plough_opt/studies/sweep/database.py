@@ -233,6 +233,10 @@ def read(database: Database) -> About:
     except ValidationError as error:
         first = error.errors()[0]
         raise damaged(path, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
+    try:
+        check_columns(about.columns)
+    except InputError as error:
+        raise damaged(path, str(error)) from None
     columns = [row[1] for row in database.run("PRAGMA table_info(points)")]
     expected = [*FIXED, *about.columns]
     if columns != expected:

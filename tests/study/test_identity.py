@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import importlib
 import os
 import subprocess
 import sys
@@ -57,7 +58,38 @@ GRAPH = ca.Function("graph", [X], [ca.sin(23.0 * X)])
 def looked_up(values):
     return {"x": TABLE[0] + float(GRAPH(values["a"]))}
 
+def base(k, values):
+    return {"x": k}
+
+class Scaled:
+    def __init__(self, k):
+        functools.update_wrapper(self, base)
+        self.k = k
+    def __call__(self, values):
+        return {"x": self.k}
+
+def counted(values):
+    return {"x": counted.k}
+counted.k = 59.0
+
+@functools.wraps(np.mean)
+def wrapping(values):
+    return {"x": 61.0}
+
+class Partial:
+    __call__ = functools.partialmethod(base, 67.0)
+
+PAIRS = np.zeros(2, dtype=[("first", "f8"), ("second", "f8")])
+MASKED = np.ma.array([1.0, 2.0], mask=[False, True])
+
 FUNCTIONS = {
+    "wrapped": functools.update_wrapper(functools.partial(base, 71.0), base),
+    "scaled": Scaled(73.0),
+    "counted": counted,
+    "wrapping": wrapping,
+    "partialmethod": Partial(),
+    "pairs": functools.partial(base, PAIRS),
+    "masked": functools.partial(base, MASKED),
     "plain": plain,
     "closure": outer(29.0),
     "partial": functools.partial(lambda values, k: {"x": k + 31.0}, k=37.0),
@@ -87,6 +119,13 @@ CHANGES = [
     ("17.0, 19.0", "17.0, 20.0", {"table"}),
     ("23.0 * X", "24.0 * X", {"table"}),
     ("Law(47.0)", "Law(48.0)", {"lambda"}),
+    ("base, 71.0", "base, 72.0", {"wrapped"}),
+    ("Scaled(73.0)", "Scaled(74.0)", {"scaled"}),
+    ("counted.k = 59.0", "counted.k = 60.0", {"counted"}),
+    ('"x": 61.0', '"x": 62.0', {"wrapping"}),
+    ("base, 67.0", "base, 68.0", {"partialmethod"}),
+    ('("first", "f8"), ("second", "f8")', '("second", "f8"), ("first", "f8")', {"pairs"}),
+    ("mask=[False, True]", "mask=[False, False]", {"masked"}),
     ("# a comment", "# two\n    # comments", set()),
     ("import functools, math", "import math\n\n\nimport functools", set()),
 ]
@@ -122,16 +161,32 @@ def test_the_digest_is_the_same_in_another_process(functions_of, tmp_path):
     assert done.stdout.split() == [digest_of(one) for one in functions_of(SCRIPT).values()]
 
 
-def test_a_module_of_the_users_own_is_read_as_a_whole(tmp_path, monkeypatch):
+AT_HEAD = "import top_own\ndef f(values):\n    return {'x': top_own.of(1.0)}\n"
+INSIDE = "def f(values):\n    import top_own\n    return {'x': top_own.of(1.0)}\n"
+
+
+@pytest.mark.parametrize("user", [AT_HEAD, INSIDE])
+@pytest.mark.parametrize(
+    ("deep", "top"),
+    [
+        ("deep_own", "import deep_own\ndef of(a):\n    return a + deep_own.VALUE\n"),
+        ("deep_own", "from deep_own import VALUE\ndef of(a):\n    return a + VALUE\n"),
+        ("deep_own", "def of(a):\n    from deep_own import VALUE\n    return a + VALUE\n"),
+        ("this", "from this import VALUE\ndef of(a):\n    return a + VALUE\n"),
+    ],
+)
+def test_a_module_of_the_users_own_is_read_as_a_whole(tmp_path, monkeypatch, user, deep, top):
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
     digests = []
-    for deep in (1.0, 2.0):
-        (tmp_path / "deep_own.py").write_text(f"VALUE = {deep}\n")
-        (tmp_path / "top_own.py").write_text("import deep_own\ndef of(a):\n    return a + deep_own.VALUE\n")
+    for value in (1.0, 2.0):
+        (tmp_path / f"{deep}.py").write_text(f"VALUE = {value}\n")
+        (tmp_path / "top_own.py").write_text(top)
         names = {}
-        exec("import top_own\ndef f(values):\n    return {'x': top_own.of(1.0)}\n", names)
+        importlib.invalidate_caches()
+        exec(user, names)
         digests.append(digest_of(names["f"]))
-        for name in ("deep_own", "top_own"):
+        for name in (deep, "top_own"):
             monkeypatch.delitem(sys.modules, name)
     assert digests[0] != digests[1]
 

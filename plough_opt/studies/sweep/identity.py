@@ -1,14 +1,18 @@
-"""A digest of everything that a function's results depend on, by which a store recognises its own sweep.
+"""A digest of the code and the values that a function's results depend on, by which a store recognises its own sweep.
 
-It covers the function's code, defaults, closure and the globals that it names, the state and the class of objects, and
-so on inwards. Modules of the standard library and of installed packages are identified by name and version. Bytecode is
-compared and not source, so comments and the place in a file do not matter.
+It covers the function's code, defaults, attributes, closure, imports and the globals that it names, the state and the
+class of objects, and so on inwards. Modules of the standard library and of installed packages are identified by name
+and, if they have one, version. The bytecode of functions is compared and not their source, so comments and the place in
+a file do not matter; a module of a user's is compared as text, with the modules that it imports.
 """
 
 import copyreg
+import dis
 import functools
 import hashlib
+import importlib.metadata
 import sys
+import sysconfig
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import (
@@ -39,17 +43,30 @@ _NAMED: Final = (BuiltinFunctionType, GetSetDescriptorType, MemberDescriptorType
 # What code does, without its name and its place in a file.
 _OF_CODE: Final = (
     "co_code", "co_consts", "co_names", "co_varnames", "co_freevars", "co_cellvars", "co_argcount",
-    "co_posonlyargcount", "co_kwonlyargcount", "co_flags",
+    "co_posonlyargcount", "co_kwonlyargcount", "co_flags", "co_exceptiontable",
 )  # fmt: skip
+# What Python itself keeps in a class.
+_KEPT: Final = {"__module__", "__qualname__", "__dict__", "__weakref__", "__doc__", "__annotations__",
+                "__static_attributes__", "__firstlineno__", "__annotate_func__", "__annotations_cache__",
+                "__dataclass_fields__", "__dataclass_params__", "__match_args__", "__abstractmethods__"}  # fmt: skip
+_CACHE: Final = type(functools.lru_cache(lambda: None))
+_STANDARD: Final = Path(sysconfig.get_path("stdlib")).resolve()
 
 
 def digest_of(item: object) -> str:
     """Return a digest of a function or an object, the same in every process on a machine.
 
     Raises:
-        InputError: a part of it has no content that another process would recognise, such as a lock or an open file.
+        InputError: a part of it has no content that another process would recognise, such as a lock or an open file, or
+            lies too deep.
     """
-    return _Reader().digest(item).hex()[:16]
+    try:
+        return _Reader().digest(item).hex()[:16]
+    except RecursionError:
+        raise InputError(
+            f"a store cannot recognise the function again, because {shown(item)} refers to objects that are nested too"
+            " deeply: use a flatter structure, or sweep without a store"
+        ) from None
 
 
 class _Reader:
@@ -71,7 +88,9 @@ class _Reader:
 
     def _parts(self, item: Any) -> tuple[str, Iterable[Any]]:
         """Return a text and objects that together are the content of an object."""
-        module = getattr(item, "__module__", None)
+        function = isinstance(item, FunctionType)
+        # `functools.wraps` copies the name of another function's module.
+        module = item.__globals__.get("__name__") if function else getattr(item, "__module__", None)
         name = f"{module}.{getattr(item, '__qualname__', '')}"
         if isinstance(item, ModuleType):
             name = item.__name__
@@ -81,8 +100,9 @@ class _Reader:
         if isinstance(item, type):
             return f"class {name}", (*item.__bases__, *_attributes(item))
         if isinstance(item, FunctionType):
-            own = (item.__code__, item.__defaults__, item.__kwdefaults__, item.__closure__)
-            return "function", (*own, *_globals(item.__code__, item.__globals__))
+            own = (item.__code__, item.__defaults__, item.__kwdefaults__, item.__closure__, item.__dict__)
+            return "function", (*own, *_globals(item.__code__, item.__globals__),
+                                *_imports(item.__code__, item.__globals__))  # fmt: skip
         if isinstance(item, CodeType):
             return "code", [getattr(item, name) for name in _OF_CODE]
         if isinstance(item, _NAMED):
@@ -90,8 +110,8 @@ class _Reader:
             return f"{type(item).__name__} {name or item.__name__}", () if isinstance(owner, ModuleType) else (owner,)
         if isinstance(item, set | frozenset):
             return type(item).__name__, sorted(_Reader().digest(one) for one in item)
-        if isinstance(item, np.ndarray | np.generic) and item.dtype != object:
-            return f"array {item.dtype.str} {np.shape(item)}", (item.tobytes(),)
+        if (type(item) is np.ndarray or isinstance(item, np.generic)) and not item.dtype.hasobject:
+            return f"array {item.dtype.descr} {np.shape(item)}", (item.tobytes(),)
         return type(item).__name__, _inside(item)
 
 
@@ -115,7 +135,7 @@ def _inside(item: Any) -> Iterable[Any]:
         return item.fget, item.fset, item.fdel
     if isinstance(item, functools.cached_property):
         return (item.func,)
-    if hasattr(item, "__wrapped__"):  # a cache of functools
+    if isinstance(item, _CACHE):
         return type(item), item.__wrapped__
     try:
         if isinstance(item, ca.DM):
@@ -128,6 +148,8 @@ def _inside(item: Any) -> Iterable[Any]:
         made = item.__reduce_ex__(4) if registered is None else registered(item)
         parts = (made,) if isinstance(made, str) else made
         return [list(part) if isinstance(part, Iterator) else part for part in parts]
+    except RecursionError:
+        raise
     except Exception as error:
         raise InputError(
             f"a store cannot recognise the function again, because it depends on {shown(item)}, whose content cannot be"
@@ -142,22 +164,39 @@ def _globals(code: CodeType, names: dict[str, Any]) -> list[Any]:
     return [*own, *(part for found in inner for part in found)]
 
 
+def _imports(code: CodeType, names: dict[str, Any]) -> Iterator[Any]:
+    """Yield the modules that code imports, and import them; for one that cannot be imported, its name."""
+    steps = [step for step in dis.get_instructions(code) if step.opname != "EXTENDED_ARG"]
+    for level, members, step in zip(steps, steps[1:], steps[2:], strict=False):
+        if step.opname == "IMPORT_NAME":
+            try:
+                yield __import__(step.argval, names, None, members.argval or (), level.argval)
+            except Exception:
+                yield step.argval
+    for inner in code.co_consts:
+        if isinstance(inner, CodeType):
+            yield from _imports(inner, names)
+
+
 def _attributes(of: type) -> Iterator[Any]:
     """Yield the names and the values that a class defines, without what Python and libraries keep there."""
     for name, value in vars(of).items():
-        if not name.startswith(("__", "_abc_")) or isinstance(value, FunctionType | property | staticmethod):
+        if name not in _KEPT and not name.startswith("_abc_") and not isinstance(value, GetSetDescriptorType):
             yield name
             yield value
 
 
 def _texts(module: ModuleType) -> Iterator[Any]:
-    """Yield the text of a user's module, and the other modules of a user's that it imports from."""
-    path = Path(module.__file__ or "")
-    yield path.read_bytes() if path.is_file() else b""
-    for value in list(vars(module).values()):
-        other = value if isinstance(value, ModuleType) else sys.modules.get(getattr(value, "__module__", None) or "")
-        if other is not None and not _installed(other.__name__):
-            yield other
+    """Yield the text of a user's module, and the other modules of a user's that it imports."""
+    path = Path(getattr(module, "__file__", None) or "")
+    text = path.read_bytes() if path.is_file() else b""
+    yield text
+    others = [value for value in vars(module).values() if isinstance(value, ModuleType)]
+    if path.suffix == ".py":
+        others += [
+            other for other in _imports(compile(text, str(path), "exec"), vars(module)) if not isinstance(other, str)
+        ]
+    yield from (other for other in others if not _installed(other.__name__))
 
 
 def _contents(cell: CellType) -> tuple[Any, ...]:
@@ -172,14 +211,21 @@ def _installed(module: str | None) -> bool:
     if module is None:  # code that `exec` has read
         return False
     top = module.partition(".")[0]
-    if top == "plough_opt" or top in sys.stdlib_module_names:
-        return True
     file = getattr(sys.modules.get(module), "__file__", None)
+    if top in sys.stdlib_module_names:  # a file of the user's may have such a name
+        return file is None or Path(file).resolve().is_relative_to(_STANDARD)
+    if top == "plough_opt":
+        return True
     return file is not None and not {"site-packages", "dist-packages"}.isdisjoint(Path(file).parts)
 
 
+@functools.lru_cache
 def _version(module: str | None) -> str:
-    return str(getattr(sys.modules.get((module or "").partition(".")[0]), "__version__", ""))
+    top = (module or "").partition(".")[0]
+    try:
+        return str(getattr(sys.modules.get(top), "__version__", None) or importlib.metadata.version(top))
+    except (importlib.metadata.PackageNotFoundError, ValueError):
+        return ""
 
 
 def _hash(*parts: str | bytes) -> bytes:

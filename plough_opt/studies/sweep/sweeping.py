@@ -62,8 +62,9 @@ def sweep(
             Default: processes on all cores of this machine, which end with the sweep.
         workers: number of workers of the executor, so that enough tasks are submitted (default: cores of this machine).
         retry: compute the points again that failed, are undetermined, or whose rows in the store are damaged.
-        limit: time [s] after which a point has failed, and its worker is replaced (default: `LIMIT`, an hour). Only for
-            the processes of this machine, because those of another executor cannot be ended from here.
+        limit: time [s] after which a point has failed, and its worker is replaced (default: `LIMIT`, an hour). The
+            first point of each worker includes its preparation, such as compiling. Only for the processes of this
+            machine, because those of another executor cannot be ended from here.
         progress: True for a bar on the error stream (lines, if that is not a terminal), or a function that is called
             with the numbers of stored points, of all points, and of failed ones.
         question: everything else that the results depend on, as texts. A store with other texts is refused. By

@@ -187,7 +187,7 @@ def test_a_module_of_the_users_own_is_read_as_a_whole(tmp_path, monkeypatch, use
         exec(user, names)
         digests.append(digest_of(names["f"]))
         for name in (deep, "top_own"):
-            monkeypatch.delitem(sys.modules, name)
+            del sys.modules[name]
     assert digests[0] != digests[1]
 
 

@@ -4,13 +4,14 @@ Units are SI and angles are in radians. Every physical function accepts floats, 
 sense, NumPy arrays, and returns a result of the same type.
 """
 
-import re
 import sys
 
 # `python -m plough_opt` begins sys.path with the current folder, whose files would replace modules of their names.
-# The name may follow other short options directly, as in -Bmplough_opt.
-if sys.argv[:1] == ["-m"] and re.fullmatch("(-[A-Za-z]*m)?plough_opt", sys.orig_argv[-len(sys.argv)]):
-    del sys.path[: not sys.flags.safe_path]
+# The name may follow other short options directly, as in -Bmplough_opt. No other module is imported before this.
+if sys.argv[:1] == ["-m"] and not sys.flags.safe_path:
+    _options, _, _name = sys.orig_argv[-len(sys.argv)].rpartition("plough_opt")
+    if not _name and _options[:1] in ("", "-") and _options.find("m") == len(_options) - 1:
+        del sys.path[0]
 
 from typing import Any
 

@@ -223,7 +223,8 @@ class Explorer:
         if not self._dense or isinstance(self.landscape, Shortfall):
             return promising
         # A dense sample has led to the ends that infeasible designs lead to.
-        return promising & designs.feasible
+        promising &= designs.feasible
+        return promising
 
     def _search_face(self, rng: np.random.Generator) -> None:
         """Search again with those variables held that the best design has at a bound."""

@@ -143,6 +143,7 @@ class DefinedAbove40(po.ResistanceLaw):
     label = "a law with a hole"
 
     def reaction(self, at):
+        del at
         if is_symbolic(self.newtons):
             return po.SoilReaction(static=where(self.newtons < 40.0, math.nan, self.newtons))
         return po.SoilReaction(static=math.nan if self.newtons < 40.0 else self.newtons)

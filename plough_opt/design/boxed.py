@@ -2,11 +2,12 @@
 
 import math
 from dataclasses import replace
-from typing import Literal
+from typing import Final, Literal
 
 import casadi as ca
 import numpy as np
 
+from plough_opt.core.errors import InfeasibleDesign
 from plough_opt.core.expressions import Column
 from plough_opt.design.declarations import Declarations, Requirement, Variable
 from plough_opt.design.ipopt import Vector
@@ -24,13 +25,16 @@ Over = Literal["mean", "worst"]
 WORST = "worst objective\n"
 """Name of the auxiliary variable that bounds the objective of every design in the box; users' names have no line."""
 
+# The requirement that does so.
+_BELOW_WORST: Final = "objective below its worst"
 # Most runs of all designs in a box together: they take seconds for a whole solve.
 _MOST_RUNS = 64
 # Fewest designs in a box.
 _FEWEST = 8
 # Designs whose boxes are sampled to find bounds on the worst objective.
 _SAMPLE_SIZE = 256
-# The lower bound lies below the lowest sampled objective by this many times the sampled range.
+# The lower bound lies below the lowest sampled objective by this many times the sampled range. Bounds that prove too
+# narrow are extended by as much.
 _BELOW = 2.0
 # An optimum within this fraction of the range from the lower bound calls for a lower one.
 _AT_THE_BOUND = 1e-6
@@ -51,8 +55,17 @@ class ToleranceBoxSolver:
         if self._over == "worst":
             request.progress("sampling tolerances", 0.0)
             bounds = bounds_on_worst(self._bare, p)
+        raised = False
         while True:
-            best = solve_program(self._program(p, bounds), request)
+            try:
+                best = solve_program(self._program(p, bounds), request)
+            except InfeasibleDesign as error:
+                if bounds is None or raised or list(error.conflicts) != [_BELOW_WORST]:
+                    raise
+                # The optimum is higher than the sample suggested.
+                reach = max(bounds[1] - bounds[0], error.conflicts[_BELOW_WORST])
+                bounds, raised = (bounds[0], bounds[1] + _BELOW * reach), True
+                continue
             if bounds is None or best.objective > bounds[0] + _AT_THE_BOUND * (bounds[1] - bounds[0]):
                 return best
             # The optimum is lower than the sample suggested: extend the range downwards and solve again.
@@ -98,7 +111,7 @@ def over_box(declared: Declarations, count: int, bounds: tuple[float, float] | N
         mean = ca.sum1(objectives) / objectives.numel()
         return replace(declared, objective=mean, requirements=tuple(everywhere))
     worst = Variable(WORST, ca.MX.sym(WORST), bounds[1], *bounds, "", False, 0.0, auxiliary=True)
-    below = Requirement("objective below its worst", objectives - worst.symbol, None, 0.0, "", auxiliary=True)
+    below = Requirement(_BELOW_WORST, objectives - worst.symbol, None, 0.0, "", auxiliary=True)
     return replace(
         declared, variables=(*declared.variables, worst), objective=worst.symbol, requirements=(*everywhere, below)
     )
@@ -123,7 +136,9 @@ def bounds_on_worst(program: Program, p: Vector) -> tuple[float, float]:
     landscape = Landscape(program.at(p, any_guess=True), p)
     sampled = evaluated_sample(landscape, _SAMPLE_SIZE if landscape.vectorised else _FEWEST)
     valid = np.flatnonzero(np.isfinite(sampled.f))
-    inside = landscape(boxes(program.declared.variables, sampled.points[valid]))
+    # All designs in a box are made as they are: no variable is solved for again.
+    made = Landscape(landscape.program, p, range(landscape.dimensions))
+    inside = made(boxes(program.declared.variables, sampled.points[valid]))
     worst, violation = (part.reshape(-1, BOX_DESIGNS).max(axis=1) for part in (inside.f, inside.violation))
     feasible = np.isfinite(worst) & (violation <= FEASIBLE)
     if np.any(feasible):

@@ -269,7 +269,9 @@ class Declarations:
         )
 
     def describe(self, values: NDArray[np.float64]) -> str:
-        """Return the variables with certain values in words."""
+        """Return the variables with certain values in words; those added by the program are left out."""
         return ", ".join(
-            f"{v.name} = {in_words(float(x), v.unit)}" for v, x in zip(self.variables, values, strict=True)
+            f"{v.name} = {in_words(float(x), v.unit)}"
+            for v, x in zip(self.variables, values, strict=True)
+            if not v.auxiliary
         )

@@ -141,15 +141,18 @@ def _infeasible(program: Program, point: Point, short: Vector, designs: int = 0)
         for r, s, scale in zip(declared.requirements, short, program.scales, strict=True)
         if s > _VIOLATED
     }
+    added = {r.name for r in declared.requirements if r.auxiliary}
+    # A requirement that the program added is named only if no other fails.
+    conflicts = {name: fails for name, fails in conflicts.items() if name not in added} or conflicts
     multipliers = np.zeros(len(declared.requirements))
     np.maximum.at(multipliers, program.owner, np.abs(point.lam_g))
     blockers = [
         f"requirement '{r.name}' {r.limits_text()}"
         for r, largest in zip(declared.requirements, multipliers, strict=True)
-        if largest > _HOLDS and r.name not in conflicts
+        if largest > _HOLDS and not r.auxiliary and r.name not in conflicts
     ]
     for variable, multiplier in zip(declared.variables, point.lam_y, strict=True):
-        if abs(multiplier) > _HOLDS:
+        if abs(multiplier) > _HOLDS and not variable.auxiliary:
             side, bound = ("upper", variable.upper) if multiplier > 0 else ("lower", variable.lower)
             blockers.append(f"{side} bound {in_words(bound, variable.unit)} of '{variable.name}'")
     fails = failures(program, conflicts)

@@ -123,9 +123,13 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
     if not landscape.vectorised:
         return None
     program = landscape.program.bare or landscape.program
-    if program is not landscape.program:
+    over_box = program is not landscape.program
+    if over_box:
         program = program.at(landscape.p, any_guess=True)
-        landscape = Landscape(program, landscape.p, landscape.held)
+    # A workshop does not choose a made dimension again; only a variable without a declared tolerance, such as a bound
+    # on a peak, is solved for in each made design.
+    made = [k for k, v in enumerate(program.declared.variables) if over_box or v.tolerance is not None]
+    landscape = Landscape(program, landscape.p, sorted({*landscape.held, *made}))
     y = y[: len(program.declared.variables)]
     _, f, g = landscape.rows_after_elimination(boxes(program.declared.variables, y[None]), finer=FINER)
     valid = np.isfinite(f)

@@ -82,6 +82,46 @@ def test_a_worst_objective_below_the_first_bounds_is_found(monkeypatch):
     assert _parabola("worst").solve().objective == pytest.approx(worst, rel=1e-9)
 
 
+def test_a_linear_variable_is_made_within_its_tolerance_too():
+    d, x, y = design(x=(0.5, 0.0, 1.0), y=(0.2, 0.0, 1.0, "", False, T))
+    d.minimise((x - 0.3) ** 2 + 10.0 * y + 1.0)
+    d.require("r", y - x, at_least=0.1)
+    best = d.solve()
+    made = np.array(list(best.variables.values())) + _offsets(d, *best.variables.values())
+    objectives = (made[:, 0] - 0.3) ** 2 + 10.0 * made[:, 1] + 1.0
+    assert best.spread.worst == pytest.approx(objectives.max(), rel=1e-9)
+    assert best.spread.kept == np.mean(made[:, 1] - made[:, 0] >= 0.1) < 1.0
+
+
+@pytest.mark.parametrize("factor", [1.0, 100.0])
+@pytest.mark.parametrize("tolerance", [None, T])
+def test_the_worst_over_a_linear_variable_is_found(factor, tolerance):
+    d, x, y = design(x=(0.5, 0.0, 1.0, "m"), y=(0.5, 0.0, 1.0, "m", False, tolerance))
+    d.minimise((x - 0.3) ** 2 + factor * y, over="worst")
+    best = d.solve()
+    own = _offsets(d, best.variables["x"], 0.0)
+    # At the lower bound of y the least worst objective over shifts of x, on a fine grid.
+    shifts = np.linspace(-0.05, 0.05, 20_001)[:, None]
+    least = ((shifts + own[:, 0]) ** 2 + factor * own[:, 1]).max(axis=1).min()
+    assert best.objective == pytest.approx(least, rel=1e-4)
+    assert best.spread.worst == pytest.approx(best.objective, abs=1e-9)
+
+
+def test_a_worst_objective_above_the_first_bounds_is_found(monkeypatch):
+    monkeypatch.setattr(boxed, "bounds_on_worst", lambda *_: (0.1, 0.2))
+    worst = 1.0 + (np.ptp(_offsets(_parabola(None), 0.7)) / 2.0) ** 2
+    assert _parabola("worst").solve().objective == pytest.approx(worst, rel=1e-9)
+
+
+def test_what_the_program_adds_is_not_named_if_a_requirement_fails():
+    d = _parabola("worst")
+    d.require("high", d.declared.variables[0].symbol, at_least=3.0)
+    with pytest.raises(po.InfeasibleDesign, match="'high'") as error:
+        d.solve()
+    assert list(error.value.conflicts) == ["high"]
+    assert "worst" not in str(error.value)
+
+
 # Runs of a design, their effects, and the number of designs in a box.
 RUNS = [(1, {}, BOX_DESIGNS), (3, {}, 16), (40, {}, 8), (1, {"contact": po.StickSlip()}, 8)]
 

@@ -30,8 +30,8 @@ _OVERSAMPLING = 8
 _ROUNDING = 1e-10
 # A further wave is accepted only if random strength without it would be improved as much with at most this probability.
 _FALSE_ALARM = 0.01
-# Least part of the variance of a further wave: in very smooth random strength (squared exponential correlation over 6 to
-# 12 lags, nugget 1e-6 and less) false waves carried up to 5e-5.
+# Least part of the variance of a further wave: in very smooth random strength (squared exponential correlation over 6
+# to 12 lags, nugget 1e-6 and less) false waves carried up to 5e-5.
 _LEAST_PART = 1e-4
 # Wave numbers at which the level of the noise is computed; it is smooth between them.
 _LEVELS = 32

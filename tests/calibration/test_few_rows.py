@@ -43,7 +43,7 @@ def assert_same(one, other):
     assert (one.freedom, len(one.warnings)) == (other.freedom, len(other.warnings))
 
 
-@pytest.mark.parametrize("loss", LOSSES)
+@pytest.mark.parametrize("loss", ["squares", "huber", *(pytest.param(x, marks=pytest.mark.slow) for x in LOSSES[2:])])
 @pytest.mark.parametrize("rows", [1, 2, 3])
 @pytest.mark.parametrize("unknown", [COHESION, BOTH], ids=["one", "two"])
 @pytest.mark.parametrize("sigma", [None, 100.0])
@@ -80,7 +80,7 @@ def test_rows_of_weight_0_change_nothing():
 
 
 @pytest.mark.parametrize("errors", ["constant", "relative"])
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_results_do_not_depend_on_the_order_of_rows_and_sets(seed, errors):
     sets, rng = [table(7, seed), table(4, seed + 10), table(5, seed + 20)], np.random.default_rng(seed)
     shuffled = []
@@ -92,7 +92,7 @@ def test_results_do_not_depend_on_the_order_of_rows_and_sets(seed, errors):
     assert_same(one, other)
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", [*range(4, 12), *(pytest.param(k, marks=pytest.mark.slow) for k in range(12, 80))])
 def test_any_small_table_gives_an_answer_or_an_input_error(seed):
     """Equal rows, constant columns, zeros, huge and tiny numbers and weights."""
     rng = np.random.default_rng(seed)

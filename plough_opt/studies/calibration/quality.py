@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import linalg, stats
 
 from plough_opt.core.checks import shown
 from plough_opt.core.errors import InputError, IntegrationError
@@ -23,14 +23,16 @@ Vector = NDArray[np.float64]
 
 # Significance level of the tests for scatter and correlation.
 _SIGNIFICANCE: Final = 1e-3
-# Significance level of the test for errors that grow with the result: one fit in twenty is warned of in vain, and of 24
-# rows with proportional errors, whose results differ by a factor of five, four fits in five are.
+# Significance level of the test for errors that grow with the result: one fit in twenty is warned of in vain; of fits to 24
+# rows with proportional errors, whose results differ by a factor of five, some five in six are warned of.
 _GROWING: Final = 0.05
+# Differences and parts below this are rounding.
+_ROUNDING: Final = 1e-9
 # A residual above this many standard deviations is an outlier.
 _OUTLIER: Final = 4.0
 # The scale of a robust loss has not settled if the residuals differ from it by more than this part.
 _DRIFT: Final = 0.01
-# Least number of residuals of a record from which their correlation is estimated.
+# Least number of residuals of a record, or of degrees of freedom, from which a correlation is estimated.
 _FEWEST_CORRELATED: Final = 8
 # Differences between checked runs and predictions are reported above this part of a standard deviation.
 _NOTABLE_ERROR: Final = 0.1
@@ -83,18 +85,23 @@ def _scale_notes(fit: Estimate) -> Iterator[str]:
 
 
 def _error_notes(fit: Estimate) -> Iterator[str]:
-    """Yield a warning if errors that are assumed constant grow with the result, by ranks (Spearman)."""
-    if fit.data.stated or fit.data.relative:
+    """Yield a warning if errors that are assumed constant grow with the result.
+
+    Glejser's test: the absolute residuals, free of the fit's leverage, are correlated with the logarithm of the result.
+    """
+    if fit.data.stated or fit.data.relative or fit.freedom < _FEWEST_CORRELATED:
         return
-    sizes, ranks = [], []
-    for rows, numbers in _by_set(fit, np.arange(len(fit.residuals))):
-        own = numbers[rows.measured.counted]
-        sizes += (np.abs(fit.predicted[own]) / np.mean(np.abs(fit.predicted[own]))).tolist()
-        ranks += np.abs(fit.residuals[own]).tolist()
-    if len(sizes) < _FEWEST_CORRELATED or np.ptp(sizes) == 0.0 or np.ptp(ranks) == 0.0:
+    base = linalg.orth(fit.slope * fit.data.weights[:, None])
+    left = np.maximum(1.0 - np.sum(base**2, axis=1), 0.0)
+    sizes: list[float] = []
+    for rows, predicted in _by_set(fit, np.abs(fit.predicted)):
+        sizes += (predicted / np.mean(predicted[rows.measured.counted])).tolist()
+    counted = (fit.data.weights > 0.0) & (left > _ROUNDING) & (np.array(sizes) > _ROUNDING)
+    logarithms = np.log(np.array(sizes)[counted])
+    errors = np.abs(fit.residuals[counted]) / np.sqrt(left[counted])
+    if np.ptp(logarithms) < _ROUNDING or np.ptp(errors) <= _ROUNDING * np.max(errors):
         return
-    found = stats.spearmanr(sizes, ranks, alternative="greater")
-    if found.pvalue < _GROWING:
+    if stats.pearsonr(logarithms, errors, alternative="greater").pvalue < _GROWING:
         yield (
             "residuals grow with the predicted value, while the intervals assume errors of equal size and are then too"
             " narrow: state sigma, or calibrate with errors 'relative'"

@@ -23,8 +23,8 @@ Vector = NDArray[np.float64]
 
 # Significance level of the tests for scatter and correlation.
 _SIGNIFICANCE: Final = 1e-3
-# Significance level of the test for errors that grow with the result: one fit in twenty is warned of in vain; of fits to 24
-# rows with proportional errors, whose results differ by a factor of five, some five in six are warned of.
+# Significance level of the test for errors that grow with the result: one fit in twenty is warned of in vain. Of fits
+# to 24 rows with proportional errors, whose results differ by a factor of five, five in six are warned of.
 _GROWING: Final = 0.05
 # Differences and parts below this are rounding.
 _ROUNDING: Final = 1e-9

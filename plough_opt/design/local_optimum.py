@@ -109,8 +109,6 @@ class Search(ByValue):
 
 # A margin below this part of the limit's size is the optimiser's rounding.
 _NO_MARGIN = 1e-9
-# The same for an active limit, as a part of the distance between the limits or of the limit's size.
-_NO_ACTIVE_MARGIN = 1e-6
 
 
 @dataclass(frozen=True)
@@ -150,12 +148,9 @@ class Limit:
 
     @property
     def rounded(self) -> float:
-        """The value, in ``unit``; at an active limit the limit itself, without the optimiser's rounding."""
+        """The value, in ``unit``; if the limit is active, the limit itself, without the optimiser's rounding."""
         ends = [end for end in (self.low, self.high) if end is not None]
-        if not self.active or not ends:
-            return self.value
-        end, size = min(ends, key=lambda end: abs(end - self.value)), max(ends) - min(ends) or abs(ends[0])
-        return end if abs(end - self.value) <= _NO_ACTIVE_MARGIN * size else self.value
+        return min(ends, key=lambda end: abs(end - self.value)) if self.active and ends else self.value
 
     def margin_text(self) -> str:
         """Return the margin with its unit; 0 if it is only the optimiser's rounding."""

@@ -130,6 +130,8 @@ _RIPPLE = 0.005
 # this weight times the start's violation.
 _NOT_WORSE = 1e-8
 _VIOLATION_WEIGHT = 100.0
+# Scaled margin below which a limit counts as active.
+_ACTIVE = 1e-7
 # IPOPT stops with these near an optimum if the objective is rough, as on a needle.
 _STALLED = ("Search_Direction_Becomes_Too_Small", "Maximum_Iterations_Exceeded")
 
@@ -149,8 +151,7 @@ def polished(program: Program, p: Vector, start: Vector) -> Point:
     for box, exact in ((1.0, False), (_NEAR, True), (_RIPPLE, True)):
         point = program.solve(start, p, SolveOptions(near=True, exact=exact, enough=True), box)
         if point.status in _STALLED and _violation(program, p, point.y)[1] <= FEASIBLE_ANSWER:
-            # Multipliers that have not converged would name bounds that the design is far from.
-            point = replace(point_as_found(program, p, point.y), iterations=point.iterations)
+            point = _stalled(program, p, point)
         if point.solved and point.f <= highest:
             return point
     point = program.solve(start, p)
@@ -188,6 +189,18 @@ def point_as_found(program: Program, p: Vector, y: Vector) -> Point:
     return Point(bool(violation <= FEASIBLE_ANSWER), AS_FOUND, y, f, np.zeros(count), np.zeros(len(y)), 0)
 
 
+def _stalled(program: Program, p: Vector, point: Point) -> Point:
+    """Return a feasible point at which IPOPT stalled as an unconfirmed one.
+
+    Its multipliers have not converged: those of limits that the design does not touch are noise.
+    """
+    g = np.asarray(program.nlp.values(point.y, p)[1]).ravel()
+    touches = np.minimum(g - program.low, program.high - g) <= _ACTIVE
+    at_bound = np.minimum(point.y, 1.0 - point.y) <= _ACTIVE
+    multipliers = {"lam_g": np.where(touches, point.lam_g, 0.0), "lam_y": np.where(at_bound, point.lam_y, 0.0)}
+    return replace(point, solved=True, status=AS_FOUND, **multipliers)
+
+
 def _highest_accepted(program: Program, p: Vector, start: Vector) -> float:
     """Return the largest scaled objective at which an optimum counts as no worse than its start."""
     f, violation = _violation(program, p, start)
@@ -206,8 +219,6 @@ def _violation(program: Program, p: Vector, y: Vector) -> tuple[float, float]:
 _FLAT_CURVATURE = 1e-7
 # It is flat if the objective changes by less than this fraction.
 _FLAT_OBJECTIVE = 1e-9
-# Scaled margin below which a limit counts as active.
-_ACTIVE = 1e-7
 # Scaled step from a point along a suspicious direction.
 _ASIDE = 0.02
 

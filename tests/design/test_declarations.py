@@ -126,7 +126,7 @@ def test_an_invalid_parameter_is_refused():
     for value in (math.nan, math.inf):
         with pytest.raises(po.InputError, match=r"parameter 'p': .* must be a finite number"):
             d.parameter("p", value)
-    for domain in ((1.0, 0.0), (0.0,), 3.0, [0.0, 1.0], ("0", "1"), (math.nan, 1.0)):
+    for domain in ((1.0, 0.0), (0.0,), 3.0, ("0", "1"), (math.nan, 1.0)):
         with pytest.raises(po.InputError, match="domain of 'p'"):
             d.parameter("p", 0.5, domain=domain)
     with pytest.raises(po.InputError, match=r"parameter 'p': 28\.6479 deg lies outside its domain 0 deg to 5\."):

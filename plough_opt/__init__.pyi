@@ -26,7 +26,7 @@ from .laws.forces import (
 from .laws.law import ResistanceLaw as ResistanceLaw, ShareInSoil as ShareInSoil, SoilReaction as SoilReaction
 from .laws.printed import Printed as Printed
 from .motion import Run as Run, simulate as simulate
-from .motion.accuracy import Accuracy as Accuracy
+from .motion.methods import Accuracy as Accuracy
 from .motion.batch import Batch as Batch, BatchResult as BatchResult
 from .motion.effects import (
     Effects as Effects,

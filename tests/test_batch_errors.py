@@ -12,9 +12,8 @@ from scipy.integrate import solve_ivp
 
 import plough_opt as po
 from plough_opt.core.expressions import Expression, as_number, maximum, where
-from plough_opt.motion.batch.error_ellipse import deviation_map, ellipse_after, largest_squared_error
-from plough_opt.motion.batch.layout import Layout, StepStart
-from plough_opt.motion.terms import Structure, parameters
+from plough_opt.motion.batch.advance import Layout, StepStart, deviation_map, ellipse_after, largest_squared_error
+from plough_opt.motion.equation import Structure, parameters
 
 NAMES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power", "error_estimate", "steps")
 # w(t) of a share, by its coefficients.

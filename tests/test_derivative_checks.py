@@ -8,11 +8,9 @@ from scipy.optimize import brentq
 import plough_opt as po
 from plough_opt.design.derivatives import error_of_derivatives
 from plough_opt.motion.derivatives import derivative_error, jets
-from plough_opt.motion.equation import signals
+from plough_opt.motion.equation import Structure, parameters, signals
 from plough_opt.motion.integrators import integration
-from plough_opt.motion.runge_kutta import crossings, step
-from plough_opt.motion.terms import Structure, parameters
-from plough_opt.motion.timeline import Timeline
+from plough_opt.motion.steps import Timeline, crossings, step
 
 DURATION = 0.5
 

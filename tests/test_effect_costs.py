@@ -7,11 +7,10 @@ from helpers.scenes import scene_of
 
 import plough_opt as po
 from plough_opt.app.main import main
-from plough_opt.motion import effect_costs, following
-from plough_opt.motion.equation import equation_of_motion
+from plough_opt.motion import effect_costs, integrators
+from plough_opt.motion.equation import Structure, equation_of_motion
 from plough_opt.motion.integrators import integration
-from plough_opt.motion.runge_kutta import step
-from plough_opt.motion.terms import Structure
+from plough_opt.motion.steps import step
 
 
 def scene(**changes):
@@ -74,7 +73,7 @@ def test_the_equation_of_motion_costs_what_a_quasi_static_run_does_not_take():
 
 
 def test_operations_of_an_adaptive_method_are_those_of_the_run_and_its_check(monkeypatch):
-    tolerances = {following: [], effect_costs: []}
+    tolerances = {integrators: [], effect_costs: []}
     for module, seen in tolerances.items():
 
         def noted(structure, accuracy, timeline, seen=seen):
@@ -83,7 +82,7 @@ def test_operations_of_an_adaptive_method_are_those_of_the_run_and_its_check(mon
 
         monkeypatch.setattr(module, "integration", noted)
     effect_costs._operations(scene(contact=po.StickSlip()), 0.1)
-    assert sorted(tolerances[effect_costs]) == pytest.approx(sorted(tolerances[following][-2:]), rel=1e-12)
+    assert sorted(tolerances[effect_costs]) == pytest.approx(sorted(tolerances[integrators][-2:]), rel=1e-12)
 
 
 def test_a_periodic_orbit_is_measured_too():

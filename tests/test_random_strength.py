@@ -14,7 +14,7 @@ from scipy.integrate import quad
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 import plough_opt as po
-from plough_opt.motion.terms import Structure, parameters, resistance
+from plough_opt.motion.equation import Structure, parameters, resistance
 from plough_opt.soil.random_strength import rare_peak
 
 RANDOM = po.RandomStrength(rms=0.05, correlation_length=0.3)

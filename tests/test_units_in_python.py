@@ -14,7 +14,7 @@ from helpers.scenes import SEROZEM, scene_of
 import plough_opt as po
 from plough_opt.app.main import main
 from plough_opt.core.quantities import EVERY
-from plough_opt.motion.scene_quantities import quantities_of, with_quantities
+from plough_opt.motion.scene import quantities_of, with_quantities
 from plough_opt.problem_file import TEMPLATE
 
 U = pint.UnitRegistry()

@@ -17,10 +17,9 @@ from plough_opt.design import Optimum, Progress, Sensitivity
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion import Run
 from plough_opt.motion.effect_costs import EffectCost
-from plough_opt.motion.equation import equation_of_motion
+from plough_opt.motion.equation import Structure, equation_of_motion
 from plough_opt.motion.machine import Machine
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.terms import Structure
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.soil.soil import Soil

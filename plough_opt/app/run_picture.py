@@ -16,8 +16,7 @@ from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display
 from plough_opt.design import Limit, LocalOptimum
 from plough_opt.motion import Run
-from plough_opt.motion.equation import GAP, STICK
-from plough_opt.motion.terms import Structure, parameters, start_speed, strut
+from plough_opt.motion.equation import GAP, STICK, Structure, parameters, start_speed, strut
 from plough_opt.motion.vocabulary import called
 
 OWN, LIMIT, SOIL, STRUT = COLOURS[0], COLOURS[1], COLOURS[4], COLOURS[6]

@@ -20,7 +20,7 @@ from plough_opt.design import LocalOptimum
 from plough_opt.exchange.results import is_store, load
 from plough_opt.motion import Run
 from plough_opt.motion.machine import Machine
-from plough_opt.motion.scene_quantities import quantities_of
+from plough_opt.motion.scene import quantities_of
 from plough_opt.motion.vocabulary import called
 from plough_opt.studies.sweep.result import Sweep
 

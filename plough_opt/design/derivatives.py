@@ -19,7 +19,7 @@ from plough_opt.design.program import Program
 from plough_opt.motion.batch.many_runs import ManyRuns
 from plough_opt.motion.derivatives import derivative_error, difference_of_jets, finer_than
 from plough_opt.motion.plan import summed_rate
-from plough_opt.motion.runge_kutta import pairs
+from plough_opt.motion.steps import pairs
 
 SMALL = 0.25
 """Objectives below this part of the program's scale count as small: their errors are relative to the scale."""

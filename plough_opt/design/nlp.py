@@ -32,7 +32,7 @@ from plough_opt.design.split import EmbeddedRun, Split
 from plough_opt.motion.derivatives import jets_of, weighted_curvature
 from plough_opt.motion.equation import signals
 from plough_opt.motion.integrators import Integration, integration
-from plough_opt.motion.runge_kutta import pairs
+from plough_opt.motion.steps import pairs
 
 
 @dataclass(frozen=True)

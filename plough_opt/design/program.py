@@ -22,7 +22,7 @@ from plough_opt.design.nlp import Nlp, build_nlp
 from plough_opt.design.population import LinearVariable, Population, linear_variables
 from plough_opt.design.split import split
 from plough_opt.design.verify import TightEvaluation, check_bounds, corners, rough_steps, steps_at, values_at_guess
-from plough_opt.motion.accuracy import DEFAULT_ERROR
+from plough_opt.motion.methods import DEFAULT_ERROR
 
 # An objective or requirement is scaled as if it had at least this size.
 _SMALLEST_SCALE = 1e-12

@@ -14,7 +14,7 @@ from plough_opt.design.optimality import decides
 from plough_opt.design.polishing import AS_FOUND
 from plough_opt.design.program import Program
 from plough_opt.design.tolerance import spread
-from plough_opt.motion.judgement import remarks as remarks_on_run
+from plough_opt.motion.checks import remarks as remarks_on_run
 from plough_opt.motion.machine import without_repetition
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import repeat

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.labels import Call
 from plough_opt.design.split import Split
-from plough_opt.motion.batch.domain_check import DomainCheck
+from plough_opt.motion.batch.batch import DomainCheck
 from plough_opt.motion.scene import Scene
 
 Vector = NDArray[np.float64]

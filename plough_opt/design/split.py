@@ -7,8 +7,7 @@ import numpy as np
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.labels import Call, meaning_of, without_labels
-from plough_opt.motion.embedding import Embedding, embedding_of
-from plough_opt.motion.integrators import Integration
+from plough_opt.motion.integrators import Embedding, Integration, embedding_of
 
 _GIVEN_RESULTS = "a run in a design cannot depend on the results of another run: give both the same variables instead"
 

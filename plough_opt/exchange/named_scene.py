@@ -20,8 +20,7 @@ from plough_opt.core.expressions import (
     template_of,
 )
 from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
-from plough_opt.motion.scene import Scene
-from plough_opt.motion.scene_quantities import quantities_of, with_quantities
+from plough_opt.motion.scene import Scene, quantities_of, with_quantities
 
 DURATION, FRAME, STEEL = BESIDE
 # If the frame has no mass, rounding may make the moving mass smaller than the share's by this part.

@@ -1,8 +1,7 @@
 """Equation of motion (27) of the share on its mount, integrated by CasADi."""
 
-from plough_opt.motion.averages import Averages
 from plough_opt.motion.plan import OUTPUTS
-from plough_opt.motion.run import Run
+from plough_opt.motion.run import Averages, Run
 from plough_opt.motion.simulation import simulate
 
 __all__ = ["OUTPUTS", "Averages", "Run", "simulate"]

@@ -17,15 +17,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.expressions import Column
-from plough_opt.motion import runge_kutta
 from plough_opt.motion.effects import ramp_time
-from plough_opt.motion.equation import equation_of_motion, signals, start_state
+from plough_opt.motion.equation import Structure, equation_of_motion, signals, start_deflection, start_state
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.methods import DOP853
 from plough_opt.motion.plan import finer
-from plough_opt.motion.runge_kutta import Average, OneStep
-from plough_opt.motion.terms import Structure, start_deflection
-from plough_opt.motion.timeline import Timeline, at_outputs
+from plough_opt.motion.steps import (
+    Average,
+    OneStep,
+    Timeline,
+    at_outputs,
+    moving_ramp,
+    pairs,
+    pooled,
+    product,
+    spans_of,
+    unbroken,
+)
 
 Vector = NDArray[np.float64]
 _Symbols = TypeVar("_Symbols", ca.SX, ca.MX)
@@ -97,16 +105,16 @@ def jets(structure: Structure, timeline: Timeline, varying: tuple[int, ...], ord
     """
     observed = signals(structure)
     (p, _), count = observed.symbols(ca.MX), len(varying)
-    ramp = runge_kutta.moving_ramp(structure, timeline, p)
-    spans = runge_kutta.spans_of(timeline, p[-1], ramp)
+    ramp = moving_ramp(structure, timeline, p)
+    spans = spans_of(timeline, p[-1], ramp)
     steps = spans.shape[1]
     first, ramp_part = _at_start(structure, varying, order)(p)
-    one = runge_kutta.unbroken(structure, timeline, _jet_step(structure, varying, order, spans.shape[0]), count)
+    one = unbroken(structure, timeline, _jet_step(structure, varying, order, spans.shape[0]), count)
     states, moments = one.mapaccum(steps)(first, spans, ca.repmat(p, 1, steps))
     width = first.shape[1]
     columns = [moments[:, column::width] for column in range(width)]
     part = None if ramp is None else ramp_part
-    averages = runge_kutta.pooled(columns, _average(spans, part, count), observed.count, count)
+    averages = pooled(columns, _average(spans, part, count), observed.count, count)
     paths = [ca.horzcat(first[:, column], states[:, column::width]) for column in range(width)]
     is_duration = [position == p.numel() - 1 for position in varying]
     read = _read(timeline, paths, (p[-1], ramp), is_duration)
@@ -127,7 +135,7 @@ def _average(spans: ca.MX | ca.DM, ramp: ca.MX | None, count: int) -> Average:
         found = [column @ spans[1, :].T for column in columns]
         if ramp is None:
             return found
-        more = runge_kutta.product(ca.horzsplit(ramp), [column @ spans[3, :].T for column in columns], count)
+        more = product(ca.horzsplit(ramp), [column @ spans[3, :].T for column in columns], count)
         return [a + b for a, b in zip(found, more, strict=True)]
 
     return average
@@ -158,7 +166,7 @@ def _read(
     for a in range(count):
         if is_duration[a]:
             read[1 + a] += slope(paths[0], duration)
-    for column, (a, b) in enumerate(runge_kutta.pairs(count) if len(paths) > 1 + count else [], start=1 + count):
+    for column, (a, b) in enumerate(pairs(count) if len(paths) > 1 + count else [], start=1 + count):
         for this, other in ((a, b), (b, a)):
             if is_duration[this]:
                 read[column] += slope(paths[1 + other], duration)
@@ -209,7 +217,7 @@ def _jet_step(structure: Structure, varying: tuple[int, ...], order: int, width:
             return following
         rate = ca.reshape(ca.mtimes(columns[:, 1:], shares), jet.shape)
         following[:, 1 : 1 + count] += ca.mtimes(rate[:, 0], lengthening)
-        for column, (a, b) in enumerate(runge_kutta.pairs(count) if order == 2 else [], start=1 + count):
+        for column, (a, b) in enumerate(pairs(count) if order == 2 else [], start=1 + count):
             following[:, column] += lengthening[a] * rate[:, 1 + b] + lengthening[b] * rate[:, 1 + a]
         return following
 
@@ -257,7 +265,7 @@ def _expanded(structure: Structure, varying: tuple[int, ...], order: int, symbol
     columns = [value, ca.mtimes(ca.jacobian(value, given), slopes)]
     if order == 2:
         bends = [ca.mtimes([slopes.T, ca.hessian(row, given)[0], slopes]) for row in ca.vertsplit(value)]
-        bent = ca.vertcat(*(ca.horzcat(*(bend[a, b] for a, b in runge_kutta.pairs(count))) for bend in bends))
+        bent = ca.vertcat(*(ca.horzcat(*(bend[a, b] for a, b in pairs(count))) for bend in bends))
         columns.append(bent + ca.mtimes(ca.jacobian(value, state), jet[:, 1 + count :]))
     rate, now = ca.vertsplit(ca.cse([ca.horzcat(*columns)])[0], [0, 2, 2 + observed.count])
     results = rate, now - first, _square((now - first)[: observed.squared, :], count)
@@ -268,13 +276,13 @@ def _expanded(structure: Structure, varying: tuple[int, ...], order: int, symbol
 def _square(jet: ca.SX, count: int) -> ca.SX:
     """Return the jets of squared quantities, whose jets by ``count`` parameters are rows."""
     columns = ca.horzsplit(jet)
-    squares: ca.SX = ca.horzcat(*runge_kutta.product(columns, columns, count))
+    squares: ca.SX = ca.horzcat(*product(columns, columns, count))
     return squares
 
 
 def _width(count: int, order: int) -> int:
     """Return the number of columns of a jet by ``count`` parameters."""
-    return 1 + count + (len(runge_kutta.pairs(count)) if order == 2 else 0)
+    return 1 + count + (len(pairs(count)) if order == 2 else 0)
 
 
 def derivative_error(solver: Integration, first: int, varying: tuple[int, ...], given: Vector) -> float:

@@ -13,14 +13,13 @@ import casadi as ca
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import Column, as_number
 from plough_opt.motion import plan, simulate
-from plough_opt.motion.accuracy import Accuracy
-from plough_opt.motion.assembly import GAUSS_POINTS, MORE_POINTS
 from plough_opt.motion.effects import TERMS, Effects, Entry
-from plough_opt.motion.equation import equation_of_motion
+from plough_opt.motion.equation import Structure, equation_of_motion, resistance
 from plough_opt.motion.integrators import integration
-from plough_opt.motion.runge_kutta import step
+from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.terms import Structure, resistance
+from plough_opt.motion.simulation import GAUSS_POINTS, MORE_POINTS
+from plough_opt.motion.steps import step
 
 
 @dataclass(frozen=True)

@@ -1,20 +1,43 @@
-"""Integration of the equation of motion by each method, behind one interface."""
+"""Integration of the equation of motion by each method: as a CasADi Function, in a user's graph, and of numbers.
 
+A symbolic run is one call in the user's graph that carries its scene, so that a design can find and check it. A numeric
+run is one call of the Function or, if the system has a compiler, the same operations in machine code.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any
+from functools import cached_property, lru_cache
+from typing import Any, NoReturn
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
-from plough_opt.core.expressions import stacked
-from plough_opt.motion.accuracy import Accuracy
-from plough_opt.motion.equation import equation_of_motion, signals, start_state
-from plough_opt.motion.methods import METHODS, is_stepped, tableau_of
+from plough_opt.core.compiler import Variant, library
+from plough_opt.core.errors import InputError, IntegrationError
+from plough_opt.core.expressions import Column, Expression, classes_in, is_symbolic, stacked, template_of
+from plough_opt.core.labels import Meanings, attach
+from plough_opt.motion.checks import failed_by, refuse_missed_event, refuse_runaway, refuse_weak_rest
+from plough_opt.motion.effects import StickSlip
+from plough_opt.motion.equation import (
+    Structure,
+    equation_of_motion,
+    lightest_mass,
+    pull,
+    signals,
+    start_resistance,
+    start_state,
+)
+from plough_opt.motion.methods import METHODS, Accuracy, is_stepped, tableau_of
 from plough_opt.motion.orbit import orbit_map
-from plough_opt.motion.runge_kutta import run_map
-from plough_opt.motion.terms import Structure, lightest_mass, pull, start_resistance
-from plough_opt.motion.timeline import Timeline
+from plough_opt.motion.plan import OUTPUTS, STIFF_PHASE, fastest_rate, most_steps, numbers_of, timeline_of
+from plough_opt.motion.run import OUTPUTS as ARRAYS
+from plough_opt.motion.run import Run, assemble
+from plough_opt.motion.scene import Scene
+from plough_opt.motion.steps import Timeline, readings, run_map, step
 
 # A negligible force [N], which keeps the sizes of a scene without forces above zero.
 _LEAST_FORCE = 1e-9
@@ -210,3 +233,424 @@ def _options(accuracy: Accuracy, timeline: Timeline) -> dict[str, Any]:
         # Without quadratures in the error control, sensitivities by these two methods can be silently wrong.
         options["quad_err_con"] = True
     return options
+
+
+@dataclass(frozen=True)
+class Embedding:
+    """Meaning of a call in a graph: (parameters, the duration last; quantities of the scene) -> results of a run.
+
+    The quantities do not influence the results; with them a design can rebuild the scene.
+
+    Attributes:
+        integration: method, structure and times.
+        template: the scene with a placeholder for each of its quantities.
+    """
+
+    integration: Integration
+    template: Scene
+
+
+_RUNS: Meanings[Embedding] = Meanings()
+
+
+def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[Column, ...]:
+    """Return the results of a run as expressions of the symbols in its scene.
+
+    Args:
+        solver: the integration.
+        p: its parameters, the duration last.
+        scene: the scene from which they were computed.
+
+    Raises:
+        InputError: the symbols are SX, and the method supports only MX.
+    """
+    template, quantities = template_of(scene)
+    carried = stacked(*quantities)
+    inputs = stacked(*p)
+    if isinstance(inputs, ca.SX) or isinstance(carried, ca.SX):
+        if solver.structure.orbit != "transient":
+            raise InputError("an orbit takes MX symbols only, because it is the root of an equation: use casadi.MX")
+        if not is_stepped(solver.accuracy.method):
+            raise InputError(f"method '{solver.accuracy.method}' takes MX symbols only: use casadi.MX, or use 'dop853'")
+        return tuple(solver.function.call([inputs]))
+    # Quantities are placeholders in the template, so that scenes which differ only in numbers share one Function.
+    layout = (hash(solver.function), _key(template))
+    run = _RUNS.shared(layout, lambda: (_build(solver, carried.numel()), Embedding(solver, template)))
+    return tuple(run.call([inputs, carried]))
+
+
+def labelled(value: Column, scene: Scene) -> Expression:
+    """Return a value with its scene attached as a label if the scene holds MX symbols."""
+    template, quantities = template_of(scene)
+    carried = stacked(*quantities)
+    if isinstance(carried, ca.MX) and is_symbolic(carried):
+        value = ca.MX(value)
+    return attach(value, carried, template, _key(template))
+
+
+def embedding_of(function: ca.Function) -> Embedding | None:
+    """Return what a Function in a graph computes if `embed` made it, else None."""
+    return _RUNS.of(function)
+
+
+def _key(template: Scene) -> Hashable:
+    """Return a key of a template: its repr, the classes in it, and the function of its density profile."""
+    profile = template.soil.density_profile
+    return repr(template), classes_in(template), None if profile is None else id(profile.density)
+
+
+def _build(solver: Integration, count: int) -> ca.Function:
+    p, carried = ca.MX.sym("p", solver.function.numel_in(0)), ca.MX.sym("scene", count)
+    # If a share never leaves equilibrium, its results are zero by structure. Made dense, they keep the call in the
+    # graph, and with it the scene.
+    results = [ca.densify(result) for result in solver.function.call([p])]
+    names = ["parameters", "scene"], ["states", "means", "variances"]
+    return ca.Function("run", [p, carried], results, *names, {"never_inline": True})
+
+
+Array = NDArray[np.float64]
+
+# Without fused multiply-add the results are equal to those of CasADi's interpreter.
+_FLAGS = ("-O2", "-ffp-contract=off")
+_VARIANTS: tuple[Variant, ...] = (((*_FLAGS, "-fno-semantic-interposition"), ("-lm",)), (_FLAGS, ("-lm",)))
+
+_SOURCE = """
+#include <stdlib.h>
+#include <string.h>
+enum {{ SIGNALS = {count}, SQUARED = {squared}, MOMENTS = SIGNALS + SQUARED, DURATION = {given} }};
+
+/* Interpolates the outputs. Each is read from `count` ends of steps, from `first` on. Each end has four weights: of w
+   and of its rate in w, of w and of its rate in the rate. */
+static double *read(long long outputs, const long long *first, const long long *count, const double *weight,
+                    const double *x, double duration, double *out) {{
+  for (long long o = 0; o < outputs; o++) {{
+    double sum[4] = {{0.0, 0.0, 0.0, 0.0}};
+    const double *end = x + 2 * first[o];
+    for (long long n = count[o]; n > 0; n--, end += 2, weight += 4)
+      for (int j = 0; j < 4; j++) sum[j] += end[j % 2] * weight[j];
+    *out++ = sum[0] + duration * sum[1];
+    *out++ = sum[2] / duration + sum[3];
+  }}
+  return out;
+}}
+
+static void average(long long steps, const double *span, const double *moments, double *mean, double *variance) {{
+  memset(mean, 0, SIGNALS * sizeof(double));
+  memset(variance, 0, SQUARED * sizeof(double));
+  for (long long k = 0; k < steps; k++)
+    for (int j = 0; j < SIGNALS; j++) mean[j] += moments[MOMENTS * k + j] * span[2 * k + 1];
+  for (long long k = 0; k < steps; k++)
+    for (int j = 0; j < SQUARED; j++) {{
+      const double drift = moments[MOMENTS * k + j] - mean[j];
+      variance[j] += (moments[MOMENTS * k + SIGNALS + j] + drift * drift) * span[2 * k + 1];
+    }}
+}}
+
+/* Writes the states at the outputs, the means and the mean squares about them. Returns 1 if out of memory. */
+CASADI_SYMBOL_EXPORT int motion_follow(long long steps, long long outputs, const double *span, const long long *first,
+    const long long *count, const double *weight, const double *p, double *out) {{
+  double *x = malloc((2 * (steps + 1) + MOMENTS * steps) * sizeof(double));
+  if (!x) return 1;
+  double *moments = x + 2 * (steps + 1), *into[{sz_res}] = {{x}}, work[{sz_w}];
+  const double *given[{sz_arg}] = {{p}};
+  casadi_int places[{sz_iw}];
+  motion_start(given, into, places, work, 0);
+  for (long long k = 0; k < steps; k++) {{
+    given[0] = x + 2 * k;
+    given[1] = span + 2 * k;
+    given[2] = p;
+    into[0] = x + 2 * (k + 1);
+    into[1] = moments + MOMENTS * k;
+    motion_step(given, into, places, work, 0);
+  }}
+  out = read(outputs, first, count, weight, x, p[DURATION], out);
+  average(steps, span, moments, out, out + SIGNALS);
+  free(x);
+  return 0;
+}}
+"""
+
+
+class CompiledSteps:
+    """Integration of a structure's equation by steps of order 8 in machine code."""
+
+    def __init__(self, structure: Structure, loaded: ctypes.CDLL) -> None:
+        """Wrap a loaded library that was compiled for the structure."""
+        self._observed = signals(structure)
+        self._follow = loaded.motion_follow
+        self._follow.argtypes = [*[ctypes.c_longlong] * 2, *[ctypes.c_void_p] * 6]
+
+    def __call__(self, timeline: Timeline, p: list[float]) -> tuple[Array, Array, Array] | None:
+        """Return the states at the outputs (a row each), means and mean squares; None if any is not finite.
+
+        Args:
+            timeline: steps and outputs, not aligned.
+            p: the equation's parameters with the duration last.
+
+        Raises:
+            MemoryError: there is not enough memory for the steps.
+        """
+        (arrays, addresses), given = _times(timeline), np.array(p)
+        end = 2 * len(timeline.output_fractions)
+        found = np.empty(end + self._observed.count + self._observed.squared)
+        if self._follow(len(arrays[0]), end // 2, *addresses, given.ctypes.data, found.ctypes.data):
+            raise MemoryError(f"not enough memory for the states at the ends of {timeline.steps} steps")
+        if not np.isfinite(found).all():
+            return None
+        averages = end + self._observed.count
+        return found[:end].reshape(-1, 2), found[end:averages], found[averages:]
+
+
+@lru_cache(maxsize=64)
+def compiled_steps(structure: Structure) -> CompiledSteps | None:
+    """Return a structure's steps in machine code, compiled or from the user's cache; None without a compiler."""
+    path = library(_source(structure), _VARIANTS, ("motion_follow",))
+    return None if path is None else CompiledSteps(structure, ctypes.CDLL(str(path)))
+
+
+def _source(structure: Structure) -> str:
+    one, observed = step(structure), signals(structure)
+    p, known = observed.symbols(ca.SX)
+    first = ca.densify(ca.SX(start_state(structure, known)))
+    functions = (
+        ca.Function("motion_start", [p], [first]),
+        ca.Function("motion_step", one.sx_in(), one.call(one.sx_in())),
+    )
+    generator = ca.CodeGenerator("motion.c")
+    for function in functions:
+        generator.add(function)
+    # Work memory for functions that an own effect calls, such as a lookup table.
+    sizes = {size: max(1, *(getattr(f, size)() for f in functions)) for size in ("sz_arg", "sz_res", "sz_iw", "sz_w")}
+    own = _SOURCE.format(count=observed.count, squared=observed.squared, given=len(observed.parameters), **sizes)
+    return str(generator.dump()) + own
+
+
+@lru_cache(maxsize=256)
+def _times(timeline: Timeline) -> tuple[list[NDArray[Any]], list[int]]:
+    """Return the arrays of a timeline for C, and their addresses.
+
+    They hold the spans of the steps and, for each output, the first end that it is read from, the number of ends, and
+    their weights.
+    """
+    read, nodes = readings(timeline), timeline.nodes
+    pattern = read.w_by_w.sparsity()
+    # The ends from which an output is read are consecutive.
+    starts = np.array(pattern.colind(), dtype=np.int64)
+    arrays = [
+        np.column_stack([nodes[:-1], np.diff(nodes)]),
+        np.array(pattern.row(), dtype=np.int64)[starts[:-1]],
+        np.diff(starts),
+        np.column_stack([part.nonzeros() for part in read]),
+    ]
+    return arrays, [array.ctypes.data for array in arrays]
+
+
+# An absolute tolerance follows from the expected size of a quantity. It leaves too few digits if the quantity turns out
+# smaller than this part of it.
+_TOO_SMALL = 0.03
+# Bisection for the time at which a motion fails ends at this relative interval, and at this part of the duration.
+_FAILURE_INTERVAL = 2e-4
+_EARLIEST_FAILURE = 1e-9
+# It is done with this tolerance and this limit on the steps, with which a motion without an end fails sooner.
+_COARSE_TOLERANCE = 1e-4
+_COARSE_STEPS = 10_000
+
+
+@dataclass(frozen=True)
+class Case:
+    """A numeric scene and a duration, prepared once for all integrations of them.
+
+    Attributes:
+        scene: the scene.
+        duration: simulated time [s].
+        outputs: number of intervals between output times.
+        structure: what the equation of motion contains.
+        p: the equation's parameters by name.
+        code: compiled steps of order 8, if requested and available.
+        event_refinement: factor on the number of outputs of a motion with events, so that none goes unnoticed.
+        explained: whether an integration that fails looks for the time and the cause.
+    """
+
+    scene: Scene
+    duration: float
+    outputs: int
+    structure: Structure
+    p: dict[str, float]
+    code: CompiledSteps | None = None
+    event_refinement: int = 1
+    explained: bool = True
+
+    @classmethod
+    def of(cls, scene: Scene, duration: float, outputs: int, *, compiled: bool = False) -> Case:
+        """Return the case of a scene; compile its steps if requested and possible.
+
+        Raises:
+            InputError: a quantity of the scene is an array.
+        """
+        structure = Structure.of(scene)
+        code = compiled_steps(structure) if compiled and scene.effects.motion and structure.stepped else None
+        return cls(scene, duration, outputs, structure, numbers_of(scene, structure), code)
+
+    @property
+    def output_factor(self) -> int:
+        """Factor on the requested outputs that are computed, because events between distant outputs go unnoticed."""
+        return self.event_refinement * -(-OUTPUTS // self.outputs) if self.structure.events else 1
+
+    @cached_property
+    def rate(self) -> float:
+        """Angular frequency of the fastest oscillation, or rate of decay if that is faster [rad/s]."""
+        return fastest_rate(self.p)
+
+    @property
+    def phase(self) -> float:
+        """Phase of the fastest oscillation over the run [rad]."""
+        return self.rate * self.duration
+
+
+@dataclass(frozen=True)
+class Integrated:
+    """The run of one integration.
+
+    Attributes:
+        run: the run, with `Case.output_factor` times the requested outputs.
+        sizes: of the quantities to which an adaptive method relates its tolerance (see `Sized`); None for others. A
+            similar integration can use them.
+    """
+
+    run: Run
+    sizes: Array | None = None
+
+
+def integrate(case: Case, accuracy: Accuracy, sizes: Array | None = None, *, perturbation: float = 0.0) -> Integrated:
+    """Integrate a case by a method.
+
+    Args:
+        case: scene and duration.
+        accuracy: method and setting.
+        sizes: `Integrated.sizes` of a similar run. Without them an adaptive method uses the expected sizes; if it finds
+            far smaller ones, which then have few digits, it integrates again with these.
+        perturbation: relative change of the parameters, alternately up and down.
+
+    Raises:
+        IntegrationError: the method failed; the message names the scene, the time and the likely cause.
+        MissedEvent: the method missed an event.
+    """
+    scene, duration = case.scene, case.duration
+    refuse_runaway(scene, duration)
+    outputs = case.outputs * case.output_factor
+    steps = accuracy.steps or max(outputs, OUTPUTS)
+    if accuracy.adaptive:
+        steps = most_steps(case.phase)
+    timeline = timeline_of(scene, duration, outputs, steps, accuracy.method)
+    values = [case.p[name] for name in signals(case.structure).parameters]
+    p = [*(value * (1.0 + perturbation * (-1.0) ** k) for k, value in enumerate(values)), duration]
+    if case.code is not None and accuracy.order_8 and (found := case.code(timeline, p)) is not None:
+        return Integrated(_assembled(case, timeline, found, accuracy))
+    solver = integration(case.structure, accuracy, timeline)
+    results, sizes = _sized(solver.sized, p, sizes) if solver.sized else (_attempt(solver.function, p), None)
+    if results is None:
+        _raise_failure(case, solver, p)
+    states, means, variances = results
+    run = _assembled(case, timeline, (states.T, means.ravel(), variances.ravel()), accuracy)
+    if isinstance(scene.effects.contact, StickSlip):
+        refuse_missed_event(run)
+        refuse_weak_rest(scene, run)
+    return Integrated(run, sizes)
+
+
+def _assembled(case: Case, timeline: Timeline, found: tuple[Array, Array, Array], accuracy: Accuracy) -> Run:
+    """Return the run of (states with a row for each output, means of the signals, mean squares about them)."""
+    fractions, known = timeline.output_fractions, (case.structure, case.p)
+    return assemble(case.scene, case.duration, fractions, *found, accuracy, known)
+
+
+def thinned(run: Run, outputs: int) -> Run:
+    """Return a run with fewer equal intervals between outputs; the run must have a multiple of them."""
+    every = (len(run.time) - 1) // outputs
+    if every == 1:
+        return run
+    return replace(run, **{name: getattr(run, name)[::every] for name in ARRAYS})
+
+
+def _sized(sized: Sized, p: list[float], sizes: Array | None) -> tuple[list[Array] | None, Array | None]:
+    """Return the results of an adaptive method (None if it failed) and the sizes of their quantities."""
+    expected = sized.expected(p).full().ravel()
+    results = _attempt(sized.function, p, expected if sizes is None else sizes)
+    if results is None:
+        return None, None
+    found = _sizes(results, expected)
+    if sizes is None and np.any(found < expected):
+        results = _attempt(sized.function, p, found)
+        if results is not None:
+            found = _sizes(results, expected)
+    return results, found
+
+
+def _sizes(results: list[Array], expected: Array) -> Array:
+    """Return the expected sizes, replaced by the true ones where these are far smaller."""
+    states, means, variances = results
+    rms = np.sqrt(np.maximum(variances.ravel(), 0.0))
+    averages = np.abs(means.ravel())
+    averages[: rms.size] += rms
+    found = np.concatenate([np.abs(states[:2]).max(axis=1), averages, rms])
+    return np.where((found > 0.0) & (found < _TOO_SMALL * expected), found, expected)
+
+
+def _raise_failure(case: Case, solver: Integration, p: list[float]) -> NoReturn:
+    """Raise the IntegrationError that says when and why an integration failed."""
+    scene, duration = case.scene, case.duration
+    if scene.effects.orbit != "transient":
+        raise IntegrationError(
+            f"no periodic orbit of a {scene.describe()} was found from its linear response: damp the mount, or use"
+            " orbit = 'transient' to see whether the motion settles"
+        )
+    if not case.explained:
+        raise IntegrationError(f"the motion of a {scene.describe()} could not be integrated")
+    used = solver.accuracy, solver.timeline.outputs
+    raise failed_by(scene, duration, used, *_until_failure(case, solver, p))
+
+
+def _until_failure(case: Case, solver: Integration, p: list[float]) -> tuple[Run | None, float]:
+    """Return the motion until shortly before the integration fails, and the time from there to the failure [s]."""
+    method: str = "rosenbrock" if case.phase > STIFF_PHASE else "erk"
+    coarse = Accuracy(method, tolerance=_COARSE_TOLERANCE)
+    timeline = timeline_of(case.scene, case.duration, OUTPUTS, _COARSE_STEPS, method)
+    coarse_solver = integration(case.structure, coarse, timeline)
+    if _attempt(coarse_solver.function, p) is None:
+        solver = coarse_solver
+    reached, failed = 0.0, case.duration
+    last: list[Array] | None = None
+    while failed - reached > failed * _FAILURE_INTERVAL and failed > _EARLIEST_FAILURE * case.duration:
+        middle = (reached + failed) / 2.0
+        results = _attempt(solver.function, [*p[:-1], middle])
+        if results is None:
+            failed = middle
+        else:
+            reached, last = middle, results
+    if last is None:
+        return None, failed
+    states, means, variances = last
+    until = replace(case, duration=reached)
+    found = states.T, means.ravel(), variances.ravel()
+    with np.errstate(all="ignore"):  # steps that are too long may give any numbers
+        return _assembled(until, solver.timeline, found, solver.accuracy), failed - reached
+
+
+def _attempt(function: Any, *inputs: list[float] | Array) -> list[Array] | None:
+    """Return the results of a Function, or None if it failed or they are not finite."""
+    given = [np.array(values) for values in inputs]
+    untyped: Any = function.buffer()  # CasADi's type stubs do not accept arrays
+    buffer, evaluate = untyped
+    for k, values in enumerate(given):
+        buffer.set_arg(k, values.data)
+    # CasADi does not write a result that is zero by structure.
+    results = [np.zeros(function.size_out(k), order="F") for k in range(function.n_out())]
+    for k, result in enumerate(results):
+        if function.nnz_out(k) == result.size:
+            buffer.set_res(k, result.ravel(order="K").data)
+    try:
+        evaluate()
+    except RuntimeError:
+        return None
+    valid = buffer.ret() == 0 and all(np.isfinite(result).all() for result in results)
+    return results if valid else None

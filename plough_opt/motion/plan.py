@@ -11,12 +11,11 @@ import numpy as np
 from plough_opt.core.checks import check_domain
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_symbolic, maximum, sqrt
-from plough_opt.motion.accuracy import DEFAULT_DERIVATIVES, DEFAULT_TOLERANCE, Accuracy
 from plough_opt.motion.effects import TERMS, Own, Smooth, slopes
-from plough_opt.motion.methods import METHODS, ORDER_8
+from plough_opt.motion.equation import Structure, lightest_mass, parameters
+from plough_opt.motion.methods import DEFAULT_DERIVATIVES, DEFAULT_TOLERANCE, METHODS, ORDER_8, Accuracy
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.terms import Structure, lightest_mass, parameters
-from plough_opt.motion.timeline import Timeline
+from plough_opt.motion.steps import Timeline
 
 OUTPUTS = 400
 """Default number of intervals between output times."""

@@ -9,21 +9,39 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_domain
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Column, Expression, is_casadi
+from plough_opt.core.expressions import Column, Expression, column, is_casadi, rms, where
 from plough_opt.core.files import drawn, from_above
+from plough_opt.core.labels import unlabelled
+from plough_opt.core.plain_data import Complex, MaybeInfinite
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, data_frame
-from plough_opt.motion.accuracy import Accuracy
-from plough_opt.motion.averages import Averages, Checks, Settled
-from plough_opt.motion.scene import Scene
-from plough_opt.motion.scene_quantities import quantities_of
+from plough_opt.motion.effects.terms import Parameters
+from plough_opt.motion.equation import (
+    GAP,
+    SLIP,
+    STICK,
+    Structure,
+    carried_mass,
+    inertia_at,
+    parameters,
+    pull,
+    resistance,
+    start_force,
+    start_rate,
+    start_speed,
+    strut,
+)
+from plough_opt.motion.methods import Accuracy
+from plough_opt.motion.scene import Scene, quantities_of
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
+
 
 OUTPUTS: Final = {
     "time": "s", "travel": "m", "speed": "m/s", "deflection": "m", "mount_force": "N", "soil_resistance": "N",
@@ -348,3 +366,151 @@ def response_table(runs: Mapping[str, Any], origin: Origin) -> Grid:
 def _result(run: Any, name: str) -> float:
     """Return a result of a run, or of its scene if the run does not have it."""
     return float(getattr(run if hasattr(type(run), name) else run.scene, name))
+
+
+@dataclass(frozen=True)
+class Settled:
+    """Motion to which a share settles from equilibrium.
+
+    Attributes:
+        orbit: whether it is the periodic orbit; None if the share has not settled within the simulated wavelengths.
+        wavelengths: number of simulated wavelengths.
+        period: period of the motion in wavelengths; None if it does not repeat itself.
+        force_rms: RMS of the mount force [N] of that motion.
+        averaged: number of wavelengths in that RMS: the period, or the last simulated ones without a period.
+        distance: distance from the orbit at the end, relative to half the range of the orbit [-].
+        retreats: whether the share moves backwards in that motion.
+    """
+
+    orbit: bool | None
+    wavelengths: int
+    period: int | None
+    force_rms: float
+    averaged: int
+    distance: float
+    retreats: bool
+
+    @property
+    def text(self) -> str:
+        """Predicate of a sentence about a share that starts from equilibrium."""
+        after, back = f"after {self.wavelengths} wavelengths", ", in which it retreats" if self.retreats else ""
+        if self.orbit:
+            return f"comes to this orbit ({after} it is within {100.0 * self.distance:.1g} % of the orbit's range)"
+        if self.orbit is None:
+            return f"has not settled {after}; RMS over the last {self.averaged}: {self.force_rms:.4g} N{back}"
+        if self.period is None:
+            return f"is driven away without bound (within {self.wavelengths} wavelengths)"
+        kind = "another motion of the wave's own period" if self.period == 1 else f"a period-{self.period} motion"
+        return f"comes to {kind} of RMS {self.force_rms:.4g} N{back} ({after})"
+
+
+@dataclass(frozen=True)
+class Averages:
+    """Time averages of a run. Each RMS is the standard deviation about the mean.
+
+    Attributes:
+        mean_draft: mean of the mount force P [N].
+        force_rms: RMS of P [N].
+        mean_deflection: mean of the spring's deflection z [m].
+        displacement_rms: RMS of z [m].
+        tow_power: mean of P s' [W].
+    """
+
+    mean_draft: Expression
+    force_rms: Expression
+    mean_deflection: Expression
+    displacement_rms: Expression
+    tow_power: Expression
+
+
+@dataclass(frozen=True)
+class Checks:
+    """Error estimate, computing time and warnings of a numeric run.
+
+    Attributes:
+        error_estimate: estimated relative error [-] of every result: see `plough_opt.simulate`.
+        seconds: computing time [s].
+        notes: warnings about this run, besides those about its scene.
+        floquet: Floquet multipliers of a periodic orbit [-].
+        settles: for a periodic orbit, the motion to which a share settles from equilibrium.
+    """
+
+    error_estimate: MaybeInfinite
+    seconds: float
+    notes: tuple[str, ...]
+    floquet: tuple[Complex, ...] = ()
+    settles: Settled | None = None
+
+
+def assemble(
+    scene: Scene,
+    duration: Expression,
+    fractions: NDArray[np.float64],
+    states: Column,
+    means: Column,
+    variances: Column,
+    accuracy: Accuracy,
+    known: tuple[Structure, Parameters] | None = None,
+) -> Run:
+    """Return the run that belongs to integrated changes since the start.
+
+    Args:
+        scene: the scene, numeric or symbolic.
+        duration: simulated time [s].
+        fractions: output times as fractions of the duration.
+        states: states (w, w', ...) in columns, a row for each output.
+        means: means of the signals of `plough_opt.motion.equation`.
+        variances: mean squares about the mean of those signals that have an RMS.
+        accuracy: method and setting used.
+        known: structure and parameters of the scene, if they have been computed before.
+    """
+    structure, p = known or (Structure.of(scene), parameters(scene))
+    if structure.entry:
+        p = {**p, "behind": states[:, 2], "entered": states[:, 4]}
+    time = column(fractions, is_casadi(states)) * duration
+    w, rate = states[:, 0], states[:, 1]
+    mount, initial_speed = strut(structure, p, time), start_speed(structure, p)
+    gain = mount.gain - rate
+    first = start_force(structure, p)
+    deflection = first / p["stiffness"] + w
+    travel = mount.path - deflection
+    force = first + pull(structure, p, w, rate)
+    soil = resistance(structure, p, travel, initial_speed + gain)
+    acceleration = (force - soil) / inertia_at(structure, p, travel)
+    carried = carried_mass(structure, p, travel) if structure.events else _added_mass(scene)
+    soil = soil + carried * acceleration
+    speed, opening = initial_speed + gain, 0.0 * w + 0.0
+    mode = opening
+    if structure.sticks:
+        opening, mode = states[:, 2], states[:, 3]
+        if not is_casadi(mode):
+            # An implicit method solves for the mode too, which leaves rounding errors in it.
+            mode = np.round(mode)
+        speed = where((mode - STICK) ** 2 < (SLIP - STICK) ** 2 / 4.0, 0.0, speed)
+        soil = where(mode < (SLIP + STICK) / 2.0, soil, where(mode < (STICK + GAP) / 2.0, force, 0.0))
+    averages = averages_of(scene, structure, p, first, means, variances)
+    return Run(scene, duration, time, travel, speed, deflection, force, soil, opening, mode, averages, accuracy)
+
+
+def _added_mass(scene: Scene) -> Expression:
+    """Return the added mass [kg] without a label, for the run is checked together with its scene."""
+    with unlabelled():
+        return scene.reaction.added_mass
+
+
+def averages_of(
+    scene: Scene, structure: Structure, p: Parameters, first: Expression, means: Column, variances: Column
+) -> Averages:
+    """Return the averages of a run from its first force [N] and those of its changes since then: see `assemble`."""
+    with unlabelled():
+        scale = scene.steady_resistance
+    displacement_rms = rms(variances[0], scale / scene.stiffness)
+    if structure.damper:
+        mean_draft = first + pull(structure, p, 0.0, start_rate(structure, p)) + means[1]
+        force_rms = rms(variances[1], scale)
+    else:
+        mean_draft = first + p["stiffness"] * means[0]
+        force_rms = scene.stiffness * displacement_rms
+    mean_deflection = first / p["stiffness"] + means[0]
+    tow_power = means[-1] if structure.ramp else mean_draft * p["tow_speed"]
+    return Averages(mean_draft, force_rms, mean_deflection, displacement_rms, tow_power)

@@ -10,7 +10,7 @@ from plough_opt.core.expressions import is_count
 from plough_opt.core.quantities import IN_FILES, READINGS, quantities
 from plough_opt.core.units import Display, display_of
 from plough_opt.laws.law import ResistanceLaw
-from plough_opt.motion.accuracy import Accuracy
+from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.vocabulary import Measure
 from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.problem_file.problem import TRADED, Problem

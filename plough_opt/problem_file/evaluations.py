@@ -11,8 +11,8 @@ import numpy as np
 
 from plough_opt.core.expressions import Expression, stacked
 from plough_opt.motion import Run
-from plough_opt.motion.accuracy import DEFAULT_ERROR
 from plough_opt.motion.batch import Batch
+from plough_opt.motion.methods import DEFAULT_ERROR
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file.own_measures import measures_of

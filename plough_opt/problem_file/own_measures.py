@@ -16,7 +16,7 @@ from plough_opt.core.expressions import Expression
 from plough_opt.core.quantities import EVERY, QUANTITIES
 from plough_opt.core.units import Unit, registry
 from plough_opt.motion import Run
-from plough_opt.motion.scene_quantities import quantity_of
+from plough_opt.motion.scene import quantity_of
 from plough_opt.motion.vocabulary import MEASURES, Measure
 from plough_opt.problem_file.schema import ProblemTable
 from plough_opt.problem_file.source import Source

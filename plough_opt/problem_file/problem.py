@@ -18,8 +18,8 @@ from plough_opt.design.effort import Search
 from plough_opt.design.tolerance import Judge
 from plough_opt.exchange.component import Component, Input, build
 from plough_opt.motion import Run, simulate
-from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.machine import Machine
+from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import Measure
 from plough_opt.problem_file.interface import input_ports, wanted_outputs

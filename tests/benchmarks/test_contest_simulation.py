@@ -10,7 +10,7 @@ from helpers.scenes import R1_RUNS
 from peers import r1
 
 import plough_opt as po
-from plough_opt.motion.terms import parameters
+from plough_opt.motion.equation import parameters
 
 pytestmark = [pytest.mark.bench, pytest.mark.filterwarnings("ignore")]
 

@@ -9,7 +9,7 @@ import pytest
 
 import plough_opt as po
 from plough_opt.design.program import Program
-from plough_opt.motion import integrators, runge_kutta
+from plough_opt.motion import integrators, steps
 
 pytestmark = pytest.mark.bench
 
@@ -20,7 +20,7 @@ NOTHING = np.empty(0)
 
 def _forget():
     """Empty every cache, so that the next simulation builds its graphs like the first one."""
-    for module in (integrators, runge_kutta):
+    for module in (integrators, steps):
         for member in vars(module).values():
             getattr(member, "cache_clear", lambda: None)()
 

@@ -5,8 +5,7 @@ import pytest
 
 import plough_opt as po
 from plough_opt.motion.batch import many_runs
-from plough_opt.motion.equation import signals
-from plough_opt.motion.terms import Structure, parameters
+from plough_opt.motion.equation import Structure, parameters, signals
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 from helpers.scenes import assert_alike, results_of
 
 import plough_opt as po
-from plough_opt.motion.compiled_steps import compiled_steps
+from plough_opt.motion.integrators import compiled_steps
 
 
 def test_every_combination_of_effects(r1_scene, effects):

@@ -13,8 +13,7 @@ import pytest
 from helpers import three_modes
 
 import plough_opt as po
-from plough_opt.motion.equation import equation_of_motion, signals
-from plough_opt.motion.terms import Structure, parameters
+from plough_opt.motion.equation import Structure, equation_of_motion, parameters, signals
 
 SHARE = po.Wedge(po.deg(45.0), po.deg(15.0), 0.25)
 FACTORS = {

@@ -15,8 +15,8 @@ from helpers import wild_scenes
 from helpers.scenes import AVERAGES, scene_of
 
 import plough_opt as po
-from plough_opt.motion import verified
-from plough_opt.motion.estimate import difference
+from plough_opt.motion import simulation
+from plough_opt.motion.checks import difference
 from plough_opt.studies.accuracy.reference import reference_run
 
 # Estimated error above which a reference is rejected, such as that of forces that are only the rounding of a travel.
@@ -221,13 +221,13 @@ FEW = 400
 @pytest.mark.parametrize("seed", [49, 183, 340, 377, 391])
 def test_a_looser_error_takes_no_more_steps(monkeypatch, seed):
     scene, duration, _ = wild_scenes.sampled(seed)
-    taken, integrate = [], verified.integrate
+    taken, integrate = [], simulation.integrate
 
     def counted(case, accuracy, *given, **named):
         taken.append(accuracy.steps or math.inf)
         return integrate(case, accuracy, *given, **named)
 
-    monkeypatch.setattr(verified, "integrate", counted)
+    monkeypatch.setattr(simulation, "integrate", counted)
     steps = []
     for error in ERRORS:
         taken.clear()

@@ -17,7 +17,7 @@ from helpers.scenes import scene_of
 from scipy.interpolate import CubicHermiteSpline
 
 import plough_opt as po
-from plough_opt.motion import estimate
+from plough_opt.motion import checks
 
 STIFFNESS, SPEED = 5e4, 2.0
 TIGHT = po.Accuracy("erk", tolerance=1e-13)
@@ -118,7 +118,7 @@ def test_a_warning_names_the_first_touch():
     assert f"t = {duration(1.0):.2g}" in text
     assert "has no derivative, and derivatives are those of slipping on" in text
     # A stop that was not noticed there changes the speed by as much as its error; outputs add 5e-11 to that.
-    assert estimate.unnoticed_stops(run, run.scene.natural_frequency, 1e-5) == pytest.approx(1e-5, rel=1e-4)
+    assert checks.unnoticed_stops(run, run.scene.natural_frequency, 1e-5) == pytest.approx(1e-5, rel=1e-4)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -128,7 +128,7 @@ def test_a_speed_is_least_where_its_cubic_between_two_outputs_is(seed):
     speed, slope = rng.uniform(-1.0, 1.0, 2), rng.uniform(0.1, 2.0, 2) * (-1.0, 1.0)
     cubic = CubicHermiteSpline([0.0, 1.0], speed, slope)
     turns = [x for x in cubic.derivative().roots(extrapolate=False) if cubic(x, 2) > 0.0]
-    assert estimate._minimum(speed, slope) == pytest.approx(turns[0], rel=1e-12)
+    assert checks._minimum(speed, slope) == pytest.approx(turns[0], rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.motion.estimate import difference
+from plough_opt.motion.checks import difference
 
 CASES = {
     "damped": {"damping": 400.0},

@@ -12,7 +12,7 @@ from helpers.scenes import Own, Shank, scene_of
 
 import plough_opt as po
 from plough_opt.core.expressions import Expression, exp, where
-from plough_opt.motion import verified
+from plough_opt.motion import simulation
 from plough_opt.studies.accuracy.reference import reference_run
 
 WAVE = po.StrengthWave(0.3, 0.2)
@@ -91,13 +91,13 @@ def test_a_named_method_checks_itself_where_steps_of_order_8_are_too_long():
 def test_a_jump_leaves_equal_steps_for_a_method_that_finds_it(start, at, monkeypatch):
     jump = {"speed": lambda travel, speed: 0.0 * travel - 500.0 * where(speed > 1.9, 1.0, 0.5),
             "travel": lambda travel, speed: 500.0 * where(travel > 0.5, 1.0, 0.5) + 0.0 * speed}[at]  # fmt: skip
-    scene, counted, integrate = scene_of(own=(Own(jump),), start=start, strength_wave=WAVE), [], verified.integrate
+    scene, counted, integrate = scene_of(own=(Own(jump),), start=start, strength_wave=WAVE), [], simulation.integrate
 
     def count(case, accuracy, *given, **named):
         counted.append(accuracy.steps or 0)
         return integrate(case, accuracy, *given, **named)
 
-    monkeypatch.setattr(verified, "integrate", count)
+    monkeypatch.setattr(simulation, "integrate", count)
     run = po.simulate(scene, 1.0)
     switch = {"speed": lambda _, __, speed: speed - 1.9, "travel": lambda _, travel, __: travel - 0.5}[at]
     size = -500.0 if at == "speed" else 500.0

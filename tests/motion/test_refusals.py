@@ -18,7 +18,7 @@ from plough_opt.core.expressions import where
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.laws import McKyesAli, SwickPerumpral
 from plough_opt.motion.methods import METHODS, adaptive, fixed_step
-from plough_opt.motion.scene_quantities import with_quantities
+from plough_opt.motion.scene import with_quantities
 from plough_opt.soil import elastic
 
 STRONG = replace(SEROZEM, cohesion=1e6)

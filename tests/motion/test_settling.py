@@ -6,7 +6,7 @@ from helpers.orbit_oracle import follow, period
 from helpers.scenes import scene_of
 
 import plough_opt as po
-from plough_opt.motion import settling
+from plough_opt.motion import orbit
 
 # The orbit is stable (its larger multiplier is 0.73) and never retreats, but equilibrium leads to another motion.
 TWO_MOTIONS = scene_of(
@@ -90,7 +90,7 @@ def test_a_share_near_an_unstable_orbit_is_followed_for_the_stated_time():
     found = run.settles
     assert max(map(abs, run.floquet)) > 1.5
     assert found.orbit is not True
-    assert found.wavelengths * run.accuracy.steps <= settling.MOST_STEPS + 32 * run.accuracy.steps
+    assert found.wavelengths * run.accuracy.steps <= orbit.MOST_STEPS + 32 * run.accuracy.steps
     if found.orbit is None:
         assert f"has not settled after {found.wavelengths} wavelengths" in found.text
         assert found.averaged == 256

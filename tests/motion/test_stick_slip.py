@@ -9,7 +9,7 @@ from helpers import three_modes
 from helpers.scenes import BLUNT, R1_SOIL, SHARP, scene_of
 
 import plough_opt as po
-from plough_opt.motion.judgement import refuse_missed_event
+from plough_opt.motion.checks import refuse_missed_event
 
 
 def wave(amplitude, wavelength=0.6):

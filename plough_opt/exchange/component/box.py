@@ -12,9 +12,9 @@ from plough_opt.core.checks import LEAST
 from plough_opt.core.errors import DomainError, PloughError
 from plough_opt.exchange.component.ports import corner_points, interior_points, point_text
 from plough_opt.exchange.component.scenes import Resolution, Results, Scenes
-from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
+from plough_opt.motion.checks import refuse_runaway
 from plough_opt.motion.derivatives import derivative_error
-from plough_opt.motion.judgement import refuse_runaway
+from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.plan import forced_rate, numbers_of, phase, steps_for
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 

@@ -15,7 +15,7 @@ from plough_opt.exchange.component.ports import Input, Output, Port, check_names
 from plough_opt.exchange.component.scenes import MakeScene, Scenes
 from plough_opt.exchange.named_scene import NamedScene
 from plough_opt.motion import OUTPUTS
-from plough_opt.motion.accuracy import Accuracy
+from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.scene import Scene
 
 _Request = TypeVar("_Request", Input, Output)

@@ -15,7 +15,7 @@ from plough_opt.core.checks import Limit, shown
 from plough_opt.core.errors import DomainError, InputError, nearest
 from plough_opt.core.expressions import Expression, as_number, is_casadi, is_symbolic
 from plough_opt.exchange.component.ports import Port, point_text
-from plough_opt.motion.accuracy import Accuracy
+from plough_opt.motion.methods import Accuracy
 
 # A number may lie outside its bounds by this part of their distance, because conversion of units rounds.
 _SLACK = 1e-9

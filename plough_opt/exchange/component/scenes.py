@@ -19,13 +19,14 @@ from plough_opt.core.labels import limits_of_laws
 from plough_opt.core.quantities import BESIDE
 from plough_opt.exchange.component.ports import Port
 from plough_opt.motion import Run
-from plough_opt.motion.accuracy import Accuracy
-from plough_opt.motion.assembly import assemble, quasi_static
+from plough_opt.motion.equation import Structure, parameters
 from plough_opt.motion.integrators import Integration, integration
+from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.plan import timeline_of
+from plough_opt.motion.run import assemble
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.terms import Structure, parameters
-from plough_opt.motion.timeline import Timeline
+from plough_opt.motion.simulation import quasi_static
+from plough_opt.motion.steps import Timeline
 
 MakeScene = Callable[[Mapping[str, Expression]], tuple[Scene, Expression | None]]
 """Values of the inputs by name, numbers or symbols -> scene and duration [s] or None."""

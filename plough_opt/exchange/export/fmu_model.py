@@ -17,8 +17,8 @@ from plough_opt.core.expressions import Column, is_quantity, template_of
 from plough_opt.core.quantities import EVERY
 from plough_opt.exchange.export.fmu_share import Share
 from plough_opt.exchange.named_scene import NamedScene
+from plough_opt.motion.equation import Structure, parameters
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.terms import Structure, parameters
 from plough_opt.soil.geometry import Wedge
 
 KINDS: Final = {

@@ -9,10 +9,11 @@ whether an entering share is wholly in the soil.
 import casadi as ca
 
 from plough_opt.core.expressions import Column, Expression, absolute, where
-from plough_opt.motion.effects.term import Parameters
-from plough_opt.motion.equation import GAP, SLIP, STICK
-from plough_opt.motion.scene import Scene
-from plough_opt.motion.terms import (
+from plough_opt.motion.effects.terms import Parameters
+from plough_opt.motion.equation import (
+    GAP,
+    SLIP,
+    STICK,
     Structure,
     carried_mass,
     hold,
@@ -24,6 +25,7 @@ from plough_opt.motion.terms import (
     start_speed,
     strut,
 )
+from plough_opt.motion.scene import Scene
 
 # Speeds below this part of the scene's speed, and distances below this part of the share's height, are rounding.
 _ROUNDING = 1e-12

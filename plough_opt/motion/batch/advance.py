@@ -2,19 +2,419 @@
 
 A step expands w and w' about its start, takes the largest size whose truncated terms stay below the allowed error, ends
 early where the right-hand side changes its formula, and evaluates the series there. The same series give the means and
-variances of the signals. The error of the step is added to those before it by `plough_opt.motion.batch.error_ellipse`.
+variances of the signals.
+
+The errors of the steps add up in the plane of w and w'/s, with the angular frequency s of the mount, where an ellipse
+bounds them. Each step first maps the ellipse by the linearised equation of motion, so that it grows where neighbouring
+motions diverge, turns where they oscillate about each other and shrinks where a damper or the soil lets them decay. It
+then enlarges the ellipse by the step's own error. Errors add as sizes and not as squares, because those of an
+oscillation may all point along its path.
+
+The linear map is the exponential of a Magnus expansion of order 4: Blanes, Casas, Oteo, Ros: The Magnus expansion and
+some of its applications, Physics Reports 470 (2009), section 5.4. The sum of an ellipse and a circle follows
+Kurzhanski, Valyi: Ellipsoidal Calculus for Estimation and Control, 1997, section 2.7.
 """
 
+from __future__ import annotations
+
+import contextlib
 import itertools
 import math
-from functools import reduce
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache, reduce
+from typing import Any
 
 import casadi as ca
+import numpy as np
 
-from plough_opt.motion.batch.error_ellipse import TINY, deviation_map, ellipse_after, largest_squared_error
-from plough_opt.motion.batch.layout import Layout, StepStart
-from plough_opt.motion.batch.series import Switch
-from plough_opt.motion.equation import equation_of_motion, signals
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import Column, Expression, absolute, minimum, stacked, where
+from plough_opt.core.labels import labels_in, without_labels
+from plough_opt.motion.batch.engine import Array
+from plough_opt.motion.batch.series import Graph, Series, Switch, series_of
+from plough_opt.motion.effects import StrengthWaves
+from plough_opt.motion.equation import (
+    Structure,
+    equation_of_motion,
+    parameters,
+    pull,
+    signals,
+    start_deflection,
+    start_force,
+    start_rate,
+)
+from plough_opt.motion.plan import summed_rate
+from plough_opt.motion.scene import Scene
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Positions in the columns of state and parameters.
+
+    The parameters are those of the equation of motion, followed by the end of the tow ramp [s], the duration [s], the
+    longest first step [s], and the error of the deflection [m] that one step may make.
+
+    The state is time [s], w [m], w' [m/s], the averages so far (means, then variances), `Switch.kept` of each switch of
+    the equation, and four numbers for the error so far: the three of the error ellipse, and the time average of the
+    squared error of the mount force over the stiffness (see `plough_opt.motion.batch.advance`).
+
+    Attributes:
+        structure: the terms that are on.
+        names: names of the equation's parameters.
+        averaged: number of signals whose mean is taken: see `plough_opt.motion.equation`.
+        squared: how many of these, from the first, also have a variance.
+        switches: number of switches that select the formula of the equation of motion.
+    """
+
+    structure: Structure
+    names: tuple[str, ...]
+    averaged: int
+    squared: int
+    switches: int
+
+    @classmethod
+    def of(cls, structure: Structure) -> Layout:
+        """Return the layout of a structure."""
+        observed, motion = signals(structure), equation_of_motion(structure)
+        graph, unknown = Graph(), ca.SX.sym("unknown")
+        state, known = [graph.given(unknown) for _ in range(2)], [graph.constant(unknown) for _ in motion.names]
+        series_of(graph, motion.function, [[graph.clock(unknown)], state, known])
+        return cls(structure, observed.parameters, observed.count, observed.squared, len(graph.switches))
+
+    @property
+    def ends(self) -> tuple[int, ...]:
+        """Positions of the end times of the motion's phases: a tow ramp, if there is one, and the rest."""
+        after = len(self.names)
+        return (after, after + 1) if self.structure.ramp else (after + 1,)
+
+    @property
+    def longest_first_step(self) -> int:
+        """Position of the longest first step."""
+        return len(self.names) + 2
+
+    @property
+    def allowed_error(self) -> int:
+        """Position of the error that one step may make."""
+        return len(self.names) + 3
+
+    @property
+    def parameters(self) -> int:
+        """Number of parameters."""
+        return len(self.names) + 4
+
+    @property
+    def states(self) -> int:
+        """Size of the state."""
+        return 7 + self.averaged + self.squared + self.switches
+
+    def value(self, p: ca.SX, name: str) -> ca.SX:
+        """Return a parameter of the equation by its name."""
+        return p[self.names.index(name)]
+
+    def mount_frequency(self, p: ca.SX) -> ca.SX:
+        """Return sqrt(|k|/M), the angular frequency of the share on its mount [rad/s]."""
+        return ca.sqrt(ca.fabs(self.value(p, "stiffness")) / self.value(p, "inertia"))
+
+    def fastest_frequency(self, p: ca.SX) -> ca.SX:
+        """Return the sum of the angular frequencies of the mount and of the fastest strength wave [rad/s]."""
+        known = dict(zip(self.names, ca.vertsplit(p), strict=False))
+        passing: ca.SX = reduce(ca.fmax, StrengthWaves.imposed(known), ca.SX(0)) / 2.0
+        return self.mount_frequency(p) + passing
+
+
+@dataclass(frozen=True)
+class StepStart:
+    """A design at the start of a step, as symbols.
+
+    Attributes:
+        layout: positions in the two columns.
+        state: its state.
+        p: its parameters.
+        ramp_ended: whether the tow ramp is over.
+    """
+
+    layout: Layout
+    state: ca.SX
+    p: ca.SX
+    ramp_ended: bool
+
+    def graph(self, kept: Sequence[ca.SX] = ()) -> Graph:
+        """Return an empty graph of Taylor series in the time since this moment."""
+        return Graph(self.ramp_ended, kept)
+
+    def series(self, graph: Graph, function: ca.Function, motion: list[Series], names: Sequence[str]) -> list[Series]:
+        """Enter a Function of (time, (w, w'), parameters) in a graph and return the series of its results.
+
+        Args:
+            graph: the graph.
+            function: the Function, of SX.
+            motion: the series of w and w'.
+            names: names of the Function's parameters, in order.
+        """
+        known = [graph.constant(self.layout.value(self.p, name)) for name in names]
+        return series_of(graph, function, [[graph.clock(self.state[0])], motion, known])
+
+
+RESULTS = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
+"""Names of the results of each design, before its error."""
+
+# Keeps the allowed error of a step above zero if nothing moves the share.
+_TINY = 1e-300
+
+# The number of steps of a run is estimated as _FEWEST_STEPS + phase / _PHASE_PER_STEP, with the phase in rad.
+_FEWEST_STEPS = 4.0
+_PHASE_PER_STEP = 2.5
+# Part of the wanted error that all steps together may make.
+_MARGIN = 0.8
+# That part is divided by 1 + _CAUTION * (slope of the soil's resistance over stiffness), because such a slope may let
+# errors grow.
+_CAUTION = 4.0
+# Moments of a run at which these slopes are sampled. Multiples of the golden section cover the run evenly.
+_MOMENTS = 8
+_GOLDEN_SECTION = (math.sqrt(5.0) - 1.0) / 2.0
+
+
+@dataclass(frozen=True)
+class StartValues:
+    """Values that the results need besides the averages, in the order in which `setup` returns them.
+
+    Attributes:
+        rate: w' at the start [m/s].
+        phase: of the whole run [rad].
+        force: mount force at the start [N].
+        deflection: of the spring at the start [m].
+        tow_speed: of the strut, after a ramp [m/s].
+        stiffness: of the mount [N/m].
+        restoring: the same, negative for a repelling spring [N/m].
+    """
+
+    rate: Column
+    phase: Column
+    force: Column
+    deflection: Column
+    tow_speed: Column
+    stiffness: Column
+    restoring: Column
+
+    def results(self, layout: Layout, state: Array) -> Array:
+        """Return `RESULTS` and the relative error, a row each.
+
+        Args:
+            layout: of the state.
+            state: at the end, from the means on, a row each.
+        """
+        means, variances = state[: layout.averaged], state[layout.averaged : layout.averaged + layout.squared]
+        displacement_rms = np.sqrt(variances[0])
+        # Without a damper the mount force is that of the spring, and there is no signal for it.
+        mean_draft = self.force + (means[1] if layout.squared > 1 else self.restoring * means[0])
+        force_rms = np.sqrt(variances[1]) if layout.squared > 1 else self.stiffness * displacement_rms
+        tow_power = means[-1] if layout.structure.ramp else mean_draft * self.tow_speed
+        size = np.maximum(np.abs(mean_draft), force_rms)
+        error = np.divide(np.sqrt(state[-1]) * self.stiffness, size, out=np.zeros_like(size), where=size != 0.0)
+        # Motions that diverge for very long leave the range of floating point.
+        error[np.isnan(error)] = np.inf
+        return np.stack([mean_draft, force_rms, self.deflection + means[0], displacement_rms, tow_power, error])
+
+
+def setup(layout: Layout, scene: Scene, duration: Expression, inputs: Sequence[Column], error: float) -> ca.Function:
+    """Return a Function of the inputs whose result is a column: the parameters of a step, then `StartValues`."""
+    structure, known = layout.structure, parameters(scene)
+    values = [known[name] for name in layout.names]
+    end = minimum(known["ramp_time"], duration) if structure.ramp else duration
+    steady = absolute(scene.steady_resistance / scene.stiffness)
+    # Where the soil never resists, the strut alone moves the share.
+    size = where(steady > 0.0, steady, scene.tow_speed / scene.natural_frequency) + _TINY
+    phase, part = _phase_and_error_part(layout)(stacked(*values, end, duration))
+    rate = start_rate(structure, known)
+    start = StartValues(
+        rate=rate,
+        phase=phase,
+        force=start_force(structure, known) + pull(structure, known, 0.0, rate),
+        deflection=start_deflection(structure, known),
+        tow_speed=scene.tow_speed,
+        stiffness=scene.stiffness,
+        restoring=scene.restoring_stiffness,
+    )
+    longest_first_step, allowed_error = duration / (1.0 + phase), error * size * part
+    column = stacked(*values, end, duration, longest_first_step, allowed_error, *vars(start).values())
+    return function_of_column("setup", inputs, column)
+
+
+def function_of_column(name: str, inputs: Sequence[Column], result: Column) -> ca.Function:
+    """Return the Function of a column of all inputs with this result, of SX if its graph allows that.
+
+    Raises:
+        InputError: the result depends on other symbols than the inputs.
+    """
+    dense: Any = ca.densify(result)
+    inner = ca.Function(name, list(inputs), [dense], {"allow_free": True})
+    if inner.has_free():
+        raise InputError(f"the scene depends on {', '.join(inner.get_free())}: name it among the inputs of the batch")
+    if inner.is_a("MXFunction") and (labels := labels_in(inner)):
+        inner = ca.Function(name, list(inputs), without_labels([dense], labels))
+    kind: Any = ca.MX
+    with contextlib.suppress(RuntimeError):  # the solution of linear equations has no graph of scalar operations
+        expanded = inner.expand()
+        # A table or the root of an equation remains a call, which only CasADi evaluates.
+        if ca.OP_CALL not in map(expanded.instruction_id, range(expanded.n_instructions())):
+            inner, kind = expanded, ca.SX
+    column = kind.sym("column", sum(one.numel() for one in inputs))
+    ends = itertools.accumulate((one.numel() for one in inputs), initial=0)
+    parts = [ca.reshape(column[a:b], *one.shape) for one, (a, b) in zip(inputs, itertools.pairwise(ends), strict=True)]
+    return ca.Function(name, [column], inner.call(parts))
+
+
+@lru_cache(maxsize=16)
+def slopes(structure: Structure) -> ca.Function:
+    """Return (time, (w, w'), parameters of the equation of motion) -> (dw''/dw [1/s^2], dw''/dw' [1/s])."""
+    motion = equation_of_motion(structure)
+    time, state, p = ca.SX.sym("time"), ca.SX.sym("state", 2), ca.SX.sym("p", len(motion.names))
+    found = ca.densify(ca.jacobian(motion.function(time, state, p)[1], state))
+    return ca.Function("slopes", [time, state, p], [ca.cse(found.T)])
+
+
+def _phase_and_error_part(layout: Layout) -> ca.Function:
+    """Return parameters up to the duration -> (phase of the run [rad], part of the wanted error that a step may make).
+
+    The errors of all steps add up. A damper, and a soil whose resistance grows with speed, let them decay; their rate
+    is estimated from the slopes along the path of a share that moves with the strut. Errors may grow if the slope of
+    the soil's resistance along the path is not small beside the stiffness. This is only a first guess: each run
+    estimates its own error, and `Batch` repeats it if that is too large.
+    """
+    p = ca.SX.sym("p", layout.ends[-1] + 1)
+    known = dict(zip(layout.names, ca.vertsplit(p), strict=False))
+    motion_parameters = stacked(*(known[name] for name in equation_of_motion(layout.structure).names))
+    duration, frequency_squared = p[layout.ends[-1]], layout.mount_frequency(p) ** 2
+    soil_over_mount, decay = ca.SX(0), ca.SX(0)
+    for k in range(_MOMENTS):
+        moment = duration * math.fmod(_GOLDEN_SECTION * (k + 0.5), 1.0)
+        spring, damper = ca.vertsplit(slopes(layout.structure)(moment, ca.SX.zeros(2), motion_parameters))
+        soil_over_mount = soil_over_mount + ca.fabs(spring + frequency_squared) / (_MOMENTS * frequency_squared)
+        decay = decay - damper / (2.0 * _MOMENTS)
+    # An overdamped mount has two rates of decay; this is the slower one, times the duration.
+    decay = duration * ca.fmax(decay - ca.sqrt(ca.fmax(decay**2 - frequency_squared, 0.0)), 0.0)
+    phase = duration * summed_rate(known)
+    # Nearly the root of the mean square of (1 - exp(-g u))/g over u from 0 to 1, with g for the decay.
+    remembered = 1.0 / ca.sqrt(3.0 + decay * (2.0 + decay))
+    steps = _FEWEST_STEPS + phase / _PHASE_PER_STEP
+    part = _MARGIN / ((1.0 + _CAUTION * soil_over_mount) * remembered * steps)
+    return ca.Function("phase_and_error_part", [p], [phase, part])
+
+
+# Taylor coefficients of dw''/dw and of dw''/dw' that enter the map. More would change the estimate by a few per cent.
+_SPRING_TERMS = 6
+_DAMPER_TERMS = 4
+# Keeps quotients finite before there is an error.
+TINY = 1e-290
+# exp(x) is nearly 0 below this.
+_LOWEST_EXPONENT = -16.0
+
+Matrix = tuple[ca.SX, ca.SX, ca.SX, ca.SX]
+"""Elements 11, 12, 21 and 22 of a map of (w, w'/s)."""
+
+
+def deviation_map(start: StepStart, motion: tuple[list[ca.SX], list[ca.SX]], powers: list[ca.SX]) -> Matrix:
+    """Return the matrix that maps a small deviation at the start of a step to the one at its end.
+
+    Its determinant is exact, so that an undamped oscillation neither grows nor decays by it.
+
+    Args:
+        start: the design at the start of the step.
+        motion: Taylor coefficients of w and of w'.
+        powers: of the step size [s], from 0 on.
+    """
+    structure, graph = start.layout.structure, start.graph()
+    known = [graph.given(*coefficients[:_SPRING_TERMS]) for coefficients in motion]
+    spring, damper = start.series(graph, slopes(structure), known, equation_of_motion(structure).names)
+    for order in range(_SPRING_TERMS):
+        graph.extend(order)
+    size, frequency = powers[1], start.layout.mount_frequency(start.p)
+    # Over the step (e, e'/s)' = A (e, e'/s) with A = [[0, s], [spring/s, damper]]. With the step as unit of time, `a`
+    # and `b` are the averages of the lower row, and `tilt` is the average of the spring's element times the distance
+    # from the middle of the step.
+    length = size / frequency
+    a, b = length * _mean(spring, powers[:_SPRING_TERMS]), size * _mean(damper, powers[:_DAMPER_TERMS])
+    tilt = length * _tilt(spring, powers[:_SPRING_TERMS])
+    turn, half = size * frequency, 0.5 * b
+    # The expansion is half I + [[d, u], [l, -d]], and the exponential of the latter, which has no trace, is
+    # cosh(q) I + sinh(q)/q [[d, u], [l, -d]] with q^2 = d^2 + u l.
+    diagonal, upper, lower = -turn * tilt - half, turn, a - b * tilt
+    even, odd = _cosh_and_sinh(diagonal**2 + upper * lower)
+    decay = _exponential(half)
+    even, odd = decay * even, decay * odd
+    return even + odd * diagonal, odd * upper, odd * lower, even - odd * diagonal
+
+
+def _mean(series: Series, powers: list[ca.SX]) -> ca.SX:
+    """Return the average of a series over the step."""
+    base, factor, summand = series.affine
+    return factor * _weighted(base, powers, [1.0 / (k + 1.0) for k in range(len(powers))]) + summand
+
+
+def _tilt(series: Series, powers: list[ca.SX]) -> ca.SX:
+    """Return the average of a series times the distance from the middle of the step, in step sizes."""
+    base, factor, _ = series.affine
+    return factor * _weighted(base, powers, [0.5 * k / ((k + 1.0) * (k + 2.0)) for k in range(len(powers))])
+
+
+def _weighted(series: Series, powers: list[ca.SX], weights: list[float]) -> ca.SX:
+    """Return the sum of a series' terms at the end of the step, each times its weight."""
+    total = ca.SX(0)
+    for c, power, weight in zip(series.coefficients, powers, weights, strict=False):
+        if weight != 0.0 and not c.is_zero():
+            total = total + weight * (c * power)
+    return total
+
+
+def _cosh_and_sinh(x: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return cosh(sqrt(x)) and sinh(sqrt(x))/sqrt(x), which for x < 0 are cos(sqrt(-x)) and sin(sqrt(-x))/sqrt(-x).
+
+    They are Taylor polynomials at x/64, followed by three doublings of the argument.
+    """
+    x = x / 64.0
+    even = 1.0 + x * (1.0 / 2.0 + x * (1.0 / 24.0 + x * (1.0 / 720.0)))
+    odd = 1.0 + x * (1.0 / 6.0 + x * (1.0 / 120.0 + x * (1.0 / 5040.0)))
+    for _ in range(3):
+        even, odd = 2.0 * even**2 - 1.0, odd * even
+    return even, odd
+
+
+def _exponential(x: ca.SX) -> ca.SX:
+    """Return exp(x) as (1 + y + y^2/2 + y^3/6)^16 with y = x/16: within some per cent above -6, and nearly 0 below."""
+    y = ca.fmax(x, _LOWEST_EXPONENT) / 16.0
+    y = 1.0 + y * (1.0 + y * (1.0 / 2.0 + y * (1.0 / 6.0)))
+    for _ in range(4):
+        y = y**2
+    return y
+
+
+def ellipse_after(ellipse: list[ca.SX], deviation: Matrix, made: ca.SX) -> list[ca.SX]:
+    """Return the error ellipse after a step.
+
+    Args:
+        ellipse: elements 11, 12 and 22 of P [m^2] before the step; the ellipse is e P^-1 e <= 1.
+        deviation: `deviation_map` of the step.
+        made: the step's own error [m], in any direction.
+    """
+    (a, b, c, d), (p, q, r) = deviation, ellipse
+    left = a * p + b * q, a * q + b * r
+    right = c * p + d * q, c * q + d * r
+    mapped = [left[0] * a + left[1] * b, left[0] * c + left[1] * d, right[0] * c + right[1] * d]
+    radius = ca.sqrt(ca.fmax(0.5 * (mapped[0] + mapped[2]), 0.0))
+    # Among all ellipses that contain the sum of this one and a circle, the one with the least sum of squared axes.
+    stretch, added = 1.0 + made / (radius + TINY), made * (made + radius)
+    return [stretch * mapped[0] + added, stretch * mapped[1], stretch * mapped[2] + added]
+
+
+def largest_squared_error(start: StepStart, ellipse: list[ca.SX]) -> ca.SX:
+    """Return the square of the largest error in an ellipse of the mount force over the stiffness [m^2]."""
+    layout = start.layout
+    if not layout.structure.damper:
+        return ellipse[0]
+    lever = layout.mount_frequency(start.p) * layout.value(start.p, "damping") / layout.value(start.p, "stiffness")
+    return ellipse[0] + lever * (2.0 * ellipse[1] + lever * ellipse[2])
+
 
 # Degree in time of the strut's speed during a ramp, by which the product with it has more orders than the motion.
 _RAMP_DEGREE = 5

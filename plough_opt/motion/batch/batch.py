@@ -1,15 +1,20 @@
-"""`Batch`: the averages of very many designs of one scene."""
+"""`Batch`: the averages of very many designs of one scene, and the reasons why designs lie outside the domain."""
+
+from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
+from functools import partial
+from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from plough_opt.core.checks import NOT_NUMBERS, check_kind, check_single, shown
+from plough_opt.core.checks import NOT_NUMBERS, check_kind, check_single, limits_of_numbers, shown
 from plough_opt.core.compiler import compiler_problem
 from plough_opt.core.errors import InputError, PloughError
 from plough_opt.core.expressions import (
@@ -18,20 +23,97 @@ from plough_opt.core.expressions import (
     as_number,
     is_casadi,
     is_count,
+    is_quantity,
     is_symbolic,
+    map_expressions,
     stacked,
     template_of,
 )
 from plough_opt.core.quantities import BESIDE
-from plough_opt.motion.batch.advance import advance
-from plough_opt.motion.batch.domain_check import DomainCheck
+from plough_opt.motion.batch.advance import RESULTS, Layout, StartValues, advance, function_of_column, setup
 from plough_opt.motion.batch.engine import Array, Engine
-from plough_opt.motion.batch.equations import RESULTS, StartValues, function_of_column, setup
-from plough_opt.motion.batch.layout import Layout
 from plough_opt.motion.batch.result import BatchResult
 from plough_opt.motion.effects import StickSlip
+from plough_opt.motion.equation import Structure
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.terms import Structure
+from plough_opt.soil.waves import check_strength
+
+
+class DomainCheck:
+    """Rebuilds a scene with the numbers of many designs, and finds those for which that raises an error.
+
+    All designs are tried at once, as arrays, and only those beyond a limit one by one. If arrays fail, as in a class of
+    the user's, they are halved.
+    """
+
+    def __init__(self, template: Scene, fixed: list[float | None]) -> None:
+        """Take the scene to rebuild.
+
+        Args:
+            template: the scene with a placeholder for each quantity.
+            fixed: the value of each placeholder, or None if it varies between designs.
+        """
+        numbers = iter(fixed)
+        # Parts of the scene that do not vary are built once.
+        self._template = map_expressions(
+            template, lambda placeholder: placeholder if (number := next(numbers)) is None else number, is_quantity
+        )
+        self._varying = fixed.count(None)
+
+    def reasons(self, rows: Array, *, declared: bool = True) -> dict[int, str]:
+        """Return the positions of the designs outside the domain, each with the reason.
+
+        Args:
+            rows: a row for each quantity that varies, then one for the duration; a column for each design.
+            declared: whether limits that `check_domain` declares count, or only other errors of a user's class.
+        """
+        reasons: dict[int, str] = {}
+        with np.errstate(all="ignore"):
+            for k in self._suspects(rows, np.arange(rows.shape[1]), declared):
+                try:
+                    with nullcontext() if declared else limits_of_numbers():
+                        self.scene(partial(_number, rows[:, k]))
+                except PloughError as error:
+                    reasons[int(k)] = str(error)
+        return reasons
+
+    def scene(self, value: Callable[[int], Any]) -> Scene:
+        """Return the scene with the given values of the quantities that vary.
+
+        Args:
+            value: index of such a quantity -> its value; the index after the last one is that of the duration.
+
+        Raises:
+            DomainError: a value outside the model's domain.
+        """
+        values = map(value, range(self._varying))
+        scene: Scene = map_expressions(self._template, lambda _: next(values))
+        BESIDE["scene.duration"].check(value(self._varying))
+        if scene.soil.density_profile is None:
+            scene.check_reaction()
+        else:  # a profile accepts no arrays; designs without a compaction front have no finite results anyway
+            check_strength(scene.effects.waves)
+        return scene
+
+    def _suspects(self, rows: Array, where: NDArray[np.int64], declared: bool) -> NDArray[np.int64]:
+        """Return those among some designs that have to be tried one by one."""
+        if len(where) <= 1:
+            return where
+        inside = np.ones(len(where), dtype=bool)
+        try:
+            with limits_of_numbers() as limits:
+                self.scene(lambda row: rows[row, where])
+            for limit, values in limits if declared else ():
+                inside &= limit.holds(values)
+        except Exception:  # a user's own class may raise any error for arrays
+            halves = (self._suspects(rows, part, declared) for part in np.array_split(where, 2))
+            return np.concatenate([*halves])
+        return where[~inside]
+
+
+def _number(column: Array, row: int) -> float:
+    return float(column[row])
+
 
 # Designs that one thread holds in memory at once.
 _CHUNK = 16384

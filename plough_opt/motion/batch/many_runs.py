@@ -1,7 +1,7 @@
 """`ManyRuns`: runs at very many parameters side by side, each with its own number of steps of order 8.
 
 A search needs output states and averages of thousands of designs, but only roughly. The steps are those of
-`plough_opt.motion.runge_kutta`, compiled for a vector register of designs at a time, or interpreted by CasADi without a
+`plough_opt.motion.steps`, compiled for a vector register of designs at a time, or interpreted by CasADi without a
 compiler. Outputs within a step are read from the polynomial of degree 5 through deflection, rate and acceleration at
 both ends.
 """
@@ -17,15 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.compiler import library
-from plough_opt.motion.accuracy import Accuracy
-from plough_opt.motion.batch.c_source import Statements, head, variants
-from plough_opt.motion.batch.engine import Array
-from plough_opt.motion.equation import equation_of_motion, signals, start_state
+from plough_opt.motion.batch.engine import Array, Statements, head, variants
+from plough_opt.motion.equation import Structure, equation_of_motion, signals, start_state
 from plough_opt.motion.integrators import integration
+from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.plan import summed_and_lasting_phase
-from plough_opt.motion.runge_kutta import step
-from plough_opt.motion.terms import Structure
-from plough_opt.motion.timeline import Timeline
+from plough_opt.motion.steps import Timeline, step
 
 PHASE_PER_STEP = 2.6
 """Phase of a step by `summed_rate` [rad]; averages then have errors of about 1e-5 of the oscillation."""

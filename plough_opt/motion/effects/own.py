@@ -15,7 +15,7 @@ import numpy as np
 from plough_opt.core.checks import shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_casadi, is_quantity, map_expressions, template_of
-from plough_opt.motion.effects.term import Parameters, Place, Rates, Term, Towed
+from plough_opt.motion.effects.terms import Parameters, Place, Rates, Term, Towed
 
 # Types whose repr is complete or holds their address in memory, so that different values print differently.
 _DISTINCT = (str, bool, int, float, type(None), np.generic, Enum, type, FunctionType, BuiltinFunctionType, np.ufunc)

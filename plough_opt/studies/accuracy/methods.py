@@ -22,14 +22,11 @@ from numpy.typing import NDArray
 from plough_opt.core.errors import InputError, IntegrationError, PloughError
 from plough_opt.core.expressions import as_number
 from plough_opt.motion import Run, simulate
-from plough_opt.motion.accuracy import DEFAULT_ERROR, Accuracy
-from plough_opt.motion.assembly import assemble, quasi_static
-from plough_opt.motion.compiled_steps import compiled_steps
+from plough_opt.motion.checks import refuse_missed_event
 from plough_opt.motion.effects import HarmonicBalance, StickSlip
-from plough_opt.motion.equation import signals
-from plough_opt.motion.integrators import integration
-from plough_opt.motion.judgement import refuse_missed_event
-from plough_opt.motion.methods import METHODS, ORDER_8, adaptive, fixed_step
+from plough_opt.motion.equation import Structure, signals
+from plough_opt.motion.integrators import compiled_steps, integration
+from plough_opt.motion.methods import DEFAULT_ERROR, METHODS, ORDER_8, Accuracy, adaptive, fixed_step
 from plough_opt.motion.plan import (
     fastest_rate,
     forced_rate,
@@ -40,8 +37,9 @@ from plough_opt.motion.plan import (
     timeline_of,
     with_setting,
 )
+from plough_opt.motion.run import assemble
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.terms import Structure
+from plough_opt.motion.simulation import quasi_static
 from plough_opt.studies.accuracy.reference import AVERAGES, QUANTITIES, Reference, ReferenceGradient, errors_of
 from plough_opt.studies.accuracy.result import AUTO, BARE, COMPILED, MACHINE_CODE, Entry, efficient, error_text
 

@@ -27,10 +27,10 @@ from plough_opt.design.nlp import averages_only
 from plough_opt.design.optimality import decides, newton_step, symmetric
 from plough_opt.design.program import Program
 from plough_opt.design.split import split
-from plough_opt.motion.accuracy import Accuracy
 from plough_opt.motion.integrators import integration
+from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.plan import MOST_ADAPTIVE, phase, steps_for
-from plough_opt.motion.timeline import Timeline
+from plough_opt.motion.steps import Timeline
 from plough_opt.studies.accuracy.result import SEARCH, Entry, Thoroughness
 
 DEFAULT: Final = ("interpreted", "auto")

@@ -20,12 +20,23 @@ from numpy.polynomial import chebyshev
 
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.motion import Run, simulate
-from plough_opt.motion.accuracy import Accuracy
-from plough_opt.motion.assembly import assemble
-from plough_opt.motion.equation import GAP, SLIP, STICK, equation_of_motion, signals, start_state
+from plough_opt.motion.equation import (
+    GAP,
+    SLIP,
+    STICK,
+    Structure,
+    equation_of_motion,
+    lightest_mass,
+    parameters,
+    signals,
+    start_deflection,
+    start_resistance,
+    start_state,
+)
+from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.plan import fastest_rate, numbers_of
+from plough_opt.motion.run import assemble
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.terms import Structure, lightest_mass, parameters, start_deflection, start_resistance
 
 LONGDOUBLE: Final = np.longdouble
 """Widest float type of the machine: 64 bits of mantissa on x86, elsewhere often the 53 of a double."""

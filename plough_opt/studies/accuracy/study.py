@@ -25,7 +25,7 @@ from plough_opt.core.quantities import BESIDE
 from plough_opt.core.saving import versions
 from plough_opt.design import Design, Progress
 from plough_opt.design.exploring import silent
-from plough_opt.motion.accuracy import DEFAULT_ERROR
+from plough_opt.motion.methods import DEFAULT_ERROR
 from plough_opt.motion.plan import MOST_OUTPUTS
 from plough_opt.motion.scene import Scene
 from plough_opt.studies.accuracy.methods import Task, gradients, integrators, models, periodic_orbit_of

@@ -17,9 +17,8 @@ from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Expression, as_number, exp, is_symbolic
 from plough_opt.core.quantities import every_quantity, quantities
 from plough_opt.core.units import in_si
-from plough_opt.motion.accuracy import Accuracy
-from plough_opt.motion.scene import Scene
-from plough_opt.motion.scene_quantities import quantities_of, with_quantities
+from plough_opt.motion.methods import Accuracy
+from plough_opt.motion.scene import Scene, quantities_of, with_quantities
 
 Vector = NDArray[np.float64]
 SceneOf: TypeAlias = Callable[[Mapping[str, Expression]], Scene]

@@ -11,7 +11,7 @@ from plough_opt.core.notes import merge
 from plough_opt.core.saving import Origin
 from plough_opt.design.ipopt import Vector
 from plough_opt.design.optimality import PULLS, decides
-from plough_opt.motion.judgement import remarks
+from plough_opt.motion.checks import remarks
 from plough_opt.studies.tradeoff.candidates import MATTERS, Candidate
 from plough_opt.studies.tradeoff.domination import Array
 from plough_opt.studies.tradeoff.front import Axis, Failure, FrontPoint, Goal, Hole

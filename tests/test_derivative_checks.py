@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 import plough_opt as po
 from plough_opt.design.derivatives import error_of_derivatives
 from plough_opt.motion.derivatives import derivative_error, jets
-from plough_opt.motion.equation import Structure, parameters, signals
+from plough_opt.motion.equation import Structure, equation_of, parameters
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.steps import Timeline, crossings, step
 
@@ -26,7 +26,7 @@ def scene(stiffness=5e4, **effects):
 def test_the_error_is_that_of_the_means_from_many_steps(effects, outputs, steps):
     own = scene(**effects)
     structure, p = Structure.of(own), parameters(own)
-    names = signals(structure).parameters
+    names = equation_of(structure).names
     given = np.array([*(float(p[name]) for name in names), DURATION])
     varying = tuple(names.index(name) for name in ("stiffness", "static"))
     solvers = [
@@ -104,7 +104,7 @@ def test_a_step_is_cut_where_the_smooth_contacts_step_ends():
     effects = {"contact": po.Smooth(width), "start": "towed", "damping": 100.0}
     own = scene_of(share=po.Cone("10 deg", "25 cm"), stiffness=2e4, mass=30.0, tow_speed=1.0, **effects)
     structure, known = Structure.of(own), parameters(own)
-    p, one = [*(float(known[name]) for name in signals(structure).parameters), 1.0], step(structure)
+    p, one = [*(float(known[name]) for name in equation_of(structure).names), 1.0], step(structure)
 
     def beyond(part, state, start):
         return 1.0 - float(one(state, [start, part * size], p)[0][1]) - width

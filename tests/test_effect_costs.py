@@ -8,7 +8,7 @@ from helpers.scenes import scene_of
 import plough_opt as po
 from plough_opt.app.main import main
 from plough_opt.motion import effect_costs, integrators
-from plough_opt.motion.equation import Structure, equation_of_motion
+from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.steps import step
 
@@ -23,8 +23,8 @@ def costs():
 
 
 def nodes(**changes):
-    equation = equation_of_motion(Structure.of(scene(**changes)))
-    return equation.function.n_nodes() + (0 if equation.events is None else equation.events.n_nodes())
+    equation = equation_of(Structure.of(scene(**changes)))
+    return equation.rate.n_nodes() + (0 if equation.events is None else equation.events.n_nodes())
 
 
 # Effect -> the changes that switch it on and off; one of the two is empty.

@@ -14,7 +14,7 @@ from scipy.integrate import quad
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 import plough_opt as po
-from plough_opt.motion.equation import Structure, parameters, resistance
+from plough_opt.motion.equation import Structure, parameters
 from plough_opt.soil.random_strength import rare_peak
 
 RANDOM = po.RandomStrength(rms=0.05, correlation_length=0.3)
@@ -103,9 +103,9 @@ def test_a_smooth_contact_is_linearised_too(width):
     """Force and damping follow from differences of the equation's resistance."""
     own = scene(contact=po.Smooth(width), rate_term=0.02, damping=50.0)
     structure, p = Structure.of(own), parameters(own)
-    ahead, behind = (resistance(structure, p, 0.0, own.tow_speed + dv) for dv in (1e-5, -1e-5))
-    stronger = resistance(structure, p | {"static": 1.001 * p["static"]}, 0.0, own.tow_speed)
-    force = (stronger - resistance(structure, p, 0.0, own.tow_speed)) / 1e-3
+    ahead, behind = (structure.resistance(p, 0.0, own.tow_speed + dv) for dv in (1e-5, -1e-5))
+    stronger = structure.resistance(p | {"static": 1.001 * p["static"]}, 0.0, own.tow_speed)
+    force = (stronger - structure.resistance(p, 0.0, own.tow_speed)) / 1e-3
     d = 50.0 + (ahead - behind) / 2e-5
     plain = dataclasses.replace(own, effects=po.Effects(random_strength=RANDOM, damping=d, inertial_drag=False))
     expected = plain.stationary_displacement_rms * force / plain.reaction.static

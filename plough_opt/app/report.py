@@ -17,7 +17,7 @@ from plough_opt.design import Optimum, Progress, Sensitivity
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion import Run
 from plough_opt.motion.effect_costs import EffectCost
-from plough_opt.motion.equation import Structure, equation_of_motion
+from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.machine import Machine
 from plough_opt.motion.scene import Scene
 from plough_opt.problem_file import Problem
@@ -115,8 +115,8 @@ def _simulated(problem: Problem, scene: Scene) -> Grid:
     """Return a table of the equation of motion of a scene and of its excitation."""
     rows = []
     if scene.effects.motion:
-        equation = equation_of_motion(Structure.of(scene))
-        rows.append(("equation of motion", f"2 states, {equation.function.n_nodes()} nodes"))
+        equation = equation_of(Structure.of(scene))
+        rows.append(("equation of motion", f"2 states, {equation.rate.n_nodes()} nodes"))
         rows.append(("its parameters", ", ".join(equation.names)))
         frequency = float(scene.natural_frequency) / (2.0 * math.pi)
         if scene.effects.printed.repelling_spring:

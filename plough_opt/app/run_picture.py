@@ -16,7 +16,7 @@ from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display
 from plough_opt.design import Limit, LocalOptimum
 from plough_opt.motion import Run
-from plough_opt.motion.equation import GAP, STICK, Structure, parameters, start_speed, strut
+from plough_opt.motion.equation import GAP, STICK, Structure, parameters
 from plough_opt.motion.vocabulary import called
 
 OWN, LIMIT, SOIL, STRUT = COLOURS[0], COLOURS[1], COLOURS[4], COLOURS[6]
@@ -74,7 +74,7 @@ def deflection_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
 def speed_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
     """Return the speeds of share and strut over time, with the limits of the share's."""
     structure, p = Structure.of(run.scene), parameters(run.scene)
-    strut_speed = start_speed(structure, p) + strut(structure, p, run.time).gain + 0.0 * run.time
+    strut_speed = structure.start_speed(p) + structure.strut(p, run.time).gain + 0.0 * run.time
     lines = {"share": (run.speed, OWN, False), "strut": (strut_speed, STRUT, True)}
     return Panel("speed", run.origin.display("scene.tow_speed", "m/s"), lines, limits_of(run, limits, "speed"))
 

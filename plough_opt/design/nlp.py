@@ -30,7 +30,7 @@ import casadi as ca
 from plough_opt.core.process import available
 from plough_opt.design.split import EmbeddedRun, Split
 from plough_opt.motion.derivatives import jets_of, weighted_curvature
-from plough_opt.motion.equation import signals
+from plough_opt.motion.equation import equation_of
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.steps import pairs
 
@@ -195,8 +195,7 @@ def _integration_of(run: EmbeddedRun, only_averages: bool, steps: int | None) ->
     if steps is not None:
         timeline = replace(timeline, steps=steps, aligned=timeline.moving)
     solver = integration(structure, accuracy, timeline)
-    observed = signals(structure)
-    return solver, solver.results - observed.count - observed.squared if only_averages else 0
+    return solver, solver.results - equation_of(structure).averages if only_averages else 0
 
 
 @dataclass(frozen=True)
@@ -286,8 +285,7 @@ def averages_only(run: EmbeddedRun, algebra: ca.Function, result: int) -> bool:
         algebra: the expressions as a Function; its input number ``result`` is the run's results.
         result: that number.
     """
-    observed = signals(run.integration.structure)
-    states = sum(output.numel() for output in run.outputs) - observed.count - observed.squared
+    states = sum(output.numel() for output in run.outputs) - equation_of(run.integration.structure).averages
     columns = (algebra.jac_sparsity(k, result).get_col() for k in range(algebra.n_out()))
     return all(column >= states for own in columns for column in own)
 

@@ -18,7 +18,7 @@ from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.split import split
 from plough_opt.motion.checks import refuse_drifting_own, refuse_stiff_orbit
 from plough_opt.motion.effects import MOST_HARMONICS
-from plough_opt.motion.equation import signals
+from plough_opt.motion.equation import equation_of
 from plough_opt.motion.integrators import Integration, compiled_steps, integration
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.plan import checked, kink_of, most_steps, phase, steps_for, suited, summed_rate
@@ -140,8 +140,8 @@ class TightEvaluation:
         """
         own = self.runs[run].integration
         stacked = self._tight(own, tuple(parameters.tolist()), False)
-        outputs, observed = own.timeline.outputs + 1, signals(own.structure)
-        states, means, variances = np.split(stacked, [-observed.count - observed.squared, -observed.squared])
+        outputs, equation = own.timeline.outputs + 1, equation_of(own.structure)
+        states, means, variances = np.split(stacked, [-equation.averages, -equation.squared])
         states = states.reshape(outputs, -1)
         fractions = own.timeline.output_fractions
         return assemble(scene, float(parameters[-1]), fractions, states, means, variances, Accuracy(error=TIGHT))

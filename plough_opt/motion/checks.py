@@ -17,7 +17,7 @@ from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import as_number
 from plough_opt.motion import plan
 from plough_opt.motion.effects import StickSlip
-from plough_opt.motion.equation import SLIP, STICK, Structure, hold, parameters, start_deflection
+from plough_opt.motion.equation import SLIP, STICK, Structure, parameters
 from plough_opt.motion.methods import METHODS, Accuracy
 from plough_opt.motion.run import Run
 from plough_opt.motion.scene import Scene
@@ -104,7 +104,7 @@ def unsound_own(scene: Scene, last: Run | None, pause: float) -> str | None:
         return None
     structure, p = Structure.of(scene), parameters(scene)
     if last is None:
-        start = 0.0 - float(as_number(start_deflection(structure, p)))
+        start = 0.0 - float(as_number(structure.start_deflection(p)))
         places = [(start if math.isfinite(start) else 0.0, v) for v in (0.0, float(as_number(scene.tow_speed)))]
     else:
         places = [*zip(last.travel.tolist(), last.speed.tolist(), strict=True)]
@@ -307,7 +307,7 @@ def refuse_missed_event(run: Run) -> None:
         MissedEvent: a slipping share retreats, or one is held although the mount pulls harder than the soil holds.
     """
     structure, p = Structure.of(run.scene), parameters(run.scene)
-    held = hold(structure, p, run.travel)
+    held = structure.hold(p, run.travel)
     size = float(np.max(np.abs(run.mount_force)))
     late = (run.mode == STICK) & (run.mount_force > held + _MISSED * size)
     slowest = float(np.min(np.where(run.mode == SLIP, run.speed, 0.0)))

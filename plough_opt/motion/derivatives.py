@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.expressions import Column
 from plough_opt.motion.effects import ramp_time
-from plough_opt.motion.equation import Structure, equation_of_motion, signals, start_deflection, start_state
+from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.methods import DOP853
 from plough_opt.motion.plan import finer
@@ -103,8 +103,8 @@ def jets(structure: Structure, timeline: Timeline, varying: tuple[int, ...], ord
         states output by output, means, variances). Its columns are the values, the first derivatives and, with order 2,
         the second derivatives of `pairs`.
     """
-    observed = signals(structure)
-    (p, _), count = observed.symbols(ca.MX), len(varying)
+    equation = equation_of(structure)
+    (p, _), count = equation.symbols(ca.MX), len(varying)
     ramp = moving_ramp(structure, timeline, p)
     spans = spans_of(timeline, p[-1], ramp)
     steps = spans.shape[1]
@@ -114,7 +114,7 @@ def jets(structure: Structure, timeline: Timeline, varying: tuple[int, ...], ord
     width = first.shape[1]
     columns = [moments[:, column::width] for column in range(width)]
     part = None if ramp is None else ramp_part
-    averages = pooled(columns, _average(spans, part, count), observed.count, count)
+    averages = pooled(columns, _average(spans, part, count), equation.count, count)
     paths = [ca.horzcat(first[:, column], states[:, column::width]) for column in range(width)]
     is_duration = [position == p.numel() - 1 for position in varying]
     read = _read(timeline, paths, (p[-1], ramp), is_duration)
@@ -177,13 +177,13 @@ def _read(
 
 def _at_start(structure: Structure, varying: tuple[int, ...], order: int) -> ca.Function:
     """Return parameters -> (jet of the state at time 0, jet of the ramp's part of the duration, 0 without a ramp)."""
-    names = signals(structure).parameters
+    names = equation_of(structure).names
     p, e = ca.SX.sym("p", len(names) + 1), ca.SX.sym("e", len(varying))
     shifted = ca.SX(p)
     shifted[list(varying)] = p[list(varying)] + e
     known = dict(zip(names, ca.vertsplit(shifted[:-1]), strict=True))
     part: Column = ramp_time(known) / shifted[-1] if structure.ramp else ca.SX(0)
-    both = (_taylor(ca.densify(ca.SX(y)), e, order) for y in (start_state(structure, known), part))
+    both = (_taylor(ca.densify(ca.SX(y)), e, order) for y in (structure.start_state(known), part))
     nothing = ca.SX.zeros(e.numel())
     return ca.Function("at_start", [p], [ca.densify(ca.substitute(jet, e, nothing)) for jet in both])
 
@@ -201,7 +201,7 @@ def _jet_step(structure: Structure, varying: tuple[int, ...], order: int, width:
         order: of the derivatives.
         width: of the span: see `OneStep`.
     """
-    observed, count, one = signals(structure), len(varying), OneStep.of(structure, width)
+    equation, count, one = equation_of(structure), len(varying), OneStep.of(structure, width)
     p, span, start, size = one.p, one.span, one.start, one.size
     jet = ca.SX.sym("jet", 2, _width(count, order))
     # Derivatives of the step's start and size: zero unless the duration or the ramp time varies.
@@ -233,7 +233,7 @@ def _jet_step(structure: Structure, varying: tuple[int, ...], order: int, width:
         ca.reshape(ca.mtimes(ca.horzcat(*columns), ca.DM(DOP853.weights)), -1, jet.shape[1])
         for columns in (changes, squares)
     )
-    spread = square - _square(mean[: observed.squared, :], count)
+    spread = square - _square(mean[: equation.squared, :], count)
     moments = ca.vertcat(ca.reshape(first, mean.shape) + mean, spread)
     return ca.Function("jet_step", [jet, span, p], [ca.densify(moved(DOP853.weights, rates)), ca.densify(moments)])
 
@@ -252,14 +252,13 @@ def _expanded(structure: Structure, varying: tuple[int, ...], order: int, symbol
         of the step, the parameters and the span. It returns the stacked jets of the rate of the state, of the changes
         of the signals since the start of the step, and of the squares of these.
     """
-    motion, observed, count = equation_of_motion(structure), signals(structure), len(varying)
+    equation, count = equation_of(structure), len(varying)
     moment, jet = ca.SX.sym("moment", 1, 1 + count), ca.SX.sym("jet", 2, _width(count, order))
-    first = ca.SX.sym("first", observed.count, jet.shape[1])
+    first = ca.SX.sym("first", equation.count, jet.shape[1])
     p, span = symbols
-    parameters = ca.vertcat(p[:-1], span[4:])
-    known, e = observed.named(ca.vertcat(parameters, p[-1])), p[list(varying)]
+    parameters, e = ca.vertcat(p[:-1], span[4:]), p[list(varying)]
     time, state = moment[0], jet[:, 0]
-    value = ca.vertcat(motion.rates(time, state, known), observed.function(time, state, parameters))
+    value = ca.vertcat(equation.rate(time, state, parameters), equation.signals(time, state, parameters))
     given = ca.vertcat(time, state, e)
     slopes = ca.vertcat(moment[1:], jet[:, 1 : 1 + count], ca.SX.eye(count))
     columns = [value, ca.mtimes(ca.jacobian(value, given), slopes)]
@@ -267,8 +266,8 @@ def _expanded(structure: Structure, varying: tuple[int, ...], order: int, symbol
         bends = [ca.mtimes([slopes.T, ca.hessian(row, given)[0], slopes]) for row in ca.vertsplit(value)]
         bent = ca.vertcat(*(ca.horzcat(*(bend[a, b] for a, b in pairs(count))) for bend in bends))
         columns.append(bent + ca.mtimes(ca.jacobian(value, state), jet[:, 1 + count :]))
-    rate, now = ca.vertsplit(ca.cse([ca.horzcat(*columns)])[0], [0, 2, 2 + observed.count])
-    results = rate, now - first, _square((now - first)[: observed.squared, :], count)
+    rate, now = ca.vertsplit(ca.cse([ca.horzcat(*columns)])[0], [0, 2, 2 + equation.count])
+    results = rate, now - first, _square((now - first)[: equation.squared, :], count)
     stacked = [ca.densify(ca.vec(result)) for result in results]
     return ca.Function("expanded", [moment, jet, ca.vec(first), p, span], stacked)
 
@@ -348,25 +347,25 @@ def difference_of_jets(solver: Integration, p: Vector, used: Vector, better: Vec
         better: a more accurate jet.
         wanted: number of the first result that matters.
     """
-    observed = signals(solver.structure)
+    equation = equation_of(solver.structure)
     # A parameter that does not occur in the equation has no influence and may count as 0.
     known = dict.fromkeys(solver.structure.names, 0.0) | dict(zip(solver.names, map(float, p), strict=False))
-    averages = len(better) - observed.count - observed.squared
+    averages = len(better) - equation.averages
     states = solver.function.size1_out(0)
-    first = abs(float(start_deflection(solver.structure, known)))
+    first = abs(float(solver.structure.start_deflection(known)))
     size = np.max(np.abs(better), axis=1)
     sizes = np.zeros(len(size))
     # Deflections are counted from the start's.
     for k, least in enumerate((first, known["tow_speed"])):
         sizes[k:averages:states] = max(least, float(np.max(size[k:averages:states])))
-    means = [first, known["stiffness"] * first][: observed.squared]
-    mean, square = averages, averages + observed.count
+    means = [first, known["stiffness"] * first][: equation.squared]
+    mean, square = averages, averages + equation.count
     sizes[mean:square] = size[mean:square]
     for k, least in enumerate(means):
         sizes[mean + k] = max(least, sizes[mean + k])
         sizes[square + k] = max((_LEAST_RMS * sizes[mean + k]) ** 2, size[square + k])
     # The states after the first two, such as the mode, have no derivatives.
-    compared = np.r_[np.arange(averages) % states < 2, np.ones(observed.count + observed.squared, dtype=bool)]
+    compared = np.r_[np.arange(averages) % states < 2, np.ones(equation.averages, dtype=bool)]
     compared &= (sizes > 0.0) & (np.arange(len(sizes)) >= wanted)
     wrong = np.max(np.abs(used - better), axis=1)[compared] / sizes[compared]
     return float(np.max(wrong, initial=0.0))

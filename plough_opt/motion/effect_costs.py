@@ -14,7 +14,7 @@ from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import Column, as_number
 from plough_opt.motion import plan, simulate
 from plough_opt.motion.effects import TERMS, Effects, Entry
-from plough_opt.motion.equation import Structure, equation_of_motion, resistance
+from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.scene import Scene
@@ -98,8 +98,8 @@ def _size(scene: Scene) -> tuple[int, int, int]:
     """Return the numbers of nodes, states and events of a scene's differential equation; zero without motion."""
     if not scene.effects.motion:
         return 0, 0, 0
-    equation = equation_of_motion(Structure.of(scene))
-    nodes = int(equation.function.n_nodes())
+    equation = equation_of(Structure.of(scene))
+    nodes = int(equation.rate.n_nodes())
     if equation.events is None:
         return nodes, equation.states, 0
     return nodes + int(equation.events.n_nodes()), equation.states, int(equation.events.numel_out(0))
@@ -130,7 +130,7 @@ def _of_resistance(structure: Structure) -> int:
     """Return the number of operations of the resistance at one point of the path."""
     symbols = {name: ca.SX.sym(name) for name in structure.names}
     travel, speed = ca.SX.sym("travel"), ca.SX.sym("speed")
-    force: Column = resistance(structure, symbols, travel, speed)
+    force: Column = structure.resistance(symbols, travel, speed)
     return int(ca.Function("resistance", [*symbols.values(), travel, speed], [force]).n_instructions())
 
 
@@ -140,7 +140,7 @@ def _of_adaptive(scene: Scene, duration: float, accuracy: Accuracy) -> int:
     timeline = plan.timeline_of(scene, duration, plan.OUTPUTS, plan.MOST_ADAPTIVE, accuracy.method)
     solver = integration(Structure.of(scene), accuracy, timeline)
     assert solver.sized is not None  # adaptive methods are CasADi's
-    equation = equation_of_motion(solver.structure)
+    equation = equation_of(solver.structure)
     rates, events = solver.sized.evaluations([*(p[name] for name in solver.names), duration])
-    each = int(equation.function.n_instructions())
+    each = int(equation.rate.n_instructions())
     return rates * each + (events * int(equation.events.n_instructions()) if equation.events is not None else 0)

@@ -140,6 +140,96 @@ class Structure:
         """Effects whose end an integrator locates. Each has a state that is 0 until then and 1 afterwards."""
         return tuple(term for term in self.terms if term.state and (self.ends_ramp or not isinstance(term, TowRamp)))
 
+    def strut(self, p: Parameters, time: Expression) -> Strut:
+        """Return the strut's motion: at constant speed, or with a ramp."""
+        ramp = self.find(TowRamp)
+        return Strut(path=p["tow_speed"] * time, gain=0.0, acceleration=0.0) if ramp is None else ramp.strut(p, time)
+
+    def start_speed(self, p: Parameters) -> Expression:
+        """Return the strut's speed at time 0 [m/s], which also defines the steady state of an equilibrium start."""
+        return 0.0 if self.ramp else p["tow_speed"]
+
+    def start_resistance(self, p: Parameters) -> Expression:
+        """Return the steady resistance to a buried share at the strut's initial speed [N], without strength waves."""
+        return self._resist(p, p["static"], Place(None, self.start_speed(p)))
+
+    def start_force(self, p: Parameters) -> Expression:
+        """Return the spring's force at the start [N]: the steady resistance, or 0 for a relaxed spring."""
+        return 0.0 if self.relaxed else self.start_resistance(p)
+
+    def start_deflection(self, p: Parameters) -> Expression:
+        """Return the deflection z0 at the start [m]: steady, or 0 for a relaxed spring."""
+        return self.start_force(p) / p["stiffness"]
+
+    def start_rate(self, p: Parameters) -> Expression:
+        """Return z' at time 0 [m/s]: V0 for a share at rest under a moving strut, otherwise 0."""
+        return self.start_speed(p) if self.start == "rest" else 0.0
+
+    def resistance(self, p: Parameters, travel: Expression, speed: Expression) -> Expression:
+        """Return the resistance [N] without that of the added mass, accurate to all digits even if it is small.
+
+        Args:
+            p: parameters by name.
+            travel: L of the share [m].
+            speed: L' of the share [m/s].
+        """
+        return self._resist(p, p["static"], Place(travel, speed))
+
+    def resistance_change(self, p: Parameters, travel: Expression, gain: Expression) -> Expression:
+        """Return the resistance minus the steady resistance of an equilibrium start [N]: see `resistance`.
+
+        Args:
+            p: parameters by name.
+            travel: L of the share [m].
+            gain: L' - s'(0), the share's speed relative to the strut's initial speed [m/s].
+        """
+        at = Place(travel, Changed(self.start_speed(p), gain))
+        found: Any = self._resist(p, Changed(p["static"], 0.0), at)
+        change: Expression = found.change
+        return change
+
+    def _resist(self, p: Parameters, force: Any, at: Place) -> Expression:
+        """Return the resistance that the terms, one after another, make of the static force [N]."""
+        found: Expression = resisted(self.terms, force, at, p)
+        return found
+
+    def start_state(self, p: Parameters) -> Column:
+        """Return the state at time 0 as a column."""
+        first = stacked(0.0, self.start_rate(p))
+        end_flags = (0.0,) * len(self.ending)
+        if not self.sticks:
+            return stacked(first, *((0.0, SLIP) if self.entry else ()), *end_flags)
+        # A share without speed sticks, unless the mount force already exceeds what holds it.
+        speed = 0.0 if self.start == "rest" else self.start_speed(p)
+        pulled = self.start_force(p) + self.pull(p, 0.0, self.start_rate(p))
+        held = pulled < self.hold(p, -self.start_deflection(p))
+        return stacked(first, 0.0, where(speed > 0.0, SLIP, where(held, STICK, SLIP)), *end_flags)
+
+    def hold(self, p: Parameters, travel: Expression) -> Expression:
+        """Return the mount force [N] at which a sticking share at a travel L [m] breaks loose: see `StickSlip`."""
+        force = p["static"]
+        for term in self.terms:
+            force = term.hold(force, Place(travel, 0.0), p)
+        return force
+
+    def pull(self, p: Parameters, deflection: Expression, rate: Expression) -> Expression:
+        """Return the mount force [N] at a deflection [m] and its rate [m/s], or its change for changes of both."""
+        force = p["stiffness"] * deflection
+        for term in self.terms:
+            force = force + term.pull(p, rate)
+        return force
+
+    def inertia_at(self, p: Parameters, travel: Expression) -> Expression:
+        """Return the moving mass [kg] at a travel L [m]: the share and the soil that it carries along."""
+        return p["mass"] + self.carried_mass(p, travel) if self.events else p["inertia"]
+
+    def carried_mass(self, p: Parameters, travel: Expression) -> Expression:
+        """Return the added mass of soil [kg] at a travel L [m], in a structure with events."""
+        if not self.carries:
+            return 0.0
+        entry = self.find(Entry)
+        return p["added_mass"] if entry is None else p["added_mass"] * entry.buried(p, travel) ** 3
+
 
 def parameters(scene: Scene, structure: Structure | None = None) -> dict[str, Expression]:
     """Return the parameters that the equation of motion may need, by name, in SI units."""
@@ -161,102 +251,9 @@ def parameters(scene: Scene, structure: Structure | None = None) -> dict[str, Ex
     return values
 
 
-def strut(structure: Structure, p: Parameters, time: Expression) -> Strut:
-    """Return the strut's motion: at constant speed, or with a ramp."""
-    ramp = structure.find(TowRamp)
-    return Strut(path=p["tow_speed"] * time, gain=0.0, acceleration=0.0) if ramp is None else ramp.strut(p, time)
-
-
-def start_speed(structure: Structure, p: Parameters) -> Expression:
-    """Return the strut's speed at time 0 [m/s], which also defines the steady state of an equilibrium start."""
-    return 0.0 if structure.ramp else p["tow_speed"]
-
-
-def start_resistance(structure: Structure, p: Parameters) -> Expression:
-    """Return the steady resistance to a buried share at the strut's initial speed [N], without strength waves."""
-    return _resist(structure, p, p["static"], Place(None, start_speed(structure, p)))
-
-
-def start_force(structure: Structure, p: Parameters) -> Expression:
-    """Return the spring's force at the start [N]: the steady resistance, or 0 for a relaxed spring."""
-    return 0.0 if structure.relaxed else start_resistance(structure, p)
-
-
-def start_deflection(structure: Structure, p: Parameters) -> Expression:
-    """Return the deflection z0 at the start [m]: steady, or 0 for a relaxed spring."""
-    return start_force(structure, p) / p["stiffness"]
-
-
-def start_rate(structure: Structure, p: Parameters) -> Expression:
-    """Return z' at time 0 [m/s]: V0 for a share at rest under a moving strut, otherwise 0."""
-    return start_speed(structure, p) if structure.start == "rest" else 0.0
-
-
-def resistance(structure: Structure, p: Parameters, travel: Expression, speed: Expression) -> Expression:
-    """Return the resistance [N] without that of the added mass, accurate to all digits even if it is small.
-
-    Args:
-        structure: the terms that are on.
-        p: parameters by name.
-        travel: L of the share [m].
-        speed: L' of the share [m/s].
-    """
-    return _resist(structure, p, p["static"], Place(travel, speed))
-
-
-def resistance_change(structure: Structure, p: Parameters, travel: Expression, gain: Expression) -> Expression:
-    """Return the resistance minus the steady resistance of an equilibrium start [N]: see `resistance`.
-
-    Args:
-        structure: the terms that are on, without entry, which excludes an equilibrium start.
-        p: parameters by name.
-        travel: L of the share [m].
-        gain: L' - s'(0), the share's speed relative to the strut's initial speed [m/s].
-    """
-    at = Place(travel, Changed(start_speed(structure, p), gain))
-    found: Any = _resist(structure, p, Changed(p["static"], 0.0), at)
-    change: Expression = found.change
-    return change
-
-
-def _resist(structure: Structure, p: Parameters, force: Any, at: Place) -> Expression:
-    """Return the resistance that the terms, one after another, make of the static force [N]."""
-    found: Expression = resisted(structure.terms, force, at, p)
-    return found
-
-
-def hold(structure: Structure, p: Parameters, travel: Expression) -> Expression:
-    """Return the mount force [N] at which a sticking share at a travel L [m] breaks loose: see `StickSlip`."""
-    force = p["static"]
-    for term in structure.terms:
-        force = term.hold(force, Place(travel, 0.0), p)
-    return force
-
-
-def pull(structure: Structure, p: Parameters, deflection: Expression, rate: Expression) -> Expression:
-    """Return the mount force [N] at a deflection [m] and its rate [m/s], or its change for changes of both."""
-    force = p["stiffness"] * deflection
-    for term in structure.terms:
-        force = force + term.pull(p, rate)
-    return force
-
-
-def inertia_at(structure: Structure, p: Parameters, travel: Expression) -> Expression:
-    """Return the moving mass [kg] at a travel L [m]: the share and the soil that it carries along."""
-    return p["mass"] + carried_mass(structure, p, travel) if structure.events else p["inertia"]
-
-
 def lightest_mass(p: Parameters) -> Any:
     """Return the least moving mass [kg]: under events the share alone, as in a gap, otherwise the constant inertia."""
     return p["mass"] if "mass" in p else p["inertia"]
-
-
-def carried_mass(structure: Structure, p: Parameters, travel: Expression) -> Expression:
-    """Return the added mass of soil [kg] at a travel L [m], in a structure with events."""
-    if not structure.carries:
-        return 0.0
-    entry = structure.find(Entry)
-    return p["added_mass"] if entry is None else p["added_mass"] * entry.buried(p, travel) ** 3
 
 
 SLIP: Final = 0.0
@@ -267,29 +264,60 @@ GAP: Final = 2.0
 _STANDSTILL = 1e-12
 
 
-@dataclass(frozen=True)
-class EquationOfMotion:
-    """Right-hand side as a CasADi Function of exactly the parameters that it uses.
+Symbols = TypeVar("Symbols", ca.SX, ca.MX)
+
+
+@dataclass(frozen=True, eq=False)
+class Equation:
+    """Equation of motion of a structure, with the signals whose time averages a run reports, as CasADi Functions.
+
+    Their arguments are the time [s], the state, and a column of the parameters that the equation uses.
 
     Attributes:
-        function: (time [s], state, parameters) -> rate of the state.
-        events: (time [s], state, parameters) -> (values, a row for each event, that become negative at the event; the
-            state after each event, a column each); None without events.
+        structure: the terms that are on.
         names: names of the parameters, in order.
+        rate: (time, state, parameters) -> rate of the state.
+        events: (time, state, parameters) -> (values, a row for each event, that become negative at the event; the state
+            after each event, a column each); None without events.
+        start: parameters -> state at time 0.
+        signals: (time, state, parameters) -> the change of deflection w; with a damper, the change of mount force
+            k0 w + c (w' - w'(0)); with a tow ramp, the tow power P s'. Without a damper the mount force is k0 z.
+        count: number of signals.
+        squared: number of signals, from the first, that have an RMS too.
     """
 
-    function: ca.Function
-    events: ca.Function | None
+    structure: Structure
     names: tuple[str, ...]
-
-    def rates(self, time: Column, state: Column, p: Parameters) -> Column:
-        """Return the rate of the state for parameters by name."""
-        return self.function(time, state, stacked(*(p[name] for name in self.names)))
+    rate: ca.Function
+    events: ca.Function | None
+    start: ca.Function
+    signals: ca.Function
+    count: int
+    squared: int
 
     @property
     def states(self) -> int:
         """Number of states."""
-        return int(self.function.numel_out(0))
+        return int(self.rate.numel_out(0))
+
+    @property
+    def averages(self) -> int:
+        """Number of averages of a run: the means of all signals, and the mean squares of those that have an RMS."""
+        return self.count + self.squared
+
+    def column(self, p: Parameters, duration: Expression) -> list[Any]:
+        """Return the parameters of an integration, the duration [s] last, from parameters by name."""
+        return [*(p[name] for name in self.names), duration]
+
+    def symbols(self, kind: type[Symbols]) -> tuple[Symbols, dict[str, Expression]]:
+        """Return a column of symbols for the parameters and, last, the duration; and the parameters by name."""
+        p = kind.sym("p", len(self.names) + 1)
+        return p, self.named(p)
+
+    def named(self, p: Column) -> dict[str, Expression]:
+        """Return the parameters by name, from a column that has the duration as its last element."""
+        values: list[Column] = ca.vertsplit(p[:-1])
+        return dict(zip(self.names, values, strict=True))
 
 
 class _SymbolicShare:
@@ -312,19 +340,28 @@ class _SymbolicShare:
         self.state = stacked(self.w, self.rate, *modes, *ended.values())
         self.structure = structure
         self.p = p | ended | ({"behind": self.opening} if structure.entry else {})
-        self.strut = strut(structure, self.p, self.time)
-        self.travel = self.strut.path - start_deflection(structure, p) - self.w
-        self.strut_speed = start_speed(structure, self.p) + self.strut.gain
+        self.strut = structure.strut(self.p, self.time)
+        self.travel = self.strut.path - structure.start_deflection(p) - self.w
+        self.strut_speed = structure.start_speed(self.p) + self.strut.gain
         self.speed = self.strut_speed - self.rate
         self.stopping = self.speed + _STANDSTILL * self.p["tow_speed"]
-        change = pull(structure, self.p, self.w, self.rate)
-        self.mount_force = start_force(structure, self.p) + change
+        change = structure.pull(self.p, self.w, self.rate)
+        self.mount_force = structure.start_force(self.p) + change
         if structure.relaxed:
-            soil = resistance(structure, self.p, self.travel, self.speed)
+            soil = structure.resistance(self.p, self.travel, self.speed)
         else:
-            soil = resistance_change(structure, self.p, self.travel, self.strut.gain - self.rate)
-        acceleration = (soil - change) / inertia_at(structure, self.p, self.travel)
+            soil = structure.resistance_change(self.p, self.travel, self.strut.gain - self.rate)
+        acceleration = (soil - change) / structure.inertia_at(self.p, self.travel)
         self.slipping = acceleration + self.strut.acceleration if structure.ramp else acceleration
+
+    def signals(self) -> list[Expression]:
+        """Return the signals of an `Equation`."""
+        structure = self.structure
+        force = structure.pull(self.p, self.w, self.rate - structure.start_rate(self.p))
+        values: list[Expression] = [self.w, force] if structure.damper else [self.w]
+        if structure.ramp:
+            values.append((structure.start_force(self.p) + force) * self.strut_speed)
+        return values
 
     def by_mode(self, slip: Column, stick: Column, gap: Column) -> Column:
         """Return the column that belongs to the mode, chosen element by element."""
@@ -339,14 +376,14 @@ class _SymbolicShare:
 def _stick_slip(share: _SymbolicShare) -> tuple[Column, list[Column], list[Column]]:
     """Return the rate of the four states, the value that becomes negative when the mode ends, and the state after."""
     p, mass = share.p, share.p["mass"]
-    breakaway = hold(share.structure, p, share.travel)
+    breakaway = share.structure.hold(p, share.travel)
     slip = stacked(share.rate, share.slipping, 0.0, 0.0)
     stick = stacked(share.strut_speed, share.strut.acceleration, 0.0, 0.0)
     gap = stacked(share.rate, share.strut.acceleration - share.mount_force / mass, -share.speed, 0.0)
     # While the share sticks the strut only compresses the mount, so P cannot fall to 0.
     until = share.by_mode(share.stopping, breakaway - share.mount_force, share.opening)
     stopped = where(share.mount_force < 0.0, GAP, where(share.mount_force <= breakaway, STICK, SLIP))
-    speed_with_soil = share.speed * mass / (mass + carried_mass(share.structure, p, share.travel))
+    speed_with_soil = share.speed * mass / (mass + share.structure.carried_mass(p, share.travel))
     rate = share.by_mode(share.strut_speed, share.strut_speed, share.strut_speed - speed_with_soil)
     after = stacked(share.w, rate, 0.0, share.by_mode(stopped, SLIP, SLIP))
     return share.by_mode(slip, stick, gap), [until], [after]
@@ -365,8 +402,8 @@ def _entering(share: _SymbolicShare) -> tuple[Column, list[Column], list[Column]
 
 
 @lru_cache(maxsize=64)
-def equation_of_motion(structure: Structure) -> EquationOfMotion:
-    """Build the differential equation of a structure from the terms that are on."""
+def equation_of(structure: Structure) -> Equation:
+    """Build the equation of motion of a structure from the terms that are on."""
     symbols = {name: ca.SX.sym(name) for name in structure.names}
     share = _SymbolicShare(structure, symbols)
     if structure.sticks:
@@ -380,83 +417,21 @@ def equation_of_motion(structure: Structure) -> EquationOfMotion:
     for term, ended in zip(structure.ending, ca.vertsplit(end_flags), strict=True):
         zeros.append(where(ended < 0.5, term.until(share.p, share.time, share.travel), 1.0))
         after.append(ca.substitute(share.state, ended, 1.0))
-    everything = stacked(rates, *zeros, *after)
-    used = {symbol.name() for symbol in ca.symvar(everything)} & set(structure.names)
-    names = tuple(name for name in structure.names if name in used)
-    inputs = [share.time, share.state, stacked(*(symbols[name] for name in names))]
-    labels = ["time", "state", "parameters"]
-    function = ca.Function("equation_of_motion", inputs, [rates], labels, ["rate"])
-    if not zeros:
-        return EquationOfMotion(function, None, names)
-    results = [stacked(*zeros), ca.horzcat(*after)]
-    return EquationOfMotion(function, ca.Function("events", inputs, results, labels, ["zero", "after"]), names)
-
-
-def start_state(structure: Structure, p: Parameters) -> Column:
-    """Return the state at time 0 as a column."""
-    first = stacked(0.0, start_rate(structure, p))
-    end_flags = (0.0,) * len(structure.ending)
-    if not structure.sticks:
-        return stacked(first, *((0.0, SLIP) if structure.entry else ()), *end_flags)
-    # A share without speed sticks, unless the mount force already exceeds what holds it.
-    speed = 0.0 if structure.start == "rest" else start_speed(structure, p)
-    pulled = start_force(structure, p) + pull(structure, p, 0.0, start_rate(structure, p))
-    held = pulled < hold(structure, p, -start_deflection(structure, p))
-    return stacked(first, 0.0, where(speed > 0.0, SLIP, where(held, STICK, SLIP)), *end_flags)
-
-
-Symbols = TypeVar("Symbols", ca.SX, ca.MX)
-
-
-@dataclass(frozen=True)
-class Signals:
-    """Signals whose time averages a run reports.
-
-    Attributes:
-        function: (time [s], state (w [m], w' [m/s]), parameters) -> signals. If the end of the strut's ramp is an
-            event, the state has a third element, ``ramped``.
-        parameters: names of all parameters of the equation of motion and of the signals, in order.
-        count: number of signals: the change of deflection w; with a damper, the change of mount force
-            k0 w + c (w' - w'(0)); with a tow ramp, the tow power P s'.
-        squared: number of signals, from the first, that have an RMS too.
-    """
-
-    function: ca.Function
-    parameters: tuple[str, ...]
-    count: int
-    squared: int
-
-    def symbols(self, kind: type[Symbols]) -> tuple[Symbols, dict[str, Expression]]:
-        """Return a column of symbols for the parameters and, last, the duration; and the parameters by name."""
-        p = kind.sym("p", len(self.parameters) + 1)
-        return p, self.named(p)
-
-    def named(self, p: Column) -> dict[str, Expression]:
-        """Return the parameters by name, from a column that has the duration as its last element."""
-        values: list[Column] = ca.vertsplit(p[:-1])
-        return dict(zip(self.parameters, values, strict=True))
-
-
-@lru_cache(maxsize=64)
-def signals(structure: Structure) -> Signals:
-    """Build the signals of a structure. Without a damper the mount force is k0 z and needs no signal."""
-    symbols = {name: ca.SX.sym(name) for name in structure.names}
-    time, w, rate = ca.SX.sym("time"), ca.SX.sym("w"), ca.SX.sym("rate")
-    state = stacked(w, rate)
-    if structure.ends_ramp:
-        ramped = ca.SX.sym("ramped")
-        state, symbols = stacked(state, ramped), symbols | {"ramped": ramped}
-    force = pull(structure, symbols, w, rate - start_rate(structure, symbols))
-    values: list[Expression] = [w, force] if structure.damper else [w]
-    squared = len(values)
-    if structure.ramp:
-        speed = start_speed(structure, symbols) + strut(structure, symbols, time).gain
-        values.append((start_force(structure, symbols) + force) * speed)
-    expression = stacked(*values)
-    # A start at rest needs the strut's speed even if no signal does.
-    everything = stacked(expression, start_rate(structure, symbols))
-    used = {s.name() for s in ca.symvar(everything)} | set(equation_of_motion(structure).names)
+    values, first = share.signals(), structure.start_state(symbols)
+    observed = stacked(*values)
+    used = {symbol.name() for symbol in ca.symvar(stacked(rates, *zeros, *after, observed, first))}
     names = tuple(name for name in structure.names if name in used)
     p = stacked(*(symbols[name] for name in names))
-    function = ca.Function("signals", [time, state, p], [expression])
-    return Signals(function, names, len(values), squared)
+    inputs, labels = [share.time, share.state, p], ["time", "state", "parameters"]
+    return Equation(
+        structure=structure,
+        names=names,
+        rate=ca.Function("rate", inputs, [rates], labels, ["rate"]),
+        events=ca.Function("events", inputs, [stacked(*zeros), ca.horzcat(*after)], labels, ["zero", "after"])
+        if zeros
+        else None,
+        start=ca.Function("start", [p], [ca.densify(ca.SX(first))], ["parameters"], ["state"]),
+        signals=ca.Function("signals", inputs, [observed], labels, ["signals"]),
+        count=len(values),
+        squared=2 if structure.damper else 1,
+    )

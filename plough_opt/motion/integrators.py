@@ -22,15 +22,7 @@ from plough_opt.core.expressions import Column, Expression, classes_in, is_symbo
 from plough_opt.core.labels import Meanings, attach
 from plough_opt.motion.checks import failed_by, refuse_missed_event, refuse_runaway, refuse_weak_rest
 from plough_opt.motion.effects import StickSlip
-from plough_opt.motion.equation import (
-    Structure,
-    equation_of_motion,
-    lightest_mass,
-    pull,
-    signals,
-    start_resistance,
-    start_state,
-)
+from plough_opt.motion.equation import Structure, equation_of, lightest_mass
 from plough_opt.motion.methods import METHODS, Accuracy, is_stepped, tableau_of
 from plough_opt.motion.orbit import orbit_map
 from plough_opt.motion.plan import OUTPUTS, STIFF_PHASE, fastest_rate, most_steps, numbers_of, timeline_of
@@ -96,7 +88,7 @@ class Integration:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters before the duration."""
-        return signals(self.structure).parameters
+        return equation_of(self.structure).names
 
     @property
     def results(self) -> int:
@@ -123,8 +115,7 @@ def integration(structure: Structure, accuracy: Accuracy, timeline: Timeline) ->
 
 def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> Sized:
     """Wrap a CasADi integrator of the scaled equation."""
-    observed, count = signals(structure), equation_of_motion(structure).states
-    equation, transition = _scaled_equation(structure)
+    equation, (scaled, transition) = equation_of(structure), _scaled_equation(structure)
     options = _options(accuracy, timeline)
     if transition is not None:
         options |= {"transition": transition, "max_events": _MOST_EVENTS, "event_tol": 1e-12, "max_event_iter": 100}
@@ -132,17 +123,17 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
     times = (timeline.stops if METHODS[accuracy.method].order is not None else timeline.output_fractions)[1:]
     read = [int(i) for i in np.searchsorted(times, timeline.output_fractions[1:])]
     name = "motion" if transition is None else _NAME_WITH_EVENTS
-    solver = ca.integrator(name, accuracy.method, equation, 0.0, times.tolist(), options)
-    p, known = observed.symbols(ca.MX)
-    sizes = ca.MX.sym("sizes", 2 + observed.count + observed.squared)
+    solver = ca.integrator(name, accuracy.method, scaled, 0.0, times.tolist(), options)
+    p, known = equation.symbols(ca.MX)
+    sizes = ca.MX.sym("sizes", 2 + equation.averages)
     unit = _units(structure, sizes)
-    first = start_state(structure, known)
-    given = stacked(first / unit, ca.MX.zeros(observed.squared)), stacked(p, sizes)
+    first = equation.start(p[:-1])
+    given = stacked(first / unit, ca.MX.zeros(equation.squared)), stacked(p, sizes)
     result = solver(x0=given[0], p=given[1])
-    states = result["xf"][:count, read] * ca.repmat(unit, 1, timeline.outputs)
-    _, of_means, of_spreads = ca.vertsplit(sizes, [0, 2, 2 + observed.count, sizes.numel()])
-    spreads, others = ca.vertsplit(result["qf"][:, -1], [0, observed.squared, observed.count])
-    means = stacked(result["xf"][count:, -1], others) * of_means
+    states = result["xf"][: equation.states, read] * ca.repmat(unit, 1, timeline.outputs)
+    _, of_means, of_spreads = ca.vertsplit(sizes, [0, 2, 2 + equation.count, sizes.numel()])
+    spreads, others = ca.vertsplit(result["qf"][:, -1], [0, equation.squared, equation.count])
+    means = stacked(result["xf"][equation.states :, -1], others) * of_means
     found = [ca.horzcat(first, states), means, spreads * of_spreads**2]
     function = ca.Function(f"sized_{accuracy.method}", [p, sizes], found, {"never_inline": True})
     expected = ca.Function("expected", [p], [_expected(structure, known, p[-1])])
@@ -155,14 +146,14 @@ def _expected(structure: Structure, p: dict[str, Any], duration: Any) -> Any:
     complete = dict.fromkeys(structure.names, 0.0) | p
     stiffness = ca.fabs(p["stiffness"])  # negative for a repelling spring
     hardness = ca.sqrt(stiffness * lightest_mass(p))
-    force = start_resistance(structure, complete) + complete["tow_speed"] * hardness + _LEAST_FORCE
+    force = structure.start_resistance(complete) + complete["tow_speed"] * hardness + _LEAST_FORCE
     if structure.relaxed and structure.sticks:
         # The resistance may be far greater than the force that the relaxed spring reaches.
         force = ca.fmin(force, complete["tow_speed"] * (stiffness * duration + hardness) + _LEAST_FORCE)
     deflection, rate = force / stiffness, force / hardness
     squared, others = [deflection], []
     if structure.damper:
-        squared.append(force + pull(structure, p, 0.0, rate))
+        squared.append(force + structure.pull(p, 0.0, rate))
     if structure.ramp:
         others.append(force * (p["tow_speed"] + rate))
     return stacked(deflection, rate, *squared, *others, *squared)
@@ -181,44 +172,41 @@ def _scaled_equation(structure: Structure) -> tuple[dict[str, ca.SX], ca.Functio
     the mean integrates the squared deviation from the running mean. Its derivative is exactly that square, so the RMS
     is never a difference of squares.
     """
-    motion, observed = equation_of_motion(structure), signals(structure)
+    equation = equation_of(structure)
     fraction = ca.SX.sym("fraction")
-    count = motion.states
-    x = ca.SX.sym("x", count + observed.squared)
-    p, known = observed.symbols(ca.SX)
-    sizes = ca.SX.sym("sizes", 2 + observed.count + observed.squared)
+    count = equation.states
+    x = ca.SX.sym("x", count + equation.squared)
+    p, _ = equation.symbols(ca.SX)
+    sizes = ca.SX.sym("sizes", 2 + equation.averages)
     unit = _units(structure, sizes)
-    _, of_means, of_spreads = ca.vertsplit(sizes, [0, 2, 2 + observed.count, sizes.numel()])
+    _, of_means, of_spreads = ca.vertsplit(sizes, [0, 2, 2 + equation.count, sizes.numel()])
     duration = p[-1]
     time, state = fraction * duration, x[:count] * unit
-    own = stacked(*(known[name] for name in motion.names))
-    rate = motion.function(time, state, own)
-    seen = stacked(state[:2], state[-1]) if structure.ends_ramp else state
-    values = observed.function(time, seen[: observed.function.size1_in(1)], p[:-1]) / of_means
-    squared = values[: observed.squared]
+    rate, values = equation.rate(time, state, p[:-1]), equation.signals(time, state, p[:-1]) / of_means
+    squared = values[: equation.squared]
     # At the start the running mean would be 0/0; the deviation is 0 there.
     started = fraction > 0.0
     running_mean = x[count:] / ca.if_else(started, fraction, 1.0)
-    deviation = ca.if_else(started, squared - running_mean, 0.0) * of_means[: observed.squared]
+    deviation = ca.if_else(started, squared - running_mean, 0.0) * of_means[: equation.squared]
     given = stacked(p, sizes)
-    equation = {
+    scaled = {
         "t": fraction,
         "x": x,
         "p": given,
         "ode": stacked(rate * duration / unit, squared),
-        "quad": stacked((deviation / of_spreads) ** 2, values[observed.squared :, :]),
+        "quad": stacked((deviation / of_spreads) ** 2, values[equation.squared :, :]),
     }
-    if motion.events is None:
-        return equation, None
+    if equation.events is None:
+        return scaled, None
     index, none = ca.SX.sym("index"), [ca.SX(0, 1), ca.SX(0, 1)]
-    zero, after = motion.events(time, state, own)
+    zero, after = equation.events(time, state, p[:-1])
     chosen = after[:, 0]
     for k in range(1, after.shape[1]):
         chosen = ca.if_else(index < k - 0.5, chosen, after[:, k])
     following = stacked(chosen / unit, x[count:])
     names = ["index", "t", "x", "z", "p", "u"], ["post_x", "post_z"]
     transition = ca.Function("transition", [index, fraction, x, none[0], given, none[1]], [following, none[0]], *names)
-    return equation | {"zero": zero}, transition
+    return scaled | {"zero": zero}, transition
 
 
 def _options(accuracy: Accuracy, timeline: Timeline) -> dict[str, Any]:
@@ -376,7 +364,7 @@ class CompiledSteps:
 
     def __init__(self, structure: Structure, loaded: ctypes.CDLL) -> None:
         """Wrap a loaded library that was compiled for the structure."""
-        self._observed = signals(structure)
+        self._equation = equation_of(structure)
         self._follow = loaded.motion_follow
         self._follow.argtypes = [*[ctypes.c_longlong] * 2, *[ctypes.c_void_p] * 6]
 
@@ -392,12 +380,12 @@ class CompiledSteps:
         """
         (arrays, addresses), given = _times(timeline), np.array(p)
         end = 2 * len(timeline.output_fractions)
-        found = np.empty(end + self._observed.count + self._observed.squared)
+        found = np.empty(end + self._equation.averages)
         if self._follow(len(arrays[0]), end // 2, *addresses, given.ctypes.data, found.ctypes.data):
             raise MemoryError(f"not enough memory for the states at the ends of {timeline.steps} steps")
         if not np.isfinite(found).all():
             return None
-        averages = end + self._observed.count
+        averages = end + self._equation.count
         return found[:end].reshape(-1, 2), found[end:averages], found[averages:]
 
 
@@ -409,11 +397,10 @@ def compiled_steps(structure: Structure) -> CompiledSteps | None:
 
 
 def _source(structure: Structure) -> str:
-    one, observed = step(structure), signals(structure)
-    p, known = observed.symbols(ca.SX)
-    first = ca.densify(ca.SX(start_state(structure, known)))
+    one, equation = step(structure), equation_of(structure)
+    p, _ = equation.symbols(ca.SX)
     functions = (
-        ca.Function("motion_start", [p], [first]),
+        ca.Function("motion_start", [p], [equation.start(p[:-1])]),
         ca.Function("motion_step", one.sx_in(), one.call(one.sx_in())),
     )
     generator = ca.CodeGenerator("motion.c")
@@ -421,7 +408,7 @@ def _source(structure: Structure) -> str:
         generator.add(function)
     # Work memory for functions that an own effect calls, such as a lookup table.
     sizes = {size: max(1, *(getattr(f, size)() for f in functions)) for size in ("sz_arg", "sz_res", "sz_iw", "sz_w")}
-    own = _SOURCE.format(count=observed.count, squared=observed.squared, given=len(observed.parameters), **sizes)
+    own = _SOURCE.format(count=equation.count, squared=equation.squared, given=len(equation.names), **sizes)
     return str(generator.dump()) + own
 
 
@@ -542,7 +529,7 @@ def integrate(case: Case, accuracy: Accuracy, sizes: Array | None = None, *, per
     if accuracy.adaptive:
         steps = most_steps(case.phase)
     timeline = timeline_of(scene, duration, outputs, steps, accuracy.method)
-    values = [case.p[name] for name in signals(case.structure).parameters]
+    values = [case.p[name] for name in equation_of(case.structure).names]
     p = [*(value * (1.0 + perturbation * (-1.0) ** k) for k, value in enumerate(values)), duration]
     if case.code is not None and accuracy.order_8 and (found := case.code(timeline, p)) is not None:
         return Integrated(_assembled(case, timeline, found, accuracy))

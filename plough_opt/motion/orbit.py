@@ -23,15 +23,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.expressions import Column, stacked
 from plough_opt.motion.effects import StrengthWaves, wave_names
-from plough_opt.motion.equation import (
-    Structure,
-    equation_of_motion,
-    pull,
-    resistance_change,
-    signals,
-    start_deflection,
-    start_force,
-)
+from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.plan import numbers_of
 from plough_opt.motion.run import Run, Settled, averages_of
 from plough_opt.motion.steps import Timeline, run_from, step
@@ -61,7 +53,7 @@ def orbit_map(structure: Structure, timeline: Timeline) -> ca.Function:
 @lru_cache(maxsize=32)
 def monodromy(structure: Structure, timeline: Timeline) -> ca.Function:
     """Return (state at time 0, parameters) -> derivative of the state after one period by the state at time 0."""
-    first, p = ca.MX.sym("first", 2), ca.MX.sym("p", len(signals(structure).parameters) + 1)
+    first, p = ca.MX.sym("first", 2), ca.MX.sym("p", len(equation_of(structure).names) + 1)
     last = run_from(structure, timeline)(first, p)[0][:, -1]
     return ca.Function("monodromy", [first, p], [ca.jacobian(last, first)])
 
@@ -74,17 +66,17 @@ def _response(structure: Structure, p: dict[str, Column]) -> tuple[Column, Colum
     by the phase 2 pi z0/ell of the start deflection, with d = c + dF/dL'. The coefficients are columns by the number n
     from 1 on.
     """
-    names, repeats = signals(structure).parameters, _wave(structure).repeats(p)
+    names, repeats = equation_of(structure).names, _wave(structure).repeats(p)
     omega = _frequency(structure, p)
     mean, along_sine, along_cosine, slope = _series(structure)(stacked(*(p[name] for name in names)))
     turns = _turns(structure)
     n = ca.DM(turns)
-    damping = pull(structure, p, 0.0, 1.0) + slope
+    damping = structure.pull(p, 0.0, 1.0) + slope
     spring, damped = p["stiffness"] - p["inertia"] * (n * omega) ** 2, damping * n * omega
     size = 1.0 / (spring**2 + damped**2)
     sine: Column = size * (spring * along_sine + damped * along_cosine)
     cosine: Column = size * (spring * along_cosine - damped * along_sine)
-    lag: Column = n * (2.0 * math.pi / repeats * start_deflection(structure, p))
+    lag: Column = n * (2.0 * math.pi / repeats * structure.start_deflection(p))
     every = ca.DM.eye(turns[-1])[:, [turn - 1 for turn in turns]]
     sines = ca.mtimes(every, sine * ca.cos(lag) + cosine * ca.sin(lag))
     return mean / p["stiffness"], sines, ca.mtimes(every, cosine * ca.cos(lag) - sine * ca.sin(lag))
@@ -114,10 +106,10 @@ def _series(structure: Structure) -> ca.Function:
     The parameters are those of `signals`. The results are the mean change since the start [N], the sine and the cosine
     coefficients [N], columns by `_turns`, and the mean derivative by the speed [N s/m].
     """
-    names, turns = signals(structure).parameters, _turns(structure)
+    names, turns = equation_of(structure).names, _turns(structure)
     given, travel, gain = ca.SX.sym("given", len(names)), ca.SX.sym("travel"), ca.SX.sym("gain")
     known = dict(zip(names, ca.vertsplit(given), strict=True))
-    change: Column = resistance_change(structure, known, travel, gain)
+    change: Column = structure.resistance_change(known, travel, gain)
     force = ca.SX(change)
     slope = ca.substitute(ca.jacobian(force, gain), gain, 0.0)
     at = ca.Function("at", [travel, given], [ca.densify(ca.substitute(force, gain, 0.0)), ca.densify(slope)])
@@ -139,7 +131,7 @@ def _size(structure: Structure, p: dict[str, Column]) -> Column:
 
 def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
     """Return the Function of the orbit whose state returns to itself after one period of steps."""
-    (p, known), x = signals(structure).symbols(ca.MX), ca.MX.sym("x", 2)
+    (p, known), x = equation_of(structure).symbols(ca.MX), ca.MX.sym("x", 2)
     mean, sines, cosines = _response(structure, known)
     omega = _frequency(structure, known)
     size = _size(structure, known)
@@ -154,7 +146,7 @@ def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
 
 def _linear(structure: Structure) -> ca.Function:
     """Return parameters -> Fourier coefficients of the linear response: mean, cosines, sines [m]."""
-    p, known = signals(structure).symbols(ca.MX)
+    p, known = equation_of(structure).symbols(ca.MX)
     mean, sines, cosines = _response(structure, known)
     return ca.Function("linear", [p], [stacked(mean, cosines, sines)])
 
@@ -166,16 +158,15 @@ def _balanced(structure: Structure) -> ca.Function:
     samples = 4 * count + 12
     phases = 2.0 * math.pi * np.arange(samples) / samples
     basis, slope, bend = _basis(count, phases)
-    (p, known), x = signals(structure).symbols(ca.MX), ca.MX.sym("x", 2 * count + 1)
+    equation = equation_of(structure)
+    (p, known), x = equation.symbols(ca.MX), ca.MX.sym("x", 2 * count + 1)
     mean, sines, cosines = _response(structure, known)
     omega = _frequency(structure, known)
     size = _size(structure, known)
     w, rate, acceleration = (size * ca.mtimes(ca.DM(b), x) for b in (basis, slope, bend))
     rate, acceleration = rate * omega, acceleration * omega**2
-    motion = equation_of_motion(structure)
-    given = stacked(*(known[name] for name in motion.names))
     states = stacked(w.T, rate.T)
-    forced = motion.function.map(samples)(ca.DM(phases).T / omega, states, ca.repmat(given, 1, samples))[1, :].T
+    forced = equation.rate.map(samples)(ca.DM(phases).T / omega, states, ca.repmat(p[:-1], 1, samples))[1, :].T
     weights = np.where(np.arange(2 * count + 1) == 0, 1.0, 2.0)[:, None] * basis.T / samples
     # In units of the spring's and the inertia's accelerations, so that the residual is of order one.
     stiff = known["stiffness"] / known["inertia"] + omega**2
@@ -207,7 +198,7 @@ def _basis(count: int, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
 
 def _from_series(structure: Structure, timeline: Timeline, series: ca.Function) -> ca.Function:
     """Return parameters -> states at the outputs, means and variances of a Fourier series of w."""
-    p, known = signals(structure).symbols(ca.MX)
+    p, known = equation_of(structure).symbols(ca.MX)
     omega = _frequency(structure, known)
     x = series(p)
     count = (x.numel() - 1) // 2
@@ -337,9 +328,9 @@ class _Path:
         """Begin at equilibrium."""
         self.run, self.structure, self.numbers = run, Structure.of(run.scene), numbers_of(run.scene)
         self.steps = run.accuracy.steps or 1
-        names = signals(self.structure).parameters
+        names = equation_of(self.structure).names
         self.p = ca.DM([*(self.numbers[name] for name in names), float(run.duration)])
-        first = float(start_deflection(self.structure, self.numbers))
+        first = float(self.structure.start_deflection(self.numbers))
         w, rate = run.deflection - first, run.scene.tow_speed - run.speed
         frequency = max(float(run.scene.wave_frequency), float(run.scene.natural_frequency))
         range_of_w = max(float(np.ptp(w)) / 2.0, float(np.ptp(rate)) / 2.0 / frequency, _SMALLEST_UNIT * abs(first))
@@ -395,7 +386,7 @@ class _Path:
         found = run_from(self.structure, timeline)(self.states[-1 - count], p)
         states, means, variances = (np.asarray(result) for result in found)
         scene = self.run.scene
-        first = start_force(self.structure, self.numbers)
+        first = self.structure.start_force(self.numbers)
         averages = averages_of(scene, self.structure, self.numbers, first, means.ravel(), variances.ravel())
         return float(averages.force_rms), count, distance, bool(np.max(states[1]) > scene.tow_speed)
 
@@ -406,7 +397,7 @@ def _wavelengths(structure: Structure, steps: int, count: int) -> ca.Function:
 
     Time restarts with each of them, because the soil repeats itself every wavelength.
     """
-    first, p = ca.MX.sym("first", 2), ca.MX.sym("p", len(signals(structure).parameters) + 1)
+    first, p = ca.MX.sym("first", 2), ca.MX.sym("p", len(equation_of(structure).names) + 1)
     fractions = np.arange(steps) / steps
     spans = ca.DM(np.vstack([fractions, np.full(steps, 1.0 / steps)]))
     states, _ = step(structure).mapaccum(steps)(first, spans, ca.repmat(p, 1, steps))

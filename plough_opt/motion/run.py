@@ -20,21 +20,7 @@ from plough_opt.core.plain_data import Complex, MaybeInfinite
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.motion.effects.terms import Parameters
-from plough_opt.motion.equation import (
-    GAP,
-    SLIP,
-    STICK,
-    Structure,
-    carried_mass,
-    inertia_at,
-    parameters,
-    pull,
-    resistance,
-    start_force,
-    start_rate,
-    start_speed,
-    strut,
-)
+from plough_opt.motion.equation import GAP, SLIP, STICK, Structure, parameters
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.scene import Scene, quantities_of
 
@@ -469,15 +455,15 @@ def assemble(
         p = {**p, "behind": states[:, 2], "entered": states[:, 4]}
     time = column(fractions, is_casadi(states)) * duration
     w, rate = states[:, 0], states[:, 1]
-    mount, initial_speed = strut(structure, p, time), start_speed(structure, p)
+    mount, initial_speed = structure.strut(p, time), structure.start_speed(p)
     gain = mount.gain - rate
-    first = start_force(structure, p)
+    first = structure.start_force(p)
     deflection = first / p["stiffness"] + w
     travel = mount.path - deflection
-    force = first + pull(structure, p, w, rate)
-    soil = resistance(structure, p, travel, initial_speed + gain)
-    acceleration = (force - soil) / inertia_at(structure, p, travel)
-    carried = carried_mass(structure, p, travel) if structure.events else _added_mass(scene)
+    force = first + structure.pull(p, w, rate)
+    soil = structure.resistance(p, travel, initial_speed + gain)
+    acceleration = (force - soil) / structure.inertia_at(p, travel)
+    carried = structure.carried_mass(p, travel) if structure.events else _added_mass(scene)
     soil = soil + carried * acceleration
     speed, opening = initial_speed + gain, 0.0 * w + 0.0
     mode = opening
@@ -506,7 +492,7 @@ def averages_of(
         scale = scene.steady_resistance
     displacement_rms = rms(variances[0], scale / scene.stiffness)
     if structure.damper:
-        mean_draft = first + pull(structure, p, 0.0, start_rate(structure, p)) + means[1]
+        mean_draft = first + structure.pull(p, 0.0, structure.start_rate(p)) + means[1]
         force_rms = rms(variances[1], scale)
     else:
         mean_draft = first + p["stiffness"] * means[0]

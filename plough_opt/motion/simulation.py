@@ -30,7 +30,7 @@ from plough_opt.motion import checks, plan
 from plough_opt.motion.checks import WORTH_A_WARNING, Escape, MissedEvent, difference, unnoticed_stops
 from plough_opt.motion.effects import Smooth, ramp_time
 from plough_opt.motion.effects.terms import Parameters
-from plough_opt.motion.equation import Structure, parameters, resistance, start_speed, strut
+from plough_opt.motion.equation import Structure, parameters
 from plough_opt.motion.integrators import Array, Case, Integrated, embed, integrate, integration, labelled, thinned
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy, locating
 from plough_opt.motion.orbit import which_motion
@@ -346,10 +346,10 @@ def _course(
     if isinstance(fractions, np.ndarray):
         fractions = column(fractions, holds_casadi((scene, duration)))
     time = fractions * duration
-    mount = strut(structure, p, time)
-    force = resistance(structure, p, mount.path, start_speed(structure, p) + mount.gain)
+    mount = structure.strut(p, time)
+    force = structure.resistance(p, mount.path, structure.start_speed(p) + mount.gain)
     everywhere = 0.0 * time
-    speed = start_speed(structure, p) + mount.gain
+    speed = structure.start_speed(p) + mount.gain
     return time, mount.path + everywhere, speed + everywhere, force + everywhere
 
 

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.expressions import Column, stacked
 from plough_opt.motion.effects import ramp_time
-from plough_opt.motion.equation import Structure, equation_of_motion, signals, start_speed, start_state, strut
+from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.methods import DOP853, Tableau
 
 READ_FROM: Final = 8
@@ -304,10 +304,16 @@ class OneStep:
     start: Column
     size: Column
 
+    @property
+    def given(self) -> ca.SX:
+        """Parameters of the equation of `structure`."""
+        column: ca.SX = ca.vertcat(self.p[:-1], self.span[4:])
+        return column
+
     @classmethod
     def of(cls, structure: Structure, width: int) -> OneStep:
         """Create the symbols of a step with a span of that width, 2 or 5."""
-        span, (p, known) = ca.SX.sym("span", width), signals(structure).symbols(ca.SX)
+        span, (p, known) = ca.SX.sym("span", width), equation_of(structure).symbols(ca.SX)
         start: Column = span[0] * p[-1]
         size: Column = span[1] * p[-1]
         if width > 2:
@@ -319,7 +325,7 @@ class OneStep:
 
 def moving_ramp(structure: Structure, timeline: Timeline, p: ca.MX) -> Column:
     """Return the time [s] of a ramp at whose symbolic end a step ends, or None; the duration is the last of p."""
-    return ramp_time(signals(structure).named(p)) if timeline.moving and structure.ramp else None
+    return ramp_time(equation_of(structure).named(p)) if timeline.moving and structure.ramp else None
 
 
 def spans_of(timeline: Timeline, duration: ca.MX, ramp: ca.MX | None) -> ca.MX | ca.DM:
@@ -360,7 +366,7 @@ def unbroken(structure: Structure, timeline: Timeline, one: ca.Function, count: 
         found.append(own)
     sizes = stacked(at[0], at[1] - at[0], 1.0 - at[1])
     columns = [ca.horzcat(*(own[:, k] for own in found)) for k in range(found[0].shape[1])]
-    both = pooled(columns, lambda parts: [part @ sizes for part in parts], signals(structure).count, count)
+    both = pooled(columns, lambda parts: [part @ sizes for part in parts], equation_of(structure).count, count)
     parted = ca.Function("parted", given, [reached, stacked(*both)])
     after, moments = one(state, span, p)
     at = crossings(structure, span.numel())(state[:, 0], after[:, 0], span, p)
@@ -375,12 +381,12 @@ def crossings(structure: Structure, width: int) -> ca.Function:
     A fraction is 1 if that end is not within the step. The share's speed is interpolated by a cubic.
     """
     states, at = [ca.SX.sym("first", 2), ca.SX.sym("last", 2)], OneStep.of(structure, width)
-    motion, known, size = equation_of_motion(at.structure), at.known, at.size
+    equation, known, size = equation_of(at.structure), at.known, at.size
     speeds, slopes = [], []
     for time, state in zip((at.start, at.start + size), states, strict=True):
-        mount = strut(structure, known, time)
-        speeds.append(start_speed(structure, known) + mount.gain - state[1])
-        slopes.append(size * (mount.acceleration - motion.rates(time, state, known)[1]))
+        mount = structure.strut(known, time)
+        speeds.append(structure.start_speed(known) + mount.gain - state[1])
+        slopes.append(size * (mount.acceleration - equation.rate(time, state, at.given)[1]))
     change = speeds[1] - speeds[0]
     bend, twist = 3.0 * change - 2.0 * slopes[0] - slopes[1], slopes[0] + slopes[1] - 2.0 * change
     found = []
@@ -404,49 +410,50 @@ def step(structure: Structure, width: int = 2, tableau: Tableau = DOP853) -> ca.
     which cancellation costs at most a factor of four.
     """
     at, state = OneStep.of(structure, width), ca.SX.sym("state", 2)
-    motion, observed, size = equation_of_motion(at.structure), signals(at.structure), at.size
-    given = stacked(at.p[:-1], at.span[4:])
+    equation, size = equation_of(at.structure), at.size
+    given = at.given
     rates: list[ca.SX] = []
-    first = observed.function(at.start, state, given)
-    mean, square = ca.SX.zeros(observed.count), ca.SX.zeros(observed.squared)
+    first = equation.signals(at.start, state, given)
+    mean, square = ca.SX.zeros(equation.count), ca.SX.zeros(equation.squared)
     for row, node, weight in zip(tableau.stages, tableau.nodes, tableau.weights, strict=True):
         stage = state
         for coefficient, rate in zip(row, rates, strict=True):
             if coefficient != 0.0:
                 stage = stage + (size * coefficient) * rate
         time = at.start + node * size
-        rates.append(motion.rates(time, stage, at.known))
+        rates.append(equation.rate(time, stage, given))
         if weight != 0.0:
-            change = observed.function(time, stage, given) - first
+            change = equation.signals(time, stage, given) - first
             mean += weight * change
-            square += weight * change[: observed.squared] ** 2
+            square += weight * change[: equation.squared] ** 2
     following = state
     for weight, rate in zip(tableau.weights, rates, strict=True):
         if weight != 0.0:
             following = following + (size * weight) * rate
-    spread = square - mean[: observed.squared] ** 2
+    spread = square - mean[: equation.squared] ** 2
     return ca.Function("step", [state, at.span, at.p], ca.cse([following, stacked(first + mean, spread)]))
 
 
 def run_map(structure: Structure, timeline: Timeline, tableau: Tableau = DOP853) -> ca.Function:
     """Return a run as a Function of the parameters: see `plough_opt.motion.integrators.Integration`."""
-    p, known = signals(structure).symbols(ca.MX)
-    results = run_from(structure, timeline, tableau)(start_state(structure, known), p)
+    equation = equation_of(structure)
+    p, _ = equation.symbols(ca.MX)
+    results = run_from(structure, timeline, tableau)(equation.start(p[:-1]), p)
     return ca.Function("run_map", [p], list(results), {"never_inline": True})
 
 
 @lru_cache(maxsize=64)
 def run_from(structure: Structure, timeline: Timeline, tableau: Tableau = DOP853) -> ca.Function:
     """Return a run from any state: (state at time 0, parameters) -> (states at the outputs, means, variances)."""
-    observed = signals(structure)
+    equation = equation_of(structure)
     first = ca.MX.sym("first", 2)
-    p, _ = observed.symbols(ca.MX)
+    p, _ = equation.symbols(ca.MX)
     ramp = moving_ramp(structure, timeline, p)
     spans = spans_of(timeline, p[-1], ramp)
     sizes = spans[1, :] if ramp is None else spans[1, :] + spans[3, :] * (ramp / p[-1])
     count = sizes.shape[1]
     one = unbroken(structure, timeline, step(structure, spans.shape[0], tableau))
     states, moments = one.mapaccum(count)(first, spans, ca.repmat(p, 1, count))
-    averages = pooled([moments], lambda parts: [part @ sizes.T for part in parts], observed.count)
+    averages = pooled([moments], lambda parts: [part @ sizes.T for part in parts], equation.count)
     found = at_outputs(timeline, ca.horzcat(first, states), p[-1], ramp)
     return ca.Function("run_from", [first, p], [found, *averages])

@@ -5,7 +5,7 @@ import pytest
 
 import plough_opt as po
 from plough_opt.motion.batch import many_runs
-from plough_opt.motion.equation import Structure, parameters, signals
+from plough_opt.motion.equation import Structure, equation_of, parameters
 
 
 @pytest.fixture
@@ -54,7 +54,7 @@ def test_many_runs_agree_with_and_without_a_compiler(r1_scene, monkeypatch, tmp_
     """States at the outputs, means and mean squares: a search reads all of them."""
     scene = r1_scene(strength_wave=po.StrengthWave(0.3, 0.6), damping=200.0, tow_ramp=ramp)
     structure, known = Structure.of(scene), parameters(scene)
-    names = signals(structure).parameters
+    names = equation_of(structure).names
     p = np.array([[*(float(known[name]) for name in names), 0.4]] * 3)
     p[:, names.index("stiffness")] *= (0.5, 1.0, 2.0)
     monkeypatch.setattr(many_runs, "_library", many_runs._library.__wrapped__)  # remembers nothing

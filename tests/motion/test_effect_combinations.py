@@ -13,7 +13,7 @@ import pytest
 from helpers import three_modes
 
 import plough_opt as po
-from plough_opt.motion.equation import Structure, equation_of_motion, parameters, signals
+from plough_opt.motion.equation import Structure, equation_of, parameters
 
 SHARE = po.Wedge(po.deg(45.0), po.deg(15.0), 0.25)
 FACTORS = {
@@ -141,8 +141,8 @@ def test_combinations_run_and_are_right(r1_soil, combinations):
 def test_effects_that_are_off_are_not_in_the_equation(r1_soil, effects):
     scene = scene_of(r1_soil, effects)
     structure, known = Structure.of(scene), parameters(scene)
-    equation = equation_of_motion(structure)
-    names = set(equation.names) | set(signals(structure).parameters) | set(known)
+    equation = equation_of(structure)
+    names = set(equation.names) | set(equation_of(structure).names) | set(known)
     for name, own in OWN.items():
         assert is_on(effects, name) or not (own & names), name
     stick_slip, smooth = (isinstance(effects["contact"], law) for law in (po.StickSlip, po.Smooth))
@@ -151,15 +151,15 @@ def test_effects_that_are_off_are_not_in_the_equation(r1_soil, effects):
     events = stick_slip or effects["entry"]
     assert equation.states == 2 + events * (2 + effects["entry"] + is_on(effects, "tow_ramp"))
     assert (equation.events is not None) == events
-    operations = [equation.function.instruction_id(k) for k in range(equation.function.n_instructions())]
+    operations = [equation.rate.instruction_id(k) for k in range(equation.rate.n_instructions())]
     assert is_on(effects, "strength_wave") == (ca.OP_SIN in operations)
 
 
 def test_the_bare_equation_is_a_spring_and_a_mass(r1_scene):
-    bare, damped = (equation_of_motion(Structure.of(r1_scene(inertial_drag=False, damping=c))) for c in (None, 100.0))
+    bare, damped = (equation_of(Structure.of(r1_scene(inertial_drag=False, damping=c))) for c in (None, 100.0))
     assert bare.names == ("inertia", "stiffness")
     # w, w', k0, M and the product, quotient and sign of -k0 w/M.
-    assert bare.function.n_nodes() == 7 < damped.function.n_nodes()
+    assert bare.rate.n_nodes() == 7 < damped.rate.n_nodes()
     # Scenes of equal structure share one graph.
     other = r1_scene(35.0, 0.2, 1e5, inertial_drag=False, added_mass=False, ambient_pressure=False)
-    assert equation_of_motion(Structure.of(other)) is bare
+    assert equation_of(Structure.of(other)) is bare

@@ -10,21 +10,7 @@ import casadi as ca
 
 from plough_opt.core.expressions import Column, Expression, absolute, where
 from plough_opt.motion.effects.terms import Parameters
-from plough_opt.motion.equation import (
-    GAP,
-    SLIP,
-    STICK,
-    Structure,
-    carried_mass,
-    hold,
-    inertia_at,
-    pull,
-    resistance,
-    start_deflection,
-    start_rate,
-    start_speed,
-    strut,
-)
+from plough_opt.motion.equation import GAP, SLIP, STICK, Structure
 from plough_opt.motion.scene import Scene
 
 # Speeds below this part of the scene's speed, and distances below this part of the share's height, are rounding.
@@ -60,15 +46,15 @@ class Share:
         self.opening = where(self.mode > STICK, self.furthest - self.travel, 0.0)
         p = q | ({"entered": self.entered, "behind": self.opening} if structure.entry else {})
         driven = p | {"tow_speed": self.input}
-        self.strut_speed = start_speed(structure, driven) + strut(structure, driven, self.time).gain
-        self.pull: Column = pull(structure, q, self.deflection, self.strut_speed - self.speed)
-        steady = resistance(structure, p, self.travel, self.speed)
-        self._carried = carried_mass(structure, p, self.travel) if structure.events else q["added_mass"]
-        self._slipping: Column = (self.pull - steady) / inertia_at(structure, p, self.travel)
+        self.strut_speed = structure.start_speed(driven) + structure.strut(driven, self.time).gain
+        self.pull: Column = structure.pull(q, self.deflection, self.strut_speed - self.speed)
+        steady = structure.resistance(p, self.travel, self.speed)
+        self._carried = structure.carried_mass(p, self.travel) if structure.events else q["added_mass"]
+        self._slipping: Column = (self.pull - steady) / structure.inertia_at(p, self.travel)
         self.acceleration, self.resistance = self._slipping, steady + self._carried * self._slipping
         if self.sticks:
             # The mount force at which a sticking share breaks away.
-            self._hold = hold(structure, p, self.travel)
+            self._hold = structure.hold(p, self.travel)
             self.acceleration = self._by_mode(self._slipping, 0.0, self.pull / q["mass"])
             self.resistance = self._by_mode(self.resistance, self.pull, 0.0)
         self._speed_scale, self._height = scene.tow_speed or 1.0, scene.cone.height
@@ -130,14 +116,14 @@ class Share:
         """Return the states and the discrete variables at the start."""
         structure = self.structure
         p = self.q | ({"tow_speed": self.input} if self.by_speed else {})
-        first, rate = start_deflection(structure, p), start_rate(structure, p)
-        travel, speed = (0.0 if self.by_speed else self.input) - first, start_speed(structure, p) - rate
+        first, rate = structure.start_deflection(p), structure.start_rate(p)
+        travel, speed = (0.0 if self.by_speed else self.input) - first, structure.start_speed(p) - rate
         x = [travel, speed, *([first] if self.by_speed else [])]
         if not structure.events:
             return x, []
         mode: Expression = SLIP
         if self.sticks:
             buried: Parameters = {"entered": 0.0, "behind": 0.0} if structure.entry else {}
-            held = pull(structure, p, first, rate) < hold(structure, {**p, **buried}, travel)
+            held = structure.pull(p, first, rate) < structure.hold({**p, **buried}, travel)
             mode = where(speed > 0.0, SLIP, where(held, STICK, SLIP))
         return x, [mode, travel, *([0.0] if structure.entry else [])]

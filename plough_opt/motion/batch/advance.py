@@ -34,16 +34,7 @@ from plough_opt.core.labels import labels_in, without_labels
 from plough_opt.motion.batch.engine import Array
 from plough_opt.motion.batch.series import Graph, Series, Switch, series_of
 from plough_opt.motion.effects import StrengthWaves
-from plough_opt.motion.equation import (
-    Structure,
-    equation_of_motion,
-    parameters,
-    pull,
-    signals,
-    start_deflection,
-    start_force,
-    start_rate,
-)
+from plough_opt.motion.equation import Equation, Structure, equation_of, parameters
 from plough_opt.motion.plan import summed_rate
 from plough_opt.motion.scene import Scene
 
@@ -60,27 +51,31 @@ class Layout:
     squared error of the mount force over the stiffness (see `plough_opt.motion.batch.advance`).
 
     Attributes:
-        structure: the terms that are on.
-        names: names of the equation's parameters.
-        averaged: number of signals whose mean is taken: see `plough_opt.motion.equation`.
-        squared: how many of these, from the first, also have a variance.
-        switches: number of switches that select the formula of the equation of motion.
+        equation: the equation of motion.
+        switches: number of switches that select the formula of its right-hand side.
     """
 
-    structure: Structure
-    names: tuple[str, ...]
-    averaged: int
-    squared: int
+    equation: Equation
     switches: int
 
     @classmethod
     def of(cls, structure: Structure) -> Layout:
         """Return the layout of a structure."""
-        observed, motion = signals(structure), equation_of_motion(structure)
+        equation = equation_of(structure)
         graph, unknown = Graph(), ca.SX.sym("unknown")
-        state, known = [graph.given(unknown) for _ in range(2)], [graph.constant(unknown) for _ in motion.names]
-        series_of(graph, motion.function, [[graph.clock(unknown)], state, known])
-        return cls(structure, observed.parameters, observed.count, observed.squared, len(graph.switches))
+        state, known = [graph.given(unknown) for _ in range(2)], [graph.constant(unknown) for _ in equation.names]
+        series_of(graph, equation.rate, [[graph.clock(unknown)], state, known])
+        return cls(equation, len(graph.switches))
+
+    @property
+    def structure(self) -> Structure:
+        """Terms that are on."""
+        return self.equation.structure
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the equation's parameters."""
+        return self.equation.names
 
     @property
     def ends(self) -> tuple[int, ...]:
@@ -106,7 +101,7 @@ class Layout:
     @property
     def states(self) -> int:
         """Size of the state."""
-        return 7 + self.averaged + self.squared + self.switches
+        return 7 + self.equation.averages + self.switches
 
     def value(self, p: ca.SX, name: str) -> ca.SX:
         """Return a parameter of the equation by its name."""
@@ -143,16 +138,15 @@ class StepStart:
         """Return an empty graph of Taylor series in the time since this moment."""
         return Graph(self.ramp_ended, kept)
 
-    def series(self, graph: Graph, function: ca.Function, motion: list[Series], names: Sequence[str]) -> list[Series]:
+    def series(self, graph: Graph, function: ca.Function, motion: list[Series]) -> list[Series]:
         """Enter a Function of (time, (w, w'), parameters) in a graph and return the series of its results.
 
         Args:
             graph: the graph.
             function: the Function, of SX.
             motion: the series of w and w'.
-            names: names of the Function's parameters, in order.
         """
-        known = [graph.constant(self.layout.value(self.p, name)) for name in names]
+        known = [graph.constant(self.layout.value(self.p, name)) for name in self.layout.names]
         return series_of(graph, function, [[graph.clock(self.state[0])], motion, known])
 
 
@@ -204,11 +198,11 @@ class StartValues:
             layout: of the state.
             state: at the end, from the means on, a row each.
         """
-        means, variances = state[: layout.averaged], state[layout.averaged : layout.averaged + layout.squared]
+        means, variances, _ = np.split(state, [layout.equation.count, layout.equation.averages])
         displacement_rms = np.sqrt(variances[0])
         # Without a damper the mount force is that of the spring, and there is no signal for it.
-        mean_draft = self.force + (means[1] if layout.squared > 1 else self.restoring * means[0])
-        force_rms = np.sqrt(variances[1]) if layout.squared > 1 else self.stiffness * displacement_rms
+        mean_draft = self.force + (means[1] if layout.equation.squared > 1 else self.restoring * means[0])
+        force_rms = np.sqrt(variances[1]) if layout.equation.squared > 1 else self.stiffness * displacement_rms
         tow_power = means[-1] if layout.structure.ramp else mean_draft * self.tow_speed
         size = np.maximum(np.abs(mean_draft), force_rms)
         error = np.divide(np.sqrt(state[-1]) * self.stiffness, size, out=np.zeros_like(size), where=size != 0.0)
@@ -226,12 +220,12 @@ def setup(layout: Layout, scene: Scene, duration: Expression, inputs: Sequence[C
     # Where the soil never resists, the strut alone moves the share.
     size = where(steady > 0.0, steady, scene.tow_speed / scene.natural_frequency) + _TINY
     phase, part = _phase_and_error_part(layout)(stacked(*values, end, duration))
-    rate = start_rate(structure, known)
+    rate = structure.start_rate(known)
     start = StartValues(
         rate=rate,
         phase=phase,
-        force=start_force(structure, known) + pull(structure, known, 0.0, rate),
-        deflection=start_deflection(structure, known),
+        force=structure.start_force(known) + structure.pull(known, 0.0, rate),
+        deflection=structure.start_deflection(known),
         tow_speed=scene.tow_speed,
         stiffness=scene.stiffness,
         restoring=scene.restoring_stiffness,
@@ -268,9 +262,9 @@ def function_of_column(name: str, inputs: Sequence[Column], result: Column) -> c
 @lru_cache(maxsize=16)
 def slopes(structure: Structure) -> ca.Function:
     """Return (time, (w, w'), parameters of the equation of motion) -> (dw''/dw [1/s^2], dw''/dw' [1/s])."""
-    motion = equation_of_motion(structure)
-    time, state, p = ca.SX.sym("time"), ca.SX.sym("state", 2), ca.SX.sym("p", len(motion.names))
-    found = ca.densify(ca.jacobian(motion.function(time, state, p)[1], state))
+    equation = equation_of(structure)
+    time, state, p = ca.SX.sym("time"), ca.SX.sym("state", 2), ca.SX.sym("p", len(equation.names))
+    found = ca.densify(ca.jacobian(equation.rate(time, state, p)[1], state))
     return ca.Function("slopes", [time, state, p], [ca.cse(found.T)])
 
 
@@ -284,12 +278,11 @@ def _phase_and_error_part(layout: Layout) -> ca.Function:
     """
     p = ca.SX.sym("p", layout.ends[-1] + 1)
     known = dict(zip(layout.names, ca.vertsplit(p), strict=False))
-    motion_parameters = stacked(*(known[name] for name in equation_of_motion(layout.structure).names))
     duration, frequency_squared = p[layout.ends[-1]], layout.mount_frequency(p) ** 2
     soil_over_mount, decay = ca.SX(0), ca.SX(0)
     for k in range(_MOMENTS):
         moment = duration * math.fmod(_GOLDEN_SECTION * (k + 0.5), 1.0)
-        spring, damper = ca.vertsplit(slopes(layout.structure)(moment, ca.SX.zeros(2), motion_parameters))
+        spring, damper = ca.vertsplit(slopes(layout.structure)(moment, ca.SX.zeros(2), p[: len(layout.names)]))
         soil_over_mount = soil_over_mount + ca.fabs(spring + frequency_squared) / (_MOMENTS * frequency_squared)
         decay = decay - damper / (2.0 * _MOMENTS)
     # An overdamped mount has two rates of decay; this is the slower one, times the duration.
@@ -324,9 +317,9 @@ def deviation_map(start: StepStart, motion: tuple[list[ca.SX], list[ca.SX]], pow
         motion: Taylor coefficients of w and of w'.
         powers: of the step size [s], from 0 on.
     """
-    structure, graph = start.layout.structure, start.graph()
+    graph = start.graph()
     known = [graph.given(*coefficients[:_SPRING_TERMS]) for coefficients in motion]
-    spring, damper = start.series(graph, slopes(structure), known, equation_of_motion(structure).names)
+    spring, damper = start.series(graph, slopes(start.layout.structure), known)
     for order in range(_SPRING_TERMS):
         graph.extend(order)
     size, frequency = powers[1], start.layout.mount_frequency(start.p)
@@ -474,10 +467,9 @@ def advance(layout: Layout, order: int, phase: int) -> ca.Function:
 
 def _solution(start: StepStart, order: int) -> tuple[list[ca.SX], list[ca.SX], list[Switch]]:
     """Return the coefficients of w and of w', and the switches of the right-hand side."""
-    motion = equation_of_motion(start.layout.structure)
     graph = start.graph(ca.vertsplit(start.state[-4 - start.layout.switches : -4]))
     w, rate = graph.given(start.state[1]), graph.given(start.state[2])
-    w_rate, acceleration = start.series(graph, motion.function, [w, rate], motion.names)
+    w_rate, acceleration = start.series(graph, start.layout.equation.rate, [w, rate])
     for k in range(order):
         graph.extend(k)
         w.coefficients.append(w_rate[k] / (k + 1))
@@ -491,7 +483,7 @@ def _signals(start: StepStart, w: list[ca.SX], rate: list[ca.SX]) -> list[list[c
     graph, structure = start.graph(), start.layout.structure
     orders = len(w) + (_RAMP_DEGREE if structure.ramp and not start.ramp_ended else 0)
     motion = [graph.given(*c, *[ca.SX(0)] * (orders - len(c))) for c in (w, rate)]
-    observed = start.series(graph, signals(structure).function, motion, start.layout.names)
+    observed = start.series(graph, start.layout.equation.signals, motion)
     for k in range(orders):
         graph.extend(k)
     return [series.coefficients for series in observed]
@@ -606,13 +598,13 @@ def _averages(layout: Layout, terms: list[list[ca.SX]], x: ca.SX, part: ca.SX) -
     """
     means, variances = [], []
     for k, series in enumerate(terms):
-        legendre = _legendre(series, 2 * len(series) // 5 if k < layout.squared else 0)
+        legendre = _legendre(series, 2 * len(series) // 5 if k < layout.equation.squared else 0)
         before = x[3 + k]
         distance = legendre[0] - before
         means.append(before + part * distance)
-        if k < layout.squared:
+        if k < layout.equation.squared:
             spread = sum(c**2 / (2 * degree + 1) for degree, c in enumerate(legendre[1:], start=1))
-            old = x[3 + layout.averaged + k]
+            old = x[3 + layout.equation.count + k]
             variances.append((1.0 - part) * (old + part * distance**2) + part * spread)
     return [*means, *variances]
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.compiler import library
 from plough_opt.motion.batch.engine import Array, Statements, head, variants
-from plough_opt.motion.equation import Structure, equation_of_motion, signals, start_state
+from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.plan import summed_and_lasting_phase
@@ -135,14 +135,14 @@ class ManyRuns:
 
     def __init__(self, structure: Structure, outputs: int) -> None:
         self._structure, self._outputs = structure, outputs
-        self._observed = signals(structure)
+        self._equation = equation_of(structure)
         self._library = _library(structure)
 
     @property
     def size(self) -> int:
         """Number of results of a run: the states, output by output, the means, and the mean squares about them."""
         states = 2 * (self._outputs + 1) if self._outputs else 0
-        return states + self._observed.count + self._observed.squared
+        return states + self._equation.averages
 
     @property
     def compiled(self) -> bool:
@@ -164,7 +164,7 @@ class ManyRuns:
         """
         columns = np.ascontiguousarray(p.T)
         results = np.full((len(p), self.size), np.nan)
-        known = dict(zip(self._observed.parameters, columns, strict=False))
+        known = dict(zip(self._equation.names, columns, strict=False))
         with np.errstate(all="ignore"):
             if count is None:
                 steps = self._steps(known, columns[-1], finer)
@@ -239,14 +239,14 @@ def _before_kink(known: dict[str, Array], duration: Array, steps: Array) -> tupl
 @lru_cache(maxsize=32)
 def _library(structure: Structure) -> ctypes.CDLL | None:
     """Return the compiled runs of a structure; None without a compiler."""
-    observed = signals(structure)
+    equation = equation_of(structure)
     begin, one = _operations(structure)
     first, text = Statements(begin, ("p",)), Statements(one, ("x", "s", "p"))
     body = _SOURCE.format(
-        given=len(observed.parameters) + 1,
+        given=len(equation.names) + 1,
         width=one.numel_out(),
-        count=observed.count,
-        squared=observed.squared,
+        count=equation.count,
+        squared=equation.squared,
         start="\n".join([*first.once, *first.each]),
         once="\n".join(text.once),
         each="\n".join(text.each),
@@ -261,10 +261,9 @@ def _library(structure: Structure) -> ctypes.CDLL | None:
 
 def _operations(structure: Structure) -> tuple[ca.Function, ca.Function]:
     """Return (parameters -> start state) and ((state, span, parameters) -> state after a step, w'', moments)."""
-    motion, observed = equation_of_motion(structure), signals(structure)
-    (p, known), state, span = observed.symbols(ca.SX), ca.SX.sym("state", 2), ca.SX.sym("span", 2)
+    equation = equation_of(structure)
+    (p, _), state, span = equation.symbols(ca.SX), ca.SX.sym("state", 2), ca.SX.sym("span", 2)
     following, moments = step(structure)(state, span, p)
-    acceleration = motion.rates(span[0] * p[-1], state, known)[1]
+    acceleration = equation.rate(span[0] * p[-1], state, p[:-1])[1]
     result = ca.cse(ca.densify(ca.vertcat(following, acceleration, moments)))
-    first = ca.densify(ca.SX(start_state(structure, known)))
-    return ca.Function("begin", [p], [first]), ca.Function("advance", [state, span, p], [result])
+    return ca.Function("begin", [p], [equation.start(p[:-1])]), ca.Function("advance", [state, span, p], [result])

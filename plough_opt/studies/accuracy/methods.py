@@ -24,7 +24,7 @@ from plough_opt.core.expressions import as_number
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.checks import refuse_missed_event
 from plough_opt.motion.effects import HarmonicBalance, StickSlip
-from plough_opt.motion.equation import Structure, signals
+from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.integrators import compiled_steps, integration
 from plough_opt.motion.methods import DEFAULT_ERROR, METHODS, ORDER_8, Accuracy, adaptive, fixed_step
 from plough_opt.motion.plan import (
@@ -381,7 +381,7 @@ def prepared(task: Task, accuracy: Accuracy, *, compiled: bool = False) -> tuple
     code = compiled_steps(structure) if compiled else None
     once: Use
     if code is not None:
-        once = partial(code, timeline, [*(known[name] for name in signals(structure).parameters), task.duration])
+        once = partial(code, timeline, [*(known[name] for name in equation_of(structure).names), task.duration])
     else:
         solver = integration(structure, accuracy, timeline)
         once = partial(solver.function.call, [ca.DM([*(known[name] for name in solver.names), task.duration])])

@@ -20,19 +20,7 @@ from numpy.polynomial import chebyshev
 
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.motion import Run, simulate
-from plough_opt.motion.equation import (
-    GAP,
-    SLIP,
-    STICK,
-    Structure,
-    equation_of_motion,
-    lightest_mass,
-    parameters,
-    signals,
-    start_deflection,
-    start_resistance,
-    start_state,
-)
+from plough_opt.motion.equation import GAP, SLIP, STICK, Structure, equation_of, lightest_mass, parameters
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.plan import fastest_rate, numbers_of
 from plough_opt.motion.run import assemble
@@ -251,21 +239,16 @@ def reference_gradient(scene: Scene, duration: float | None) -> ReferenceGradien
 @lru_cache(maxsize=8)
 def _graphs(structure: Structure) -> tuple[dict[str, LongDoubleGraph], tuple[str, ...]]:
     """Return a structure's rates, events, signals and start in wide floats, and the names of their parameters."""
-    motion, observed = equation_of_motion(structure), signals(structure)
-    p = ca.SX.sym("p", len(observed.parameters))
-    known = dict(zip(observed.parameters, ca.vertsplit(p), strict=True))
-    own = ca.vertcat(*(known[name] for name in motion.names))
-    time, state = ca.SX.sym("time"), ca.SX.sym("state", motion.states)
-    seen = ca.vertcat(state[:2], state[-1]) if structure.ends_ramp else state[:2]
-    events: Any = [] if motion.events is None else motion.events(time, state, own)
+    equation = equation_of(structure)
+    p, time, state = ca.SX.sym("p", len(equation.names)), ca.SX.sym("time"), ca.SX.sym("state", equation.states)
     at = [time, state, p]
     graphs = {
-        "rates": in_long_double(at, [motion.function(time, state, own)]),
-        "events": in_long_double(at, list(events)),
-        "signals": in_long_double(at, [observed.function(time, seen, p)]),
-        "start": in_long_double([p], [start_state(structure, known)]),
+        "rates": in_long_double(at, [equation.rate(*at)]),
+        "events": in_long_double(at, [] if equation.events is None else list(equation.events(*at))),
+        "signals": in_long_double(at, [equation.signals(*at)]),
+        "start": in_long_double([p], [equation.start(p)]),
     }
-    return graphs, observed.parameters
+    return graphs, equation.names
 
 
 class Motion:
@@ -307,7 +290,7 @@ class Motion:
         # Soil without resistance leaves the rounding of the latter.
         steady = self.structure.start == "equilibrium" and not self.structure.ramp
         least = speed * hardness * (EPS if steady else 1)
-        force = start_resistance(self.structure, self.p) + least
+        force = self.structure.start_resistance(self.p) + least
         self.scales = np.array([force / stiffness, force / hardness])
         self.ramp = LONGDOUBLE(0) if self.structure.ends_ramp else self.p.get("ramp_time", LONGDOUBLE(0))
         self.start: LongDouble = self._graph["start"](self._numbers)[0][:, 0]
@@ -463,7 +446,7 @@ def _moments(motion: Motion, integrals: list[tuple[LongDouble, LongDouble]]) -> 
     weights, values = (np.concatenate(parts, axis=-1) for parts in zip(*integrals, strict=True))
     shares = weights / np.sum(weights)
     means = values @ shares
-    return means, (values - means[:, None])[: signals(motion.structure).squared] ** 2 @ shares
+    return means, (values - means[:, None])[: equation_of(motion.structure).squared] ** 2 @ shares
 
 
 def periodic_orbit(motion: Motion, guess: LongDouble, outputs: int, degree: int) -> IntegratedMotion:
@@ -501,7 +484,7 @@ def periodic_orbit(motion: Motion, guess: LongDouble, outputs: int, degree: int)
 def state_near_orbit(scene: Scene) -> LongDouble:
     """Return a state near the periodic orbit by simulation; it decides which orbit is found, not its digits."""
     run = simulate(scene, outputs=1)
-    first = start_deflection(Structure.of(scene), parameters(scene))
+    first = Structure.of(scene).start_deflection(parameters(scene))
     return np.array([run.deflection[0] - first, float(scene.tow_speed) - run.speed[0]], LONGDOUBLE)
 
 

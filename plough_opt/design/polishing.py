@@ -197,8 +197,8 @@ def _stalled(program: Program, p: Vector, point: Point) -> Point:
     g = np.asarray(program.nlp.values(point.y, p)[1]).ravel()
     touches = np.minimum(g - program.low, program.high - g) <= _ACTIVE
     at_bound = np.minimum(point.y, 1.0 - point.y) <= _ACTIVE
-    multipliers = {"lam_g": np.where(touches, point.lam_g, 0.0), "lam_y": np.where(at_bound, point.lam_y, 0.0)}
-    return replace(point, solved=True, status=AS_FOUND, **multipliers)
+    lam_g, lam_y = np.where(touches, point.lam_g, 0.0), np.where(at_bound, point.lam_y, 0.0)
+    return replace(point, solved=True, status=AS_FOUND, lam_g=lam_g, lam_y=lam_y)
 
 
 def _highest_accepted(program: Program, p: Vector, start: Vector) -> float:

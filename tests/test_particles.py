@@ -132,6 +132,7 @@ def test_the_displaced_zone_of_incompressible_soil(script):
 # --- YADE ---
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("yade") is None, reason="YADE is not installed (Debian: apt-get install yade)")
 def test_small_runs_repeat_exactly_and_balance(script, tmp_path):
     # About 200 spheres of 50 mm.

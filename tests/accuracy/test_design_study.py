@@ -23,6 +23,7 @@ R1 = (39.11469851, 0.2002828632, 37505.6423, 0.9164459115)
 # --- the reference ---
 
 
+@pytest.mark.slow
 def test_the_reference_is_the_true_optimum_of_r1():
     d = po.read_problem(REFERENCE).design()[0]
     best = d.solve(search="near")

@@ -31,7 +31,10 @@ RESULTS = {
 }
 
 
-@pytest.mark.parametrize("result", RESULTS.values(), ids=RESULTS)
+@pytest.mark.parametrize(
+    "result",
+    [pytest.param(own, id=name, marks=[pytest.mark.slow] * (name == "draft")) for name, own in RESULTS.items()],
+)
 def test_fastest_design_stops_at_the_shear_waves_speed(result):
     d, v = design(speed=(20.0, 1.0, 100.0, "m/s"))
     d.minimise(-v / 50.0)

@@ -42,6 +42,7 @@ def test_the_searched_variables_may_be_named(seed):
     assert best.objective == pytest.approx(4.3912086221e-4, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_needle_is_recognised():
     best = as_design(_with_guess(RIPPLED, *NEEDLE))[0].solve(search="near", judge="bare")
     # The guess itself has 433.584 N, by the independent simulator.
@@ -61,7 +62,7 @@ def test_ripples_of_a_basin_are_not_separate_optima(seed):
     assert best.search.polished <= 10
 
 
-@pytest.mark.parametrize("seed", range(5))
+@seeds(0)
 def test_a_guess_at_the_optimum_is_solved(seed):
     d, height = design(height=(0.25, 0.15, 0.4, "m"))
     d.minimise(((height - 0.3) ** 2 - 0.0025) ** 2 * 1e4)

@@ -71,7 +71,7 @@ def by_design(law, row):
 
 
 # The graph of the elastic medium takes seconds to build.
-CASES = [pytest.param(law, 4, marks=[pytest.mark.slow] * (law == "elastic")) for law in LAWS]
+CASES = [pytest.param(law, 2, marks=[pytest.mark.slow] * (law == "elastic")) for law in LAWS]
 CASES += [pytest.param(law, COUNT, marks=pytest.mark.slow) for law in LAWS if law != "elastic"]
 
 

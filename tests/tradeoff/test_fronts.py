@@ -191,6 +191,7 @@ def test_no_design_meets_the_requirements(plane):
     assert caught.value.conflicts == pytest.approx({"far": 1.0}, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_region_that_only_the_optimiser_finds(plane):
     d, x, y = plane
     d.require("end of a valley", 1.0 + 1e4 * (y - x**3 + x) ** 2 + (x - 0.9) ** 2, at_most=1.0 + 3e-6)
@@ -220,7 +221,8 @@ def test_no_design_meets_all_digits_of_a_requirement(plane):
         pytest.param(lambda x, y: (x, y), {"search": ["X"]}, "search = 'X' is not a variable", id="search"),
         pytest.param(lambda x, y: (y, po.simulate(scene_of(mass=-x), 0.1).mean_draft), {}, "mass = -0.3 kg", id="mass"),
         pytest.param(lambda x, _: (ca.fabs(x) + x / 9, ca.fabs(x) - x / 9), {"points": 5, "search": "near"},
-                     "no point of the front could be certified: the first-order conditions", id="kink"),
+                     "no point of the front could be certified: the first-order conditions", id="kink",
+                     marks=pytest.mark.slow),
         *(
             pytest.param(lambda x, y: (x, y), {"points": n}, "a whole number from 5 to 1000", id=f"{n} points")
             for n in (4, 1001, 7.5)

@@ -93,7 +93,7 @@ def test_fitted_runs_are_checked_by_runs_with_an_error_estimate(monkeypatch):
     """The 400 steps of a symbolic run are too few for 30 s, and for some starts too long: they have no prediction."""
     speeds, unknown = [1.0, 2.0], {"effects.damping": (100.0, 1e5)}
     data = po.Measurements("mean_draft", [1.4e3, 1.5e3], {"scene.tow_speed": speeds}, sigma=1.0)
-    calibration = po.Calibration(moving_scene(), data, unknown, duration=30.0, starts=16)
+    calibration = po.Calibration(moving_scene(), data, unknown, duration=30.0, starts=4)
     fit = calibration.fit()
     runs = [po.simulate(dataclasses.replace(fit.scene, tow_speed=v), 30.0).mean_draft for v in speeds]
     error = np.max(np.abs(runs - fit.predicted))

@@ -46,6 +46,7 @@ def test_the_fit_is_that_of_iterated_weights():
     assert "of the predicted values" in str(found)
 
 
+@pytest.mark.slow
 def test_growing_errors_are_warned_of_and_weighted_away():
     _, warned = studied(True, "constant", 10)
     # Some five in six fits warn: three or fewer of ten do in one case of a thousand.

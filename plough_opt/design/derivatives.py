@@ -16,7 +16,7 @@ from plough_opt.design.ipopt import Point, Vector
 from plough_opt.design.nlp import RunGroup
 from plough_opt.design.polishing import AS_FOUND, solved_again
 from plough_opt.design.program import Program
-from plough_opt.motion.batch.many_runs import ManyRuns
+from plough_opt.motion.compiled_steps import ManyRuns
 from plough_opt.motion.derivatives import derivative_error, difference_of_jets, finer_than
 from plough_opt.motion.plan import summed_rate
 from plough_opt.motion.steps import pairs

@@ -14,7 +14,7 @@ from plough_opt.design.ipopt import Vector
 from plough_opt.design.nlp import algebra_of, averages_only, holds_maps
 from plough_opt.design.scene_checks import SceneChecks, has_own_law
 from plough_opt.design.split import EmbeddedRun, Split, split
-from plough_opt.motion.batch.many_runs import ManyRuns
+from plough_opt.motion.compiled_steps import ManyRuns
 from plough_opt.motion.integrators import Integration, integration
 
 # Slopes smaller than this count as 0, so that a division by them cannot overflow.

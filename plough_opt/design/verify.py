@@ -17,9 +17,10 @@ from plough_opt.core.labels import Call, Domain
 from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.split import split
 from plough_opt.motion.checks import refuse_drifting_own, refuse_stiff_orbit
+from plough_opt.motion.compiled_steps import compiled_steps
 from plough_opt.motion.effects import MOST_HARMONICS
 from plough_opt.motion.equation import equation_of
-from plough_opt.motion.integrators import Integration, compiled_steps, integration
+from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.plan import checked, kink_of, most_steps, phase, steps_for, suited, summed_rate
 from plough_opt.motion.run import Run, assemble

@@ -6,7 +6,6 @@ run is one call of the Function or, if the system has a compiler, the same opera
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -16,11 +15,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.compiler import Variant, library
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import Column, Expression, classes_in, is_symbolic, stacked, template_of
 from plough_opt.core.labels import Meanings, attach
 from plough_opt.motion.checks import failed_by, refuse_missed_event, refuse_runaway, refuse_weak_rest
+from plough_opt.motion.compiled_steps import CompiledSteps, compiled_steps
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.equation import Structure, equation_of, lightest_mass
 from plough_opt.motion.methods import METHODS, Accuracy, is_stepped, tableau_of
@@ -29,7 +28,7 @@ from plough_opt.motion.plan import OUTPUTS, STIFF_PHASE, fastest_rate, most_step
 from plough_opt.motion.run import OUTPUTS as ARRAYS
 from plough_opt.motion.run import Run, assemble
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.steps import Timeline, readings, run_map, step
+from plough_opt.motion.steps import Timeline, run_map
 
 # A negligible force [N], which keeps the sizes of a scene without forces above zero.
 _LEAST_FORCE = 1e-9
@@ -297,140 +296,6 @@ def _build(solver: Integration, count: int) -> ca.Function:
 
 
 Array = NDArray[np.float64]
-
-# Without fused multiply-add the results are equal to those of CasADi's interpreter.
-_FLAGS = ("-O2", "-ffp-contract=off")
-_VARIANTS: tuple[Variant, ...] = (((*_FLAGS, "-fno-semantic-interposition"), ("-lm",)), (_FLAGS, ("-lm",)))
-
-_SOURCE = """
-#include <stdlib.h>
-#include <string.h>
-enum {{ SIGNALS = {count}, SQUARED = {squared}, MOMENTS = SIGNALS + SQUARED, DURATION = {given} }};
-
-/* Interpolates the outputs. Each is read from `count` ends of steps, from `first` on. Each end has four weights: of w
-   and of its rate in w, of w and of its rate in the rate. */
-static double *read(long long outputs, const long long *first, const long long *count, const double *weight,
-                    const double *x, double duration, double *out) {{
-  for (long long o = 0; o < outputs; o++) {{
-    double sum[4] = {{0.0, 0.0, 0.0, 0.0}};
-    const double *end = x + 2 * first[o];
-    for (long long n = count[o]; n > 0; n--, end += 2, weight += 4)
-      for (int j = 0; j < 4; j++) sum[j] += end[j % 2] * weight[j];
-    *out++ = sum[0] + duration * sum[1];
-    *out++ = sum[2] / duration + sum[3];
-  }}
-  return out;
-}}
-
-static void average(long long steps, const double *span, const double *moments, double *mean, double *variance) {{
-  memset(mean, 0, SIGNALS * sizeof(double));
-  memset(variance, 0, SQUARED * sizeof(double));
-  for (long long k = 0; k < steps; k++)
-    for (int j = 0; j < SIGNALS; j++) mean[j] += moments[MOMENTS * k + j] * span[2 * k + 1];
-  for (long long k = 0; k < steps; k++)
-    for (int j = 0; j < SQUARED; j++) {{
-      const double drift = moments[MOMENTS * k + j] - mean[j];
-      variance[j] += (moments[MOMENTS * k + SIGNALS + j] + drift * drift) * span[2 * k + 1];
-    }}
-}}
-
-/* Writes the states at the outputs, the means and the mean squares about them. Returns 1 if out of memory. */
-CASADI_SYMBOL_EXPORT int motion_follow(long long steps, long long outputs, const double *span, const long long *first,
-    const long long *count, const double *weight, const double *p, double *out) {{
-  double *x = malloc((2 * (steps + 1) + MOMENTS * steps) * sizeof(double));
-  if (!x) return 1;
-  double *moments = x + 2 * (steps + 1), *into[{sz_res}] = {{x}}, work[{sz_w}];
-  const double *given[{sz_arg}] = {{p}};
-  casadi_int places[{sz_iw}];
-  motion_start(given, into, places, work, 0);
-  for (long long k = 0; k < steps; k++) {{
-    given[0] = x + 2 * k;
-    given[1] = span + 2 * k;
-    given[2] = p;
-    into[0] = x + 2 * (k + 1);
-    into[1] = moments + MOMENTS * k;
-    motion_step(given, into, places, work, 0);
-  }}
-  out = read(outputs, first, count, weight, x, p[DURATION], out);
-  average(steps, span, moments, out, out + SIGNALS);
-  free(x);
-  return 0;
-}}
-"""
-
-
-class CompiledSteps:
-    """Integration of a structure's equation by steps of order 8 in machine code."""
-
-    def __init__(self, structure: Structure, loaded: ctypes.CDLL) -> None:
-        """Wrap a loaded library that was compiled for the structure."""
-        self._equation = equation_of(structure)
-        self._follow = loaded.motion_follow
-        self._follow.argtypes = [*[ctypes.c_longlong] * 2, *[ctypes.c_void_p] * 6]
-
-    def __call__(self, timeline: Timeline, p: list[float]) -> tuple[Array, Array, Array] | None:
-        """Return the states at the outputs (a row each), means and mean squares; None if any is not finite.
-
-        Args:
-            timeline: steps and outputs, not aligned.
-            p: the equation's parameters with the duration last.
-
-        Raises:
-            MemoryError: there is not enough memory for the steps.
-        """
-        (arrays, addresses), given = _times(timeline), np.array(p)
-        end = 2 * len(timeline.output_fractions)
-        found = np.empty(end + self._equation.averages)
-        if self._follow(len(arrays[0]), end // 2, *addresses, given.ctypes.data, found.ctypes.data):
-            raise MemoryError(f"not enough memory for the states at the ends of {timeline.steps} steps")
-        if not np.isfinite(found).all():
-            return None
-        averages = end + self._equation.count
-        return found[:end].reshape(-1, 2), found[end:averages], found[averages:]
-
-
-@lru_cache(maxsize=64)
-def compiled_steps(structure: Structure) -> CompiledSteps | None:
-    """Return a structure's steps in machine code, compiled or from the user's cache; None without a compiler."""
-    path = library(_source(structure), _VARIANTS, ("motion_follow",))
-    return None if path is None else CompiledSteps(structure, ctypes.CDLL(str(path)))
-
-
-def _source(structure: Structure) -> str:
-    one, equation = step(structure), equation_of(structure)
-    p, _ = equation.symbols(ca.SX)
-    functions = (
-        ca.Function("motion_start", [p], [equation.start(p[:-1])]),
-        ca.Function("motion_step", one.sx_in(), one.call(one.sx_in())),
-    )
-    generator = ca.CodeGenerator("motion.c")
-    for function in functions:
-        generator.add(function)
-    # Work memory for functions that an own effect calls, such as a lookup table.
-    sizes = {size: max(1, *(getattr(f, size)() for f in functions)) for size in ("sz_arg", "sz_res", "sz_iw", "sz_w")}
-    own = _SOURCE.format(count=equation.count, squared=equation.squared, given=len(equation.names), **sizes)
-    return str(generator.dump()) + own
-
-
-@lru_cache(maxsize=256)
-def _times(timeline: Timeline) -> tuple[list[NDArray[Any]], list[int]]:
-    """Return the arrays of a timeline for C, and their addresses.
-
-    They hold the spans of the steps and, for each output, the first end that it is read from, the number of ends, and
-    their weights.
-    """
-    read, nodes = readings(timeline), timeline.nodes
-    pattern = read.w_by_w.sparsity()
-    # The ends from which an output is read are consecutive.
-    starts = np.array(pattern.colind(), dtype=np.int64)
-    arrays = [
-        np.column_stack([nodes[:-1], np.diff(nodes)]),
-        np.array(pattern.row(), dtype=np.int64)[starts[:-1]],
-        np.diff(starts),
-        np.column_stack([part.nonzeros() for part in read]),
-    ]
-    return arrays, [array.ctypes.data for array in arrays]
-
 
 # An absolute tolerance follows from the expected size of a quantity. It leaves too few digits if the quantity turns out
 # smaller than this part of it.

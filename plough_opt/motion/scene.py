@@ -208,6 +208,10 @@ class Scene:
     @_checked_in_designs
     def steady_resistance(self) -> Expression:
         """Resistance [N] by all effects of a share that slides at the tow speed, without the strength wave."""
+        return self._steady_resistance
+
+    @cached_property
+    def _steady_resistance(self) -> Expression:
         terms = [term for kind in TERMS for term in kind.of(self)]
         p: dict[str, Expression] = {"static": self.reaction.static}
         for term in terms:

@@ -28,6 +28,7 @@ from plough_opt.core.labels import unlabelled
 from plough_opt.core.quantities import BESIDE
 from plough_opt.motion import checks, plan
 from plough_opt.motion.checks import WORTH_A_WARNING, Escape, MissedEvent, difference, unnoticed_stops
+from plough_opt.motion.compiled_steps import source_of
 from plough_opt.motion.effects import Smooth, ramp_time
 from plough_opt.motion.effects.terms import Parameters
 from plough_opt.motion.equation import Structure, parameters
@@ -94,8 +95,15 @@ def interpreted(case: Case, run: Run) -> tuple[str, ...]:
         kind = "a periodic orbit"
     elif not run.accuracy.order_8:
         kind = f"a run by '{run.accuracy.method}'"
+    elif case.code:
+        return ()
     else:
-        return () if case.code else (interpretation_warning(),)
+        try:
+            source_of(case.structure)
+        except InputError:
+            kind = "own effects with an operation without a vector form, such as the lookup in a table"
+        else:
+            return (interpretation_warning(),)
     return (f"compiled=True has no effect on {kind}: machine code takes steps of order 8 from a start only",)
 
 

@@ -121,21 +121,18 @@ class Timeline:
 
 
 class Readings(NamedTuple):
-    """Interpolation weights: ends of steps in rows, outputs in columns.
+    """Ends of steps from which each output is interpolated, and their weights.
 
-    The unit of time is the duration, in rates too.
+    The unit of time is the duration, in rates too. Near a kink an output may be read from fewer ends; the rest then
+    have no weight.
 
     Attributes:
-        w_by_w: weights of w at the ends in w at the outputs.
-        w_by_rate: weights of the rate in w.
-        rate_by_w: weights of w in the rate.
-        rate_by_rate: weights of the rate in the rate.
+        ends: numbers of the ends, a row for each output.
+        weights: (output, end, component of the output, component at the end) -> weight.
     """
 
-    w_by_w: ca.DM
-    w_by_rate: ca.DM
-    rate_by_w: ca.DM
-    rate_by_rate: ca.DM
+    ends: NDArray[np.int64]
+    weights: Array
 
 
 def at_outputs(timeline: Timeline, states: ca.MX, duration: ca.MX, ramp: ca.MX | None = None) -> ca.MX:
@@ -154,12 +151,19 @@ def at_outputs(timeline: Timeline, states: ca.MX, duration: ca.MX, ramp: ca.MX |
         return ca.if_else(reached, states[:, columns], states[:, [column + 1 for column in columns]])
     if timeline.aligned:
         return states[:, columns]
-    read = readings(timeline)
     w, rate = states[0, :], states[1, :]
-    return ca.vertcat(
-        w @ read.w_by_w + duration * (rate @ read.w_by_rate),
-        (w @ read.rate_by_w) / duration + rate @ read.rate_by_rate,
-    )
+    w_by_w, w_by_rate, rate_by_w, rate_by_rate = _matrices(timeline)
+    return ca.vertcat(w @ w_by_w + duration * (rate @ w_by_rate), (w @ rate_by_w) / duration + rate @ rate_by_rate)
+
+
+@lru_cache(maxsize=64)
+def _matrices(timeline: Timeline) -> list[ca.DM]:
+    """Return the weights of `Readings` as sparse matrices, ends of steps in rows, outputs in columns."""
+    ends, weights = readings(timeline)
+    kept = np.any(weights != 0.0, axis=(2, 3))
+    column, size = np.nonzero(kept)[0].tolist(), (len(timeline.nodes), len(ends))
+    values = weights[kept].reshape(-1, 4).T
+    return [ca.DM.triplet(ends[kept].tolist(), column, ca.DM(each), *size) for each in values]
 
 
 @lru_cache(maxsize=64)
@@ -168,18 +172,17 @@ def readings(timeline: Timeline) -> Readings:
     nodes, outputs = timeline.nodes, timeline.output_fractions
     kinks = [] if timeline.kink is None else [int(np.argmin(np.abs(nodes - timeline.kink)))]
     inner = [kink for kink in kinks if 0 < kink < len(nodes) - 1]
-    rows: list[NDArray[np.int64]] = []
-    weights: list[tuple[Array, ...]] = []
+    read = np.zeros((len(outputs), READ_FROM), dtype=np.int64)
+    weights = np.zeros((len(outputs), READ_FROM, 2, 2))
     for first, last in zip([0, *inner], [*inner, len(nodes) - 1], strict=True):
-        inside = outputs[(outputs <= nodes[last]) & ((first == 0) | (outputs > nodes[first]))]
+        inside = np.flatnonzero((outputs <= nodes[last]) & ((first == 0) | (outputs > nodes[first])))
         count = min(READ_FROM, last + 1 - first)
-        around = np.searchsorted(nodes, inside, side="right") - count // 2
+        around = np.searchsorted(nodes, outputs[inside], side="right") - count // 2
         ends = np.clip(around, first, last + 1 - count)[:, None] + np.arange(count)
-        rows += list(ends)
-        weights += list(zip(*hermite(nodes[ends], inside), strict=True))
-    starts = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
-    pattern = ca.Sparsity(len(nodes), len(outputs), starts.tolist(), np.concatenate(rows).tolist())
-    return Readings(*(ca.DM(pattern, np.concatenate(values)) for values in zip(*weights, strict=True)))
+        read[inside, :count] = ends
+        found = np.stack(hermite(nodes[ends], outputs[inside]), axis=-1)
+        weights[inside, :count] = found.reshape(*found.shape[:2], 2, 2)
+    return Readings(read, weights)
 
 
 def hermite(x: Array, t: Array) -> tuple[Array, Array, Array, Array]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.motion.batch import many_runs
+from plough_opt.motion import compiled_steps
 from plough_opt.motion.equation import Structure, equation_of, parameters
 
 
@@ -38,11 +38,11 @@ def test_the_optimum_is_the_same(small, cache):
 def test_a_design_is_interpreted_without_a_compiler(small, cache, monkeypatch):
     monkeypatch.setenv("CC", "no_such_compiler")
     monkeypatch.setenv("PATH", str(cache))
-    many_runs._library.cache_clear()
+    compiled_steps.compiled_steps.cache_clear()
     try:
         best = small.solve(compiled=True)
     finally:
-        many_runs._library.cache_clear()
+        compiled_steps.compiled_steps.cache_clear()
     assert "no C compiler was found" in str(best.search)
     assert best.status == "solved"
     assert any("no C compiler was found" in warning for warning in best.warnings)
@@ -57,11 +57,12 @@ def test_many_runs_agree_with_and_without_a_compiler(r1_scene, monkeypatch, tmp_
     names = equation_of(structure).names
     p = np.array([[*(float(known[name]) for name in names), 0.4]] * 3)
     p[:, names.index("stiffness")] *= (0.5, 1.0, 2.0)
-    monkeypatch.setattr(many_runs, "_library", many_runs._library.__wrapped__)  # remembers nothing
-    compiled = many_runs.ManyRuns(structure, 5)
+    uncached = compiled_steps.compiled_steps.__wrapped__
+    monkeypatch.setattr(compiled_steps, "compiled_steps", uncached)  # remembers nothing
+    compiled = compiled_steps.ManyRuns(structure, 5)
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
-    plain = many_runs.ManyRuns(structure, 5)
+    plain = compiled_steps.ManyRuns(structure, 5)
     assert (compiled.compiled, plain.compiled) == (True, False)
     for finer, near in ((1.0, 1e-4), (4.0, 1e-7)):
         found, wanted = (runs(p, finer=finer) for runs in (plain, compiled))

@@ -1,13 +1,15 @@
 """Runs in machine code give the results of interpreted ones, for every combination of effects."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 import pytest
 from helpers.scenes import assert_alike, results_of
 
 import plough_opt as po
-from plough_opt.motion.integrators import compiled_steps
+from plough_opt.motion.compiled_steps import compiled_steps
 
 
 def test_every_combination_of_effects(r1_scene, effects):
@@ -52,9 +54,18 @@ def test_without_a_compiler_a_run_is_interpreted_with_a_warning(r1_scene, r1_wav
     assert any("no C compiler was found" in warning for warning in found.warnings)
 
 
+@dataclass(frozen=True)
+class Tabled:
+    """Own resistance that looks a force up in a table, which has no form for a vector register."""
+
+    def force(self, travel, speed):
+        return ca.interpolant("table", "linear", [[-1.0, 3.0]], [10.0, 50.0])(travel) + 0.0 * speed
+
+
 @pytest.mark.parametrize(
     ("effects", "what"),
     [
+        ({"own": (Tabled(),)}, "own effects"),
         ({"motion": False}, "a quasi-static run"),
         ({"contact": po.StickSlip(1.2)}, "a run by 'erk'"),
         ({"strength_wave": po.StrengthWave(0.3, 0.6), "orbit": "periodic"}, "a periodic orbit"),

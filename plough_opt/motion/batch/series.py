@@ -18,7 +18,7 @@ from functools import partial
 import casadi as ca
 
 from plough_opt.core.errors import InputError
-from plough_opt.motion.batch.engine import instructions, name_of
+from plough_opt.motion.c_source import instructions, name_of
 
 _ZERO, _ONE = ca.SX(0), ca.SX(1)
 

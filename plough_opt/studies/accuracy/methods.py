@@ -23,9 +23,10 @@ from plough_opt.core.errors import InputError, IntegrationError, PloughError
 from plough_opt.core.expressions import as_number
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.checks import refuse_missed_event
+from plough_opt.motion.compiled_steps import compiled_steps
 from plough_opt.motion.effects import HarmonicBalance, StickSlip
 from plough_opt.motion.equation import Structure, equation_of
-from plough_opt.motion.integrators import compiled_steps, integration
+from plough_opt.motion.integrators import integration
 from plough_opt.motion.methods import DEFAULT_ERROR, METHODS, ORDER_8, Accuracy, adaptive, fixed_step
 from plough_opt.motion.plan import (
     fastest_rate,

@@ -1,0 +1,324 @@
+"""Steps of order 8 in machine code, for a vector register of runs at a time; without a compiler CasADi interprets them.
+
+A single run takes the steps of its timeline, and its outputs are read like those of the interpreted run. A search needs
+output states and averages of thousands of designs, but only roughly: `ManyRuns` gives each its own number of steps, and
+outputs are read from the polynomial of degree 5 through deflection, rate and acceleration at both ends of a step.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.core.compiler import library
+from plough_opt.core.errors import InputError
+from plough_opt.motion.c_source import Statements, head, variants
+from plough_opt.motion.equation import Equation, Structure, equation_of
+from plough_opt.motion.plan import summed_and_lasting_phase
+from plough_opt.motion.steps import READ_FROM, Timeline, readings, run_map, step
+
+Array = NDArray[np.float64]
+
+PHASE_PER_STEP = 2.6
+"""Phase of a step by `summed_rate` [rad]; averages then have errors of about 1e-5 of the oscillation."""
+
+PHASE_PER_STEP_READ = 1.6
+"""The same if outputs are read within steps, by a polynomial of lower order than the method."""
+
+# Such steps lose a part of the amplitude of a free oscillation, 3e-5 per rad. For a towed share without a damper it is
+# 12 % of the RMS force after 4000 rad. If the free oscillation lasts longer than this phase [rad], a run takes shorter
+# steps, so that the loss stays below about 5e-3, and below 1e-5 with twice as many steps.
+_LASTING_PHASE = 70.0
+# The loss per rad grows with this power of the step size.
+_LOSS_ORDER = 9.0
+
+# -O3 doubles the time of compilation and does not speed up the runs.
+_VARIANTS = variants("-O2")
+_FEWEST_STEPS = 16
+# A run that needs more than this number, before any refinement, is not integrated.
+_MOST_STEPS = 20_000
+# Doubles in the widest vector register.
+_WIDEST = 8
+# Runs that one thread integrates at once: enough to fill vector registers many times, with little memory.
+_CHUNK = 1024
+
+_SOURCE = """
+/* Integrates n runs. `in` has a column for each: the parameters, the number of steps, the number of steps before the
+   kink, and the time of the kink as a fraction of the duration. Of a single run `times` may hold the ends of its steps.
+   Its outputs are then read from the ends `from`, {ends} for each, with four weights: of w and of its rate in w, of w
+   and of its rate in the rate. Otherwise `times` is NULL. `memory` has room for 4 vectors at each end of a step. `out`
+   has a row for each run: the states at the outputs, if there are any, the means, and the mean squares about these. */
+int steps(int64_t n, const double *in, const double *times, int64_t outputs, const int64_t *from, const double *weight,
+          V *memory, double *out) {{
+  const int64_t size = (outputs ? 2 * (outputs + 1) : 0) + {count} + {squared};
+  for (int64_t first = 0; first < n; first += LANES) {{
+    int64_t which[LANES], most = 0;
+    for (int l = 0; l < LANES; l++) which[l] = first + l < n ? first + l : n - 1;
+    const V total = gather(in + {given} * n, which), early = gather(in + ({given} + 1) * n, which);
+    const V kink = gather(in + ({given} + 2) * n, which);
+    for (int l = 0; l < LANES; l++) if (total[l] > most) most = total[l];
+    V *node = memory, *ends = memory + most + 2;
+    /* Sizes of the steps before and after the kink, as fractions of the duration. */
+    const V before = kink / v_max(early, (V){{0}} + 1.0), after = (1.0 - kink) / (total - early);
+    for (int64_t k = 0; k <= most + 1; k++) {{
+      const V now = (V){{0}} + (double)k;
+      node[k] = v_pick(now < early, now * before, v_pick(now < total, kink + (now - early) * after, (V){{0}} + 1.0));
+      if (times) node[k] = (V){{0}} + times[k < most ? k : most];
+    }}
+    V p[{given}], x[2], mean[{count}], square[{squared}], time = {{0}};
+    for (int j = 0; j < {given}; j++) p[j] = gather(in + j * n, which);
+    {{
+      V y[2];
+{start}
+      x[0] = y[0]; x[1] = y[1];
+    }}
+    for (int j = 0; j < {count}; j++) mean[j] = (V){{0}};
+    for (int j = 0; j < {squared}; j++) square[j] = (V){{0}};
+{once}
+    for (int64_t k = 0; k <= most; k++) {{
+      V s[2], y[{width}]; /* start and size of the step; a run that has ended takes steps without length */
+      s[0] = node[k];
+      s[1] = node[k + 1] - node[k];
+{each}
+      /* The start of the step: w, w' and w''. */
+      V *end = ends + 3 * k;
+      end[0] = x[0]; end[1] = x[1]; end[2] = y[2];
+      x[0] = y[0]; x[1] = y[1];
+      /* Means and mean squares of this step are pooled with those of the steps before. */
+      time += s[1];
+      const V part = s[1] / time;
+      for (int j = 0; j < {count}; j++) {{
+        const V distance = y[3 + j] - mean[j];
+        if (j < {squared})
+          square[j] = (1.0 - part) * (square[j] + part * distance * distance) + part * y[3 + {count} + j];
+        mean[j] += part * distance;
+      }}
+    }}
+    for (int l = 0; l < LANES && first + l < n; l++) {{
+      double *to = out + size * which[l];
+      const double duration = p[{given} - 1][l];
+      for (int64_t o = 0; o <= outputs && times; o++, to += 2) {{
+        to[0] = to[1] = 0.0;
+        for (int j = 0; j < {ends}; j++, weight += 4) {{
+          const V *end = ends + 3 * from[{ends} * o + j];
+          to[0] += weight[0] * end[0][l] + weight[1] * duration * end[1][l];
+          to[1] += weight[2] * end[0][l] / duration + weight[3] * end[1][l];
+        }}
+      }}
+      int64_t k = 0;
+      /* Each output is read from the polynomial of degree 5 through w, w' and w'' at both ends of its step. */
+      for (int64_t o = 0; o <= outputs && outputs > 0 && !times; o++) {{
+        const double t = (double)o / outputs;
+        while (k + 1 < total[l] && node[k + 1][l] <= t) k++;
+        const double part = node[k + 1][l] - node[k][l], u = (t - node[k][l]) / part, h = part * duration;
+        const V *a = ends + 3 * k, *b = a + 3;
+        const double w = a[0][l], r = h * a[1][l], c = 0.5 * h * h * a[2][l];
+        const double d = b[0][l] - w - r - c, e = h * b[1][l] - r - 2.0 * c, g = 0.5 * h * h * b[2][l] - c;
+        const double c3 = 10.0 * d - 4.0 * e + g, c4 = -15.0 * d + 7.0 * e - 2.0 * g, c5 = 6.0 * d - 3.0 * e + g;
+        *to++ = w + u * (r + u * (c + u * (c3 + u * (c4 + u * c5))));
+        *to++ = (r + u * (2.0 * c + u * (3.0 * c3 + u * (4.0 * c4 + u * 5.0 * c5)))) / h;
+      }}
+      for (int j = 0; j < {count}; j++) *to++ = mean[j][l];
+      for (int j = 0; j < {squared}; j++) *to++ = square[j][l];
+    }}
+  }}
+  return 0;
+}}
+"""
+
+
+@dataclass(frozen=True)
+class CompiledSteps:
+    """Integration of an equation by steps of order 8 in machine code."""
+
+    equation: Equation
+    library: ctypes.CDLL
+
+    def __call__(self, timeline: Timeline, p: list[float]) -> tuple[Array, Array, Array] | None:
+        """Return the states at the outputs (a row each), means and mean squares; None if any is not finite.
+
+        Args:
+            timeline: steps and outputs, not aligned.
+            p: the equation's parameters with the duration last.
+        """
+        nodes, ends, weights = _times(timeline)
+        outputs, states = len(ends) - 1, 2 * len(ends)
+        given = np.array([*p, len(nodes) - 1.0, 0.0, 0.0])
+        found = self.integrate(given[:, None], outputs, nodes.ctypes.data, ends.ctypes.data, weights.ctypes.data)[0]
+        if not np.isfinite(found).all():
+            return None
+        averages = states + self.equation.count
+        return found[:states].reshape(-1, 2), found[states:averages], found[averages:]
+
+    def integrate(self, given: Array, outputs: int, *times: int | None) -> Array:
+        """Return the results of runs, a row each.
+
+        Args:
+            given: the array `in` of `_SOURCE`.
+            outputs: number of intervals between output times; 0 for averages only.
+            times: addresses of `times`, `from` and `weight` of `_SOURCE`, or None for each.
+        """
+        results = np.empty((given.shape[1], (2 * (outputs + 1) if outputs else 0) + self.equation.averages))
+        memory = np.empty((4 * (int(np.max(given[-3])) + 2) + 1) * _WIDEST)
+        # Vectors must lie at addresses that are multiples of their size.
+        begin = -(-memory.ctypes.data // (8 * _WIDEST)) * (8 * _WIDEST)
+        starts, *rest = times
+        where = given.ctypes.data, starts, outputs, *rest, begin, results.ctypes.data
+        self.library.steps(given.shape[1], *where)
+        return results
+
+
+@lru_cache(maxsize=256)
+def _times(timeline: Timeline) -> tuple[Array, NDArray[np.int64], Array]:
+    """Return the ends of a timeline's steps, and the ends and weights from which its outputs are read."""
+    read = readings(timeline)
+    return timeline.nodes, read.ends, read.weights
+
+
+@lru_cache(maxsize=64)
+def compiled_steps(structure: Structure) -> CompiledSteps | None:
+    """Return a structure's steps in machine code, compiled or from the user's cache.
+
+    Without a compiler, or if an own effect has an operation without a vector form, the result is None.
+    """
+    try:
+        path = library(source_of(structure), _VARIANTS, ("steps",))
+    except InputError:
+        return None
+    if path is None:
+        return None
+    loaded, whole, address = ctypes.CDLL(str(path)), ctypes.c_int64, ctypes.c_void_p
+    loaded.steps.argtypes = [whole, address, address, whole, *[address] * 4]
+    return CompiledSteps(equation_of(structure), loaded)
+
+
+def source_of(structure: Structure) -> str:
+    """Return the C source of a structure's steps.
+
+    Raises:
+        InputError: an own effect has an operation without a vector form.
+    """
+    equation = equation_of(structure)
+    (p, _), state, span = equation.symbols(ca.SX), ca.SX.sym("state", 2), ca.SX.sym("span", 2)
+    following, moments = step(structure)(state, span, p)
+    acceleration = equation.rate(span[0] * p[-1], state, p[:-1])[1]
+    result = ca.cse(ca.densify(ca.vertcat(following, acceleration, moments)))
+    first = Statements(ca.Function("begin", [p], [equation.start(p[:-1])]), ("p",))
+    one = Statements(ca.Function("advance", [state, span, p], [result]), ("x", "s", "p"))
+    source = _SOURCE.format(
+        given=p.numel(),
+        width=result.numel(),
+        count=equation.count,
+        squared=equation.squared,
+        ends=READ_FROM,
+        start="\n".join([*first.once, *first.each]),
+        once="\n".join(one.once),
+        each="\n".join(one.each),
+    )
+    return "\n".join([head(), source])
+
+
+class ManyRuns:
+    """Runs of one structure, at very many parameters.
+
+    Args:
+        structure: of a motion that steps of fixed size can integrate from its start.
+        outputs: number of intervals between output times; 0 if only averages are needed.
+
+    Raises:
+        InputError: an own effect has an operation without a vector form.
+    """
+
+    def __init__(self, structure: Structure, outputs: int) -> None:
+        self._structure, self._outputs = structure, outputs
+        self._equation = equation_of(structure)
+        self._code = compiled_steps(structure)
+        if self._code is None:
+            source_of(structure)
+
+    @property
+    def size(self) -> int:
+        """Number of results of a run: the states, output by output, the means, and the mean squares about them."""
+        return (2 * (self._outputs + 1) if self._outputs else 0) + self._equation.averages
+
+    @property
+    def compiled(self) -> bool:
+        """Whether machine code integrates the runs."""
+        return self._code is not None
+
+    def __call__(
+        self, p: Array, *, finer: float = 1.0, together: int = 1, threads: int = 1, count: int | None = None
+    ) -> Array:
+        """Return the results, a row for each run; NaN if its parameters are not finite or it needs too many steps.
+
+        Args:
+            p: parameters of `plough_opt.motion.integrators.Integration`, the duration last; a row for each run.
+            finer: factor on the number of steps.
+            together: number of consecutive rows that take equally many steps, so that their results differ only because
+                of their parameters. It divides the number of rows.
+            threads: number of threads of machine code; the results do not depend on it.
+            count: number of steps of every run, instead of a number for each.
+        """
+        results = np.full((len(p), self.size), np.nan)
+        known = dict(zip(self._equation.names, p.T, strict=False))
+        with np.errstate(all="ignore"):
+            if count is None:
+                steps = self._steps(known, p[:, -1], finer)
+                steps = np.repeat(steps.reshape(-1, together).max(axis=1), together)
+            else:
+                steps = np.full(len(p), float(count))
+        sound = np.flatnonzero(np.isfinite(steps) & np.isfinite(p).all(axis=1))
+        # Runs in one register wait for the slowest of them.
+        order = sound[np.argsort(steps[sound], kind="stable")]
+        run = self._interpret if self._code is None else self._run
+        chunks = [order[k : k + _CHUNK] for k in range(0, len(order), _CHUNK)]
+        with ThreadPoolExecutor(threads if self.compiled else 1) as pool:
+            for chunk, found in zip(chunks, pool.map(lambda chunk: run(p[chunk], steps[chunk]), chunks), strict=True):
+                results[chunk] = found
+        return results
+
+    def _steps(self, known: dict[str, Array], duration: Array, finer: float) -> Array:
+        """Return the number of steps of each run; infinite if it is too large."""
+        phase = PHASE_PER_STEP_READ if self._outputs else PHASE_PER_STEP
+        summed, lasting = summed_and_lasting_phase(known, duration)
+        shorter = np.maximum((lasting / _LASTING_PHASE) ** (1.0 / _LOSS_ORDER) * phase / PHASE_PER_STEP, 1.0)
+        steps: Array = np.maximum(np.ceil(finer * shorter * summed / phase), _FEWEST_STEPS)
+        # Whether a run is integrated does not depend on `finer`.
+        steps[summed / phase > _MOST_STEPS] = np.inf
+        return steps
+
+    def _run(self, p: Array, steps: Array) -> Array:
+        """Return the results of some runs, a row each, by machine code."""
+        assert self._code is not None  # else CasADi interprets
+        early, kink = np.zeros_like(steps), np.zeros_like(steps)
+        if self._structure.ramp:
+            early, kink = _before_kink(p[:, self._equation.names.index("ramp_time")] / p[:, -1], steps)
+        given = np.ascontiguousarray(np.vstack([p.T, steps, early, kink]))
+        return self._code.integrate(given, self._outputs, None, None, None)
+
+    def _interpret(self, p: Array, steps: Array) -> Array:
+        """Return the results of some runs, a row each, by CasADi with the next power of two as number of steps."""
+        results, steps = np.empty((len(p), self.size)), 2.0 ** np.ceil(np.log2(steps))
+        for count in np.unique(steps):
+            alike, ramp = np.flatnonzero(steps == count), self._structure.ramp
+            timeline = Timeline(self._outputs or 1, int(count), aligned=ramp, moving=ramp)
+            run = run_map(self._structure, timeline)
+            states, *averages = (np.asarray(part).T for part in run.map(len(alike))(p[alike].T))
+            read = states.reshape(len(alike), -1) if self._outputs else np.empty((len(alike), 0))
+            results[alike] = np.hstack([read, *averages])
+        return results
+
+
+def _before_kink(kink: Array, steps: Array) -> tuple[Array, Array]:
+    """Return the number of steps up to the end of a tow ramp, and that end as a fraction of the duration.
+
+    A ramp that ends within rounding of the end of the run, or later, makes no kink.
+    """
+    early = np.where(kink < 1.0 - 1e-9, np.minimum(np.ceil(kink * steps), steps - 1.0), 0.0)
+    return early, np.where(early > 0.0, kink, 0.0)

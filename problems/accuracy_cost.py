@@ -22,7 +22,7 @@ from rich.console import Console
 
 import plough_opt as po
 from plough_opt import plots
-from plough_opt.studies.accuracy import picture
+from plough_opt.studies.accuracy import result
 
 WANTED = 1e-6
 SHARE = po.Wedge(po.deg(30.0), po.deg(15.0), 0.25)
@@ -86,13 +86,13 @@ def figure_of(found: dict[str, po.AccuracyStudy]) -> Figure:
     places = list(figure.subplots(2, 3).ravel())
     lines: dict[str, Line2D] = {}
     for axes, (name, study) in zip(places, found.items(), strict=False):
-        panel = dataclasses.replace(study.panel(study.questions[0]), title=name[0].upper() + name[1:])
-        lines |= picture.draw(axes, panel)
+        lines |= result.draw(axes, study, study.questions[0])
+        axes.set_title(name[0].upper() + name[1:])
         # The same scales everywhere, so that scenes can be compared.
         axes.set(xlim=(7e-6, 2.0), ylim=(1e-18, 3.0))
     for axes in places[len(found) :]:
         axes.set_axis_off()
-    picture.legend(places[-1], lines, loc="center", fontsize="medium", ncols=1, frameon=False)
+    result.legend(places[-1], lines, loc="center", fontsize="medium", ncols=1, frameon=False)
     figure.suptitle("What accuracy costs: error of mean draft and RMS force against the time of one run", fontsize=14)
     return figure
 

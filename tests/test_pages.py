@@ -23,7 +23,7 @@ from plough_opt.problem_file import own_measures, reading, schema, source, uncer
 from plough_opt.soil.elastic import profile
 from plough_opt.studies.calibration.measurements import measurable
 from plough_opt.studies.sweep import points
-from plough_opt.studies.tradeoff import trade
+from plough_opt.studies.tradeoff import assembly
 from plough_opt.studies.uncertainty import distribution
 
 ROOT = Path(__file__).parents[1]
@@ -238,7 +238,7 @@ LIMITS = {
     "Saved results (`po.load`)": (saving._MOST_BYTES,),
     "Studies and runs": (
         points.MOST_VALUES, points.MOST_SAMPLES, distribution._MOST_SAMPLES, uncertain._COUNTS["fresh"][1],
-        trade._MOST_POINTS, effort._MOST_ACCEPTED, MOST_HARMONICS, profile._MOST_PIECES, plan.MOST_OUTPUTS,
+        assembly._MOST_POINTS, effort._MOST_ACCEPTED, MOST_HARMONICS, profile._MOST_PIECES, plan.MOST_OUTPUTS,
     ),
     "Phase of a motion": (plan.MOST_RINGING, plan.MOST_FORCED, plan.MOST_PANELLED, plan.MOST_SHOT),
 }  # fmt: skip

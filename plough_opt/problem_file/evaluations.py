@@ -18,7 +18,7 @@ from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.problem_file.problem import Problem
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
-from plough_opt.studies.sweep.work import Array, WithNotes
+from plough_opt.studies.sweep.pool import Array, WithNotes
 
 # CasADi is not thread-safe while it builds a graph.
 _building = threading.Lock()
@@ -130,7 +130,7 @@ class SimulationOfMany:
         return self._built
 
     def many(self, values: Array) -> tuple[Array, dict[int, str], list[tuple[int, int, tuple[str, ...]]]]:
-        """Return results, failures and notes at many points: see `plough_opt.studies.sweep.work.ManyPoints`."""
+        """Return results, failures and notes at many points: see `plough_opt.studies.sweep.pool.ManyPoints`."""
         batch, of_scene = self.build()
         found = batch(values)
         *steady, ambient_share = np.asarray(of_scene(values.T))

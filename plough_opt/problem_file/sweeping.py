@@ -21,12 +21,12 @@ from plough_opt.problem_file.evaluations import Optimisation, Simulation, Simula
 from plough_opt.problem_file.problem import Problem
 from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.reading import check_changed
-from plough_opt.studies.sweep import sweeping as study
+from plough_opt.studies.sweep import engine
 from plough_opt.studies.sweep.engine import Progress
 from plough_opt.studies.sweep.identity import digest_of
 from plough_opt.studies.sweep.points import Axis, Range, axis_of, points_of
+from plough_opt.studies.sweep.pool import Evaluation
 from plough_opt.studies.sweep.result import Sweep
-from plough_opt.studies.sweep.work import Evaluation
 
 What = Literal["simulate", "optimise"]
 Method = Literal["auto", "each", "batch"]
@@ -93,7 +93,7 @@ class ProblemSweep:
     def run(self, **rest: Any) -> Sweep:
         """Return the results at every point; arguments as in `sweep`."""
         units = {**self.evaluation.units, **{name: quantities()[name].symbol for name in self.axes}}
-        found = study.sweep(self.evaluation, self.axes, question=self.question, units=units, **rest)
+        found = engine.sweep(self.evaluation, self.axes, question=self.question, units=units, **rest)
         found.origin, found.how = self.origin, self.how
         return found
 
@@ -172,7 +172,7 @@ def sweep(
         return ProblemSweep.of(what_to_sweep, over, what, method, samples, seed).run(**rest)
     if not (isinstance(what, str) and isinstance(method, str) and (what, method) == ("simulate", "auto")):
         raise InputError("what and method are for problem files: remove them to sweep a function")
-    return study.sweep(what_to_sweep, over, units=units, **rest)
+    return engine.sweep(what_to_sweep, over, units=units, **rest)
 
 
 def _axes(over: Mapping[str, object], sampled: bool) -> tuple[dict[str, Axis], dict[str, Display]]:

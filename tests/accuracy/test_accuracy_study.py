@@ -21,7 +21,7 @@ from rich.console import Console
 
 import plough_opt as po
 from plough_opt.core.compiler import find_compiler
-from plough_opt.studies.accuracy import methods, picture
+from plough_opt.studies.accuracy import methods, result
 from plough_opt.studies.accuracy import study as studies
 from plough_opt.studies.accuracy.methods import FACTORS, Contestant, Task, measured, prepared, step_counts
 from plough_opt.studies.accuracy.reference import reference_run
@@ -326,7 +326,7 @@ def test_a_short_axis_has_numbers_too():
 
 def test_no_two_methods_look_alike():
     names = ["dop853", "rk", "collocation", "erk", "quasi-static", *(f"{n} differences" for n in range(12))]
-    looks = [picture.style_of(name, number) for number, name in enumerate(names)]
+    looks = [result.style_of(name, number) for number, name in enumerate(names)]
     assert len({(look["color"], look["marker"], look.get("markerfacecolor")) for look in looks}) == len(names)
 
 

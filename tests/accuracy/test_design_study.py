@@ -11,9 +11,9 @@ from helpers.small_designs import design, softest
 import plough_opt as po
 from plough_opt.core import compiler
 from plough_opt.core.compiler import find_compiler
-from plough_opt.studies.accuracy import optimum
-from plough_opt.studies.accuracy.optimum import reference_optimum
+from plough_opt.studies.accuracy import study as studies
 from plough_opt.studies.accuracy.result import OPTIMUM, VARIABLES
+from plough_opt.studies.accuracy.study import reference_optimum
 
 # The true optimum of problem R1: wedge angle [deg], height [m], stiffness [N/m] and objective. It is the best of 1.9
 # million simulations on a grid, polished with exact gradients to a residual of 1e-9 and checked in long double.
@@ -174,16 +174,16 @@ def test_a_search_that_takes_too_long_is_the_last(bowl):
 
 
 def test_an_effort_without_an_optimum_is_a_failure(bowl, monkeypatch):
-    solved = optimum._solved
+    solved = studies._solved
     given_up = (None, 1e-3)
-    monkeypatch.setattr(optimum, "_solved", lambda d, s, *a, **k: given_up if s == 250 else solved(d, s, *a, **k))
+    monkeypatch.setattr(studies, "_solved", lambda d, s, *a, **k: given_up if s == 250 else solved(d, s, *a, **k))
     study = po.study_design(bowl, thin=True)
     assert {e.label for e in study.failures} == {"interpreted, 250 designs", "compiled"}
     assert [row.right for row in study.thoroughness] == [1, 0, 3, 3, 3]
 
 
 def test_an_objective_over_the_tolerance_box_has_no_reference(monkeypatch):
-    monkeypatch.setattr(optimum, "_EFFORTS", ("near", 250))
+    monkeypatch.setattr(studies, "_EFFORTS", ("near", 250))
     d, x = design(x=(0.5, 0.0, 2.0, "", False, 0.05))
     d.minimise((x - 1.25) ** 2, over="mean")
     study = po.study_design(d, thin=True)

@@ -8,7 +8,7 @@ import pytest
 from scipy import interpolate
 
 import plough_opt as po
-from plough_opt.studies.calibration.setup import Rows, interpolation
+from plough_opt.studies.calibration.model import Rows, interpolation
 
 WAVE = po.StrengthWave(0.3, 0.2)
 

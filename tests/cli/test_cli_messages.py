@@ -14,7 +14,7 @@ from rich.console import Console
 from plough_opt.app import commands
 from plough_opt.core import process
 from plough_opt.core.process import heartbeat
-from plough_opt.studies.sweep.sweeping import bar
+from plough_opt.studies.sweep.engine import bar
 
 BRIEF = ("--set", "scene.duration=0.2 s", "--set", "scene.outputs=20")
 

@@ -8,7 +8,7 @@ from helpers.commands import call, printed
 from helpers.problem_files import PROBLEMS
 
 import plough_opt as po
-from plough_opt.studies.tradeoff.positions import distances
+from plough_opt.studies.tradeoff.surface import distances
 
 LOOSENING = PROBLEMS / "draft_against_loosening.toml"
 BRIEF = ("--set", "scene.duration=0.1 s", "--points", "5")

@@ -16,7 +16,7 @@ from helpers.commands import call, printed
 from helpers.problem_files import REFERENCE
 
 import plough_opt as po
-from plough_opt.studies.sweep import cluster as clusters
+from plough_opt.studies.sweep import pool as clusters
 from plough_opt.studies.sweep.pool import WorkerDied
 
 OVER = {"a": po.Range(0.0, 1.0, 30), "b": [1.0, 2.0]}

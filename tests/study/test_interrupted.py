@@ -9,9 +9,8 @@ import pytest
 from helpers import swept
 
 import plough_opt as po
-from plough_opt.studies.sweep.database import About
-from plough_opt.studies.sweep.store import Store
-from plough_opt.studies.sweep.work import Done
+from plough_opt.studies.sweep.pool import Done
+from plough_opt.studies.sweep.store import About, Store
 
 VALUES = 60
 OVER = {"a": po.Range(0.0, 1.0, VALUES), "b": [1.0, 2.0]}

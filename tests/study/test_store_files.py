@@ -16,8 +16,8 @@ from helpers import swept
 from helpers.commands import call, printed
 
 import plough_opt as po
+from plough_opt.studies.sweep.pool import Done
 from plough_opt.studies.sweep.store import Store
-from plough_opt.studies.sweep.work import Done
 
 OVER = {"a": [1.0, 2.0, 5.0], "b": [1.0, 2.0]}
 

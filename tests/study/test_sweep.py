@@ -12,7 +12,7 @@ from helpers import swept
 
 import plough_opt as po
 from plough_opt.studies.sweep import engine
-from plough_opt.studies.sweep.work import work
+from plough_opt.studies.sweep.pool import work
 
 OVER = {"a": po.Range(0.0, 3.0, 40), "b": [1.0, 2.0, 5.0]}
 
@@ -187,7 +187,7 @@ def test_a_worker_returns_finished_points_when_its_time_is_up():
 
 
 UNGUARDED = """
-from plough_opt.studies.sweep.sweeping import sweep
+from plough_opt.studies.sweep.engine import sweep
 def own(values):
     return {"x": values["a"]}
 sweep(own, {"a": [1.0, 2.0]}, workers=1)

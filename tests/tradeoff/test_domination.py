@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from plough_opt.studies.tradeoff.domination import (
+from plough_opt.studies.tradeoff.curve import uncrowded_on_curve
+from plough_opt.studies.tradeoff.front import (
     lead_over_front,
     lead_over_points,
     strongest_dominators,
@@ -11,11 +12,7 @@ from plough_opt.studies.tradeoff.domination import (
     undominated_in_order,
     volume,
 )
-from plough_opt.studies.tradeoff.positions import (
-    parts_of,
-    uncrowded_on_curve,
-    uncrowded_on_surface,
-)
+from plough_opt.studies.tradeoff.surface import parts_of, uncrowded_on_surface
 
 LINE = np.column_stack([np.linspace(0.0, 1.0, 11), np.linspace(1.0, 0.0, 11)])
 

@@ -10,9 +10,8 @@ import plough_opt as po
 from plough_opt.design import program as program_module
 from plough_opt.design.optimality import quadratic_program
 from plough_opt.design.polishing import point_as_found
-from plough_opt.studies.tradeoff import corrector as corrector_module
-from plough_opt.studies.tradeoff.corrector import BatchCorrector
-from plough_opt.studies.tradeoff.program import FrontProgram, declarations
+from plough_opt.studies.tradeoff import program as programs
+from plough_opt.studies.tradeoff.program import BatchCorrector, FrontProgram, declarations
 
 # --- quadratic programs -------------------------------------------------------------------------------------
 
@@ -44,13 +43,13 @@ def test_quadratic_programs_meet_their_first_order_conditions():
 
 
 def test_a_front_is_followed_from_point_to_point_in_few_steps(plane, monkeypatch):
-    found, real = [], corrector_module.Corrector.correct
+    found, real = [], programs.Corrector.correct
 
     def correct(*given):
         found.append(real(*given))
         return found[-1]
 
-    monkeypatch.setattr(corrector_module.Corrector, "correct", correct)
+    monkeypatch.setattr(programs.Corrector, "correct", correct)
     d, x, y = plane
     goals = (x**2 + y**2) ** 2, ((x - 1.0) ** 2 + y**2) ** 2
     front = po.trade_off(d, *goals, points=41, search="near")

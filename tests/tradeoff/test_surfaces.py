@@ -8,8 +8,8 @@ import pytest
 from helpers.small_designs import design
 
 import plough_opt as po
-from plough_opt.studies.tradeoff.domination import undominated
-from plough_opt.studies.tradeoff.positions import distances
+from plough_opt.studies.tradeoff.front import undominated
+from plough_opt.studies.tradeoff.surface import distances
 
 POINTS, STEPS = 28, 6
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from plough_opt.core.errors import InputError
+from plough_opt.core.files import COLOURS, save_figure
 from plough_opt.core.plain_data import MaybeInfinite
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Column, Grid, Page, Part, data_frame
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
 
 AUTO: Final = "auto"
 """Name of the default, which chooses its method and checks the result."""
@@ -302,42 +305,18 @@ class AccuracyStudy(Saveable):
         from matplotlib.axes import Axes
         from matplotlib.figure import Figure
 
-        from plough_opt.core.files import save_figure
-        from plough_opt.studies.accuracy.picture import draw, figure_of
-
-        panels = [self.panel(question) for question in self.questions]
-        if not panels:
+        if not self.questions:
             why = "; ".join((*self.notes, *self.refusals)) or "it has no entries"
             raise InputError(f"the accuracy study of {self.title!r} has no error to draw: {why}")
         if isinstance(target, Axes):
-            draw(target, panels[0])
+            draw(target, self, self.questions[0])
             whole = target.get_figure(root=True)
             assert isinstance(whole, Figure)  # axes that were removed from theirs have none
             return whole
-        figure = figure_of(panels, self.title)
+        figure = _figure_of(self)
         if target is not None:
             save_figure(figure, target)
         return figure
-
-    def panel(self, question: Question) -> Any:
-        """Return the contents of a question's panel in a picture."""
-        from plough_opt.studies.accuracy.picture import Panel
-
-        def points(entries: Sequence[Entry]) -> list[tuple[float, float]]:
-            return [(entry.seconds, entry.errors[question.error]) for entry in entries]
-
-        entries = self.of(question)
-        return Panel(
-            title=question.title,
-            methods={
-                name: points([entry for entry in entries if entry.method == name])
-                for name in dict.fromkeys(entry.method for entry in entries)
-            },
-            front=points(self.front(question)),
-            default=points([entry for entry in entries if (entry.method, entry.setting) == question.default]),
-            floor=self.floors[question.reference],
-            wanted=self.wanted,
-        )
 
     def also_saved(self) -> dict[str, Any]:
         """Return the advice."""
@@ -441,3 +420,127 @@ def duration_text(seconds: float) -> str:
 def error_text(error: float) -> str:
     """Return an error as text with the fewest digits, from 1 to 3, that give its value."""
     return min((f"{error:.{digits}e}" for digits in range(3)), key=lambda text: (float(text) != error, len(text)))
+
+
+# --- the picture: a panel for each question, on logarithmic axes ---
+
+_BLUE, _RED, _GREEN, _PINK, _ORANGE, _SKY, _GREY = COLOURS
+_STYLES: Final[dict[str, tuple[str, str]]] = {
+    "auto": ("#000000", "*"),
+    "auto, compiled": ("#777777", "*"),
+    "dop853": (_BLUE, "o"),
+    "dop853, compiled": ("#000088", "o"),
+    "erk": (_RED, "s"),
+    "rosenbrock": (_GREEN, "^"),
+    "cvodes": (_PINK, "v"),
+    "idas": (_SKY, "D"),
+    "collocation": (_ORANGE, "P"),
+    "rk": (_GREY, "X"),
+}
+_MODELS: Final = {"quasi-static": "h", "linearised": "<", "harmonic balance": ">", "lasting orbit": "p"}
+_SHAPES: Final = "D^v<>PXhp"
+_FLOOR, _FRONT = "#DDDDDD", "#F0C808"
+# Number of characters of a name above which the legend has one column.
+_LONG_NAME: Final = 20
+# Ratio of the times at the ends of an axis -> digits to number on an axis that spans less.
+_DIGITS: Final = {6.0: (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0), 60.0: (1.0, 2.0, 5.0)}
+# Smaller errors are drawn at this one, since 0 has no place on a logarithmic axis.
+_LEAST: Final = 1e-19
+
+
+def style_of(method: str, number: int) -> dict[str, Any]:
+    """Return colour and marker of a method; for a method without a fixed style, those of a number."""
+    if method in _STYLES:
+        color, marker = _STYLES[method]
+        return {"color": color, "marker": marker, "markersize": 9 if marker == "*" else 5.5}
+    if method in _MODELS:
+        return {"color": "#444444", "marker": _MODELS[method], "markersize": 7, "markerfacecolor": "white"}
+    color, marker = COLOURS[number % len(COLOURS)], _SHAPES[number % len(_SHAPES)]
+    # Hollow, so that it does not look like a method with a fixed style.
+    return {"color": color, "marker": marker, "markersize": 6, "markerfacecolor": "white"}
+
+
+def draw(axes: Axes, study: AccuracyStudy, question: Question) -> dict[str, Line2D]:
+    """Draw error against time of a question's entries; return the lines of its methods by name, for a legend."""
+    entries, floor = study.of(question), study.floors[question.reference]
+    lines: dict[str, Line2D] = {}
+
+    def points(chosen: Sequence[Entry], least: float = _LEAST) -> tuple[list[float], list[float]]:
+        return [e.seconds for e in chosen], [max(e.errors[question.error], least) for e in chosen]
+
+    axes.step(*points(study.front(question), max(floor, _LEAST)), where="post", color=_FRONT, linewidth=6.0, alpha=0.75,
+              zorder=1, solid_capstyle="round", label="efficient front")  # fmt: skip
+    for number, method in enumerate(dict.fromkeys(entry.method for entry in entries)):
+        chosen = sorted((e for e in entries if e.method == method), key=lambda e: -e.errors[question.error])
+        (lines[method],) = axes.plot(*points(chosen), linewidth=1.0, zorder=3, label=method, **style_of(method, number))
+    default = [entry for entry in entries if (entry.method, entry.setting) == question.default]
+    axes.plot(*points(default), "o", markersize=15, markerfacecolor="none", markeredgecolor="black",
+              markeredgewidth=1.1, zorder=4)  # fmt: skip
+    _dress(axes, question.title, points(entries)[1], floor, study.wanted)
+    return lines
+
+
+def _dress(axes: Axes, title: str, errors: Sequence[float], floor: float, wanted: float) -> None:
+    """Set scales, limits and labels, and draw the reference's own error and the wanted error."""
+    from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
+
+    class Times(LogLocator):
+        """Ticks of a logarithmic axis. Powers of ten alone would leave a short axis a single number."""
+
+        def tick_values(self, vmin: float, vmax: float) -> Any:
+            """Return the ticks between two limits, or a little beyond."""
+            self.set_params(subs=next((digits for ratio, digits in _DIGITS.items() if vmax < ratio * vmin), (1.0,)))
+            return super().tick_values(vmin, vmax)
+
+    axes.set(xscale="log", yscale="log", title=title, xlabel="time of one use", ylabel="relative error")
+    low = 10.0 ** math.floor(math.log10(min(floor, *errors)) - 0.7)
+    high = 10.0 ** math.ceil(math.log10(max(wanted, *errors)) + 0.3)
+    axes.set_ylim(low, high)
+    axes.axhspan(_LEAST**2, floor, facecolor=_FLOOR, edgecolor="#999999", hatch="///", linewidth=0.0, zorder=0)
+    axes.axhline(wanted, color="black", linestyle=(0, (4, 3)), linewidth=1.0, zorder=2)
+    axes.xaxis.set_major_locator(Times(numticks=8))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.xaxis.set_major_formatter(EngFormatter(unit="s"))
+    axes.yaxis.set_major_locator(LogLocator(numticks=8))
+    axes.grid(alpha=0.25)
+
+
+def legend(target: Axes | Figure, lines: dict[str, Line2D], **where: Any) -> None:
+    """Add a legend for methods, front, wanted error, default, and the reference's own error."""
+    from matplotlib.lines import Line2D
+
+    handles: list[Any] = [
+        *lines.values(),
+        Line2D([], [], color=_FRONT, linewidth=6.0, alpha=0.75, label="efficient front"),
+        Line2D([], [], color="black", linestyle=(0, (4, 3)), linewidth=1.0, label="wanted error"),
+        Line2D([], [], linestyle="none", marker="o", markersize=13, markerfacecolor="none", markeredgecolor="black",
+               label="the default"),
+        Line2D([], [], color="#999999", linewidth=8.0, alpha=0.6, label="below the reference's own error"),
+    ]  # fmt: skip
+    target.legend(handles=handles, **where)
+
+
+def _figure_of(study: AccuracyStudy) -> Figure:
+    """Return a figure with a panel for each question, and a legend: below two panels, or else in its own panel."""
+    from matplotlib.figure import Figure
+
+    questions = study.questions
+    columns = 2
+    below = len(questions) == columns
+    rows = math.ceil((len(questions) + (0 if below else 1)) / columns)
+    figure = Figure(figsize=(5.4 * columns, 4.1 * rows + (1.1 if below else 0.0)), layout="constrained")
+    places = list(figure.subplots(rows, columns).ravel())
+    lines: dict[str, Line2D] = {}
+    for axes, question in zip(places, questions, strict=False):
+        lines |= draw(axes, study, question)
+    for axes in places[len(questions) :]:
+        axes.set_axis_off()
+    longest = max(map(len, lines), default=0)
+    ncols = 1 if longest > _LONG_NAME else 2
+    if below:
+        legend(figure, lines, loc="outside lower center", fontsize="small", ncols=2 * ncols, frameon=False)
+    else:
+        legend(places[len(questions)], lines, loc="center", fontsize="small", ncols=ncols, frameon=False)
+    if study.title:
+        figure.suptitle(study.title)
+    return figure

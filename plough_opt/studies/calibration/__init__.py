@@ -1,7 +1,7 @@
 """Calibration: soil and model parameters from measured draft, with their uncertainty and identifiability."""
 
 from plough_opt.studies.calibration.calibrate import Calibration, calibrate
-from plough_opt.studies.calibration.candidates import Candidate, NextMeasurement
+from plough_opt.studies.calibration.estimate import Candidate, NextMeasurement
 from plough_opt.studies.calibration.fit import Fit
 from plough_opt.studies.calibration.measurements import Measurements, read_measurements
 

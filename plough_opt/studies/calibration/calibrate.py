@@ -15,8 +15,7 @@ from plough_opt.motion.scene import Scene
 from plough_opt.studies.calibration.estimate import estimate
 from plough_opt.studies.calibration.fit import Fit, reported
 from plough_opt.studies.calibration.measurements import Measurements
-from plough_opt.studies.calibration.model import Described, SceneOf
-from plough_opt.studies.calibration.setup import setup_of
+from plough_opt.studies.calibration.model import Described, SceneOf, setup_of
 
 Vector = NDArray[np.float64]
 

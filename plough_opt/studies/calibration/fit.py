@@ -1,34 +1,194 @@
-"""The result of a calibration: `Fit`, with intervals, tables, pictures and files."""
+"""`Fit`, the result of a calibration: unknowns with intervals, rows, tables, picture and files."""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import combinations, cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from plough_opt.core.checks import check_choice
 from plough_opt.core.errors import InputError
-from plough_opt.core.plain_data import Unsaved
+from plough_opt.core.files import COLOURS, save_figure
+from plough_opt.core.plain_data import MaybeInfinite, Unsaved
+from plough_opt.core.quantities import EVERY, Quantity
 from plough_opt.core.saving import Origin, Saveable, versions
-from plough_opt.core.tables import Page, Part, data_frame
+from plough_opt.core.tables import Grid, Page, Part, data_frame
+from plough_opt.core.units import Display, Unit
 from plough_opt.motion.scene import Scene
+from plough_opt.motion.vocabulary import called
 from plough_opt.soil.soil import Soil
-from plough_opt.studies.calibration import parts
-from plough_opt.studies.calibration.candidates import Candidate, NextMeasurement, next_measurements
-from plough_opt.studies.calibration.estimate import Estimate, Interval, Kind, check_level, interval
-from plough_opt.studies.calibration.identifiability import Undetermined, undetermined
+from plough_opt.studies.calibration.estimate import (
+    Candidate,
+    Estimate,
+    Interval,
+    Kind,
+    NextMeasurement,
+    Undetermined,
+    check_level,
+    interval,
+    next_measurements,
+    undetermined,
+)
+from plough_opt.studies.calibration.measurements import result_unit
+from plough_opt.studies.calibration.model import ERRORS, NOMINAL
 from plough_opt.studies.calibration.quality import CrossValidation, caveats, cross_validate
-from plough_opt.studies.calibration.setup import ERRORS, NOMINAL
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+
+# Largest number of rows in the table of candidates.
+_MOST_CANDIDATES: Final = 6
+
+
+@dataclass(frozen=True)
+class FittedUnknown:
+    """A fitted unknown, SI.
+
+    Attributes:
+        name: its key in a problem file.
+        unit: SI unit.
+        value: fitted value; if the data do not determine the unknown, one of many that fit.
+        standard_error: its standard error; infinite if the data do not determine it.
+        lower: its lower bound.
+        upper: its upper bound.
+        determined: whether the data narrow it further than its bounds.
+    """
+
+    name: str
+    unit: str
+    value: float
+    standard_error: MaybeInfinite
+    lower: float
+    upper: float
+    determined: bool
+
+
+@dataclass(frozen=True)
+class Correlation:
+    """Correlation of the errors of two determined unknowns."""
+
+    first: str
+    second: str
+    value: float
+
+
+@dataclass(frozen=True)
+class Row:
+    """A measured row with its prediction, SI.
+
+    Attributes:
+        place: file and line, or set and row.
+        result: the measured result.
+        unit: its unit.
+        conditions: conditions of the row by key.
+        time: time since the start of the run [s], or None.
+        observed: measured value.
+        predicted: fitted value.
+        sigma: standard deviation of the measurement, stated or estimated; infinite for a row of weight 0.
+        standard_error: standard error of the prediction, from the errors of the determined unknowns.
+        residual: predicted minus observed value.
+    """
+
+    place: str
+    result: str
+    unit: str
+    conditions: Mapping[str, float]
+    time: float | None
+    observed: float
+    predicted: float
+    sigma: MaybeInfinite
+    standard_error: MaybeInfinite
+    residual: float
+
+
+@dataclass(frozen=True)
+class KnownInterval:
+    """A computed interval of an unknown, with its level and the requested kind."""
+
+    name: str
+    level: float
+    asked: Kind
+    interval: Interval
+
+
+def fitted_unknowns(fit: Estimate) -> tuple[FittedUnknown, ...]:
+    """Return every unknown with its standard error."""
+    errors = np.where(fit.spread.determined, np.sqrt(np.diag(fit.spread.covariance)), np.inf)
+    return tuple(
+        FittedUnknown(u.name, u.unit, float(u.value(y)), float(error * u.slope(y)), u.lower, u.upper, error < np.inf)
+        for u, y, error in zip(fit.unknowns, fit.y.tolist(), errors.tolist(), strict=True)
+    )
+
+
+def correlations_of(fit: Estimate) -> tuple[Correlation, ...]:
+    """Return the correlations of the determined unknowns."""
+    errors, unknowns = np.sqrt(np.diag(fit.spread.covariance)), fit.unknowns
+    return tuple(
+        Correlation(unknowns[i].name, unknowns[j].name, float(fit.spread.covariance[i, j] / (errors[i] * errors[j])))
+        for i, j in combinations(np.flatnonzero(errors > 0.0).tolist(), 2)
+    )
+
+
+def rows_of(fit: Estimate) -> tuple[Row, ...]:
+    """Return every measured row with its prediction."""
+    error = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", fit.slope, fit.spread.covariance, fit.slope), 0.0))
+    columns = (fit.data.observed, fit.predicted, fit.deviation, error, fit.predicted - fit.data.observed)
+    numbers = iter(np.column_stack(columns).tolist())
+    return tuple(
+        Row(m.row(k), m.result, result_unit(m.result).symbol, m.at(k), None if m.time is None else float(m.time[k]),
+            *next(numbers))
+        for m in fit.setup.measured for k in range(m.rows)
+    )  # fmt: skip
+
+
+def unknowns_table(
+    unknowns: Sequence[FittedUnknown], level: float, intervals: Mapping[str, Interval], origin: Origin
+) -> Grid:
+    """Return a table of the unknowns with standard errors, and with intervals if some are given."""
+    between = [f"{100 * level:g} % interval"] if intervals else []
+    table = Grid.of("Calibrated", "unknown", "value", "standard error", *between, "bounds", "", left=("",))
+    for unknown in unknowns:
+        value, error, ends, notes = "not determined", "infinite", "infinite", []
+        if unknown.determined:
+            value, error = _text(origin, unknown, unknown.value), _text(origin, unknown, unknown.standard_error, 3)
+        if interval := intervals.get(unknown.name):
+            if unknown.determined:
+                ends = " to ".join(_text(origin, unknown, end, 4) for end in interval)
+            notes = [f"{side} end is the bound" for side in interval.clipped]
+            notes += ["linearised"] if unknown.determined and interval.kind == "linearised" else []
+        bounds = " to ".join(_text(origin, unknown, end, 3) for end in (unknown.lower, unknown.upper))
+        table.row(unknown.name, value, error, *([ends] if between else []), bounds, "; ".join(notes))
+    return table
+
+
+def next_table(unknowns: Sequence[FittedUnknown], ranking: Sequence[NextMeasurement], origin: Origin) -> Grid:
+    """Return a table of the best candidates with the standard errors of the unknowns after each."""
+    names = [unknown.name.rpartition(".")[2] for unknown in unknowns]
+    title = "What to measure next: standard errors now, and with one more measurement of the same quality"
+    table = Grid.of(title, "measurement", *names, fold=("measurement",))
+    table.row("now", *(_text(origin, unknown, ranking[0].errors[unknown.name][0], 3) for unknown in unknowns))
+    for item in ranking[:_MOST_CANDIDATES]:
+        cells = [_text(origin, unknown, item.errors[unknown.name][1], 3) for unknown in unknowns]
+        table.row(item.candidate.describe(), *cells)
+    return table
+
+
+def _text(origin: Origin, unknown: FittedUnknown, value: float, digits: int = 5) -> str:
+    """Return a value of an unknown as text, in the unit in which all its values are shown."""
+    return origin.display(unknown.name, unknown.unit, unknown.value, unknown.upper).text(value, digits)
+
 
 Vector = NDArray[np.float64]
 
@@ -77,10 +237,10 @@ class Fit(Saveable):
     kind = "calibration"
 
     title: str
-    unknowns: tuple[parts.FittedUnknown, ...]
-    correlations_found: tuple[parts.Correlation, ...]
+    unknowns: tuple[FittedUnknown, ...]
+    correlations_found: tuple[Correlation, ...]
     unidentifiable: tuple[Undetermined, ...]
-    rows: tuple[parts.Row, ...]
+    rows: tuple[Row, ...]
     loss: str
     total: float
     optima: tuple[float, ...]
@@ -90,7 +250,7 @@ class Fit(Saveable):
     status: str
     warnings: tuple[str, ...]
     seconds: float = field(compare=False)
-    saved_intervals: tuple[parts.KnownInterval, ...] = ()
+    saved_intervals: tuple[KnownInterval, ...] = ()
     saved_next: tuple[NextMeasurement, ...] = ()
     errors: str = "constant"
     versions: Mapping[str, str] = field(default_factory=versions)
@@ -208,13 +368,13 @@ class Fit(Saveable):
         profiles = [item for item in self.saved_intervals if item.asked == "profile"]
         level = profiles[-1].level if profiles else 0.0
         intervals = {item.name: item.interval for item in profiles if item.level == level}
-        shown: list[Part] = [parts.unknowns_table(self.unknowns, level, intervals, self.origin)]
+        shown: list[Part] = [unknowns_table(self.unknowns, level, intervals, self.origin)]
         correlated = [c for c in self.correlations_found if abs(c.value) >= _NOTABLE_CORRELATION]
         for c in sorted(correlated, key=lambda c: -abs(c.value)):
             shown.append(f"Errors of {c.first} and {c.second} are correlated: {c.value:+.3f}.")
         shown += [f"Not determined: {item.words}." for item in self.unidentifiable]
         if self.saved_next:
-            shown.append(parts.next_table(self.unknowns, self.saved_next, self.origin))
+            shown.append(next_table(self.unknowns, self.saved_next, self.origin))
         relative = "of the predicted values" if self.errors == "relative" else "of the mean measured value"
         kind = "times the stated sigma" if self.stated else relative
         shown.append(f"Scatter about the fit: {self.scatter:.3g} {kind}, {self.freedom} degrees of freedom.")
@@ -243,9 +403,6 @@ class Fit(Saveable):
         Raises:
             InputError: a file name without a known ending, or a path that cannot be written.
         """
-        from plough_opt.core.files import save_figure
-        from plough_opt.studies.calibration.picture import figure_of
-
         figure = figure_of(self.title, self.rows, self.origin)
         if target is not None:
             save_figure(figure, target)
@@ -271,7 +428,7 @@ class Fit(Saveable):
         computed = {**self._intervals}
         computed[level, "profile"] = computed.pop((level, "profile"), asked)
         intervals = tuple(
-            parts.KnownInterval(name, level, kind, interval)
+            KnownInterval(name, level, kind, interval)
             for (level, kind), by_name in computed.items()
             for name, interval in by_name.items()
         )
@@ -304,10 +461,10 @@ def reported(title: str, estimate: Estimate, started: float) -> Fit:
     scatter = float(np.sqrt(np.sum(unscaled**2) / max(estimate.freedom, 1)))
     return Fit(
         title=title,
-        unknowns=parts.fitted_unknowns(estimate),
-        correlations_found=parts.correlations_of(estimate),
+        unknowns=fitted_unknowns(estimate),
+        correlations_found=correlations_of(estimate),
         unidentifiable=undetermined(estimate.unknowns, estimate.y, estimate.spread),
-        rows=parts.rows_of(estimate),
+        rows=rows_of(estimate),
         loss=estimate.setup.problem.loss.name,
         total=estimate.best.loss,
         optima=estimate.optima,
@@ -320,3 +477,118 @@ def reported(title: str, estimate: Estimate, started: float) -> Fit:
         seconds=time.perf_counter() - started,
         source=estimate,
     )
+
+
+_MUTED: Final = "#8A8A8A"
+
+
+def figure_of(title: str, rows: Sequence[Row], origin: Origin) -> Figure:
+    """Return four panels: measured against predicted values, residuals over both axes, and quantiles of residuals.
+
+    Args:
+        title: title of the picture.
+        rows: the measured rows with their predictions.
+        origin: origin of the fit, which gives the units of the file.
+    """
+    from matplotlib.figure import Figure
+
+    counted = [row for row in rows if math.isfinite(row.sigma) and row.sigma > 0.0]
+    kinds = {row.result: _display(row, counted, origin) for row in counted}
+    figure = Figure(figsize=(11, 8.4), layout="constrained")
+    axes = figure.subplots(2, 2)
+    _draw_fit(axes[0, 0], counted, kinds)
+    _draw_residuals(axes[0, 1], counted, kinds, [row.predicted / kinds[row.result].factor for row in counted],
+                    _predicted_label(kinds))  # fmt: skip
+    shown, values, label = _varied(counted, origin)
+    _draw_residuals(axes[1, 0], shown, kinds, values, label)
+    _draw_quantiles(axes[1, 1], counted)
+    figure.suptitle(title)
+    return figure
+
+
+def _draw_fit(axes: Axes, rows: Sequence[Row], kinds: Mapping[str, Display]) -> None:
+    """Draw measured over predicted values with errors; several results are each divided by their largest value."""
+    for (result, display), colour in zip(kinds.items(), cycle(COLOURS)):
+        own = [row for row in rows if row.result == result]
+        predicted, observed, sigma, error = (
+            np.array([getattr(row, key) for row in own]) / display.factor
+            for key in ("predicted", "observed", "sigma", "standard_error")
+        )
+        axes.errorbar(predicted, observed, yerr=1.96 * sigma, xerr=1.96 * error, fmt="o", markersize=4, linewidth=0.8,
+                      color=colour, label=f"{called(result)}, n = {len(own)}")  # fmt: skip
+    _draw_diagonal(axes, float(predicted[0]), "measured = predicted")
+    axes.set(xlabel=_predicted_label(kinds), ylabel=_predicted_label(kinds).replace("predicted", "measured"))
+    axes.set_title("bars: 95 % of the measuring error; across: of the prediction", fontsize="small")
+
+
+def _draw_residuals(axes: Axes, rows: Sequence[Row], kinds: Mapping[str, Display], places: Sequence[float],
+                    label: str) -> None:  # fmt: skip
+    """Draw the standardised residuals over a coordinate of the rows."""
+    for result, colour in zip(kinds, cycle(COLOURS)):
+        own = [(place, _standardised(row)) for place, row in zip(places, rows, strict=True) if row.result == result]
+        axes.plot(*zip(*own, strict=True), "o", markersize=4, color=colour, label=called(result))
+    axes.axhline(0.0, color="black", linewidth=0.9)
+    for size, name in ((-1.96, None), (1.96, "95 % of normal errors: ±1.96")):
+        axes.axhline(size, color=_MUTED, linewidth=0.9, linestyle="--", label=name)
+    axes.legend(fontsize="x-small", loc="upper right")
+    axes.set(xlabel=label, ylabel="(predicted - measured) / standard error")
+    axes.grid(alpha=0.25)
+
+
+def _draw_quantiles(axes: Axes, rows: Sequence[Row]) -> None:
+    """Draw the ordered standardised residuals over normal quantiles."""
+    (theory, ordered), _ = stats.probplot([_standardised(row) for row in rows])
+    axes.plot(theory, ordered, "o", markersize=4, color=COLOURS[0])
+    _draw_diagonal(axes, 0.0, "normal")
+    axes.set(xlabel="normal quantile", ylabel="(predicted - measured) / standard error, ordered")
+
+
+def _draw_diagonal(axes: Axes, place: float, label: str) -> None:
+    """Draw the diagonal of equal values, through a given point on it."""
+    axes.axline((place, place), slope=1.0, color="black", linewidth=0.9, label=label)
+    axes.grid(alpha=0.25)
+    axes.legend(fontsize="small")
+
+
+def _standardised(row: Row) -> float:
+    return row.residual / row.sigma
+
+
+def _display(like: Row, rows: Sequence[Row], origin: Origin) -> Display:
+    """Return the unit in which a result is drawn; if there are several results, its largest value is the unit."""
+    own = [abs(row.predicted) for row in rows if row.result == like.result]
+    several = len({row.result for row in rows}) > 1
+    return Display("", max(own)) if several else origin.display(like.result, like.unit, *own)
+
+
+def _predicted_label(kinds: Mapping[str, Display]) -> str:
+    if len(kinds) > 1:
+        return "predicted, over the largest of its kind"
+    ((result, display),) = kinds.items()
+    return f"predicted {display.heading(called(result))}"
+
+
+def _coordinates(row: Row) -> dict[str, float]:
+    own = dict(row.conditions)
+    return own if row.time is None else {"time": row.time, **own}
+
+
+def _varied(rows: Sequence[Row], origin: Origin) -> tuple[Sequence[Row], list[float], str]:
+    """Return the rows, a coordinate of each, and its label: time or speed if it varies, else the most varied one."""
+    counts: dict[str, set[float]] = {}
+    for row in rows:
+        for key, value in _coordinates(row).items():
+            counts.setdefault(key, set()).add(value)
+    preferred = [key for key in ("time", "scene.tow_speed") if len(counts.get(key, ())) > 1]
+    name = preferred[0] if preferred else max(counts, key=lambda key: len(counts[key]), default="")
+    if not name:
+        return rows, [float(k) for k in range(1, len(rows) + 1)], "number of the row"
+    display = Display("s", 1.0) if name == "time" else origin.displays.get(name) or _usual(EVERY[name])
+    shown = [row for row in rows if name in _coordinates(row)]
+    return shown, [_coordinates(row)[name] / display.factor for row in shown], display.heading(called(name))
+
+
+def _usual(quantity: Quantity) -> Display:
+    """Return the customary unit of a quantity."""
+    symbol = quantity.shown or quantity.unit
+    return Display(symbol, Unit(quantity.unit).split(f"1 {symbol}")[1])

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from plough_opt.core.checks import check_named
-from plough_opt.studies.calibration.identifiability import UNIFORM
 
 Vector = NDArray[np.float64]
+
+UNIFORM: Final = 12.0**-0.5
+"""Standard deviation of a number that is known only to lie between 0 and 1: a uniform distribution."""
 
 RIDGE: Final = 0.01 / UNIFORM**2
 """Weight of a ridge term that draws the unknowns to a centre if they are not all determined.

@@ -17,7 +17,7 @@ from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 from plough_opt.studies.calibration.estimate import Estimate, estimate
 from plough_opt.studies.calibration.least_squares import AT_BOUND
 from plough_opt.studies.calibration.measurements import RECORD, measurable
-from plough_opt.studies.calibration.setup import Rows, SceneOfRows, is_closed
+from plough_opt.studies.calibration.model import Rows, SceneOfRows, is_closed
 
 Vector = NDArray[np.float64]
 

@@ -1,11 +1,12 @@
-"""The worker processes of a sweep on this machine. Any of them may die without affecting the others.
+"""Evaluation of the points of a sweep by worker processes, any of which may die, or by a dask cluster.
 
 The pool sends pickles to the standard input of a process and receives pickles from its standard output. What the work
-itself prints goes to the error stream.
+itself prints goes to the error stream. Each point is evaluated from its own values alone.
 """
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import math
 import multiprocessing.spawn
@@ -18,14 +19,186 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
 
-from plough_opt.core.errors import InputError
-from plough_opt.core.process import Sieve, available, load_additions
-from plough_opt.studies.sweep.work import Evaluation
+import numpy as np
+from numpy.typing import NDArray
+
+from plough_opt.core.checks import NOT_NUMBERS
+from plough_opt.core.errors import InputError, PloughError
+from plough_opt.core.notes import merge
+from plough_opt.core.process import Sieve, available, load_additions, one_of_several
+
+if TYPE_CHECKING:
+    import distributed
+
+
+Array = NDArray[np.float64]
+
+# Largest number of evaluations that a worker keeps, with everything that they have built.
+_MOST_KEPT: Final = 4
+_kept: dict[str, Evaluation] = {}
+
+
+class WithNotes(dict[str, float]):
+    """Results of a point, with notes on them.
+
+    Attributes:
+        notes: sentences; sentences that differ only in numbers become one note, with their ranges.
+    """
+
+    def __init__(self, results: Mapping[str, float], notes: Sequence[str] = ()) -> None:
+        super().__init__(results)
+        self.notes = tuple(notes)
+
+
+@runtime_checkable
+class ManyPoints(Protocol):
+    """An evaluation of many points at once, with the same results for each point as if it were alone."""
+
+    @property
+    def results(self) -> tuple[str, ...]:
+        """Names of the results."""
+
+    def many(self, values: Array) -> tuple[Array, dict[int, str], Sequence[tuple[int, int, Sequence[str]]]]:
+        """Evaluate points.
+
+        Args:
+            values: of the quantities, a row for each point.
+
+        Returns:
+            The results, a row for each point; row of a failed point -> reason; and notes, each as (row of the first
+            point that has it, number of points that have it, sentences).
+        """
+
+
+Evaluation = Callable[[dict[str, float]], Mapping[str, float]] | ManyPoints
+
+
+@dataclass
+class Done:
+    """The outcome of a task.
+
+    Attributes:
+        points: number of points done, counted from the first.
+        results: a row for each of these, meaningless for failed ones; None if all failed.
+        names: of the results.
+        reasons: row of a failed point -> reason.
+        notes: kind -> (text with the ranges of its numbers, row of the first point, number of points).
+        seconds: time taken [s].
+    """
+
+    points: int
+    results: Array | None = None
+    names: tuple[str, ...] = ()
+    reasons: dict[int, str] = field(default_factory=dict)
+    notes: dict[str, tuple[str, int, int]] = field(default_factory=dict)
+    seconds: float = 0.0
+
+    def note(self, place: int, texts: Sequence[str], points: int = 1) -> None:
+        """Count notes on a point, or on several points of which the first one is given."""
+        notes = {kind: text for kind, (text, _, _) in self.notes.items()}
+        for kind in {merge(notes, text): None for text in texts}:
+            _, start, count = self.notes.get(kind, ("", place, 0))
+            self.notes[kind] = (notes[kind], start, count + points)
+
+
+def work(key: str, evaluation: Evaluation, names: tuple[str, ...], values: Array, budget: float) -> Done:
+    """Evaluate points.
+
+    Args:
+        key: identifies the evaluation. A worker keeps the first evaluation with a key, and everything that this built.
+        evaluation: the function.
+        names: of the quantities.
+        values: of the quantities, a row for each point.
+        budget: time [s] after which no further point is begun.
+    """
+    began = time.perf_counter()
+    evaluation = _kept.setdefault(key, evaluation)
+    while len(_kept) > _MOST_KEPT:
+        _kept.pop(next(iter(_kept)))
+    with one_of_several():
+        if isinstance(evaluation, ManyPoints):
+            done = _together(evaluation, values)
+        else:
+            done = _one_by_one(evaluation, names, values, began + budget)
+    if done.results is not None:
+        # Negative zero becomes zero, as SQLite stores it.
+        done.results += 0.0
+    done.seconds = time.perf_counter() - began
+    return done
+
+
+def _together(evaluation: ManyPoints, values: Array) -> Done:
+    done = Done(len(values))
+    results, reasons, notes = evaluation.many(values)
+    done.results, done.names, done.reasons = np.asarray(results, dtype=float), tuple(evaluation.results), dict(reasons)
+    for k in np.flatnonzero(~np.isfinite(done.results).all(axis=1)).tolist():
+        if k not in done.reasons:
+            column = int(np.flatnonzero(~np.isfinite(done.results[k]))[0])
+            done.reasons[k] = _not_finite(done.names[column], float(done.results[k, column]))
+    for place, points, texts in notes:
+        done.note(place, texts, points)
+    return done
+
+
+def _one_by_one(
+    evaluation: Callable[[dict[str, float]], Mapping[str, float]],
+    names: tuple[str, ...],
+    values: Array,
+    until: float,
+) -> Done:
+    done = Done(0)
+    rows: list[list[float] | None] = []
+    for k, row in enumerate(values.tolist()):
+        try:
+            results = evaluation(dict(zip(names, row, strict=True)))
+            numbers = _numbers(results)
+        except Exception as error:
+            done.reasons[k] = str(error) if isinstance(error, PloughError) else f"{type(error).__name__}: {error}"
+            rows.append(None)
+        else:
+            done.names = done.names or tuple(numbers)
+            if tuple(numbers) != done.names:
+                break  # the next task begins here, and the store refuses its names
+            rows.append(list(numbers.values()))
+            if bad := [name for name, number in numbers.items() if not math.isfinite(number)]:
+                done.reasons[k] = _not_finite(bad[0], numbers[bad[0]])
+            else:
+                done.note(k, getattr(results, "notes", ()))
+        done.points += 1
+        if time.perf_counter() > until:
+            break
+    if done.names:
+        empty = [math.nan] * len(done.names)
+        done.results = np.array([empty if row is None else row for row in rows])
+    return done
+
+
+def _numbers(results: Mapping[str, float]) -> dict[str, float]:
+    """Return the results of an evaluation as named floats.
+
+    Raises:
+        InputError: they are not a dictionary of numbers.
+    """
+    if not isinstance(results, Mapping):
+        raise InputError(f"the function returned {results!r}: return a dictionary of named numbers")
+    numbers = {}
+    for name, number in results.items():
+        try:
+            numbers[name] = float(number)
+        except NOT_NUMBERS as error:
+            raise InputError(f"{name} = {str(number)[:80]!r} is not a number: {error}") from None
+    return numbers
+
+
+def _not_finite(name: str, number: float) -> str:
+    return f"{name} = {number} is not finite"
+
 
 STORED: Final = "finished points are stored, and the same sweep continues from there"
 """Advice for a sweep that ends early."""
@@ -33,7 +206,8 @@ STORED: Final = "finished points are stored, and the same sweep continues from t
 # The pool gives up after at least this many deaths in a row, with no result in between. `_PATIENCE` must have passed
 # since the first of them, and no live process may be older than that.
 _MOST_DEATHS = 3
-# Time [s] that the pool waits for a process that survives.
+# Time [s] that the pool waits for a process that survives; for as long a cluster may be without workers, which may be
+# restarting.
 _PATIENCE = 40.0
 # Pause [s] before a dead process is replaced.
 _PAUSE: Final = 0.2
@@ -393,3 +567,72 @@ def _outcome(call: bytes) -> bytes:
     finally:
         with contextlib.suppress(OSError):  # nobody reads the error stream any more
             sys.stdout.flush()
+
+
+# Time [s] between two checks for workers; also the time limit for the scheduler's answer.
+_CHECK_EVERY: Final = 3.0
+
+
+class Cluster(Executor):
+    """The executor of a dask client."""
+
+    def __init__(self, client: distributed.Client, options: dict[str, Any]) -> None:
+        """Take a client and the options of its executor."""
+        self._client, self._options = client, options
+        self._checked = self._seen = time.monotonic()
+
+    @classmethod
+    def of(cls, executor: Executor) -> Cluster | None:
+        """Return the cluster behind an executor of dask, or None for other executors."""
+        if type(executor).__module__ != "distributed.cfexecutor":
+            return None
+        # dask has no public names for these.
+        return cls(executor._client, executor._kwargs)  # type: ignore[attr-defined]
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Submit a call, as any executor does."""
+        future: Future[Any] = Future()
+        task = self._client.submit(fn, *args, **self._options, **kwargs)
+        assert self._client.loop is not None
+        self._client.loop.add_callback(_carry, task, future)
+        future.add_done_callback(lambda future: task.cancel() if future.cancelled() else None)
+        return future
+
+    def check(self) -> None:
+        """Check whether there are workers, unless this was checked a moment ago.
+
+        Raises:
+            InputError: for `_PATIENCE` there have been no workers, or no answers from the scheduler.
+        """
+        if time.monotonic() - self._checked < _CHECK_EVERY:
+            return
+        assert self._client.scheduler is not None
+        try:
+            workers = self._client.sync(self._client.scheduler.ncores, callback_timeout=_CHECK_EVERY)
+        except (OSError, TimeoutError):
+            workers = {}
+        now = self._checked = time.monotonic()
+        if workers:
+            self._seen = now
+        elif now - self._seen > _PATIENCE:
+            raise InputError(f"the cluster has had no workers for {now - self._seen:.0f} s: start some; {STORED}")
+
+
+async def _carry(task: distributed.Future[Any], future: Future[Any]) -> None:
+    """Pass the result or the error of a task to a future."""
+    error: BaseException
+    try:
+        result = await task
+    except (asyncio.CancelledError, CancelledError):
+        error = InputError(f"the cluster's scheduler is gone, or has dropped a task; {STORED}")
+    except Exception as reason:
+        error = reason
+        if type(reason).__name__ == "KilledWorker":  # it killed more workers than dask allows
+            allowed: int = reason.allowed_failures  # type: ignore[attr-defined]
+            error = WorkerDied("dask does not say how", allowed + 1)
+    else:
+        if future.set_running_or_notify_cancel():
+            future.set_result(result)
+        return
+    if future.set_running_or_notify_cancel():
+        future.set_exception(error)

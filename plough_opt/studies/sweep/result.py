@@ -24,8 +24,7 @@ from plough_opt.core.process import optional
 from plough_opt.core.saving import Origin
 from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame
 from plough_opt.motion.vocabulary import called
-from plough_opt.studies.sweep.database import State
-from plough_opt.studies.sweep.store import Store
+from plough_opt.studies.sweep.store import State, Store
 
 if TYPE_CHECKING:
     import pandas

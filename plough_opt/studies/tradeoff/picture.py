@@ -14,8 +14,7 @@ from matplotlib.tri import Triangulation
 
 from plough_opt.core.files import COLOURS
 from plough_opt.motion.vocabulary import called
-from plough_opt.studies.tradeoff.domination import ACROSS, Array
-from plough_opt.studies.tradeoff.front import Axis, Front, FrontPoint
+from plough_opt.studies.tradeoff.front import ACROSS, Array, Axis, Front, FrontPoint
 
 _GREY: Final = "#A8A8A8"
 _DOMINATED: Final = "local optima, dominated"

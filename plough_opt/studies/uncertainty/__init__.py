@@ -1,6 +1,6 @@
 """Designs for uncertain soil: distributions, robust measures over common samples, verification on fresh samples."""
 
-from plough_opt.studies.uncertainty.distribution import Marginal, SoilDistribution
+from plough_opt.studies.uncertainty.distribution import Marginal, SoilDistribution, SoilSamples
 from plough_opt.studies.uncertainty.measures import (
     cvar,
     expected,
@@ -10,10 +10,8 @@ from plough_opt.studies.uncertainty.measures import (
     standard_deviation,
     worst,
 )
-from plough_opt.studies.uncertainty.robust import Robust
-from plough_opt.studies.uncertainty.samples import SoilSamples
-from plough_opt.studies.uncertainty.variance import SobolIndices, sobol_indices
-from plough_opt.studies.uncertainty.verification import Check, Verification, verify
+from plough_opt.studies.uncertainty.result import SobolIndices, sobol_indices
+from plough_opt.studies.uncertainty.robust import Check, Robust, Verification, verify
 
 __all__ = [
     "Check",

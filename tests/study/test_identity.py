@@ -187,8 +187,45 @@ def test_a_module_of_the_users_own_is_read_as_a_whole(tmp_path, monkeypatch, use
         exec(user, names)
         digests.append(digest_of(names["f"]))
         for name in (deep, "top_own"):
-            del sys.modules[name]
+            sys.modules.pop(name, None)
     assert digests[0] != digests[1]
+
+
+def test_modules_that_code_would_import_are_read_and_not_run(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    folder = tmp_path / "package_own"
+    folder.mkdir()
+    texts = {"__init__": "raise RuntimeError('run')", "inner": "from .deep import VALUE"}
+    texts |= {"deep": "import package_own.odd", "odd": "this is not Python"}
+
+    def digest(**changed):
+        for name, text in {**texts, **changed}.items():
+            (folder / f"{name}.py").write_text(text)
+        importlib.invalidate_caches()
+        names = {}
+        exec("def f(values):\n    from package_own import inner, missing\n    return inner.VALUE\n", names)
+        return digest_of(names["f"])
+
+    before = digest()
+    assert digest() == before
+    for name in texts:
+        assert digest(**{name: f"{texts[name]} # changed"}) != before, name
+    assert not [name for name in sys.modules if name.startswith("package_own")]
+
+
+def test_an_installed_module_counts_by_its_version(tmp_path, monkeypatch):
+    names, digests = {}, []
+    exec("def f(values):\n    import fake_own\n    return fake_own.VALUE\n", names)
+    for number, (version, text) in enumerate((("1.0", "VALUE = 1"), ("1.0", "VALUE = 2"), ("2.0", "VALUE = 2"))):
+        place = tmp_path / str(number) / "site-packages"
+        about = place / f"another_name-{version}.dist-info"
+        about.mkdir(parents=True)
+        (place / "fake_own.py").write_text(text)
+        (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: another_name\nVersion: {version}\n")
+        (about / "top_level.txt").write_text("fake_own\n")
+        monkeypatch.syspath_prepend(place)
+        digests.append(digest_of(names["f"]))
+    assert digests[0] == digests[1] != digests[2]
 
 
 def test_cycles_sets_and_values_of_casadi_have_a_digest():

@@ -3,17 +3,23 @@
 It covers the function's code, defaults, attributes, closure, imports and the globals that it names, the state and the
 class of objects, and so on inwards. Modules of the standard library and of installed packages are identified by name
 and, if they have one, version. The bytecode of functions is compared and not their source, so comments and the place in
-a file do not matter; a module of a user's is compared as text, with the modules that it imports.
+a file do not matter; a module of a user's is compared as text, with the modules that it imports. No module is imported
+for that.
 """
 
+import contextlib
 import copyreg
 import dis
 import functools
 import hashlib
 import importlib.metadata
+import importlib.util
+import itertools
 import sys
 import sysconfig
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import (
     BuiltinFunctionType,
@@ -69,12 +75,29 @@ def digest_of(item: object) -> str:
         ) from None
 
 
+@dataclass(frozen=True)
+class _Source:
+    """A module: its name, and its file if it has one."""
+
+    name: str
+    file: str | None
+
+    @property
+    def installed(self) -> bool:
+        """Whether it belongs to Python, to this package or to an installed one."""
+        top, parts = self.name.partition(".")[0], Path(self.file or "").parts
+        if top in sys.stdlib_module_names:  # a file of the user's may have such a name
+            return self.file is None or Path(self.file).resolve().is_relative_to(_STANDARD)
+        return top == "plough_opt" or not {"site-packages", "dist-packages"}.isdisjoint(parts)
+
+
 class _Reader:
     """Reads an object and everything that it refers to, each object once."""
 
     def __init__(self) -> None:
         # id -> object, which is kept so that the id remains its own, and its digest; while it is read, its number.
         self._read: dict[int, tuple[object, bytes]] = {}
+        self._sources: dict[str | None, _Source | None] = {}
 
     def digest(self, item: Any) -> bytes:
         """Return the digest of an object."""
@@ -88,21 +111,25 @@ class _Reader:
 
     def _parts(self, item: Any) -> tuple[str, Iterable[Any]]:
         """Return a text and objects that together are the content of an object."""
+        if isinstance(item, ModuleType):
+            others = (value.__name__ for value in vars(item).values() if isinstance(value, ModuleType))
+            return "module", map(self._source, (item.__name__, *others))
+        if isinstance(item, _Source):
+            if item.installed:
+                return f"module {item.name} {_version(item)}", ()
+            return f"module {item.name}", self._contents(item)
         function = isinstance(item, FunctionType)
         # `functools.wraps` copies the name of another function's module.
         module = item.__globals__.get("__name__") if function else getattr(item, "__module__", None)
         name = f"{module}.{getattr(item, '__qualname__', '')}"
-        if isinstance(item, ModuleType):
-            name = item.__name__
-            return f"module {name} {_version(name)}", () if _installed(name) else _texts(item)
-        if isinstance(item, type | FunctionType) and _installed(module):
-            return f"{name} {_version(module)}", ()
+        if isinstance(item, type | FunctionType) and (source := self._source(module)) and source.installed:
+            return f"{name} {_version(source)}", ()
         if isinstance(item, type):
             return f"class {name}", (*item.__bases__, *_attributes(item))
         if isinstance(item, FunctionType):
-            own = (item.__code__, item.__defaults__, item.__kwdefaults__, item.__closure__, item.__dict__)
-            return "function", (*own, *_globals(item.__code__, item.__globals__),
-                                *_imports(item.__code__, item.__globals__))  # fmt: skip
+            parts = (item.__code__, item.__defaults__, item.__kwdefaults__, item.__closure__, item.__dict__)
+            imports = self._imports(item.__code__, item.__globals__.get("__package__") or "")
+            return "function", (*parts, *_globals(item.__code__, item.__globals__), *imports)
         if isinstance(item, CodeType):
             return "code", [getattr(item, name) for name in _OF_CODE]
         if isinstance(item, _NAMED):
@@ -113,6 +140,60 @@ class _Reader:
         if (type(item) is np.ndarray or isinstance(item, np.generic)) and not item.dtype.hasobject:
             return f"array {item.dtype.descr} {np.shape(item)}", (item.tobytes(),)
         return type(item).__name__, _inside(item)
+
+    def _source(self, name: str | None) -> _Source | None:
+        """Return where a module comes from, the same object at every call; None if it is not found."""
+        if name not in self._sources:
+            self._sources[name] = _found(name)
+        return self._sources[name]
+
+    def _contents(self, source: _Source) -> Iterator[Any]:
+        """Yield the text of a user's module, and the modules that it imports."""
+        file = Path(source.file or "")
+        text = file.read_bytes() if file.is_file() else b""
+        yield text
+        if file.suffix == ".py":
+            package = source.name if file.stem == "__init__" else source.name.rpartition(".")[0]
+            with contextlib.suppress(SyntaxError, ValueError):  # who imports it will see the error
+                yield from self._imports(compile(text, str(file), "exec"), package)
+
+    def _imports(self, code: CodeType, package: str) -> Iterator[Any]:
+        """Yield the modules that code imports, with their packages; for one that is not found, its name."""
+        steps = [step for step in dis.get_instructions(code) if step.opname != "EXTENDED_ARG"]
+        for level, members, step in zip(steps, steps[1:], steps[2:], strict=False):
+            if step.opname == "IMPORT_NAME":
+                name = step.argval
+                with contextlib.suppress(ImportError):  # more dots than packages
+                    name = importlib.util.resolve_name("." * level.argval + name, package)
+                for outer in itertools.accumulate(name.split("."), "{}.{}".format):
+                    yield self._source(outer) or outer
+                yield from filter(None, (self._source(f"{name}.{member}") for member in members.argval or ()))
+        for inner in code.co_consts:
+            if isinstance(inner, CodeType):
+                yield from self._imports(inner, package)
+
+
+def _found(name: str | None) -> _Source | None:
+    """Return where a module comes from, or None; neither it nor its packages are imported."""
+    if name in sys.modules:
+        return _Source(name, getattr(sys.modules[name], "__file__", None))
+    try:
+        spec = None if name is None else _spec(name)  # code that `exec` has read has no module
+    except Exception:  # a finder of some package's own
+        return None
+    return None if spec is None else _Source(spec.name, spec.origin if spec.has_location else None)
+
+
+def _spec(name: str) -> ModuleSpec | None:
+    """Return the specification of a module; `importlib.util.find_spec` would import its packages."""
+    package, places = name.rpartition(".")[0], None
+    if package:
+        outer = sys.modules[package].__spec__ if package in sys.modules else _spec(package)
+        if outer is None or outer.submodule_search_locations is None:
+            return None
+        places = outer.submodule_search_locations
+    specs = (finder.find_spec(name, places) for finder in sys.meta_path)
+    return next((spec for spec in specs if spec is not None), None)
 
 
 def _inside(item: Any) -> Iterable[Any]:
@@ -126,7 +207,7 @@ def _inside(item: Any) -> Iterable[Any]:
     if isinstance(item, dict | MappingProxyType) and type(item) in (dict, MappingProxyType):
         return [part for pair in item.items() for part in pair]
     if isinstance(item, CellType):
-        return _contents(item)
+        return _in_cell(item)
     if isinstance(item, MethodType):
         return item.__func__, item.__self__
     if isinstance(item, staticmethod | classmethod):
@@ -164,20 +245,6 @@ def _globals(code: CodeType, names: dict[str, Any]) -> list[Any]:
     return [*own, *(part for found in inner for part in found)]
 
 
-def _imports(code: CodeType, names: dict[str, Any]) -> Iterator[Any]:
-    """Yield the modules that code imports, and import them; for one that cannot be imported, its name."""
-    steps = [step for step in dis.get_instructions(code) if step.opname != "EXTENDED_ARG"]
-    for level, members, step in zip(steps, steps[1:], steps[2:], strict=False):
-        if step.opname == "IMPORT_NAME":
-            try:
-                yield __import__(step.argval, names, None, members.argval or (), level.argval)
-            except Exception:
-                yield step.argval
-    for inner in code.co_consts:
-        if isinstance(inner, CodeType):
-            yield from _imports(inner, names)
-
-
 def _attributes(of: type) -> Iterator[Any]:
     """Yield the names and the values that a class defines, without what Python and libraries keep there."""
     for name, value in vars(of).items():
@@ -186,46 +253,24 @@ def _attributes(of: type) -> Iterator[Any]:
             yield value
 
 
-def _texts(module: ModuleType) -> Iterator[Any]:
-    """Yield the text of a user's module, and the other modules of a user's that it imports."""
-    path = Path(getattr(module, "__file__", None) or "")
-    text = path.read_bytes() if path.is_file() else b""
-    yield text
-    others = [value for value in vars(module).values() if isinstance(value, ModuleType)]
-    if path.suffix == ".py":
-        others += [
-            other for other in _imports(compile(text, str(path), "exec"), vars(module)) if not isinstance(other, str)
-        ]
-    yield from (other for other in others if not _installed(other.__name__))
-
-
-def _contents(cell: CellType) -> tuple[Any, ...]:
+def _in_cell(cell: CellType) -> tuple[Any, ...]:
     try:
         return (cell.cell_contents,)
     except ValueError:  # empty
         return ()
 
 
-def _installed(module: str | None) -> bool:
-    """Return whether a module belongs to Python, to this package or to an installed one."""
-    if module is None:  # code that `exec` has read
-        return False
-    top = module.partition(".")[0]
-    file = getattr(sys.modules.get(module), "__file__", None)
-    if top in sys.stdlib_module_names:  # a file of the user's may have such a name
-        return file is None or Path(file).resolve().is_relative_to(_STANDARD)
-    if top == "plough_opt":
-        return True
-    return file is not None and not {"site-packages", "dist-packages"}.isdisjoint(Path(file).parts)
-
-
 @functools.lru_cache
-def _version(module: str | None) -> str:
-    top = (module or "").partition(".")[0]
-    try:
-        return str(getattr(sys.modules.get(top), "__version__", None) or importlib.metadata.version(top))
-    except (importlib.metadata.PackageNotFoundError, ValueError):
+def _version(source: _Source) -> str:
+    """Return the versions of the installed packages that a module may belong to; Python's own has none."""
+    top = source.name.partition(".")[0]
+    if top in sys.stdlib_module_names:
         return ""
+    try:
+        return importlib.metadata.version(top)
+    except importlib.metadata.PackageNotFoundError:
+        packages = set(importlib.metadata.packages_distributions().get(top, ()))
+        return ", ".join(f"{package} {importlib.metadata.version(package)}" for package in sorted(packages))
 
 
 def _hash(*parts: str | bytes) -> bytes:

@@ -45,11 +45,19 @@ def shown(value: object, most: int = 60) -> str:
 
 
 def array_of(values: Any, refusal: str) -> NDArray[np.float64]:
-    """Return a copy of values as an array of floats; raise InputError with the refusal if they are not numbers."""
+    """Return a copy of values as an array of floats.
+
+    Args:
+        values: any.
+        refusal: message for values that are not numbers, with {} for the values, which are printed only then.
+
+    Raises:
+        InputError: the values are not numbers.
+    """
     try:
         return np.array(values, dtype=float)
     except NOT_NUMBERS:
-        raise InputError(refusal) from None
+        raise InputError(refusal.replace("{}", shown(values))) from None
 
 
 def check_kind(what: str, value: object, kind: type | UnionType, wanted: str) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from plough_opt.core.checks import array_of, check_domain, check_kind, check_named, check_single, shown
+from plough_opt.core.checks import array_of, check_domain, check_kind, check_named, check_single
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Expression, as_number, holds_casadi
 from plough_opt.core.files import COLOURS, save_figure
@@ -255,7 +255,7 @@ def compare(
 
 def _several(what: str, unit: str, given: float | Sequence[float], **domain: Any) -> tuple[float, ...]:
     """Return one or several numbers without duplicates, checked by `check_domain` with the given keywords."""
-    values = np.atleast_1d(array_of(given, f"{what} = {shown(given)} must be one or more numbers, in {unit}")).ravel()
+    values = np.atleast_1d(array_of(given, f"{what} = {{}} must be one or more numbers, in {unit}")).ravel()
     check_domain(what, values, unit, **domain)
     if not values.size:
         raise InputError(f"{what} = () must name at least one {what.split()[-1]}, in {unit}")

@@ -17,7 +17,7 @@ import math
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import LARGEST, LEAST, NOT_NUMBERS, plain_number, shown
+from plough_opt.core.checks import LARGEST, LEAST, array_of, plain_number, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, is_casadi, maximum, minimum, sqrt, total, where
 
@@ -245,10 +245,7 @@ def _column(values: Column) -> Column:
         if column.numel() == 0:
             raise InputError(_NO_SAMPLES)
         return column
-    try:
-        numbers = np.array(values, dtype=float).ravel()
-    except NOT_NUMBERS:  # a bootstrap calls this thousands of times, and a text of all samples takes milliseconds
-        raise InputError(f"{shown(values)} are not samples: give a column of numbers") from None
+    numbers = array_of(values, "{} are not samples: give a column of numbers").ravel()
     if not len(numbers):
         raise InputError(_NO_SAMPLES)
     if not np.all(np.isfinite(numbers)):

@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
-from scipy.stats import qmc
+from scipy import stats
 
 from plough_opt.core.checks import check_kind, shown
 from plough_opt.core.errors import InputError, printable
 from plough_opt.core.expressions import is_count
 from plough_opt.core.files import COLOURS, save_figure
-from plough_opt.core.plain_data import Array as Vector
-from plough_opt.core.plain_data import Unsaved
+from plough_opt.core.plain_data import Array, Unsaved
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, Part, data_frame
@@ -23,7 +22,7 @@ from plough_opt.design import Optimum
 from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.studies.uncertainty.distribution import SoilDistribution
-from plough_opt.studies.uncertainty.robust import Check, Robust, Verification, in_words
+from plough_opt.studies.uncertainty.robust import Check, Robust, Verification, in_words, varies
 
 if TYPE_CHECKING:
     import pandas
@@ -33,8 +32,6 @@ if TYPE_CHECKING:
 
 _CONFIDENCE = 0.95
 _RESAMPLES = 200
-# A result whose relative range is smaller does not vary: the rest is rounding.
-_NEGLIGIBLE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -55,12 +52,12 @@ class SobolIndices:
 
     result: str
     names: tuple[str, ...]
-    first: Vector
-    total: Vector
-    first_low: Vector
-    first_high: Vector
-    total_low: Vector
-    total_high: Vector
+    first: Array
+    total: Array
+    first_low: Array
+    first_high: Array
+    total_low: Array
+    total_high: Array
     note: str
 
     def __str__(self) -> str:
@@ -105,55 +102,38 @@ def sobol_indices(
             " use correlated=True for the independent coordinates behind the copula"
         )
 
-    over_samples = robust.values(at)
-    results = [name for name, value in over_samples.items() if np.ptp(value) > _NEGLIGIBLE * np.max(np.abs(value))]
+    results = [name for name, values in robust.values(at).items() if varies(values)]
     if not results:
         return {}
 
-    # Two independent samples, and for each property a third: the first sample with this property from the second.
-    count, generator = len(field.names), np.random.default_rng(seed)
-    both = qmc.Sobol(2 * count, bits=64, rng=generator).random(samples)
-    designs = np.repeat(both[None, :, :count], count + 2, axis=0)
-    designs[-1] = both[:, count:]
-    for k in range(count):
-        designs[1 + k, :, k] = both[:, count + k]
-    values = robust.values(at, field.at(designs.reshape(-1, count)))
-    answers = np.stack([values[name] for name in results]).reshape(len(results), count + 2, samples)
-    first, total = _indices(answers)
-    again = [_indices(answers[..., generator.integers(samples, size=samples)]) for _ in range(_RESAMPLES)]
-    tail = (1.0 - _CONFIDENCE) / 2.0
-    (first_low, total_low), (first_high, total_high) = np.quantile(again, (tail, 1.0 - tail), axis=0)
+    count, generator, answers = len(field.names), np.random.default_rng(seed), list[Array]()
+
+    def response(uniforms: Array) -> Array:
+        values = robust.values(at, field.at(uniforms.T))
+        answers.append(np.stack([values[name] for name in results]))
+        return answers[-1]
+
+    uniform = [stats.uniform()] * count
+    found = stats.sobol_indices(func=response, n=samples, dists=uniform, rng=generator)
+    # SciPy's bootstrap cannot be seeded. The third answer is that of one sample with each property from the other.
+    parts = {"f_A": answers[0], "f_B": answers[1], "f_AB": np.moveaxis(answers[2].reshape(-1, samples, count), -1, 0)}
+    again = [
+        stats.sobol_indices(func={key: part[..., chosen] for key, part in parts.items()}, n=samples)
+        for chosen in generator.integers(samples, size=(_RESAMPLES, samples))
+    ]
+    tail, columns = (1.0 - _CONFIDENCE) / 2.0, dict[str, Array]()
+    for kind in ("first", "total"):
+        columns[kind] = getattr(found, f"{kind}_order").reshape(-1, count)
+        resampled = np.reshape([getattr(one, f"{kind}_order") for one in again], (_RESAMPLES, -1, count))
+        columns[f"{kind}_low"], columns[f"{kind}_high"] = np.quantile(resampled, (tail, 1.0 - tail), axis=0)
     note = "the properties are correlated: each counts only as far as it is independent of those before it"
     return {
         name: SobolIndices(
-            result=name,
-            names=_names(field),
-            first=first[k],
-            total=total[k],
-            first_low=first_low[k],
-            first_high=first_high[k],
-            total_low=total_low[k],
-            total_high=total_high[k],
+            name, _names(field), **{key: column[k] for key, column in columns.items()},
             note=note if field.correlated else "",
         )
         for k, name in enumerate(results)
-    }
-
-
-def _indices(answers: Vector) -> tuple[Vector, Vector]:
-    """Return first-order and total indices, each of the shape (results, properties).
-
-    Args:
-        answers: results (results, properties + 2, samples) over the first sample, over those with one property from
-            the second, and over the second sample.
-    """
-    variance = np.var(answers[:, [0, -1]], axis=(1, 2))[:, None]
-    variance[variance == 0.0] = 1.0  # a resample may repeat a single point: its indices are then 0
-    # Subtracting the mean first makes the products more accurate (Sobol and Levitan 1999).
-    other = answers[:, -1] - np.mean(answers[:, [0, -1]], axis=(1, 2))[:, None]
-    change = answers[:, 1:-1] - answers[:, :1]
-    first = np.mean(other[:, None] * change, axis=-1) / variance
-    return first, np.mean(change**2, axis=-1) / (2.0 * variance)
+    }  # fmt: skip
 
 
 def _names(field: SoilDistribution) -> tuple[str, ...]:

@@ -535,6 +535,11 @@ def _checked(requested: RequestedMeasure, own: Vector, fresh: Vector, seed: int)
     )
 
 
+def varies(values: Vector) -> bool:
+    """Return whether values differ by more than rounding."""
+    return bool(np.ptp(values) > _NEGLIGIBLE * np.max(np.abs(values)))
+
+
 def _binomial(count: int, total: int) -> tuple[float, float]:
     """Return the exact interval of a probability from the number of cases."""
     interval = stats.binomtest(count, total).proportion_ci(CONFIDENCE, method="exact")
@@ -543,7 +548,7 @@ def _binomial(count: int, total: int) -> tuple[float, float]:
 
 def _bootstrap(requested: RequestedMeasure, values: Vector, seed: int) -> tuple[float, float]:
     """Return the percentile interval of a measure; if all values are equal, their range."""
-    if float(np.ptp(values)) <= _NEGLIGIBLE * float(np.max(np.abs(values))):
+    if not varies(values):
         return float(np.min(values)), float(np.max(values))
     generator = np.random.default_rng([seed, 1])
     interval = stats.bootstrap(

@@ -77,10 +77,9 @@ DAMAGED = {
     "UPDATE meta SET value = '[\"failed\", \"root\"]' WHERE key = 'results'": "'failed' cannot name a column",
     "DELETE FROM meta WHERE key = 'units'": "units: Field required",
     "UPDATE meta SET value = 'x' WHERE key = 'count'": "count: Input should be",
-    "INSERT INTO claims VALUES (3, 'x', 'y', 0.0)": "its table of claims",
     "INSERT INTO notes VALUES ('x', 'y', 'z', 1)": "its table of notes",
-    "UPDATE meta SET value = '1' WHERE key = 'layout'": "has layout 1, but this version reads layout 2",
-    "DROP TABLE claims": "is a database, but not the store",
+    "UPDATE meta SET value = '1' WHERE key = 'layout'": "has layout 1, but this version reads layout 3",
+    "DROP TABLE notes": "is a database, but not the store",
 }
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import time
 import uuid
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -53,10 +52,8 @@ _SIZES: Final = (1, 4096)
 _SIZES_OF_MANY: Final = (64, 2048)
 # A task has at most this many times as many points as the one before.
 _GROWTH: Final = 4
-# Time [s] for which the loop waits for results before it looks at the clock and at other runs.
+# Time [s] for which the loop waits for results before it looks at the cluster.
 _WAIT = 0.25
-# Time [s] between two renewals of the lease.
-_RENEWAL = 3.0
 # Workers that may die at a task before it is halved. Halving ends at single points, which are then tried alone.
 _DEATHS_WHOLE: Final = 2
 # Workers that may die at a point that is tried alone.
@@ -111,7 +108,6 @@ class Engine:
         self._under_way: dict[Future[Done], _Task] = {}
         self._retries: deque[_Task] = deque()
         self._single_points: deque[_Task] = deque()
-        self._renewed = time.monotonic()
         self._returned = False  # whether a task has returned
 
     def run(self) -> None:
@@ -120,27 +116,18 @@ class Engine:
         Raises:
             InputError: the executor fails, or the names of results differ between points.
         """
-        self._count()
+        self._stored, self._failed, _ = self._store.counts()
+        self._show()
         try:
             while self._fill():
-                if self._under_way:
-                    self._collect(wait(self._under_way, timeout=_WAIT, return_when=FIRST_COMPLETED).done)
-                    if isinstance(self._executor, Cluster):
-                        self._executor.check()
-                else:  # other runs still work on the last points
-                    time.sleep(_WAIT)
-                    self._count()
-                if time.monotonic() - self._renewed > _RENEWAL:
-                    self._store.renew()
-                    if self._store.waiting():
-                        self._count()
-                    self._renewed = time.monotonic()
-            self._count()
+                self._collect(wait(self._under_way, timeout=_WAIT, return_when=FIRST_COMPLETED).done)
+                if isinstance(self._executor, Cluster):
+                    self._executor.check()
         finally:
             self._stop()
 
     def _fill(self) -> bool:
-        """Submit tasks until enough are under way for all workers; return whether there is anything to wait for."""
+        """Submit tasks until enough are under way for all workers; return whether any are."""
         while len(self._under_way) < self._most_under_way and (task := self._next_task()) is not None:
             try:
                 arguments = self._key, self._evaluation, self._points.names, task.values, _BUDGET
@@ -149,7 +136,7 @@ class Engine:
                 future = Future()
                 future.set_exception(error)
             self._under_way[future] = task
-        return bool(self._under_way) or self._store.waiting()
+        return bool(self._under_way)
 
     def _next_task(self) -> _Task | None:
         """Return the next task to submit, or None."""
@@ -194,10 +181,9 @@ class Engine:
 
     def _keep(self, task: _Task, done: Done, without: State = "failed") -> None:
         """Store finished points; those without results get the given state."""
-        new = self._store.keep(task.numbers, task.values, done, without)
-        self._stored += new
-        if without == "failed" and new == len(task.numbers):
-            self._failed += len(done.reasons)
+        self._store.keep(task.numbers, task.values, done, without)
+        self._stored += len(task.numbers)
+        self._failed += len(done.reasons) if without == "failed" else 0
         self._show()
 
     def _try_again(self, task: _Task, deaths: int, how: str) -> None:
@@ -227,22 +213,14 @@ class Engine:
         else:
             self._retries.extend(task.part(slice(k, k + 1)) for k in range(len(task.numbers)))
 
-    def _count(self) -> None:
-        """Show the counts of the store, because other runs store points too."""
-        self._stored, self._failed, _ = self._store.counts()
-        self._show()
-
     def _show(self) -> None:
         self._progress(self._stored, self._points.count, self._failed)
 
     def _stop(self) -> None:
-        """Store the results at hand, and release all other points for the run that resumes the sweep."""
-        try:
-            for future, task in self._under_way.items():
-                if not future.cancel() and future.done() and future.exception() is None:
-                    self._take(task, future.result())
-        finally:
-            self._store.renew(0.0)
+        """Store the results at hand."""
+        for future, task in self._under_way.items():
+            if not future.cancel() and future.done() and future.exception() is None:
+                self._take(task, future.result())
 
 
 LIMIT: Final = 3600.0
@@ -277,8 +255,8 @@ def sweep(
         samples: number of points of a scrambled Sobol sample of the ranges, best a power of two; None for a grid.
         seed: seed of the sample.
         store: SQLite file that receives every finished point at once. Points of the same sweep that it already holds
-            are not computed again, and several runs may fill it at the same time. None for a temporary file, which is
-            deleted with the result.
+            are not computed again. One run at a time fills it, and others may read it. None for a temporary file,
+            which is deleted with the result.
         executor: any `concurrent.futures.Executor`, such as that of a dask client or of mpi4py; it is left running.
             Default: processes on all cores of this machine, which end with the sweep.
         workers: number of workers of the executor, so that enough tasks are submitted (default: cores of this machine).
@@ -294,8 +272,8 @@ def sweep(
 
     Raises:
         InputError: the arguments cannot be swept; the function depends on something that a store cannot recognise
-            again, such as an open file; the store holds another sweep, is damaged or loses rows; the executor is
-            broken, or all workers die.
+            again, such as an open file; the store holds another sweep, is filled by another run, is damaged or
+            loses rows; the executor is broken, or all workers die.
         KeyboardInterrupt: the sweep was interrupted; the message says how many points are stored.
     """
     _check_arguments(evaluation, over, executor, workers, units)
@@ -311,7 +289,7 @@ def sweep(
     opened = Store(store)
     try:
         about = About.model_construct(
-            names=points.names, results=(), units=dict(units or {}), question=full_question, count=points.count, next=0
+            names=points.names, results=(), units=dict(units or {}), question=full_question, count=points.count
         )
         opened.prepare(about, retry)
         already = opened.counts().stored

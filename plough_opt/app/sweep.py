@@ -29,7 +29,7 @@ def add_options(verb: argparse.ArgumentParser) -> None:
     add_option(verb, "workers", "N", "processes on this machine (default: all cores)", type=int)
     add_option(verb, "scheduler", "ADDRESS", "use the workers of a dask scheduler: tcp://host:8786")
     add_option(verb, "store", "FILE", "database of finished points (default: named after the sweep)")
-    verb.add_argument("--retry", action="store_true", help="repeat points that failed, are undetermined or are damaged")
+    verb.add_argument("--retry", action="store_true", help="repeat points that failed or are undetermined")
     add_option(verb, "limit", "SECONDS", "time after which a point fails (default: 3600)", type=float)
     add_option(verb, "npz", "FILE", "write an array for each column")
     every = "draw every result: .png, .svg or .pdf"

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from plough_opt.core.expressions import Expression, stacked
+from plough_opt.core.plain_data import Array
 from plough_opt.motion import Run
 from plough_opt.motion.batch import Batch
 from plough_opt.motion.methods import DEFAULT_ERROR
@@ -18,7 +19,7 @@ from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file.own_measures import measures_of
 from plough_opt.problem_file.problem import Problem
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
-from plough_opt.studies.sweep.pool import Array, WithNotes
+from plough_opt.studies.sweep.pool import WithNotes
 
 # CasADi is not thread-safe while it builds a graph.
 _building = threading.Lock()

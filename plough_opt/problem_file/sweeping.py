@@ -145,7 +145,7 @@ def sweep(
         executor: any `concurrent.futures.Executor`, such as that of a dask client or of mpi4py, which is left running
             (default: processes on all cores of this machine, which end with the sweep).
         workers: number of workers of the executor, so that all have work (default: the cores of this machine).
-        retry: repeat points that failed, are undetermined, or have damaged rows in the store.
+        retry: repeat points that failed or are undetermined.
         limit: time [s] after which a point has failed and its worker is replaced (default: 3600). Only for the
             processes of this machine, because those of another executor cannot be ended from here.
         progress: True for a bar on the error stream, if that is a terminal; or a function called with the numbers of

@@ -5,9 +5,7 @@ import functools
 import os
 import shutil
 import sqlite3
-import struct
 import tempfile
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -38,46 +36,20 @@ def store(inline, tmp_path):
         return functools.partial(change, path), whole.table.tobytes()
 
 
-def test_checksums_are_those_of_the_documentation(store):
-    rows = swept.stored(store[0](), "point, state, reason, checksum, a, b, sine, root")
-    assert [row[1] for row in rows].count("failed") == 2
-    for point, state, reason, checksum, *numbers in rows:
-        numbers = [number for number in numbers if number is not None]
-        assert len(numbers) == (4 if state == "computed" else 2)
-        text = struct.pack(f"<q{len(numbers)}d", point, *numbers) + f"{state}\n{reason or ''}".encode()
-        assert checksum == zlib.crc32(text)
-
-
-SPOILT = {
-    "a number": "UPDATE points SET sine = sine + 1e-16 WHERE point = 4",
-    "a cell that is not a number": "UPDATE points SET sine = 'much' WHERE point = 4",
-    "a reason": "UPDATE points SET reason = 'none' WHERE point = 0",
-    "results of a point that failed": "UPDATE points SET sine = 1.0 WHERE point = 0",
-    "an unknown point": "UPDATE points SET point = 6 WHERE point = 4",
-}
-
-
-@pytest.mark.parametrize("name", SPOILT)
-def test_a_changed_row_is_named_and_computed_again_by_a_retry(store, inline, name):
-    path, truth = store[0](SPOILT[name]), store[1]
-    words = r"sweep\.db' is damaged: 1 of its rows differ from their checksums, the first one at point [046]; .*retry"
-    with pytest.raises(po.InputError, match=words):
-        po.Sweep.load(path)
-    with pytest.raises(po.InputError, match=words):
-        po.sweep(swept.failing_at_one, OVER, executor=inline, store=path)
-    with po.sweep(swept.failing_at_one, OVER, executor=inline, store=path, retry=True) as mended:
-        # Failed points are computed again too.
-        assert mended.already == (4 if SPOILT[name].endswith("= 0") else 3)
-        assert mended.table.tobytes() == truth
-
-
 DAMAGED = {
-    "ALTER TABLE points DROP COLUMN sine": "the columns point, state, reason, checksum, a, b, root",
+    "ALTER TABLE points DROP COLUMN sine": "the columns point, state, reason, a, b, root",
     "UPDATE meta SET value = '7' WHERE key = 'results'": "results: Input should be a valid",
     "UPDATE meta SET value = '[\"failed\", \"root\"]' WHERE key = 'results'": "'failed' cannot name a column",
     "DELETE FROM meta WHERE key = 'units'": "units: Field required",
     "UPDATE meta SET value = 'x' WHERE key = 'count'": "count: Input should be",
     "INSERT INTO notes VALUES ('x', 'y', 'z', 1)": "its table of notes",
+    "UPDATE points SET sine = 'much' WHERE point = 4": "its table of points",
+    "UPDATE points SET sine = NULL WHERE point = 4": "its table of points",
+    "UPDATE points SET sine = 1.0 WHERE point = 0": "its table of points",
+    "UPDATE points SET a = x'00' WHERE point = 0": "its table of points",
+    "UPDATE points SET reason = x'00' WHERE point = 0": "its table of points",
+    "UPDATE points SET state = 'done' WHERE point = 0": "its table of points",
+    "UPDATE points SET point = 6 WHERE point = 4": "its table of points",
     "UPDATE meta SET value = '1' WHERE key = 'layout'": "has layout 1, but this version reads layout 3",
     "DROP TABLE notes": "is a database, but not the store",
 }
@@ -93,8 +65,8 @@ def test_tables_that_are_not_those_of_a_store_are_refused(store, inline, stateme
             po.sweep(swept.failing_at_one, OVER, executor=inline, store=path, retry=retry)
 
 
-def test_a_damaged_byte_is_reported_or_harmless(store):
-    path, truth = store[0](), store[1]
+def test_a_damaged_byte_is_reported_or_can_be_read(store):
+    path = store[0]()
     sound, rng, refused = path.read_bytes(), np.random.default_rng(4), 0
     for place in rng.integers(0, len(sound), 300).tolist():
         spoilt = bytearray(sound)
@@ -102,7 +74,7 @@ def test_a_damaged_byte_is_reported_or_harmless(store):
         path.write_bytes(spoilt)
         try:
             with po.Sweep.load(path) as found:
-                assert found.table.tobytes() == truth
+                assert len(found.table) == len(found)
                 list(found.failures), found.notes, found.extreme("sine")
         except po.InputError:
             refused += 1

@@ -4,6 +4,7 @@ import contextlib
 import csv
 import math
 import sqlite3
+import zipfile
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
@@ -76,6 +77,18 @@ def test_failures_are_rows_with_a_reason(inline, tmp_path):
         np.testing.assert_array_equal(arrays["inverse"], result.column("inverse"))
         assert (arrays["failed"].tolist(), arrays["undetermined"].tolist()) == ([0, 1, 3], [])
         assert arrays["reasons"].tolist() == reasons
+
+
+def test_no_name_leads_out_of_a_folder_of_arrays(inline, tmp_path):
+    over = {"../../up": [1.0, 2.0], "..\\up": [1.0, 3.0], "/root": [1.0, 4.0], "C:up": [1.0, 5.0]}
+    names = {".._.._up": 2.0, ".._up": 3.0, "_root": 4.0, "C_up": 5.0, "a_b": 12.0, "a_b_": 14.0, "failed_": 16.0}
+    results = {"a_b": 12.0, "a/b": 14.0, "failed_": 16.0}
+    with po.sweep(lambda _: results, over, executor=inline) as found:
+        path = found.to_npz(tmp_path / "t.npz")
+    with np.load(path) as arrays:
+        assert {name: arrays[name][-1] for name in names} == names
+    with zipfile.ZipFile(path) as archive:
+        assert not [name for name in archive.namelist() if {"/", "\\", ":"} & {*name}]
 
 
 WITHOUT_RESULTS = [

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from plough_opt.core.checks import check_kind, check_switch, path_of, plain_number, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
+from plough_opt.core.plain_data import Array
 from plough_opt.core.process import available, progress_on
 from plough_opt.core.saving import versions
 from plough_opt.core.screen import Screen
@@ -26,7 +27,6 @@ from plough_opt.studies.sweep.identity import digest_of
 from plough_opt.studies.sweep.points import Grid, Sample, axis_of, points_of
 from plough_opt.studies.sweep.pool import (
     STORED,
-    Array,
     Cluster,
     Done,
     Evaluation,
@@ -260,7 +260,7 @@ def sweep(
         executor: any `concurrent.futures.Executor`, such as that of a dask client or of mpi4py; it is left running.
             Default: processes on all cores of this machine, which end with the sweep.
         workers: number of workers of the executor, so that enough tasks are submitted (default: cores of this machine).
-        retry: compute the points again that failed, are undetermined, or whose rows in the store are damaged.
+        retry: compute the points again that failed or are undetermined.
         limit: time [s] after which a point has failed, and its worker is replaced (default: `LIMIT`, an hour). The
             first point of each worker includes its preparation, such as compiling. Only for the processes of this
             machine, because those of another executor cannot be ended from here.
@@ -333,7 +333,6 @@ def _finished(path: Path, question: Mapping[str, str]) -> Sweep | None:
     found = Store(path, write=False)
     # The store may be empty, because another run has created the file and not yet its tables.
     if not found.empty and found.about.question == dict(question) and found.counts().stored == found.about.count:
-        found.verify()
         return Sweep(found, found.about.count)
     found.close()
     return None

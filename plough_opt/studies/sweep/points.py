@@ -14,7 +14,7 @@ import numpy as np
 from plough_opt.core.checks import check_switch, plain_number, shown, whole_number
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
-from plough_opt.studies.sweep.pool import Array
+from plough_opt.core.plain_data import Array
 
 MOST_VALUES: Final = 1_000_000
 """Limit on the values of one quantity of a grid, which are held in memory, unlike the points."""

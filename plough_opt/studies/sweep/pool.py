@@ -26,18 +26,16 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plough_opt.core.checks import NOT_NUMBERS
 from plough_opt.core.errors import InputError, PloughError
 from plough_opt.core.notes import merge
+from plough_opt.core.plain_data import Array
 from plough_opt.core.process import Sieve, available, load_additions, one_of_several
 
 if TYPE_CHECKING:
     import distributed
 
-
-Array = NDArray[np.float64]
 
 # Largest number of evaluations that a worker keeps, with everything that they have built.
 _MOST_KEPT: Final = 4

@@ -5,9 +5,10 @@ from __future__ import annotations
 import io
 import itertools
 import json
+import re
 import weakref
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final
@@ -20,11 +21,12 @@ from plough_opt.core.checks import path_of, shown
 from plough_opt.core.csv_rows import write_rows
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import drawn, write_file
+from plough_opt.core.plain_data import Array
 from plough_opt.core.process import optional
 from plough_opt.core.saving import Origin
 from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame
 from plough_opt.motion.vocabulary import called
-from plough_opt.studies.sweep.store import State, Store
+from plough_opt.studies.sweep.store import RESERVED, State, Store
 
 if TYPE_CHECKING:
     import pandas
@@ -109,7 +111,6 @@ class Sweep(Readable):
         try:
             if store.empty:
                 raise InputError(f"'{path}' is empty, not the store of a sweep")
-            store.verify()
             return cls(store, store.counts().stored)
         except BaseException:
             store.close()
@@ -145,7 +146,7 @@ class Sweep(Readable):
         # NumPy converts None to NaN.
         return np.fromiter(self._store.rows("point", *self._store.about.columns), dtype=kind)
 
-    def column(self, name: str) -> NDArray[np.float64]:
+    def column(self, name: str) -> Array:
         """Return a quantity or a result at every point, SI; NaN at points without results."""
         if name not in self._store.about.columns:
             raise InputError(f"'{name}' is not a column: there are {', '.join(self._store.about.columns)}")
@@ -165,7 +166,7 @@ class Sweep(Readable):
     def notes(self) -> tuple[str, ...]:
         """Warnings, each kind once, with the ranges of its numbers and the number of points that have it."""
         count = len(self)
-        # Points that were computed again after their rows were lost or damaged were counted twice.
+        # Points that were computed again after their rows were lost were counted twice.
         return tuple(f"at {min(points, count)} of {count} points: {text}" for text, points in self._store.notes())
 
     def extreme(self, name: str, *, largest: bool = False) -> Extreme | None:
@@ -220,7 +221,7 @@ class Sweep(Readable):
         """
         return drawn("plot_sweep", self, target=target)
 
-    def shown(self, name: str) -> tuple[NDArray[np.float64], str]:
+    def shown(self, name: str) -> tuple[Array, str]:
         """Return a column in its display unit, and its heading."""
         values = self.column(name)
         display = self.origin.display(name, self.units.get(name, ""), *values[np.isfinite(values)].tolist())
@@ -278,7 +279,7 @@ class Sweep(Readable):
         return write_file(path, "table", write)
 
     def to_npz(self, path: str | Path) -> Path:
-        """Write an array for each column.
+        """Write an array for each column, under its name; in the name ``_`` stands for a slash, a backslash or a colon.
 
         ``failed`` holds the numbers of the failed points, ``reasons`` the reasons, and ``undetermined`` the numbers of
         the undetermined points.
@@ -294,11 +295,11 @@ class Sweep(Readable):
         def write(file: IO[bytes]) -> None:
             with zipfile.ZipFile(file, "w", allowZip64=True) as archive:
                 _write_array(archive, "point", "<i8", stored, (row[0] for row in self._store.rows("point")))
-                for name, column in numbers.items():
-                    _write_array(archive, name, "<f8", stored, column)
-                _write_array(archive, "failed", "<i8", failed, (one.point for one in self.failures))
-                _write_array(archive, "undetermined", "<i8", undetermined, (one.point for one in self.undetermined))
-                _write_array(archive, "reasons", f"<U{longest}", failed, (one.reason for one in self.failures),
+                for member, column in zip(_members(numbers), numbers.values(), strict=True):
+                    _write_array(archive, member, "<f8", stored, column)
+                _write_array(archive, "failed", "<i8", failed, (lost.point for lost in self.failures))
+                _write_array(archive, "undetermined", "<i8", undetermined, (lost.point for lost in self.undetermined))
+                _write_array(archive, "reasons", f"<U{longest}", failed, (lost.reason for lost in self.failures),
                              zipfile.ZIP_DEFLATED)  # fmt: skip
 
         return write_file(path, "table", write)
@@ -311,6 +312,17 @@ class Sweep(Readable):
 def _short(key: str) -> str:
     """Return a key without its table, for a narrow column."""
     return key.rpartition(".")[2]
+
+
+def _members(names: Iterable[str]) -> list[str]:
+    """Return names for the members of an archive, all different; none leads out of the folder where it is unpacked."""
+    members: list[str] = []
+    for name in names:
+        plain = re.sub(r"[/\\:]", "_", name)
+        while plain.casefold() in {other.casefold() for other in (*members, *RESERVED)}:
+            plain += "_"
+        members.append(plain)
+    return members
 
 
 def _write_array(

@@ -1,19 +1,17 @@
 """`Store`: the SQLite file of a sweep, its tables, and checks of their content.
 
-One run at a time writes a store, and any run may continue it; others may read it meanwhile. Every row of ``points`` has
-a checksum of its content. A store can be read from any medium, even a read-only one.
+One run at a time writes a store, and any run may continue it; others may read it meanwhile. A store can be read from
+any medium, even a read-only one.
 """
 
 import contextlib
 import json
 import shutil
 import sqlite3
-import struct
 import tempfile
-import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,17 +29,15 @@ State = Literal["computed", "failed", "undetermined"]
 """State of a point: with results, without them for a known reason, or without them because its workers died."""
 
 # Columns that every table of points has.
-_FIXED: Final = ("point", "state", "reason", "checksum")
-# Names that quantities and results cannot have, because tables use them.
-_RESERVED: Final = (*_FIXED, "failed", "reasons", "undetermined")
+_FIXED: Final = ("point", "state", "reason")
+RESERVED: Final = (*_FIXED, "failed", "reasons", "undetermined")
+"""Names that quantities and results cannot have, because tables use them."""
+
 _TABLES: Final = (
     "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL)",
     "CREATE TABLE notes (kind TEXT PRIMARY KEY, text TEXT NOT NULL, first INTEGER NOT NULL, points INTEGER NOT NULL)",
-    "CREATE TABLE points (point INTEGER PRIMARY KEY, state TEXT NOT NULL, reason TEXT, checksum INTEGER NOT NULL,"
-    " {columns})",
+    "CREATE TABLE points (point INTEGER PRIMARY KEY, state TEXT NOT NULL, reason TEXT, {columns})",
 )
-# True only of rows of notes that no sweep has written.
-_WRONG_NOTES: Final = "typeof(text) != 'text' OR typeof(first) != 'integer' OR typeof(points) != 'integer'"
 # Adds to the count of a note, and takes over its text, with which that of the other points is merged.
 _NOTE: Final = (
     "INSERT INTO notes VALUES (?, ?, ?, ?) ON CONFLICT (kind) DO UPDATE SET text = excluded.text,"
@@ -132,14 +128,14 @@ class Store:
     # --- filling -----------------------------------------------------------------------------------------
 
     def prepare(self, about: About, retry: bool = False) -> None:
-        """Enter the sweep, or compare its question with the one in the file; then check every row.
+        """Enter the sweep, or compare its question with the one in the file.
 
         Args:
             about: description of the sweep.
-            retry: delete the points that failed, are undetermined or are damaged, so that they are computed again.
+            retry: delete the points that failed or are undetermined, so that they are computed again.
 
         Raises:
-            InputError: the store belongs to another question (the message lists the differences), or rows are damaged.
+            InputError: the store belongs to another question; the message lists the differences.
         """
         if self.empty:
             with self._transaction():
@@ -148,15 +144,11 @@ class Store:
                     self.run(statement.format(columns=columns))
                 meta = {"layout": LAYOUT, **about.model_dump(round_trip=True)}
                 self._run_many("INSERT INTO meta VALUES (?, ?)", ((key, str(value)) for key, value in meta.items()))
-        self.about = self._read_about()
+            self.about = self._read_about()
         self._check_question(about.question)
-        if not retry:
-            self.verify()
-            return
-        with self._transaction():
-            self.run("DELETE FROM points WHERE state != 'computed'")
-            for point in list(self._damaged_points()):
-                self.run("DELETE FROM points WHERE point = ?", point)
+        if retry:
+            with self._transaction():
+                self.run("DELETE FROM points WHERE state != 'computed'")
 
     def claim(self, size: int) -> NDArray[np.int64] | None:
         """Return the numbers of at most so many points that are neither stored nor claimed; None if there are none."""
@@ -233,18 +225,6 @@ class Store:
         row = self.run("SELECT count(*), total(state = 'failed'), total(state = 'undetermined') FROM points")[0]
         return Counts(*map(int, row))
 
-    def verify(self) -> None:
-        """Compare every row with its checksum.
-
-        Raises:
-            InputError: rows differ from their checksums.
-        """
-        if spoilt := list(self._damaged_points()):
-            raise self._damaged(
-                f"{len(spoilt)} of its rows differ from their checksums, the first one at point {spoilt[0]}; the same"
-                " sweep with --retry (retry=True) computes them again"
-            )
-
     def notes(self) -> list[tuple[str, int]]:
         """Return (text, number of points) of each warning, in the order of their first points."""
         return [(text, points) for text, points in self.run("SELECT text, points FROM notes ORDER BY first, kind")]
@@ -253,7 +233,7 @@ class Store:
         """Yield the rows of the points, in order, with only a few of them in memory at once.
 
         Args:
-            columns: columns of a row: names of quantities and results, "point", "state", "reason" or "checksum".
+            columns: columns of a row: names of quantities and results, "point", "state" or "reason".
             where: state of the points; None for all.
         """
         condition = f"WHERE state = '{where}'" if where else ""
@@ -273,14 +253,13 @@ class Store:
     ) -> Iterator[tuple[object, ...]]:
         """Yield the rows to store."""
         empty = [None] * len(self.about.results)
-        # SQLite stores negative zero as zero; adding zero makes the checksum agree.
-        for k, (number, row) in enumerate(zip(numbers.tolist(), (values + 0.0).tolist(), strict=True)):
+        for k, (number, row) in enumerate(zip(numbers.tolist(), values.tolist(), strict=True)):
             reason, cells, state = done.reasons.get(k), [*row, *empty], without
             if reason is None and done.results is not None:
                 cells, state = [*row, *done.results[k].tolist()], "computed"
             # Texts of exceptions may hold surrogates, which UTF-8 cannot encode.
             text = None if reason is None else reason.encode("utf-8", "backslashreplace").decode("utf-8")
-            yield number, state, text, checksum(number, state, text, cells, len(row)), *cells
+            yield number, state, text, *cells
 
     # --- checks ------------------------------------------------------------------------------------------
 
@@ -310,8 +289,9 @@ class Store:
         expected = [*_FIXED, *about.columns]
         if columns != expected:
             raise self._damaged(f"its table of points has the columns {', '.join(columns)}, not {', '.join(expected)}")
-        if self.run(f"SELECT 1 FROM notes WHERE {_WRONG_NOTES} LIMIT 1"):
-            raise self._damaged("its table of notes holds rows that a sweep never writes")
+        for table, wrong in _wrong_rows(about).items():
+            if self.run(f"SELECT 1 FROM {table} WHERE {' OR '.join(wrong)} LIMIT 1"):
+                raise self._damaged(f"its table of {table} holds rows that no sweep writes: sweep into another file")
         return about
 
     def _check_question(self, question: dict[str, str]) -> None:
@@ -328,13 +308,6 @@ class Store:
                 f"the store '{self.path}' belongs to another sweep ({'; '.join(differences[:4])}{more}): name another"
                 " store, or repeat the same sweep"
             )
-
-    def _damaged_points(self) -> Iterator[int]:
-        """Yield the points whose rows differ from their checksums or do not belong to the sweep."""
-        for point, state, reason, stored, *numbers in self.rows(*_FIXED, *self.about.columns):
-            expected = checksum(point, state, reason, numbers, len(self.about.names))
-            if stored != expected or not 0 <= point < self.about.count:
-                yield point
 
     def _damaged(self, how: str) -> InputError:
         return InputError(f"the store '{self.path}' is damaged: {how}")
@@ -447,29 +420,19 @@ def _reader(path: Path, mode: str) -> sqlite3.Connection:
     return connection
 
 
-def checksum(point: int, state: str, reason: str | None, numbers: Sequence[object], swept: int) -> int | None:
-    """Return the CRC-32 of a row, or None if a sweep cannot have written the row.
-
-    It covers the number of the point, its quantities and its results, 8 bytes each, little-endian; then, as UTF-8, its
-    state, a line feed and its reason. The empty columns of a row without results are left out, because the row may have
-    been written before the results had names.
-
-    Args:
-        point: number of the point.
-        state: its state.
-        reason: why it has no results, or None.
-        numbers: its quantities and results.
-        swept: number of quantities among these.
-    """
-    if state != "computed":
-        numbers, rest = numbers[:swept], numbers[swept:]
-        if any(number is not None for number in rest):
-            return None
-    try:
-        packed = struct.pack(f"<q{len(numbers)}d", point, *numbers)
-        return zlib.crc32(packed + f"{state}\n{reason or ''}".encode())
-    except (struct.error, UnicodeError):
-        return None
+def _wrong_rows(about: About) -> dict[str, list[str]]:
+    """Return for tables the conditions that are true only of rows that no sweep has written."""
+    kind = "CASE state WHEN 'computed' THEN 'real' ELSE 'null' END"
+    results = [f"typeof({_quoted(name)}) != {kind}" for name in about.results]
+    quantities = [f"typeof({_quoted(name)}) != 'real'" for name in about.names]
+    states = ", ".join(map(repr, get_args(State)))
+    return {
+        "notes": ["typeof(text) != 'text'", "typeof(first) != 'integer'", "typeof(points) != 'integer'"],
+        "points": [
+            f"point NOT BETWEEN 0 AND {about.count - 1}", f"state NOT IN ({states})",
+            "typeof(reason) NOT IN ('text', 'null')", *quantities, *results,
+        ],
+    }  # fmt: skip
 
 
 def check_columns(names: Sequence[str]) -> None:
@@ -477,12 +440,12 @@ def check_columns(names: Sequence[str]) -> None:
     for name in names:
         if not isinstance(name, str) or not name.isprintable() or not name.strip():
             raise InputError(f"{name!r} cannot name a quantity or a result: use printable text")
-    folded = [name.casefold() for name in (*_RESERVED, *names)]
+    folded = [name.casefold() for name in (*RESERVED, *names)]
     for name in names:
         if folded.count(name.casefold()) > 1:
             raise InputError(
                 f"'{name}' cannot name a column: in upper or lower case it is used twice, or reserved"
-                f" ({', '.join(_RESERVED)}); rename it"
+                f" ({', '.join(RESERVED)}); rename it"
             )
 
 

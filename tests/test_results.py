@@ -22,6 +22,9 @@ import plough_opt as po
 from plough_opt.app.plots import plot_designs
 from plough_opt.core.expressions import exp
 from plough_opt.core.tables import Grid, Page
+from plough_opt.studies.calibration import measurements, quality
+from plough_opt.studies.uncertainty import distribution, robust
+from plough_opt.studies.uncertainty import result as uncertain
 
 pandas = pytest.importorskip("pandas")
 
@@ -274,3 +277,21 @@ def refused(path, words):
 def test_folders_and_missing_files_are_refused(tmp_path):
     refused(tmp_path, "is a folder")
     refused(tmp_path / "nothing.json", "there is no file")
+
+
+HOLDERS = (
+    measurements.Measurements, quality.CrossValidation, distribution.SoilSamples, distribution.ResponseValues,
+    uncertain.SobolIndices, robust.Verification,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", HOLDERS)
+def test_results_that_hold_arrays_can_be_compared(kind):
+    def made(*values):
+        one = object.__new__(kind)
+        for each in dataclasses.fields(kind):
+            object.__setattr__(one, each.name, {"a": np.array(values)} if each.name == "values" else np.array(values))
+        return one
+
+    one, same, other = made(1.0, np.nan), made(1.0, np.nan), made(1.0, 2.0)
+    assert (one == same, one == other, one == "text", hash(one) == hash(same)) == (True, False, False, True)

@@ -17,10 +17,10 @@ from typing import Any, Final, TypeVar
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError, IntegrationError, PloughError
 from plough_opt.core.expressions import as_number
+from plough_opt.core.plain_data import Array
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.checks import refuse_missed_event
 from plough_opt.motion.compiled_steps import compiled_steps
@@ -399,7 +399,7 @@ def prepared(task: Task, accuracy: Accuracy, *, compiled: bool = False) -> tuple
     return once, run
 
 
-def _finite(results: Any) -> list[NDArray[np.float64]]:
+def _finite(results: Any) -> list[Array]:
     """Return results as arrays; raise IntegrationError if there are none, or one is not finite."""
     found = [np.asarray(part) for part in results or ()]
     if not found or not all(np.all(np.isfinite(part)) for part in found):

@@ -33,6 +33,7 @@ from plough_opt.core.checks import (
 from plough_opt.core.compiler import interpretation_warning
 from plough_opt.core.errors import InfeasibleDesign, InputError, NotConverged, PloughError
 from plough_opt.core.expressions import as_number, holds_casadi, is_count, map_expressions
+from plough_opt.core.plain_data import Array
 from plough_opt.core.process import available
 from plough_opt.core.quantities import BESIDE
 from plough_opt.core.saving import versions
@@ -40,7 +41,7 @@ from plough_opt.design import Design, Optimum, Progress
 from plough_opt.design.declarations import Declarations
 from plough_opt.design.effort import Search
 from plough_opt.design.exploring import silent
-from plough_opt.design.ipopt import Point, SolveOptions, Vector
+from plough_opt.design.ipopt import Point, SolveOptions
 from plough_opt.design.nlp import averages_only
 from plough_opt.design.optimality import decides, newton_step, symmetric
 from plough_opt.design.program import Program
@@ -212,7 +213,7 @@ class OptimumReference:
     objective: float
     size: float
     floor: float
-    y: Vector
+    y: Array
     off: float
 
     def errors(self, found: Optimum) -> dict[str, float]:
@@ -253,11 +254,11 @@ def reference_optimum(declared: Declarations, best: Optimum) -> OptimumReference
     return OptimumReference(declared, variables, objective, size, floor, y, max(off, rounding))
 
 
-def _scaled(declared: Declarations, values: Mapping[str, float]) -> Vector:
+def _scaled(declared: Declarations, values: Mapping[str, float]) -> Array:
     return np.array([v.scaled(values[v.name]) for v in declared.variables])
 
 
-def _polished(program: Program, p: Vector, point: Point) -> tuple[Vector, float, float]:
+def _polished(program: Program, p: Array, point: Point) -> tuple[Array, float, float]:
     """Return scaled variables on the active limits, the residual of the conditions there, and the next step."""
     y, n = point.y, len(point.y)
     slopes = _tight_slopes(program, p, y)
@@ -280,7 +281,7 @@ def _polished(program: Program, p: Vector, point: Point) -> tuple[Vector, float,
     return best
 
 
-def _active_limits(program: Program, point: Point, g: Vector) -> tuple[NDArray[np.intp], Vector]:
+def _active_limits(program: Program, point: Point, g: Array) -> tuple[NDArray[np.intp], Array]:
     """Return the numbers of active limits, of requirements and after them of variables, and the limits themselves.
 
     Multipliers where IPOPT stopped show which limit is active: they are negative at a lower limit.
@@ -294,7 +295,7 @@ def _active_limits(program: Program, point: Point, g: Vector) -> tuple[NDArray[n
     return chosen, limits[chosen]
 
 
-def _tight_slopes(program: Program, p: Vector, at: Vector) -> ca.Function:
+def _tight_slopes(program: Program, p: Array, at: Array) -> ca.Function:
     """Return y -> (gradient of the objective, requirements, their Jacobian), with runs integrated as suits a design."""
     y = ca.MX.sym("y", len(at))
     parts = split(program.scaled(y, ca.MX(ca.DM(p))), [y])

@@ -6,18 +6,16 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plough_opt.core.checks import array_of, check_named, check_text, mapping_of, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
+from plough_opt.core.plain_data import Array
 from plough_opt.motion.scene import Scene
 from plough_opt.studies.calibration.estimate import estimate
 from plough_opt.studies.calibration.fit import Fit, reported
 from plough_opt.studies.calibration.measurements import Measurements
 from plough_opt.studies.calibration.model import Described, SceneOf, setup_of
-
-Vector = NDArray[np.float64]
 
 
 class Calibration:
@@ -68,7 +66,7 @@ class Calibration:
         self.starts = starts
         self.title = title or self.setup.model.title
 
-    def predict(self, values: Mapping[str, Any]) -> Vector:
+    def predict(self, values: Mapping[str, Any]) -> Array:
         """Return the predictions of all rows, SI.
 
         Args:
@@ -87,7 +85,7 @@ class Calibration:
         y = np.array([unknown.scaled(unknown.read(f"'{name}'", given[name])) for name, unknown in unknowns.items()])
         return self.setup.problem.predict(y)
 
-    def fit(self, observed: Vector | None = None) -> Fit:
+    def fit(self, observed: Array | None = None) -> Fit:
         """Return the fit to the measured values, or to other observed values.
 
         Args:

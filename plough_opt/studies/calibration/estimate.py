@@ -12,13 +12,11 @@ from scipy.stats import qmc
 
 from plough_opt.core.checks import check_kind, shown
 from plough_opt.core.errors import DomainError, InputError, NotConverged
-from plough_opt.core.plain_data import IntervalEnd, MaybeInfinite
+from plough_opt.core.plain_data import Array, IntervalEnd, MaybeInfinite
 from plough_opt.core.units import in_words
 from plough_opt.studies.calibration.least_squares import AT_BOUND, UNIFORM, Data, LeastSquares, Minimum
 from plough_opt.studies.calibration.measurements import RECORD, Measurements, measurable, result_unit
 from plough_opt.studies.calibration.model import INSIDE, Rows, Setup, Unknown, predictor
-
-Vector = NDArray[np.float64]
 
 # Singular values below this part of the largest are rounding: the predictions do not depend on such directions.
 _STRUCTURAL: Final = 1e-9
@@ -55,14 +53,14 @@ class Spread:
         rank: number of directions that the predictions depend on.
     """
 
-    covariance: Vector
+    covariance: Array
     determined: NDArray[np.bool_]
-    free: Vector
+    free: Array
     structural: NDArray[np.bool_]
     rank: int
 
 
-def spread_of(slope: Vector, noise: float) -> Spread:
+def spread_of(slope: Array, noise: float) -> Spread:
     """Return how far data determine scaled unknowns.
 
     Args:
@@ -93,7 +91,7 @@ def spread_of(slope: Vector, noise: float) -> Spread:
     )
 
 
-def undetermined(unknowns: Sequence[Unknown], y: Vector, spread: Spread) -> tuple[Undetermined, ...]:
+def undetermined(unknowns: Sequence[Unknown], y: Array, spread: Spread) -> tuple[Undetermined, ...]:
     """Return the undetermined combinations, each of as few unknowns as possible."""
     without_effect, pivots = _sparse(spread.free[:, spread.structural], _ROUNDING)
     # Directions without effect may be subtracted from those with little effect, which leaves fewer unknowns in these.
@@ -111,7 +109,7 @@ def undetermined(unknowns: Sequence[Unknown], y: Vector, spread: Spread) -> tupl
     return tuple(combinations)
 
 
-def _sparse(free: Vector, least: float) -> tuple[Vector, NDArray[np.intp]]:
+def _sparse(free: Array, least: float) -> tuple[Array, NDArray[np.intp]]:
     """Return a basis of the same space, and its pivots: each basis vector is the only one with its pivot unknown.
 
     Components of a basis vector below ``least``, relative to its largest, are set to 0.
@@ -124,7 +122,7 @@ def _sparse(free: Vector, least: float) -> tuple[Vector, NDArray[np.intp]]:
     return np.where(np.abs(basis) > least * np.max(np.abs(basis), axis=0), basis, 0.0), pivots
 
 
-def _combination(unknowns: Sequence[Unknown], y: Vector, direction: Vector, structural: bool) -> Undetermined:
+def _combination(unknowns: Sequence[Unknown], y: Array, direction: Array, structural: bool) -> Undetermined:
     """Return a direction as a combination: changes of the unknowns in SI units, and a sentence."""
     order = np.argsort(-np.abs(direction), kind="stable")
     members = [k for k in order if direction[k] != 0.0]
@@ -210,7 +208,7 @@ class Estimate:
     data: Data
     best: Minimum
     optima: tuple[float, ...]
-    residuals: Vector
+    residuals: Array
     spread: Spread
     freedom: int
     variance: float
@@ -224,22 +222,22 @@ class Estimate:
         return self.setup.model.unknowns
 
     @property
-    def y(self) -> Vector:
+    def y(self) -> Array:
         """Scaled unknowns (p)."""
         return self.best.y
 
     @property
-    def predicted(self) -> Vector:
+    def predicted(self) -> Array:
         """Predictions (n), SI."""
         return self.setup.problem.at(self.y)[0]
 
     @property
-    def slope(self) -> Vector:
+    def slope(self) -> Array:
         """Jacobian of the predictions (n, p)."""
         return self.setup.problem.at(self.y)[1]
 
     @property
-    def deviation(self) -> Vector:
+    def deviation(self) -> Array:
         """Standard deviation of each measurement (n), SI; infinite for a row of weight 0."""
         with np.errstate(divide="ignore"):
             return np.asarray(self.variance**0.5 / self.data.weights)
@@ -250,7 +248,7 @@ class Estimate:
         return float(stats.norm.ppf(side) if self.normal else stats.t.ppf(side, self.freedom))
 
 
-def estimate(setup: Setup, data: Data, guess: Vector, starts: int) -> Estimate:
+def estimate(setup: Setup, data: Data, guess: Array, starts: int) -> Estimate:
     """Return the best fit from a guess and further starts between the bounds.
 
     Raises:
@@ -272,7 +270,7 @@ def estimate(setup: Setup, data: Data, guess: Vector, starts: int) -> Estimate:
     return _with_accuracy(setup, scaled, best, optima, drift)
 
 
-def _rescaled(problem: LeastSquares, data: Data, y: Vector) -> Data:
+def _rescaled(problem: LeastSquares, data: Data, y: Array) -> Data:
     """Return the data with the weights that belong to a fit: over its predictions, and over the residuals' scale."""
     sized = data.at(problem.predict(y))
     return replace(sized, weights=sized.weights / _scale(problem, sized, y)) if problem.loss.robust else sized
@@ -285,7 +283,7 @@ def _drift(used: Data, settled: Data) -> float:
     return float(ratios[np.argmax(np.abs(np.log(ratios)))])
 
 
-def _best(problem: LeastSquares, data: Data, guess: Vector, starts: int) -> tuple[Minimum, tuple[float, ...]]:
+def _best(problem: LeastSquares, data: Data, guess: Array, starts: int) -> tuple[Minimum, tuple[float, ...]]:
     """Return the best optimum, and the losses of all distinct ones."""
     inside = np.clip(guess, INSIDE, 1.0 - INSIDE)
     # Along an undetermined direction there are many optima: take the nearest to the guess.
@@ -306,7 +304,7 @@ def _best(problem: LeastSquares, data: Data, guess: Vector, starts: int) -> tupl
     return converged[0], tuple(losses)
 
 
-def _starts(problem: LeastSquares, data: Data, count: int) -> list[Vector]:
+def _starts(problem: LeastSquares, data: Data, count: int) -> list[Array]:
     """Return the points between the bounds with the smallest losses, out of many."""
     if count < 1:
         return []
@@ -315,7 +313,7 @@ def _starts(problem: LeastSquares, data: Data, count: int) -> list[Vector]:
     return [points[k] for k in np.argsort(losses)[:count]]
 
 
-def _scale(problem: LeastSquares, data: Data, y: Vector) -> float:
+def _scale(problem: LeastSquares, data: Data, y: Array) -> float:
     """Return the standard deviation of the residuals, estimated from the median of their absolute values."""
     size = np.abs(data.weights * (problem.predict(y) - data.observed))[data.weights > 0.0]
     freedom = max(len(size) - problem.unknowns, 1)
@@ -539,7 +537,7 @@ def next_measurements(fit: Estimate, candidates: Sequence[Candidate] | None = No
     return tuple(sorted(ranking, key=lambda item: (-round(item.information, _DIGITS), item.candidate.describe())))
 
 
-def _predicted(candidate: Candidate, fit: Estimate, slopes: Vector) -> tuple[float, Vector]:
+def _predicted(candidate: Candidate, fit: Estimate, slopes: Array) -> tuple[float, Array]:
     """Return the standard deviation of a candidate's error, and its derivatives by the scaled unknowns.
 
     Args:

@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from plough_opt.core.checks import check_choice
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import COLOURS, save_figure
-from plough_opt.core.plain_data import MaybeInfinite, Unsaved
+from plough_opt.core.plain_data import Array, MaybeInfinite, Unsaved
 from plough_opt.core.quantities import EVERY, Quantity
 from plough_opt.core.saving import Origin, Saveable, versions
 from plough_opt.core.tables import Grid, Page, Part, data_frame
@@ -190,13 +189,11 @@ def _text(origin: Origin, unknown: FittedUnknown, value: float, digits: int = 5)
     return origin.display(unknown.name, unknown.unit, unknown.value, unknown.upper).text(value, digits)
 
 
-Vector = NDArray[np.float64]
-
 # Correlations of at least this size are reported.
 _NOTABLE_CORRELATION: Final = 0.5
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Fit(Saveable):
     """A calibration: unknowns with their uncertainty, and how well the model follows the data.
 
@@ -274,17 +271,17 @@ class Fit(Saveable):
         return pairs | {(second, first): value for (first, second), value in pairs.items()}
 
     @property
-    def observed(self) -> Vector:
+    def observed(self) -> Array:
         """Measured values, SI."""
         return np.array([row.observed for row in self.rows])
 
     @property
-    def predicted(self) -> Vector:
+    def predicted(self) -> Array:
         """Fitted values, SI."""
         return np.array([row.predicted for row in self.rows])
 
     @property
-    def residuals(self) -> Vector:
+    def residuals(self) -> Array:
         """Predicted minus observed values, SI."""
         return np.array([row.residual for row in self.rows])
 

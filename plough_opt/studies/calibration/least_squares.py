@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from plough_opt.core.checks import check_named
-
-Vector = NDArray[np.float64]
+from plough_opt.core.plain_data import Array
 
 UNIFORM: Final = 12.0**-0.5
 """Standard deviation of a number that is known only to lie between 0 and 1: a uniform distribution."""
@@ -55,15 +54,15 @@ class Loss:
         """Whether large residuals count less than their squares."""
         return self.name != "squares"
 
-    def value(self, r: Vector) -> Vector:
+    def value(self, r: Array) -> Array:
         """Return the losses of residuals."""
         return np.asarray(0.5 * self.size**2 * self.rho((r / self.size) ** 2)[0])
 
-    def weight(self, r: Vector) -> Vector:
+    def weight(self, r: Array) -> Array:
         """Return the loss's derivative over the residual: the weight of its square in a Gauss-Newton step."""
         return np.asarray(self.rho((r / self.size) ** 2)[1])
 
-    def curvature(self, r: Vector) -> Vector:
+    def curvature(self, r: Array) -> Array:
         """Return the second derivative of the loss."""
         z = (r / self.size) ** 2
         _, first, second = self.rho(z)
@@ -123,12 +122,12 @@ class Data:
         relative: whether the errors are proportional to the predictions.
     """
 
-    observed: Vector
-    weights: Vector
+    observed: Array
+    weights: Array
     stated: bool
     relative: bool = False
 
-    def at(self, predicted: Vector) -> "Data":
+    def at(self, predicted: Array) -> "Data":
         """Return the data with the weights that belong to predictions (n)."""
         if not self.relative:
             return self
@@ -154,7 +153,7 @@ class Minimum:
 
     converged: bool
     status: str
-    y: Vector
+    y: Array
     loss: float
 
 
@@ -167,24 +166,24 @@ class LeastSquares:
         self.rows, self.unknowns = predicted.size_out(1)
         self.closed = predicted.is_a("SXFunction")
         self._predicted = predicted
-        self._last: tuple[bytes, Vector, Vector] = (b"", np.zeros(0), np.zeros(0))
+        self._last: tuple[bytes, Array, Array] = (b"", np.zeros(0), np.zeros(0))
 
-    def at(self, y: Vector) -> tuple[Vector, Vector]:
+    def at(self, y: Array) -> tuple[Array, Array]:
         """Return the predictions (n) and their Jacobian (n, p); those at the last point are remembered."""
         if self._last[0] != y.tobytes():
             values, slopes = map(np.asarray, self._predicted(y))
             self._last = y.tobytes(), values.ravel(), slopes.reshape(self.rows, self.unknowns)
         return self._last[1:]
 
-    def predict(self, y: Vector) -> Vector:
+    def predict(self, y: Array) -> Array:
         """Return the predictions (n)."""
         return self.at(y)[0]
 
-    def total(self, y: Vector, data: Data) -> float:
+    def total(self, y: Array, data: Data) -> float:
         """Return the sum of losses."""
         return float(np.sum(self.loss.value(data.weights * (self.predict(y) - data.observed))))
 
-    def solve(self, start: Vector, data: Data, centre: Vector | None = None, held: int | None = None) -> Minimum:
+    def solve(self, start: Array, data: Data, centre: Array | None = None, held: int | None = None) -> Minimum:
         """Return the local optimum reached from a start.
 
         Args:
@@ -195,12 +194,12 @@ class LeastSquares:
         """
         y, free = start.copy(), np.arange(self.unknowns) != (-1 if held is None else held)
 
-        def residuals(x: Vector) -> Vector:
+        def residuals(x: Array) -> Array:
             y[free] = x
             r, slope = self._residuals(y, data, centre)
             return r if np.all(np.isfinite(slope)) else np.full_like(r, np.nan)  # NaN makes the solver shorten its step
 
-        def slopes(x: Vector) -> Vector:
+        def slopes(x: Array) -> Array:
             y[free] = x
             return self._residuals(y, data, centre)[1][:, free]
 
@@ -216,7 +215,7 @@ class LeastSquares:
         converged = self._decrement(y, data, centre, free) <= _DECREMENT * max(1.0, 2.0 * total)
         return Minimum(converged, status, y, total)
 
-    def _residuals(self, y: Vector, data: Data, centre: Vector | None) -> tuple[Vector, Vector]:
+    def _residuals(self, y: Array, data: Data, centre: Array | None) -> tuple[Array, Array]:
         """Return weighted residuals and their Jacobian; a centre adds the ridge term (`RIDGE`) as further rows."""
         predicted, slope = self.at(y)
         r, slope = data.weights * (predicted - data.observed), data.weights[:, None] * slope
@@ -225,12 +224,12 @@ class LeastSquares:
         ridge = RIDGE**0.5
         return np.r_[r, ridge * (y - centre)], np.vstack([slope, ridge * np.eye(self.unknowns)])
 
-    def _rho(self, z: Vector) -> Vector:
+    def _rho(self, z: Array) -> Array:
         """Return the loss and its derivatives in SciPy's form; rows of the ridge term are plain squares."""
         ridge = z[self.rows :]
         return np.hstack([self.loss.rho(z[: self.rows]), [ridge, np.ones_like(ridge), np.zeros_like(ridge)]])
 
-    def _decrement(self, y: Vector, data: Data, centre: Vector | None, free: NDArray[np.bool_]) -> float:
+    def _decrement(self, y: Array, data: Data, centre: Array | None, free: NDArray[np.bool_]) -> float:
         """Return twice the decrease of the loss that a Gauss-Newton step between the bounds predicts."""
         r, slope = self._residuals(y, data, centre)
         z = (r / self.loss.size) ** 2

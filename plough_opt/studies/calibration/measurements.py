@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from plough_opt.core.checks import array_of, check_kind, check_named, check_text, mapping_of, path_of, shown
 from plough_opt.core.csv_rows import HEADING, columns_of, raise_listed, read_rows, table_of
+from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import InputError
+from plough_opt.core.plain_data import Array
 from plough_opt.core.quantities import every_quantity, quantities
 from plough_opt.core.units import Unit, in_si
 from plough_opt.motion.vocabulary import MEASURES
-
-Vector = NDArray[np.float64]
 
 RECORD: Final = "mount_force"
 """The result that is measured over time; rows with equal conditions belong to one run."""
@@ -32,8 +32,8 @@ def result_unit(name: str) -> Unit:
     return MEASURES[name].unit if name in measurable() else every_quantity()[name]
 
 
-@dataclass(frozen=True)
-class Measurements:
+@dataclass(frozen=True, eq=False)
+class Measurements(ByValue):
     """Measured values of one result, with a number per row in every column.
 
     For example ``Measurements("mean_draft", [3.9e3, 4.1e3], {"scene.tow_speed": [1.0, 2.0]}, sigma=100.0)``.
@@ -62,23 +62,23 @@ class Measurements:
     """
 
     result: str
-    values: Vector
-    conditions: Mapping[str, Vector]
-    sigma: Vector | None
-    weights: Vector | None
-    time: Vector | None
+    values: Array
+    conditions: Mapping[str, Array]
+    sigma: Array | None
+    weights: Array | None
+    time: Array | None
     name: str
     lines: tuple[int, ...]
 
     def __init__(
         self,
         result: str,
-        values: Sequence[float] | Vector,
-        conditions: Mapping[str, Sequence[float] | Vector | float] | None = None,
+        values: Sequence[float] | Array,
+        conditions: Mapping[str, Sequence[float] | Array | float] | None = None,
         *,
-        sigma: Sequence[float] | Vector | float | None = None,
-        weights: Sequence[float] | Vector | None = None,
-        time: Sequence[float] | Vector | None = None,
+        sigma: Sequence[float] | Array | float | None = None,
+        weights: Sequence[float] | Array | None = None,
+        time: Sequence[float] | Array | None = None,
         name: str = "measurements",
         lines: Sequence[int] = (),
     ) -> None:
@@ -134,7 +134,7 @@ class Measurements:
         if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 0 <= number < self.rows:
             raise InputError(f"{self.name}: row {shown(number)} must be a whole number from 0 to {self.rows - 1}")
 
-    def _column(self, key: str, given: Any, rows: int | None = None) -> Vector:
+    def _column(self, key: str, given: Any, rows: int | None = None) -> Array:
         """Return a column of finite numbers; a single number stands for all rows, if their number is known."""
         others = {"sigma": result_unit(self.result), "weights": Unit(""), "time": Unit("s")}
         given = in_si(f"{self.name}: '{key}'", given, (others.get(key) or result_unit(key)).symbol)
@@ -167,7 +167,7 @@ class Measurements:
         elif self.result == RECORD:
             raise InputError(f"{self.name}: {RECORD} is measured over time: a column 'time [s]' is missing")
 
-    def _check_rows(self, key: str, column: Vector, bad: NDArray[np.bool_], expected: str) -> None:
+    def _check_rows(self, key: str, column: Array, bad: NDArray[np.bool_], expected: str) -> None:
         """Raise InputError for the first bad row of a column."""
         if np.any(bad):
             number = int(np.argmax(bad))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from plough_opt.core.checks import check_choice, check_domain, check_named, mapping_of, plain_number, shown
 from plough_opt.core.errors import DomainError, InputError, nearest
 from plough_opt.core.expressions import Column, Expression, as_number, exp, is_symbolic, stacked
+from plough_opt.core.plain_data import Array
 from plough_opt.core.quantities import every_quantity, quantities
 from plough_opt.core.units import in_si
 from plough_opt.laws.forces import cone_index
@@ -27,7 +28,6 @@ from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.studies.calibration.least_squares import Data, LeastSquares, loss_of
 from plough_opt.studies.calibration.measurements import RECORD, Measurements, measurable
 
-Vector = NDArray[np.float64]
 SceneOf: TypeAlias = Callable[[Mapping[str, Expression]], Scene]
 _DURATION = "scene.duration"
 # An unknown whose bounds have at least this ratio is scaled logarithmically.
@@ -128,11 +128,11 @@ class Model:
     unknowns: tuple[Unknown, ...]
 
     @property
-    def guess(self) -> Vector:
+    def guess(self) -> Array:
         """Scaled unknowns at their guesses."""
         return np.array([unknown.scaled(unknown.guess) for unknown in self.unknowns])
 
-    def values(self, y: Sequence[Expression] | Vector) -> dict[str, Expression]:
+    def values(self, y: Sequence[Expression] | Array) -> dict[str, Expression]:
         """Return name -> value of the unknowns at scaled values."""
         return {unknown.name: unknown.value(y[k]) for k, unknown in enumerate(self.unknowns)}
 
@@ -235,7 +235,7 @@ def _unknown(name: str, bounds: Any, current: float | None) -> Unknown:
     return Unknown(name, units[name].symbol, lower, upper, guess, log)
 
 
-Numbers: TypeAlias = Sequence[Expression] | Vector
+Numbers: TypeAlias = Sequence[Expression] | Array
 SceneOfRows: TypeAlias = tuple[Scene, Expression | None, NDArray[np.intp]]
 """A scene, its duration [s] or None, and the indices of the rows that were measured in it."""
 
@@ -278,7 +278,7 @@ class Rows:
     model: Model
 
     @cached_property
-    def _distinct(self) -> tuple[Vector, NDArray[np.intp]]:
+    def _distinct(self) -> tuple[Array, NDArray[np.intp]]:
         """Distinct conditions (m, c), and for each row the index of its conditions (n)."""
         # A column of zeros, dropped below, allows measurements without conditions.
         columns = [np.zeros(self.measured.rows), *self.measured.conditions.values()]
@@ -381,7 +381,7 @@ class Rows:
         forces: Expression = ca.DM(interpolation(times / duration, outputs)) @ run.mount_force
         return forces
 
-    def checked(self, scene: Scene, duration: Expression | None, rows: NDArray[np.intp]) -> Vector:
+    def checked(self, scene: Scene, duration: Expression | None, rows: NDArray[np.intp]) -> Array:
         """Return the results of some rows from a numeric run, whose error is checked."""
         if self.measured.result == RECORD:
             return np.asarray(self._force_at(scene, duration, rows, scene), dtype=float).ravel()
@@ -413,7 +413,7 @@ def is_closed(scene: Scene, result: str) -> bool:
     return result == "mean_draft" and steady and from_steady and not effects.printed.repelling_spring
 
 
-def _outputs(scene: Scene, duration: float, times: Vector) -> int:
+def _outputs(scene: Scene, duration: float, times: Array) -> int:
     """Return a number of output intervals that places an output at every time, or suffices to interpolate there."""
     enough = _LEAST_OUTPUTS
     if scene.effects.motion:
@@ -426,7 +426,7 @@ def _outputs(scene: Scene, duration: float, times: Vector) -> int:
     return enough
 
 
-def interpolation(fractions: Vector, outputs: int) -> Vector:
+def interpolation(fractions: Array, outputs: int) -> Array:
     """Return the matrix that maps a signal at the output times to its values at fractions of the duration.
 
     It interpolates by Lagrange polynomials of degree 7 through the nearest outputs; at an output it takes the value.

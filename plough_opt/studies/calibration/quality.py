@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from scipy import linalg, stats
 
 from plough_opt.core.checks import shown
+from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import as_number, is_count
+from plough_opt.core.plain_data import Array
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 from plough_opt.studies.calibration.estimate import Estimate, estimate
 from plough_opt.studies.calibration.least_squares import AT_BOUND
 from plough_opt.studies.calibration.measurements import RECORD, measurable
 from plough_opt.studies.calibration.model import Rows, SceneOfRows, is_closed
-
-Vector = NDArray[np.float64]
 
 # Significance level of the tests for scatter and correlation.
 _SIGNIFICANCE: Final = 1e-3
@@ -201,8 +201,8 @@ def _pressure_notes(fit: Estimate, scenes: list[Scene]) -> Iterator[str]:
         )
 
 
-@dataclass(frozen=True)
-class CrossValidation:
+@dataclass(frozen=True, eq=False)
+class CrossValidation(ByValue):
     """Errors of the predictions for rows left out of the fit.
 
     Attributes:
@@ -216,7 +216,7 @@ class CrossValidation:
 
     folds: int
     rows: NDArray[np.intp]
-    errors: Vector
+    errors: Array
     rms: Mapping[str, float]
     rms_fitted: Mapping[str, float]
 
@@ -258,7 +258,7 @@ def cross_validate(fit: Estimate, folds: int | None, seed: int) -> CrossValidati
         without = estimate(setup, replace(data, weights=weights), fit.y, starts=1)
         errors[part] = (without.predicted - data.observed)[part]
 
-    def rms(values: Vector) -> dict[str, float]:
+    def rms(values: Array) -> dict[str, float]:
         return {str(name): float(np.sqrt(np.mean(values[rows][results[rows] == name] ** 2))) for name in names}
 
     return CrossValidation(folds, rows, errors[rows], rms(errors), rms(fit.predicted - data.observed))

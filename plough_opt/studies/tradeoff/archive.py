@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import NotConverged
+from plough_opt.core.plain_data import Array
 from plough_opt.design.basin import near_optimum
 from plough_opt.design.descents import descend
 from plough_opt.design.effort import Search, effort_of, searched
 from plough_opt.design.exploring import Explorer, Progress
 from plough_opt.design.infeasible import feasible_from
-from plough_opt.design.ipopt import REMEDIES, Point, Vector
+from plough_opt.design.ipopt import REMEDIES, Point
 from plough_opt.design.landscape import FEASIBLE, Evaluations, Landscape
 from plough_opt.design.polishing import minimum_from, point_as_found, polished
 from plough_opt.design.sampling import SEED, evolved, sample
@@ -77,12 +78,12 @@ class Archive:
         # Scaled variables and scaled objectives of the designs that meet the requirements, and those not yet appended.
         self._designs = np.empty((0, self._landscape.dimensions))
         self._objectives = np.empty((0, front.count))
-        self._fresh: list[tuple[Vector, Vector]] = []
-        self._samples: dict[bytes, tuple[Vector, Vector]] = {}
-        self._medians: dict[bytes, Vector] = {}
+        self._fresh: list[tuple[Array, Array]] = []
+        self._samples: dict[bytes, tuple[Array, Array]] = {}
+        self._medians: dict[bytes, Array] = {}
         # Lead of each design over all optima that it was compared with, and these.
         self._leads = np.empty(0)
-        self._compared: dict[Hashable, Vector] = {}
+        self._compared: dict[Hashable, Array] = {}
         self.needles_beyond = 0
         self.vary = searched(search, program.declared.variables)
         self._start = program.start()
@@ -97,7 +98,7 @@ class Archive:
 
     # --- designs -----------------------------------------------------------------------------------------
 
-    def evaluate(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
+    def evaluate(self, points: Array, *, finer: float = 1.0, together: int = 1) -> tuple[Array, Array]:
         """Return scaled objectives and all rows of requirements, in their units, a row for each design.
 
         Args:
@@ -118,7 +119,7 @@ class Archive:
             self._archive(points, *found)
         return found
 
-    def _archive(self, points: Vector, objectives: Vector, rows: Vector) -> None:
+    def _archive(self, points: Array, objectives: Array, rows: Array) -> None:
         """Add the designs that have a value and meet the design's own requirements."""
         program = self.front.program
         with np.errstate(all="ignore"):
@@ -128,7 +129,7 @@ class Archive:
         self._fresh.append((points[good], objectives[good]))
 
     @property
-    def feasible(self) -> tuple[Vector, Vector]:
+    def feasible(self) -> tuple[Array, Array]:
         """Scaled variables and normalised objectives of all designs that meet the requirements, a row each."""
         if self._fresh:
             designs, objectives = zip(*self._fresh, strict=True)
@@ -137,7 +138,7 @@ class Archive:
             self._fresh = []
         return self._designs, self.front.normalised(self._objectives)
 
-    def leads_over(self, optima: Mapping[Hashable, Vector]) -> Vector:
+    def leads_over(self, optima: Mapping[Hashable, Array]) -> Array:
         """Return the lead of each feasible design over all optima, this time's and those of earlier calls.
 
         Leads are those of `lead_over_points`: infinite without an optimum, and -infinite for excluded designs.
@@ -163,7 +164,7 @@ class Archive:
 
     # --- searches ----------------------------------------------------------------------------------------
 
-    def basin_minima(self, p: Vector) -> Evaluations:
+    def basin_minima(self, p: Array) -> Evaluations:
         """Return the lowest design of each basin of an objective alone that may hold the best one, best first.
 
         Args:
@@ -193,7 +194,7 @@ class Archive:
         best_first = np.argsort(values, kind="stable")
         return explored.minima.select([k for k in best_first if values[k] <= limit][:_MOST_BASINS])
 
-    def evolved_at(self, p: Vector) -> list[Vector]:
+    def evolved_at(self, p: Array) -> list[Array]:
         """Return the designs that evolution finds in a subproblem, one for each round of the effort.
 
         Empty if fewer than two variables are searched, or runs are integrated one by one, which takes too long.
@@ -202,12 +203,12 @@ class Archive:
         if not self.vectorised or len(own) < 2:
             return []
 
-        def whole(points: Vector) -> Vector:
+        def whole(points: Array) -> Array:
             designs = np.repeat(self._start[None], len(points), axis=0)
             designs[:, own] = points
             return designs
 
-        def merit(points: Vector) -> Vector:
+        def merit(points: Array) -> Array:
             return landscape(whole(points)).merit
 
         for number in range(self._effort.rounds):
@@ -225,7 +226,7 @@ class Archive:
 
     # --- tolerances --------------------------------------------------------------------------------------
 
-    def medians(self, points: Vector) -> Vector | None:
+    def medians(self, points: Array) -> Array | None:
         """Return the medians of the scaled objectives over the tolerances of each design, a row each.
 
         A median is infinite if half of the designs in the tolerance box have no value.
@@ -246,7 +247,7 @@ class Archive:
             self._medians |= {keys[k]: median for k, median in zip(part, np.median(found, axis=1), strict=True)}
         return np.array([self._medians[key] for key in keys]).reshape(-1, self.front.count)
 
-    def needles(self, points: Vector, objectives: Vector) -> NDArray[np.bool_]:
+    def needles(self, points: Array, objectives: Array) -> NDArray[np.bool_]:
         """Return which designs are needles: optima too narrow for a workshop to hit.
 
         The median of some objective over the tolerances of a needle is worse than its own value by more than 5 % of
@@ -267,12 +268,12 @@ class Archive:
 class FrontLandscape(Landscape):
     """Landscape of one subproblem, whose designs enter the archive with all their objectives."""
 
-    def __init__(self, archive: Archive, p: Vector) -> None:
+    def __init__(self, archive: Archive, p: Array) -> None:
         """Use an archive, and the parameters of a subproblem."""
         super().__init__(archive.front.program, p)
         self._archive, self._subproblem = archive, archive.front.subproblem(p)
 
-    def rows(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> tuple[Vector, Vector]:
+    def rows(self, points: Array, *, finer: float = 1.0, together: int = 1) -> tuple[Array, Array]:
         """Return the scaled objective and requirements of the subproblem, a row for each design."""
         self.designs_tried += len(points)
         objectives, g = self._archive.evaluate(points, finer=finer, together=together)
@@ -327,17 +328,17 @@ class Candidate:
     """
 
     point: Point
-    p: Vector
-    objectives: Vector
+    p: Array
+    objectives: Array
     exact: bool = False
     followed: set[int] = field(default_factory=set)
     between: bool = False
-    inner_neighbour: tuple[Point, Vector] | None = None
+    inner_neighbour: tuple[Point, Array] | None = None
     needle: bool | None = None
     confirmed: bool = True
 
 
-def extrapolated(points: Sequence[Vector]) -> Vector:
+def extrapolated(points: Sequence[Array]) -> Array:
     """Return the design to which equally spaced designs lead, within the bounds.
 
     It is the next value of the polynomial through the last of them. The degree rises as long as each further design
@@ -381,7 +382,7 @@ class Candidates(ABC):
     """
 
     step: float
-    anchor_weights: Vector
+    anchor_weights: Array
 
     def __init__(self, archive: Archive, progress: Progress) -> None:
         """Begin without a candidate.
@@ -397,7 +398,7 @@ class Candidates(ABC):
 
     # --- anchors -----------------------------------------------------------------------------------------
 
-    def anchor_parameters(self) -> list[Vector]:
+    def anchor_parameters(self) -> list[Array]:
         """Return the parameters of the subproblem of each anchor.
 
         The largest weight is kept. Each other one is multiplied by the ratio of that objective's range to its own
@@ -410,10 +411,10 @@ class Candidates(ABC):
         ]
 
     @abstractmethod
-    def all_anchors(self, starts: Sequence[Sequence[Vector]]) -> list[list[Point]]:
+    def all_anchors(self, starts: Sequence[Sequence[Array]]) -> list[list[Point]]:
         """Return the local optima of each anchor's subproblem, from starts for each objective alone."""
 
-    def begin(self) -> list[list[Vector]]:
+    def begin(self) -> list[list[Array]]:
         """Return starts for each objective alone, and write the program with the steps that these need.
 
         Raises:
@@ -437,7 +438,7 @@ class Candidates(ABC):
         self.front.build([y for own in starts for y in own] + list(designs[undominated(objectives, THINNING)]))
         return starts
 
-    def anchors(self, p: Vector, starts: Sequence[Vector]) -> list[Point]:
+    def anchors(self, p: Array, starts: Sequence[Array]) -> list[Point]:
         """Return the local optima near starts, best first, needles last.
 
         Args:
@@ -450,7 +451,7 @@ class Candidates(ABC):
         needles = self.archive.needles(np.array([point.y for point in solved]), objectives)
         return [solved[k] for k in sorted(range(len(solved)), key=lambda k: (bool(needles[k]), solved[k].f))]
 
-    def _polished(self, p: Vector, y: Vector) -> Point:
+    def _polished(self, p: Array, y: Array) -> Point:
         """Return the local optimum near a design of a search, never a worse one."""
         start = point_as_found(self.front.program, p, y)
         point = self.front.solve(start, y, p)
@@ -463,7 +464,7 @@ class Candidates(ABC):
         """Return whether a point is an optimum and as good as its start, up to the error of a search."""
         return point.solved and point.f <= start.f + NOT_WORSE * max(abs(start.f), 1.0)
 
-    def solve(self, near: Candidate, start: Vector, p: Vector, *, report: bool = True) -> Candidate | None:
+    def solve(self, near: Candidate, start: Array, p: Array, *, report: bool = True) -> Candidate | None:
         """Return the optimum of a subproblem near a start, or None if there is none.
 
         Args:
@@ -482,7 +483,7 @@ class Candidates(ABC):
                 self.failures.append(failure)
         return None
 
-    def no_worse_than(self, y: Vector, p: Vector) -> Candidate | None:
+    def no_worse_than(self, y: Array, p: Array) -> Candidate | None:
         """Return the optimum of a subproblem near a design of a search, or None if there is none as good.
 
         Args:
@@ -494,11 +495,11 @@ class Candidates(ABC):
         point = self.front.solve(start if near is None else near.point, y, p)
         return self.candidate_of(p, point) if self._no_worse(point, start) else None
 
-    def candidate_of(self, p: Vector, point: Point) -> Candidate:
+    def candidate_of(self, p: Array, point: Point) -> Candidate:
         """Return the candidate to record for an optimum at a position; subclasses may take one on the edge instead."""
         return self.recorded(point, p)
 
-    def recorded(self, point: Point, p: Vector) -> Candidate:
+    def recorded(self, point: Point, p: Array) -> Candidate:
         """Return the candidate of an optimum: a new one, or the earlier one if the same design was found before."""
         objectives = self.front.objectives(point.y)
         known = self.objectives_of(self.candidates)
@@ -553,6 +554,6 @@ class Candidates(ABC):
     def efficient(self) -> list[Candidate]:
         """Return the candidates that no other dominates; those of two objectives in order."""
 
-    def objectives_of(self, candidates: Sequence[Candidate]) -> Vector:
+    def objectives_of(self, candidates: Sequence[Candidate]) -> Array:
         """Return the normalised objectives of candidates, a row each."""
         return np.array([candidate.objectives for candidate in candidates]).reshape(-1, self.front.count)

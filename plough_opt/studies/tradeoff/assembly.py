@@ -14,16 +14,17 @@ from plough_opt.core.checks import check_callable, check_kind, check_switch, che
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.core.expressions import Expression, is_count
 from plough_opt.core.notes import merge
+from plough_opt.core.plain_data import Array
 from plough_opt.core.saving import Origin
 from plough_opt.design import Design, Progress
 from plough_opt.design.effort import Search
 from plough_opt.design.exploring import silent
-from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.ipopt import Point
 from plough_opt.design.optimality import PULLS, decides
 from plough_opt.motion.checks import remarks
 from plough_opt.studies.tradeoff.archive import MATTERS, Archive, Candidate
 from plough_opt.studies.tradeoff.curve import CurveTracer, Tracer
-from plough_opt.studies.tradeoff.front import Array, Axis, Failure, FrontPoint, Goal, Hole
+from plough_opt.studies.tradeoff.front import Axis, Failure, FrontPoint, Goal, Hole
 from plough_opt.studies.tradeoff.program import FrontProgram, declarations
 from plough_opt.studies.tradeoff.result import TradeOff
 from plough_opt.studies.tradeoff.surface import SurfaceTracer
@@ -251,7 +252,7 @@ def search_in_words(tracer: Tracer) -> str:
     return f"{archive.tried} designs tried over {over}{slow}."
 
 
-def warnings_of(front: FrontProgram, designs: Sequence[Vector]) -> tuple[str, ...]:
+def warnings_of(front: FrontProgram, designs: Sequence[Array]) -> tuple[str, ...]:
     """Return the warnings of the designs' scenes and runs, each kind once, with the ranges of its numbers.
 
     Args:

@@ -11,8 +11,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.plain_data import Array
 from plough_opt.design.exploring import Progress
-from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.ipopt import Point
 from plough_opt.design.polishing import point_as_found
 from plough_opt.design.sampling import SEED
 from plough_opt.studies.tradeoff.archive import (
@@ -28,7 +29,6 @@ from plough_opt.studies.tradeoff.archive import (
 )
 from plough_opt.studies.tradeoff.front import (
     CURVE_GAP,
-    Array,
     lead_over_front,
     lead_over_points,
     strongest_dominators,
@@ -136,7 +136,7 @@ class Tracer(Candidates):
         """Find the whole front from the local optima of each anchor's subproblem."""
 
     @abstractmethod
-    def parameters_at(self, objectives: Vector) -> Vector:
+    def parameters_at(self, objectives: Array) -> Array:
         """Return the parameters of the subproblem whose position is that of normalised objectives."""
 
     @abstractmethod
@@ -160,18 +160,18 @@ class Tracer(Candidates):
             parents = np.vstack([best, *(candidate.point.y for candidate in self.efficient())])
             self._sample_around(parents, spread, _SAMPLE, rng)
 
-    def _sample_around(self, designs: Vector, spread: float, count: int, rng: np.random.Generator) -> None:
+    def _sample_around(self, designs: Array, spread: float, count: int, rng: np.random.Generator) -> None:
         """Add designs to the archive, normally distributed around some that are given."""
         parents = designs[rng.integers(len(designs), size=count)]
         self.archive.evaluate(np.clip(parents + spread * rng.standard_normal(parents.shape), 0.0, 1.0))
 
-    def _archive_with_leads(self) -> tuple[Vector, Vector, Vector]:
+    def _archive_with_leads(self) -> tuple[Array, Array, Array]:
         """Return the archive's designs, their normalised objectives, and their leads over the efficient candidates."""
         designs, objectives = self.archive.feasible
         leads = self.archive.leads_over({candidate: candidate.objectives for candidate in self.efficient()})
         return designs, objectives, leads
 
-    def candidate_beside(self, y: Vector) -> Candidate | None:
+    def candidate_beside(self, y: Array) -> Candidate | None:
         """Return an optimum near a design of the archive, or None if there is none as good.
 
         It is sought at the position of the design, and then with each objective minimised in turn while the others are
@@ -248,7 +248,7 @@ class Tracer(Candidates):
         no_worse = np.all(others <= candidate.objectives + MATTERS, axis=1)
         return bool(np.any(no_worse & np.any(others < candidate.objectives - MATTERS, axis=1)))
 
-    def missed(self, excluded: set[bytes], *, sparse: bool = True) -> list[Vector]:
+    def missed(self, excluded: set[bytes], *, sparse: bool = True) -> list[Array]:
         """Return designs of the archive that would improve the front, best first and at least `spacing` apart.
 
         Such a design leads the front, or dominates one of its points. There are none if only the basin of the guess is
@@ -281,7 +281,7 @@ class Tracer(Candidates):
                 chosen.append(int(k))
         return [designs[k] for k in chosen]
 
-    def _gains(self, front: Vector, objectives: Vector, leads: Vector, left: NDArray[np.intp], sparse: bool) -> Vector:
+    def _gains(self, front: Array, objectives: Array, leads: Array, left: NDArray[np.intp], sparse: bool) -> Array:
         """Return how much the front would gain by each design of the archive.
 
         Args:
@@ -302,7 +302,7 @@ class Tracer(Candidates):
             gain[left] = np.maximum(gain[left], self.uncovered(front, objectives[left]))
         return gain
 
-    def uncovered(self, front: Vector, objectives: Vector) -> Vector:
+    def uncovered(self, front: Array, objectives: Array) -> Array:
         """Return how far designs lie from every point where a front has too few; 0 for a curve, which has enough."""
         del front
         return np.zeros(len(objectives))
@@ -392,7 +392,7 @@ class CurveTracer(Tracer):
         self._fill_gaps()
         self.follow_missed(sample=False)
 
-    def all_anchors(self, starts: Sequence[Sequence[Vector]]) -> list[list[Point]]:
+    def all_anchors(self, starts: Sequence[Sequence[Array]]) -> list[list[Point]]:
         """Return the local optima of each anchor's subproblem near its starts."""
         return [self.anchors(p, own) for p, own in zip(self.anchor_parameters(), starts, strict=True)]
 
@@ -407,7 +407,7 @@ class CurveTracer(Tracer):
             candidate: on the branch.
             objective: number of the objective to reduce.
         """
-        behind: list[Vector] = []
+        behind: list[Array] = []
         failed, first = 0, candidate
         candidate.followed.add(objective)
         ahead = self._positions[self._positions > self._position_of(candidate, objective) - _OFF_POSITION]
@@ -475,11 +475,11 @@ class CurveTracer(Tracer):
                         improved |= self.follow_new(found, known)
         return improved
 
-    def parameters_at(self, objectives: Vector) -> Vector:
+    def parameters_at(self, objectives: Array) -> Array:
         """Return the parameters of the subproblem whose position is that of normalised objectives."""
         return self._parameters_for(1, float(objectives[0] - objectives[1]))
 
-    def _parameters_for(self, objective: int, position: float) -> Vector:
+    def _parameters_for(self, objective: int, position: float) -> Array:
         """Return the parameters that minimise an objective with a limit on the other one's excess over it."""
         return self.front.limited(objective, {1 - objective: position}, relative=True)
 

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from plough_opt.core.checks import array_of, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, is_casadi
+from plough_opt.core.plain_data import Array
 from plough_opt.core.saving import Origin, versions
 from plough_opt.core.units import Display
 from plough_opt.motion.vocabulary import called
-
-Array = NDArray[np.float64]
 
 EQUAL = 1e-7
 """Smaller differences of normalised objectives are rounding of the solves."""

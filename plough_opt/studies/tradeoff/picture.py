@@ -13,8 +13,9 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from matplotlib.tri import Triangulation
 
 from plough_opt.core.files import COLOURS
+from plough_opt.core.plain_data import Array
 from plough_opt.motion.vocabulary import called
-from plough_opt.studies.tradeoff.front import ACROSS, Array, Axis, Front, FrontPoint
+from plough_opt.studies.tradeoff.front import ACROSS, Axis, Front, FrontPoint
 
 _GREY: Final = "#A8A8A8"
 _DOMINATED: Final = "local optima, dominated"

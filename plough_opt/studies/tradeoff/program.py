@@ -24,10 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError, PloughError
+from plough_opt.core.plain_data import Array
 from plough_opt.design import Design
 from plough_opt.design.declarations import Declarations, Parameter, Requirement
 from plough_opt.design.descents import descend
-from plough_opt.design.ipopt import Point, SolveOptions, Vector
+from plough_opt.design.ipopt import Point, SolveOptions
 from plough_opt.design.landscape import Landscape
 from plough_opt.design.optimality import (
     PULLS,
@@ -79,10 +80,10 @@ class Slopes(NamedTuple):
         jacobian: of the requirements, shape (m, n).
     """
 
-    f: Vector
-    g: Vector
-    gradient: Vector
-    jacobian: Vector
+    f: Array
+    g: Array
+    gradient: Array
+    jacobian: Array
 
 
 class Corrector:
@@ -98,38 +99,38 @@ class Corrector:
         """Use a program that is built."""
         self._program, self._built = program, program.built
         self._limits = program.low, program.high
-        self._curvature: Vector | None = None
+        self._curvature: Array | None = None
         self._slopes: dict[bytes, Slopes] = {}
-        self._values: dict[bytes, tuple[Vector, Vector]] = {}
+        self._values: dict[bytes, tuple[Array, Array]] = {}
 
-    def values(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
+    def values(self, y: Array, p: Array) -> tuple[Array, Array]:
         """Return scaled objective and requirements, cached by design and parameters."""
         key = y.tobytes() + p.tobytes()
         if key not in self._values:
             self._values[key] = self._evaluate(y, p)
         return self._values[key]
 
-    def _evaluate(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
+    def _evaluate(self, y: Array, p: Array) -> tuple[Array, Array]:
         f, g = self._built.nlp.values(y, p)
         return np.array(f.nonzeros()), np.array(g.nonzeros())
 
-    def slopes(self, y: Vector, p: Vector) -> Slopes:
+    def slopes(self, y: Array, p: Array) -> Slopes:
         """Return scaled values and first derivatives, cached by design and parameters."""
         key = y.tobytes() + p.tobytes()
         if key not in self._slopes:
             self._slopes[key] = self._differentiate(y, p)
         return self._slopes[key]
 
-    def _differentiate(self, y: Vector, p: Vector) -> Slopes:
+    def _differentiate(self, y: Array, p: Array) -> Slopes:
         f, g, gradient, jacobian = (np.asarray(result) for result in self._built.nlp.slopes(y, p))
         return Slopes(f.ravel(), g.ravel(), gradient.ravel(), jacobian)
 
-    def residual(self, point: Point, p: Vector) -> float:
+    def residual(self, point: Point, p: Array) -> float:
         """Return the scaled residual of the first-order conditions at a point."""
         _, g, gradient, jacobian = self.slopes(point.y, p)
         return residual(point, (g, gradient, jacobian), self._limits)
 
-    def least_curvature(self, point: Point, p: Vector) -> float | None:
+    def least_curvature(self, point: Point, p: Array) -> float | None:
         """Return the least curvature of the Lagrangian along directions that keep every active limit.
 
         Returns:
@@ -146,7 +147,7 @@ class Corrector:
         hessian = symmetric(np.asarray(self._built.rough.hess_lag(point.y, p, 1.0, point.lam_g)))
         return float(reduced_curvatures(hessian, free)[0][0])
 
-    def correct(self, neighbour: Point, start: Vector, p: Vector) -> Point:
+    def correct(self, neighbour: Point, start: Array, p: Array) -> Point:
         """Return the optimum near a start, by quadratic programs from a neighbour's multipliers.
 
         The estimate of the Lagrangian's curvature is updated from the change of its gradient (Powell 1978) and kept
@@ -173,7 +174,7 @@ class Corrector:
                 return point
         return begin
 
-    def _iterate(self, point: Point, curvature: Vector, p: Vector) -> Point:
+    def _iterate(self, point: Point, curvature: Array, p: Array) -> Point:
         """Take steps until the first-order conditions hold; ``solved`` stays False if they cease to shrink."""
         stalled, shortest = 0, np.inf
         for number in range(_MOST_STEPS):
@@ -199,11 +200,11 @@ class Corrector:
                 curvature = _updated(curvature, step, change)
         return point
 
-    def _initial_curvature(self, y: Vector, p: Vector, lam_g: Vector) -> Vector:
+    def _initial_curvature(self, y: Array, p: Array, lam_g: Array) -> Array:
         """Return the Hessian of the Lagrangian, by a rough integration, made positive definite."""
         return made_convex(symmetric(np.asarray(self._built.rough.hess_lag(y, p, 1.0, lam_g))))
 
-    def solve_from_afar(self, neighbour: Point, start: Vector, p: Vector) -> Point:
+    def solve_from_afar(self, neighbour: Point, start: Array, p: Array) -> Point:
         """Return the optimum near a start from which `correct` fails, by IPOPT.
 
         Args:
@@ -234,21 +235,21 @@ class BatchCorrector(Corrector):
         """Set the largest objective, in units of its range over the front."""
         self.largest_residual = _BATCH_RESIDUAL * max(1.0, size)
 
-    def _evaluate(self, y: Vector, p: Vector) -> tuple[Vector, Vector]:
+    def _evaluate(self, y: Array, p: Array) -> tuple[Array, Array]:
         f, g = self._integrate(y[None], p)
         return f, g[0]
 
-    def _differentiate(self, y: Vector, p: Vector) -> Slopes:
+    def _differentiate(self, y: Array, p: Array) -> Slopes:
         stencil, steps = _stencil(y)
         return _differences(*self._integrate(stencil, p), steps)
 
-    def _integrate(self, designs: Vector, p: Vector) -> tuple[Vector, Vector]:
+    def _integrate(self, designs: Array, p: Array) -> tuple[Array, Array]:
         """Return scaled objective and requirements, a row for each design, all with the same number of steps."""
         with np.errstate(all="ignore"):
             f, g = self._program.population(designs, p, finer=_FINER, together=len(designs))
         return f, g / self._scale
 
-    def solve_from_afar(self, neighbour: Point, start: Vector, p: Vector) -> Point:
+    def solve_from_afar(self, neighbour: Point, start: Array, p: Array) -> Point:
         """Return the optimum near a start from which `correct` fails: a descent of the search, then corrected.
 
         Args:
@@ -261,7 +262,7 @@ class BatchCorrector(Corrector):
             return replace(neighbour, solved=False, status="Infeasible_Problem_Detected", y=end.points[0])
         return self.correct(neighbour, end.points[0], p)
 
-    def _initial_curvature(self, y: Vector, p: Vector, lam_g: Vector) -> Vector:
+    def _initial_curvature(self, y: Array, p: Array, lam_g: Array) -> Array:
         """Return the Hessian of the Lagrangian by differences of slopes, made positive definite."""
         moves = np.where(y > 0.5, -_CURVATURE_STEP, _CURVATURE_STEP)
         stencils = [_stencil(place) for place in (y, *(y + np.diag(moves)))]
@@ -275,13 +276,13 @@ class BatchCorrector(Corrector):
         return made_convex((hessian + hessian.T) / 2.0)
 
 
-def _are_active(margins: Vector, multipliers: Vector) -> NDArray[np.bool_]:
+def _are_active(margins: Array, multipliers: Array) -> NDArray[np.bool_]:
     """Return which limits are active: their scaled margin vanishes, or is smaller than their multiplier."""
     pulls = np.abs(multipliers)
     return (margins < _TOUCHING) | ((pulls > PULLS) & (pulls > margins))
 
 
-def _updated(curvature: Vector, step: Vector, change: Vector) -> Vector:
+def _updated(curvature: Array, step: Array, change: Array) -> Array:
     """Return the BFGS update of a curvature, with Powell's damping, which keeps it positive definite.
 
     Args:
@@ -301,7 +302,7 @@ def _updated(curvature: Vector, step: Vector, change: Vector) -> Vector:
     return np.asarray(curvature - np.outer(along, along) / expected + np.outer(change, change) / measured)
 
 
-def _stencil(y: Vector) -> tuple[Vector, Vector]:
+def _stencil(y: Array) -> tuple[Array, Array]:
     """Return the designs whose differences give the slopes at a design, a row each, and the signed steps to them.
 
     Rows are the design itself, then one step along each variable, then two; all steps point to the middle of a range.
@@ -310,7 +311,7 @@ def _stencil(y: Vector) -> tuple[Vector, Vector]:
     return np.vstack([y, y + np.diag(steps), y + 2.0 * np.diag(steps)]), steps
 
 
-def _differences(f: Vector, g: Vector, steps: Vector) -> Slopes:
+def _differences(f: Array, g: Array, steps: Array) -> Slopes:
     """Return slopes by one-sided differences of second order.
 
     Args:
@@ -391,14 +392,14 @@ class FrontProgram:
         )
         first = self.program.owner.index(len(declared.requirements))
         self.position_rows = np.arange(first, first + count - 1)
-        self._tight: dict[bytes, tuple[Vector, list[Vector]]] = {}
+        self._tight: dict[bytes, tuple[Array, list[Array]]] = {}
         self.correctors: dict[bool, Corrector] = {}
         self.building = 0.0
         self.ignored_conflict = 0.0
         self._refinement = 1.0
-        self._starts: list[Vector] = []
+        self._starts: list[Array] = []
 
-    def prepare(self, values: Vector) -> None:
+    def prepare(self, values: Array) -> None:
         """Check the program for values of the design's parameters.
 
         Args:
@@ -419,7 +420,7 @@ class FrontProgram:
         self._refinement, self.building = 1.0, 0.0
         self.program = self.program.at(self.neutral_parameters())
 
-    def build(self, starts: Sequence[Vector]) -> None:
+    def build(self, starts: Sequence[Array]) -> None:
         """Write the program with enough integration steps for some scaled designs, unless that is already so."""
         self._starts = list(starts)
         self._build()
@@ -439,28 +440,28 @@ class FrontProgram:
         self.correctors[False] = BatchCorrector(program) if batched else self.correctors[True]
         self.normalise(self.low, self.span)
 
-    def normalise(self, low: Vector, span: Vector) -> None:
+    def normalise(self, low: Array, span: Array) -> None:
         """Set which scaled objectives are 0 when normalised, and which ranges are 1."""
         self.low, self.span = low, span
         quick = self.correctors.get(False)
         if isinstance(quick, BatchCorrector):
             quick.set_largest_objective(float(np.max((np.abs(low) + span) / span)))
 
-    def normalised(self, scaled: Vector) -> Vector:
+    def normalised(self, scaled: Array) -> Array:
         """Return scaled objectives in units of their ranges over the front."""
         return np.asarray((scaled - self.low) / self.span)
 
-    def scaled(self, normalised: Vector) -> Vector:
+    def scaled(self, normalised: Array) -> Array:
         """Return normalised objectives as the program scales them."""
         return np.asarray(normalised * self.span + self.low)
 
     # --- subproblems -------------------------------------------------------------------------------------
 
-    def _parameters(self, weights: Sequence[float], normals: Vector, limits: Vector) -> Vector:
+    def _parameters(self, weights: Sequence[float], normals: Array, limits: Array) -> Array:
         """Return the program's parameters for w, n (a row for each constraint) and c, in scaled units."""
         return np.array([*self.values, *weights, *np.ravel(normals), *limits])
 
-    def neutral_parameters(self) -> Vector:
+    def neutral_parameters(self) -> Array:
         """Return parameters for which the objective is constantly 1 and no position constraint is active.
 
         The program is scaled by its values with these, so that the scales of objective and position constraints are 1.
@@ -469,14 +470,14 @@ class FrontProgram:
         nothing[len(self.values)] = 1.0
         return nothing
 
-    def weighted(self, weights: Vector) -> Vector:
+    def weighted(self, weights: Array) -> Array:
         """Return the parameters that minimise a weighted sum of the scaled objectives, without position constraints."""
         count = self.count
         return self._parameters((0.0, *weights), np.zeros((count - 1, count)), np.ones(count - 1))
 
     def limited(
         self, objective: int, limits: Mapping[int, float], others: float = 0.0, *, relative: bool = False
-    ) -> Vector:
+    ) -> Array:
         """Return the parameters that minimise one normalised objective with limits on the others.
 
         Args:
@@ -496,12 +497,12 @@ class FrontProgram:
             np.array(list(limits.values())) + normals @ zero,
         )
 
-    def subproblem(self, p: Vector) -> tuple[Vector, Vector, Vector]:
+    def subproblem(self, p: Array) -> tuple[Array, Array, Array]:
         """Return w, n and c of parameters, in scaled units."""
         count, own = self.count, p[len(self.values) :]
         return own[: 1 + count], own[1 + count : 1 - count].reshape(count - 1, count), own[1 - count :]
 
-    def solve(self, neighbour: Point, start: Vector, p: Vector, *, exact: bool = False) -> Point:
+    def solve(self, neighbour: Point, start: Array, p: Array, *, exact: bool = False) -> Point:
         """Return the optimum of a subproblem near a start, from a neighbour's multipliers or, failing that, without.
 
         Args:
@@ -518,19 +519,19 @@ class FrontProgram:
         """Return whether all position constraints are active at an optimum."""
         return bool(np.all(point.lam_g[self.position_rows] > _PULLS))
 
-    def weights_at(self, point: Point, p: Vector) -> Vector:
+    def weights_at(self, point: Point, p: Array) -> Array:
         """Return the weights with which the scaled objectives' gradients balance at an optimum of a subproblem."""
         weights, normals, _ = self.subproblem(p)
         return np.asarray(weights[1:] + point.lam_g[self.position_rows] @ normals)
 
     # --- values ------------------------------------------------------------------------------------------
 
-    def objectives(self, y: Vector, *, exact: bool = False) -> Vector:
+    def objectives(self, y: Array, *, exact: bool = False) -> Array:
         """Return the normalised objectives of a design, as the optimiser computes them."""
         f, g = self.correctors[exact].values(y, self._objectives_only)
         return self.normalised(np.concatenate([f, g[self.position_rows]]))
 
-    def evaluate(self, points: Vector, finer: float, together: int) -> tuple[Vector, Vector]:
+    def evaluate(self, points: Array, finer: float, together: int) -> tuple[Array, Array]:
         """Return scaled objectives and all rows of requirements, in their units, a row for each design.
 
         Args:
@@ -542,7 +543,7 @@ class FrontProgram:
             f, g = self.program.population(points, self._objectives_only, finer=finer, together=together)
         return np.column_stack([f, g[:, self.position_rows]]), g
 
-    def tight(self, y: Vector) -> tuple[Vector, list[Vector]]:
+    def tight(self, y: Array) -> tuple[Array, list[Array]]:
         """Return the scaled objectives and all requirements of a design by a tight integration."""
         key = y.tobytes()
         if key not in self._tight:
@@ -551,21 +552,21 @@ class FrontProgram:
             self._tight[key] = np.concatenate([found[0].ravel(), found[row].ravel()]), found[1:]
         return self._tight[key]
 
-    def gap(self, y: Vector, *, exact: bool = True) -> float:
+    def gap(self, y: Array, *, exact: bool = True) -> float:
         """Return the largest relative difference of the optimiser's objectives from the tightly integrated ones."""
         found, tight = self.scaled(self.objectives(y, exact=exact)), self.tight(y)[0]
         return float(np.max(np.abs(found - tight) / np.maximum(np.abs(tight), _SMALL)))
 
-    def runs(self, y: Vector) -> list[Run]:
+    def runs(self, y: Array) -> list[Run]:
         """Return the runs of a design by a tight integration."""
         exact = self.program.exact
         return [exact.followed(k, *exact.inputs(k, self._numbers(y))) for k in range(len(exact.runs))]
 
-    def still_scenes(self, y: Vector) -> list[Scene]:
+    def still_scenes(self, y: Array) -> list[Scene]:
         """Return the scenes of a design that are not integrated, with numbers."""
         return self.program.exact.quasi_static_scenes(self._numbers(y))
 
-    def _numbers(self, y: Vector) -> list[float]:
+    def _numbers(self, y: Array) -> list[float]:
         """Return the values of all symbols at a design."""
         return [*self.program.values(y), *self.neutral_parameters()]
 

@@ -19,12 +19,13 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.plain_data import Array
 from plough_opt.design.exploring import Progress
-from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.ipopt import Point
 from plough_opt.design.polishing import minimum_from
 from plough_opt.studies.tradeoff.archive import MATTERS, Archive, Arrangement, Candidate, extrapolated
 from plough_opt.studies.tradeoff.curve import Tracer
-from plough_opt.studies.tradeoff.front import SURFACE_GAP, Array, lead_over_points, undominated
+from plough_opt.studies.tradeoff.front import SURFACE_GAP, lead_over_points, undominated
 
 Node = tuple[int, int, int]
 """A node of a lattice on the plane of utopia, in steps; its three numbers have the same sum at every node."""
@@ -213,7 +214,7 @@ class SurfaceTracer(Tracer):
 
     # --- anchors -----------------------------------------------------------------------------------------
 
-    def all_anchors(self, starts: Sequence[Sequence[Vector]]) -> list[list[Point]]:
+    def all_anchors(self, starts: Sequence[Sequence[Array]]) -> list[list[Point]]:
         """Return the local optima of each anchor's subproblem.
 
         Args:
@@ -234,7 +235,7 @@ class SurfaceTracer(Tracer):
             found += [optima, sorted(points, key=lambda point: point.f)]
         return found
 
-    def _start_between(self, weights: Vector) -> list[Vector]:
+    def _start_between(self, weights: Array) -> list[Array]:
         """Return the archive's best design in the second objective of those nearly best in the first, if there is any.
 
         Args:
@@ -248,7 +249,7 @@ class SurfaceTracer(Tracer):
 
     # --- positions ---------------------------------------------------------------------------------------
 
-    def parameters_at(self, objectives: Vector) -> Vector:
+    def parameters_at(self, objectives: Array) -> Array:
         """Return the parameters of the subproblem whose position is that of normalised objectives.
 
         The smallest objective is minimised, with limits on the excess of the other two over it.
@@ -257,7 +258,7 @@ class SurfaceTracer(Tracer):
         limits = {k: float(objectives[k] - objectives[smallest]) for k in range(3) if k != smallest}
         return self.front.limited(smallest, limits, relative=True)
 
-    def _parameters_at_node(self, node: Node) -> Vector:
+    def _parameters_at_node(self, node: Node) -> Array:
         return self.parameters_at(np.array(node) * self.step)
 
     def _distance(self, candidate: Candidate, node: Node) -> float:
@@ -268,7 +269,7 @@ class SurfaceTracer(Tracer):
         """Return whether an optimum lies at a node and no objective is held back there."""
         return self.balances(candidate) and self._distance(candidate, node) < _AT_NODE
 
-    def candidate_of(self, p: Vector, point: Point) -> Candidate:
+    def candidate_of(self, p: Array, point: Point) -> Candidate:
         """Return the candidate to record for an optimum at a position.
 
         On the edge of the front the position constraints are not all active. The objective minimised there may leave
@@ -394,7 +395,7 @@ class SurfaceTracer(Tracer):
 
     # --- what makes up the front -------------------------------------------------------------------------
 
-    def uncovered(self, front: Vector, objectives: Vector) -> Vector:
+    def uncovered(self, front: Array, objectives: Array) -> Array:
         """Return how far designs lie from every point of the front where it has too few points, else 0.
 
         Those are designs far from every point and at a location on the plane where there is none. A surface that is a
@@ -438,7 +439,7 @@ class SurfaceTracer(Tracer):
             tuple((number[a], number[b]) for a, b in hole_ends),
         )
 
-    def _uncrowded(self, objectives: Vector, hole_ends: Sequence[tuple[int, int]]) -> NDArray[np.intp]:
+    def _uncrowded(self, objectives: Array, hole_ends: Sequence[tuple[int, int]]) -> NDArray[np.intp]:
         """Return the rows of efficient points that have room: first ends and anchors, then nodes, then the others."""
         room = _ROOM * self.step
         rank = (self._lattice.distance(objectives, self._lattice.nearest(objectives)) > _AT_NODE).astype(int)

@@ -27,8 +27,10 @@ from plough_opt.core.checks import (
     shown,
     whole_number,
 )
+from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import DomainError, InputError, nearest
 from plough_opt.core.expressions import Column, Expression, is_casadi, is_count
+from plough_opt.core.plain_data import Array
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.design import Optimum
 from plough_opt.design.population import Population
@@ -36,7 +38,6 @@ from plough_opt.design.scene_checks import SceneChecks
 from plough_opt.design.split import split
 from plough_opt.soil.soil import Soil
 
-Vector = NDArray[np.float64]
 Response = Callable[[Soil], Mapping[str, Column]]
 
 # Factor on the number of steps in a search. Averages are then accurate to some 1e-10, far better than the statistics of
@@ -44,8 +45,8 @@ Response = Callable[[Soil], Mapping[str, Column]]
 _MORE_STEPS = 4.0
 
 
-@dataclass(frozen=True)
-class SoilSamples:
+@dataclass(frozen=True, eq=False)
+class SoilSamples(ByValue):
     """Equally likely soils.
 
     Attributes:
@@ -56,7 +57,7 @@ class SoilSamples:
 
     soil: Soil
     names: tuple[str, ...]
-    values: Vector
+    values: Array
 
     def __len__(self) -> int:
         return len(self.values)
@@ -70,14 +71,14 @@ class SoilSamples:
         rows: list[list[Any]] = self.values.tolist()
         return tuple(replace(self.soil, **dict(zip(self.names, row, strict=True))) for row in rows)
 
-    def property(self, name: str) -> Vector:
+    def property(self, name: str) -> Array:
         """Return the values of a property, SI.
 
         Raises:
             InputError: the name is not that of an uncertain property.
         """
         check_named("{} is not an uncertain property", name, self.names)
-        column: Vector = self.values[:, self.names.index(name)]
+        column: Array = self.values[:, self.names.index(name)]
         return column
 
     def each(self, response: Callable[[Soil], Mapping[str, Expression]]) -> dict[str, Expression]:
@@ -96,8 +97,8 @@ class SoilSamples:
         return {name: _column(name, [row[name] for row in rows]) for name in rows[0]}
 
 
-@dataclass(frozen=True)
-class ResponseValues:
+@dataclass(frozen=True, eq=False)
+class ResponseValues(ByValue):
     """Results over samples.
 
     Attributes:
@@ -105,7 +106,7 @@ class ResponseValues:
         failures: number of a sample without results -> the reason.
     """
 
-    values: dict[str, Vector]
+    values: dict[str, Array]
     failures: dict[int, str]
 
 
@@ -249,7 +250,7 @@ class Marginal:
     def _mass(self) -> float:
         return (1.0 if self.upper == math.inf else float(self.distribution.cdf(self.upper))) - self._below
 
-    def quantile(self, probability: ArrayLike) -> Vector:
+    def quantile(self, probability: ArrayLike) -> Array:
         """Return the quantiles of the distribution.
 
         Args:
@@ -262,10 +263,10 @@ class Marginal:
         if not np.all((numbers >= 0.0) & (numbers <= 1.0)):
             raise InputError(f"a probability = {shown(probability)} must lie from 0 to 1")
         untruncated = self._below + numbers * self._mass
-        values: Vector = np.clip(np.asarray(self._inverse(untruncated), dtype=float), self.lower, self.upper)
+        values: Array = np.clip(np.asarray(self._inverse(untruncated), dtype=float), self.lower, self.upper)
         return values
 
-    def cdf(self, value: ArrayLike) -> Vector:
+    def cdf(self, value: ArrayLike) -> Array:
         """Return the probability of lying below a value.
 
         Args:
@@ -274,8 +275,8 @@ class Marginal:
         Raises:
             InputError: a value that is not a number.
         """
-        below: Vector = np.asarray(self.distribution.cdf(_numbers("a value", value)), dtype=float)
-        probability: Vector = np.clip((below - self._below) / self._mass, 0.0, 1.0)
+        below: Array = np.asarray(self.distribution.cdf(_numbers("a value", value)), dtype=float)
+        probability: Array = np.clip((below - self._below) / self._mass, 0.0, 1.0)
         return probability
 
     @cached_property
@@ -368,7 +369,7 @@ class SoilDistribution:
         return any(value != 0.0 for value in self.correlation.values())
 
     @cached_property
-    def matrix(self) -> Vector:
+    def matrix(self) -> Array:
         """Correlations of the normal scores, in the order of `names`."""
         matrix = np.eye(len(self.names))
         for pair, value in self.correlation.items():
@@ -389,7 +390,7 @@ class SoilDistribution:
         return matrix
 
     @cached_property
-    def factor(self) -> Vector:
+    def factor(self) -> Array:
         """Cholesky factor of `matrix`: the lower triangle whose product with its transpose it is.
 
         Raises:
@@ -493,9 +494,9 @@ def _pair_of(name: str, ends: Any) -> tuple[float, float]:
     return lower, upper
 
 
-def _numbers(what: str, values: ArrayLike) -> Vector:
+def _numbers(what: str, values: ArrayLike) -> Array:
     """Return a number or an array as an array; raise InputError for anything else, including NaN."""
-    array: Vector | None = None
+    array: Array | None = None
     if not isinstance(values, str | bytes | bool | np.bool_ | None):
         with contextlib.suppress(*NOT_NUMBERS):
             array = np.asarray(values, dtype=float)

@@ -11,6 +11,7 @@ import numpy as np
 from scipy import stats
 
 from plough_opt.core.checks import check_kind, shown
+from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import InputError, printable
 from plough_opt.core.expressions import is_count
 from plough_opt.core.files import COLOURS, save_figure
@@ -34,8 +35,8 @@ _CONFIDENCE = 0.95
 _RESAMPLES = 200
 
 
-@dataclass(frozen=True)
-class SobolIndices:
+@dataclass(frozen=True, eq=False)
+class SobolIndices(ByValue):
     """The Sobol indices of one result at one design.
 
     Attributes:

@@ -14,9 +14,10 @@ import numpy as np
 from scipy import stats
 
 from plough_opt.core.checks import check_choice, check_kind, check_named, plain_number, shown
+from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import InfeasibleDesign, InputError, NotConverged, printable
 from plough_opt.core.expressions import Column, Expression, is_count
-from plough_opt.core.plain_data import Array as Vector
+from plough_opt.core.plain_data import Array
 from plough_opt.core.tables import Grid, Page, Readable
 from plough_opt.design import Design, LocalOptimum, Optimum, Progress
 from plough_opt.studies.uncertainty import measures
@@ -53,8 +54,8 @@ class RequestedMeasure:
     result: str
     text: str
     kind: Kind
-    exact: Callable[[Vector], float]
-    smoothed: Callable[[Vector], float]
+    exact: Callable[[Array], float]
+    smoothed: Callable[[Array], float]
     width: float = 0.0
 
 
@@ -229,7 +230,7 @@ class Robust(Readable):
         """The response, compiled for numeric designs and samples."""
         return Responses(self.response, self.samples.soil, self.samples.names)
 
-    def values(self, at: Optimum | Mapping[str, float], samples: SoilSamples | None = None) -> dict[str, Vector]:
+    def values(self, at: Optimum | Mapping[str, float], samples: SoilSamples | None = None) -> dict[str, Array]:
         """Return name -> values of each result over samples, by default the common ones.
 
         Args:
@@ -440,8 +441,8 @@ class Check:
         )
 
 
-@dataclass(frozen=True)
-class Verification:
+@dataclass(frozen=True, eq=False)
+class Verification(ByValue):
     """The measures of a design over fresh samples.
 
     Attributes:
@@ -456,7 +457,7 @@ class Verification:
     checks: tuple[Check, ...]
     samples: int
     failures: Mapping[int, str]
-    values: Mapping[str, Vector]
+    values: Mapping[str, Array]
     seed: int
     seconds: float
 
@@ -514,7 +515,7 @@ def verify(
     return Verification(checks, valid, fresh.failures, fresh.values, seed, time.perf_counter() - started)
 
 
-def _checked(requested: RequestedMeasure, own: Vector, fresh: Vector, seed: int) -> Check:
+def _checked(requested: RequestedMeasure, own: Array, fresh: Array, seed: int) -> Check:
     """Return the check of a measure, from the values over the optimiser's own samples and over fresh ones."""
     seen, sharp = float(requested.smoothed(own)), float(requested.exact(own))
     found = float(requested.exact(fresh))
@@ -535,7 +536,7 @@ def _checked(requested: RequestedMeasure, own: Vector, fresh: Vector, seed: int)
     )
 
 
-def varies(values: Vector) -> bool:
+def varies(values: Array) -> bool:
     """Return whether values differ by more than rounding."""
     return bool(np.ptp(values) > _NEGLIGIBLE * np.max(np.abs(values)))
 
@@ -546,7 +547,7 @@ def _binomial(count: int, total: int) -> tuple[float, float]:
     return float(interval.low), float(interval.high)
 
 
-def _bootstrap(requested: RequestedMeasure, values: Vector, seed: int) -> tuple[float, float]:
+def _bootstrap(requested: RequestedMeasure, values: Array, seed: int) -> tuple[float, float]:
     """Return the percentile interval of a measure; if all values are equal, their range."""
     if not varies(values):
         return float(np.min(values)), float(np.max(values))

@@ -38,12 +38,12 @@ from .motion.effects import (
 from .motion.machine import Machine as Machine
 from .motion.scene import Scene as Scene
 from .problem_file import Problem as Problem, read_problem as read_problem
-from .problem_file.readings import (
+from .problem_file.field_data import (
     Penetrometer as Penetrometer,
     read_penetrometer as read_penetrometer,
     read_strength_record as read_strength_record,
 )
-from .problem_file.sweeping import sweep as sweep
+from .problem_file.sweep import sweep as sweep
 from .soil import elastic as elastic, plastic as plastic
 from .soil.geometry import Cone as Cone, Wedge as Wedge, deg as deg
 from .soil.random_strength import RandomStrength as RandomStrength, Spectrum as Spectrum

@@ -19,7 +19,7 @@ from plough_opt.design import effort
 from plough_opt.motion import plan
 from plough_opt.motion.effects import MOST_HARMONICS
 from plough_opt.motion.vocabulary import MEASURES
-from plough_opt.problem_file import own_measures, reading, schema, source, uncertain
+from plough_opt.problem_file import measures, reading, schema, source, uncertain
 from plough_opt.soil.elastic import profile
 from plough_opt.studies.calibration.measurements import measurable
 from plough_opt.studies.sweep import points
@@ -230,7 +230,7 @@ LIMITS = {
         reading._MAX_LENGTH, source._MAX_LISTED,
         most_outputs(),
         quantities.MOST_WAVES,
-        own_measures._MAX_LENGTH, own_measures._MAX_DEPTH, own_measures._MAX_POWER,
+        measures._MAX_LENGTH, measures._MAX_DEPTH, measures._MAX_POWER,
     ),
     "CSV files of measurements and penetrometer readings": (
         csv_rows._MOST_BYTES, csv_rows._LONGEST_LINE, csv_rows._MOST_LISTED,

@@ -10,12 +10,12 @@ import pint
 import pytest
 from helpers.refusals import refusals
 from helpers.scenes import SEROZEM, scene_of
+from plough_opt.motion.scene_quantities import quantities_of, with_quantities
 
 import plough_opt as po
 from plough_opt.app.main import main
 from plough_opt.core.quantities import EVERY
-from plough_opt.motion.scene import quantities_of, with_quantities
-from plough_opt.problem_file import TEMPLATE
+from plough_opt.problem_file import template
 
 U = pint.UnitRegistry()
 
@@ -127,7 +127,7 @@ def test_a_unit_outside_physics_only_labels_reports():
 
 def test_an_implausible_value_in_a_file_is_noted(capsys, tmp_path):
     path = tmp_path / "slip.toml"
-    path.write_text(TEMPLATE.replace('tow_speed = "7.2 km/h"', 'tow_speed = "7.2 m/s"'), encoding="utf-8")
+    path.write_text(template().replace('tow_speed = "7.2 km/h"', 'tow_speed = "7.2 m/s"'), encoding="utf-8")
     problem = po.read_problem(path)
     (caution,) = problem.cautions
     assert caution == "scene.tow_speed = 7.2 m/s: did you mean 7.2 km/h?"

@@ -14,7 +14,7 @@ from plough_opt.core.errors import InputError, NotConverged, nearest
 from plough_opt.core.quantities import quantities
 from plough_opt.core.units import customary
 from plough_opt.problem_file import Problem
-from plough_opt.problem_file.ranges import with_unit
+from plough_opt.problem_file.source import with_unit
 
 if TYPE_CHECKING:
     from plough_opt.studies.calibration import Fit, Measurements

@@ -17,8 +17,8 @@ from plough_opt.core.files import write_new
 from plough_opt.design.effort import Search
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion.effect_costs import effect_costs
-from plough_opt.problem_file import TEMPLATE, Problem
-from plough_opt.problem_file.json_schema import file_schema
+from plough_opt.problem_file import Problem, template
+from plough_opt.problem_file.schema import file_schema
 from plough_opt.soil.soil import named_soil, soil_names
 
 _AGAINST: Final = {
@@ -48,7 +48,7 @@ def init(options: argparse.Namespace) -> None:
     """Write the template to a new file in an existing folder."""
     if not Path(options.file).parent.is_dir():
         raise InputError(f"'{options.file}' cannot be written: create its folder first, or choose another place")
-    path = write_new(options.file, "problem file", TEMPLATE)
+    path = write_new(options.file, "problem file", template())
     if options.json:
         print(json.dumps({"wrote": [str(path)]}))
         return
@@ -181,7 +181,7 @@ def _optimise_robust(problem: Problem, options: argparse.Namespace) -> None:
             "--sensitivity needs one soil: remove it, since the report shows the influence of the uncertain properties"
             " anyway, or remove the table [uncertain]"
         )
-    from plough_opt.problem_file.robust_design import optimise_robust  # scipy.stats is slow to import
+    from plough_opt.problem_file.uncertain import optimise_robust  # scipy.stats is slow to import
 
     with progress() as notify:
         found = optimise_robust(problem, notify)

@@ -116,6 +116,6 @@ def _best(problem: Problem) -> Scene:
             run = problem.optimise(notify)[1]
             assert isinstance(run, Run)  # `problem.scene()` in `export` refuses several shares
             return run.scene
-        from plough_opt.problem_file.robust_design import optimise_robust  # scipy.stats is slow to import
+        from plough_opt.problem_file.uncertain import optimise_robust  # scipy.stats is slow to import
 
         return optimise_robust(problem, notify).run.scene

@@ -12,7 +12,7 @@ from plough_opt.app.options import add_option, add_shared
 from plough_opt.app.terminal import LOG, give, quiet, read, wrote
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.core.process import optional
-from plough_opt.problem_file.sweeping import ProblemSweep, What
+from plough_opt.problem_file.sweep import ProblemSweep, What
 
 
 def add_options(verb: argparse.ArgumentParser) -> None:

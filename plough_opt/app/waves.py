@@ -39,7 +39,7 @@ def add_options(verb: argparse.ArgumentParser) -> None:
 
 def waves(options: argparse.Namespace) -> None:
     """Find the waves in a record, and print them as entries of a problem file."""
-    from plough_opt.problem_file.readings import read_strength_record
+    from plough_opt.problem_file.field_data import read_strength_record
     from plough_opt.soil.record_waves import strength_waves
 
     check_outputs(options)

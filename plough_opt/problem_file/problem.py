@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
-from plough_opt.core.checks import check_switch, mapping_of
+from plough_opt.core.checks import check_kind, check_named, check_switch, mapping_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, Expression
 from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
@@ -16,16 +17,15 @@ from plough_opt.core.units import Display
 from plough_opt.design import Design, Optimum, Over, Progress
 from plough_opt.design.effort import Search
 from plough_opt.design.tolerance import Judge
-from plough_opt.exchange.component import Component, Input, build
+from plough_opt.exchange.component import Component, Input, Output, Port, build
+from plough_opt.exchange.component.ports import port_of
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.machine import Machine
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import Measure
-from plough_opt.problem_file.interface import input_ports, wanted_outputs
-from plough_opt.problem_file.own_measures import measures_of, total_of
-from plough_opt.problem_file.schema import ProblemTable, medium_of
-from plough_opt.problem_file.shares import by_share
+from plough_opt.problem_file.measures import measures_of, total_of
+from plough_opt.problem_file.schema import LimitTable, ProblemTable, medium_of
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.random_strength import Spectrum
 from plough_opt.soil.soil import Soil, named_soil
@@ -397,3 +397,85 @@ class Problem:
         count = self.table.trade_off.get("points", _POINTS) if points is None else points
         found = trade_off(design, *goals, points=count, title=self.title, progress=progress)
         return replace(found, origin=self.origin)
+
+
+OBJECTIVE = "objective"
+"""Name of the sum of the [minimise] table."""
+
+
+def input_ports(name: str, keys: Sequence[str], bounds: Mapping[str, Input], values: Mapping[str, float]) -> list[Port]:
+    """Return the input ports of a file.
+
+    Args:
+        name: the file's name.
+        keys: keys of quantities; empty for the variables.
+        bounds: key of each variable -> its bounds.
+        values: key -> value in SI, guesses for variables.
+
+    Raises:
+        InputError: there is nothing to vary, or a key is unknown or has no value.
+    """
+    check_kind("inputs", keys, list | tuple, "a list of keys")
+    keys = keys or tuple(bounds)
+    if not keys:
+        raise InputError(f"{name}: nothing to vary: name inputs, or give the file a [variables] table")
+    for key in keys:
+        if isinstance(key, str) and key in EVERY and key not in values:
+            raise InputError(f"'{key}' cannot be an input, because {name} gives no value for it: add one")
+        check_named("no quantity is named {}", key, values)
+    return [port_of(bounds.get(key, Input(key)), EVERY[key], values[key]) for key in keys]
+
+
+def wanted_outputs(
+    name: str, table: ProblemTable, names: Sequence[str], objective: Callable[[Run], Expression]
+) -> list[Output]:
+    """Return the outputs of a file, with its requirements as limits.
+
+    Args:
+        name: the file's name.
+        table: its tables.
+        names: names of results, or "objective"; empty for all results that the file minimises, trades or requires.
+        objective: function from a run to the sum of [minimise].
+
+    Raises:
+        InputError: no results are named, and the file minimises, trades and requires none.
+    """
+    check_kind("outputs", names, list | tuple, "a list of names")
+    every = dict.fromkeys([*table.minimise, *table.goals, *table.require])
+    names = names or [*([OBJECTIVE] if table.minimise else []), *every]
+    if not names:
+        raise InputError(f"{name} minimises, trades and requires nothing: name outputs")
+    return [_output(one, table, objective) for one in names]
+
+
+def _output(name: str, table: ProblemTable, objective: Callable[[Run], Expression]) -> Output:
+    check_kind("an output", name, str, "the name of a result")
+    if name == OBJECTIVE and table.minimise:
+        return Output(name, of=objective)
+    measure = measures_of(table).get(name)
+    if measure is None:  # `build` raises InputError for unknown names
+        return Output(name)
+    low, high = table.require.get(name, LimitTable()).ends(measure.unit)
+    own = name in table.measures
+    return Output(
+        name,
+        unit=measure.unit.symbol if own else None,
+        of=measure.of if own else None,
+        lower=-math.inf if low is None else low,
+        upper=math.inf if high is None else high,
+    )
+
+
+def by_share(parts: Mapping[str, Mapping[str, _T]], own: Mapping[str, set[str]]) -> dict[str, _T]:
+    """Return the entries of all shares: an entry that all have in common under its key, others under "share.key".
+
+    Args:
+        parts: name of each share -> its entries by key.
+        own: name of each share -> keys that its own table sets.
+    """
+    found: dict[str, _T] = {}
+    for name, part in parts.items():
+        for key, value in part.items():
+            alike = all(key in own[other] or there.get(key, value) == value for other, there in parts.items())
+            found[key if alike and key not in own[name] else f"{name}.{key}"] = value
+    return found

@@ -1,4 +1,8 @@
-"""Reading of a problem file, with overrides, into a `Problem`; one error lists all mistakes with their lines."""
+"""Reading of a problem file, with overrides, into a `Problem`; one error lists all mistakes with their lines.
+
+Checked beyond the schema are missing and unused quantities, results, fronts, and domains of values. The tables outside
+[shares] apply to all shares; a table such as [shares.front] overrides entries for one share.
+"""
 
 import copy
 import dataclasses
@@ -14,23 +18,42 @@ from pydantic import ValidationError
 
 from plough_opt.core.checks import check_kind, path_of
 from plough_opt.core.errors import InputError, nearest, short
-from plough_opt.core.quantities import IN_FILES, quantities
+from plough_opt.core.expressions import is_count
+from plough_opt.core.quantities import IN_FILES, READINGS, quantities
 from plough_opt.core.units import Display, display_of
 from plough_opt.design import Over
-from plough_opt.problem_file.checking import check_complete, check_front, check_measures, check_values
-from plough_opt.problem_file.own_measures import check_own, measures_of
-from plough_opt.problem_file.problem import FileVariable, Problem
-from plough_opt.problem_file.readings import average_readings, spectrum_of_file
-from plough_opt.problem_file.schema import ProblemFile, ProblemTable, VariableTable, at, valid_keys
-from plough_opt.problem_file.shares import TABLE, by_share, choose_share, join_dotted_variables, names_of_shares
-from plough_opt.problem_file.source import TOO_DEEP, Source, nested_line, unreadable
-from plough_opt.problem_file.uncertain import check_uncertain, join_dotted
+from plough_opt.laws.law import ResistanceLaw
+from plough_opt.motion.methods import Accuracy
+from plough_opt.motion.vocabulary import Measure
+from plough_opt.problem_file.field_data import average_readings, spectrum_of_file
+from plough_opt.problem_file.measures import check_own, measures_of
+from plough_opt.problem_file.problem import TRADED, FileVariable, Problem, by_share
+from plough_opt.problem_file.schema import (
+    RANDOM,
+    SHARE_TABLES,
+    WAVES,
+    EffectsFile,
+    ProblemFile,
+    ProblemTable,
+    VariableTable,
+    at,
+    valid_keys,
+)
+from plough_opt.problem_file.source import TOO_DEEP, Keys, Source, entry_at, nested_line, unreadable
+from plough_opt.problem_file.uncertain import check_joint, check_uncertain, join_dotted
+from plough_opt.soil.soil import named_soil
 
 _PER_CENT = re.compile(r"\s*([0-9]+\.?[0-9]*|\.[0-9]+)\s*%\s*")
 # Length of a change in characters: an inline table must fit, and no sensible change is longer.
 _MAX_LENGTH: Final = 2_000
 # Characters of a change that messages quote.
 _SHOWN: Final = 120
+_SHARES: Final = "shares"
+# Keys of [scene] that belong to the frame and cannot differ between shares.
+_FRAME_KEYS: Final = ("tow_speed", "duration", "outputs")
+_EXAMPLE: Final = '[shares.front] with soil.cohesion = "15 kPa"'
+# Fewest and most positions on a front.
+_FEWEST, _MOST = 5, 1000
 
 
 def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
@@ -61,7 +84,7 @@ def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
     for name in names:
         view = copy.copy(source)
         own[name] = choose_share(view, name)
-        parts[name] = _read(view, Path(path).parent, notes, (*overrides, f"{TABLE}={name}"))
+        parts[name] = _read(view, Path(path).parent, notes, (*overrides, f"{_SHARES}={name}"))
     return _joined(parts, own, overrides)
 
 
@@ -226,7 +249,7 @@ def apply_override(source: Source, text: str) -> str:
         raise InputError(f'--set {text}: expected KEY=VALUE, like scene.tow_speed="2.5 m/s"')
     try:
         keys, value = _keys_of(path), _toml_value(written)
-        if keys != [TABLE]:
+        if keys != [_SHARES]:
             return _change(source, keys, value, text)
     except InputError as error:
         raise InputError(f"--set {text}: {error}") from None
@@ -236,12 +259,12 @@ def apply_override(source: Source, text: str) -> str:
 
 def _change(source: Source, keys: list[str], value: Any, text: str) -> str:
     """Set the value of a key; return a note if this fixed a variable, else ""."""
-    path, shares = ".".join(keys), source.data.get(TABLE)
+    path, shares = ".".join(keys), source.data.get(_SHARES)
     if not all(key.strip() for key in keys):
         raise InputError(f"'{path}' is not a key: give a table and a key, like scene.tow_speed")
     if keys[0] not in ProblemTable.model_fields:
         raise InputError(f"no table is named '{keys[0]}': {nearest(keys[0], ProblemTable.model_fields)}")
-    if keys[0] == TABLE and isinstance(shares, dict) and shares and keys[1] not in shares:
+    if keys[0] == _SHARES and isinstance(shares, dict) and shares and keys[1] not in shares:
         raise InputError(f"no share is named {short(repr(keys[1]))}: {nearest(keys[1], shares)}")
     place: Any = source.data
     for depth, key in enumerate(keys[:-1], start=1):
@@ -254,8 +277,8 @@ def _change(source: Source, keys: list[str], value: Any, text: str) -> str:
     if wrong := unreadable({path: value}):
         raise InputError(wrong[1])
     source.overridden[tuple(keys)] = text
-    share = 2 if keys[0] == TABLE else 0
-    own = source.data[TABLE][keys[1]] if share else source.data  # the table around [variables]
+    share = 2 if keys[0] == _SHARES else 0
+    own = source.data[_SHARES][keys[1]] if share else source.data  # the table around [variables]
     if isinstance(own, dict):
         join_dotted_variables(own)
         variables = own.get("variables")
@@ -268,7 +291,7 @@ def _keys_of(path: str) -> list[str]:
     """Split a dotted path into keys; the dotted name of a variable remains one key, with or without quotes."""
     before, found, rest = path.partition("variables.")
     around = before.split(".")[:-1]
-    if not found or around not in ([], [TABLE, *around[1:2]]):
+    if not found or around not in ([], [_SHARES, *around[1:2]]):
         return path.split(".")
     rest = rest.replace('"', "").replace("'", "")
     name, _, side = rest.rpartition(".")
@@ -288,3 +311,290 @@ def _toml_value(written: str) -> Any:
     except tomllib.TOMLDecodeError:
         return written
     return read["value"] if len(read) == 1 else written
+
+
+def names_of_shares(source: Source) -> tuple[str, ...]:
+    """Return the names of a file's shares; none if it has one unnamed share.
+
+    Raises:
+        InputError: an entry of [shares] is not a valid table, or sets a quantity of the whole frame.
+    """
+    shares = source.data.get(_SHARES)
+    if shares is None or source.share:
+        return ()
+    if not isinstance(shares, dict) or not shares or not all(isinstance(own, dict) for own in shares.values()):
+        raise source.error((_SHARES,), f"'shares' must hold a table for each share, such as {_EXAMPLE}")
+    for name, own in shares.items():
+        with source.noting((_SHARES, name)):
+            if not name.isidentifier() or name in ProblemTable.model_fields:
+                raise InputError(
+                    f"'{name}' cannot be the name of a share: use letters, digits and _, and not the name of a table"
+                )
+        for table in own:
+            with source.noting((_SHARES, name, table)):
+                if table not in SHARE_TABLES:
+                    if table in ProblemTable.model_fields:
+                        raise InputError(f"'{table}' cannot differ between shares: give [{table}] for all of them")
+                    raise InputError(f"'{table}' is not a table of a share: {nearest(table, SHARE_TABLES)}")
+        for key in _FRAME_KEYS:
+            with source.noting((_SHARES, name, "scene", key)):
+                if any(isinstance(own.get(table), dict) and entry in own[table]
+                       for table, entry in (("scene", key), ("variables", f"scene.{key}"))):  # fmt: skip
+                    raise InputError(f"'scene.{key}' belongs to the frame, not to one share: give it in [scene]")
+    with source.noting(("uncertain",)):
+        if source.data.get("uncertain") is not None:
+            raise InputError("a design for an uncertain soil can have only one share: remove [uncertain] or [shares]")
+    source.raise_noted()
+    return tuple(shares)
+
+
+def choose_share(source: Source, name: object) -> set[str]:
+    """Reduce a file to one of its shares: the common tables, overridden by the table of the share.
+
+    A variable in the share's table replaces a common value of the same key, and a value replaces a common variable.
+
+    Returns:
+        The quantities and results that the share's table sets.
+
+    Raises:
+        InputError: the file has no shares, or none of this name.
+    """
+    shares = names_of_shares(source)
+    if name not in shares:
+        known = nearest(str(name), shares) if shares else "the file has no table [shares]"
+        raise InputError(f"no share is named {short(repr(name))}: {known}")
+    data = copy.deepcopy(source.data)
+    own = data.pop(_SHARES)[name]
+    for table in (data, own):
+        join_dotted_variables(table)
+    chosen = own.get("variables") if isinstance(own.get("variables"), dict) else {}
+    fixed = {key for key in quantities() if entry_at(own, key) is not None}
+    for key in fixed:
+        data.get("variables", {}).pop(key, None)
+    for key in chosen:
+        _taken(data, key)
+    _merge(data, own)
+    source.data, source.share = data, (_SHARES, str(name))
+    return {*fixed, *chosen, *own.get("require", {})}
+
+
+def join_dotted_variables(data: dict[str, Any]) -> None:
+    """Replace unquoted keys such as share.height = {...} under [variables] by "share.height" = {...}."""
+    variables = data.get("variables")
+    if not isinstance(variables, dict):
+        return
+    for key in quantities():
+        entry = _taken(variables, key) if key not in variables else None
+        if entry is not None:
+            variables[key] = entry
+    for table in ("soil", "share", "scene", "effects"):
+        left = variables.get(table)
+        if isinstance(left, dict) and not any(left.values()):
+            del variables[table]
+
+
+def _taken(data: Any, key: str) -> Any:
+    """Remove a dotted key from nested tables, and return its value, or None."""
+    around, _, name = key.rpartition(".")
+    table = entry_at(data, around)
+    return table.pop(name, None) if isinstance(table, dict) else None
+
+
+def _merge(data: dict[str, Any], own: Mapping[str, Any]) -> None:
+    """Update the common tables with those of a share, recursively."""
+    for key, value in own.items():
+        if isinstance(value, dict) and isinstance(data.get(key), dict):
+            _merge(data[key], value)
+        else:
+            data[key] = value
+
+
+def check_complete(source: Source, table: ProblemTable, known: set[str]) -> None:
+    """Note every missing quantity, and every quantity that nothing in the file uses.
+
+    Args:
+        source: the file.
+        table: its tables.
+        known: keys of the quantities that are given or are variables.
+    """
+    if not known <= {*quantities()}:
+        return  # a misspelt variable is noted already; here it would be reported as missing too
+    decided = {table.soil.adjusted} if known & {*READINGS} else set()
+    if table.soil.name is not None:
+        with source.noting(("soil", "name")):
+            named_soil(table.soil.name)
+    elif missing := [name for name in _required("soil") if name not in known | decided]:
+        names = ", ".join(f"'{IN_FILES[name].key}'" for name in missing)
+        verb = "is" if len(missing) == 1 else "are"
+        source.note(("soil",), f"{names} {verb} missing: give them in [soil], or the 'name' of a known soil")
+    effects = table.effects
+    random = [key for key in IN_FILES if IN_FILES[key].owner == RANDOM]
+    excess = dict.fromkeys(decided, "follows from the cone index: remove it, or set soil.adjust to another property")
+    for key, law in (("effects.contact_width", "smooth"), ("effects.breakaway", "stick_slip")):
+        if effects.contact != law:
+            excess[key] = f'belongs to contact = "{law}", which is not set in [effects]'
+    if effects.orbit != "transient":
+        excess["scene.duration"] = "is not used by a periodic orbit, whose duration is one wavelength: remove it"
+    if at(table, RANDOM) is None:
+        excess |= dict.fromkeys(random, f"belongs to {RANDOM}, which is missing: add it to [effects]")
+    elif at(table, f"{RANDOM}.record") is not None:
+        excess |= dict.fromkeys(random, "and a record are both given: remove one")
+    for key in sorted({*excess} & known):
+        source.note(("variables", key) if key in table.variables else key.split("."), f"'{key}' {excess[key]}")
+    if effects.orbit != "harmonic_balance" and "harmonics" in effects.model_fields_set:
+        source.note(("effects", "harmonics"), "'effects.harmonics' belongs to orbit = \"harmonic_balance\"")
+    needed = [*_required("share", "scene"), *_wave_keys(source, table, known), *random]
+    needed += ["effects.contact_width"] if effects.contact == "smooth" else []
+    for key in needed:
+        owner, _, name = key.rpartition(".")
+        if key not in known | {*excess}:
+            source.note(owner.split("."), f"'{name}' is missing: give it in [{owner}] or make '{key}' a variable")
+
+
+def _wave_keys(source: Source, table: ProblemTable, known: set[str]) -> list[str]:
+    """Return the quantities that the file's strength waves need; note a wave whose predecessor is missing."""
+    keys: list[str] = []
+    missing = ""
+    for name in WAVES:
+        own = sorted(key for key in known if IN_FILES[key].owner == name)
+        given = at(table, name) is not None
+        needed = [f"{name}.amplitude", f"{name}.wavelength"]
+        if own and not given and not {*needed} <= {*own}:
+            source.note(("variables", own[0]), f"'{own[0]}' belongs to {name}, which is missing: add it to [effects]")
+        elif not own and not given:
+            missing = missing or name
+        else:
+            keys += needed
+            if missing:
+                source.note(name.split("."), f"'{name}' is given without '{missing}': add that, or rename this to it")
+    return keys
+
+
+def _required(*owners: str) -> list[str]:
+    """Return the quantities that a file must give in some of its tables."""
+    return [name for name, quantity in IN_FILES.items() if quantity.required and quantity.owner in owners]
+
+
+def check_measures(source: Source, table: ProblemTable, displays: dict[str, Display]) -> None:
+    """Check objective and requirements, and record their units in ``displays``."""
+    known = measures_of(table)
+    terms = [(("minimise", name), {"per": term.per}) for name, term in table.minimise.items()]
+    limits = [(("require", name), limit.sides) for name, limit in table.require.items()]
+    for place, sides in (*terms, *limits):
+        with source.noting(place):
+            _check_measure(source, place, table.scene.law, sides, known)
+            for written in sides.values():
+                displays[place[1]] = display_of(written, known[place[1]].unit)
+
+
+def _check_measure(
+    source: Source, place: Keys, law: ResistanceLaw, sides: Mapping[str, Any], known: Mapping[str, Measure]
+) -> None:
+    """Raise InputError if one term of the objective, or one requirement, is invalid."""
+    kind, name = place
+    _check_name(known, name, law, "minimised" if kind == "minimise" else "required", everywhere=kind == "require")
+    unit = known[name].unit
+    values = {side: source.parsed((*place, side), unit, one, f"'{name}' {side}") for side, one in sides.items()}
+    if kind == "minimise" and values["per"] <= 0.0:
+        raise source.error((*place, "per"), f"'{name}' per = {sides['per']} must be above 0")
+    if kind == "require" and not values:
+        raise InputError(f"'{name}' has no limit: give at_least, at_most or both")
+    if values.get("at_least", -math.inf) > values.get("at_most", math.inf):
+        ends = f"at least {sides['at_least']} is above at most {sides['at_most']}"
+        raise InputError(f"the limits of '{name}' contradict each other: {ends}")
+
+
+def _check_name(
+    known: Mapping[str, Measure], name: str, law: ResistanceLaw, verb: str, *more: str, everywhere: bool = False
+) -> None:
+    """Raise InputError unless a name is a result that the law of resistance provides.
+
+    Args:
+        known: name -> each result.
+        name: the name to check.
+        law: the law of resistance.
+        verb: what the file does with the result, for the message.
+        *more: further valid names, for suggestions.
+        everywhere: accept results that have a value at every output time.
+    """
+    allowed = [one for one, measure in known.items() if everywhere or not measure.everywhere]
+    if name not in allowed:
+        raise InputError(f"'{name}' cannot be {verb}: {nearest(name, [*allowed, *more])}")
+    known[name].check(name, law)
+
+
+def check_front(source: Source, table: ProblemTable) -> None:
+    """Note every mistake in [trade_off], which must have two or three results and may have a number of points."""
+    known, front = measures_of(table), table.trade_off or {}
+    for name, entry in front.items():
+        with source.noting(("trade_off", name)):
+            if name != "points":
+                _check_goal(source, table, known, name, entry)
+            elif isinstance(entry, bool) or not is_count(entry) or not _FEWEST <= entry <= _MOST:
+                raise InputError(f"'trade_off.points' = {entry!r} must be a whole number from {_FEWEST} to {_MOST}")
+    count = sum(name != "points" for name in front)
+    if table.trade_off is not None and count not in (2, 3) and {*front} <= {*known, "points"}:
+        more = "put the others into [require]" if count > 3 else f"give {TRADED}"
+        source.note(("trade_off",), f"a front needs two or three results, not {count}: {more}")
+
+
+def _check_goal(source: Source, table: ProblemTable, known: Mapping[str, Measure], name: str, entry: Any) -> None:
+    """Raise InputError if one result in [trade_off] is invalid."""
+    _check_name(known, name, table.scene.law, "traded", "points")
+    if not isinstance(entry, dict):
+        raise InputError(f"'trade_off.{name}' must be {{}} or {{ maximise = true }}, not {entry!r}")
+    for key, value in entry.items():
+        if key != "maximise":
+            wrong = f"is not a known key: {nearest(key, ['maximise'])}"
+        elif not isinstance(value, bool):
+            wrong = f"= {value!r} must be true or false"
+        else:
+            continue
+        raise source.error(("trade_off", name, key), f"'trade_off.{name}.{key}' {wrong}")
+
+
+def check_values(source: Source, problem: Problem) -> None:
+    """Raise one InputError for all values and bounds outside the model's domain, with the line of each."""
+    settings = problem.table.accuracy.model_dump(exclude_none=True)
+    for name in settings:
+        with source.noting(("accuracy", name)):
+            Accuracy(**{"method": settings["method"], name: settings[name]})
+    for key, value in problem.fixed.items():
+        with source.noting(tuple(key.split(".")), prefix=f"{_quoted(source, key)}: "):
+            _check_value(problem, key, value)
+    for key, variable in problem.variables.items():
+        for side in ("lower", "upper"):
+            written = getattr(problem.table.variables[key], side)
+            with source.noting(("variables", key, side), prefix=f"'{key}' {side} = {written}: "):
+                _check_value(problem, key, getattr(variable, side))
+    source.raise_noted()
+    # Every value is valid by itself, so a remaining error is due to effects that exclude each other.
+    with source.noting(("effects", "motion")):
+        problem.scene()
+    source.raise_noted()
+    known = measures_of(problem.table)
+    for kind in ("minimise", "require", "trade_off"):
+        for name in {*(getattr(problem.table, kind) or ())} & {name for name in known if known[name].random}:
+            with source.noting((kind, name), prefix=f"'{name}': "):
+                problem.scene().check_stationary()
+    source.raise_noted()
+    check_joint(source, problem.table, lambda: problem.scene().soil)
+    source.raise_noted()
+
+
+def _check_value(problem: Problem, key: str, value: float) -> None:
+    """Raise DomainError if a value is outside its domain.
+
+    All other quantities take typical values and all effects their defaults, so that the message concerns this value.
+    """
+    IN_FILES[key].check(value)
+    scene = problem.table.scene.model_copy(update={"medium": "plastic"})
+    plain = problem.table.model_copy(update={"effects": EffectsFile(), "scene": scene})
+    typical = {name: IN_FILES[name].typical for name in problem.values()}
+    dataclasses.replace(problem, table=plain, fixed=typical, variables={}).scene({key: value})
+
+
+def _quoted(source: Source, key: str) -> str:
+    """Return a key with its value as written, for messages."""
+    written = source.written(key)
+    return f"'{key}'" if written is None else f"'{key}' = {written}"

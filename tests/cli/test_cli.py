@@ -16,7 +16,7 @@ from helpers.problem_files import REFERENCE, SUBSOILER, changed
 
 import plough_opt as po
 from plough_opt.app.main import main
-from plough_opt.problem_file import TEMPLATE
+from plough_opt.problem_file import template
 
 BRIEF = ("--set", "scene.duration=0.2 s", "--set", "scene.outputs=20")
 
@@ -29,7 +29,7 @@ def amount(text):
 def test_init_writes_the_template_and_says_what_next(tmp_path):
     path = tmp_path / "share.toml"
     assert f"plough-opt optimise {path}" in " ".join(printed("init", path).split())
-    assert path.read_text(encoding="utf-8") == TEMPLATE
+    assert path.read_text(encoding="utf-8") == template()
     assert "\\x1b[2J" in printed("init", tmp_path / "\x1b[2J.toml")  # no command to the terminal comes out of a name
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import plough_opt as po
 from helpers.problem_files import PROBLEMS
 from helpers.scenes import scene_of
-from plough_opt.problem_file.robust_design import optimise_robust
+from plough_opt.problem_file.uncertain import optimise_robust
 
 SCENE = scene_of(share=po.Cone(po.deg(10), 0.25), damping=400.0, strength_wave=po.StrengthWave(0.3, 0.2))
 STILL = dataclasses.replace(SCENE, effects=po.Effects(motion=False))

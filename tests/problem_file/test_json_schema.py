@@ -8,7 +8,7 @@ import pytest
 from helpers.commands import printed
 from helpers.problem_files import PROBLEMS, changed
 
-from plough_opt.problem_file import TEMPLATE
+from plough_opt.problem_file import template
 
 SCHEMA = json.loads(printed("schema"))
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
@@ -17,7 +17,7 @@ VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 def test_it_is_a_schema_whose_parts_all_exist():
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
     assert '"null"' not in repr(SCHEMA).replace("'", '"')  # TOML has none
-    for text in (TEMPLATE, *(path.read_text(encoding="utf-8") for path in PROBLEMS.glob("*.toml"))):
+    for text in (template(), *(path.read_text(encoding="utf-8") for path in PROBLEMS.glob("*.toml"))):
         VALIDATOR.validate(tomllib.loads(text))
 
 

@@ -5,7 +5,7 @@ import pytest
 from helpers.problem_files import STATIC, changed
 
 import plough_opt as po
-from plough_opt.problem_file.robust_design import optimise_robust
+from plough_opt.problem_file.uncertain import optimise_robust
 
 NAME = 'name = "serozem"\n'
 WIDE = '"0.15 m" }\ncone_index = { at_least = "1 MPa" }'

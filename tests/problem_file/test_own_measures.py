@@ -8,7 +8,7 @@ from helpers.commands import printed
 from helpers.problem_files import COTTON, changed
 
 import plough_opt as po
-from plough_opt.problem_file.own_measures import measures_of
+from plough_opt.problem_file.measures import measures_of
 
 RIGHT = {
     "power_per_width": ("tow_power / (2 * loosened_radius)", "kW/m"),

@@ -10,7 +10,7 @@ import pytest
 from helpers.problem_files import PROBLEMS, changed
 
 import plough_opt as po
-from plough_opt.problem_file.robust_design import optimise_robust
+from plough_opt.problem_file.uncertain import optimise_robust
 
 GIVEN = 'random_strength = { rms = 0.2, correlation_length = "0.3 m" }'
 NAMES = ("stationary_force_rms", "stationary_displacement_rms")

@@ -9,7 +9,7 @@ from helpers.problem_files import COTTON, PROBLEMS, changed
 
 import plough_opt as po
 from plough_opt.motion.vocabulary import MEASURES
-from plough_opt.problem_file import TEMPLATE
+from plough_opt.problem_file import template
 
 DEG = math.pi / 180
 
@@ -50,13 +50,13 @@ def test_a_file_simulates_as_the_same_scene_built_in_python():
 
 
 def test_the_template_means_the_same_as_the_subsoiler():
-    assert tomllib.loads(TEMPLATE) == tomllib.loads(COTTON)
+    assert tomllib.loads(template()) == tomllib.loads(COTTON)
 
 
 def test_what_the_template_comments_out_is_right_too(read):
     lines = [
         line.removeprefix("# ") if line.startswith("# [") or (line.startswith("# ") and " = " in line) else line
-        for line in TEMPLATE.splitlines()
+        for line in template().splitlines()
     ]
     # Quasi-static scenes know no start, damper, contact law or entry, neither do the print and other laws; an orbit has
     # no duration.

@@ -15,7 +15,7 @@ import pytest
 from helpers.problem_files import SUBSOILER
 
 import plough_opt as po
-from plough_opt.problem_file.sweeping import ProblemSweep
+from plough_opt.problem_file.sweep import ProblemSweep
 from plough_opt.studies.sweep.identity import digest_of
 
 SCRIPT = """

@@ -9,9 +9,8 @@ from helpers.problem_files import PROBLEMS, REFERENCE, SUBSOILER
 
 import plough_opt as po
 from plough_opt.core.units import Unit
-from plough_opt.problem_file.evaluations import Optimisation, SimulationOfMany
-from plough_opt.problem_file.ranges import read_axis
-from plough_opt.problem_file.sweeping import ProblemSweep
+from plough_opt.problem_file.source import read_axis
+from plough_opt.problem_file.sweep import Optimisation, ProblemSweep, SimulationOfMany
 from plough_opt.studies.sweep import engine
 
 # A design of the wedge angle and the height, without motion: quick to solve.

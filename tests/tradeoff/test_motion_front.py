@@ -5,7 +5,7 @@ import pytest
 from helpers.problem_files import PROBLEMS
 
 import plough_opt as po
-from plough_opt.problem_file.evaluations import SimulationOfMany
+from plough_opt.problem_file.sweep import SimulationOfMany
 
 FILE = PROBLEMS / "force_against_deflection.toml"
 

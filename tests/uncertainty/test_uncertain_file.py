@@ -14,9 +14,8 @@ from helpers.commands import call, printed
 from helpers.problem_files import PROBLEMS
 
 import plough_opt as po
-from plough_opt.problem_file import robust_design
-from plough_opt.problem_file.robust_design import optimise_robust
-from plough_opt.problem_file.uncertain import distribution_of, measure_of, uncertain_of
+from plough_opt.problem_file import uncertain
+from plough_opt.problem_file.uncertain import distribution_of, measure_of, optimise_robust, uncertain_of
 from plough_opt.studies.uncertainty import measures
 from plough_opt.studies.uncertainty.result import RobustOptimum
 
@@ -57,7 +56,7 @@ def command(tmp_path_factory):
         return optima[0]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(robust_design, "optimise_robust", noted)
+        patch.setattr(uncertain, "optimise_robust", noted)
         out = printed("optimise", FIELD, *SET, "--json", "--plot", picture)
     return SimpleNamespace(printed=out, picture=picture, optimum=optima[0])
 
@@ -83,7 +82,7 @@ def test_the_command_saves_both_optima_and_every_check(command, tmp_path):
 
 
 def test_a_part_is_that_of_the_robust_design(found, monkeypatch, tmp_path):
-    monkeypatch.setattr(robust_design, "optimise_robust", lambda *_: found)
+    monkeypatch.setattr(uncertain, "optimise_robust", lambda *_: found)
     printed("export", FIELD, *SET, "--to", "stl", "--output", tmp_path / "a.stl")
     volume = trimesh.load_mesh(tmp_path / "a.stl").volume
     assert volume == pytest.approx(1e9 * found.run.scene.share.mesh().volume, rel=1e-6)  # in mm, single precision

@@ -15,9 +15,8 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.files import exact_text
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.core.units import Unit
-from plough_opt.problem_file.ranges import read_axis
 from plough_opt.problem_file.schema import RANDOM
-from plough_opt.problem_file.source import Source
+from plough_opt.problem_file.source import Source, read_axis
 from plough_opt.soil.random_strength import Spectrum
 from plough_opt.soil.strength_record import Rig, StrengthRecord, strength_spectrum
 from plough_opt.studies.sweep.points import Range

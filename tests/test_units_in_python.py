@@ -10,11 +10,11 @@ import pint
 import pytest
 from helpers.refusals import refusals
 from helpers.scenes import SEROZEM, scene_of
-from plough_opt.motion.scene_quantities import quantities_of, with_quantities
 
 import plough_opt as po
 from plough_opt.app.main import main
 from plough_opt.core.quantities import EVERY
+from plough_opt.motion.scene import quantities_of, with_quantities
 from plough_opt.problem_file import template
 
 U = pint.UnitRegistry()

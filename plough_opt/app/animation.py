@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-from plough_opt.app.run_picture import LIMIT, OWN, SOIL, STRUT, changing, deflection_of, draw_panel, subject
+from plough_opt.app.plots import LIMIT, SHARE, SOIL, STRUT, changing, deflection_of, draw_panel, subject
 from plough_opt.core.checks import check_domain, path_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import as_number, sin
@@ -39,7 +39,7 @@ def write_animation(run: Run, target: str | Path, slower: float) -> Path:
     if not changing(run):
         raise InputError("nothing changes over time in this run, so there is no motion to animate")
     if path.suffix.lower() == ".html":
-        from plough_opt.app.page.writing import motion_page
+        from plough_opt.app.page import motion_page
 
         return write_file(path, "animation", motion_page(run, subject(run).replace("\n", ": ")))
     check_file(path, "animation", ".html", ".gif")
@@ -93,7 +93,7 @@ def _draw_scene(axes: Axes, run: Run, time: float, deflection: float) -> None:
     extent = x[0], x[-1], -soil, soil
     axes.imshow(strength[None], extent=extent, aspect="auto", cmap=_SOIL_COLOURS, vmin=0.0, vmax=2.0)
     tip = -magnification * deflection
-    for half, colour, opacity in ((front, SOIL, 0.45), (radius, OWN, 1.0)):
+    for half, colour, opacity in ((front, SOIL, 0.45), (radius, SHARE, 1.0)):
         axes.fill([tip, tip - height, tip - height], [0.0, half, -half], color=colour, alpha=opacity)
     axes.axvline(0.0, color="black", linestyle="--", linewidth=1.0)
     axes.plot([tip - 0.6 * height, -0.6 * height], [0.3 * radius, 1.6 * soil], color=STRUT, linewidth=5)

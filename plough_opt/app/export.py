@@ -5,7 +5,7 @@ import json
 from functools import partial
 from typing import Any, Final
 
-from plough_opt.app.options import QuantityOption, add_option, add_quantities, add_shared, given_quantities
+from plough_opt.app.options import PART, given_quantities
 from plough_opt.app.terminal import console, progress, read, wrote
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import check_file
@@ -15,34 +15,7 @@ from plough_opt.motion import Run
 from plough_opt.motion.scene import Scene
 from plough_opt.problem_file import Problem
 
-_PART_OPTIONS: Final = {
-    "opening": QuantityOption(
-        "rad", "90 deg", "for a part: angle between the share's faces (default: gives the block the mass that the model"
-        " uses)"
-    ),
-    "thickness": QuantityOption("m", "10 mm", "for a part: thickness of a bent plate (default: a solid block)"),
-}  # fmt: skip
 _FORMAT_OPTIONS: Final = tuple(sorted({option for own in FORMATS.values() for option in own.options}))
-
-
-def add_options(verb: argparse.ArgumentParser) -> None:
-    """Add the options of the command."""
-    formats_text = "; ".join(f"{name}: {own}" for name, own in FORMATS.items())
-    add_shared(verb, json="print the paths of the files as JSON")
-    verb.add_argument("--to", required=True, choices=FORMATS, metavar="FORMAT", help=formats_text)
-    add_option(verb, "output", "PATH", "file or folder to write", required=True)
-    add_option(verb, "inputs", "NAMES", "inputs, such as share.height,soil.cohesion (default: the variables)")
-    results = "results, such as mean_draft,force_rms (default: those that the file minimises, trades and requires)"
-    add_option(verb, "outputs", "NAMES", results)
-    add_option(verb, "description", "FILE.json", "for casadi: also write names, units and bounds here")
-    add_option(verb, "name", "NAME", "name of the function or model (default: share)")
-    strut = "for an FMU: whether its input is the strut's speed or position (default: speed)"
-    verb.add_argument("--strut", choices=("speed", "position"), help=strut)
-    verb.add_argument("--sources", action="store_true", help="for an FMU: only its C source, which needs no compiler")
-    add_quantities(verb, _PART_OPTIONS)
-    verb.add_argument("--body", choices=("share", "cone"), help="for a part: which body (default: share)")
-    at = "for a part: the best design, or the variables' guesses (default: best, if the file minimises)"
-    verb.add_argument("--at", choices=("best", "guess"), help=at)
 
 
 def export(options: argparse.Namespace) -> None:
@@ -94,7 +67,7 @@ def _options(options: argparse.Namespace) -> dict[str, Any]:
             raise InputError(f"--{name} cannot be used with --to {options.to}, only with {others}")
     if options.description is not None:
         check_file(options.description, "description", ".json")
-    return {name: getattr(options, name) for name in chosen.options} | given_quantities(options, _PART_OPTIONS)
+    return {name: getattr(options, name) for name in chosen.options} | given_quantities(options, PART)
 
 
 def _names(option: str, written: str | None) -> tuple[str, ...]:

@@ -1,7 +1,10 @@
-"""Pictures of shares, sweeps, batches and optima; those of runs are in `run_picture`."""
+"""Pictures of shares, runs, sweeps, batches and optima, in the units of the problem file."""
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,17 +12,16 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from plough_opt.app.run_picture import CONSTANT, SIDE_BY_SIDE, changing, draw_panel, draw_side_by_side, subject
-from plough_opt.app.run_picture import plot_designs as plot_designs
-from plough_opt.app.run_picture import plot_forces as plot_forces
-from plough_opt.app.run_picture import plot_run as plot_run
 from plough_opt.core.checks import check_kind
 from plough_opt.core.expressions import absolute, as_number
 from plough_opt.core.files import COLOURS, save_figure
-from plough_opt.design import Limit, Optimum
+from plough_opt.core.saving import Origin
+from plough_opt.core.units import Display
+from plough_opt.design import Limit, LocalOptimum, Optimum
 from plough_opt.design.landscape import FEASIBLE
 from plough_opt.motion import Run
 from plough_opt.motion.batch import BatchResult
+from plough_opt.motion.equation import GAP, STICK, Structure, parameters
 from plough_opt.motion.machine import Machine
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import called
@@ -31,6 +33,15 @@ from plough_opt.studies.sweep.result import Sweep
 
 save = save_figure
 
+SHARE, LIMIT, SOIL, STRUT = COLOURS[0], COLOURS[1], COLOURS[4], COLOURS[6]
+"""Colours in every picture: the share's motion and force, limits, the soil, and the strut."""
+SIDE_BY_SIDE: Final = {"mount_force": "N", "deflection": "m"}
+"""Results over time that are drawn for several runs -> SI unit."""
+CONSTANT: Final = 1e-6
+"""Relative change below which a result counts as constant: smaller changes are rounding."""
+
+# Smallest margin on either side of a limit, relative to its size: a smaller one would magnify rounding.
+_LEAST_ROOM = 0.02
 # Results of a sweep that one picture shows: with more panels none is legible.
 _MOST_PANELS = 6
 # Points in one panel: more would hide each other.
@@ -41,9 +52,220 @@ _LOG_RATIO = 20.0
 _PANELS = 3
 # Colours of designs that fail a requirement, and of the share.
 _FAILED, _STEEL = "#cfd4d8", "#4a5a68"
-_FORCE, _ACCENT, _SOIL = COLOURS[0], COLOURS[1], COLOURS[4]
 # Margin [%] at which a bar is cut off: such a requirement does not affect the design.
 _WIDE_MARGIN = 100.0
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Results of a run over time that share one pair of axes, in a picture or on a page.
+
+    Attributes:
+        name: name of the quantity, such as "force".
+        unit: the unit in which it is shown.
+        lines: label -> (values in SI, colour, whether the line is dashed), the most important first.
+        limits: (name, value in SI) of each limit.
+        mean: (name, mean in SI, RMS about the mean in SI), or None.
+    """
+
+    name: str
+    unit: Display
+    lines: dict[str, tuple[NDArray[np.float64], str, bool]]
+    limits: Sequence[tuple[str, float]]
+    mean: tuple[str, float, float] | None = None
+
+    @property
+    def changes(self) -> bool:
+        """Whether any line changes over time."""
+        return any(np.ptp(values) > CONSTANT * np.max(np.abs(values)) for values, _, _ in self.lines.values())
+
+
+def force_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
+    """Return mount force and soil resistance over time, with mean draft, its RMS, and limits."""
+    draft, deviation = float(run.mean_draft), float(run.force_rms)
+    unit = run.origin.common("N", {"mount_force": run.peak_force, "mean_draft": draft})
+    lines = {"mount force": (run.mount_force, SHARE, False), "soil resistance": (run.soil_resistance, SOIL, False)}
+    mean = ("mean draft", draft, deviation)
+    return Panel("force", unit, lines, limits_of(run, limits, "mount_force", "mean_draft"), mean)
+
+
+def deflection_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
+    """Return the spring's deflection over time, with its mean, RMS, and limits."""
+    mean = ("mean", float(run.mean_deflection), float(run.displacement_rms))
+    unit = run.origin.common("m", {"deflection": run.peak_deflection, "mean_deflection": mean[1]})
+    lines = {"deflection": (run.deflection, SHARE, False)}
+    return Panel("deflection", unit, lines, limits_of(run, limits, "deflection", "mean_deflection"), mean)
+
+
+def speed_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
+    """Return the speeds of share and strut over time, with the limits of the share's."""
+    structure, p = Structure.of(run.scene), parameters(run.scene)
+    strut_speed = structure.start_speed(p) + structure.strut(p, run.time).gain + 0.0 * run.time
+    lines = {"share": (run.speed, SHARE, False), "strut": (strut_speed, STRUT, True)}
+    return Panel("speed", run.origin.display("scene.tow_speed", "m/s"), lines, limits_of(run, limits, "speed"))
+
+
+def changing(run: Run, limits: Sequence[Limit] = ()) -> list[Panel]:
+    """Return the panels of a run (force, deflection, speed) that change over time."""
+    return [panel for panel in (of(run, limits) for of in (force_of, deflection_of, speed_of)) if panel.changes]
+
+
+def subject(run: Run) -> str:
+    """Return the heading of a picture: the file's title, the soil and the tow speed."""
+    speed = run.origin.display("scene.tow_speed", "m/s").text(float(run.scene.tow_speed), 4)
+    return "\n".join(part for part in (run.origin.title, f"{run.scene.soil.name}, {speed}") if part)
+
+
+def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
+    """Draw force, deflection and speed of a numeric run over time, except those that are constant.
+
+    Args:
+        run: a numeric run.
+        limits: limits to show in addition to those of the run's problem file.
+
+    Raises:
+        InputError: ``run`` is not a run, or ``limits`` holds something else than limits.
+    """
+    check_kind("the run", run, Run, "a numeric Run, as returned by po.simulate")
+    check_kind("limits", limits, list | tuple, "a list of limits, such as those of an optimum")
+    for limit in limits:
+        check_kind("a limit", limit, Limit, "one of an optimum's limits")
+    panels = changing(run, limits)
+    figure = Figure(figsize=(9, 1.0 + 2.3 * max(1, len(panels))), layout="constrained")
+    figure.suptitle(subject(run))
+    if not panels:
+        axes = figure.subplots()
+        axes.set_axis_off()
+        axes.text(0.5, 0.5, f"Nothing changes over time.\n\n{run.response()}", ha="center", va="center",
+                  family="monospace", transform=axes.transAxes)  # fmt: skip
+        return figure
+    rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, panel in zip(rows, panels, strict=True):
+        draw_panel(axes, run, panel)
+        axes.set_xlabel("")
+    rows[-1].set_xlabel("time [s]")
+    return figure
+
+
+def draw_panel(axes: Axes, run: Run, panel: Panel, columns: int = 5) -> None:
+    """Draw a panel: lines, mean with a band of ± RMS, limits, and above all lines a legend in columns that fit."""
+    unit = panel.unit
+    for label, (values, colour, dashed) in reversed(panel.lines.items()):
+        style, width = "--" if dashed else "-", 1.4 if colour == SHARE else 1.0
+        axes.plot(run.time, values / unit.factor, color=colour, linestyle=style, linewidth=width, label=label)
+    if panel.mean is not None:
+        name, mean, rms = panel.mean
+        label = f"{name} {unit.text(mean, 3)}"
+        axes.axhline(mean / unit.factor, color="black", linewidth=1.0, linestyle="--", label=label)
+        if rms > CONSTANT * abs(mean):
+            axes.axhspan((mean - rms) / unit.factor, (mean + rms) / unit.factor, color="black", alpha=0.08,
+                         label=f"± RMS {unit.text(rms, 3)}")  # fmt: skip
+    if panel.name == "force":
+        _shade_modes(axes, run)
+    for words, value in panel.limits:
+        label = f"limit of the {words} {unit.text(value, 4)}"
+        axes.axhline(value / unit.factor, color=LIMIT, linewidth=1.6, label=label)
+    axes.set(xlabel="time [s]", ylabel=unit.heading(panel.name), xlim=(float(run.time[0]), float(run.time[-1])))
+    low, high = axes.get_ylim()
+    # Widen the range around an almost constant result, so that its rounding is not magnified.
+    least = CONSTANT * max(abs(low), abs(high))
+    if high - low < 0.1 * max(abs(low), abs(high)):
+        low, high = low - 0.05 * abs(low) - least, high + 0.05 * abs(high) + least
+    rows = -(-len(axes.get_legend_handles_labels()[0]) // columns)
+    axes.set_ylim(low, high + (0.14 + 0.12 * rows) * (high - low))
+    axes.legend(loc="upper right", ncols=columns, fontsize="x-small")
+
+
+def limits_of(run: Run, limits: Sequence[Limit], *names: str) -> list[tuple[str, float]]:
+    """Return (name in words, value in SI) of each limit of some results, from the run's file and from ``limits``."""
+    given = {limit.name: (limit.low, limit.high) for limit in limits if limit.kind == "requirement"}
+    every = {**run.origin.limits, **given}
+    return [(called(name), end) for name in names for end in every.get(name, ()) if end is not None]
+
+
+def _shade_modes(axes: Axes, run: Run) -> None:
+    """Shade the times when a share under stick and slip sticks, or has a gap ahead of it."""
+    for mode, label, color in ((STICK, "sticks", STRUT), (GAP, "gap", LIMIT)):
+        inside = np.asarray(run.mode) == mode
+        if np.any(inside):
+            axes.fill_between(run.time, 0, 1, where=inside.tolist(), transform=axes.get_xaxis_transform(),
+                              color=color, alpha=0.18, linewidth=0.0, label=label)  # fmt: skip
+
+
+def plot_designs(designs: Mapping[str, LocalOptimum]) -> Figure:
+    """Draw designs side by side: each variable between its bounds, each requirement beside its limits.
+
+    Args:
+        designs: name -> design; the first decides which variables and requirements are drawn.
+    """
+    first = next(iter(designs.values()))
+    figure = Figure(figsize=(8, 0.9 + 0.75 * len(first.limits)), layout="constrained")
+    rows = figure.subplots(len(first.limits), 1, squeeze=False)[:, 0]
+    for axes, limit in zip(rows, first.limits, strict=True):
+        _draw_limit(
+            axes, limit, [next((x for x in one.limits if x.name == limit.name), None) for one in designs.values()]
+        )
+    for name, colour in zip(designs, itertools.cycle(COLOURS), strict=False):
+        rows[0].plot([], [], "o", color=colour, label=name)
+    figure.legend(loc="outside lower center", ncols=min(4, len(designs)), fontsize="small")
+    return figure
+
+
+def _draw_limit(axes: Axes, limit: Limit, found: Sequence[Limit | None]) -> None:
+    """Draw the values of one limited quantity in several designs on a line, with its limits as bars across.
+
+    Args:
+        axes: the axes to draw on.
+        limit: the quantity and its limits.
+        found: the same quantity in each design, or None.
+    """
+    factor = limit.shown.factor
+    ends = [end / factor for end in (limit.low, limit.high) if end is not None]
+    values = [None if one is None else one.value / factor for one in found]
+    for k, value in enumerate(values):
+        if value is not None:
+            # At different heights, so that equal designs do not hide each other.
+            height = 0.0 if len(values) == 1 else 0.5 - k / (len(values) - 1)
+            axes.plot(value, height, "o", color=COLOURS[k % len(COLOURS)], markersize=7, zorder=3, clip_on=False)
+    for end in ends:
+        axes.axvline(end, color="black", linewidth=2.0)
+    every = [*ends, *(value for value in values if value is not None)]
+    room = max(0.08 * (max(every) - min(every)), _LEAST_ROOM * max(map(abs, every))) or 1.0
+    axes.set(ylim=(-1.0, 1.0), yticks=[], xlim=(min(every) - room, max(every) + room))
+    if limit.low is not None and limit.high is not None and 0.0 < 20.0 * limit.low < limit.high:
+        axes.set(xscale="log", xlim=(0.8 * min(every), 1.25 * max(every)))
+    axes.set_ylabel(limit.shown.heading(called(limit.name)), rotation=0, ha="right", va="center")
+    axes.spines[["left", "right", "top"]].set_visible(False)
+
+
+def draw_side_by_side(axes: Axes, runs: Mapping[str, Run], name: str, origin: Origin) -> None:
+    """Draw one result of several runs over time, each in its own colour.
+
+    Args:
+        axes: the axes to draw on.
+        runs: name -> numeric run.
+        name: name of the result, one of `SIDE_BY_SIDE`.
+        origin: origin of the runs, which decides the unit.
+    """
+    size = max(float(np.max(np.abs(getattr(run, name)))) for run in runs.values())
+    unit = origin.common(SIDE_BY_SIDE[name], {name: size})
+    for (label, run), colour in zip(runs.items(), itertools.cycle(COLOURS), strict=False):
+        axes.plot(run.time, getattr(run, name) / unit.factor, color=colour, linewidth=1.2, label=label)
+        for _, end in limits_of(run, (), name):
+            axes.axhline(end / unit.factor, color=colour, linewidth=1.6, linestyle=":", label=f"limit of {label}")
+    axes.set(xlabel="time [s]", ylabel=unit.heading(called(name)))
+    axes.legend(fontsize="small")
+
+
+def plot_forces(runs: Mapping[str, Run]) -> Figure:
+    """Draw the mount forces of several numeric runs over time.
+
+    Args:
+        runs: name -> numeric run.
+    """
+    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
+    draw_side_by_side(figure.subplots(), runs, "mount_force", next(iter(runs.values())).origin)
+    return figure
 
 
 def plot_share(scene: Scene) -> Figure:
@@ -110,7 +332,7 @@ def plot_sweep(swept: Sweep) -> Figure:
         axes.set_visible(False)
     for axes, name in zip(every, names, strict=False):
         values, label = swept.shown(name)
-        colours = {"color": _FORCE} if shades is None else {"c": shades[::step], "cmap": "viridis"}
+        colours = {"color": SHARE} if shades is None else {"c": shades[::step], "cmap": "viridis"}
         points = axes.scatter(places[::step], values[::step], s=14, **colours)
         axes.set(xlabel=heading, ylabel=label)
         if 0.0 < _LOG_RATIO * np.min(places) < np.max(places):
@@ -130,7 +352,7 @@ def plot_batch(found: BatchResult) -> Figure:
     figure = Figure(figsize=(6.5, 4.5), layout="constrained")
     axes = figure.subplots()
     step = max(1, len(found) // _MOST_POINTS)
-    axes.plot(found.mean_draft[::step] / 1e3, found.force_rms[::step] / 1e3, ".", color=_FORCE, markersize=4)
+    axes.plot(found.mean_draft[::step] / 1e3, found.force_rms[::step] / 1e3, ".", color=SHARE, markersize=4)
     axes.set(xlabel="mean draft [kN]", ylabel="RMS of the mount force [kN]")
     return figure
 
@@ -190,7 +412,7 @@ def draw_margins(axes: Axes, required: Sequence[Limit]) -> None:
     for k, limit in enumerate(required):
         size = max(abs(limit.value), abs(limit.value + limit.margin)) or 1.0
         percent = 0.0 if limit.active else 100.0 * limit.margin / size
-        axes.barh(k, min(percent, _WIDE_MARGIN), height=0.32, color=_FORCE)
+        axes.barh(k, min(percent, _WIDE_MARGIN), height=0.32, color=SHARE)
         words = "decides" if limit.active else f"margin {limit.margin_text()}"
         sides = ((" ≥ ", limit.low), (" ≤ ", limit.high))
         ends = "".join(f"{sign}{limit.shown.text(end, 4)}" for sign, end in sides if end is not None)
@@ -230,10 +452,10 @@ def draw_cone(axes: Axes, scene: Scene) -> None:
     loosens = not scene.law.lacks("loosened_radius")
     front = float(scene.loosened_radius) if loosens else radius
     if loosens:
-        axes.fill([0, height, height], [0, front, -front], facecolor=_SOIL, alpha=0.35, edgecolor="none",
+        axes.fill([0, height, height], [0, front, -front], facecolor=SOIL, alpha=0.35, edgecolor="none",
                   label=f"compacted soil, r* = {front:.3f} m")  # fmt: skip
         for side in (1.0, -1.0):
-            axes.plot([0, height], [0, side * front], color=_SOIL, linestyle="--", linewidth=1.2)
+            axes.plot([0, height], [0, side * front], color=SOIL, linestyle="--", linewidth=1.2)
         axes.legend(loc="upper left", fontsize="small")
     axes.fill([0, height, height], [0, radius, -radius], facecolor=_STEEL, alpha=0.85, edgecolor="black",
               linewidth=0.8)  # fmt: skip
@@ -260,17 +482,17 @@ def draw_search(axes: Axes, best: Optimum, variable: int) -> None:
     values, feasible = search.values[:, variable] / display.factor, search.violation <= FEASIBLE
     for which, color, label in (
         (np.isfinite(search.objective) & ~feasible, _FAILED, "tried, fails a requirement"),
-        (feasible, _FORCE, "tried, meets all requirements"),
+        (feasible, SHARE, "tried, meets all requirements"),
     ):
         if np.any(which):
             axes.plot(values[which], search.objective[which], ".", markersize=2, color=color, label=label, zorder=1)
     for k, optimum in enumerate(best.local_optima):
         at = optimum.variables[name] / display.factor
         if optimum.spread is not None:
-            axes.plot([at, at], [optimum.objective, optimum.spread.worst], color=_ACCENT, linewidth=1.2, zorder=2,
+            axes.plot([at, at], [optimum.objective, optimum.spread.worst], color=LIMIT, linewidth=1.2, zorder=2,
                       label=None if k else "within the tolerances, up to the worst")  # fmt: skip
         named = None if k > 1 else ("best" if k == 0 else "other local optima")
-        axes.plot(at, optimum.objective, "o" if k else "*", markersize=6 if k else 13, color=_ACCENT, zorder=3,
+        axes.plot(at, optimum.objective, "o" if k else "*", markersize=6 if k else 13, color=LIMIT, zorder=3,
                   markeredgecolor="white", label=named)  # fmt: skip
     if np.min(values) > 0 and np.max(values) / np.min(values) > _LOG_RATIO:
         axes.set_xscale("log")

@@ -1,229 +1,101 @@
-"""Tables that commands print, with each value in the unit that the problem file uses."""
+"""`plough-opt report`: everything about a file's best share on one HTML page that loads nothing else."""
 
-from __future__ import annotations
-
-import math
-from collections.abc import Mapping, Sequence
+import argparse
+import json
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final
 
-from plough_opt.app.terminal import LOG, print_notes
+from plough_opt.app.page import Report, page
+from plough_opt.app.terminal import progress, read, wrote
 from plough_opt.core.errors import InputError, NotConverged
-from plough_opt.core.quantities import quantities
-from plough_opt.core.screen import Screen
-from plough_opt.core.tables import Grid, Page
-from plough_opt.core.units import customary
-from plough_opt.design import Optimum, Progress, Sensitivity
-from plough_opt.laws.forces import cone_index
+from plough_opt.core.files import check_file, write_file
+from plough_opt.core.process import optional
+from plough_opt.design import Progress, Sensitivity
 from plough_opt.motion import Run
-from plough_opt.motion.effect_costs import EffectCost
-from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.machine import Machine
-from plough_opt.motion.scene import Scene
 from plough_opt.problem_file import Problem
-from plough_opt.problem_file.measures import measures_of
-from plough_opt.soil.soil import Soil
+from plough_opt.studies.accuracy.study import study_accuracy
 
-if TYPE_CHECKING:
-    from plough_opt.studies.crosscheck import Comparison
-
-# An elasticity below this is rounding.
-_ROUNDING = 1e-9
+# Time limit [s] of one use of an integration method: every efficient one needs less than a tenth of it.
+_ALLOWANCE: Final = 0.1
 
 
-def shown(problem: Problem, key: str, value: float, unit: str) -> str:
-    """Return an SI value as text in the unit that the file uses for the key, or in a customary one."""
-    return problem.origin.display(key, unit, value).text(value)
+def report(options: argparse.Namespace) -> None:
+    """Optimise a file (or simulate it if it has no variables), and write the page.
+
+    Raises:
+        InputError: the file has a mistake, has several shares, trades results or has an uncertain soil, or the page
+            cannot be written.
+    """
+    optional("jinja2")
+    check_file(options.output, "page", ".html")
+    problem = read(options)
+    _check(problem)
+    with progress() as notify:
+        found = reported(problem, notify, seed=options.seed, accuracy=not options.no_accuracy)
+    found = replace(found, provenance=_provenance(options, problem), text=problem.text)
+    path = write_file(options.output, "report", page(found))
+    if options.json:
+        print(json.dumps({"wrote": [str(path)], "provenance": found.provenance}, indent=2, allow_nan=False))
+    wrote(path)
 
 
-def print_soils(screen: Screen, soils: Sequence[Soil]) -> None:
-    """Print the named soils, then the sources of their values."""
-    table = Grid.of(
-        "Named soils (engineering choices inside published brackets; none measured as a set)",
-        "name", "density", "locked density", "ratio b1", "cohesion", "friction angle", "tool friction", "cone index",
-    )  # fmt: skip
-    for soil in soils:
-        table.row(
-            soil.name,
-            f"{soil.density:.0f} kg/m^3",
-            f"{soil.density / soil.density_ratio:.0f} kg/m^3",
-            f"{soil.density_ratio:.3f}",
-            f"{soil.cohesion / 1e3:.0f} kPa",
-            f"{math.degrees(soil.friction_angle):.0f} deg",
-            f"{soil.tool_friction:.2f}",
-            f"{cone_index(soil) / 1e3:.0f} kPa",
-        )
-    screen.print(table)
-    for soil in soils:
-        screen.print_labelled(f"{soil.name}:", "bold", soil.source)
-    screen.print("All have an ambient pressure of 101.325 kPa. For soil with open pores set soil.ambient_pressure.")
-
-
-def run_page(problem: Problem, run: Run | Machine) -> Page:
-    """Return the page of a numeric run, or of the runs of several shares, with each scene."""
-    page, runs = run.page(), runs_of(run)
-    scenes = [_scene_table(part, runs[name].scene, name) for name, part in problem.parts.items()]
-    return replace(page, parts=(*scenes, *page.parts, *own_results(problem, run)))
-
-
-def runs_of(run: Run | Machine) -> Mapping[str, Run]:
-    """Return name of share -> run; a single run has the name ""."""
-    return run.runs if isinstance(run, Machine) else {"": run}
-
-
-def own_results(problem: Problem, run: Run | Machine) -> tuple[Grid, ...]:
-    """Return a table of the results that the file defines and of those with a label; empty if there are none."""
-    rows = [
-        (name, own, [float(own.of(one)) for one in runs_of(run).values()])
-        for name, own in measures_of(problem.table).items()
-        if name in problem.table.measures
-        or (own.label and all(own.given_by(one.scene.law) for one in runs_of(run).values()))
-    ]
-    grid = Grid.of("Results of this file" if problem.table.measures else "Further results", "", *problem.parts)
-    for name, own, values in rows:
-        grid.row(own.label or name.replace("_", " "), *(shown(problem, name, x, own.unit.symbol) for x in values))
-    return (grid,) if rows else ()
-
-
-def print_check(screen: Screen, problem: Problem) -> None:
-    """Print the contents of a file's scenes, and the equation of motion that would be integrated."""
-    screen.print_labelled(f"{problem.title}:", "bold", f"{problem.name} is valid.")
-    for name, part in problem.parts.items():
-        screen.print(_scene_table(part, part.scene(), name))
-        screen.print(_simulated(part, part.scene()))
-    if problem.variables:
-        verb = "optimise" if problem.table.minimise or problem.table.trade_off is None else "tradeoff"
-        screen.print(f"{len(problem.variables)} variables, {len(problem.table.require)} requirements: "
-                      f"plough-opt {verb} {problem.name}")  # fmt: skip
+def _check(problem: Problem) -> None:
+    """Raise InputError for a file that a report does not cover."""
     if problem.shares:
-        screen.print(f"{len(problem.shares)} shares, designed as one machine: limits on drafts, powers and masses"
-                      " apply to their sum, other limits to each share; the objective is the sum over the shares.",
-                      soft_wrap=True)  # fmt: skip
+        problem.scene()  # raises InputError: one share must be chosen
     if problem.table.uncertain is not None:
-        names = ", ".join(key for key in problem.table.uncertain if key.startswith("soil."))
-        screen.print(f"Uncertain: {names}. plough-opt optimise allows for this; all other commands use the"
-                      " nominal soil.", soft_wrap=True)  # fmt: skip
-    print_notes(screen, warnings_of(problem))
+        raise InputError(
+            f"{problem.name}: a report covers one soil: remove the table [uncertain], or use plough-opt optimise"
+        )
+    if problem.variables and not problem.table.minimise:
+        raise InputError(
+            f"{problem.name}: a report covers one best design: add a table [minimise], or use plough-opt tradeoff"
+        )
 
 
-def warnings_of(problem: Problem) -> tuple[str, ...]:
-    """Return the warnings of all scenes of a file, each once."""
-    return tuple(dict.fromkeys(text for part in problem.parts.values() for text in part.scene().warnings()))
+def _provenance(options: argparse.Namespace, problem: Problem) -> dict[str, str]:
+    """Return heading -> text of everything that identifies how a report was made."""
+    from plough_opt.core.saving import versions
+
+    changes = {"changed by --set": "; ".join(options.set)} if options.set else {}
+    return {
+        "file": Path(options.file).name,
+        "SHA-256 of the file": problem.origin.sha256,
+        **changes,
+        "seed of the search": str(options.seed),
+        "written": datetime.now().astimezone().isoformat(sep=" ", timespec="minutes"),
+        "made by": ", ".join(f"{name} {value}" for name, value in versions().items()),
+    }
 
 
-def _simulated(problem: Problem, scene: Scene) -> Grid:
-    """Return a table of the equation of motion of a scene and of its excitation."""
-    rows = []
-    if scene.effects.motion:
-        equation = equation_of(Structure.of(scene))
-        rows.append(("equation of motion", f"2 states, {equation.rate.n_nodes()} nodes"))
-        rows.append(("its parameters", ", ".join(equation.names)))
-        frequency = float(scene.natural_frequency) / (2.0 * math.pi)
-        if scene.effects.printed.repelling_spring:
-            growth = f"exp({float(scene.natural_frequency):.4g}/s t)"
-            rows.append(("growth under the print's repelling spring", growth))
-        else:
-            rows.append(("natural frequency", f"{frequency:.4g} Hz"))
+def reported(problem: Problem, notify: Progress, *, seed: int = 0, accuracy: bool = True) -> Report:
+    """Return the contents of a report without its provenance.
+
+    Args:
+        problem: the file.
+        notify: called with the present step in words and the fraction done.
+        seed: seed of the search's samples.
+        accuracy: whether to compare integration methods.
+    """
+    best, unknown = None, ""
+    run: Run | Machine
+    sensitivities: tuple[Sensitivity, ...] = ()
+    if problem.variables:
+        best, run = problem.optimise(notify, parameters=True, seed=seed)
+        notify("sensitivities", 1.0)
+        try:
+            sensitivities = best.every_sensitivity()
+        except (InputError, NotConverged) as error:
+            unknown = str(error)
     else:
-        rows.append(("quasi-static", "no equation of motion"))
-    for wave in scene.effects.waves:
-        rows.append(("frequency of the strength wave", f"{float(scene.tow_speed / wave.wavelength):.4g} Hz"))
-    if scene.effects.random_strength is not None:
-        rows.append(("random strength", f"{100.0 * float(scene.effects.random_strength.variance) ** 0.5:.3g} % RMS"))
-        for quantity, name, unit in (
-            ("mount force", "stationary_force_rms", "N"),
-            ("deflection", "stationary_displacement_rms", "m"),
-        ):
-            value = float(getattr(scene, name))
-            rows.append((f"stationary RMS of the {quantity}", shown(problem, name, value, unit)))
-    return Grid.pairs("What is simulated", *rows)
-
-
-def print_effects(screen: Screen, costs: Sequence[EffectCost]) -> None:
-    """Print what each effect adds to the equation of motion and to the operations of a run."""
-    headings = ("effect", "", "nodes", "states", "events", "operations, with it over without")
-    table = Grid.of("What each effect adds to this scene", *headings)
-    for cost in costs:
-        sizes = [f"{size:+d}" for size in (cost.nodes, cost.states, cost.events)]
-        ratio = "an iteration" if cost.operations is None else f"{cost.operations:.3g}"
-        cells = ("", "", "", "impossible, see below") if cost.refused else (*sizes, ratio)
-        table.row(cost.name, "on" if cost.on else "off", *cells)
-    screen.print(table)
-    for cost in costs:
-        if cost.refused:
-            screen.print(f"{cost.name}: {cost.refused}.", soft_wrap=True)
-
-
-def print_comparison(screen: Screen, comparison: Comparison) -> None:
-    """Print the drafts of other models, then refusals, assumptions and sources."""
-    screen.print(comparison.table())
-    for title, sentences in (
-        ("Outside the domain", comparison.refusals),
-        ("Assumed", comparison.estimates),
-        ("Not verified, and sources", comparison.standings),
-    ):
-        if sentences:
-            screen.print(title, style="bold")
-        for sentence in sentences:
-            screen.print(f"* {sentence}", soft_wrap=True)
-    screen.print("Agreement of two models validates neither. docs/crosscheck.md says why they differ.", soft_wrap=True)
-
-
-def _scene_table(problem: Problem, scene: Scene, share: str = "") -> Grid:
-    """Return a table of the quantities of a scene."""
-    rows = [("soil", scene.soil.name)]
-    if not scene.law.lacks("cone_index"):
-        rows.append(("cone index", problem.readings or f"{float(cone_index(scene.soil)) / 1e3:.4g} kPa"))
-    for key, value in problem.values().items():
-        if not key.startswith("soil."):
-            rows.append((key, shown(problem, key, float(value), quantities()[key].symbol)))
-    rows.append(("half angle of the equivalent cone", customary("rad").text(float(scene.cone.half_angle))))
-    rows.append(("moving mass with the share", f"{float(scene.mass):.5g} kg"))
-    if not scene.law.lacks("added_mass"):
-        rows.append(("added mass of soil", f"{float(scene.reaction.added_mass):.4g} kg"))
-    if not scene.law.lacks("ambient_pressure"):
-        rows.append(("part of the static draft due to ambient pressure", f"{100.0 * float(scene.ambient_share):.0f} %"))
-    if scene.medium != "plastic":
-        rows.append(("law of resistance", scene.law.label))
-    title = f"Scene of the share '{share}'" if share else "Scene"
-    return Grid.pairs(f"{title}, variables at their guesses" if problem.variables else title, *rows)
-
-
-def sensitivities_of(best: Optimum, notify: Progress) -> tuple[Sensitivity, ...]:
-    """Return all sensitivities of an optimum; if it has none, log the reason."""
-    notify("sensitivities", 1.0)
-    try:
-        return best.every_sensitivity()
-    except (InputError, NotConverged) as error:
-        LOG.info("note: no sensitivities: %s", error)
-        return ()
-
-
-def with_sensitivities(page: Page, problem: Problem, found: Sequence[Sensitivity]) -> Page:
-    """Return a page extended by a table of elasticities and of the range over which the same limits are active."""
-    if not found:
-        return page
-    names = [key.rpartition(".")[2] for key in problem.variables]
-    table = Grid.of(
-        "Change of the optimum in per cent for one per cent more; range in which the same limits stay active",
-        "quantity or limit", "value", "objective", *names, "same limits from", "to", fold=("quantity or limit",),
-    )  # fmt: skip
-    for item in found:
-        moves = [_percent(item.elasticity), *(_percent(item.elasticities[key]) for key in problem.variables)]
-        key = item.name.partition(" ")[0]
-        ends = [_end(problem, key, item, end) for end in (item.valid_from, item.valid_to)]
-        table.row(item.name, shown(problem, key, item.value, item.unit), *moves, *ends)
-    met = dict.fromkeys(name for item in found for name in item.touching)
-    notes = (f"{name} is just met: the figures apply to increasing values" for name in met)
-    return replace(page, parts=(*page.parts, table), notes=(*page.notes, *notes))
-
-
-def _percent(elasticity: float | None) -> str:
-    if elasticity is None:
-        return "value 0"
-    return "0" if abs(elasticity) < _ROUNDING else f"{elasticity:+.3g}"
-
-
-def _end(problem: Problem, key: str, item: Sensitivity, end: float | None) -> str:
-    """Return an end of a range as text; "" if its sign differs from the value's, which a file would not accept."""
-    return "" if end is None or end * item.value <= 0.0 else shown(problem, key, end, item.unit)
+        notify("simulating", 0.0)
+        run = problem.simulate()
+    assert isinstance(run, Run)  # the command refuses several shares
+    study = None
+    if accuracy:
+        duration: Any = problem.values().get("scene.duration")
+        study = study_accuracy(run.scene, duration, allowance=_ALLOWANCE, derivatives=False, thin=True, progress=notify)
+    return Report(problem, run, best, sensitivities, unknown, study)

@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from plough_opt.app.options import add_option, add_shared
-from plough_opt.app.report import runs_of
+from plough_opt.app.tables import runs_of
 from plough_opt.app.terminal import check_outputs, console, give, wrote
 from plough_opt.core.errors import InputError, printable
 from plough_opt.core.quantities import EVERY
@@ -33,20 +32,6 @@ _RESULTS = {
     "m": ("mean_deflection", "displacement_rms", "peak_deflection"),
     "W": ("tow_power",),
 }
-
-
-def add_show(verb: argparse.ArgumentParser) -> None:
-    """Add the options of `show`."""
-    verb.add_argument("file", metavar="FILE", help="a saved result (JSON), or the store of a sweep")
-    add_shared(verb, json="print the result as JSON (SI units)")
-    verb.add_argument("--problem", action="store_true", help="print the problem file and its data instead")
-    add_option(verb, "restore", "FOLDER", "write the problem file and its data, to compute it again")
-
-
-def add_compare(verb: argparse.ArgumentParser) -> None:
-    """Add the options of `compare`."""
-    verb.add_argument("file", metavar="FILE", nargs="+", help="saved designs or runs (JSON), two or more")
-    add_shared(verb, "json", "plot")
 
 
 def show(options: argparse.Namespace) -> None:

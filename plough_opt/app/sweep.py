@@ -8,32 +8,10 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from pathlib import Path
 
-from plough_opt.app.options import add_option, add_shared
 from plough_opt.app.terminal import LOG, give, quiet, read, wrote
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.core.process import optional
 from plough_opt.problem_file.sweep import ProblemSweep, What
-
-
-def add_options(verb: argparse.ArgumentParser) -> None:
-    """Add the options of a sweep."""
-    over = (
-        'quantity and its values: soil.cohesion="5..45 kPa:9", scene.stiffness="10..1000 kN/m:7 log",'
-        ' scene.tow_speed="1 m/s, 2 m/s"; repeatable, for all combinations'
-    )
-    add_option(verb, "over", 'KEY="RANGE"', over, action="append", required=True)
-    add_option(verb, "samples", "N", "size of a Sobol sample of the ranges, preferably a power of two", type=int)
-    verb.add_argument("--optimise", action="store_true", help="optimise at every point instead of simulating")
-    how = "simulate each point by itself, or many at once by po.Batch (default: decided by their number)"
-    verb.add_argument("--method", choices=("auto", "each", "batch"), default="auto", help=how)
-    add_option(verb, "workers", "N", "processes on this machine (default: all cores)", type=int)
-    add_option(verb, "scheduler", "ADDRESS", "use the workers of a dask scheduler: tcp://host:8786")
-    add_option(verb, "store", "FILE", "database of finished points (default: named after the sweep)")
-    verb.add_argument("--retry", action="store_true", help="repeat points that failed or are undetermined")
-    add_option(verb, "limit", "SECONDS", "time after which a point fails (default: 3600)", type=float)
-    add_option(verb, "npz", "FILE", "write an array for each column")
-    every = "draw every result: .png, .svg or .pdf"
-    add_shared(verb, "json", "csv", seed="seed of the sample (default: 0)", plot=every)
 
 
 def sweep(options: argparse.Namespace) -> None:
@@ -43,7 +21,7 @@ def sweep(options: argparse.Namespace) -> None:
     if options.scheduler is not None and options.workers is not None:
         raise InputError("--workers start on this machine, but --scheduler has its own: remove one of the two")
     if options.scheduler is not None:
-        optional("distributed", "cluster")  # before anything is read
+        optional("distributed")  # before anything is read
     over = _over(options)
     problem = read(options)
     what: What = "optimise" if options.optimise else "simulate"
@@ -110,7 +88,7 @@ def _executor(address: str | None) -> Iterator[tuple[Executor | None, int | None
     if address is None:
         yield None, None
         return
-    distributed = optional("distributed", "cluster")
+    distributed = optional("distributed")
     try:
         client = distributed.Client(address, timeout="10s")
     except (OSError, ValueError) as error:

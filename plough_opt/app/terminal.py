@@ -13,16 +13,17 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Final, NoReturn
 
-from plough_opt import design as designs
 from plough_opt.core.errors import InputError, short
 from plough_opt.core.files import check_format, save_figure, write_file
 from plough_opt.core.process import progress_on
 from plough_opt.core.screen import Screen
-from plough_opt.core.tables import Page
-from plough_opt.problem_file import Problem, read_problem
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from plough_opt.core.tables import Page
+    from plough_opt.design import Progress
+    from plough_opt.problem_file import Problem
 
 # Messages of the commands are shown unless -q is given; those of the library need -v.
 LOG = logging.getLogger(__name__)
@@ -41,15 +42,6 @@ class _ErrorStream(logging.Handler):
         """Print a message."""
         time = f"{record.relativeCreated / 1e3:8.2f} s  " if self._timed else ""
         Screen(stderr=True, soft_wrap=True).print(f"{time}{record.getMessage()}")
-
-
-def add_how_much(parser: argparse.ArgumentParser) -> None:
-    """Add -q and -v."""
-    how_much = parser.add_mutually_exclusive_group()
-    how_much.add_argument("-q", "--quiet", action="store_true", help="hide progress, notes and names of written files")
-    how_much.add_argument(
-        "-v", "--verbose", action="count", default=0, help="show each step with its time; -vv also every solve and run"
-    )
 
 
 @contextmanager
@@ -84,6 +76,8 @@ def read(options: argparse.Namespace) -> Problem:
     Raises:
         InputError: the file has a mistake, or an output cannot be written or would overwrite an input.
     """
+    from plough_opt.problem_file import read_problem  # needs numerical libraries, which other commands do without
+
     problem = read_problem(options.file, options.set)
     check_outputs(options)
     for note in (*problem.notes, *problem.cautions):
@@ -233,7 +227,7 @@ def wrote(path: Path) -> None:
 
 
 @contextmanager
-def progress() -> Iterator[designs.Progress]:
+def progress() -> Iterator[Progress]:
     """Yield a function that shows the present step on the error stream: a bar on a terminal, otherwise lines."""
     stream = Screen(stderr=True)
     with ExitStack() as stack:

@@ -14,7 +14,8 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.errors import DomainError, InputError, nearest, short, unprintable
+from plough_opt.core.errors import DomainError, InputError, nearest, unprintable
+from plough_opt.core.errors import shown as shown
 from plough_opt.core.expressions import Expression, as_number, holds_several, is_casadi, is_symbolic
 
 NOT_NUMBERS: Final = (TypeError, ValueError, OverflowError, RuntimeError)
@@ -33,15 +34,6 @@ _OVERFLOW = "beyond that, products of quantities overflow or underflow: check it
 
 # NumPy types with fewer bytes have only three digits, or overflow when squared.
 _LEAST_BYTES = 4
-
-
-def shown(value: object, most: int = 60) -> str:
-    """Return any value as text for messages: one line without control characters, truncated if long."""
-    try:
-        text = repr(value)
-    except ValueError:  # Python refuses to print integers of several thousand digits
-        text = f"{type(value).__name__} of very many digits"
-    return short(" ".join(text.split()), most)
 
 
 def array_of(values: Any, refusal: str) -> NDArray[np.float64]:

@@ -117,6 +117,15 @@ class NotConverged(PloughError, RuntimeError):
         self.status = status
 
 
+def shown(value: object, most: int = 60) -> str:
+    """Return any value as text for messages: one line without control characters, truncated if long."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python refuses to print integers of several thousand digits
+        text = f"{type(value).__name__} of very many digits"
+    return short(" ".join(text.split()), most)
+
+
 def short(text: str, most: int = 60) -> str:
     """Return a text for quotation in messages, truncated if long."""
     return text if len(text) <= most else f"{text[: most - 3]}..."

@@ -20,8 +20,7 @@ from pathlib import Path, PureWindowsPath
 from types import FrameType
 from typing import IO, TYPE_CHECKING, Any, Final, TypeAlias
 
-from plough_opt.core.checks import shown
-from plough_opt.core.errors import InputError, short, unprintable
+from plough_opt.core.errors import InputError, short, shown, unprintable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

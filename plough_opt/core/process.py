@@ -165,7 +165,14 @@ def additions() -> set[str]:
     return {entry.module.partition(".")[0] for entry in entry_points(group=GROUP)}
 
 
-def optional(name: str, extra: str) -> Any:
+# Module of a library -> the extra of this package that installs it.
+_EXTRAS: Final = {
+    "build123d": "step", "distributed": "cluster", "ezdxf": "parts", "jinja2": "report", "openmdao.api": "openmdao",
+    "pandas": "pandas", "trimesh": "parts",
+}  # fmt: skip
+
+
+def optional(name: str) -> Any:
     """Return a module of a library that an extra of this package installs.
 
     Raises:
@@ -174,4 +181,6 @@ def optional(name: str, extra: str) -> Any:
     try:
         return import_module(name)
     except ModuleNotFoundError as missing:
-        raise InputError(f"{missing.name or name} is not installed: pip install 'plough_opt[{extra}]'") from None
+        raise InputError(
+            f"{missing.name or name} is not installed: pip install 'plough_opt[{_EXTRAS[name]}]'"
+        ) from None

@@ -263,6 +263,6 @@ def data_frame(columns: Mapping[str, Any], units: Mapping[str, str]) -> pandas.D
     Raises:
         InputError: pandas is not installed.
     """
-    frame: pandas.DataFrame = optional("pandas", "pandas").DataFrame(dict(columns))
+    frame: pandas.DataFrame = optional("pandas").DataFrame(dict(columns))
     frame.attrs["units"] = {name: units[name] for name in columns if name in units}
     return frame

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from plough_opt.core.checks import check_kind, check_named, check_switch, mapping_of
 from plough_opt.core.errors import InputError
@@ -14,9 +14,6 @@ from plough_opt.core.expressions import Column, Expression
 from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display
-from plough_opt.design import Design, Optimum, Over, Progress
-from plough_opt.design.effort import Search
-from plough_opt.design.tolerance import Judge
 from plough_opt.exchange.component import Component, Input, Output, Port, build
 from plough_opt.exchange.component.ports import port_of
 from plough_opt.motion import Run, simulate
@@ -29,7 +26,14 @@ from plough_opt.problem_file.schema import LimitTable, ProblemTable, medium_of
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.random_strength import Spectrum
 from plough_opt.soil.soil import Soil, named_soil
-from plough_opt.studies.tradeoff import Goal, TradeOff, trade_off
+
+if TYPE_CHECKING:
+    from plough_opt.design import Design, Optimum, Over, Progress
+    from plough_opt.design.effort import Search
+    from plough_opt.design.tolerance import Judge
+    from plough_opt.studies.tradeoff import TradeOff
+
+# The optimiser and the fronts are imported on use: files are checked and simulated without them.
 
 _T = TypeVar("_T")
 _READING = "soil.cone_index"
@@ -273,6 +277,8 @@ class Problem:
 
     def _required(self, parameters: bool = False) -> tuple[Design, dict[str, Run]]:
         """Return the design with its requirements but no objective, and the symbolic run of each share."""
+        from plough_opt.design import Design
+
         design = Design()
         symbols = {name: variable.declared(design, name, variable.guess) for name, variable in self.variables.items()}
         chosen = dict(symbols)
@@ -385,6 +391,8 @@ class Problem:
         Raises:
             InputError: the file has no variables or no [trade_off], or the number of points is out of range.
         """
+        from plough_opt.studies.tradeoff import Goal, trade_off
+
         self._check_variables()
         if self.table.trade_off is None:
             raise InputError(f"{self.name}: nothing to trade: add a table {TRADED}")

@@ -4,6 +4,8 @@ Checked beyond the schema are missing and unused quantities, results, fronts, an
 [shares] apply to all shares; a table such as [shares.front] overrides entries for one share.
 """
 
+from __future__ import annotations
+
 import copy
 import dataclasses
 import math
@@ -12,7 +14,7 @@ import tomllib
 import typing
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import ValidationError
 
@@ -21,7 +23,6 @@ from plough_opt.core.errors import InputError, nearest, short
 from plough_opt.core.expressions import is_count
 from plough_opt.core.quantities import IN_FILES, READINGS, quantities
 from plough_opt.core.units import Display, display_of
-from plough_opt.design import Over
 from plough_opt.laws.law import ResistanceLaw
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.vocabulary import Measure
@@ -42,6 +43,9 @@ from plough_opt.problem_file.schema import (
 from plough_opt.problem_file.source import TOO_DEEP, Keys, Source, entry_at, nested_line, unreadable
 from plough_opt.problem_file.uncertain import check_joint, check_uncertain, join_dotted
 from plough_opt.soil.soil import named_soil
+
+if TYPE_CHECKING:
+    from plough_opt.design import Over
 
 _PER_CENT = re.compile(r"\s*([0-9]+\.?[0-9]*|\.[0-9]+)\s*%\s*")
 # Length of a change in characters: an inline table must fit, and no sensible change is longer.

@@ -13,8 +13,8 @@ from helpers.commands import cells, printed
 from helpers.problem_files import PROBLEMS, SUBSOILER, changed
 
 import plough_opt as po
-from plough_opt.app.page.content import Report
-from plough_opt.app.page.writing import ASSETS, page, reported
+from plough_opt.app.page import ASSETS, Report, page
+from plough_opt.app.report import reported
 
 # Two variables fewer than the file has, so that the search is short.
 FIXED = ("share.wedge_angle=39 deg", "share.height=0.26 m")

@@ -1,22 +1,25 @@
-"""The export formats by name, each with its options and the function that writes it."""
+"""The export formats by name, each with its options and the function that writes it.
+
+The modules that write are imported on use: the list alone is needed for help and completion.
+"""
+
+from __future__ import annotations
 
 import math
 import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import check_file, check_new_folder
 from plough_opt.core.process import optional
-from plough_opt.exchange.component import Component
-from plough_opt.exchange.export.c import write_c
-from plough_opt.exchange.export.fmu import write_fmu
-from plough_opt.exchange.export.part import WRITERS, Library, write_part
-from plough_opt.exchange.export.serialised import write_casadi
-from plough_opt.motion.scene import Scene
-from plough_opt.soil.geometry import Cone, Wedge
+
+if TYPE_CHECKING:
+    from plough_opt.exchange.component import Component
+    from plough_opt.motion.scene import Scene
+    from plough_opt.soil.geometry import Cone, Wedge
 
 
 @dataclass(frozen=True)
@@ -70,14 +73,14 @@ class Format:
         write: writes it.
         endings: possible endings of the file's name, such as (".fmu",); () for a new folder.
         options: names of its options beside the path: see `plough-opt export --help`.
-        needs: a module that it needs, and the extra of this package that installs it; () if it needs none.
+        needs: module of an optional library that it needs, or "".
     """
 
     what: str
     write: Callable[[Request], Written]
     endings: tuple[str, ...] = ()
     options: tuple[str, ...] = ("inputs", "outputs", "name")
-    needs: Library | tuple[()] = ()
+    needs: str = ""
 
     def check(self, path: str) -> None:
         """Raise InputError for a path that cannot be written, or a missing library, before anything is computed.
@@ -86,7 +89,7 @@ class Format:
             InputError: the folder exists already, the file's name has another ending, or the library is not installed.
         """
         if self.needs:
-            optional(*self.needs)
+            optional(self.needs)
         if self.endings:
             check_file(path, self.what, *self.endings)
         else:
@@ -98,12 +101,16 @@ class Format:
 
 
 def _c(request: Request) -> Written:
+    from plough_opt.exchange.export.c import write_c
+
     component = request.component()
     path = write_c(component, request.path)
     return Written((path,), str(component), f"make -C {shlex.quote(str(path))}")
 
 
 def _casadi(request: Request) -> Written:
+    from plough_opt.exchange.export.serialised import write_casadi
+
     component, description = request.component(), request.options.get("description")
     path = write_casadi(component, request.path, description)
     load = shlex.quote(f"import casadi; print(casadi.Function.load({path.as_posix()!r}))")
@@ -112,7 +119,7 @@ def _casadi(request: Request) -> Written:
 
 
 def _openmdao(request: Request) -> Written:
-    from plough_opt.exchange.export.openmdao import write_openmdao  # OpenMDAO is optional
+    from plough_opt.exchange.export.openmdao import write_openmdao
 
     component = request.component()
     path = write_openmdao(component, request.path)
@@ -122,6 +129,8 @@ def _openmdao(request: Request) -> Written:
 
 
 def _fmu(request: Request) -> Written:
+    from plough_opt.exchange.export.fmu import write_fmu
+
     path = write_fmu(
         request.scene,
         request.path,
@@ -135,6 +144,8 @@ def _fmu(request: Request) -> Written:
 
 
 def _part(request: Request) -> Written:
+    from plough_opt.exchange.export.part import write_part
+
     given = request.options
     if given.get("body") == "cone" and (given.get("opening") or given.get("thickness")):
         raise InputError("--opening and --thickness belong to a wedge: leave them out for a cone, which is solid")
@@ -149,6 +160,8 @@ def _part(request: Request) -> Written:
 
 def _described(body: Wedge | Cone, opening: float | None, thickness: float | None, design: str) -> str:
     """Return the measures of a part in words."""
+    from plough_opt.soil.geometry import Cone
+
     if isinstance(body, Cone):
         angle = math.degrees(body.half_angle)
         return (
@@ -170,13 +183,11 @@ _PART_OPTIONS = ("opening", "thickness", "body", "at")
 FORMATS: Final[dict[str, Format]] = {
     "c": Format("a new folder with C source, header and a test", _c),
     "casadi": Format("serialised CasADi Function", _casadi, (".casadi",), ("inputs", "outputs", "name", "description")),
-    "openmdao": Format("a new folder with a Python module", _openmdao, needs=("openmdao.api", "openmdao")),
+    "openmdao": Format("a new folder with a Python module", _openmdao, needs="openmdao.api"),
     "fmu": Format("FMU for model exchange, FMI 3.0", _fmu, (".fmu",), ("name", "strut", "sources")),
-    "stl": Format("triangles of the share in mm", _part, (".stl",), _PART_OPTIONS, WRITERS[".stl"][0]),
-    "gltf": Format("triangles of the share in m", _part, (".gltf", ".glb"), _PART_OPTIONS, WRITERS[".gltf"][0]),
-    "dxf": Format(
-        "the share's faces laid flat in mm, a cutting pattern", _part, (".dxf",), _PART_OPTIONS, WRITERS[".dxf"][0]
-    ),
-    "step": Format("the share's faces in mm for CAD", _part, (".step", ".stp"), _PART_OPTIONS, WRITERS[".step"][0]),
+    "stl": Format("triangles of the share in mm", _part, (".stl",), _PART_OPTIONS, "trimesh"),
+    "gltf": Format("triangles of the share in m", _part, (".gltf", ".glb"), _PART_OPTIONS, "trimesh"),
+    "dxf": Format("the share's faces laid flat in mm, a cutting pattern", _part, (".dxf",), _PART_OPTIONS, "ezdxf"),
+    "step": Format("the share's faces in mm for CAD", _part, (".step", ".stp"), _PART_OPTIONS, "build123d"),
 }
 """Name of a format in `plough-opt export --to` -> the format."""

@@ -17,7 +17,7 @@ from plough_opt.core.process import optional
 from plough_opt.exchange.component import Component
 from plough_opt.exchange.export.serialised import described, serialised
 
-optional("openmdao.api", "openmdao")
+optional("openmdao.api")
 import openmdao.api as om  # noqa: E402, the line above says how to install it
 
 # Names that the written module uses, which its class must not have.

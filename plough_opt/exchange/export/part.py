@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 from plough_opt.core.checks import check_kind, path_of
 from plough_opt.core.errors import InputError
@@ -58,8 +58,8 @@ def write_part(
         DomainError: as `Wedge.mesh`.
     """
     check_kind("the share", share, Wedge | Cone, "a Wedge or a Cone")
-    needs, write = WRITERS[check_file(path_of("the part", path), "part", *WRITERS).suffix.lower()]
-    library = optional(*needs)
+    needs, write = _WRITERS[check_file(path_of("the part", path), "part", *_WRITERS).suffix.lower()]
+    library = optional(needs)
     if isinstance(share, Wedge):
         body = share.mesh(opening=opening, thickness=thickness)
         part = _Part(share, body, share.opening if opening is None else opening, thickness)
@@ -146,17 +146,12 @@ def _step(cad: Any, part: _Part) -> bytes:
     return written.getvalue()
 
 
-Library: TypeAlias = tuple[str, str]
-"""A module, and the extra of this package that installs it."""
-
-_TRIMESH: Final[Library] = ("trimesh", "parts")
-_BUILD123D: Final[Library] = ("build123d", "step")
-WRITERS: Final[dict[str, tuple[Library, Callable[[Any, _Part], str | bytes]]]] = {
-    ".stl": (_TRIMESH, _stl),
-    ".gltf": (_TRIMESH, _gltf),
-    ".glb": (_TRIMESH, _glb),
-    ".dxf": (("ezdxf", "parts"), _dxf),
-    ".step": (_BUILD123D, _step),
-    ".stp": (_BUILD123D, _step),
+_WRITERS: Final[dict[str, tuple[str, Callable[[Any, _Part], str | bytes]]]] = {
+    ".stl": ("trimesh", _stl),
+    ".gltf": ("trimesh", _gltf),
+    ".glb": ("trimesh", _glb),
+    ".dxf": ("ezdxf", _dxf),
+    ".step": ("build123d", _step),
+    ".stp": ("build123d", _step),
 }
 """Ending of a file's name -> the library for it, and a function of both that returns the file's content for a part."""

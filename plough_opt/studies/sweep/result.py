@@ -254,7 +254,7 @@ class Sweep(Readable):
         Raises:
             InputError: pandas is not installed.
         """
-        optional("pandas", "pandas")  # before all points are read
+        optional("pandas")  # before all points are read
         table = self.table
         return data_frame({name: table[name] for name in table.dtype.names or ()}, self.units)
 

@@ -1,45 +1,28 @@
-"""`plough-opt calibrate`: estimation of unknown quantities from measurements."""
+"""`plough-opt calibrate` and `waves`: unknown quantities, and strength waves, estimated from measurements."""
 
 from __future__ import annotations
 
 import argparse
+import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
-from plough_opt.app.options import add_option, add_shared
-from plough_opt.app.terminal import LOG, give, progress, read
+from plough_opt.app.options import RECORDED_SHARE, RIG, given_quantities
+from plough_opt.app.terminal import LOG, check_outputs, give, progress, read, wrote
 from plough_opt.core.errors import InputError, NotConverged, nearest
-from plough_opt.core.quantities import quantities
+from plough_opt.core.quantities import quantities, wave_table
+from plough_opt.core.tables import Grid, Page
 from plough_opt.core.units import customary
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.source import with_unit
 
 if TYPE_CHECKING:
+    from plough_opt.soil.record_waves import RecordWaves
+    from plough_opt.soil.strength_record import Rig
     from plough_opt.studies.calibration import Fit, Measurements
-
-_LOSSES: Final = ("squares", "huber", "soft_l1", "cauchy")
-
-
-def add_options(verb: argparse.ArgumentParser) -> None:
-    """Add the options of a calibration."""
-    data = "CSV file of one measured result, with names and units in its header; repeatable"
-    add_option(verb, "data", "FILE.csv", data, action="append", required=True)
-    unknown = (
-        'quantity to estimate, with its bounds: soil.cohesion="1..80 kPa"; repeatable (default: the [variables] of the'
-        " file that are not columns of the data)"
-    )
-    add_option(verb, "unknown", 'KEY="RANGE"', unknown, action="append", default=[])
-    known = 'separate measurement of an unknown, with one standard deviation: soil.friction_angle="28 +- 1 deg"'
-    add_option(verb, "known", 'KEY="VALUE"', known, action="append", default=[])
-    loss = "loss function; all but squares give outliers less weight (default: squares)"
-    verb.add_argument("--loss", choices=_LOSSES, default="squares", help=loss)
-    errors = "errors whose sigma is not stated: constant, or proportional to the result (default: constant)"
-    verb.add_argument("--errors", choices=("constant", "relative"), default="constant", help=errors)
-    add_option(verb, "level", "P", "confidence level of the intervals (default: 0.95)", type=float, default=0.95)
-    add_option(verb, "folds", "N", "number of folds in cross-validation (default: leave one row out)", type=int)
-    add_shared(verb, "json", "output", plot="draw the residuals: .png, .svg or .pdf")
 
 
 def calibrate(options: argparse.Namespace) -> None:
@@ -142,3 +125,68 @@ def _quality(fit: Fit, folds: int | None) -> str:
 
 def _text(value: float, unit: str) -> str:
     return customary(unit, value).text(value, 3)
+
+
+def waves(options: argparse.Namespace) -> None:
+    """Find the waves in a record, and print them as entries of a problem file."""
+    from plough_opt.problem_file.field_data import read_strength_record
+    from plough_opt.soil.record_waves import strength_waves
+
+    check_outputs(options)
+    rig = given_quantities(options, RIG)
+    record = read_strength_record(options.file, _rig(rig), tow_speed=rig.get("tow_speed"))
+    found = strength_waves(record, options.part, **given_quantities(options, RECORDED_SHARE))
+    give(options, _page(found), lambda: json.dumps(_plain(found), indent=2, allow_nan=False))
+    if options.plot is not None:
+        wrote(found.plot(options.plot))
+
+
+def _rig(given: dict[str, float]) -> Rig | None:
+    """Return the rig that the options describe, or None."""
+    from plough_opt.soil.strength_record import Rig
+
+    if not {"mass", "stiffness", "damping"} & {*given}:
+        return None
+    if missing := [f"--{name}" for name in RIG if name != "damping" and name.replace("-", "_") not in given]:
+        raise InputError(f"a rig also needs {', '.join(missing)}: add these options (--damping is 0 by default)")
+    return Rig(given["mass"], given["stiffness"], given.get("damping", 0.0), given["tow_speed"])
+
+
+def _page(found: RecordWaves) -> Page:
+    """Return the waves as a table and as entries of a problem file."""
+    table = Grid.of("Strength waves, with 95 % intervals", "amplitude", "wavelength", "phase", "part of the variance")
+    entries = []
+    for number, one in enumerate(found.found, start=1):
+        amplitude, wavelength, phase = one.wave.amplitude, one.wave.wavelength, math.degrees(float(one.wave.phase))
+        table.row(
+            f"{amplitude:.3g} ± {one.amplitude:.1g}",
+            f"{wavelength:.4g} ± {one.wavelength:.1g} m",
+            f"{phase:.0f} ± {math.degrees(one.phase):.1g} deg",
+            f"{100.0 * one.part:.0f} %",
+        )
+        name = wave_table(number).removeprefix("effects.")
+        written = f'amplitude = {amplitude:.4g}, wavelength = "{wavelength:.5g} m", phase = "{phase:.4g} deg"'
+        entries.append(f"{name} = {{ {written} }}")
+    spread = (
+        f"The strength has a standard deviation of {100.0 * math.sqrt(found.variance):.3g} % of its trend; the waves"
+        f" omit {100.0 * found.left_out:.0f} % of the variance."
+    )
+    footer = "\n".join(["\n[effects]", *entries]) if entries else ""
+    return Page("", parts=(table, spread), notes=found.notes, footer=footer)
+
+
+def _plain(found: RecordWaves) -> dict[str, object]:
+    """Return the waves and the spectrum as plain values for JSON, in SI units."""
+    return {
+        "waves": [
+            {name: [getattr(one.wave, name), getattr(one, name)] for name in ("amplitude", "wavelength", "phase")}
+            | {"part": one.part}
+            for one in found.found
+        ],
+        "variance": found.variance,
+        "left_out": found.left_out,
+        "notes": list(found.notes),
+        "spectrum": {
+            name: getattr(found.spectrum, name).tolist() for name in ("wave_number", "density", "lower", "upper")
+        },
+    }

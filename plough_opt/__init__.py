@@ -27,4 +27,6 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("plough_opt")
-    return _imported(name)
+    from plough_opt.core.signatures import readable
+
+    return readable(_imported(name))

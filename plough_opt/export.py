@@ -3,8 +3,10 @@
 OpenMDAO is imported on first use.
 """
 
+import sys
 from typing import TYPE_CHECKING, Any
 
+from plough_opt.core.signatures import readable
 from plough_opt.exchange.export.c import write_c
 from plough_opt.exchange.export.fmu import write_fmu
 from plough_opt.exchange.export.part import write_part
@@ -23,3 +25,6 @@ def __getattr__(name: str) -> Any:
     from plough_opt.exchange.export import openmdao
 
     return getattr(openmdao, name)
+
+
+readable(sys.modules[__name__])

@@ -4,10 +4,12 @@
 """
 
 import dataclasses
+import sys
 from typing import Final
 
 from plough_opt.core.checks import check_named, shown
 from plough_opt.core.errors import InputError
+from plough_opt.core.signatures import readable
 from plough_opt.laws.asabe import AsabeD497
 from plough_opt.laws.cones import ElasticMedium, SphericalCavity
 from plough_opt.laws.forces import PlasticGas
@@ -47,3 +49,6 @@ def law_of(medium: str | ResistanceLaw) -> ResistanceLaw:
             f"medium = {shown(medium)} must be a ResistanceLaw, such as McKyesAli(depth=0.35), or one of {names}"
         )
     return medium
+
+
+readable(sys.modules[__name__])

@@ -50,7 +50,7 @@ from .soil.random_strength import RandomStrength as RandomStrength, Spectrum as 
 from .soil.record_waves import RecordWaves as RecordWaves, strength_waves as strength_waves
 from .soil.soil import Soil as Soil, named_soil as named_soil, soil_names as soil_names
 from .soil.strength_record import Rig as Rig, StrengthRecord as StrengthRecord, strength_spectrum as strength_spectrum
-from .soil.waves import StrengthWave as StrengthWave
+from .soil.random_strength import StrengthWave as StrengthWave
 from .studies import crosscheck as crosscheck
 from .studies.accuracy.result import AccuracyStudy as AccuracyStudy
 from .studies.accuracy.study import study_accuracy as study_accuracy, study_design as study_design

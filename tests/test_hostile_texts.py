@@ -15,10 +15,9 @@ from helpers.problem_files import SUBSOILER
 
 import plough_opt as po
 from plough_opt.app.terminal import print_page
-from plough_opt.core.csv_rows import read_rows, write_rows
 from plough_opt.core.process import progress_on
 from plough_opt.core.screen import Screen
-from plough_opt.core.tables import Grid, Page
+from plough_opt.core.tables import Grid, Page, read_rows, write_rows
 
 # Texts that a terminal obeys, that hide or reorder others, that are markup of rich or HTML, and that are neither.
 HOSTILE = [

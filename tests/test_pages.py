@@ -13,14 +13,14 @@ import pytest
 from helpers.commands import line_of_a_page
 
 import plough_opt as po
-from plough_opt.core import csv_rows, quantities, saving, units
+from plough_opt.core import quantities, saving, tables, units
 from plough_opt.core.quantities import EVERY
 from plough_opt.design import effort
 from plough_opt.motion import plan
 from plough_opt.motion.effects import MOST_HARMONICS
 from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file import measures, reading, schema, source, uncertain
-from plough_opt.soil.elastic import profile
+from plough_opt.soil.elastic import medium
 from plough_opt.studies.calibration.measurements import measurable
 from plough_opt.studies.sweep import points
 from plough_opt.studies.tradeoff import assembly
@@ -233,12 +233,12 @@ LIMITS = {
         measures._MAX_LENGTH, measures._MAX_DEPTH, measures._MAX_POWER,
     ),
     "CSV files of measurements and penetrometer readings": (
-        csv_rows._MOST_BYTES, csv_rows._LONGEST_LINE, csv_rows._MOST_LISTED,
+        tables._MOST_BYTES, tables._LONGEST_LINE, tables._MOST_LISTED,
     ),
     "Saved results (`po.load`)": (saving._MOST_BYTES,),
     "Studies and runs": (
         points.MOST_VALUES, points.MOST_SAMPLES, distribution._MOST_SAMPLES, uncertain._COUNTS["fresh"][1],
-        assembly._MOST_POINTS, effort._MOST_ACCEPTED, MOST_HARMONICS, profile._MOST_PIECES, plan.MOST_OUTPUTS,
+        assembly._MOST_POINTS, effort._MOST_ACCEPTED, MOST_HARMONICS, medium._MOST_PIECES, plan.MOST_OUTPUTS,
     ),
     "Phase of a motion": (plan.MOST_RINGING, plan.MOST_FORCED, plan.MOST_PANELLED, plan.MOST_SHOT),
 }  # fmt: skip

@@ -23,8 +23,7 @@ from plough_opt.laws.forces import cone_index
 from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import called
 from plough_opt.problem_file import Problem
-from plough_opt.soil.geometry import Wedge
-from plough_opt.soil.solid import Solid
+from plough_opt.soil.geometry import Solid, Wedge
 
 if TYPE_CHECKING:
     from plough_opt.studies.accuracy.result import AccuracyStudy, Entry, Question

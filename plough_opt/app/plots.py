@@ -26,7 +26,7 @@ from plough_opt.motion.machine import Machine
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import called
 from plough_opt.soil.elastic import wedge_stress
-from plough_opt.soil.elastic.profile import Profile, body
+from plough_opt.soil.elastic.medium import Profile, body
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.soil import Soil
 from plough_opt.studies.sweep.result import Sweep

@@ -10,11 +10,10 @@ from typing import Final
 from plough_opt.core.checks import check_named, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.signatures import readable
-from plough_opt.laws.asabe import AsabeD497
 from plough_opt.laws.cones import ElasticMedium, SphericalCavity
 from plough_opt.laws.forces import PlasticGas
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
-from plough_opt.laws.tines import McKyesAli, SwickPerumpral, UniversalEarthmoving
+from plough_opt.laws.tines import AsabeD497, McKyesAli, SwickPerumpral, UniversalEarthmoving
 from plough_opt.laws.wedge import Tine
 
 __all__ = [

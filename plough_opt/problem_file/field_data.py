@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import LARGEST, LEAST, array_of, check_text, path_of, plain_number, shown
-from plough_opt.core.csv_rows import check_rising, columns_of, raise_listed, readings_of, table_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import exact_text
 from plough_opt.core.quantities import QUANTITIES
+from plough_opt.core.tables import check_rising, columns_of, raise_listed, readings_of, table_of
 from plough_opt.core.units import Unit
 from plough_opt.problem_file.schema import RANDOM
 from plough_opt.problem_file.source import Source, read_axis

@@ -15,7 +15,7 @@ from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display
 from plough_opt.exchange.component import Component, Input, Output, Port, build
-from plough_opt.exchange.component.ports import port_of
+from plough_opt.exchange.component.component import port_of
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.machine import Machine
 from plough_opt.motion.methods import Accuracy

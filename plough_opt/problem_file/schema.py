@@ -33,9 +33,8 @@ from plough_opt.motion.effects import (
     StickSlip,
 )
 from plough_opt.motion.vocabulary import MEASURES
-from plough_opt.soil.random_strength import RandomStrength, Spectrum
+from plough_opt.soil.random_strength import RandomStrength, Spectrum, StrengthWave
 from plough_opt.soil.soil import Adjust
-from plough_opt.soil.waves import StrengthWave
 
 Written = StrictStr | StrictFloat
 RANDOM = "effects.random_strength"

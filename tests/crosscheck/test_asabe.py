@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.laws.asabe import draft_of_row
+from plough_opt.laws.tines import draft_of_row
 from plough_opt.studies.crosscheck import asabe_draft
 
 KM_PER_H = 1 / 3.6

@@ -13,9 +13,8 @@ from rich.console import Console
 
 import plough_opt as po
 from plough_opt.laws import LAWS
-from plough_opt.laws.asabe import POINTS, TEXTURES, asabe_draft
 from plough_opt.laws.cones import spherical_cavity_draft
-from plough_opt.laws.tines import godwin_draft, mckyes_ali_draft
+from plough_opt.laws.tines import POINTS, TEXTURES, asabe_draft, godwin_draft, mckyes_ali_draft
 from plough_opt.studies.crosscheck import Tine, compare
 
 PROBLEMS = Path(__file__).parents[2] / "problems"

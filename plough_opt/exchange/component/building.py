@@ -1,24 +1,376 @@
-"""`component`: a scene as a CasADi Function of named inputs, with as many steps as their bounds need."""
+"""Building of a component: scenes over the whole box of its inputs, as many steps as they need, and the results.
 
-from collections.abc import Sequence
+Each Function consists of small scalar graphs around one loop over the integration steps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, TypeVar
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_kind, check_single, plain_number, shown
-from plough_opt.core.errors import DomainError, InputError
-from plough_opt.core.expressions import Expression, holds_casadi, is_count, is_symbolic
+from plough_opt.core.checks import LEAST, Limit, check_kind, check_single, plain_number, shown
+from plough_opt.core.errors import DomainError, InputError, PloughError
+from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, stacked
+from plough_opt.core.labels import limits_of_laws
 from plough_opt.core.quantities import BESIDE, EVERY, Quantity
-from plough_opt.exchange.component.box import Box
-from plough_opt.exchange.component.function import Component
-from plough_opt.exchange.component.ports import Input, Output, Port, check_names, identifier, measure_of, port_of
-from plough_opt.exchange.component.scenes import MakeScene, Scenes
+from plough_opt.exchange.component.component import (
+    Component,
+    Input,
+    Output,
+    Port,
+    check_names,
+    corner_points,
+    identifier,
+    interior_points,
+    measure_of,
+    point_text,
+    port_of,
+)
 from plough_opt.exchange.named_scene import NamedScene
-from plough_opt.motion import OUTPUTS
-from plough_opt.motion.methods import Accuracy
+from plough_opt.motion import OUTPUTS, Run
+from plough_opt.motion.checks import refuse_runaway
+from plough_opt.motion.derivatives import derivative_error
+from plough_opt.motion.equation import Structure, parameters
+from plough_opt.motion.integrators import Integration, integration
+from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
+from plough_opt.motion.plan import forced_rate, numbers_of, phase, steps_for, timeline_of
+from plough_opt.motion.run import assemble
 from plough_opt.motion.scene import Scene
+from plough_opt.motion.simulation import quasi_static
+from plough_opt.motion.steps import Timeline
+from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 
+MakeScene = Callable[[Mapping[str, Expression]], tuple[Scene, Expression | None]]
+"""Values of the inputs by name, numbers or symbols -> scene and duration [s] or None."""
+
+Results = Mapping[str, Callable[[Run], Expression]]
+"""Name of each result -> its value in a symbolic run, a scalar or a column."""
+
+GAUSS_POINTS = 10
+"""Quadrature nodes in each panel of a quasi-static average."""
+
+_MORE_POINTS = 6
+"""Further nodes for a finer quadrature, whose result checks the coarser one."""
+Values = dict[str, NDArray[np.float64]]
+# The first guess of the number of steps: phase [rad] of the fastest oscillation in one step.
+_PHASE_PER_STEP = 0.8
+# The same for a quasi-static average: phase [rad] of the fastest oscillation in one panel.
+_PHASE_PER_PANEL = 4.0
+_MOST_STEPS = 50_000
+# Limit on the number of times that the number of steps is raised.
+_MOST_ROUNDS = 6
+# Errors are relative to a force of at least this part of V0 sqrt(k0 M), which prevents a division by 0.
+_LEAST_FORCE = 1e-9
+# A share retreats if its speed falls below minus this part of its largest speed; less is rounding.
+_RETREAT = 1e-6
+# Results that are checked at points of the box. The underscore at the end keeps their names apart from the inputs'.
+_CHECKED: Results = {
+    "draft_": lambda run: run.mean_draft,
+    "rms_": lambda run: run.force_rms,
+    "force_": lambda run: run.mount_force,
+    "speed_": lambda run: run.speed,
+    "scale_": lambda run: run.scene.tow_speed * (run.scene.stiffness * run.scene.inertia) ** 0.5,
+    "half_angle_": lambda run: run.scene.cone.half_angle,
+}
 _Request = TypeVar("_Request", Input, Output)
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """How finely a run is resolved.
+
+    Attributes:
+        steps: number of steps of order 8, or of panels of a quasi-static average.
+        outputs: number of equal intervals between output times.
+        points: number of quadrature nodes in a panel.
+    """
+
+    steps: int
+    outputs: int
+    points: int = GAUSS_POINTS
+
+    def finer(self, motion: bool) -> Resolution:
+        """Return a finer resolution, whose results check those of this one."""
+        return replace(self, steps=2 * self.steps) if motion else replace(self, points=self.points + _MORE_POINTS)
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """The scenes that a component's inputs describe.
+
+    Attributes:
+        name: name of every Function made here.
+        inputs: names, units, bounds and values.
+        make: values of the inputs -> scene and duration.
+
+    Raises:
+        InputError: a scene that fixed steps cannot integrate, or one without a duration.
+    """
+
+    name: str
+    inputs: tuple[Port, ...]
+    make: MakeScene
+
+    def __post_init__(self) -> None:
+        effects = self.scene.effects
+        if effects.events:
+            what = "a share that enters the soil" if effects.entry else "stick and slip"
+            raise InputError(
+                f"{what} cannot be a component: its events need an adaptive integrator, and a component's steps are"
+                " fixed; use contact = Smooth(width) and no entry, or simulate the scene itself"
+            )
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The scene at the inputs' values."""
+        return self.at([port.value for port in self.inputs])[0]
+
+    def at(self, x: Sequence[Expression]) -> tuple[Scene, Expression]:
+        """Return scene and duration at values of the inputs, given in order.
+
+        Raises:
+            InputError: the duration is missing, or it is given for a periodic orbit.
+        """
+        scene, duration = self.make({port.name: value for port, value in zip(self.inputs, x, strict=True)})
+        if scene.effects.orbit == "transient":
+            if duration is None:
+                raise InputError("the duration is missing: give the time to simulate, in seconds")
+            BESIDE["scene.duration"].check(duration)
+            return scene, duration
+        if duration is not None:
+            raise InputError("a periodic orbit lasts one wavelength of the soil strength: leave the duration out")
+        return scene, scene.wave_period
+
+    def at_numbers(self, x: Iterable[float]) -> tuple[Scene, float]:
+        """Return the numeric scene and duration at numeric values of the inputs, given in order."""
+        scene, duration = self.at([float(value) for value in x])
+        return scene, float(as_number(duration))
+
+    @cached_property
+    def _symbolic(self) -> tuple[Any, list[Any], Scene, Expression]:
+        """Return the CasADi type, a symbol of it for each input, and the scene and duration of these symbols."""
+        # In MX a law with large sums or loops stays one node; SX would unroll it.
+        kind: Any = ca.SX if self.scene.law.scalar else ca.MX
+        x = [kind.sym(port.argument) for port in self.inputs]
+        return kind, x, *self.at(x)
+
+    def function(self, results: Results, resolution: Resolution) -> ca.Function:
+        """Return results of a run, each a dense column, as a Function of the inputs.
+
+        Inputs that a caller omits have their values.
+
+        Args:
+            results: the results by name.
+            resolution: steps and outputs.
+        """
+        kind, x, scene, duration = self._symbolic
+        arguments, names = [port.argument for port in self.inputs], list(results)
+        options = {"default_in": [port.value for port in self.inputs]}
+
+        def columns(run: Run) -> list[Any]:
+            return [ca.densify(ca.vec(kind(result(run)))) for result in results.values()]
+
+        if not scene.effects.motion:
+            run = quasi_static(scene, duration, self._timeline(resolution), Accuracy(), resolution.points)
+            return ca.Function(self.name, x, columns(run), arguments, names, options)
+        # Three Functions are chained: inputs -> parameters -> motion (the loop over the steps) -> results.
+        solver, parameters_of = self.motion(resolution)
+        integrate = solver.function
+        motion = [kind.sym(f"o{k}", *integrate.size_out(k)) for k in range(integrate.n_out())]
+        states, means, variances = motion
+        fractions = solver.timeline.output_fractions
+        run = assemble(scene, duration, fractions, states.T, means, variances, solver.accuracy)
+        results_of = ca.Function("results", [*x, *motion], columns(run))
+        symbols = [ca.MX.sym(argument) for argument in arguments]
+        values = results_of.call([*symbols, *integrate.call(parameters_of.call(symbols))])
+        return ca.Function(self.name, symbols, values, arguments, names, options)
+
+    def domain(self) -> tuple[tuple[Limit, ...], ca.Function]:
+        """Return the limits of the law of resistance, and a Function from the inputs to the limited values."""
+        kind, x, _, _ = self._symbolic
+        with limits_of_laws() as found:
+            self.at(x)[0].check_reaction()
+        column = ca.vertcat(kind(), *(value for _, value in found))
+        return tuple(limit for limit, _ in found), ca.Function("domain", x, [column])
+
+    def gives_columns(self, results: Results) -> bool:
+        """Return whether any result is a column over the output times."""
+        # The shortest run has two output times, at start and end: a result with a value at each has two rows.
+        function = self.function(results, Resolution(1, 1))
+        return any(function.numel_out(k) > 1 for k in range(function.n_out()))
+
+    def motion(self, resolution: Resolution) -> tuple[Integration, ca.Function]:
+        """Return the integration of a run, and a Function from the inputs to its parameters, the duration last."""
+        _, x, scene, duration = self._symbolic
+        timeline = self._timeline(resolution)
+        solver = integration(Structure.of(scene), Accuracy("dop853", steps=timeline.steps), timeline)
+        p = parameters(scene)
+        return solver, ca.Function("parameters", x, [stacked(*(p[key] for key in solver.names), duration)])
+
+    def _timeline(self, resolution: Resolution) -> Timeline:
+        """Return the times of a run of symbols."""
+        _, _, scene, duration = self._symbolic
+        # Outputs at start and end alone need no interpolation between steps.
+        method: str | None = "dop853" if scene.effects.motion and resolution.outputs > 1 else None
+        return timeline_of(scene, duration, resolution.outputs, resolution.steps, method, symbolic=True)
+
+
+@dataclass(frozen=True)
+class Box:
+    """The scenes between the bounds of their inputs.
+
+    Attributes:
+        scenes: makes a scene from values of the inputs.
+        accuracy: the error to reach, or the number of steps.
+        outputs: number of intervals between output times.
+    """
+
+    scenes: Scenes
+    accuracy: Accuracy
+    outputs: int
+
+    @property
+    def _moves(self) -> bool:
+        return self.scenes.scene.effects.motion
+
+    @cached_property
+    def _points(self) -> list[NDArray[np.float64]]:
+        """Values of the inputs at which errors are estimated."""
+        effects, inputs = self.scenes.scene.effects, self.scenes.inputs
+        # A draft that is constant in time has no error of steps or panels, so the corners suffice.
+        varies = effects.motion or bool(effects.waves) or effects.tow_ramp is not None or effects.own
+        return [*corner_points(inputs), *(interior_points(inputs) if varies else ())]
+
+    def resolved(self) -> tuple[Resolution, float, tuple[str, ...]]:
+        """Return the resolution that reaches the wanted error everywhere between the bounds, its error, and warnings.
+
+        A number of steps in the accuracy is used as it is.
+
+        Raises:
+            DomainError: bounds outside the model's domain.
+        """
+        wanted, first_guess = self.accuracy.error or DEFAULT_ERROR, self._first_guess()
+        steps, error = self._refined(self.accuracy.steps or first_guess, self._error, wanted)
+        notes = []
+        if error > wanted:
+            notes.append(f"the wanted relative error {wanted:.1e} was not reached: the estimate is {error:.1e}")
+        if self._moves:
+            wanted = self.accuracy.wanted_derivatives
+            steps, derivative_error = self._refined(steps, self._derivative_error, wanted)
+            if derivative_error > wanted:
+                notes.append(
+                    f"the wanted error {wanted:.1e} of derivatives was not reached: it is {derivative_error:.1e}"
+                )
+        resolution = Resolution(steps, self.outputs)
+        return resolution, error, (*self._warnings(resolution), *notes)
+
+    def _refined(self, steps: int, error_of: Callable[[Resolution], float], wanted: float) -> tuple[int, float]:
+        """Increase the number of steps until the error is as wanted; return both.
+
+        A number of steps that the accuracy gives is used as it is, and none exceeds the limit.
+        """
+        error = error_of(Resolution(steps, self.outputs))
+        for _ in range(_MOST_ROUNDS):
+            if error <= wanted or self.accuracy.steps is not None or 2 * steps > _MOST_STEPS:
+                break
+            # The error of order 8 falls with the eighth power of the steps. Take a tenth more, at most twice as many.
+            steps = math.ceil(steps * min(2.0, 1.1 * (error / wanted) ** 0.125))
+            error = error_of(Resolution(steps, self.outputs))
+        return steps, error
+
+    def _error(self, resolution: Resolution) -> float:
+        """Return the largest relative difference from a finer run, in draft, RMS, and mount force at the outputs."""
+        worst = 0.0
+        coarse_run, fine_run = self._evaluated(resolution), self._evaluated(resolution.finer(self._moves))
+        for coarse, fine in zip(coarse_run, fine_run, strict=True):
+            least = _LEAST_FORCE * float(fine["scale_"][0]) or LEAST
+            size = max(abs(float(fine["draft_"][0])), float(fine["rms_"][0]), least)
+            peak = max(float(np.max(np.abs(fine["force_"]))), least)
+            for name, scale in (("draft_", size), ("rms_", size), ("force_", peak)):
+                worst = max(worst, float(np.max(np.abs(coarse[name] - fine[name]))) / scale)
+        return worst
+
+    def _derivative_error(self, resolution: Resolution) -> float:
+        """Return the largest error of the motion's derivatives."""
+        solver, parameters_of = self.scenes.motion(resolution)
+        varying = {row for k in range(parameters_of.n_in()) for row in parameters_of.jac_sparsity(0, k).row()}
+        p = np.hstack([parameters_of.call(list(x))[0].full() for x in self._points])
+        # Without output times between the ends only the averages are used: skip the states.
+        first = solver.function.numel_out(0) if self.outputs == 1 else 0
+        return derivative_error(solver, first, tuple(sorted(varying)), p)
+
+    def _first_guess(self) -> int:
+        """Return the number of steps, or panels, for the fastest oscillation at any corner of the bounds.
+
+        Raises:
+            DomainError: a scene outside the model's domain, or one that needs more steps than the limit.
+        """
+        most = 0
+        for x in corner_points(self.scenes.inputs):
+            where = point_text(self.scenes.inputs, x)
+            try:
+                scene, duration = self.scenes.at_numbers(x)
+                scene.check_reaction()
+                refuse_runaway(scene, duration)
+            except PloughError as error:
+                raise DomainError(f"at {where}: {error}; give the inputs narrower bounds") from None
+            p = numbers_of(scene)
+            if self._moves:
+                most = max(most, steps_for(phase(p, duration), _PHASE_PER_STEP))
+            else:
+                most = max(most, steps_for(forced_rate(p) * duration, _PHASE_PER_PANEL))
+            if self.accuracy.steps is None and most > _MOST_STEPS:
+                raise DomainError(
+                    f"at {where} the share oscillates so fast that the run would take {most} steps: narrow the bounds"
+                    " on stiffness and mass, shorten the duration, or use the quasi-static scene"
+                )
+        return most
+
+    def _evaluated(self, resolution: Resolution) -> list[Values]:
+        """Return the checked results at every point.
+
+        Raises:
+            DomainError: a result is not finite.
+        """
+        function = self.scenes.function(_CHECKED, resolution)
+        found = []
+        for x in self._points:
+            values = {name: value.full().ravel() for name, value in zip(_CHECKED, function.call(list(x)), strict=True)}
+            if not all(np.all(np.isfinite(value)) for value in values.values()):
+                what, where = "motion" if self._moves else "draft", point_text(self.scenes.inputs, x)
+                raise DomainError(f"the {what} has no finite value at {where}: give the inputs narrower bounds")
+            found.append(values)
+        return found
+
+    def _warnings(self, resolution: Resolution) -> tuple[str, ...]:
+        """Return warnings about the scene at the inputs' values, and about those between the bounds."""
+        scene, results = self.scenes.scene, self._evaluated(resolution)
+        notes = list(scene.warnings())
+        bluntest = max(float(values["half_angle_"][0]) for values in results)
+        warned = any("plane sections" in note for note in notes)
+        if scene.law.slender and bluntest > PLANE_SECTIONS_LIMIT and not warned:
+            notes.append(
+                f"within the bounds the half angle reaches {math.degrees(bluntest):.1f} deg: above"
+                f" {math.degrees(PLANE_SECTIONS_LIMIT):.0f} deg the hypothesis of plane sections does not hold"
+            )
+        lowest = [float(np.min(values["speed_"])) for values in results]
+        slowest = int(np.argmin(lowest))
+        if lowest[slowest] < -_RETREAT * float(np.max(np.abs(results[slowest]["speed_"]))):
+            where = point_text(self.scenes.inputs, self._points[slowest])
+            notes.append(
+                f"within the bounds the share retreats, as at {where} at up to {-lowest[slowest]:.3g} m/s, and this"
+                " contact law ignores the gap that it leaves"
+            )
+        if scene.effects.orbit not in ("transient", "periodic"):
+            notes.append("an approximation of the periodic orbit, whose own error is not in the error estimate")
+        return tuple(notes)
 
 
 def component(

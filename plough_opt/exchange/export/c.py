@@ -10,7 +10,7 @@ import casadi as ca
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import check_new_folder, write_folder
 from plough_opt.exchange.component import Component, Port
-from plough_opt.exchange.component.ports import RELAXATION, corner_points, interior_points
+from plough_opt.exchange.component.component import RELAXATION, corner_points, interior_points
 
 MOST_ULP = 4
 """Units in the last place by which a compiled result may differ from Python's."""

@@ -11,8 +11,7 @@ from plough_opt.core.checks import check_kind, path_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import check_file, write_file
 from plough_opt.core.process import optional
-from plough_opt.soil.geometry import Cone, Wedge
-from plough_opt.soil.solid import Solid
+from plough_opt.soil.geometry import Cone, Solid, Wedge
 
 # Millimetres in a metre.
 _MM: Final = 1e3

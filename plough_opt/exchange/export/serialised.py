@@ -11,7 +11,7 @@ import numpy as np
 
 from plough_opt.core.files import Content, check_file, write_files
 from plough_opt.exchange.component import Component, Port
-from plough_opt.exchange.component.ports import RELAXATION
+from plough_opt.exchange.component.component import RELAXATION
 
 
 def write_casadi(component: Component, path: str | Path, description: str | Path | None = None) -> Path:

@@ -36,7 +36,7 @@ from plough_opt.motion.batch.result import BatchResult
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.equation import Structure
 from plough_opt.motion.scene import Scene
-from plough_opt.soil.waves import check_strength
+from plough_opt.soil.random_strength import check_strength
 
 
 class DomainCheck:

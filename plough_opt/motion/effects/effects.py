@@ -13,8 +13,7 @@ from plough_opt.core.quantities import MOST_WAVES, read_fields
 from plough_opt.laws.printed import Formulation, Printed, errors_of
 from plough_opt.motion.effects.own import OwnResistance, check_own
 from plough_opt.motion.effects.terms import Smooth, StickSlip
-from plough_opt.soil.random_strength import RandomStrength, Spectrum
-from plough_opt.soil.waves import StrengthWave, turns_of
+from plough_opt.soil.random_strength import RandomStrength, Spectrum, StrengthWave, turns_of
 
 MOST_HARMONICS = 64
 """Largest number of harmonics of a harmonic balance."""

@@ -9,13 +9,19 @@ Coordinates move with the body: its tip is at x = 0, and the medium streams towa
 
 from plough_opt.soil.elastic import fourier
 from plough_opt.soil.elastic.cone import ConeDisplacement, ConeStress, cone_displacement, cone_pressure, cone_stress
-from plough_opt.soil.elastic.contact import cone_force, wedge_force
-from plough_opt.soil.elastic.medium import longitudinal_wave_speed, rayleigh_speed, shear_modulus, shear_wave_speed
-from plough_opt.soil.elastic.profile import knots
+from plough_opt.soil.elastic.medium import (
+    knots,
+    longitudinal_wave_speed,
+    rayleigh_speed,
+    shear_modulus,
+    shear_wave_speed,
+)
 from plough_opt.soil.elastic.wedge import (
     WedgeGradient,
     WedgeStress,
+    cone_force,
     wedge_displacement,
+    wedge_force,
     wedge_gradient,
     wedge_pressure,
     wedge_stress,

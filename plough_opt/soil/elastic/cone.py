@@ -18,8 +18,20 @@ from typing import NamedTuple, TypeVar
 
 from plough_opt.core.checks import LEAST, check_domain
 from plough_opt.core.expressions import Expression, arcsinh, arcsinh_ratio, gauss_legendre, one_node, sqrt, where
-from plough_opt.soil.elastic.medium import BELOW_SHEAR_WAVES, FAR, FAR_NODES, Medium, Ratios, medium, medium_law
-from plough_opt.soil.elastic.profile import Body, Profile, Segment, body, points
+from plough_opt.soil.elastic.medium import (
+    BELOW_SHEAR_WAVES,
+    FAR,
+    FAR_NODES,
+    Body,
+    Medium,
+    Profile,
+    Ratios,
+    Segment,
+    body,
+    medium,
+    medium_law,
+    points,
+)
 from plough_opt.soil.soil import Soil
 
 _Field = TypeVar("_Field")

@@ -17,8 +17,7 @@ from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Expression, expm1_ratio, gauss_legendre, holds_casadi, is_count
 from plough_opt.soil.elastic import cone as cones
 from plough_opt.soil.elastic import wedge as wedges
-from plough_opt.soil.elastic.medium import Medium, medium
-from plough_opt.soil.elastic.profile import heights_at
+from plough_opt.soil.elastic.medium import Medium, heights_at, medium
 from plough_opt.soil.soil import Soil
 
 Array = NDArray[np.float64]

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import array_of, check_kind, check_named, check_text, mapping_of, path_of, shown
-from plough_opt.core.csv_rows import HEADING, columns_of, raise_listed, read_rows, table_of
 from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import InputError
 from plough_opt.core.plain_data import Array
 from plough_opt.core.quantities import every_quantity, quantities
+from plough_opt.core.tables import HEADING, columns_of, raise_listed, read_rows, table_of
 from plough_opt.core.units import Unit, in_si
 from plough_opt.motion.vocabulary import MEASURES
 

@@ -18,13 +18,12 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import path_of, shown
-from plough_opt.core.csv_rows import write_rows
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import drawn, write_file
 from plough_opt.core.plain_data import Array
 from plough_opt.core.process import optional
 from plough_opt.core.saving import Origin
-from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame
+from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame, write_rows
 from plough_opt.motion.vocabulary import called
 from plough_opt.studies.sweep.store import RESERVED, State, Store
 

@@ -8,10 +8,9 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
-from plough_opt.core.csv_rows import write_rows
 from plough_opt.core.files import write_file
 from plough_opt.core.saving import Saveable
-from plough_opt.core.tables import Column, Grid, Page, data_frame
+from plough_opt.core.tables import Column, Grid, Page, data_frame, write_rows
 from plough_opt.motion.vocabulary import called
 from plough_opt.studies.tradeoff.front import Axis, Front, FrontPoint
 

@@ -17,8 +17,8 @@ import numpy as np
 from plough_opt.core.checks import check_named, shown
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Expression, stacked
-from plough_opt.core.quantities import quantities
 from plough_opt.core.plain_data import Array
+from plough_opt.core.quantities import quantities
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display
 from plough_opt.laws import LAWS

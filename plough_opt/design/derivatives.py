@@ -11,15 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from plough_opt.core.errors import DomainError, InputError
+from plough_opt.core.errors import DomainError
 from plough_opt.design.ipopt import Point, Vector
-from plough_opt.design.nlp import RunGroup
 from plough_opt.design.polishing import AS_FOUND, solved_again
 from plough_opt.design.program import Program
-from plough_opt.motion.compiled_steps import ManyRuns
-from plough_opt.motion.derivatives import derivative_error, difference_of_jets, finer_than
-from plough_opt.motion.plan import summed_rate
-from plough_opt.motion.steps import pairs
+from plough_opt.motion.derivatives import derivative_error
 
 SMALL = 0.25
 """Objectives below this part of the program's scale count as small: their errors are relative to the scale."""
@@ -33,15 +29,8 @@ _COARSE = 1e-6
 _STEPS_EXPONENT = 0.125
 # Largest factor on the number of steps in one refinement.
 _MOST_STEPS_FACTOR = 3.0
-# Differences that replace derivatives change each parameter by a relative step: the first number divided by the run's
-# phase [rad], and at most the second. They then miss a hundredth of the error that they measure, and rounding is 1e-12
-# of the derivatives.
-_CHANGE_TIMES_PHASE = 0.3
-_MOST_CHANGE = 0.03
 # Within this distance of a scaled design the error of derivatives is not measured again.
 _SAME_ERROR = 1e-3
-# At most this many runs of a group are compared.
-_MOST_RUNS = 8
 
 
 def error_of_derivatives(program: Program, y: Vector, p: Vector) -> float:
@@ -49,91 +38,14 @@ def error_of_derivatives(program: Program, y: Vector, p: Vector) -> float:
     known, at = program.built.errors, (y.tobytes(), p.tobytes())
     if at not in known:
         known.clear()
-        known[at] = max((_error(own, own.inputs(y, p).full()) for own in program.built.plain.groups), default=0.0)
+        known[at] = max(
+            (
+                derivative_error(group.solver, group.first, group.varying, group.inputs(y, p).full())
+                for group in program.built.plain.groups
+            ),
+            default=0.0,
+        )
     return known[at]
-
-
-def _error(own: RunGroup, theta: Vector) -> float:
-    """Return the largest error of the derivatives of a group's runs.
-
-    Args:
-        own: the group.
-        theta: all parameters of its runs, a column for each run.
-    """
-    many = _compiled_runs(own)
-    error = math.nan
-    if many is not None:
-        chosen = np.unique(np.linspace(0, theta.shape[1] - 1, _MOST_RUNS).round().astype(int))
-        error = max(_error_by_differences(own, p, many) for p in theta.T[chosen])
-    return derivative_error(own.solver, own.first, own.varying, theta) if math.isnan(error) else error
-
-
-def _compiled_runs(own: RunGroup) -> ManyRuns | None:
-    """Return machine code that integrates many runs of a group by the group's own steps, or None if there is none.
-
-    The machine code takes the same steps only if the design reads nothing between steps and no step ends at a kink.
-    """
-    solver = own.solver
-    structure = solver.structure
-    if not (own.first and own.varying and structure.stepped and solver.accuracy.order_8):
-        return None
-    if structure.kinked or structure.ramp:
-        return None
-    try:
-        many = ManyRuns(structure, 0)
-    except InputError:  # an operation without a vector form
-        return None
-    return many if many.compiled else None
-
-
-def _error_by_differences(own: RunGroup, p: Vector, many: ManyRuns) -> float:
-    """Return `derivative_error` of one run with differences in place of derivatives; NaN if a run has no value.
-
-    The truncation error of the differences is nearly the same for few steps and for many, so it cancels when the two
-    are compared.
-
-    Args:
-        own: the run's group; the design uses nothing but its averages.
-        p: parameters of the run, the duration last.
-        many: integrates runs of its structure.
-    """
-    count = len(own.varying)
-    phase = float(summed_rate(dict(zip(own.solver.names, map(float, p), strict=False)))) * float(p[-1])
-    step = min(_MOST_CHANGE, _CHANGE_TIMES_PHASE / max(phase, _CHANGE_TIMES_PHASE))
-    first, second = np.array(pairs(count)).T
-    directions = np.zeros((1 + 2 * len(first), count))
-    for part, sign in ((slice(1, None, 2), 1.0), (slice(2, None, 2), -1.0)):
-        np.put_along_axis(directions[part], np.column_stack([first, second]), sign, axis=1)
-    given = np.repeat(p[None], len(directions), axis=0)
-    given[:, list(own.varying)] *= 1.0 + step * directions
-    used, finer = (
-        _jet(many(given, count=len(solver.timeline.nodes) - 1), (first, second), step, own.first)
-        for solver in (own.solver, finer_than(own.solver))
-    )
-    if not (np.all(np.isfinite(used)) and np.all(np.isfinite(finer))):
-        return math.nan
-    return difference_of_jets(own.solver, p, used, finer, own.first)
-
-
-def _jet(results: Vector, pair: tuple[np.ndarray, np.ndarray], step: float, missing: int) -> Vector:
-    """Return values, first and second derivatives of results, with columns as in `plough_opt.motion.derivatives`.
-
-    Args:
-        results: a row for the unchanged parameters, then for each pair a row with both changed upwards and one with
-            both changed downwards.
-        pair: first and second parameter of each pair; a parameter paired with itself changes alone.
-        step: size of the changes.
-        missing: number of rows of zeros that precede the results.
-    """
-    value, up, down = results[0], results[1::2], results[2::2]
-    alone = np.flatnonzero(pair[0] == pair[1])
-    slopes = (up[alone] - down[alone]) / (2.0 * step)
-    along = (up - 2.0 * value + down) / step**2
-    different = (pair[0] != pair[1])[:, None]
-    # The curvature along a + b is that along a, plus that along b, plus twice the mixed derivative.
-    second = np.where(different, 0.5 * (along - along[alone[pair[0]]] - along[alone[pair[1]]]), along)
-    jet = np.vstack([value, slopes, second]).T
-    return np.vstack([np.zeros((missing, jet.shape[1])), jet])
 
 
 def with_sure_steps(program: Program, p: Vector, starts: Sequence[Vector]) -> Program:

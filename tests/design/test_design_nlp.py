@@ -9,10 +9,7 @@ import pytest
 from helpers.small_designs import design
 
 import plough_opt as po
-from plough_opt.core.compiler import find_compiler
-from plough_opt.design.derivatives import error_of_derivatives
 from plough_opt.design.program import Program
-from plough_opt.motion.derivatives import difference_of_jets, finer_than, jets
 
 
 def _whole_by_ad(program):
@@ -241,27 +238,3 @@ def test_motions_that_need_too_many_steps_are_skipped_or_refused(r1_scene, r1_wa
     fast.minimise(po.simulate(r1_scene(stiffness=k0, strength_wave=r1_wave), 1.0, outputs=5).mean_draft / 1e3)
     with pytest.raises(po.PloughError, match="shorten"):
         fast.solve()
-
-
-# --- the error of derivatives, from differences of runs side by side ----------------------------------------
-
-
-@pytest.mark.parametrize("damping", [None, 300.0])
-@pytest.mark.parametrize("refinement", [0.25, 0.5])
-def test_differences_of_runs_give_the_error_of_their_derivatives(build_r1, refinement, damping):
-    if find_compiler() is None:
-        pytest.skip("without a compiler there are no differences of very many runs")
-    d = build_r1(damping=damping).design
-    program, none = Program.of(d.declared), np.empty(0)
-    y = program.start()
-    program = program.with_steps(none, refinement, [y])
-    (own,) = program.nlp.groups
-    p = own.inputs(y, none).full().ravel()
-    scales = p[list(own.varying)]
-    columns = np.array([1.0, *scales, *(a * b for k, a in enumerate(scales) for b in scales[k:])])
-    pair = own.solver, finer_than(own.solver)
-    used, better = (np.asarray(jets(one.structure, one.timeline, own.varying, 2)(p)) * columns for one in pair)
-    exact = difference_of_jets(own.solver, p, used, better, own.first)
-    assert exact > 1e-9
-    # Changes by 0.3 rad of the phase bend an error that oscillates with it by 0.3**2/12 of itself.
-    assert error_of_derivatives(program, y, none) == pytest.approx(exact, rel=0.01)

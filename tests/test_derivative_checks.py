@@ -6,7 +6,7 @@ from helpers.scenes import scene_of
 from scipy.optimize import brentq
 
 import plough_opt as po
-from plough_opt.design.derivatives import error_of_derivatives
+from plough_opt.design.model.program import error_of_derivatives
 from plough_opt.motion.derivatives import derivative_error, jets
 from plough_opt.motion.equation import Structure, equation_of, parameters
 from plough_opt.motion.integrators import integration

@@ -15,7 +15,7 @@ from helpers.commands import line_of_a_page
 import plough_opt as po
 from plough_opt.core import quantities, saving, tables, units
 from plough_opt.core.quantities import EVERY
-from plough_opt.design import effort
+from plough_opt.design.search import effort
 from plough_opt.motion import plan
 from plough_opt.motion.effects import MOST_HARMONICS
 from plough_opt.motion.vocabulary import MEASURES

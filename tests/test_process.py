@@ -40,7 +40,7 @@ def test_a_worker_of_a_sweep_keeps_one_processor_busy_and_the_sweep_leaves_no_tr
 
 def test_runs_of_a_design_use_the_available_processors(monkeypatch, r1_scene):
     asked = []
-    monkeypatch.setattr("plough_opt.design.nlp.available", lambda: asked.append(1) or 1)
+    monkeypatch.setattr("plough_opt.design.model.nlp.available", lambda: asked.append(1) or 1)
     design = po.Design()
     height = design.variable("height", guess=0.25, lower=0.1, upper=0.5)
     runs = [po.simulate(r1_scene(height=height, stiffness=k), 0.2) for k in (4e4, 5e4)]

@@ -21,7 +21,7 @@ from plough_opt.core.checks import LEAST, Limit
 from plough_opt.core.expressions import exp
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import registry
-from plough_opt.design import effort
+from plough_opt.design.search import effort
 from plough_opt.soil import plastic
 
 SOIL = po.named_soil("serozem")

@@ -21,7 +21,7 @@ from plough_opt.problem_file.schema import file_schema
 from plough_opt.soil.soil import named_soil, soil_names
 
 if TYPE_CHECKING:
-    from plough_opt.design.effort import Search
+    from plough_opt.design.search.effort import Search
 
 
 def init(options: argparse.Namespace) -> None:

@@ -18,7 +18,7 @@ from plough_opt.core.quantities import EVERY, QUANTITIES
 from plough_opt.core.tables import Grid
 from plough_opt.core.units import Display
 from plough_opt.design import Limit, Optimum, Sensitivity
-from plough_opt.design.landscape import FEASIBLE
+from plough_opt.design.search.landscape import FEASIBLE
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import called

@@ -18,7 +18,7 @@ from plough_opt.core.files import COLOURS, save_figure
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display
 from plough_opt.design import Limit, LocalOptimum, Optimum
-from plough_opt.design.landscape import FEASIBLE
+from plough_opt.design.search.landscape import FEASIBLE
 from plough_opt.motion import Run
 from plough_opt.motion.batch import BatchResult
 from plough_opt.motion.equation import GAP, STICK, Structure, parameters

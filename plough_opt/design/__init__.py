@@ -1,12 +1,11 @@
 """Designs: variables, an objective and named requirements, solved by IPOPT with exact derivatives."""
 
-from plough_opt.design.boxed import Over
-from plough_opt.design.exploring import Progress
-from plough_opt.design.local_optimum import Limit, LocalOptimum, Search
-from plough_opt.design.optimum import Choice, Optimum, Rounded
-from plough_opt.design.problem import Design
-from plough_opt.design.sensitivity import Sensitivity
-from plough_opt.design.tolerance import Spread
+from plough_opt.design.certify.tolerance import Spread
+from plough_opt.design.question import Design
+from plough_opt.design.result.optimum import Choice, Limit, LocalOptimum, Optimum, Rounded, Search
+from plough_opt.design.result.sensitivity import Sensitivity
+from plough_opt.design.search.explore import Progress
+from plough_opt.design.solving import Over
 
 __all__ = [
     "Choice",

@@ -14,7 +14,7 @@ _CLASSES: Final = {
     "plough_opt.motion.run": ("Run",),
     "plough_opt.motion.machine": ("Machine",),
     "plough_opt.motion.batch.result": ("BatchResult",),
-    "plough_opt.design.optimum": ("LocalOptimum", "Optimum", "Rounded"),
+    "plough_opt.design.result.optimum": ("LocalOptimum", "Optimum", "Rounded"),
     "plough_opt.studies.tradeoff.result": ("TradeOff",),
     "plough_opt.studies.accuracy.result": ("AccuracyStudy",),
     "plough_opt.studies.calibration.fit": ("Fit",),

@@ -29,8 +29,8 @@ from plough_opt.soil.soil import Soil, named_soil
 
 if TYPE_CHECKING:
     from plough_opt.design import Design, Optimum, Over, Progress
-    from plough_opt.design.effort import Search
-    from plough_opt.design.tolerance import Judge
+    from plough_opt.design.certify.tolerance import Judge
+    from plough_opt.design.search.effort import Search
     from plough_opt.studies.tradeoff import TradeOff
 
 # The optimiser and the fronts are imported on use: files are checked and simulated without them.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import plough_opt as po
-from plough_opt.design.program import Program
+from plough_opt.design.model.program import Program
 from plough_opt.motion import integrators, steps
 
 pytestmark = pytest.mark.bench

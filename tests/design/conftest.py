@@ -8,7 +8,7 @@ from unittest.mock import Mock
 import pytest
 
 import plough_opt as po
-from plough_opt.design import program
+from plough_opt.design.model import program
 
 # What judges these designs integrates in C.
 JUDGED = ("*_study", "independent_motion", "near", "search_reproductions")

@@ -9,7 +9,7 @@ import pytest
 from helpers.small_designs import design
 
 import plough_opt as po
-from plough_opt.design.program import Program
+from plough_opt.design.model.program import Program
 
 
 def _whole_by_ad(program):

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 import plough_opt as po
-from plough_opt.design import ipopt
+from plough_opt.design.model import ipopt
 
 # Optima of R1 to ten digits; half a unit of the last one is 6e-11 of the objective.
 TRUTH = [

@@ -8,7 +8,7 @@ import pytest
 from helpers.small_designs import design, sticking
 
 import plough_opt as po
-from plough_opt.design import ipopt
+from plough_opt.design.model import ipopt
 
 
 def test_the_shortfall_of_an_impossible_radius(build_r1):

@@ -9,7 +9,7 @@ import pytest
 from helpers.small_designs import design, sticking
 
 import plough_opt as po
-from plough_opt.design.effort import effort_of, searched
+from plough_opt.design.search.effort import effort_of, searched
 
 UNITS = pint.UnitRegistry()
 

@@ -9,7 +9,7 @@ from helpers.differences import check_derivatives
 from helpers.small_designs import design
 
 import plough_opt as po
-from plough_opt.design.program import Program
+from plough_opt.design.model.program import Program
 
 CHOICES = {"linearised": "linearised", "periodic": "periodic", "harmonic balance": po.HarmonicBalance(3)}
 LOWER, UPPER = 3e3, 4e5

@@ -11,8 +11,8 @@ from helpers.scenes import scene_of
 from helpers.small_designs import design
 
 import plough_opt as po
-from plough_opt.design import boxed
-from plough_opt.design.tolerance import BOX_DESIGNS, boxes
+from plough_opt.design import solving
+from plough_opt.design.certify.tolerance import BOX_DESIGNS, boxes
 
 T = 0.1
 
@@ -77,7 +77,7 @@ def test_neither_the_guess_nor_a_sample_needs_a_value(over, guess, objective, wa
 
 
 def test_a_worst_objective_below_the_first_bounds_is_found(monkeypatch):
-    monkeypatch.setattr(boxed, "bounds_on_worst", lambda *_: (4.0, 5.0))
+    monkeypatch.setattr(solving, "bounds_on_worst", lambda *_: (4.0, 5.0))
     worst = 1.0 + (np.ptp(_offsets(_parabola(None), 0.7)) / 2.0) ** 2
     assert _parabola("worst").solve().objective == pytest.approx(worst, rel=1e-9)
 
@@ -108,7 +108,7 @@ def test_the_worst_over_a_linear_variable_is_found(factor, tolerance):
 
 
 def test_a_worst_objective_above_the_first_bounds_is_found(monkeypatch):
-    monkeypatch.setattr(boxed, "bounds_on_worst", lambda *_: (0.1, 0.2))
+    monkeypatch.setattr(solving, "bounds_on_worst", lambda *_: (0.1, 0.2))
     worst = 1.0 + (np.ptp(_offsets(_parabola(None), 0.7)) / 2.0) ** 2
     assert _parabola("worst").solve().objective == pytest.approx(worst, rel=1e-9)
 
@@ -130,7 +130,7 @@ RUNS = [(1, {}, BOX_DESIGNS), (3, {}, 16), (40, {}, 8), (1, {"contact": po.Stick
 def test_a_box_holds_fewer_designs_if_these_take_long(runs, effects, count):
     d, k0 = design(stiffness=(5e4, 2e4, 1e5))
     d.minimise(sum(po.simulate(scene_of(stiffness=k0 + k, **effects), 0.1).mean_draft for k in range(runs)))
-    assert boxed.designs_per_box(d.declared) == count
+    assert solving.designs_per_box(d.declared) == count
 
 
 BOXED = {"x": (1.0, 0.1, 10.0, "", False, 0.2), "y": (2.0, 0.1, 10.0, "", False, "5 %")}

@@ -5,10 +5,10 @@ import pytest
 from helpers.small_designs import design
 from scipy.stats.qmc import Sobol
 
-from plough_opt.design import population
-from plough_opt.design.landscape import Landscape, barriers, concatenated, end_straight_downhill
-from plough_opt.design.program import Program
-from plough_opt.design.sampling import MOST_DIMENSIONS, sobol_points
+from plough_opt.design.model import population
+from plough_opt.design.model.program import Program
+from plough_opt.design.search.landscape import Landscape, barriers, concatenated, end_straight_downhill
+from plough_opt.design.search.points import MOST_DIMENSIONS, sobol_points
 
 
 @pytest.mark.parametrize("n", [1, 3, MOST_DIMENSIONS, MOST_DIMENSIONS + 1])

@@ -10,8 +10,9 @@ import pytest
 from helpers.small_designs import design, sticking
 
 import plough_opt as po
-from plough_opt.design import derivatives, ipopt, verify
-from plough_opt.design.tolerance import boxes
+from plough_opt.design.certify import confirmation
+from plough_opt.design.certify.tolerance import boxes
+from plough_opt.design.model import ipopt, tight_integration
 
 
 @pytest.fixture
@@ -127,7 +128,7 @@ def test_an_invalid_search_or_seed_is_refused(waves, name, given, words):
 
 def test_the_same_search_gives_the_same_bits(r1, build_r1, monkeypatch):
     again = r1.design.solve()
-    monkeypatch.setattr("plough_opt.design.population.available", lambda: 3)
+    monkeypatch.setattr("plough_opt.design.model.population.available", lambda: 3)
     for other in (again, build_r1().design.solve()):
         assert other.local_optima == r1.best.local_optima
         np.testing.assert_array_equal(other.search.objective, r1.best.search.objective)
@@ -166,7 +167,7 @@ def test_progress_names_the_sample_and_the_basins(waves):
 def test_steps_are_refined_until_the_objective_is_right(monkeypatch, build_nlp, build_r1, seconds):
     # Quadratic programs find the optimum. Without time to solve it again, it is evaluated by the finer steps.
     monkeypatch.setitem(ipopt.FROM_BOTTOM, "ipopt.max_cpu_time", seconds)
-    monkeypatch.setattr(verify, "_PHASE_PER_STEP", 2.5)
+    monkeypatch.setattr(tight_integration, "_PHASE_PER_STEP", 2.5)
     # The tolerance on derivatives is loose, because they would demand more steps at the start already.
     best = build_r1(accuracy=po.Accuracy(derivatives=0.1)).design.solve()
     steps = [call.args[3][0] for call in build_nlp.call_args_list]
@@ -178,12 +179,12 @@ def test_steps_are_refined_until_the_objective_is_right(monkeypatch, build_nlp, 
 
 
 # With the fewest steps the optimiser's objective has no value.
-LIMITS = [(derivatives, "_MOST_REFINEMENTS", 0), (verify, "_MOST_STEPS", 60), (verify, "_MOST_STEPS", 24)]
+LIMITS = [(confirmation, "_MOST_REFINEMENTS", 0), *((tight_integration, "_MOST_STEPS", most) for most in (60, 24))]
 
 
 @pytest.mark.parametrize("limit", LIMITS)
 def test_steps_that_stay_too_coarse_are_reported(monkeypatch, build_r1, limit):
-    monkeypatch.setattr(verify, "_PHASE_PER_STEP", 40.0)
+    monkeypatch.setattr(tight_integration, "_PHASE_PER_STEP", 40.0)
     monkeypatch.setattr(*limit)
     best = build_r1().design.solve(search="local")
     assert not best.gap <= 1e-8

@@ -10,7 +10,7 @@ from helpers.problem_files import SUBSOILER
 from helpers.small_designs import design
 
 import plough_opt as po
-from plough_opt.design import ipopt
+from plough_opt.design.model import ipopt
 
 
 def _cost_against_yield(a=2.0, c=3.0, *, most=10.0, log=False):

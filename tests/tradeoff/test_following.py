@@ -7,9 +7,9 @@ import pytest
 from helpers.small_designs import design
 
 import plough_opt as po
-from plough_opt.design import program as program_module
-from plough_opt.design.optimality import quadratic_program
-from plough_opt.design.polishing import point_as_found
+from plough_opt.design.model import program as program_module
+from plough_opt.design.model.optimality import quadratic_program
+from plough_opt.design.search.local import point_as_found
 from plough_opt.studies.tradeoff import program as programs
 from plough_opt.studies.tradeoff.program import BatchCorrector, FrontProgram, declarations
 

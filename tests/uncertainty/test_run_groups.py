@@ -8,7 +8,7 @@ from helpers.differences import check_derivatives
 from scipy import stats
 
 import plough_opt as po
-from plough_opt.design.program import Program
+from plough_opt.design.model.program import Program
 
 FIELD = po.SoilDistribution(
     po.named_soil("serozem"), cohesion=stats.lognorm(0.3, scale=20e3), density_ratio=stats.beta(8, 4, 0.7, 0.14)

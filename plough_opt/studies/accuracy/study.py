@@ -39,13 +39,13 @@ from plough_opt.core.quantities import BESIDE
 from plough_opt.core.saving import versions
 from plough_opt.design import Design, Optimum, Progress
 from plough_opt.design.declarations import Declarations
-from plough_opt.design.effort import Search
-from plough_opt.design.exploring import silent
-from plough_opt.design.ipopt import Point, SolveOptions
-from plough_opt.design.nlp import averages_only
-from plough_opt.design.optimality import decides, newton_step, symmetric
-from plough_opt.design.program import Program
-from plough_opt.design.split import split
+from plough_opt.design.model.ipopt import Point, SolveOptions
+from plough_opt.design.model.nlp import averages_only
+from plough_opt.design.model.optimality import decides, newton_step, symmetric
+from plough_opt.design.model.program import Program
+from plough_opt.design.model.split import split
+from plough_opt.design.search.effort import Search
+from plough_opt.design.search.explore import silent
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.plan import MOST_ADAPTIVE, MOST_OUTPUTS, phase, steps_for

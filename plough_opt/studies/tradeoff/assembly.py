@@ -17,10 +17,10 @@ from plough_opt.core.notes import merge
 from plough_opt.core.plain_data import Array
 from plough_opt.core.saving import Origin
 from plough_opt.design import Design, Progress
-from plough_opt.design.effort import Search
-from plough_opt.design.exploring import silent
-from plough_opt.design.ipopt import Point
-from plough_opt.design.optimality import PULLS, decides
+from plough_opt.design.model.ipopt import Point
+from plough_opt.design.model.optimality import PULLS, decides
+from plough_opt.design.search.effort import Search
+from plough_opt.design.search.explore import silent
 from plough_opt.motion.checks import remarks
 from plough_opt.studies.tradeoff.archive import MATTERS, Archive, Candidate
 from plough_opt.studies.tradeoff.curve import CurveTracer, Tracer

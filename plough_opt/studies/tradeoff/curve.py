@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.plain_data import Array
-from plough_opt.design.exploring import Progress
-from plough_opt.design.ipopt import Point
-from plough_opt.design.polishing import point_as_found
-from plough_opt.design.sampling import SEED
+from plough_opt.design.model.ipopt import Point
+from plough_opt.design.search.explore import Progress
+from plough_opt.design.search.local import point_as_found
+from plough_opt.design.search.points import SEED
 from plough_opt.studies.tradeoff.archive import (
     MATTERS,
     OTHERS_WEIGHT,

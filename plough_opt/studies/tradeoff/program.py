@@ -27,10 +27,8 @@ from plough_opt.core.errors import InputError, PloughError
 from plough_opt.core.plain_data import Array
 from plough_opt.design import Design
 from plough_opt.design.declarations import Declarations, Parameter, Requirement
-from plough_opt.design.descents import descend
-from plough_opt.design.ipopt import Point, SolveOptions
-from plough_opt.design.landscape import Landscape
-from plough_opt.design.optimality import (
+from plough_opt.design.model.ipopt import Point, SolveOptions
+from plough_opt.design.model.optimality import (
     PULLS,
     free_directions,
     made_convex,
@@ -40,8 +38,10 @@ from plough_opt.design.optimality import (
     symmetric,
     without_rounding,
 )
-from plough_opt.design.program import Program
-from plough_opt.design.verify import TightEvaluation
+from plough_opt.design.model.program import Program
+from plough_opt.design.model.tight_integration import TightEvaluation
+from plough_opt.design.search.landscape import Landscape
+from plough_opt.design.search.local import descend
 from plough_opt.motion.run import Run
 from plough_opt.motion.scene import Scene
 from plough_opt.studies.tradeoff.front import Goal

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.plain_data import Array
-from plough_opt.design.exploring import Progress
-from plough_opt.design.ipopt import Point
-from plough_opt.design.polishing import minimum_from
+from plough_opt.design.certify.confirmation import minimum_from
+from plough_opt.design.model.ipopt import Point
+from plough_opt.design.search.explore import Progress
 from plough_opt.studies.tradeoff.archive import MATTERS, Archive, Arrangement, Candidate, extrapolated
 from plough_opt.studies.tradeoff.curve import Tracer
 from plough_opt.studies.tradeoff.front import SURFACE_GAP, lead_over_points, undominated

@@ -33,9 +33,8 @@ from plough_opt.core.expressions import Column, Expression, is_casadi, is_count
 from plough_opt.core.plain_data import Array
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.design import Optimum
-from plough_opt.design.population import Population
-from plough_opt.design.scene_checks import SceneChecks
-from plough_opt.design.split import split
+from plough_opt.design.model.population import Population
+from plough_opt.design.model.split import SceneChecks, split
 from plough_opt.soil.soil import Soil
 
 Response = Callable[[Soil], Mapping[str, Column]]

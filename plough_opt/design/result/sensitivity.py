@@ -15,11 +15,11 @@ import numpy as np
 from plough_opt.core.checks import check_kind, check_switch, shown
 from plough_opt.core.errors import InputError, NotConverged, nearest, printable
 from plough_opt.core.units import in_words
-from plough_opt.design.active_set import ActiveSet, Move, sides_of
+from plough_opt.design.certify.active_set import ActiveSet, Move, sides_of
 from plough_opt.design.declarations import EVERYWHERE
-from plough_opt.design.ipopt import Point, SolveOptions, Solver, Vector
-from plough_opt.design.program import Program
-from plough_opt.design.verify import TightEvaluation
+from plough_opt.design.model.ipopt import Point, SolveOptions, Solver, Vector
+from plough_opt.design.model.program import Program
+from plough_opt.design.model.tight_integration import TightEvaluation
 
 # Relative change of the value for which a check solves again: the differences have errors of its square, and of the
 # optimiser's 1e-10 divided by it.

@@ -8,7 +8,7 @@ Hessian of the Lagrangian f + lam_g' g curves upwards along every direction that
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.design.ipopt import Point, Vector
+from plough_opt.design.model.ipopt import Point, Vector
 
 PULLS = 1e-7
 """Scaled multipliers below this count as zero."""

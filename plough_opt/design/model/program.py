@@ -2,27 +2,89 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import TypeVar
 
 import casadi as ca
 import numpy as np
 
 from plough_opt.core.checks import INSIDE
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Column
-from plough_opt.design.built_program import BuiltProgram
 from plough_opt.design.declarations import Declarations, Requirement
-from plough_opt.design.forms import first_slack
-from plough_opt.design.ipopt import FROM_AFAR, Point, SolveOptions, Vector
-from plough_opt.design.nlp import Nlp, build_nlp
-from plough_opt.design.population import LinearVariable, Population, linear_variables
-from plough_opt.design.split import split
-from plough_opt.design.verify import TightEvaluation, check_bounds, corners, rough_steps, steps_at, values_at_guess
+from plough_opt.design.model.ipopt import FROM_AFAR, Point, SolveOptions, Solver, Vector
+from plough_opt.design.model.nlp import Nlp, as_machine_code, build_nlp, first_slack, relaxed
+from plough_opt.design.model.population import LinearVariable, Population, linear_variables
+from plough_opt.design.model.split import split
+from plough_opt.design.model.tight_integration import (
+    TightEvaluation,
+    check_bounds,
+    corners,
+    rough_steps,
+    steps_at,
+    values_at_guess,
+)
+from plough_opt.motion.derivatives import derivative_error
 from plough_opt.motion.methods import DEFAULT_ERROR
+
+
+@dataclass(frozen=True, eq=False)
+class BuiltProgram:
+    """A program with certain numbers of integration steps; its solvers are built when first needed.
+
+    Attributes:
+        steps: for each run, the number of steps, or None for the method it was written with.
+        rough_steps: the same for the rough program.
+        write: builds the program from numbers of steps.
+        owner: for each row of the requirements, the number of its requirement.
+        limits: scaled lower and upper limits of the rows.
+        compiled: whether to translate the program into machine code.
+        errors: cache of the errors of derivatives, by scaled design and parameters.
+    """
+
+    steps: list[int | None]
+    rough_steps: list[int | None]
+    write: Callable[[list[int | None]], Nlp]
+    owner: Sequence[int]
+    limits: tuple[Vector, Vector]
+    compiled: bool
+    errors: dict[Hashable, float] = field(default_factory=dict)
+
+    @cached_property
+    def plain(self) -> Nlp:
+        """The program, interpreted."""
+        return self.write(self.steps)
+
+    @cached_property
+    def nlp(self) -> Nlp:
+        """The program, in machine code if ``compiled`` and if there is a compiler."""
+        return (as_machine_code(self.plain) if self.compiled else None) or self.plain
+
+    @cached_property
+    def rough(self) -> Nlp:
+        """The program with two fifths of the steps, enough to tell the sign of the Lagrangian's curvatures."""
+        return self.write(self.rough_steps)
+
+    @cached_property
+    def solver(self) -> Solver:
+        """IPOPT on the program."""
+        return Solver(self.nlp, *self.limits)
+
+    @cached_property
+    def relaxed(self) -> Solver:
+        """IPOPT on the sum of the requirements' violations."""
+        return Solver(relaxed(self.nlp, self.owner), *self.limits)
+
+
+# An error e times too large takes e to this power times as many steps: the method has order 8.
+_STEPS_EXPONENT = 0.125
+# Largest factor on the number of steps in one refinement.
+_MOST_STEPS_FACTOR = 3.0
+
 
 # An objective or requirement is scaled as if it had at least this size.
 _SMALLEST_SCALE = 1e-12
@@ -302,6 +364,11 @@ class Program:
         automatic = [run.integration.accuracy for run in self.exact.runs if run.integration.accuracy.method == "auto"]
         return min((accuracy.error or DEFAULT_ERROR for accuracy in automatic), default=None)
 
+    @property
+    def wanted_of_derivatives(self) -> float:
+        """The error that the derivatives of the runs should reach."""
+        return min((run.integration.accuracy.wanted_derivatives for run in self.exact.runs), default=math.inf)
+
     def solve(
         self, start: Vector, p: Vector, options: SolveOptions = FROM_AFAR, box: float = 1.0, fixed: Sequence[int] = ()
     ) -> Point:
@@ -377,3 +444,42 @@ def _cached(cache: dict[Hashable, Cached], key: Hashable, most: int, make: Calla
 def _power_of_four(value: float) -> float:
     """Return the power of four nearest to a value's size, so that slightly different questions are scaled alike."""
     return float(4.0 ** round(math.log(max(abs(value), _SMALLEST_SCALE), 4.0)))
+
+
+def error_of_derivatives(program: Program, y: Vector, p: Vector) -> float:
+    """Return the largest error of the derivatives of a program's runs at a scaled design."""
+    known, at = program.built.errors, (y.tobytes(), p.tobytes())
+    if at not in known:
+        known.clear()
+        known[at] = max(
+            (
+                derivative_error(group.solver, group.first, group.varying, group.inputs(y, p).full())
+                for group in program.built.plain.groups
+            ),
+            default=0.0,
+        )
+    return known[at]
+
+
+def with_sure_steps(program: Program, p: Vector, starts: Sequence[Vector]) -> Program:
+    """Return a program with steps for certain designs, enough for accurate derivatives at the first of them.
+
+    Args:
+        program: scaled.
+        p: parameters.
+        starts: scaled designs.
+
+    Raises:
+        InputError, DomainError: as `Program.with_steps`.
+    """
+    program = program.with_steps(p, starts=starts)
+    error, wanted = error_of_derivatives(program, starts[0], p), program.wanted_of_derivatives
+    if error > wanted:
+        with contextlib.suppress(DomainError):  # too many steps
+            return program.with_steps(p, steps_factor(error / wanted), starts)
+    return replace(program, checked=(starts[0], error))
+
+
+def steps_factor(excess: float) -> float:
+    """Return the factor on the number of steps that reduces an error by the factor ``excess``, with a margin."""
+    return min(_MOST_STEPS_FACTOR, 1.1 * excess**_STEPS_EXPONENT) if excess < math.inf else _MOST_STEPS_FACTOR

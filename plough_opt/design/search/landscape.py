@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.design.ipopt import Vector
-from plough_opt.design.program import Program
+from plough_opt.design.model.ipopt import Vector
+from plough_opt.design.model.program import Program
 
 FEASIBLE = 1e-6
 """A search counts a design as feasible if its scaled violations sum to at most this."""

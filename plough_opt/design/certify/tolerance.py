@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.design.declarations import Variable
-from plough_opt.design.ipopt import Vector
-from plough_opt.design.landscape import FEASIBLE, FINER, Landscape
-from plough_opt.design.sampling import sobol_points
+from plough_opt.design.model.ipopt import Vector
+from plough_opt.design.search.landscape import FEASIBLE, FINER, Landscape
+from plough_opt.design.search.points import sobol_points
 
 Judge = Literal["tolerance", "bare"]
 """What optima are ranked by: the median objective over the tolerance box, or the objective itself."""

@@ -25,14 +25,13 @@ from plough_opt.core.expressions import Column, Expression, is_casadi
 from plough_opt.core.quantities import warn_of_slips
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display, has_unit, in_si, unit_of
-from plough_opt.design.boxed import Over, ToleranceBoxSolver
+from plough_opt.design.certify.tolerance import Judge
 from plough_opt.design.declarations import EVERYWHERE, Declarations, Parameter, Requirement, Variable
-from plough_opt.design.effort import Search
-from plough_opt.design.exploring import Progress, silent
-from plough_opt.design.optimum import Optimum
-from plough_opt.design.program import Program
-from plough_opt.design.solving import Request, solve_program
-from plough_opt.design.tolerance import Judge
+from plough_opt.design.model.program import Program
+from plough_opt.design.result.optimum import Optimum
+from plough_opt.design.search.effort import Search
+from plough_opt.design.search.explore import Progress, silent
+from plough_opt.design.solving import Over, Request, ToleranceBoxSolver, solve_program
 
 Written: TypeAlias = Any
 """A number, a text such as "50 kN/m", or a pint quantity."""

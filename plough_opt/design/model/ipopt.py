@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.design.nlp import Nlp, ipopt_functions
+from plough_opt.design.model.nlp import Nlp, ipopt_functions
 
 Vector = NDArray[np.float64]
 _LOG = logging.getLogger(__name__)

@@ -7,12 +7,26 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from plough_opt.design.descents import Shortfall, descend, least_violation
-from plough_opt.design.effort import Effort
-from plough_opt.design.ipopt import Vector
-from plough_opt.design.landscape import SAME, Evaluations, Landscape, barriers, concatenated, end_straight_downhill
-from plough_opt.design.local_optimum import expected_unseen
-from plough_opt.design.sampling import MANY_VARIABLES, SEED, dips_along, evolved, lines_through, local_minima, sample
+from plough_opt.design.model.ipopt import Vector
+from plough_opt.design.search.effort import Effort, expected_unseen
+from plough_opt.design.search.landscape import (
+    SAME,
+    Evaluations,
+    Landscape,
+    barriers,
+    concatenated,
+    end_straight_downhill,
+)
+from plough_opt.design.search.local import Shortfall, descend, least_violation
+from plough_opt.design.search.points import (
+    MANY_VARIABLES,
+    SEED,
+    dips_along,
+    evolved,
+    lines_through,
+    local_minima,
+    sample,
+)
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction of it done."""

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.design.declarations import EVERYWHERE
-from plough_opt.design.ipopt import Point, Vector
-from plough_opt.design.optimality import PULLS, free_directions, newton_step, reduced_curvatures, symmetric
-from plough_opt.design.program import Program
+from plough_opt.design.model.ipopt import Point, Vector
+from plough_opt.design.model.optimality import PULLS, free_directions, newton_step, reduced_curvatures, symmetric
+from plough_opt.design.model.program import Program
 
 Mask = NDArray[np.bool_]
 

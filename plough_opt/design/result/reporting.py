@@ -5,15 +5,15 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from plough_opt.core.compiler import interpretation_warning
-from plough_opt.design.derivatives import SMALL, gap_of
-from plough_opt.design.exploring import Explored
-from plough_opt.design.ipopt import Point, Vector
-from plough_opt.design.landscape import Landscape
-from plough_opt.design.local_optimum import Limit, LocalOptimum
-from plough_opt.design.optimality import decides
-from plough_opt.design.polishing import AS_FOUND
-from plough_opt.design.program import Program
-from plough_opt.design.tolerance import spread
+from plough_opt.design.certify.confirmation import SMALL, gap_of
+from plough_opt.design.certify.tolerance import spread
+from plough_opt.design.model.ipopt import Point, Vector
+from plough_opt.design.model.optimality import decides
+from plough_opt.design.model.program import Program
+from plough_opt.design.result.optimum import Limit, LocalOptimum
+from plough_opt.design.search.explore import Explored
+from plough_opt.design.search.landscape import Landscape
+from plough_opt.design.search.local import AS_FOUND
 from plough_opt.motion.checks import remarks as remarks_on_run
 from plough_opt.motion.machine import without_repetition
 from plough_opt.motion.scene import Scene

@@ -9,13 +9,12 @@ from typing import Final, TypeAlias
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from plough_opt.core.errors import DomainError, InputError, IntegrationError, PloughError
 from plough_opt.core.expressions import with_numbers
 from plough_opt.core.labels import Call, Domain
 from plough_opt.design.declarations import Declarations, Requirement
-from plough_opt.design.split import split
+from plough_opt.design.model.split import Vector, split
 from plough_opt.motion.checks import refuse_drifting_own, refuse_stiff_orbit
 from plough_opt.motion.compiled_steps import compiled_steps
 from plough_opt.motion.effects import MOST_HARMONICS
@@ -26,8 +25,6 @@ from plough_opt.motion.plan import checked, kink_of, most_steps, phase, steps_fo
 from plough_opt.motion.run import Run, assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.steps import Timeline
-
-Vector = NDArray[np.float64]
 
 TIGHT = 1e-12
 """Relative error that the tight integration aims at."""

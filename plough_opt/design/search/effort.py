@@ -1,11 +1,14 @@
 """How thoroughly a search over a design's variables is carried out."""
 
+from __future__ import annotations
+
 import contextlib
 import math
 import re
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +16,9 @@ from plough_opt.core.checks import shown
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.units import in_si
 from plough_opt.design.declarations import Variable
+
+if TYPE_CHECKING:
+    pass
 
 Search = str | int | Sequence[str]
 """One of `WORDS`, a time such as "20 s" or "5 min", a number of designs, or names of the variables to search."""
@@ -166,3 +172,13 @@ def searched(search: Search, variables: Sequence[Variable]) -> tuple[int, ...]:
             known = nearest(str(name), [*WORDS, *names])
             raise InputError(f"search = {shown(name)} is not a variable of this design: {known}")
     return tuple(names.index(name) for name in dict.fromkeys(wanted))
+
+
+def expected_unseen(followed: int, reached: int) -> float | None:
+    """Return the expected number of basins not found, by the rule in `Search`; None if too few designs were followed.
+
+    Args:
+        followed: number of random designs that were followed to their basins.
+        reached: number of basins to which they led.
+    """
+    return reached * (reached + 1) / (followed - reached - 2) if followed > reached + 2 else None

@@ -10,10 +10,9 @@ import numpy as np
 from plough_opt.core.errors import InputError
 from plough_opt.core.process import available
 from plough_opt.design.declarations import Variable
-from plough_opt.design.ipopt import Vector
-from plough_opt.design.nlp import algebra_of, averages_only, holds_maps
-from plough_opt.design.scene_checks import SceneChecks, has_own_law
-from plough_opt.design.split import EmbeddedRun, Split, split
+from plough_opt.design.model.ipopt import Vector
+from plough_opt.design.model.nlp import algebra_of, averages_only, holds_maps
+from plough_opt.design.model.split import EmbeddedRun, SceneChecks, Split, has_own_law, split
 from plough_opt.motion.compiled_steps import ManyRuns
 from plough_opt.motion.integrators import Integration, integration
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.design.ipopt import Vector
-from plough_opt.design.landscape import Evaluations, Landscape
+from plough_opt.design.model.ipopt import Vector
+from plough_opt.design.search.landscape import Evaluations, Landscape
 
 # For dimensions 2 and above: degree, inner coefficients and first direction numbers of the primitive polynomials. From
 # Joe and Kuo (2008), "Constructing Sobol sequences with better two-dimensional projections", file new-joe-kuo-6.

@@ -1,0 +1,1 @@
+"""Certificates of optima: accuracy, active limits, curvature, and the spread within tolerances."""

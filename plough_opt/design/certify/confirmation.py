@@ -1,0 +1,203 @@
+"""Confirmation of optima: enough integration steps, the full tolerance, curvature, and other designs as good.
+
+Objective and limits are compared with tight integration at every optimum, derivatives with those of finer steps at the
+best one.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from plough_opt.core.errors import DomainError
+from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
+from plough_opt.design.model.optimality import PULLS, free_directions, reduced_curvatures, symmetric
+from plough_opt.design.model.program import Program, error_of_derivatives, steps_factor
+from plough_opt.design.search.local import ACTIVE, AS_FOUND, highest_accepted, solved_again
+
+SMALL = 0.25
+"""Objectives below this part of the program's scale count as small: their errors are relative to the scale."""
+
+_MOST_REFINEMENTS = 4
+# A refinement must reduce the excess of the error to this part of the last one; otherwise more steps do not help.
+_PROGRESS = 0.5
+# A program whose method has a fixed setting gets a warning above this relative gap.
+_COARSE = 1e-6
+# Within this distance of a scaled design the error of derivatives is not measured again.
+_SAME_ERROR = 1e-3
+
+
+def _known_error(program: Program, y: Vector, p: Vector) -> float:
+    """Return `error_of_derivatives`, from the last check if that was at nearly the same design."""
+    if program.checked is not None and np.max(np.abs(program.checked[0] - y)) < _SAME_ERROR:
+        return program.checked[1]
+    return error_of_derivatives(program, y, p)
+
+
+def with_enough_steps(
+    program: Program, p: Vector, points: list[Point], progress: Callable[[str, float], None]
+) -> tuple[Program, list[Point], tuple[str, ...]]:
+    """Refine the steps, and solve again, until the points are accurate or more steps do not help.
+
+    Across kinks derivatives lose more accuracy than values do, so they may need more steps than the objective.
+
+    Args:
+        program: with integration steps.
+        p: parameters.
+        points: optima, best first.
+        progress: called with what is being done and the fraction done.
+
+    Returns:
+        The program, the points, and a warning for each error that is still too large.
+    """
+    wanted, factor, last = program.wanted_error, program.refinement, math.inf
+    for number in range(_MOST_REFINEMENTS + 1):
+        value_error, slope_error = _value_error(program, p, points), _slope_error(program, p, points[0])
+        excess = max(value_error / (wanted or math.inf), slope_error / program.wanted_of_derivatives)
+        # A motion may be too sensitive for any number of steps.
+        if excess <= 1.0 or excess > _PROGRESS * last or number == _MOST_REFINEMENTS:
+            break
+        progress(f"refining: error {max(value_error, slope_error):.1e}", number / _MOST_REFINEMENTS)
+        factor *= steps_factor(excess)
+        try:
+            finer = program.with_steps(p, factor, [point.y for point in points])
+        except DomainError:  # too many steps
+            break
+        # Numbers of steps are rounded: a factor near 1 may leave the program as it was.
+        if finer.built is program.built:
+            last = math.inf
+            continue
+        program, last = finer, excess
+        points = [solved_again(program, p, point) for point in points]
+    return program, points, tuple(_warnings(program, value_error, slope_error))
+
+
+def _value_error(program: Program, p: Vector, points: Sequence[Point]) -> float:
+    """Return the largest relative error of the objective at any point, or violation of a limit if that is larger."""
+    return max(max(gap_of(program, p, point), _violation(program, p, point)) for point in points)
+
+
+def _slope_error(program: Program, p: Vector, best: Point) -> float:
+    """Return the error of derivatives at the best point, or 0 if IPOPT did not converge to an optimum from there."""
+    return 0.0 if best.status == AS_FOUND else _known_error(program, best.y, p)
+
+
+def _warnings(program: Program, value_error: float, slope_error: float) -> Iterator[str]:
+    """Yield a warning for each of the two errors that is larger than wanted."""
+    wanted, wanted_of_derivatives = program.wanted_error, program.wanted_of_derivatives
+    if wanted is None and value_error > _COARSE:
+        yield (
+            f"the optimiser's objective has a relative error of {value_error:.1e}: use more steps or a tighter"
+            " tolerance"
+        )
+    if wanted is not None and not value_error <= wanted:  # also if the optimiser's objective is NaN
+        yield f"the wanted relative error {wanted:.1e} of objective and limits was not reached: it is {value_error:.1e}"
+    if slope_error > wanted_of_derivatives:
+        yield (
+            f"the wanted error {wanted_of_derivatives:.1e} of the motion's derivatives was not reached: it is"
+            f" {slope_error:.1e}; the certificate and the sensitivities depend on them: use a tighter tolerance or more"
+            " steps"
+        )
+
+
+def gap_of(program: Program, p: Vector, point: Point) -> float:
+    """Return the relative difference between the optimiser's objective at a point and the tightly integrated one."""
+    exact = float(program.exact_values(point.y, p)[0][0].item())
+    return abs(point.f * program.objective_scale - exact) / max(abs(exact), SMALL * program.objective_scale)
+
+
+def _violation(program: Program, p: Vector, point: Point) -> float:
+    """Return the largest scaled violation of a requirement at a point by tight integration."""
+    values = zip(program.exact_values(point.y, p)[0][1:], program.scales, strict=True)
+    g = np.concatenate([np.ravel(value) / scale for value, scale in values] or [np.empty(0)])
+    return float(np.max(np.maximum(program.low - g, g - program.high), initial=0.0))
+
+
+def converged_tightly(program: Program, p: Vector, point: Point) -> Point:
+    """Return an optimum solved to the full tolerance if IPOPT stopped before that, else the same point."""
+    if point.status in ("Solve_Succeeded", AS_FOUND):
+        return point
+    # A box around the point could cut off a long flat valley, and its edge would pass for the optimum.
+    again = program.solve(point.y, p, SolveOptions(near=True, exact=False))
+    return again if again.solved and again.f <= highest_accepted(program, p, point.y) else point
+
+
+# A direction may be flat if its curvature is below this fraction of the largest.
+_FLAT_CURVATURE = 1e-7
+# It is flat if the objective changes by less than this fraction.
+_FLAT_OBJECTIVE = 1e-9
+# Scaled step from a point along a suspicious direction.
+_ASIDE = 0.02
+
+
+def flat_directions(program: Program, p: Vector, at: Point) -> list[Vector]:
+    """Return the scaled directions along which designs as good as the optimum lie.
+
+    Candidates are directions without curvature in the reduced Hessian. A candidate is confirmed by a step along it,
+    after which the other variables are optimised again.
+    """
+    curvatures, directions = at.curvatures or _reduced_curvatures(program, p, at)
+    flat = np.flatnonzero(np.abs(curvatures) < _FLAT_CURVATURE)
+    return [directions[:, k] for k in flat if _confirmed(program, p, at, directions[:, k])]
+
+
+def minimum_from(
+    program: Program, p: Vector, at: Point, downhill: Callable[[Vector, Vector], Vector | None] | None = None
+) -> Point:
+    """Return a stationary point with its curvatures or, if it is a maximum or a saddle, a lower optimum near it.
+
+    IPOPT accepts any stationary point that it starts from. The reduced Hessian shows whether it is a minimum.
+
+    Args:
+        program: the design's program.
+        p: parameters.
+        at: the stationary point.
+        downhill: (the point, a design near it) -> the end of a descent from that design if it is lower than the
+            point, else None. Without this function IPOPT starts from the design itself.
+    """
+    # At the top of a hill each descent may move a single variable.
+    for _ in range(len(at.y) + 1):
+        curvatures, directions = known = _reduced_curvatures(program, p, at)
+        if not curvatures.size or curvatures[0] >= -_FLAT_CURVATURE:
+            return replace(at, curvatures=known)
+        step = _ASIDE * directions[:, 0] / np.max(np.abs(directions[:, 0]))
+        starts = [np.clip(at.y + sign * step, 0.0, 1.0) for sign in (1.0, -1.0)]
+        if downhill is not None:
+            starts = [lower for start in starts if (lower := downhill(at.y, start)) is not None]
+        points = [program.solve(start, p, SolveOptions(near=True, exact=False, enough=True)) for start in starts]
+        found = [point for point in points if point.solved and point.f < at.f]
+        if not found:
+            return replace(at, curvatures=known)
+        at = min(found, key=lambda point: point.f)
+    return at
+
+
+def _reduced_curvatures(program: Program, p: Vector, at: Point) -> tuple[Vector, Vector]:
+    """Return the curvatures along the active limits, relative to the largest and ascending, and their directions.
+
+    The directions are columns.
+    """
+    values, jacobian = program.built.solver.requirements(at.y, p)
+    active = (values - program.low < ACTIVE) | (program.high - values < ACTIVE)
+    # A bound without a multiplier does not stop a move away from it.
+    bounds = ((at.y < ACTIVE) | (at.y > 1.0 - ACTIVE)) & (np.abs(at.lam_y) > PULLS)
+    free = free_directions(np.vstack([jacobian[active], np.eye(len(at.y))[bounds]]))
+    if not free.shape[1]:
+        return np.empty(0), free
+    hessian = symmetric(np.asarray(program.built.rough.hess_lag(at.y, p, 1.0, at.lam_g)))
+    if not np.all(np.isfinite(hessian)):
+        # Second derivatives may overflow if the motion is so damped that it forgets its start at once.
+        return np.empty(0), free[:, :0]
+    return reduced_curvatures(hessian, free)
+
+
+def _confirmed(program: Program, p: Vector, at: Point, direction: Vector) -> bool:
+    """Return whether the objective stays the same after a step along a direction."""
+    leading = int(np.argmax(np.abs(direction)))
+    for sign in (1.0, -1.0):
+        moved = at.y + sign * _ASIDE * direction / abs(direction[leading])
+        if np.all((moved >= 0.0) & (moved <= 1.0)):
+            there = program.solve(moved, p, SolveOptions(near=True), fixed=[leading])
+            return there.solved and abs(there.f - at.f) <= _FLAT_OBJECTIVE * max(1.0, abs(at.f))
+    return False

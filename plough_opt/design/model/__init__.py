@@ -1,0 +1,1 @@
+"""The model of a design: split around its runs, as a scaled program with exact derivatives, and as a population."""

@@ -1,0 +1,1 @@
+"""Results: optima, their reports, sensitivities and catalogue values."""

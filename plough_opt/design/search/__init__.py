@@ -1,0 +1,1 @@
+"""Searches for the basins of a design and the optima in them."""

@@ -28,7 +28,7 @@ from plough_opt.design.search.explore import Explored, Explorer, Progress
 from plough_opt.design.search.landscape import FEASIBLE, Evaluations, Landscape
 from plough_opt.design.search.local import AS_FOUND, descend, lower_from, point_as_found, polished
 from plough_opt.design.search.near import feasible_from, near_optimum
-from plough_opt.design.search.points import evaluated_sample, lines_through
+from plough_opt.design.search.points import evaluated_sample
 
 # With up to this many variables a solve by IPOPT is quick.
 _FEW_VARIABLES = 3
@@ -41,14 +41,6 @@ _CAN_WIN = 0.15
 _LEAST_SCALE = 1e-4
 # Optima count as the same if no scaled variable differs by this much.
 _SAME = 1e-4
-# Positions on the line along each variable through the lowest optimum, and the factor on the steps of runs there.
-_LINE_POSITIONS = 256
-_LINE_REFINEMENT = 2.0
-# A position counts as lower than the optimum by at least this part.
-_LOWER = 1e-8
-# Lower positions that are optimised after each look along the lines, and the number of looks.
-_MOST_LOWER = 2
-_MOST_LOOKS = 4
 
 
 @dataclass(frozen=True)
@@ -184,28 +176,7 @@ class _Solve:
             point = polished(program, p, minima.points[k])
             if point.solved and not any(np.max(np.abs(point.y - other.y)) < _SAME for other in points):
                 points.append(point)
-        if points and landscape.vectorised:
-            self._add_along_each_variable(points)
         return points
-
-    def _add_along_each_variable(self, points: list[Point]) -> None:
-        """Add lower optima that a change of one variable alone reaches from the lowest, such as ripples of a valley."""
-        landscape = self._landscape
-        for _ in range(_MOST_LOOKS):
-            best = min(points, key=lambda point: point.f)
-            lines = lines_through(best.y, _LINE_POSITIONS)
-            tried = landscape(lines, finer=_LINE_REFINEMENT)
-            own = landscape(best.y[None], finer=_LINE_REFINEMENT)
-            merit = np.where(tried.feasible, tried.merit, np.inf).reshape(-1, _LINE_POSITIONS)
-            lowest = np.arange(len(merit)) * _LINE_POSITIONS + np.argmin(merit, axis=1)
-            level = own.merit[0] - _LOWER * abs(own.merit[0])
-            lower = [k for k in lowest[np.argsort(tried.merit[lowest], kind="stable")] if merit.flat[k] < level]
-            ends = [descend(landscape, lines[k]).points[0] for k in lower[:_MOST_LOWER]]
-            optima = [polished(self._program, self._p, end) for end in ends]
-            better = [point for point in optima if point.solved and point.f < best.f - _LOWER * abs(best.f)]
-            if not better:
-                return
-            points.append(min(better, key=lambda point: point.f))
 
     def _record(self, vary: tuple[int, ...], explored: Explored | None, polished: int) -> SearchRecord:
         """Return the record of a search, empty without one.

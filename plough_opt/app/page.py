@@ -136,7 +136,8 @@ def requirements(report: Report) -> list[dict[str, str | float | bool]]:
     The report must be about an optimum.
     """
     assert report.best is not None  # the page asks only then
-    return [_requirement(report, limit) for limit in report.best.limits if limit.kind == "requirement"]
+    shown = (limit for limit in report.best.limits if limit.kind == "requirement" and not limit.trivial)
+    return [_requirement(report, limit) for limit in shown]
 
 
 def _requirement(report: Report, limit: Limit) -> dict[str, str | float | bool]:

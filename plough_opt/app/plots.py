@@ -377,7 +377,7 @@ def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
     check_kind("the optimum", best, Optimum, "an Optimum, as returned by Design.solve")
     check_kind("the run", run, Run | Machine, "a numeric Run, as returned by po.simulate")
     panels = list(best.variables) if best.search is not None and len(best.search.objective) > 0 else []
-    required = [limit for limit in best.limits if limit.kind == "requirement"]
+    required = [limit for limit in best.limits if limit.kind == "requirement" and not limit.trivial]
     rows = -(-len(panels) // _PANELS)
     response = [p for p in changing(run, best.limits) if p.name != "speed"] if isinstance(run, Run) else []
     first = 2 if response else 1  # first row of the search

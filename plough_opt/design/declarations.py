@@ -255,7 +255,8 @@ class Declarations:
         for r in self.requirements:
             plain[r.name] = {"kind": "requirement", "at_least": r.at_least, "at_most": r.at_most, "unit": r.unit,
                              "expression": short(str(r.expression), _MOST_CHARACTERS)}  # fmt: skip
-        return plain | {"objective": {"kind": "objective", "expression": short(str(self.objective), _MOST_CHARACTERS)}}
+        name = "objective" if "objective" not in plain else "objective (minimised)"
+        return plain | {name: {"kind": "objective", "expression": short(str(self.objective), _MOST_CHARACTERS)}}
 
     def strangers(self, expression: ca.MX) -> list[str]:
         """Return the names of an expression's symbols that were not declared here, even if the name was."""
@@ -265,7 +266,9 @@ class Declarations:
     def ranges(self) -> str:
         """Return the bounds of the variables in words."""
         return ", ".join(
-            f"{v.name} from {in_words(v.lower, v.unit)} to {in_words(v.upper, v.unit)}" for v in self.variables
+            f"{v.name} from {in_words(v.lower, v.unit)} to {in_words(v.upper, v.unit)}"
+            for v in self.variables
+            if not v.auxiliary
         )
 
     def describe(self, values: NDArray[np.float64]) -> str:

@@ -232,8 +232,8 @@ Over = Literal["mean", "worst"]
 WORST = "worst objective\n"
 """Name of the auxiliary variable that bounds the objective of every design in the box; users' names have no line."""
 
-# The requirement that does so.
-_BELOW_WORST: Final = "objective below its worst"
+# The requirement that does so; sensitivities call its sides by this name.
+_BELOW_WORST: Final = "one of the worst designs within the tolerances\n"
 # Most runs of all designs in a box together: they take seconds for a whole solve.
 _MOST_RUNS = 64
 # Fewest designs in a box.
@@ -267,8 +267,14 @@ class ToleranceBoxSolver:
             try:
                 best = solve_program(self._program(p, bounds), request)
             except InfeasibleDesign as error:
-                if bounds is None or raised or list(error.conflicts) != [_BELOW_WORST]:
+                if bounds is None or list(error.conflicts) != [_BELOW_WORST]:
                     raise
+                if raised:
+                    raise NotConverged(
+                        f"every design that was tried has an objective above {bounds[1]:.6g} somewhere within its"
+                        " tolerances: narrow the tolerances, or tighten the bounds",
+                        "no optimum",
+                    ) from None
                 # The optimum is higher than the sample suggested.
                 reach = max(bounds[1] - bounds[0], error.conflicts[_BELOW_WORST])
                 bounds, raised = (bounds[0], bounds[1] + _BELOW * reach), True

@@ -89,6 +89,16 @@ def test_a_requirement_above_the_waves_speed_is_a_conflict(objective):
     assert caught.value.blockers == [f"requirement '{NAME}' at most 0.9999"]
 
 
+@pytest.mark.parametrize(("part", "shown"), [(0.5, False), (0.94, False), (0.97, True), (1.0, True)])
+def test_a_limit_of_a_law_is_printed_if_it_is_near(part, shown):
+    d, v = design(speed=(20.0, 1.0, 100.0, "m/s"))
+    d.minimise((v / FASTEST - part) ** 2 + 1e-20 * elastic.wedge_pressure(0.1, NODES, SOIL, v))
+    best = d.solve()
+    assert best.variables["speed"] == pytest.approx(min(part, LAST) * FASTEST, rel=1e-6)
+    assert (NAME in str(best)) == shown
+    assert NAME in best.margins
+
+
 @pytest.mark.parametrize("lower", [1.0, 60.0])
 def test_a_start_above_the_waves_speed_is_refused_by_the_limits_name(lower):
     d, v = design(speed=(70.0, lower, 90.0, "m/s"))

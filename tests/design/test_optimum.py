@@ -45,6 +45,19 @@ def test_an_inactive_limit_has_no_multiplier(r1):
     assert height.margin == pytest.approx(min(height.value - 0.10, 0.50 - height.value), abs=1e-12)
 
 
+def test_variables_may_have_the_names_of_columns():
+    d, first, second = design(objective=(0.25, 0.1, 0.5, "m"), optimum=(0.25, 0.1, 0.5))
+    d.minimise(1.0 + (first - 0.2) ** 2 + (second - 0.3) ** 2)
+    best = d.solve(search="near")
+    frame = best.to_dataframe()
+    assert list(frame.columns) == ["optimum", "objective", "variable objective", "variable optimum"]
+    assert frame.loc[0, ["objective", "variable objective", "variable optimum"]].tolist() == pytest.approx(
+        [1, 0.2, 0.3]
+    )
+    assert frame.attrs["units"] == {"variable objective": "m", "variable optimum": ""}
+    assert [one["kind"] for one in best.origin.declarations.values()] == ["variable", "variable", "objective"]
+
+
 # --- an expression, a run ---------------------------------------------------------------------------------
 
 

@@ -93,6 +93,19 @@ def test_a_linear_variable_is_made_within_its_tolerance_too():
     assert best.spread.kept == np.mean(made[:, 1] - made[:, 0] >= 0.1) < 1.0
 
 
+def test_optima_are_ranked_with_linear_variables_as_made():
+    d, x, y = design(x=(0.5, 0.0, 1.0, "", False, 0.05), y=(1.5, 0.0, 3.0, "", False, 0.01))
+    narrow, broad = 1.2 * ca.exp(-(((x - 0.2) / 0.02) ** 2)), ca.exp(-(((x - 0.7) / 0.3) ** 2))
+    d.minimise(y)
+    d.require("r", y + narrow + broad, at_least=2.0)
+    best = d.solve()
+    # A share is made with its y: that of the narrow valley is the lowest, though most shares there break the limit.
+    medians = [one.spread.median for one in best.local_optima]
+    assert medians == sorted(medians)
+    assert best.variables["x"] == pytest.approx(0.2, abs=0.01)
+    assert best.spread.median == pytest.approx(best.objective, abs=0.01)
+
+
 @pytest.mark.parametrize("factor", [1.0, 100.0])
 @pytest.mark.parametrize("tolerance", [None, T])
 def test_the_worst_over_a_linear_variable_is_found(factor, tolerance):
@@ -120,6 +133,25 @@ def test_what_the_program_adds_is_not_named_if_a_requirement_fails():
         d.solve()
     assert list(error.value.conflicts) == ["high"]
     assert "worst" not in str(error.value)
+
+
+def test_what_the_program_adds_is_not_named_if_no_bound_suffices(monkeypatch):
+    monkeypatch.setattr(solving, "bounds_on_worst", lambda *_: (0.1, 0.2))
+    monkeypatch.setattr(solving, "_BELOW", 0.0)
+    with pytest.raises(po.NotConverged, match=r"objective above 0[.]2 somewhere within its tolerances") as error:
+        _parabola("worst").solve()
+    assert "worst" not in str(error.value)
+
+
+def test_what_the_program_adds_is_not_named_by_sensitivities():
+    d, x = design(x=(1.8, 0.2, 2.0, "", False, T))
+    hill = d.parameter("hill", 5e-3)
+    d.minimise((x - 0.7) ** 2 + hill * ca.exp(-(((x - 0.7) / 0.02) ** 2)), over="worst")
+    # The hill in the middle of the box grows until it is as high as its ends.
+    by_hill = d.solve().sensitivity("hill")
+    assert by_hill.valid_to == pytest.approx(T**2, rel=0.05)
+    assert by_hill.then == ("", "one of the worst designs within the tolerances begins to decide")
+    assert by_hill.valid_from is None
 
 
 # Runs of a design, their effects, and the number of designs in a box.

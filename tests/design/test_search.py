@@ -115,9 +115,17 @@ def test_a_number_of_designs_and_a_time_are_respected(waves):
     assert time.perf_counter() - began > 0.5
 
 
-INVALID = [("search", 0), ("search", True), ("seed", -1), ("seed", 1.0), ("seed", True)]
+INVALID = [
+    ("search", 0),
+    ("search", True),
+    ("search", "nan s"),
+    ("search", "-Inf min"),
+    ("seed", -1),
+    ("seed", 1.0),
+    ("seed", True),
+]
 UNKNOWN = [("search", "z", "valid names: auto, local"), ("search", ("x", "yy"), "'y'")]
-REFUSED = [*((name, given, f"{name} = {given} must") for name, given in INVALID), *UNKNOWN]
+REFUSED = [*((name, given, f"{name} = {given!r} must") for name, given in INVALID), *UNKNOWN]
 
 
 @pytest.mark.parametrize(("name", "given", "words"), REFUSED)

@@ -328,15 +328,17 @@ def sides_of(program: Program, point: Point, fixed: Sequence[int]) -> list[Side]
             continue
         for end, sign, limit in (("at_least", 1.0, r.at_least), ("at_most", -1.0, r.at_most)):
             if limit is not None:
-                name, bound = f"{r.name} {end}", sign * limit / scale
+                name, bound = r.name.strip() if r.auxiliary else f"{r.name} {end}", sign * limit / scale
                 found.append(Side(name, r.name, limit, r.unit, row, sign, bound, sign / scale, hidden=hidden))
     for k, v in enumerate(declared.variables):
+        if v.auxiliary:  # The solve extends its bounds until none of them decides.
+            continue
         row, y = len(program.owner) + k, float(point.y[k])
         per_unit, log = 1.0 / v.slope(y), math.log(v.upper / v.lower) if v.log else 0.0
         if k in fixed:
             found.append(Side(v.name, v.name, v.value(y), v.unit, row, 1.0, y, per_unit, True, hidden=True))
             continue
         for end, sign, limit, bound in (("lower", 1.0, v.lower, 0.0), ("upper", -1.0, v.upper, -1.0)):
-            how = (row, sign, bound, sign * per_unit, False, log, v.domain, v.auxiliary)
+            how = (row, sign, bound, sign * per_unit, False, log, v.domain)
             found.append(Side(f"{v.name} {end}", v.name, limit, v.unit, *how))
     return found

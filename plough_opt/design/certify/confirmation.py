@@ -110,8 +110,7 @@ def gap_of(program: Program, p: Vector, point: Point) -> float:
 def _violation(program: Program, p: Vector, point: Point) -> float:
     """Return the largest scaled violation of a requirement at a point by tight integration."""
     values = zip(program.exact_values(point.y, p)[0][1:], program.scales, strict=True)
-    g = np.concatenate([np.ravel(value) / scale for value, scale in values] or [np.empty(0)])
-    return float(np.max(np.maximum(program.low - g, g - program.high), initial=0.0))
+    return program.violation(np.concatenate([np.ravel(value) / scale for value, scale in values] or [np.empty(0)]))
 
 
 def converged_tightly(program: Program, p: Vector, point: Point) -> Point:
@@ -179,7 +178,7 @@ def _reduced_curvatures(program: Program, p: Vector, at: Point) -> tuple[Vector,
     The directions are columns.
     """
     values, jacobian = program.built.solver.requirements(at.y, p)
-    active = (values - program.low < ACTIVE) | (program.high - values < ACTIVE)
+    active = program.margins(values) < ACTIVE
     # A bound without a multiplier does not stop a move away from it.
     bounds = ((at.y < ACTIVE) | (at.y > 1.0 - ACTIVE)) & (np.abs(at.lam_y) > PULLS)
     free = free_directions(np.vstack([jacobian[active], np.eye(len(at.y))[bounds]]))

@@ -108,8 +108,19 @@ def ranked(landscape: Landscape, judge: Judge, points: Vector) -> list[int]:
 
 def _objectives(landscape: Landscape, points: Vector, finer: float = 1.0) -> Vector:
     """Return the objectives in the boxes around designs, a row for each box; infinite where not evaluable."""
-    f = landscape(boxes(landscape.program.declared.variables, points), finer=finer).f
+    f = _as_made(landscape)(boxes(landscape.program.declared.variables, points), finer=finer).f
     return np.where(np.isnan(f), np.inf, f).reshape(len(points), -1)
+
+
+def _as_made(landscape: Landscape) -> Landscape:
+    """Return the landscape of made designs: a workshop does not choose a made dimension again.
+
+    Only a variable without a declared tolerance, such as a bound on a peak, is solved for in each of them.
+    """
+    made = [k for k, v in enumerate(landscape.program.declared.variables) if v.tolerance is not None]
+    if {variable.number for variable in landscape.eliminated}.isdisjoint(made):
+        return landscape
+    return Landscape(landscape.program, landscape.p, sorted({*landscape.held, *made}))
 
 
 def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
@@ -122,23 +133,18 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
     """
     if not landscape.vectorised:
         return None
-    program = landscape.program.bare or landscape.program
-    over_box = program is not landscape.program
-    if over_box:
-        program = program.at(landscape.p, any_guess=True)
-    # A workshop does not choose a made dimension again; only a variable without a declared tolerance, such as a bound
-    # on a peak, is solved for in each made design.
-    made = [k for k, v in enumerate(program.declared.variables) if over_box or v.tolerance is not None]
-    landscape = Landscape(program, landscape.p, sorted({*landscape.held, *made}))
-    y = y[: len(program.declared.variables)]
+    if (bare := landscape.program.bare) is not None:
+        program = bare.at(landscape.p, any_guess=True)
+        landscape = Landscape(program, landscape.p, range(len(program.declared.variables)))
+    landscape, y = _as_made(landscape), y[: landscape.dimensions]
+    program = landscape.program
     _, f, g = landscape.rows_after_elimination(boxes(program.declared.variables, y[None]), finer=FINER)
     valid = np.isfinite(f)
     scale = landscape.objective_scale
     values = f[valid] * scale if np.any(valid) else np.array([objective])
     median = float(np.median(values))
     too_high = _too_high(landscape, np.array([median / scale]), np.array([objective / scale]))
-    margins = np.minimum(g - program.low, program.high - g)[valid] if np.any(valid) else np.zeros((1, len(program.low)))
-    least = np.array([margins[:, np.array(program.owner) == k].min() for k in range(len(program.scales))])
+    least = program.least_margins(g)[valid].min(axis=0) if np.any(valid) else np.zeros(len(program.scales))
     return Spread(
         median=median,
         worst=float(values.max()),

@@ -210,6 +210,26 @@ class Program:
         at = y.tobytes(), p.tobytes()
         return _cached(self._caches.exact_values, at, 1, lambda: (evaluate(numbers), evaluate(numbers, check=True)))
 
+    @cached_property
+    def first_rows(self) -> list[int]:
+        """Number of each requirement's first row."""
+        first: list[int] = np.flatnonzero(np.diff(np.array(self.owner, dtype=int), prepend=-1)).tolist()
+        return first
+
+    def margins(self, g: Vector) -> Vector:
+        """Return the scaled distance of each row of the requirements from its limit, positive inside."""
+        return np.minimum(g - self.low, self.high - g)
+
+    def least_margins(self, g: Vector) -> Vector:
+        """Return the smallest of the `margins` of each requirement; ``g`` has a row for each design."""
+        if not self.first_rows:
+            return np.zeros((len(g), 0))
+        return np.minimum.reduceat(self.margins(g), self.first_rows, axis=1)
+
+    def violation(self, g: Vector) -> float:
+        """Return the largest scaled violation of any row, 0 if all limits are met."""
+        return float(np.max(-self.margins(g), initial=0.0))
+
     def refuses(self, y: Vector, p: Vector) -> bool:
         """Return whether a scaled design lies outside the domain of a law."""
         return bool(self.exact.refusal([*self.values(np.clip(y, 0.0, 1.0)), *p]))

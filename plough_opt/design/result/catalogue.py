@@ -481,7 +481,8 @@ def _solved(program: Program, p: Vector, start: Vector, fixed: list[int]) -> tup
     try:
         point = from_least_violation(program, p, start, fixed)
     except InfeasibleDesign as error:
-        return None, error.conflicts
+        named = {r.name for r in program.declared.requirements if not r.auxiliary}
+        return None, {name: short for name, short in error.conflicts.items() if name in named}
     return (point if point.solved else None), {}
 
 

@@ -126,6 +126,7 @@ class Limit:
         display: unit in reports.
         low: lower limit, in ``unit``, or None.
         high: upper limit, in ``unit``, or None.
+        trivial: whether it is a limit of a law that is met by far, so that printed results leave it out.
     """
 
     name: str
@@ -139,6 +140,7 @@ class Limit:
     display: Display | None = None
     low: float | None = None
     high: float | None = None
+    trivial: bool = False
 
     @property
     def shown(self) -> Display:
@@ -203,7 +205,7 @@ class LocalOptimum(Saveable):
         for one in self.limits:
             if one.kind == "bound":
                 bounds.row(one.name, one.shown.text(one.rounded, 7), one.limits, "at its bound" if one.active else "")
-            else:
+            elif not one.trivial:
                 value, decides = one.shown.text(one.value), "decides" if one.active else ""
                 required.row(one.name, one.limits, value, one.margin_text(), decides)
         return (bounds, required) if required.rows else (bounds,)
@@ -356,8 +358,9 @@ class Optimum(LocalOptimum):
             "optimum": [one.name for one in found],
             "objective": [one.objective for one in found],
         }
-        columns |= {name: [one.variables[name] for one in found] for name in self.variables}
-        return data_frame(columns, {one.name: one.unit for one in self.limits if one.kind == "bound"})
+        column = {name: f"variable {name}" if name in columns else name for name in self.variables}
+        columns |= {column[name]: [one.variables[name] for one in found] for name in self.variables}
+        return data_frame(columns, {column[one.name]: one.unit for one in self.limits if one.kind == "bound"})
 
     def also_saved(self) -> dict[str, Any]:
         """Return the best design alone, as further content of a saved file."""

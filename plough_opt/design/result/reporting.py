@@ -21,6 +21,8 @@ from plough_opt.motion.simulation import repeat
 
 # Mounts whose frequencies differ by less than this fraction share one name.
 _SAME_MOUNT = 0.02
+# A limit of a law is printed if it decides or if its margin is within this part of its scale.
+_NEAR = 0.05
 # With more mounts than this only the first is named.
 _MOST_MOUNTS = 4
 
@@ -88,7 +90,8 @@ def _requirements(program: Program, point: Point, found: Sequence[Vector]) -> li
         margin, multiplier = float(margins[worst]), float(np.sum(own) * program.objective_scale / scale)
         active = decides(margin / scale, float(np.max(own)))
         at = (float(numbers[worst]), r.limits_text(), margin, multiplier, active)
-        limits.append(Limit(r.name, "requirement", *at, r.unit, r.shown, r.at_least, r.at_most))
+        trivial = k >= len(program.own_requirements) and not active and margin > _NEAR * scale
+        limits.append(Limit(r.name, "requirement", *at, r.unit, r.shown, r.at_least, r.at_most, trivial))
     return limits
 
 

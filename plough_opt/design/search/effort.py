@@ -44,8 +44,8 @@ _THOROUGH = 4
 _FEW_VARIABLES = 3
 # Largest number of designs accepted as `search`: it takes days.
 _MOST_ACCEPTED = 1_000_000_000
-# A text that begins like a number.
-_NUMBER = re.compile(r"\s*[-+]?\.?[0-9]")
+# A text that begins like a number, "nan" and "inf" included.
+_NUMBER = re.compile(r"\s*[-+]?(\.?[0-9]|(nan|inf(inity)?)\b)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)

@@ -100,7 +100,6 @@ class Landscape:
         p: parameters.
         held: numbers of variables that are never eliminated, because their values are given.
         dimensions: number of variables.
-        first_rows: number of each requirement's first row.
         objective_scale: of the objective. It stays the same if the program is rescaled later.
         vectorised: whether all runs of many designs are integrated together.
         eliminated: variables that are solved for, given the others, instead of being searched.
@@ -111,9 +110,7 @@ class Landscape:
         """Create the landscape of a program whose scales are set; ``held`` are numbers of variables to keep."""
         self.program, self.p, self.held = program, p, held
         self.dimensions = len(program.declared.variables)
-        owner = np.array(program.owner, dtype=int)
-        self.first_rows: list[int] = np.flatnonzero(np.diff(owner, prepend=-1)).tolist()
-        self._scale = np.array(program.scales)[owner]
+        self._scale = np.array(program.scales)[np.array(program.owner, dtype=int)]
         self.objective_scale = program.objective_scale
         self.vectorised = program.population.vectorised
         self.eliminated = [one for one in program.linear_variables(p) if one.number not in held]
@@ -133,10 +130,7 @@ class Landscape:
 
     def violations(self, g: Vector) -> Vector:
         """Return each requirement's largest violation, a row for each design; infinite where g is not finite."""
-        if not self.first_rows:
-            return np.zeros((len(g), 0))
-        excess = np.maximum(self.program.low - g, g - self.program.high)
-        worst = np.maximum.reduceat(excess, self.first_rows, axis=1)
+        worst = -self.program.least_margins(g)
         return np.where(np.isfinite(worst), np.maximum(worst, 0.0), np.inf)
 
     def __call__(self, points: Vector, *, finer: float = 1.0, together: int = 1) -> Evaluations:

@@ -233,8 +233,8 @@ class _Descent:
 
     def _worst_rows(self, y: Vector, known: np.ndarray) -> np.ndarray:
         """Return the rows nearest to their limits, some of each requirement, together with the known ones."""
-        g, first = self._derivatives(y)[2], self._landscape.first_rows
-        margin = np.minimum(g - self._program.low, self._program.high - g)
+        g, first = self._derivatives(y)[2], self._program.first_rows
+        margin = self._program.margins(g)
         chosen = set(known.tolist())
         for begin, end in zip(first, [*first, len(g)][1:], strict=True):
             # The rows of a long requirement are a curve over time: each dip of its margin can become active.
@@ -367,18 +367,17 @@ def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -
         point = Point(True, "Solve_Succeeded", y, float(f.item()), lam_g, without_rounding(y, lam_y), number)
         remaining = residual(point, at, (program.low, program.high))
         if remaining <= _STATIONARY:
-            if np.all((margin == 0.0) | ((program.low <= g) & (g <= program.high))):
-                return point if _multipliers_unique(point.y, at, limits) else None
+            if np.all((margin == 0.0) | (program.margins(g) >= 0.0)):
+                return point if _multipliers_unique(program, point.y, g, jacobian) else None
         elif remaining > _REDUCTION * before or np.max(np.abs(step)) > _LONGEST_STEP:
             return None
         y, before = np.clip(y + step, 0.0, 1.0), remaining
     return None
 
 
-def _multipliers_unique(y: Vector, at: tuple[Vector, Vector, Vector], limits: tuple[Vector, Vector]) -> bool:
+def _multipliers_unique(program: Program, y: Vector, g: Vector, jacobian: Vector) -> bool:
     """Return whether the slopes of the active limits are independent; otherwise their multipliers are ambiguous."""
-    (g, _, jacobian), (low, high) = at, limits
-    margins = np.concatenate([np.minimum(g - low, high - g), np.minimum(y, 1.0 - y)])
+    margins = np.concatenate([program.margins(g), np.minimum(y, 1.0 - y)])
     active = np.vstack([jacobian, np.eye(len(y))])[margins < _ACTIVE_MARGIN]
     lengths = np.maximum(np.linalg.norm(active, axis=1, keepdims=True), np.finfo(float).tiny)
     return not len(active) or int(np.linalg.matrix_rank(active / lengths, _DEPENDENT)) == len(active)
@@ -473,7 +472,7 @@ def _stalled(program: Program, p: Vector, point: Point) -> Point:
     Its multipliers have not converged: those of limits that the design does not touch are noise.
     """
     g = np.asarray(program.nlp.values(point.y, p)[1]).ravel()
-    touches = np.minimum(g - program.low, program.high - g) <= ACTIVE
+    touches = program.margins(g) <= ACTIVE
     at_bound = np.minimum(point.y, 1.0 - point.y) <= ACTIVE
     lam_g, lam_y = np.where(touches, point.lam_g, 0.0), np.where(at_bound, point.lam_y, 0.0)
     return replace(point, solved=True, status=AS_FOUND, lam_g=lam_g, lam_y=lam_y)
@@ -488,6 +487,5 @@ def highest_accepted(program: Program, p: Vector, start: Vector) -> float:
 def _violation(program: Program, p: Vector, y: Vector) -> tuple[float, float]:
     """Return the scaled objective, and the largest scaled violation; infinite if the design cannot be evaluated."""
     f, g = (np.asarray(result).ravel() for result in program.nlp.values(y, p))
-    worst = np.max(np.maximum(program.low - g, g - program.high), initial=0.0)
     valid = np.all(np.isfinite(f)) and np.all(np.isfinite(g)) and not program.refuses(y, p)
-    return float(f[0]), float(worst) if valid else np.inf
+    return float(f[0]), program.violation(g) if valid else np.inf

@@ -123,8 +123,8 @@ def _failures(
 def _origin(front: FrontProgram, goals: Sequence[Goal], title: str) -> Origin:
     """Return the origin of a front: the design's declarations, with the goals in place of the design's objective."""
     displays = {v.name: v.display for v in front.declared.variables if v.display is not None}
-    found = front.declared.plain(front.values)
-    del found["objective"]
+    plain = front.declared.plain(front.values)
+    found = {name: declared for name, declared in plain.items() if declared["kind"] != "objective"}
     for goal in goals:
         aim = "maximise" if goal.maximise else "minimise"
         found[goal.name] = {"kind": "objective", "aim": aim, "unit": goal.unit}

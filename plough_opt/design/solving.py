@@ -23,24 +23,20 @@ from plough_opt.design.result.optimum import Optimum
 from plough_opt.design.result.optimum import Search as SearchRecord
 from plough_opt.design.result.reporting import remarks, reports
 from plough_opt.design.result.sensitivity import Solved
-from plough_opt.design.search.effort import Search, effort_of, searched
+from plough_opt.design.search.effort import CAN_WIN, FEW_VARIABLES, Search, effort_of, searched
 from plough_opt.design.search.explore import Explored, Explorer, Progress
 from plough_opt.design.search.landscape import FEASIBLE, Evaluations, Landscape
 from plough_opt.design.search.local import AS_FOUND, descend, lower_from, point_as_found, polished
 from plough_opt.design.search.near import feasible_from, near_optimum
 from plough_opt.design.search.points import evaluated_sample
 
-# With up to this many variables a solve by IPOPT is quick.
-_FEW_VARIABLES = 3
 # Basins that IPOPT optimises in each round of the search: with few variables, and with more.
 _MOST_POLISHED_OF_FEW = 8
 _MOST_POLISHED_OF_MANY = 3
-# With more variables, basins are optimised only if their criterion is within this part of the best.
-_CAN_WIN = 0.15
 # The objective's scale is at least this part of its median over the sample: a scale of 0 would magnify rounding.
 _LEAST_SCALE = 1e-4
 # Optima count as the same if no scaled variable differs by this much.
-_SAME = 1e-4
+_SAME_OPTIMUM = 1e-4
 
 
 @dataclass(frozen=True)
@@ -168,13 +164,13 @@ class _Solve:
         landscape, p = self._landscape, self._p
         lowest = abs(float(minima.f[np.argmin(minima.merit)]))
         program = self._program.with_objective_scale(max(lowest, least_scale) * landscape.objective_scale)
-        chosen = _basins_that_can_win(self._criterion(minima.points), variables <= _FEW_VARIABLES, rounds)
+        chosen = _basins_that_can_win(self._criterion(minima.points), variables <= FEW_VARIABLES, rounds)
         program = self._program = with_sure_steps(program, p, list(minima.points[chosen]))
         points: list[Point] = []
         for number, k in enumerate(chosen):
             self._progress(f"optimising basin {number + 1} of {len(chosen)}", number / len(chosen))
             point = polished(program, p, minima.points[k])
-            if point.solved and not any(np.max(np.abs(point.y - other.y)) < _SAME for other in points):
+            if point.solved and not any(np.max(np.abs(point.y - other.y)) < _SAME_OPTIMUM for other in points):
                 points.append(point)
         return points
 
@@ -213,7 +209,7 @@ def _basins_that_can_win(criterion: Vector, few_variables: bool, rounds: int) ->
     order = np.argsort(criterion, kind="stable")
     if few_variables:
         return [int(k) for k in order[: _MOST_POLISHED_OF_FEW * rounds]]
-    limit = criterion[order[0]] + _CAN_WIN * abs(criterion[order[0]])
+    limit = criterion[order[0]] + CAN_WIN * abs(criterion[order[0]])
     return [int(k) for k in order if criterion[k] <= limit][: _MOST_POLISHED_OF_MANY * rounds]
 
 
@@ -235,11 +231,11 @@ WORST = "worst objective\n"
 # The requirement that does so; sensitivities call its sides by this name.
 _BELOW_WORST: Final = "one of the worst designs within the tolerances\n"
 # Most runs of all designs in a box together: they take seconds for a whole solve.
-_MOST_RUNS = 64
+_MOST_RUNS_IN_BOX = 64
 # Fewest designs in a box.
-_FEWEST = 8
+_FEWEST_IN_BOX = 8
 # Designs whose boxes are sampled to find bounds on the worst objective.
-_SAMPLE_SIZE = 256
+_BOUNDING_SAMPLE = 256
 # The lower bound lies below the lowest sampled objective by this many times the sampled range. Bounds that prove too
 # narrow are extended by as much.
 _BELOW = 2.0
@@ -335,8 +331,8 @@ def designs_per_box(declared: Declarations) -> int:
     parts = split([declared.objective, *(r.expression for r in declared.requirements)], declared.symbols())
     runs = max(1, len(parts.runs))
     if not all(run.integration.structure.stepped for run in parts.runs):
-        return _FEWEST
-    return max(_FEWEST, min(BOX_DESIGNS, 1 << int(math.log2(max(1, _MOST_RUNS // runs)))))
+        return _FEWEST_IN_BOX
+    return max(_FEWEST_IN_BOX, min(BOX_DESIGNS, 1 << int(math.log2(max(1, _MOST_RUNS_IN_BOX // runs)))))
 
 
 def bounds_on_worst(program: Program, p: Vector) -> tuple[float, float]:
@@ -347,7 +343,7 @@ def bounds_on_worst(program: Program, p: Vector) -> tuple[float, float]:
         p: parameters.
     """
     landscape = Landscape(program.at(p, any_guess=True), p)
-    sampled = evaluated_sample(landscape, _SAMPLE_SIZE if landscape.vectorised else _FEWEST)
+    sampled = evaluated_sample(landscape, _BOUNDING_SAMPLE if landscape.vectorised else _FEWEST_IN_BOX)
     valid = np.flatnonzero(np.isfinite(sampled.f))
     # All designs in a box are made as they are: no variable is solved for again.
     made = Landscape(landscape.program, p, range(landscape.dimensions))

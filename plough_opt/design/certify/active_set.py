@@ -22,13 +22,20 @@ from numpy.typing import NDArray
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.design.declarations import EVERYWHERE
 from plough_opt.design.model.ipopt import Point, Vector
-from plough_opt.design.model.optimality import PULLS, free_directions, newton_step, reduced_curvatures, symmetric
+from plough_opt.design.model.optimality import (
+    FLAT_CURVATURE,
+    PULLS,
+    free_directions,
+    newton_step,
+    reduced_curvatures,
+    symmetric,
+)
 from plough_opt.design.model.program import Program
 
 Mask = NDArray[np.bool_]
 
 # Newton's method ends when no scaled variable moves by more than this: the conditions then hold to rounding.
-_CONVERGED = 1e-12
+_NEWTON_CONVERGED = 1e-12
 _MOST_NEWTON_STEPS = 10
 # Scaled distance from IPOPT's point beyond which Newton's method has left for another optimum.
 _LOST = 1e-3
@@ -36,15 +43,13 @@ _LOST = 1e-3
 _ZERO = 1e-8
 # Scaled gradients below this count as zero: a side that no variable changes cannot be touched by a design.
 _NO_GRADIENT = 1e-12
-# Curvature, relative to the largest, below which the objective is flat and the optimum has no derivative.
-_FLAT_CURVATURE = 1e-7
 # Where Newton's method fails and the curvature at IPOPT's point is below this, vanishing curvature is the reason.
 _SLOW_CURVATURE = 1e-4
 # Gradients of length 1 are linearly dependent if their matrix has a singular value below this. Rates of weakly active
 # sides count as zero if they are smaller than this part of the largest rate.
 _RANK = 1e-9
 # Relative rates below this are rounding: the side never begins or ceases to decide.
-_ROUNDING = 1e-13
+_NO_RATE = 1e-13
 # More weakly active sides have too many subsets to try.
 _MOST_WEAK = 8
 
@@ -172,7 +177,7 @@ class ActiveSet:
             self._evaluate(y, mu)
             # An active side that pushes outwards is released; a broken one becomes active.
             wrong = ~self._equal & np.where(active, mu < -_ZERO, self.slack < -_ZERO)
-            if not np.any(wrong) and np.max(np.abs(step)) < _CONVERGED:
+            if not np.any(wrong) and np.max(np.abs(step)) < _NEWTON_CONVERGED:
                 return
             active = active ^ wrong
         if not self._curved(self.gradients[active, : self.n], _SLOW_CURVATURE):
@@ -253,7 +258,7 @@ class ActiveSet:
             return None
         rate[self.weak] = 0.0
         with np.errstate(divide="ignore", invalid="ignore"):
-            reach = np.where(rate < -_ROUNDING * size, stock / -rate, np.inf)
+            reach = np.where(rate < -_NO_RATE * size, stock / -rate, np.inf)
         first = int(np.argmin(reach)) if len(reach) else 0
         if not len(reach) or not np.isfinite(reach[first]):
             return Move(dy, math.inf, "")
@@ -305,7 +310,7 @@ class ActiveSet:
         if not self._curved(a):
             raise InputError(_FLAT)
 
-    def _curved(self, a: Vector, least: float = _FLAT_CURVATURE) -> bool:
+    def _curved(self, a: Vector, least: float = FLAT_CURVATURE) -> bool:
         """Return True if the Lagrangian curves upwards wherever sides with independent gradients ``a`` hold."""
         free = free_directions(a)
         # Dependent sides cannot all hold once one of their limits moves; least squares would move them apart.

@@ -12,7 +12,7 @@ import numpy as np
 
 from plough_opt.core.errors import DomainError
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
-from plough_opt.design.model.optimality import PULLS, free_directions, reduced_curvatures, symmetric
+from plough_opt.design.model.optimality import FLAT_CURVATURE, PULLS, free_directions, reduced_curvatures, symmetric
 from plough_opt.design.model.program import Program, error_of_derivatives, steps_factor
 from plough_opt.design.search.local import ACTIVE, AS_FOUND, highest_accepted, solved_again
 
@@ -122,8 +122,6 @@ def converged_tightly(program: Program, p: Vector, point: Point) -> Point:
     return again if again.solved and again.f <= highest_accepted(program, p, point.y) else point
 
 
-# A direction may be flat if its curvature is below this fraction of the largest.
-_FLAT_CURVATURE = 1e-7
 # It is flat if the objective changes by less than this fraction.
 _FLAT_OBJECTIVE = 1e-9
 # Scaled step from a point along a suspicious direction.
@@ -137,7 +135,7 @@ def flat_directions(program: Program, p: Vector, at: Point) -> list[Vector]:
     after which the other variables are optimised again.
     """
     curvatures, directions = at.curvatures or _reduced_curvatures(program, p, at)
-    flat = np.flatnonzero(np.abs(curvatures) < _FLAT_CURVATURE)
+    flat = np.flatnonzero(np.abs(curvatures) < FLAT_CURVATURE)
     return [directions[:, k] for k in flat if _confirmed(program, p, at, directions[:, k])]
 
 
@@ -158,7 +156,7 @@ def minimum_from(
     # At the top of a hill each descent may move a single variable.
     for _ in range(len(at.y) + 1):
         curvatures, directions = known = _reduced_curvatures(program, p, at)
-        if not curvatures.size or curvatures[0] >= -_FLAT_CURVATURE:
+        if not curvatures.size or curvatures[0] >= -FLAT_CURVATURE:
             return replace(at, curvatures=known)
         step = _ASIDE * directions[:, 0] / np.max(np.abs(directions[:, 0]))
         starts = [np.clip(at.y + sign * step, 0.0, 1.0) for sign in (1.0, -1.0)]

@@ -23,7 +23,7 @@ The fraction is of the objective's magnitude, and at least of a quarter of its t
 """
 
 # That quarter: near an objective of 0 a fraction of it would mean nothing.
-_SMALL = 0.25
+_SMALL_OBJECTIVE = 0.25
 
 BOX_DESIGNS = 64
 """Number of designs sampled in a tolerance box."""
@@ -163,7 +163,7 @@ def _too_high(landscape: Landscape, median: Vector, own: Vector) -> NDArray[np.b
         everywhere = landscape.program.population(unit_box(landscape.dimensions), landscape.p)[0]
     sizes = np.abs(everywhere[np.isfinite(everywhere)]) / landscape.objective_scale
     typical = float(np.median(sizes)) if len(sizes) else 0.0
-    found: NDArray[np.bool_] = median - own > NEEDLE * np.maximum(np.abs(own), _SMALL * typical)
+    found: NDArray[np.bool_] = median - own > NEEDLE * np.maximum(np.abs(own), _SMALL_OBJECTIVE * typical)
     return found
 
 

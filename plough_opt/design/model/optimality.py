@@ -13,6 +13,9 @@ from plough_opt.design.model.ipopt import Point, Vector
 PULLS = 1e-7
 """Scaled multipliers below this count as zero."""
 
+FLAT_CURVATURE = 1e-7
+"""A direction may be flat if its curvature is below this part of the largest: then the optimum has no derivative."""
+
 # A scaled variable within this distance of a bound counts as lying on it.
 _AT_BOUND = 1e-9
 # Singular values below this, relative to the largest, show that rows are linearly dependent.

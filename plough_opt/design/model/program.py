@@ -91,10 +91,10 @@ _SMALLEST_SCALE = 1e-12
 # Built programs that are cached, for different numbers of steps or scales.
 _MOST_PROGRAMS = 6
 # Size and seed of the sample whose medians set the scales if the guess has no value.
-_SAMPLE = 256
-_SAMPLE_SEED = 256
+_SCALING_SAMPLE = 256
+_SCALING_SEED = 256
 # Size of the sample in which at least one design must have a value.
-_LARGE_SAMPLE = 4096
+_LARGE_SCALING_SAMPLE = 4096
 
 Cached = TypeVar("Cached")
 
@@ -364,8 +364,8 @@ class Program:
             p: parameters.
             error: the reason why the guess has no value, raised if the sample has none either.
         """
-        for count in (_SAMPLE, _LARGE_SAMPLE):
-            points = np.random.default_rng(_SAMPLE_SEED).random((count, len(self.declared.variables)))
+        for count in (_SCALING_SAMPLE, _LARGE_SCALING_SAMPLE):
+            points = np.random.default_rng(_SCALING_SEED).random((count, len(self.declared.variables)))
             with np.errstate(all="ignore"):
                 f, g = self.population(points, p)
             sound = np.isfinite(f) & np.all(np.isfinite(g), axis=1)

@@ -18,6 +18,7 @@ from plough_opt.design.model.program import Program
 from plough_opt.design.result.optimum import Choice, Rounded, values_in_words
 from plough_opt.design.result.reporting import reports
 from plough_opt.design.result.sensitivity import Solved
+from plough_opt.design.search.effort import CAN_WIN
 from plough_opt.design.search.landscape import Evaluations, Landscape, concatenated
 from plough_opt.design.search.local import AS_FOUND, descend, least_violation, point_as_found
 from plough_opt.design.search.near import failures, from_least_violation
@@ -32,13 +33,13 @@ from plough_opt.design.search.points import (
 )
 
 # The first sample of the free variables.
-_SAMPLE = 2**16  # designs of all combinations together
+_SCREENING_SAMPLE = 2**16  # designs of all combinations together
 _FEWEST_EACH = 2
 _MOST_EACH = 128
 
 # Shrinking boxes around the best designs of the lowest combinations.
 _ZOOM_COMBINATIONS = 256  # in the first round; their number is halved from round to round
-_ZOOM_SAMPLE = 16  # designs in a box
+_ZOOM_EACH = 16  # designs in a box
 _ZOOM_RADII = (0.25, 0.12, 0.06, 0.03, 0.015)  # half widths by round, as fractions of the range
 
 # Descents from the lowest combinations.
@@ -48,10 +49,9 @@ _MOST_DESCENTS_EACH = 8
 
 # Evolution of the combinations that can still win.
 _EVOLVED = 8  # combinations at most
-_CAN_WIN = 0.15  # Their merit is within this fraction of the best.
 _DESIGNS_PER_VARIABLE = 12
 _GENERATIONS = 50
-_CONVERGED = 1e-6  # The evolution ends when the merits scatter by less than this fraction.
+_EVOLUTION_CONVERGED = 1e-6  # The evolution ends when the merits scatter by less than this fraction.
 
 # Positions on the line along each free variable through the lowest designs of these combinations, the dips on it from
 # which descents start, the number of looks along the lines, and the relative gain that justifies another one.
@@ -110,7 +110,7 @@ def promising(
     if len(screen.free) == 1:
         return found
     # With several free variables a sample may miss the best basin of a combination that can win.
-    limit = found[0].merit + _CAN_WIN * abs(found[0].merit)
+    limit = found[0].merit + CAN_WIN * abs(found[0].merit)
     last = [screen.evolved(one, sample_by_number[one.number]) for one in found[:_EVOLVED] if one.merit <= limit]
     return _ordered([*last, *found[len(last) :]])
 
@@ -140,7 +140,7 @@ class _Screen:
         count, n = len(self._combinations), len(self.free)
         numbers = np.arange(count)
         at_optimum = self._landscape(self.designs(numbers, np.tile(self._optimum[self.free], (count, 1))))
-        each = int(np.clip(_SAMPLE // count, _FEWEST_EACH, _MOST_EACH))
+        each = int(np.clip(_SCREENING_SAMPLE // count, _FEWEST_EACH, _MOST_EACH))
         points = sobol_points(n, count * each, self._rng)
         # Consecutive points of the sequence fill the space evenly, so each combination takes a block of them.
         sample = self._landscape(self.designs(np.repeat(numbers, each), points))
@@ -161,17 +161,15 @@ class _Screen:
     def _zoomed(self, numbers: np.ndarray, best: Evaluations, radius: float) -> Evaluations:
         """Return the lowest design of each combination after sampling a box around its lowest so far."""
         count, n = len(numbers), len(self.free)
-        offsets = self._rng.uniform(-radius, radius, (count * _ZOOM_SAMPLE, n))
-        points = np.clip(np.repeat(best.points[:, self.free], _ZOOM_SAMPLE, axis=0) + offsets, 0.0, 1.0)
-        return _best_of_each(
-            best, self._landscape(self.designs(np.repeat(numbers, _ZOOM_SAMPLE), points)), _ZOOM_SAMPLE
-        )
+        offsets = self._rng.uniform(-radius, radius, (count * _ZOOM_EACH, n))
+        points = np.clip(np.repeat(best.points[:, self.free], _ZOOM_EACH, axis=0) + offsets, 0.0, 1.0)
+        return _best_of_each(best, self._landscape(self.designs(np.repeat(numbers, _ZOOM_EACH), points)), _ZOOM_EACH)
 
     def descended(self, number: int, designs: Evaluations, count: int) -> Promising:
         """Return the best end of descents from a combination's lowest designs, with the combination's values held."""
         # The designs at the optimum and the best one found; then the local minima of the sample.
         starts = [0, 1]
-        if len(designs.f) > 4 * _ZOOM_SAMPLE:
+        if len(designs.f) > 4 * _ZOOM_EACH:
             lowest, _ = local_minima(designs.points[:, self.free], designs.merit)
             starts += [int(k) for k in lowest if k > 1]
         # A design that cannot be evaluated has no slope to follow.
@@ -191,7 +189,7 @@ class _Screen:
         def merit(x: Vector) -> Vector:
             return self._landscape(self.designs(np.full(len(x), known.number), x)).merit
 
-        best = evolved(merit, start, _GENERATIONS, self._rng, from_best=n < MANY_VARIABLES, alike=_CONVERGED)
+        best = evolved(merit, start, _GENERATIONS, self._rng, from_best=n < MANY_VARIABLES, alike=_EVOLUTION_CONVERGED)
         end = Promising(known.number, self._end(self.designs(np.array([known.number]), best[None])[0]))
         return self._along_each_variable(min(known, end, key=lambda one: one.merit))
 
@@ -254,7 +252,7 @@ Catalogue = float | str | Sequence[float | str]
 # from a bound.
 _SAME_VALUE = 1e-6
 # A value beyond a bound by this fraction of the range counts as the bound.
-_ROUNDING = 1e-12
+_BEYOND_BOUND = 1e-12
 # Floating point cannot distinguish larger multiples of a step.
 _MOST_MULTIPLES = 1e15
 
@@ -344,7 +342,7 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
     values = array_of(catalogue, wrong).ravel()
     if not values.size or not np.all(np.isfinite(values)):
         raise InputError(wrong)
-    reserve = _ROUNDING * (v.upper - v.lower)
+    reserve = _BEYOND_BOUND * (v.upper - v.lower)
     if np.ndim(catalogue) == 0:
         step = float(values[0])
         if step <= 0.0:
@@ -371,7 +369,7 @@ _MOST_OPTIMISED = 20
 # Most combinations of neighbours that are accepted.
 _MOST_NEIGHBOURS = 4096
 # An optimised design may lie above its start by this fraction of the objective: the error of a search's rough runs.
-_NOT_WORSE = 1e-5
+_NOT_WORSE_THAN_ROUGH = 1e-5
 # Most failing combinations that an error message names.
 _MOST_NAMED = 5
 
@@ -472,7 +470,7 @@ def _solved(program: Program, p: Vector, start: Vector, fixed: list[int]) -> tup
         return replace(as_found, status="nothing left to choose"), {}
     if len(fixed) < len(start):
         point = program.solve(start, p, SolveOptions(near=True), fixed=fixed)
-        if point.solved and (not as_found.solved or point.f <= as_found.f + _NOT_WORSE * abs(as_found.f)):
+        if point.solved and (not as_found.solved or point.f <= as_found.f + _NOT_WORSE_THAN_ROUGH * abs(as_found.f)):
             return point, {}
         if as_found.solved:
             return as_found, {}

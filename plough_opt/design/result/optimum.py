@@ -249,7 +249,7 @@ class LocalOptimum(Saveable):
 
 
 # A cost below this percentage of the objective is rounding.
-_ROUNDING = 1e-9
+_NO_COST = 1e-9
 _WITHOUT_DESIGN = "this optimum was saved without its design: evaluate expressions before saving it, or solve again"
 
 
@@ -514,7 +514,7 @@ class Rounded(Optimum):
         """Return in words the values chosen, their cost, the number of combinations tried, and infeasible ones."""
         units = {limit.name: limit.unit for limit in self.limits}
         side = "below" if self.cost < 0.0 else "above"
-        cost = "as" if abs(self.cost_percent) < _ROUNDING else f"{abs(self.cost_percent):.3g} % {side}"
+        cost = "as" if abs(self.cost_percent) < _NO_COST else f"{abs(self.cost_percent):.3g} % {side}"
         text = (
             f"{values_in_words(self.variables, units)}: objective {self.objective:.9g},"
             f" {cost} that of the optimum; {self._extent_of_search()}"

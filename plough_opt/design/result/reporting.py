@@ -22,7 +22,7 @@ from plough_opt.motion.simulation import repeat
 # Mounts whose frequencies differ by less than this fraction share one name.
 _SAME_MOUNT = 0.02
 # A limit of a law is printed if it decides or if its margin is within this part of its scale.
-_NEAR = 0.05
+_NEARLY_MET = 0.05
 # With more mounts than this only the first is named.
 _MOST_MOUNTS = 4
 
@@ -90,7 +90,7 @@ def _requirements(program: Program, point: Point, found: Sequence[Vector]) -> li
         margin, multiplier = float(margins[worst]), float(np.sum(own) * program.objective_scale / scale)
         active = decides(margin / scale, float(np.max(own)))
         at = (float(numbers[worst]), r.limits_text(), margin, multiplier, active)
-        trivial = k >= len(program.own_requirements) and not active and margin > _NEAR * scale
+        trivial = k >= len(program.own_requirements) and not active and margin > _NEARLY_MET * scale
         limits.append(Limit(r.name, "requirement", *at, r.unit, r.shown, r.at_least, r.at_most, trivial))
     return limits
 

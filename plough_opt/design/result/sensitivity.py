@@ -25,11 +25,11 @@ from plough_opt.design.model.tight_integration import TightEvaluation
 # optimiser's 1e-10 divided by it.
 _CHECK_STEP = 2e-4
 # Elasticities below this are shown as 0 %.
-_ROUNDING = 1e-9
+_NO_ELASTICITY = 1e-9
 # Results below this part of their size, the optimiser's tolerance, count as 0: they have no elasticity.
-_ZERO = 1e-10
+_NO_RESULT = 1e-10
 # One-sided derivatives with a smaller relative difference count as equal.
-_SAME = 1e-9
+_SAME_RATE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Sensitivity:
 def _percent(name: str, elasticity: float | None, derivative: float, unit: str) -> str:
     if elasticity is None:
         return f"{name} by {derivative:.4g} per {unit or 'unit'}"
-    return f"{name} by 0 %" if abs(elasticity) < _ROUNDING else f"{name} by {elasticity:+.4g} %"
+    return f"{name} by 0 %" if abs(elasticity) < _NO_ELASTICITY else f"{name} by {elasticity:+.4g} %"
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ class Solved:
         lowest, below = target.within(target.value - down.until, down.then)
         highest, above = target.within(target.value + up.until, up.then)
         names = [v.name for v in self.program.declared.variables if not v.auxiliary]
-        differs = bool(np.max(np.abs(up.y - down.y)) > _SAME * np.max(np.abs([up.y, down.y])))
+        differs = bool(np.max(np.abs(up.y - down.y)) > _SAME_RATE * np.max(np.abs([up.y, down.y])))
         return Sensitivity(
             name=name,
             value=target.value,
@@ -307,4 +307,4 @@ class Solved:
 
 def _elasticity(derivative: float, value: float, result: float, size: float) -> float | None:
     """Return per cent of a result per per cent of a value; None if the result is 0 but for rounding of its size."""
-    return None if abs(result) <= _ZERO * size else derivative * value / result
+    return None if abs(result) <= _NO_RESULT * size else derivative * value / result

@@ -26,6 +26,12 @@ Search = str | int | Sequence[str]
 WORDS = ("auto", "thorough", "near", "local")
 """The words accepted as `search`; "local" means the same as "near"."""
 
+FEW_VARIABLES = 3
+"""With up to this many variables a sample is dense, so that no ripple goes unnoticed, and a solve by IPOPT is quick."""
+
+CAN_WIN = 0.15
+"""With more variables, only those designs are optimised whose criterion is within this part of the best."""
+
 # Sample size by number of variables, a power of two.
 _DESIGNS = {1: 512, 2: 1024, 3: 2048, 4: 4096}
 _MOST_DESIGNS = 8192
@@ -33,15 +39,13 @@ _MOST_DESIGNS = 8192
 _ISLANDS = {1: 0, 2: 1, 3: 2}
 _MOST_ISLANDS = 4
 # Most runs in a round, for designs with many runs: they take some seconds.
-_MOST_RUNS = 60_000
+_MOST_RUNS_IN_ROUND = 60_000
 # Most runs in a sample if they are integrated one by one, each for milliseconds.
 _ONE_BY_ONE = 256
 # Fewest designs of such a sample.
-_FEWEST = 32
+_FEWEST_ONE_BY_ONE = 32
 # Rounds of a thorough search.
 _THOROUGH = 4
-# With up to this many variables the sample is dense; with more, ripples between its designs would go unnoticed.
-_FEW_VARIABLES = 3
 # Largest number of designs accepted as `search`: it takes days.
 _MOST_ACCEPTED = 1_000_000_000
 # A text that begins like a number, "nan" and "inf" included.
@@ -101,16 +105,16 @@ def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> E
         runs: number of runs in a design.
         vectorised: whether the runs of many designs are integrated together.
     """
-    designs = min(_DESIGNS.get(dimensions, _MOST_DESIGNS), max(_ONE_BY_ONE, _MOST_RUNS // max(runs, 1)))
+    designs = min(_DESIGNS.get(dimensions, _MOST_DESIGNS), max(_ONE_BY_ONE, _MOST_RUNS_IN_ROUND // max(runs, 1)))
     designs = 1 << (designs.bit_length() - 1)  # only powers of two make Sobol points even
-    islands = _ISLANDS.get(dimensions, _MOST_ISLANDS) if designs * runs < _MOST_RUNS else 0
+    islands = _ISLANDS.get(dimensions, _MOST_ISLANDS) if designs * runs < _MOST_RUNS_IN_ROUND else 0
     if not vectorised:
-        designs, islands = 1 << (max(_FEWEST, _ONE_BY_ONE // max(runs, 1)).bit_length() - 1), 0
+        designs, islands = 1 << (max(_FEWEST_ONE_BY_ONE, _ONE_BY_ONE // max(runs, 1)).bit_length() - 1), 0
     number = number_of(search)
     if number is not None and number < designs:
         # Less than a round: only a sample, of a power of two.
         designs, islands = 1 << max(3, number.bit_length() - 1), 0
-    many = dimensions > _FEW_VARIABLES
+    many = dimensions > FEW_VARIABLES
     return Effort(
         designs=designs,
         islands=islands,

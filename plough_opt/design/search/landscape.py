@@ -27,14 +27,15 @@ PENALTY = 100.0
 SAME = 1e-3
 """Two scaled designs count as the same if no variable differs by more than this."""
 
+BARRIER = 1e-3
+"""A rise of the merit by this fraction is a barrier between basins; a lower one is a ripple."""
+
 # Base merit of an infeasible design: above every scaled objective, yet small enough not to swallow the digits of the
 # violation that is added to it.
 _INFEASIBLE_MERIT = 1e8
 
 # Positions between two designs at which a barrier is looked for.
 _BARRIER_POSITIONS = 24
-# A rise below this fraction of the merit is a ripple, not a barrier.
-_RIPPLE = 1e-3
 
 # Positions along a descent path. They are denser towards both ends, where narrow basins would show.
 _PATH_POSITIONS = 40
@@ -170,7 +171,7 @@ def barriers(evaluate: Callable[[Vector], Evaluations], one: Evaluations, others
     lines = one.points + fractions[:, None, None] * (others.points - one.points)
     merit = evaluate(lines.reshape(-1, lines.shape[2])).merit.reshape(_BARRIER_POSITIONS, -1)
     higher = np.maximum(others.merit, one.merit)
-    found: NDArray[np.bool_] = merit.max(axis=0) > higher + _RIPPLE * np.abs(higher)
+    found: NDArray[np.bool_] = merit.max(axis=0) > higher + BARRIER * np.abs(higher)
     return found
 
 

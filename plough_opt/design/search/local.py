@@ -310,14 +310,12 @@ class _LeastViolation(_Descent):
 # Largest scaled residual of the first-order conditions at an optimum.
 _STATIONARY: Final = 1e-10
 # Most steps, and the longest one: a start further from the optimum is not nearly optimal.
-_MOST_STEPS: Final = 5
+_MOST_QUADRATIC_PROGRAMS: Final = 5
 _LONGEST_STEP: Final = 0.02
 # Each step must reduce the residual by at least this factor; otherwise the steps do not converge.
 _REDUCTION: Final = 0.5
 # Scaled step of the difference quotients: between a run's rounding (about 1e-13) and the narrowest ripples (1e-2).
 _DIFFERENCE: Final = 2e-4
-# Factor on a sample's number of integration steps for these runs.
-_FINER: Final = 2.0
 # If difference quotients deviate from the exact slopes by this fraction of the largest, there is a kink in between, as
 # in the RMS of an amplitude at 0.
 _KINK: Final = 0.05
@@ -349,7 +347,7 @@ def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -
     slopes, hessians = derivatives
     margin = np.where(program.low < program.high, _MARGIN, 0.0)
     y, lam_g, before = start, np.zeros(len(program.low)), np.inf
-    for number in range(_MOST_STEPS):
+    for number in range(_MOST_QUADRATIC_PROGRAMS):
         f, g, gradient, jacobian = (np.asarray(result) for result in program.nlp.slopes(y, p))
         g, gradient = g.ravel(), gradient.ravel()
         if not all(np.all(np.isfinite(part)) for part in (f, g, gradient, jacobian)):
@@ -393,7 +391,7 @@ def _difference_quotients(program: Program, p: Vector, y: Vector) -> tuple[Vecto
     pairs = list(itertools.combinations_with_replacement(range(n), 2))
     points = np.vstack([y, y + steps, *(y + steps[i] + steps[j] for i, j in pairs)])
     with np.errstate(all="ignore"):
-        f, g = program.population(points, p, finer=_FINER, together=len(points))
+        f, g = program.population(points, p, finer=FINER, together=len(points))
     scales = np.array(program.scales)[np.array(program.owner, dtype=int)]
     values = np.column_stack([f / program.objective_scale, g / scales])
     if not np.all(np.isfinite(values)):
@@ -408,9 +406,9 @@ def _difference_quotients(program: Program, p: Vector, y: Vector) -> tuple[Vecto
 
 
 # An optimum this close to a start, as a fraction of the range, belongs to the start's basin.
-_NEAR = 0.05
+_SAME_BASIN = 0.05
 # The same for the optimum of a ripple.
-_RIPPLE = 0.005
+_SAME_RIPPLE = 0.005
 # A polished design may lie above its start by this fraction of the objective, which is IPOPT's tolerance, and higher by
 # this weight times the start's violation.
 _NOT_WORSE = 1e-8
@@ -430,11 +428,11 @@ def polished(program: Program, p: Vector, start: Vector) -> Point:
     """Return the local optimum near a basin minimum of a search, or the start itself if no better design lies near."""
     highest = highest_accepted(program, p, start)
     near = polished_by_quadratic_programs(program, p, start)
-    near_enough = near is not None and np.max(np.abs(near.y - start)) < _NEAR and near.f <= highest
+    near_enough = near is not None and np.max(np.abs(near.y - start)) < _SAME_BASIN and near.f <= highest
     if near is not None and near_enough and not program.refuses(near.y, p):
         return near
     as_found = point_as_found(program, p, start)
-    for box, exact in ((1.0, False), (_NEAR, True), (_RIPPLE, True)):
+    for box, exact in ((1.0, False), (_SAME_BASIN, True), (_SAME_RIPPLE, True)):
         point = program.solve(start, p, SolveOptions(near=True, exact=exact, enough=True), box)
         if point.status in _STALLED and _violation(program, p, point.y)[1] <= FEASIBLE_ANSWER:
             point = _stalled(program, p, point)
@@ -452,7 +450,7 @@ def polished(program: Program, p: Vector, start: Vector) -> Point:
 def solved_again(program: Program, p: Vector, point: Point) -> Point:
     """Return an optimum solved again after its program was rebuilt with other steps; the same basin, updated digits."""
     highest = highest_accepted(program, p, point.y)
-    for box, exact in ((_NEAR, False), (_RIPPLE, False), (_RIPPLE, True)):
+    for box, exact in ((_SAME_BASIN, False), (_SAME_RIPPLE, False), (_SAME_RIPPLE, True)):
         again = program.solve(point.y, p, SolveOptions(near=True, exact=exact, enough=True), box)
         if again.solved and again.f <= highest:
             return again

@@ -11,7 +11,7 @@ from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.model.program import Program, with_sure_steps
 from plough_opt.design.search.effort import effort_of
 from plough_opt.design.search.explore import Explored, Explorer
-from plough_opt.design.search.landscape import FINER, Evaluations, Landscape, concatenated
+from plough_opt.design.search.landscape import BARRIER, FINER, Evaluations, Landscape, concatenated
 from plough_opt.design.search.local import descend, least_violation, nearest_feasible, point_as_found, polished
 from plough_opt.design.search.points import SEED, evaluated_sample
 
@@ -30,7 +30,6 @@ _NEARER = 0.999  # A result counts only if it reduces the distance at least by t
 # Positions on the straight line to an optimum at which a barrier is looked for.
 _FEWEST_POSITIONS = 40
 _POSITIONS_ACROSS = 256  # on a line across the whole range
-_BARRIER = 1e-3  # A rise of the merit by this fraction is a barrier.
 
 
 def near_optimum(landscape: Landscape, start: Vector) -> tuple[Program, Point]:
@@ -132,7 +131,7 @@ def _is_downhill(landscape: Landscape, start: Vector, end: Vector) -> bool:
     fractions = np.linspace(0.0, 1.0, count)[:, None]
     merit = landscape(start + fractions * (end - start)).merit
     rise = np.max(merit - np.minimum.accumulate(merit))
-    return bool(rise <= _BARRIER * abs(merit[0]))
+    return bool(rise <= BARRIER * abs(merit[0]))
 
 
 # A smaller violation, in units of the limit, is rounding.
@@ -150,7 +149,7 @@ _NEAR_LEAST = 1e-3
 # Attempts to polish a design: the half width of the box it must stay in, and whether to use exact second derivatives.
 _ATTEMPTS = ((0.01, False), (0.01, True), (1e-3, False), (3e-4, True))
 # The violation of a polished design may be larger by this fraction.
-_NOT_WORSE = 1e-6
+_VIOLATION_NOT_WORSE = 1e-6
 
 
 def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Vector:
@@ -199,7 +198,7 @@ def _polished(landscape: Landscape, program: Program, y: Vector, violation: floa
         return program.solve_relaxed(y, p)
     for box, exact in _ATTEMPTS:
         point, short = program.solve_relaxed(y, p, box=box, exact=exact)
-        if point.solved and point.f <= (1.0 + _NOT_WORSE) * violation + _VIOLATED:
+        if point.solved and point.f <= (1.0 + _VIOLATION_NOT_WORSE) * violation + _VIOLATED:
             return point, short
     short = landscape.violations(landscape.rows(y[None], finer=FINER)[1])[0]
     return replace(point, solved=True, y=y, f=float(short.sum())), short

@@ -11,7 +11,7 @@ import plough_opt as po
 from plough_opt.design.model import program
 
 # What judges these designs integrates in C.
-JUDGED = ("*_study", "independent_motion", "near", "search_reproductions")
+JUDGED = ("*_study", "independent_problems")
 collect_ignore_glob = [] if shutil.which("cc") else [f"test_{name}.py" for name in JUDGED]
 
 

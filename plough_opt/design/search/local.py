@@ -11,7 +11,6 @@ from plough_opt.design.model.optimality import (
     lowest_dips,
     made_convex,
     optimum_step,
-    quadratic_program,
     residual,
     without_rounding,
 )
@@ -40,10 +39,6 @@ _MANY_ITERATIONS = 20
 _MOST_ROWS = 6
 # A design counts as lower than another if its merit is lower by more than this fraction; less may be rounding.
 _LOWER = 1e-6
-# Most projections onto the linearised limits towards the nearest feasible design.
-_MOST_PROJECTIONS = 8
-# The projections have converged at a shorter step: the remaining violation is of the order of its square.
-_CONVERGED_STEP = 1e-4
 # Most runs of SLSQP in a descent, each with the rows that the last one violated.
 _MOST_RESTARTS = 6
 # A restart must lower the merit by this fraction to justify another one.
@@ -259,24 +254,6 @@ class _Nearest(_Descent):
 
     def _merit(self, y: Vector, _f: float, violations: Vector) -> tuple[bool, float]:
         return super()._merit(y, self._objective(y), violations)
-
-    def _minimised(self, x: Vector, rows: np.ndarray) -> Vector:
-        """Return the limit of projections onto the linearised limits or, if they do not converge, SLSQP's solution."""
-        y, (low, high), unit = x, self._box, np.eye(self._n)
-        for _ in range(_MOST_PROJECTIONS):
-            _, _, g, jacobian = self._derivatives(y)
-            limits = (
-                np.concatenate([self._program.low[rows] - g[rows], low - y]),
-                np.concatenate([self._program.high[rows] - g[rows], high - y]),
-            )
-            found = quadratic_program(unit, y - self._design, np.vstack([jacobian[rows], unit]), limits)
-            if found is None:
-                break
-            before, y = y, np.clip(y + found[0], low, high)
-            if np.max(np.abs(y - before)) < _CONVERGED_STEP:
-                self._derivatives(y)
-                return y
-        return super()._minimised(x, rows)
 
 
 class _LeastViolation(_Descent):

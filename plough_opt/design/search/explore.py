@@ -48,12 +48,6 @@ _ZOOM_ENDS = 64  # lowest ends of descents whose differences are steps to other 
 _ZOOM_MOVES = 12  # descents from designs after such a step
 _ZOOM_DIGITS = 4  # of such steps: ends of the same descent differ in later digits
 
-# The search with the variables at bounds held, which is smaller than the full search.
-_AT_A_BOUND = 1e-6  # A variable closer than this to a bound is at the bound.
-_FACE_DESIGNS = 1024
-_FACE_ISLANDS = 2
-_FACE_DESCENTS = 4
-
 # Where feasible designs are rare, descents also start from this many infeasible ones.
 _INFEASIBLE_STARTS = 4
 # An island has converged when the merits of its designs scatter by less than this fraction.
@@ -212,8 +206,6 @@ class Explorer:
                 self._end_from(self._evolved(points, sampled, island, rng))
         self._descend_from_dips()
         self._zoom_in(rng)
-        if self._feasible_rare or isinstance(self.landscape, Shortfall):
-            self._search_face(rng)
         if not self._dense:
             self._follow(sampled, random_starts, known)
 
@@ -240,26 +232,11 @@ class Explorer:
         promising &= designs.feasible
         return promising
 
-    def _search_face(self, rng: np.random.Generator) -> None:
-        """Search again with those variables held that the best design has at a bound."""
-        minima, _ = self._basins()
-        if not len(minima.f) or self.stop():
-            return
-        best = minima.points[0]
-        free = [k for k in self.variables if _AT_A_BOUND < best[k] < 1.0 - _AT_A_BOUND]
-        if not 2 <= len(free) < len(self.variables):
-            return
-        self.progress("searching among the variables that are not at a bound", 0.0)
-        designs, islands = min(self.effort.designs, _FACE_DESIGNS), min(self.effort.islands, _FACE_ISLANDS)
-        effort = replace(self.effort, designs=designs, islands=islands, descents=_FACE_DESCENTS, followed=0)
-        face = Explorer(self.landscape, best, free, self.criterion, effort, self.progress, self.seed, self.stop)
-        face._feasible_rare, face._most_violation = self._feasible_rare, self._most_violation
-        points, _ = sample(len(free), designs, best[free], rng)
-        face._search(points, self.landscape(face._full_designs(points)), rng)
-        self._ends += face._ends
-
     def _descend_from_dips(self) -> None:
-        """Descend from dips along each variable through the best design: a sample may be too sparse to show them."""
+        """Descend from dips along each variable through the best design: a sample may be too sparse to show them.
+
+        A share on a mount under a strength wave may have three optima; nothing else finds the third.
+        """
         if not self.landscape.vectorised or self.stop() or not len((minima := self._basins()[0]).f):
             return
         lines = lines_through(minima.points[0], _LINE_POSITIONS, self.variables)

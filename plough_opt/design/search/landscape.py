@@ -178,7 +178,8 @@ def barriers(evaluate: Callable[[Vector], Evaluations], one: Evaluations, others
 def end_straight_downhill(landscape: Landscape, start: Vector, ends: Evaluations) -> int | None:
     """Return the number of an end such that the merit only falls on the straight line to it; None without one.
 
-    The start then lies in that end's basin, so that a descent from it is unnecessary.
+    The start then lies in that end's basin, so that a descent from it is unnecessary. Without this a search with up to
+    three variables takes 1.6 times as long, as of the reference problem.
     """
     near: list[int] = []
     distance = np.max(np.abs(ends.points - start), axis=1)

@@ -192,8 +192,9 @@ def _at_start(structure: Structure, varying: tuple[int, ...], order: int) -> ca.
 def _jet_step(structure: Structure, varying: tuple[int, ...], order: int, width: int) -> ca.Function:
     """Return one step: (jet of the state, span, parameters) -> (jet of the state after it, jet of the moments).
 
-    The derivatives solve the equation of motion expanded at every stage. That takes a fraction of the operations of
-    differentiating the whole step.
+    The derivatives solve the equation of motion expanded at every stage. Differentiating the whole step by CasADi gives
+    the same numbers and mostly takes as many operations; under smooth contact it takes a third more, and its
+    graph takes two to five times as long to build.
 
     Args:
         structure: the terms that are on.

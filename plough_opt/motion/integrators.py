@@ -22,7 +22,7 @@ from plough_opt.motion.checks import failed_by, refuse_missed_event, refuse_runa
 from plough_opt.motion.compiled_steps import CompiledSteps, compiled_steps
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.equation import Structure, equation_of, lightest_mass
-from plough_opt.motion.methods import METHODS, Accuracy, is_stepped, tableau_of
+from plough_opt.motion.methods import METHODS, Accuracy, tableau_of
 from plough_opt.motion.orbit import orbit_map
 from plough_opt.motion.plan import OUTPUTS, STIFF_PHASE, fastest_rate, most_steps, numbers_of, timeline_of
 from plough_opt.motion.run import OUTPUTS as ARRAYS
@@ -100,9 +100,8 @@ def integration(structure: Structure, accuracy: Accuracy, timeline: Timeline) ->
     """Return the Function that integrates scenes of a structure by a named method with its setting."""
     if structure.orbit != "transient":
         return Integration(structure, accuracy, timeline, orbit_map(structure, timeline))
-    if is_stepped(accuracy.method):
-        run = run_map(structure, timeline, tableau_of(accuracy.method))
-        return Integration(structure, accuracy, timeline, run)
+    if (tableau := tableau_of(accuracy.method)) is not None:
+        return Integration(structure, accuracy, timeline, run_map(structure, timeline, tableau))
     # The end of a symbolic ramp cannot be an output time, and a step across it would spoil derivatives by its time.
     locates = timeline.moving and accuracy.locates_events
     sized = _by_casadi(replace(structure, locates_ramp=locates and structure.ramp), accuracy, timeline)
@@ -257,7 +256,7 @@ def embed(solver: Integration, p: Sequence[Expression], scene: Scene) -> tuple[C
     if isinstance(inputs, ca.SX) or isinstance(carried, ca.SX):
         if solver.structure.orbit != "transient":
             raise InputError("an orbit takes MX symbols only, because it is the root of an equation: use casadi.MX")
-        if not is_stepped(solver.accuracy.method):
+        if tableau_of(solver.accuracy.method) is None:
             raise InputError(f"method '{solver.accuracy.method}' takes MX symbols only: use casadi.MX, or use 'dop853'")
         return tuple(solver.function.call([inputs]))
     # Quantities are placeholders in the template, so that scenes which differ only in numbers share one Function.

@@ -147,15 +147,10 @@ def locating() -> tuple[str, ...]:
     return tuple(name for name, method in METHODS.items() if method.locates_events)
 
 
-def is_stepped(name: str) -> bool:
-    """Return whether the method turns a symbolic scene into a loop over steps of a tableau."""
-    return name == "auto" or isinstance(METHODS[name], Tableau)
-
-
-def tableau_of(name: str) -> Tableau:
-    """Return the tableau of a method for which `is_stepped` is true."""
-    method = METHODS[name]
-    return method if isinstance(method, Tableau) else DOP853
+def tableau_of(name: str) -> Tableau | None:
+    """Return the tableau by which a method turns a symbolic scene into a loop over steps; None for other methods."""
+    method = DOP853 if name == "auto" else METHODS[name]
+    return method if isinstance(method, Tableau) else None
 
 
 DEFAULT_ERROR = 1e-8

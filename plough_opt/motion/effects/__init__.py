@@ -3,11 +3,9 @@
 from plough_opt.motion.effects.effects import MOST_HARMONICS, Effects, HarmonicBalance
 from plough_opt.motion.effects.own import OWN_EFFECTS, Own, OwnResistance, RestingResistance, slopes
 from plough_opt.motion.effects.terms import (
-    Changed,
     Damping,
     Entry,
     InertialDrag,
-    Parameters,
     Place,
     RateTerm,
     Smooth,
@@ -15,7 +13,6 @@ from plough_opt.motion.effects.terms import (
     StickSlip,
     StickSlipContact,
     StrengthWaves,
-    Strut,
     Term,
     TowRamp,
     ramp_time,
@@ -24,9 +21,9 @@ from plough_opt.motion.effects.terms import (
 )
 
 __all__ = [
-    "MOST_HARMONICS", "OWN_EFFECTS", "TERMS", "Changed", "Damping", "Effects", "Entry", "HarmonicBalance", "Own",
-    "OwnResistance", "Parameters", "Place", "RestingResistance", "Smooth", "SmoothContact", "StickSlip",
-    "StickSlipContact", "StrengthWaves", "Strut", "Term", "TowRamp", "ramp_time", "resisted", "slopes", "wave_names",
+    "MOST_HARMONICS", "OWN_EFFECTS", "TERMS", "Damping", "Effects", "Entry", "HarmonicBalance", "Own", "OwnResistance",
+    "Place", "RestingResistance", "Smooth", "SmoothContact", "StickSlip", "StickSlipContact", "StrengthWaves", "Term",
+    "TowRamp", "ramp_time", "resisted", "slopes", "wave_names",
 ]  # fmt: skip
 
 TERMS: tuple[type[Term], ...] = (

@@ -278,9 +278,16 @@ class ManyRuns:
         order = sound[np.argsort(steps[sound], kind="stable")]
         run = self._interpret if self._code is None else self._run
         chunks = [order[k : k + _CHUNK] for k in range(0, len(order), _CHUNK)]
-        with ThreadPoolExecutor(threads if self.compiled else 1) as pool:
-            for chunk, found in zip(chunks, pool.map(lambda chunk: run(p[chunk], steps[chunk]), chunks), strict=True):
-                results[chunk] = found
+
+        def enter(chunk: NDArray[np.int64]) -> None:
+            results[chunk] = run(p[chunk], steps[chunk])
+
+        if threads > 1 and len(chunks) > 1 and self.compiled:
+            with ThreadPoolExecutor(threads) as pool:
+                list(pool.map(enter, chunks))
+        else:
+            for chunk in chunks:
+                enter(chunk)
         return results
 
     def _steps(self, known: dict[str, Array], duration: Array, finer: float) -> Array:
@@ -296,10 +303,10 @@ class ManyRuns:
     def _run(self, p: Array, steps: Array) -> Array:
         """Return the results of some runs, a row each, by machine code."""
         assert self._code is not None  # else CasADi interprets
-        early, kink = np.zeros_like(steps), np.zeros_like(steps)
+        given = np.zeros((p.shape[1] + 3, len(p)))
+        given[:-3], given[-3] = p.T, steps
         if self._structure.ramp:
-            early, kink = _before_kink(p[:, self._equation.names.index("ramp_time")] / p[:, -1], steps)
-        given = np.ascontiguousarray(np.vstack([p.T, steps, early, kink]))
+            given[-2], given[-1] = _before_kink(p[:, self._equation.names.index("ramp_time")] / p[:, -1], steps)
         return self._code.integrate(given, self._outputs, None, None, None)
 
     def _interpret(self, p: Array, steps: Array) -> Array:

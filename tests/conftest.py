@@ -1,6 +1,7 @@
 """Scenes that several test files share."""
 
 import collections
+import gc
 import itertools
 import math
 import signal
@@ -35,21 +36,41 @@ def no_lines_that_depend_on_time():
     heartbeat.INTERVAL = before
 
 
-# File or test -> n: by default only every n-th case of a parametrised test runs; the slow tests run all.
+# File or test -> n: by default only every n-th case of a parametrised test runs, and of 0 none; the slow tests run all.
 ONE_OF = {
+    "accuracy/test_design_study::test_the_reference_of_a_design_with_every_result_of_a_run": 0,
+    "accuracy/test_motion_reference::test_a_gradient_through_events_is_that_of_the_run": 0,
+    "accuracy/test_motion_reference::test_against_28_digits": 4,
+    "accuracy/test_motion_reference::test_against_another_solver_averages_and_all": 3,
+    "accuracy/test_motion_reference::test_an_orbit_returns_to_where_it_began_and_is_that_of_simulate": 2,
     "calibration/test_few_rows::test_any_small_table_gives_an_answer_or_an_input_error": 3,
     "calibration/test_few_rows::test_few_rows_give_an_answer_or_say_what_is_missing": 5,
+    "calibration/test_few_rows::test_results_do_not_depend_on_the_order_of_rows_and_sets": 2,
     "calibration/test_gauss_newton::test_exact_drafts_without_sigma_give_the_truth": 3,
     "calibration/test_gauss_newton::test_optimum_is_that_of_a_simplex_search": 3,
+    "calibration/test_records::test_fitted_runs_are_checked_by_runs_with_an_error_estimate": 0,
+    "cli/test_cli::test_an_impossible_requirement_is_no_solution_and_the_conflict_is_named": 0,
+    "cli/test_cli_accuracy::test_a_design_instead_of_a_scene": 0,
     "cli/test_cli_files::test_environments_that_cannot_be_are_bad_input": 2,
-    "design/test_design_nlp::test_a_design_by_any_method_is_solved_to_the_same_optimum": 2,
-    "design/test_design_nlp::test_methods_of_casadi_agree_with_order_8": 3,
+    "cli/test_cli_sweep::test_failures_are_reported": 0,
+    "design/test_compiled_design::test_a_design_is_interpreted_without_a_compiler": 0,
+    "design/test_density_profile_design::test_a_profile_parameter_is_a_designs_variable": 0,
+    "design/test_design_nlp::test_a_design_by_any_method_is_solved_to_the_same_optimum": 4,
+    "design/test_design_nlp::test_methods_of_casadi_agree_with_order_8": 6,
+    "design/test_design_solve::test_designs_in_threads_are_those_one_after_the_other": 0,
     "design/test_holes_in_laws": 23,
     "design/test_implied_limits": 3,
+    "design/test_near::test_a_local_optimum_no_worse_than_the_guess": 3,
+    "design/test_near::test_the_basin_of_the_guess_or_of_the_nearest_feasible_design_is_kept": 3,
+    "design/test_orbit_design::test_derivatives_of_the_program_are_those_of_differences": 3,
     "design/test_orbit_design::test_designs_without_an_orbit_are_skipped": 3,
+    "design/test_orbit_design::test_optima_are_those_of_the_orbit_simulated_anew": 3,
     "design/test_orbit_design::test_the_soft_and_the_stiff_branch_of_brute_force_are_found": 3,
     "design/test_over_tolerances::test_the_worst_over_a_linear_variable_is_found": 3,
     "design/test_rounded::test_the_lowest_of_many_basins_of_several_free_variables_is_found": 3,
+    "design/test_search::test_few_steps_and_the_spread_over_tolerances_agree_with_exact_runs": 0,
+    "design/test_search::test_ripples_over_a_small_feasible_region_are_searched_in_every_way": 0,
+    "design/test_search_reproductions::test_the_guess_decides_nothing": 0,
     "elastic/test_contact": 4,
     "elastic/test_field": 3,
     "elastic/test_reference": 3,
@@ -57,6 +78,9 @@ ONE_OF = {
     "hard_cases/test_derivatives_at_the_ends": 2,
     "hard_cases/test_extremes": 3,
     "hard_cases/test_hard_designs": 3,
+    "hard_cases/test_hard_designs::test_a_conflict_at_the_edge_of_the_tolerance_is_refused_or_within_it": 0,
+    "hard_cases/test_hard_designs::test_a_feasible_set_of_almost_no_width": 6,
+    "hard_cases/test_hard_designs::test_any_start_leads_to_the_optimum": 6,
     "hard_cases/test_hard_designs::test_variables_eighteen_orders_of_magnitude_apart": 1,
     "hard_cases/test_resonance": 3,
     "hard_cases/test_singular_designs": 2,
@@ -77,12 +101,14 @@ ONE_OF = {
     "motion/test_simulate::test_linear_motion_from_rest": 5,
     "motion/test_smooth_contact": 3,
     "motion/test_stick_slip": 3,
+    "study/test_memory::test_memory_does_not_grow_with_the_points": 0,
     "test_batch": 3,
     "test_batch::test_designs_are_refused_as_a_single_scene_is": 1,
     "test_density_profile": 2,
     "test_expressions::test_ratio_and_its_two_derivatives_keep_their_digits": 3,
     "test_forces": 4,
     "test_plastic_derivatives": 3,
+    "tradeoff/test_following::test_fronts_of_several_parameters_share_a_build": 0,
 }
 
 
@@ -95,11 +121,23 @@ def pytest_collection_modifyitems(items):
             continue
         file = item.path.relative_to(HERE).with_suffix("").as_posix()
         name = f"{file}::{item.originalname}"
-        step = ONE_OF.get(name) or ONE_OF.get(file, 1)
-        if step > 1 and hasattr(item, "callspec") and item.get_closest_marker("slow") is None:
+        step = ONE_OF.get(name, ONE_OF.get(file, 1))
+        if step == 0:
+            item.add_marker(pytest.mark.slow)
+        elif step > 1 and hasattr(item, "callspec") and item.get_closest_marker("slow") is None:
             if seen[name] % step:
                 item.add_marker(pytest.mark.slow)
             seen[name] += 1
+
+
+# Modules and tests last to the end: the garbage collector would look through them again and again, a third of the time
+# of the collection and a tenth of that of the tests.
+gc.disable()
+
+
+def pytest_collection_finish():
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture

@@ -92,7 +92,7 @@ def test_compare_refuses_one_file_and_an_output_that_is_an_input(saved, tmp_path
 
 def test_json_of_every_command_is_strict(folder, monkeypatch):
     monkeypatch.chdir(folder)
-    for command, *rest in (("export", "--to", "stl", "--output", "share.stl"), ("check",)):
+    for command, *rest in (("export", "--to", "stl", "--at", "guess", "--output", "share.stl"), ("check",)):
         strict(printed(command, "share.toml", *rest, "--json"))
     assert strict(printed("init", "new.toml", "--json")) == {"wrote": ["new.toml"]}
 

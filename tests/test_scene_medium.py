@@ -43,6 +43,7 @@ def test_scene_carries_no_part_of_the_plastic_gas():
     assert json.loads(run.to_json())["specific_draft"] is None
 
 
+@pytest.mark.slow
 def test_symbolic_scene_has_the_derivatives_of_its_draft():
     # Second derivatives are tested in tests/elastic.
     def draft(speed, angle):

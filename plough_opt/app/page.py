@@ -26,7 +26,7 @@ from plough_opt.problem_file import Problem
 from plough_opt.soil.geometry import Solid, Wedge
 
 if TYPE_CHECKING:
-    from plough_opt.studies.accuracy.result import AccuracyStudy, Entry, Question
+    from plough_opt.studies.accuracy.result import AccuracyStudy, MethodResult, Question
 
 # Elasticities, and margins in SI units, below this are rounding.
 _ROUNDING = 1e-9
@@ -406,7 +406,7 @@ def _drawn(*groups: dict[str, Any]) -> list[dict[str, Any]]:
     return [group for group in groups if group["x"]]
 
 
-def _methods(label: str, colour: str, size: int, entries: Sequence[Entry], question: Question) -> dict[str, Any]:
+def _methods(label: str, colour: str, size: int, entries: Sequence[MethodResult], question: Question) -> dict[str, Any]:
     """Return a group of methods as points of error over time."""
     # A logarithmic axis cannot show an error of 0, so errors below the last digit are drawn at 1e-17.
     errors = [max(entry.errors[question.error], 1e-17) for entry in entries]

@@ -214,9 +214,9 @@ def compare(
     check_kind("the scene", scene, Scene, "a numeric Scene")
     if holds_casadi((scene, depth, width, rake_angle, speeds, rupture_ratio, surcharge, adhesion)):
         raise InputError("a comparison needs numbers: evaluate the scene with best(scene) first")
-    for name, value, known in (("texture", texture, TEXTURES), ("point", point, POINTS)):
+    for name, value, valid in (("texture", texture, TEXTURES), ("point", point, POINTS)):
         if not (value is None and name == "texture"):
-            check_named(f"{name} = {{}} does not exist in D497", value, known)
+            check_named(f"{name} = {{}} does not exist in D497", value, valid)
     check_single("a comparison", (width, rake_angle, rupture_ratio, surcharge, adhesion))
     if rupture_ratio is not None:
         check_domain("rupture distance ratio m", rupture_ratio, at_least=1.0)
@@ -241,12 +241,12 @@ def compare(
     name = "this model" if scene.law.slender else f"this scene, {scene.law.label}"
     # The scene's quasi-static mean over whole wavelengths of the soil strength.
     drafts = _drafts(lambda speed: dataclasses.replace(scene, tow_speed=speed).steady_resistance, course)
-    own = ModelDraft(name, None, *drafts, scene.law.source, scene.law.standing)
+    ours = ModelDraft(name, None, *drafts, scene.law.source, scene.law.standing)
     given = {"depth": depth, "width": width, "texture": texture, "rupture_ratio": rupture_ratio, "speeds": speeds}
     return Comparison(
         scene=scene.describe(),
         speeds=course,
-        own=own,
+        own=ours,
         others=others,
         estimates=_estimates(scene, tine, point, [name for name, value in given.items() if value is None]),
     )
@@ -331,18 +331,18 @@ def _estimates(scene: Scene, tine: dict[str, Any], point: str, missing: Sequence
 # --- the picture ---
 
 
-def _figure_of(found: Comparison) -> Figure:
+def _figure_of(comparison: Comparison) -> Figure:
     """Return the picture. A model has the same colour and marker in every panel."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    panels = found.depths or (None,)
+    panels = comparison.depths or (None,)
     figure = Figure(figsize=(5.2 * len(panels) + 3.6, 5.0), layout="constrained")
     grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for axes, depth in zip(grid, panels, strict=True):
-        _draw(axes, found, depth)
+        _draw(axes, comparison, depth)
         axes.set_title("" if depth is None else f"working depth {depth:.3g} m")
-    drafts = [d for row in (found.own, *found.others) for d in row.drafts if math.isfinite(d) and d > 0.0]
+    drafts = [d for row in (comparison.own, *comparison.others) for d in row.drafts if math.isfinite(d) and d > 0.0]
     if drafts and max(drafts) > _LARGEST_LINEAR_RATIO * min(drafts):
         grid[0].set_yscale("log")
         grid[0].yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -360,16 +360,17 @@ def _figure_of(found: Comparison) -> Figure:
                 shown[model] = (handle, name)
     handles, names = zip(*shown.values(), strict=True)
     figure.legend(handles, names, loc="outside right upper", fontsize="small")
-    title = textwrap.fill(found.scene, int(_CHARACTERS_PER_INCH * figure.get_figwidth()))
+    title = textwrap.fill(comparison.scene, int(_CHARACTERS_PER_INCH * figure.get_figwidth()))
     figure.suptitle(title, x=0.01, ha="left", fontsize="medium")
     return figure
 
 
-def _draw(axes: Axes, found: Comparison, depth: float | None) -> None:
+def _draw(axes: Axes, comparison: Comparison, depth: float | None) -> None:
     """Draw the models at a depth, and those without one."""
-    speeds, models = [KM_PER_H * speed for speed in found.speeds], list(dict.fromkeys(r.model for r in found.others))
-    axes.plot(speeds, [draft / 1e3 for draft in found.own.drafts], color="black", linewidth=2.2, label=found.own.model)
-    for row in (row for row in found.others if row.depth in (depth, None)):
+    speeds, ours = [KM_PER_H * speed for speed in comparison.speeds], comparison.own
+    models = list(dict.fromkeys(row.model for row in comparison.others))
+    axes.plot(speeds, [draft / 1e3 for draft in ours.drafts], color="black", linewidth=2.2, label=ours.model)
+    for row in (row for row in comparison.others if row.depth in (depth, None)):
         k = models.index(row.model)
         # Markers shift by one each time the colours repeat.
         marker = _MARKERS[(k + k // len(COLOURS)) % len(_MARKERS)]

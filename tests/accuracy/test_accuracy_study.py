@@ -25,7 +25,7 @@ from plough_opt.studies.accuracy import methods, result
 from plough_opt.studies.accuracy import study as studies
 from plough_opt.studies.accuracy.methods import FACTORS, Contestant, Task, measured, prepared, step_counts
 from plough_opt.studies.accuracy.reference import reference_run
-from plough_opt.studies.accuracy.result import AUTO, COMPILED, AccuracyStudy, Entry, cheapest, efficient
+from plough_opt.studies.accuracy.result import AUTO, COMPILED, AccuracyStudy, MethodResult, cheapest, efficient
 
 WAVE = po.StrengthWave(amplitude=0.3, wavelength=0.2)
 
@@ -215,7 +215,7 @@ def test_wrong_inputs(change, said):
 
 def made(*rows, wanted=1e-6, default=("auto", "error 1e-08")):
     """Return a study of rows (method, setting, seconds, error, further fields of the entry)."""
-    entries = tuple(Entry("integrator", m, s, t, 0.1, {"averages": e}, *more) for m, s, t, e, *more in rows)
+    entries = tuple(MethodResult("integrator", m, s, t, 0.1, {"averages": e}, *more) for m, s, t, e, *more in rows)
     return AccuracyStudy("made", 1.0, wanted, entries, {"motion": 1e-17}, ("a note",), {"motion": default})
 
 
@@ -257,7 +257,7 @@ def test_the_cheapest_good_setting_is_advised(rows, wanted, facts):
 
 def test_failures_with_the_same_reason_share_a_sentence():
     rows = (("a", "1", "slow"), ("b", "", "odd"), ("a", "2", "slow"))
-    failed = [Entry("integrator", m, s, math.inf, failure=reason) for m, s, reason in rows]
+    failed = [MethodResult("integrator", m, s, math.inf, failure=reason) for m, s, reason in rows]
     study = dataclasses.replace(made(("c", "", 1.0, 1e-3)), entries=tuple(failed))
     assert study.refusals == ("no result of a, 1; a, 2: slow", "no result of b: odd")
 
@@ -265,7 +265,7 @@ def test_failures_with_the_same_reason_share_a_sentence():
 def test_a_table_fits_a_narrow_terminal_with_every_figure():
     rows = [("harmonic balance", "16 harmonics"), ("rosenbrock", "tolerance 1e-12"), ("auto", "error 1e-08")]
     errors = dict.fromkeys(("averages", "mean draft", "RMS", "last force", "trajectory"), 1.25e-13)
-    entries = tuple(Entry("integrator", m, s, 1.251e-4, 0.1237, errors) for m, s in rows)
+    entries = tuple(MethodResult("integrator", m, s, 1.251e-4, 0.1237, errors) for m, s in rows)
     study = dataclasses.replace(made(("a", "", 1.0, 1.0)), entries=entries)
     console = Console(width=80, file=io.StringIO(), highlight=False)
     console.print(study.table(study.questions[0]))
@@ -345,7 +345,7 @@ def test_axes_show_every_entry_the_front_and_the_wanted_error():
 
 
 def entry(seconds, error, failure=None):
-    return Entry("integrator", "m", "", seconds, errors={} if failure else {"e": error}, failure=failure)
+    return MethodResult("integrator", "m", "", seconds, errors={} if failure else {"e": error}, failure=failure)
 
 
 FAST, MORE_EXACT, MOST_EXACT = entry(1, 1e-2), entry(2, 1e-5), entry(4, 1e-9)
@@ -357,8 +357,8 @@ TINY = [entry(1, 3e-16), entry(2, 1e-17)]
     [
         pytest.param([entry(5, 1e-8), MOST_EXACT, entry(3, 1e-4), FAST, entry(1, 1e-1), MORE_EXACT], 0.0,
                      [FAST, MORE_EXACT, MOST_EXACT], id="from the fastest to the most exact"),
-        pytest.param([entry(1, 0.0, failure="no"), Entry("model", "q", "", 0.1, errors={"other": 0.0}), FAST], 0.0,
-                     [FAST], id="failures and other errors do not count"),
+        pytest.param([entry(1, 0.0, failure="no"), MethodResult("model", "q", "", 0.1, errors={"other": 0.0}), FAST],
+                     0.0, [FAST], id="failures and other errors do not count"),
         pytest.param(TINY, 1e-15, TINY[:1], id="errors below the floor are one"),
         pytest.param(TINY, 0.0, TINY, id="without a floor they are two"),
         pytest.param([entry(1, 1e-9), entry(2, 0.95e-9), entry(3, 0.85e-9)], 0.0, [entry(1, 1e-9), entry(3, 0.85e-9)],

@@ -8,7 +8,7 @@ from helpers.commands import call
 from helpers.problem_files import PROBLEMS
 
 import plough_opt as po
-from plough_opt.studies.sweep.engine import Engine
+from plough_opt.studies.sweep.engine import SweepLoop
 
 # Command line in a folder with the shipped problem files, and what the message contains.
 REFUSED = [
@@ -85,7 +85,7 @@ def test_bad_input_is_refused_in_a_sentence_before_anything_is_computed(tmp_path
     (tmp_path / "link.csv").symlink_to("draft_against_loosening.toml")
     (tmp_path / "round.csv").symlink_to("round.csv")
     before = {path: path.read_bytes() for path in tmp_path.glob("*.*") if path.is_file()}
-    for owner, name in ((po.Problem, "simulate"), (po.Design, "solve"), (Engine, "run")):
+    for owner, name in ((po.Problem, "simulate"), (po.Design, "solve"), (SweepLoop, "run")):
         monkeypatch.setattr(owner, name, None)
     for short, long in SHORT.items():
         line = line.replace(short, long)

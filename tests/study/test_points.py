@@ -7,11 +7,11 @@ import pytest
 from scipy.stats import qmc
 
 import plough_opt as po
-from plough_opt.studies.sweep.points import Grid, Sample
+from plough_opt.studies.sweep.points import PointGrid, PointSample
 
 
 def test_a_grid_has_all_combinations_and_the_last_quantity_changes_fastest():
-    grid = Grid({"a": (1.0, 2.5, 7.0), "b": po.Range(-1.0, 1.0, 4), "c": po.Range(1.0, 1000.0, 3, log=True)})
+    grid = PointGrid({"a": (1.0, 2.5, 7.0), "b": po.Range(-1.0, 1.0, 4), "c": po.Range(1.0, 1000.0, 3, log=True)})
     expected = list(itertools.product((1.0, 2.5, 7.0), np.linspace(-1, 1, 4), np.geomspace(1, 1000, 3)))
     assert grid.count == len(expected)
     np.testing.assert_array_equal(grid.block(0, grid.count), expected)
@@ -19,7 +19,7 @@ def test_a_grid_has_all_combinations_and_the_last_quantity_changes_fastest():
 
 
 def test_a_grid_of_a_trillion_points_needs_no_memory():
-    grid = Grid({"a": po.Range(0.0, 1.0, 10**6), "b": po.Range(0.0, 1.0, 10**6)})
+    grid = PointGrid({"a": po.Range(0.0, 1.0, 10**6), "b": po.Range(0.0, 1.0, 10**6)})
     np.testing.assert_array_equal(grid.block(10**12 - 1, 10**12), [[1.0, 1.0]])
 
 
@@ -30,7 +30,7 @@ BLOCKS = ([(0, 64)], [(0, 1), (1, 4), (4, 64)], [(0, 3), (10, 20), (3, 10), (20,
 @pytest.mark.parametrize("blocks", BLOCKS, ids=("whole", "pieces", "holes"))
 def test_a_sample_is_that_of_scipy(blocks):
     ranges = {"a": po.Range(2.0, 3.0), "b": po.Range(-7.0, 9.0), "c": po.Range(1e-3, 1e3, log=True)}
-    sample = Sample(ranges, 64, seed=5)
+    sample = PointSample(ranges, 64, seed=5)
     found = np.empty((64, 3))
     for first, last in blocks:
         found[first:last] = sample.block(first, last)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 import plough_opt as po
 from plough_opt.app.terminal import print_page
 from plough_opt.core.screen import Screen
-from plough_opt.studies.tradeoff.front import Failure
+from plough_opt.studies.tradeoff.front import MissingPoint
 
 # --- files and pictures -------------------------------------------------------------------------------------
 
@@ -124,7 +124,7 @@ def test_picture_of_a_surface(surface, tmp_path):
 def test_failures_are_given_in_words_and_each_reason_once(surface):
     at = [point.objectives for point in surface.points[:3]]
     reasons = ("Infeasible_Problem_Detected: no design near the start meets the requirements",) * 2
-    failures = tuple(map(Failure, at, (*reasons, "Odd_Status: the optimiser stopped without an optimum")))
+    failures = tuple(map(MissingPoint, at, (*reasons, "Odd_Status: the optimiser stopped without an optimum")))
     lines = [line for line in printed(replace(surface, failures=failures), 1000) if "No certified design" in line]
     assert len(lines) == 2
     assert lines[0].endswith(": no design near the start meets the requirements.")

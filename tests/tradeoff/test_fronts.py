@@ -10,7 +10,7 @@ from helpers.small_designs import design
 
 import plough_opt as po
 from plough_opt.studies.tradeoff.assembly import hole
-from plough_opt.studies.tradeoff.front import Failure
+from plough_opt.studies.tradeoff.front import MissingPoint
 
 # Ends of the five parts of ZDT3, where the next minimum or the next level begins (Zitzler, Deb and Thiele 2000).
 ZDT3 = [(0.0, 0.0830015349), (0.1822287280, 0.2577623634), (0.4093136748, 0.4538821041), (0.6183967944, 0.6525117038),
@@ -99,8 +99,8 @@ def test_a_front_along_an_equality(plane):
 def test_a_hole_in_which_the_optimiser_failed_is_not_settled(broken, status):
     before, after = broken.points[broken.parts[0][-1]], broken.points[broken.parts[1][0]]
     signs = np.ones(2)
-    within = Failure(before.objectives, f"{status}: why")
-    beside = Failure(broken.points[0].objectives, "Maximum_Iterations_Exceeded: why")
+    within = MissingPoint(before.objectives, f"{status}: why")
+    beside = MissingPoint(broken.points[0].objectives, "Maximum_Iterations_Exceeded: why")
     assert hole(before, after, [within, beside], signs) == replace(broken.holes[0], settled="Infeasible" in status)
 
 

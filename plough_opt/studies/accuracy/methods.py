@@ -42,7 +42,7 @@ from plough_opt.motion.run import assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import quasi_static
 from plough_opt.studies.accuracy.reference import AVERAGES, QUANTITIES, Reference, ReferenceGradient, errors_of
-from plough_opt.studies.accuracy.result import AUTO, BARE, COMPILED, MACHINE_CODE, Entry, efficient, error_text
+from plough_opt.studies.accuracy.result import AUTO, BARE, COMPILED, MACHINE_CODE, MethodResult, efficient, error_text
 
 ERRORS: Final = (1e-3, 1e-5, 1e-6, 1e-8, 1e-10)
 """Wanted errors at which "auto" is measured in any case."""
@@ -158,12 +158,12 @@ def measured(
     allowance: float,
     *,
     floor: float = 0.0,
-) -> list[Entry]:
+) -> list[MethodResult]:
     """Return the entries of contestants: settings measured in any case, and those that led to the cheapest good one.
 
     Args:
         contestants: methods that are ranked together.
-        key: key of `Entry.errors` that ranks them.
+        key: key of `MethodResult.errors` that ranks them.
         wanted: error to reach [-].
         allowance: time that one use may take [s].
         floor: error of the reference itself [-].
@@ -195,7 +195,7 @@ class _Trial:
 
     def __init__(self, contestant: Contestant, key: str, wanted: float, allowance: float) -> None:
         self.contestant = contestant
-        self.entries: dict[int, Entry] = {}
+        self.entries: dict[int, MethodResult] = {}
         self.uses: dict[int, Use] = {}
         self._key, self._wanted, self._allowance = key, wanted, allowance
 
@@ -221,27 +221,27 @@ class _Trial:
             use, find = prepared if isinstance(prepared, tuple) else (prepared, prepared)
             built = time.perf_counter() - clock  # elapsed time, because a compiler is another process
             solving = time.process_time()
-            found = find()
+            result = find()
             seconds = time.process_time() - solving
-            errors = contestant.errors(found)
+            errors = contestant.errors(result)
         except (PloughError, RuntimeError) as error:
             self._fail(place, _reason(error))
             return time.process_time() - started
         first = solving + seconds - started
         seconds = min(seconds, *least_times([use], _REPETITIONS * self._allowance))
         setup, label = max(built, first - seconds), contestant.label(setting)
-        self.entries[place] = Entry(contestant.family, contestant.method, label, seconds, setup, errors)
+        self.entries[place] = MethodResult(contestant.family, contestant.method, label, seconds, setup, errors)
         self.uses[place] = use
         return seconds
 
     def _fail(self, place: int, reason: str) -> None:
         c = self.contestant
-        self.entries[place] = Entry(c.family, c.method, c.label(c.settings[place]), math.inf, failure=reason)
+        self.entries[place] = MethodResult(c.family, c.method, c.label(c.settings[place]), math.inf, failure=reason)
 
     @property
-    def good(self) -> dict[int, Entry]:
+    def good(self) -> dict[int, MethodResult]:
         """Entries that reach the wanted error, by place."""
-        return {place: own for place, own in self.entries.items() if own.reaches(self._key, self._wanted)}
+        return {place: entry for place, entry in self.entries.items() if entry.reaches(self._key, self._wanted)}
 
     @property
     def least(self) -> float:
@@ -254,20 +254,20 @@ class _Trial:
         The halving covers all settings, so that it ends at the same pair whichever of them were measured before.
         Settings finer than one that is known to be good count as good without being measured, for they may take long.
         """
-        known, bad, good = min(self.good), -1, len(self.contestant.settings) - 1
+        least_good, bad, good = min(self.good), -1, len(self.contestant.settings) - 1
         while good - bad > 1:
             middle = (good + bad) // 2
             measured_before = middle in self.entries
-            if middle < known and not measured_before:
+            if middle < least_good and not measured_before:
                 self._measure(middle)
-            if middle >= known or middle in self.good:
+            if middle >= least_good or middle in self.good:
                 good = middle
             else:
                 bad = middle
                 if self.entries[middle].failure is not None and not measured_before:
                     del self.entries[middle]  # too coarse to have a result, and not one that is always reported
 
-    def check(self, front: Sequence[Entry]) -> None:
+    def check(self, front: Sequence[MethodResult]) -> None:
         """Time `simulate`, which checks its result, with the settings on an efficient front."""
         check = self.contestant.check
         for place, entry in self.entries.items():
@@ -363,7 +363,7 @@ class Task:
             return settings
         return settings[::2] if len(settings) % 2 else settings[::2] + settings[-1:]
 
-    def ranked(self, contestants: list[Contestant], key: str, floor: float = 0.0) -> list[Entry]:
+    def ranked(self, contestants: list[Contestant], key: str, floor: float = 0.0) -> list[MethodResult]:
         """Return the entries of contestants that are ranked by one error."""
         return measured(contestants, key, self.wanted, self.allowance, floor=floor)
 
@@ -376,38 +376,38 @@ def prepared(task: Task, accuracy: Accuracy, *, compiled: bool = False) -> tuple
         accuracy: the method with its setting.
         compiled: whether to take steps of order 8 in machine code.
     """
-    scene, structure, known = task.scene, Structure.of(task.scene), numbers_of(task.scene)
-    steps = accuracy.steps or most_steps(phase(known, task.duration))
+    scene, structure, numbers = task.scene, Structure.of(task.scene), numbers_of(task.scene)
+    steps = accuracy.steps or most_steps(phase(numbers, task.duration))
     timeline = timeline_of(scene, task.duration, task.outputs, steps, accuracy.method)
     code = compiled_steps(structure) if compiled else None
     once: Use
     if code is not None:
-        once = partial(code, timeline, [*(known[name] for name in equation_of(structure).names), task.duration])
+        once = partial(code, timeline, [*(numbers[name] for name in equation_of(structure).names), task.duration])
     else:
         solver = integration(structure, accuracy, timeline)
-        once = partial(solver.function.call, [ca.DM([*(known[name] for name in solver.names), task.duration])])
+        once = partial(solver.function.call, [ca.DM([*(numbers[name] for name in solver.names), task.duration])])
 
     def run() -> Run:
         states, means, variances = _finite(once())
         states = states.T if code is None else states
         fractions = timeline.output_fractions
-        found = assemble(scene, task.duration, fractions, states, means.ravel(), variances.ravel(), accuracy)
+        motion = assemble(scene, task.duration, fractions, states, means.ravel(), variances.ravel(), accuracy)
         if isinstance(scene.effects.contact, StickSlip):
-            refuse_missed_event(found)
-        return found
+            refuse_missed_event(motion)
+        return motion
 
     return once, run
 
 
 def _finite(results: Any) -> list[Array]:
     """Return results as arrays; raise IntegrationError if there are none, or one is not finite."""
-    found = [np.asarray(part) for part in results or ()]
-    if not found or not all(np.all(np.isfinite(part)) for part in found):
+    arrays = [np.asarray(part) for part in results or ()]
+    if not arrays or not all(np.all(np.isfinite(part)) for part in arrays):
         raise IntegrationError("the result is not finite")
-    return found
+    return arrays
 
 
-def integrators(task: Task, reference: Reference) -> list[Entry]:
+def integrators(task: Task, reference: Reference) -> list[MethodResult]:
     """Return the entries of all methods that can integrate the scene, interpreted and in machine code."""
     reasons = _reasons(task.scene)
     families: list[tuple[str, str, dict[str, str], bool]] = [("integrator", AUTO, {m: m for m in reasons}, False)]
@@ -439,7 +439,7 @@ def _patience(accuracy: Accuracy) -> float:
     return _PATIENCE if accuracy.error == DEFAULT_ERROR else 1.0
 
 
-def gradients(task: Task, reference: ReferenceGradient) -> list[Entry]:
+def gradients(task: Task, reference: ReferenceGradient) -> list[MethodResult]:
     """Return the entries of all methods for the gradient of mean draft and RMS, by CasADi's derivatives of the run."""
     at = [float(getattr(task.scene, name)) for name in QUANTITIES]
 
@@ -451,16 +451,16 @@ def gradients(task: Task, reference: ReferenceGradient) -> list[Entry]:
         function = ca.Function("gradient", [x], [ca.densify(ca.jacobian(averages, x))])
 
         def find() -> Any:
-            (found,) = _finite([function(at)])
-            return found * at
+            (gradient,) = _finite([function(at)])
+            return gradient * at
 
         return lambda: function(at), find
 
-    def errors(found: Any) -> Mapping[str, float]:
+    def errors(gradient: Any) -> Mapping[str, float]:
         size = np.max(np.abs(reference.values))
-        wrong = np.max(np.abs(found - reference.values), axis=1) / (size if size > 0 else 1.0)
-        own = zip(("mean draft", "RMS"), wrong, strict=True)
-        return {"gradient": float(np.max(wrong)), **{f"gradient of {name}": float(w) for name, w in own}}
+        wrong = np.max(np.abs(gradient - reference.values), axis=1) / (size if size > 0 else 1.0)
+        named = zip(("mean draft", "RMS"), wrong, strict=True)
+        return {"gradient": float(np.max(wrong)), **{f"gradient of {name}": float(w) for name, w in named}}
 
     contestants = [Contestant("derivatives", AUTO, prepare, errors, (Accuracy(),), label=text)]
     single = replace(task, outputs=1)
@@ -561,7 +561,7 @@ def periodic_orbit_of(scene: Scene) -> Scene | None:
         return None
 
 
-def models(task: Task, motion: Reference | None, periodic: Reference | None) -> list[Entry]:
+def models(task: Task, motion: Reference | None, periodic: Reference | None) -> list[MethodResult]:
     """Return the entries of models; errors named "lasting ..." are relative to the periodic orbit.
 
     Args:
@@ -570,8 +570,8 @@ def models(task: Task, motion: Reference | None, periodic: Reference | None) -> 
         periodic: reference of the periodic orbit to which the motion may tend, or None.
     """
 
-    def errors(found: Run) -> Mapping[str, float]:
-        return _errors("", found, motion) | _errors("lasting ", found, periodic)
+    def errors(run: Run) -> Mapping[str, float]:
+        return _errors("", run, motion) | _errors("lasting ", run, periodic)
 
     contestants = [Contestant("model", "quasi-static", lambda _: _quasi_static(task), errors)]
     transient, orbit = task.scene.effects.orbit == "transient", periodic_orbit_of(task.scene)
@@ -614,12 +614,12 @@ def _quasi_static(task: Task) -> Callable[[], Run]:
     return partial(quasi_static, scene, task.duration, timeline, Accuracy())
 
 
-def _errors(prefix: str, found: Run, reference: Reference | None) -> dict[str, float]:
+def _errors(prefix: str, run: Run, reference: Reference | None) -> dict[str, float]:
     """Return errors relative to a reference; those of mount forces only if both have the same output times."""
     if reference is None:
         return {}
     truth = reference.run
-    same = len(found.time) == len(truth.time) and abs(found.time[-1] - truth.time[-1]) < 1e-9
-    own = errors_of(found, truth)
-    names = own if same else ("averages", "mean draft", "RMS")
-    return {prefix + name: own[name] for name in names}
+    same = len(run.time) == len(truth.time) and abs(run.time[-1] - truth.time[-1]) < 1e-9
+    every = errors_of(run, truth)
+    names = every if same else ("averages", "mean draft", "RMS")
+    return {prefix + name: every[name] for name in names}

@@ -108,23 +108,23 @@ _OPERATIONS: Final[dict[int, Callable[..., LongDouble]]] = {
 # --- errors and estimates of errors ---
 
 
-def errors_of(found: Any, reference: Any) -> dict[str, float]:
+def errors_of(run: Any, reference: Any) -> dict[str, float]:
     """Return the relative errors of averages and mount forces by name [-].
 
     Errors of mean draft and RMS are relative to the larger of the two, and ``"averages"`` is the larger of both errors.
     Errors of mount forces are relative to the largest of the forces.
 
     Args:
-        found: a run, or another object with ``mean_draft``, ``force_rms`` and, at the outputs, ``mount_force`` [N].
+        run: a run, or another object with ``mean_draft``, ``force_rms`` and, at the outputs, ``mount_force`` [N].
         reference: the same kind of object with the same output times.
     """
     size = max(abs(reference.mean_draft), reference.force_rms)
     averages = {
-        "mean draft": _over(abs(found.mean_draft - reference.mean_draft), size),
-        "RMS": _over(abs(found.force_rms - reference.force_rms), size),
+        "mean draft": _over(abs(run.mean_draft - reference.mean_draft), size),
+        "RMS": _over(abs(run.force_rms - reference.force_rms), size),
     }
     peak = np.max(np.abs(reference.mount_force))
-    wrong = np.abs(np.asarray(found.mount_force) - reference.mount_force)
+    wrong = np.abs(np.asarray(run.mount_force) - reference.mount_force)
     forces = {"last force": _over(wrong[-1], peak), "trajectory": _over(np.max(wrong), peak)}
     return {"averages": max(averages.values()), **averages, **forces}
 
@@ -167,20 +167,20 @@ def reference_run(scene: Scene, duration: float | None = None, *, outputs: int =
         IntegrationError: the motion could not be integrated.
     """
     motion_of = _integrator(scene, duration)
-    found, check = (motion_of(scene, outputs, degree) for degree in (DEGREE, CHECK_DEGREE))
-    run = found.run()
+    motion, check = (motion_of(scene, outputs, degree) for degree in (DEGREE, CHECK_DEGREE))
+    run = motion.run()
     errors = {name: max(float(EPS), error) for name, error in errors_of(check.run(), run).items()}
-    return Reference(run, found.events, errors)
+    return Reference(run, motion.events, errors)
 
 
 def _integrator(scene: Scene, duration: float | None) -> Callable[[Scene, int, int], IntegratedMotion]:
     """Return (scene like this one, outputs, degree) -> its motion or, if the scene asks for it, its periodic orbit."""
     if scene.effects.motion and scene.effects.orbit == "periodic":
         guess = state_near_orbit(scene)
-        return lambda own, outputs, degree: periodic_orbit(Motion(own), guess, outputs, degree)
+        return lambda like, outputs, degree: periodic_orbit(Motion(like), guess, outputs, degree)
     if scene.effects.orbit == "transient" and duration is None:
         raise InputError("the duration is missing: give the simulated time of the reference in seconds")
-    return lambda own, outputs, degree: integrate(Motion(own), LONGDOUBLE(duration), outputs, degree)
+    return lambda like, outputs, degree: integrate(Motion(like), LONGDOUBLE(duration), outputs, degree)
 
 
 @dataclass(frozen=True)
@@ -213,10 +213,12 @@ def reference_gradient(scene: Scene, duration: float | None) -> ReferenceGradien
 
     def difference(name: str, h: LongDouble) -> LongDouble:
         factors = [1 + k * h for k in _PLACES]
-        found = [motion_of(replace(scene, **{name: LONGDOUBLE(getattr(scene, name)) * f}), 1, DEGREE) for f in factors]
-        if len({tuple(event for _, event in motion.events) for motion in found}) > 1:
+        motions = [
+            motion_of(replace(scene, **{name: LONGDOUBLE(getattr(scene, name)) * f}), 1, DEGREE) for f in factors
+        ]
+        if len({tuple(event for _, event in motion.events) for motion in motions}) > 1:
             raise IntegrationError("the events change with the quantities of the scene, so there is no gradient")
-        runs = [motion.run() for motion in found]
+        runs = [motion.run() for motion in motions]
         return _WEIGHTS @ np.array([[getattr(run, average) for average in AVERAGES] for run in runs]) / h
 
     def differences(h: LongDouble) -> LongDouble:
@@ -331,9 +333,9 @@ class Motion:
 
         first = None
         for kind in range(len(self.names(state))):
-            found = first_end(partial(until, kind), done.start, end - done.start)
-            if found is not None and (first is None or found < end):
-                end, first = found, kind
+            sooner = first_end(partial(until, kind), done.start, end - done.start)
+            if sooner is not None and (first is None or sooner < end):
+                end, first = sooner, kind
         return end, first
 
     def after(self, kind: int, time: LongDouble, state: LongDouble) -> LongDouble:
@@ -369,9 +371,9 @@ class IntegratedMotion:
     def run(self) -> Run:
         """Return the run of the scene that has these states and averages."""
         motion, duration = self.motion, self.times[-1]
-        known = motion.structure, dict(motion.p)
+        terms = motion.structure, dict(motion.p)
         fractions = self.times / duration
-        return assemble(motion.scene, duration, fractions, self.states, *self.moments, Accuracy(), known)
+        return assemble(motion.scene, duration, fractions, self.states, *self.moments, Accuracy(), terms)
 
 
 def integrate(
@@ -523,17 +525,17 @@ def in_long_double(arguments: Sequence[ca.SX], results: Sequence[Any]) -> LongDo
         elements = [list(argument) for argument in given]
         places = max(np.size(element) for argument in elements for element in argument)
         work: list[LongDouble] = [None] * graph.sz_w()
-        found = [np.zeros((count, places), LONGDOUBLE) for count in rows]
+        results_at = [np.zeros((count, places), LONGDOUBLE) for count in rows]
         for kind, sources, targets, constant in steps:
             if kind == ca.OP_CONST:
                 work[targets[0]] = constant
             elif kind == ca.OP_INPUT:
                 work[targets[0]] = elements[sources[0]][sources[1]]
             elif kind == ca.OP_OUTPUT:
-                found[targets[0]][targets[1]] = work[sources[0]]
+                results_at[targets[0]][targets[1]] = work[sources[0]]
             else:
                 work[targets[0]] = _OPERATIONS[kind](*(work[source] for source in sources))
-        return found
+        return results_at
 
     return evaluate
 

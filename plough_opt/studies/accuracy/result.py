@@ -53,7 +53,7 @@ _SMALLER: Final = 0.9
 
 
 @dataclass(frozen=True)
-class Entry:
+class MethodResult:
     """Result of one method with one setting.
 
     Attributes:
@@ -92,10 +92,10 @@ class Question:
 
     Attributes:
         title: what is computed.
-        error: key of `Entry.errors`.
+        error: key of `MethodResult.errors`.
         families: families of the entries that take part.
         reference: name of the reference, a key of `AccuracyStudy.floors`.
-        columns: key of `Entry.errors` -> heading, for each column of the table.
+        columns: key of `MethodResult.errors` -> heading, for each column of the table.
         ranked: description of the error, if it is not one of the columns.
         default: default method and setting.
     """
@@ -160,7 +160,7 @@ class AccuracyStudy(Saveable):
     title: str
     duration: float | None
     wanted: float
-    entries: tuple[Entry, ...]
+    entries: tuple[MethodResult, ...]
     floors: Mapping[str, float]
     notes: tuple[str, ...] = ()
     defaults: Mapping[str, tuple[str, str]] = field(default_factory=dict)
@@ -172,15 +172,15 @@ class AccuracyStudy(Saveable):
     @property
     def questions(self) -> tuple[Question, ...]:
         """Errors by which methods are ranked, those that have entries and a reference."""
-        found = (replace(question, default=self.defaults.get(question.reference, ("", ""))) for question in _QUESTIONS)
-        return tuple(question for question in found if question.reference in self.floors and self.of(question))
+        every = (replace(question, default=self.defaults.get(question.reference, ("", ""))) for question in _QUESTIONS)
+        return tuple(question for question in every if question.reference in self.floors and self.of(question))
 
-    def of(self, question: Question) -> list[Entry]:
+    def of(self, question: Question) -> list[MethodResult]:
         """Return the entries ranked by an error."""
         return [e for e in self.entries if e.family in question.families and question.error in e.errors]
 
     @property
-    def failures(self) -> list[Entry]:
+    def failures(self) -> list[MethodResult]:
         """Entries without a result."""
         return [entry for entry in self.entries if entry.failure is not None]
 
@@ -192,7 +192,7 @@ class AccuracyStudy(Saveable):
             labels.setdefault(str(entry.failure), []).append(entry.label)
         return tuple(f"no result of {'; '.join(who)}: {reason}" for reason, who in labels.items())
 
-    def front(self, question: Question) -> list[Entry]:
+    def front(self, question: Question) -> list[MethodResult]:
         """Return the entries that no other beats in both time and error; errors below the reference's own are equal."""
         return efficient(self.of(question), question.error, self.floors[question.reference])
 
@@ -217,10 +217,10 @@ class AccuracyStudy(Saveable):
             clauses = [f"for {wanted} take {best.label}: {_result(best, key)}{than}"]
             if best.checked is not None:
                 clauses.append(f"{duration_text(best.checked)} with the check of simulate")
-        found = {(entry.method, entry.setting): entry for entry in entries}
-        default = found.get(question.default)
+        by_setting = {(entry.method, entry.setting): entry for entry in entries}
+        default = by_setting.get(question.default)
         for method, compiled in ((AUTO, ""), (COMPILED, ", compiled=True")):
-            aimed, name = found.get((method, f"error {wanted}")), f"Accuracy(error={wanted}){compiled}"
+            aimed, name = by_setting.get((method, f"error {wanted}")), f"Accuracy(error={wanted}){compiled}"
             if aimed is not None and aimed is not default:
                 takes = f"{name} takes {_compared(aimed, best, question)}"
                 clauses.append(f"that is {name}" if aimed is best else takes)
@@ -348,11 +348,11 @@ def _cheaper(ratio: float) -> str:
     return f"{_times(ratio)}cheaper than" if _times(ratio) else "about as cheap as"
 
 
-def _result(entry: Entry, key: str) -> str:
+def _result(entry: MethodResult, key: str) -> str:
     return f"{duration_text(entry.seconds)}, error {entry.errors[key]:.0e}"
 
 
-def _compared(entry: Entry, best: Entry | None, question: Question) -> str:
+def _compared(entry: MethodResult, best: MethodResult | None, question: Question) -> str:
     """Return time and error of an entry, and its time relative to the best entry, with the check of the latter."""
     checks = entry.method in (AUTO, COMPILED) and question.reference == MOTION
     text = _result(entry, question.error) + (", checked" if checks else "")
@@ -364,31 +364,31 @@ def _compared(entry: Entry, best: Entry | None, question: Question) -> str:
     return f"{text}, {_times(ratio)}as long" if ratio > 1.0 else f"{text}, {_times(1.0 / ratio)}faster"
 
 
-def efficient(entries: Sequence[Entry], error: str, floor: float = 0.0) -> list[Entry]:
+def efficient(entries: Sequence[MethodResult], error: str, floor: float = 0.0) -> list[MethodResult]:
     """Return the entries that no other beats in both time and one error, from the fastest to the most exact.
 
     A slower entry must have an error smaller by at least a tenth.
 
     Args:
         entries: entries of one contest; failures are left out.
-        error: key of `Entry.errors`.
+        error: key of `MethodResult.errors`.
         floor: error of the reference itself [-], below which errors do not differ.
     """
     ranked = sorted(
         (entry for entry in entries if entry.failure is None and error in entry.errors),
         key=lambda entry: (entry.seconds, entry.errors[error]),
     )
-    front: list[Entry] = []
+    front: list[MethodResult] = []
     least = math.inf
     for entry in ranked:
-        found = max(entry.errors[error], floor)
-        if found < _SMALLER * least:
+        wrong = max(entry.errors[error], floor)
+        if wrong < _SMALLER * least:
             front.append(entry)
-            least = found
+            least = wrong
     return front
 
 
-def cheapest(entries: Sequence[Entry], error: str, wanted: float) -> Entry | None:
+def cheapest(entries: Sequence[MethodResult], error: str, wanted: float) -> MethodResult | None:
     """Return the fastest entry whose error is at most the wanted one [-], or None.
 
     Of each method only the coarsest such setting counts, because a finer one cannot be faster but by the noise of the
@@ -397,10 +397,10 @@ def cheapest(entries: Sequence[Entry], error: str, wanted: float) -> Entry | Non
 
     Args:
         entries: entries, those of a method from coarse to fine.
-        error: key of `Entry.errors`.
+        error: key of `MethodResult.errors`.
         wanted: error to reach [-].
     """
-    good: dict[tuple[str, str], Entry] = {}
+    good: dict[tuple[str, str], MethodResult] = {}
     for entry in entries:
         if entry.reaches(error, wanted):
             good.setdefault((entry.family, entry.method), entry)
@@ -465,7 +465,7 @@ def draw(axes: Axes, study: AccuracyStudy, question: Question) -> dict[str, Line
     entries, floor = study.of(question), study.floors[question.reference]
     lines: dict[str, Line2D] = {}
 
-    def points(chosen: Sequence[Entry], least: float = _LEAST) -> tuple[list[float], list[float]]:
+    def points(chosen: Sequence[MethodResult], least: float = _LEAST) -> tuple[list[float], list[float]]:
         return [e.seconds for e in chosen], [max(e.errors[question.error], least) for e in chosen]
 
     axes.step(*points(study.front(question), max(floor, _LEAST)), where="post", color=_FRONT, linewidth=6.0, alpha=0.75,

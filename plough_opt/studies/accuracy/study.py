@@ -62,7 +62,7 @@ from plough_opt.studies.accuracy.result import (
     SEARCH,
     VARIABLES,
     AccuracyStudy,
-    Entry,
+    MethodResult,
     Thoroughness,
 )
 
@@ -122,13 +122,13 @@ class SearchTrial:
         """The optima."""
         return [optimum for optimum in self.optima if optimum is not None]
 
-    def entry(self, reference: "OptimumReference") -> Entry:
+    def entry(self, reference: "OptimumReference") -> MethodResult:
         """Return the entry of the effort, with the largest error of any seed."""
         errors = [reference.errors(optimum) for optimum in self.found]
         if not errors:
-            return Entry(SEARCH, self.method, self.setting, np.inf, failure="no seed led to an optimum")
-        largest = {name: max(one[name] for one in errors) for name in errors[0]}
-        return Entry(SEARCH, self.method, self.setting, self.seconds, self.setup, largest)
+            return MethodResult(SEARCH, self.method, self.setting, np.inf, failure="no seed led to an optimum")
+        largest = {name: max(of_seed[name] for of_seed in errors) for name in errors[0]}
+        return MethodResult(SEARCH, self.method, self.setting, self.seconds, self.setup, largest)
 
     def thoroughness(self, best: Optimum) -> Thoroughness:
         """Return how often the effort finds the best optimum.
@@ -160,17 +160,17 @@ def search_trials(design: Design, *, limit: float, thin: bool, progress: Progres
     progress("building the program", 0.0)
     copy.copy(design).solve(search="near")
     for part, method in enumerate(("interpreted", "compiled")):
-        own, compiled = copy.copy(design), method == "compiled"
+        copied, compiled = copy.copy(design), method == "compiled"
         for number, search in enumerate(_EFFORTS):
             progress(f"searching, {method}: {search}", (part + number / len(_EFFORTS)) / 2.0)
-            first, built = _solved(own, search, 0, compiled=compiled)
+            first, built = _solved(copied, search, 0, compiled=compiled)
             if first is not None and interpretation_warning() in first.warnings:
                 return trials
             # Repeated, it finds its program built, and translated by the compiler.
-            runs = [_solved(own, search, 0, compiled=compiled)]
+            runs = [_solved(copied, search, 0, compiled=compiled)]
             seconds = runs[0][1]
             seeds = 1 if search == "near" or seconds > limit else _THIN_SEEDS if thin else _SEEDS
-            runs += [_solved(own, search, seed, compiled=compiled) for seed in range(1, seeds)]
+            runs += [_solved(copied, search, seed, compiled=compiled) for seed in range(1, seeds)]
             optima, times = zip(*runs, strict=True)
             trials.append(SearchTrial(method, search, optima, median(times), max(built - seconds, 0.0)))
             if seconds > limit:
@@ -216,11 +216,11 @@ class OptimumReference:
     y: Array
     off: float
 
-    def errors(self, found: Optimum) -> dict[str, float]:
+    def errors(self, optimum: Optimum) -> dict[str, float]:
         """Return the relative error of an optimum's objective, and the largest error of its scaled variables [-]."""
-        y = _scaled(self.declared, found.variables)
+        y = _scaled(self.declared, optimum.variables)
         return {
-            "objective": abs(found.objective - self.objective) / self.size,
+            "objective": abs(optimum.objective - self.objective) / self.size,
             "variables": float(np.max(np.abs(y - self.y))),
         }
 
@@ -302,15 +302,15 @@ def _tight_slopes(program: Program, p: Array, at: Array) -> ca.Function:
     whole = ca.Function("whole", [y, *parts.results], list(parts.expressions))
     results = []
     for k, (run, result) in enumerate(zip(parts.runs, parts.results, strict=True)):
-        own = run.integration
+        spec = run.integration
         accuracy = Accuracy("erk", tolerance=_TIGHT_TOLERANCE)
-        if own.structure.orbit != "transient":
-            *known, duration = np.asarray(ca.Function("inputs", [y], [run.inputs])(at)).ravel()
-            steps = steps_for(phase(dict(zip(own.names, known, strict=True)), duration), _TIGHT_PHASE)
+        if spec.structure.orbit != "transient":
+            *values, duration = np.asarray(ca.Function("inputs", [y], [run.inputs])(at)).ravel()
+            steps = steps_for(phase(dict(zip(spec.names, values, strict=True)), duration), _TIGHT_PHASE)
             accuracy = Accuracy("dop853", steps=steps)
-        outputs = 1 if averages_only(run, whole, 1 + k) else own.timeline.outputs
-        timeline = Timeline(outputs, accuracy.steps or MOST_ADAPTIVE, own.timeline.kink)
-        used = ca.veccat(*integration(own.structure, accuracy, timeline).function.call([run.inputs]))
+        outputs = 1 if averages_only(run, whole, 1 + k) else spec.timeline.outputs
+        timeline = Timeline(outputs, accuracy.steps or MOST_ADAPTIVE, spec.timeline.kink)
+        used = ca.veccat(*integration(spec.structure, accuracy, timeline).function.call([run.inputs]))
         # Outputs that the design does not use are left out of the integration.
         results.append(ca.vertcat(ca.MX.zeros(result.numel() - used.numel()), used))
     f, g = whole(y, *results)
@@ -441,7 +441,7 @@ def study_design(
     _check(wanted, title, progress, thin=thin)
     check_domain("time allowed to a search", plain_number("limit", limit), "s", above=0.0)
     trials = search_trials(design, limit=limit, thin=thin, progress=progress or silent)
-    best, entries, floors, notes = best_of(trials), list[Entry](), dict[str, float](), list[str]()
+    best, entries, floors, notes = best_of(trials), list[MethodResult](), dict[str, float](), list[str]()
     try:
         reference = reference_optimum(design.declared, best)
         # More effort does not always take longer; the advice takes entries of a method from the cheapest on.
@@ -450,7 +450,7 @@ def study_design(
     except PloughError as error:
         notes.append(f"no reference for the optimum: {error}")
     if all(trial.method != "compiled" for trial in trials):
-        entries.append(Entry(SEARCH, "compiled", "", math.inf, failure=interpretation_warning()))
+        entries.append(MethodResult(SEARCH, "compiled", "", math.inf, failure=interpretation_warning()))
     return AccuracyStudy(
         title=title,
         duration=None,
@@ -464,12 +464,14 @@ def study_design(
     )
 
 
-def _contests(task: Task, progress: Progress, *, derivatives: bool) -> tuple[list[Entry], dict[str, float], list[str]]:
+def _contests(
+    task: Task, progress: Progress, *, derivatives: bool
+) -> tuple[list[MethodResult], dict[str, float], list[str]]:
     """Return the entries of all contests for a scene; by name of the reference its error; and notes.
 
     Notes say what has no reference.
     """
-    scene, entries, floors, notes = task.scene, list[Entry](), dict[str, float](), list[str]()
+    scene, entries, floors, notes = task.scene, list[MethodResult](), dict[str, float](), list[str]()
     if not scene.effects.motion:
         return [], {}, ["a quasi-static scene has no motion to integrate, and so there is no method to choose"]
 
@@ -487,15 +489,15 @@ def _contests(task: Task, progress: Progress, *, derivatives: bool) -> tuple[lis
         return run
 
     progress("integrating the reference", 0.0)
-    own, around = reference(MOTION, scene, task.given), periodic_orbit_of(scene)
+    motion, around = reference(MOTION, scene, task.given), periodic_orbit_of(scene)
     transient = scene.effects.orbit == "transient"
     periodic = reference(LASTING, around, None) if transient and around is not None else None
-    if own is not None:
+    if motion is not None:
         progress("integrators", 0.1)
-        entries += integrators(task, own)
-    if own is not None or periodic is not None:
+        entries += integrators(task, motion)
+    if motion is not None or periodic is not None:
         progress("models", 0.5)
-        entries += models(task, own, periodic)
+        entries += models(task, motion, periodic)
     if derivatives:
         progress("derivatives", 0.7)
         gradient = found(DERIVATIVES, partial(reference_gradient, scene, task.given))

@@ -12,6 +12,7 @@ from scipy.stats import qmc
 
 from plough_opt.core.checks import check_kind, shown
 from plough_opt.core.errors import DomainError, InputError, NotConverged
+from plough_opt.core.notes import listed
 from plough_opt.core.plain_data import Array, IntervalEnd, MaybeInfinite
 from plough_opt.core.units import in_words
 from plough_opt.studies.calibration.least_squares import AT_BOUND, UNIFORM, Data, LeastSquares, Minimum
@@ -42,7 +43,7 @@ class Undetermined:
 
 
 @dataclass(frozen=True)
-class Spread:
+class Identifiability:
     """How far the data determine the scaled unknowns.
 
     Attributes:
@@ -60,7 +61,7 @@ class Spread:
     rank: int
 
 
-def spread_of(slope: Array, noise: float) -> Spread:
+def identifiability_of(slope: Array, noise: float) -> Identifiability:
     """Return how far data determine scaled unknowns.
 
     Args:
@@ -81,9 +82,9 @@ def spread_of(slope: Array, noise: float) -> Spread:
     determined = variance < UNIFORM**2
     finite = np.where(np.isfinite(deviation), deviation, 0.0)
     covariance = (directions * finite**2) @ directions.T
-    known = determined.astype(float)
-    return Spread(
-        covariance=covariance * np.outer(known, known),
+    mask = determined.astype(float)
+    return Identifiability(
+        covariance=covariance * np.outer(mask, mask),
         determined=determined,
         free=directions[:, undetermined_directions],
         structural=structural[undetermined_directions],
@@ -91,7 +92,7 @@ def spread_of(slope: Array, noise: float) -> Spread:
     )
 
 
-def undetermined(unknowns: Sequence[Unknown], y: Array, spread: Spread) -> tuple[Undetermined, ...]:
+def undetermined(unknowns: Sequence[Unknown], y: Array, spread: Identifiability) -> tuple[Undetermined, ...]:
     """Return the undetermined combinations, each of as few unknowns as possible."""
     without_effect, pivots = _sparse(spread.free[:, spread.structural], _ROUNDING)
     # Directions without effect may be subtracted from those with little effect, which leaves fewer unknowns in these.
@@ -142,7 +143,7 @@ def _words(members: Sequence[Unknown], changes: Mapping[str, float], structural:
     moves = ", ".join(f"{_size(u, changes)} {'less' if changes[u.name] * first < 0.0 else 'more'} {u.name}"
                       for u in members[1:])  # fmt: skip
     apart = "cannot be told apart" if structural else "can hardly be told apart, with this scatter"
-    sentence = f"{_list(names)} {apart}: {_size(members[0], changes)} more {names[0]} can be offset by {moves}"
+    sentence = f"{listed(names)} {apart}: {_size(members[0], changes)} more {names[0]} can be offset by {moves}"
     if len(names) == 2:
         ratio = -first / changes[names[1]]
         units = [f" [{u.unit}]" if u.unit else "" for u in members]
@@ -154,10 +155,6 @@ def _words(members: Sequence[Unknown], changes: Mapping[str, float], structural:
 
 def _size(unknown: Unknown, changes: Mapping[str, float]) -> str:
     return in_words(abs(changes[unknown.name]), unknown.unit, 3)
-
-
-def _list(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 Kind = Literal["profile", "linearised"]
@@ -209,7 +206,7 @@ class Estimate:
     best: Minimum
     optima: tuple[float, ...]
     residuals: Array
-    spread: Spread
+    spread: Identifiability
     freedom: int
     variance: float
     rise: float
@@ -287,20 +284,20 @@ def _best(problem: LeastSquares, data: Data, guess: Array, starts: int) -> tuple
     """Return the best optimum, and the losses of all distinct ones."""
     inside = np.clip(guess, INSIDE, 1.0 - INSIDE)
     # Along an undetermined direction there are many optima: take the nearest to the guess.
-    open_ended = spread_of(problem.at(inside)[1] * data.weights[:, None], 1.0).free.shape[1] > 0
+    open_ended = identifiability_of(problem.at(inside)[1] * data.weights[:, None], 1.0).free.shape[1] > 0
     centre = inside if open_ended else None
-    found = [problem.solve(y, data, centre) for y in (inside, *_starts(problem, data, starts - 1))]
-    converged = sorted((one for one in found if one.converged), key=lambda one: one.loss)
+    minima = [problem.solve(y, data, centre) for y in (inside, *_starts(problem, data, starts - 1))]
+    converged = sorted((minimum for minimum in minima if minimum.converged), key=lambda minimum: minimum.loss)
     if not converged:
         raise NotConverged(
-            f"the fit did not converge from any of {len(found)} starts ({found[0].status}): narrow the bounds,"
+            f"the fit did not converge from any of {len(minima)} starts ({minima[0].status}): narrow the bounds,"
             " give guesses, or fix unknowns that the data do not determine",
-            found[0].status,
+            minima[0].status,
         )
     losses = [converged[0].loss]
-    for one in converged[1:]:
-        if one.loss - losses[-1] > _SAME * (1.0 + losses[-1]):
-            losses.append(one.loss)
+    for minimum in converged[1:]:
+        if minimum.loss - losses[-1] > _SAME * (1.0 + losses[-1]):
+            losses.append(minimum.loss)
     return converged[0], tuple(losses)
 
 
@@ -325,14 +322,14 @@ def _with_accuracy(setup: Setup, data: Data, best: Minimum, optima: tuple[float,
     problem = setup.problem
     predicted, slope = problem.at(best.y)
     residuals, weighted = data.weights * (predicted - data.observed), slope * data.weights[:, None]
-    freedom = data.count - spread_of(weighted, 1.0).rank
-    own = residuals[data.weights > 0.0]
+    freedom = data.count - identifiability_of(weighted, 1.0).rank
+    counted = residuals[data.weights > 0.0]
     normal = data.stated and not problem.loss.robust
-    pull = problem.loss.weight(own) * own
+    pull = problem.loss.weight(counted) * counted
     square = 1.0 if normal else max(float(np.sum(pull**2)) / max(freedom, 1), _LEAST_SCALE**2)
-    curvature = max(float(np.mean(problem.loss.curvature(own))), _LEAST_CURVATURE)
+    curvature = max(float(np.mean(problem.loss.curvature(counted))), _LEAST_CURVATURE)
     variance = square / curvature**2
-    spread = spread_of(weighted, variance**0.5)
+    spread = identifiability_of(weighted, variance**0.5)
     return Estimate(setup, data, best, optima, residuals, spread, freedom, variance, square / curvature, normal, drift)
 
 
@@ -513,8 +510,8 @@ def next_measurements(fit: Estimate, candidates: Sequence[Candidate] | None = No
     if candidates is None:
         candidates = _proposals(fit.setup)
     check_kind("the candidates", candidates, Sequence, "a list of po.Candidate")
-    for one in candidates:
-        check_kind("a candidate", one, Candidate, "a po.Candidate")
+    for candidate in candidates:
+        check_kind("a candidate", candidate, Candidate, "a po.Candidate")
     unknowns = fit.unknowns
     slopes = np.array([unknown.slope(float(y)) for unknown, y in zip(unknowns, fit.y, strict=True)])
     weighted = fit.slope * fit.data.weights[:, None]

@@ -434,10 +434,10 @@ class Fit(Saveable):
     @cached_property
     def _intervals(self) -> dict[tuple[float, Kind], dict[str, Interval]]:
         """(level, kind) -> intervals that were loaded, or computed so far."""
-        known: dict[tuple[float, Kind], dict[str, Interval]] = {}
+        intervals: dict[tuple[float, Kind], dict[str, Interval]] = {}
         for item in self.saved_intervals:
-            known.setdefault((item.level, item.asked), {})[item.name] = item.interval
-        return known
+            intervals.setdefault((item.level, item.asked), {})[item.name] = item.interval
+        return intervals
 
     @cached_property
     def _ranking(self) -> list[NextMeasurement]:
@@ -506,13 +506,13 @@ def figure_of(title: str, rows: Sequence[Row], origin: Origin) -> Figure:
 def _draw_fit(axes: Axes, rows: Sequence[Row], kinds: Mapping[str, Display]) -> None:
     """Draw measured over predicted values with errors; several results are each divided by their largest value."""
     for (result, display), colour in zip(kinds.items(), cycle(COLOURS)):
-        own = [row for row in rows if row.result == result]
+        like = [row for row in rows if row.result == result]
         predicted, observed, sigma, error = (
-            np.array([getattr(row, key) for row in own]) / display.factor
+            np.array([getattr(row, key) for row in like]) / display.factor
             for key in ("predicted", "observed", "sigma", "standard_error")
         )
         axes.errorbar(predicted, observed, yerr=1.96 * sigma, xerr=1.96 * error, fmt="o", markersize=4, linewidth=0.8,
-                      color=colour, label=f"{called(result)}, n = {len(own)}")  # fmt: skip
+                      color=colour, label=f"{called(result)}, n = {len(like)}")  # fmt: skip
     _draw_diagonal(axes, float(predicted[0]), "measured = predicted")
     axes.set(xlabel=_predicted_label(kinds), ylabel=_predicted_label(kinds).replace("predicted", "measured"))
     axes.set_title("bars: 95 % of the measuring error; across: of the prediction", fontsize="small")
@@ -522,8 +522,8 @@ def _draw_residuals(axes: Axes, rows: Sequence[Row], kinds: Mapping[str, Display
                     label: str) -> None:  # fmt: skip
     """Draw the standardised residuals over a coordinate of the rows."""
     for result, colour in zip(kinds, cycle(COLOURS)):
-        own = [(place, _standardised(row)) for place, row in zip(places, rows, strict=True) if row.result == result]
-        axes.plot(*zip(*own, strict=True), "o", markersize=4, color=colour, label=called(result))
+        pairs = [(place, _standardised(row)) for place, row in zip(places, rows, strict=True) if row.result == result]
+        axes.plot(*zip(*pairs, strict=True), "o", markersize=4, color=colour, label=called(result))
     axes.axhline(0.0, color="black", linewidth=0.9)
     for size, name in ((-1.96, None), (1.96, "95 % of normal errors: ±1.96")):
         axes.axhline(size, color=_MUTED, linewidth=0.9, linestyle="--", label=name)
@@ -553,9 +553,9 @@ def _standardised(row: Row) -> float:
 
 def _display(like: Row, rows: Sequence[Row], origin: Origin) -> Display:
     """Return the unit in which a result is drawn; if there are several results, its largest value is the unit."""
-    own = [abs(row.predicted) for row in rows if row.result == like.result]
+    sizes = [abs(row.predicted) for row in rows if row.result == like.result]
     several = len({row.result for row in rows}) > 1
-    return Display("", max(own)) if several else origin.display(like.result, like.unit, *own)
+    return Display("", max(sizes)) if several else origin.display(like.result, like.unit, *sizes)
 
 
 def _predicted_label(kinds: Mapping[str, Display]) -> str:
@@ -566,8 +566,8 @@ def _predicted_label(kinds: Mapping[str, Display]) -> str:
 
 
 def _coordinates(row: Row) -> dict[str, float]:
-    own = dict(row.conditions)
-    return own if row.time is None else {"time": row.time, **own}
+    conditions = dict(row.conditions)
+    return conditions if row.time is None else {"time": row.time, **conditions}
 
 
 def _varied(rows: Sequence[Row], origin: Origin) -> tuple[Sequence[Row], list[float], str]:

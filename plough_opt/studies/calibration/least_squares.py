@@ -208,9 +208,9 @@ class LeastSquares:
             return Minimum(False, "a prediction at the start is not finite", y, np.inf)
         if np.any(free):
             loss = self._rho if self.loss.robust else "linear"
-            found = optimize.least_squares(residuals, y[free], slopes, bounds=(0.0, 1.0), loss=loss,
+            solution = optimize.least_squares(residuals, y[free], slopes, bounds=(0.0, 1.0), loss=loss,
                                            f_scale=self.loss.size, **_TOLERANCES)  # fmt: skip
-            y[free], status = found.x, found.message
+            y[free], status = solution.x, solution.message
         total = self.total(y, data)
         converged = self._decrement(y, data, centre, free) <= _DECREMENT * max(1.0, 2.0 * total)
         return Minimum(converged, status, y, total)

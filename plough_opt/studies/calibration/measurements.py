@@ -24,7 +24,7 @@ _EXAMPLE: Final = "'scene.tow_speed [km/h], share.wedge_angle [deg], mean_draft 
 
 def measurable() -> tuple[str, ...]:
     """Return the names of the results that can be measured in the field."""
-    return tuple(name for name, one in MEASURES.items() if one.measured)
+    return tuple(name for name, measure in MEASURES.items() if measure.measured)
 
 
 def result_unit(name: str) -> Unit:
@@ -176,11 +176,11 @@ class Measurements(ByValue):
 
 def _check_names(name: str, result: object, conditions: Mapping[str, Any]) -> None:
     """Raise InputError if the result or a condition is unknown, or if the result is also a condition."""
-    known = every_quantity()
-    if not (isinstance(result, str) and result in known):
+    quantities_by_name = every_quantity()
+    if not (isinstance(result, str) and result in quantities_by_name):
         check_named(f"{name}: {{}} is not a measured result", result, measurable())
     for key in conditions:
-        check_named(f"{name}: {{}} is not a quantity of a scene", key, known)
+        check_named(f"{name}: {{}} is not a quantity of a scene", key, quantities_by_name)
         if key == result:
             raise InputError(f"{name}: '{key}' is both measured and a condition")
 
@@ -236,8 +236,8 @@ def _columns(place: str, headings: Sequence[str], relative: bool) -> list[tuple[
     of_sigma = MEASURES[measured[0]].unit if measured and not relative else Unit("")
     units |= {"sigma": of_sigma, "weight": Unit(""), "time": Unit("s")}
     # Without a measured result the unit of sigma is unknown: report the missing result only.
-    found = columns_of(place, [text for text in headings if measured or "sigma" not in text], units)
-    names = [name for name, _ in found]
+    columns = columns_of(place, [text for text in headings if measured or "sigma" not in text], units)
+    names = [name for name, _ in columns]
     twice = sorted({name for name in names if names.count(name) > 1})
     errors = [f"{place}, column '{key}': it is given twice: leave one of the two out" for key in twice]
     if not measured:
@@ -247,7 +247,7 @@ def _columns(place: str, headings: Sequence[str], relative: bool) -> list[tuple[
     if len(set(measured)) > 1:
         errors.append(f"{place}: {' and '.join(measured)} are measured: write one file for each, and give all files")
     raise_listed(errors)
-    return found
+    return columns
 
 
 def _check_cell(name: str, value: float, cell: str) -> None:

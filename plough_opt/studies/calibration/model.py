@@ -108,7 +108,7 @@ class Unknown:
 
 
 @dataclass(frozen=True)
-class Model:
+class CalibrationModel:
     """A scene as a function of its named quantities, and the unknowns among them.
 
     Attributes:
@@ -150,7 +150,7 @@ class Model:
 
 def model_of(
     given: Described | Scene | SceneOf, duration: float | None, unknown: Mapping[str, Any] | None, columns: Set[str]
-) -> Model:
+) -> CalibrationModel:
     """Return the model of a problem, a scene or a function.
 
     Args:
@@ -170,8 +170,8 @@ def model_of(
         duration = current.get(_DURATION) if duration is None else duration
         title, build, accuracy = given.title, partial(_of_file, given), given.accuracy
         if unknown is None:
-            variables = {key: own for key, own in given.variables.items() if key not in columns}
-            unknown = {key: (own.lower, own.upper, own.guess) for key, own in variables.items()}
+            variables = {key: variable for key, variable in given.variables.items() if key not in columns}
+            unknown = {key: (variable.lower, variable.upper, variable.guess) for key, variable in variables.items()}
     elif isinstance(given, Scene):
         title, build, current = given.soil.name, partial(with_quantities, given), _current(given)
     elif callable(given):
@@ -180,7 +180,7 @@ def model_of(
         raise InputError(
             f"{shown(given)} must be a Problem, a Scene, or a function of values by key that returns a Scene"
         )
-    return Model(title, build, current, duration, accuracy, _unknowns(unknown, current))
+    return CalibrationModel(title, build, current, duration, accuracy, _unknowns(unknown, current))
 
 
 def _of_file(problem: Described, values: Mapping[str, Expression]) -> Scene:
@@ -275,7 +275,7 @@ class Rows:
     """
 
     measured: Measurements
-    model: Model
+    model: CalibrationModel
 
     @cached_property
     def _distinct(self) -> tuple[Array, NDArray[np.intp]]:
@@ -389,7 +389,7 @@ class Rows:
         return np.full(len(rows), float(as_number(MEASURES[self.measured.result].of(run))))
 
 
-def predictor(sets: Sequence[Rows], model: Model) -> ca.Function:
+def predictor(sets: Sequence[Rows], model: CalibrationModel) -> ca.Function:
     """Return a Function: scaled unknowns (p) -> (predictions of all sets (n), their Jacobian (n, p)).
 
     It is expanded to scalar operations if no prediction needs a run.
@@ -453,7 +453,7 @@ class Setup:
         data: measured values and their weights.
     """
 
-    model: Model
+    model: CalibrationModel
     rows: tuple[Rows, ...]
     problem: LeastSquares
     data: Data
@@ -501,25 +501,25 @@ def setup_of(
     return setup
 
 
-def _check_names(model: Model, measured: Sequence[Measurements]) -> None:
+def _check_names(model: CalibrationModel, measured: Sequence[Measurements]) -> None:
     """Raise InputError if a column is also an unknown, or if neither a result nor an unknown was measured."""
     names = {unknown.name for unknown in model.unknowns}
     for m in measured:
         if both := names & set(m.conditions):
             raise InputError(f"{m.name}: '{min(both)}' is a column of the data, so it cannot be an unknown")
         if m.result not in measurable() and m.result not in names:
-            known = ", ".join(sorted(names))
-            raise InputError(f"{m.name}: '{m.result}' was measured, but is not among the unknowns: {known}")
+            listed = ", ".join(sorted(names))
+            raise InputError(f"{m.name}: '{m.result}' was measured, but is not among the unknowns: {listed}")
 
 
-def _check_bounds(model: Model, measured: Sequence[Measurements]) -> None:
+def _check_bounds(model: CalibrationModel, measured: Sequence[Measurements]) -> None:
     """Raise InputError if the bounds or the first row are outside the model's domain; `Rows` checks other rows."""
     first = next((m for m in measured if m.result in measurable()), measured[0])
     guess = {unknown.name: unknown.guess for unknown in model.unknowns} | first.at(0)
     tried = {first.row(0): guess}
-    for own in model.unknowns:
-        tried[f"lower bound of '{own.name}'"] = guess | {own.name: own.lower}
-        tried[f"upper bound of '{own.name}'"] = guess | {own.name: own.upper}
+    for unknown in model.unknowns:
+        tried[f"lower bound of '{unknown.name}'"] = guess | {unknown.name: unknown.lower}
+        tried[f"upper bound of '{unknown.name}'"] = guess | {unknown.name: unknown.upper}
     for place, values in tried.items():
         try:
             model.scene(values)
@@ -542,11 +542,11 @@ def _data(measured: Sequence[Measurements], errors: str) -> Data:
         raise InputError(f"{measured[0].name}: sigma states the errors, so they cannot be 'relative' too: omit either")
     squares = [np.ones(m.rows) if m.weights is None else m.weights for m in measured]
     # Only ratios of weights count: their mean is 1, as without them.
-    mean = float(np.mean(np.concatenate([own[m.counted] for own, m in zip(squares, measured, strict=True)])))
+    mean = float(np.mean(np.concatenate([weight[m.counted] for weight, m in zip(squares, measured, strict=True)])))
     weights = []
-    for own, m in zip(squares, measured, strict=True):
+    for weight, m in zip(squares, measured, strict=True):
         nominal = NOMINAL if relative else NOMINAL * float(np.mean(np.abs(m.values[m.counted]))) or 1.0
-        weights.append(np.sqrt(own / mean) / nominal if m.sigma is None else 1.0 / m.sigma)
+        weights.append(np.sqrt(weight / mean) / nominal if m.sigma is None else 1.0 / m.sigma)
     return Data(np.concatenate([m.values for m in measured]), np.concatenate(weights), stated.pop(), relative)
 
 

@@ -45,7 +45,7 @@ _MOST_LEFT_OUT: Final = 60
 def caveats(fit: Estimate) -> tuple[str, ...]:
     """Return the warnings about a fit."""
     at_fit = [rows.scenes(fit.y) for rows in fit.setup.rows]
-    scenes = [scene for own in at_fit for scene, _, _ in own]
+    scenes = [scene for of_set in at_fit for scene, _, _ in of_set]
     return (
         *_scatter_notes(fit),
         *_scale_notes(fit),
@@ -126,13 +126,13 @@ def _by_set(fit: Estimate, values: NDArray[Any]) -> Iterator[tuple[Rows, NDArray
 
 def _correlation_notes(fit: Estimate) -> Iterator[str]:
     """Yield a warning for each record whose residuals are correlated in time."""
-    for rows, own in _by_set(fit, fit.residuals):
+    for rows, residuals in _by_set(fit, fit.residuals):
         m = rows.measured
-        if m.time is None or len(own) < _FEWEST_CORRELATED or not np.any(own):
+        if m.time is None or len(residuals) < _FEWEST_CORRELATED or not np.any(residuals):
             continue
-        own = own[np.lexsort((m.time, *m.conditions.values()))]
-        correlation = float(own[1:] @ own[:-1] / (own @ own))
-        if correlation > stats.norm.isf(_SIGNIFICANCE) / math.sqrt(len(own)):
+        residuals = residuals[np.lexsort((m.time, *m.conditions.values()))]
+        correlation = float(residuals[1:] @ residuals[:-1] / (residuals @ residuals))
+        if correlation > stats.norm.isf(_SIGNIFICANCE) / math.sqrt(len(residuals)):
             wider = math.sqrt((1.0 + correlation) / (1.0 - correlation))
             yield (
                 f"{m.name}: residuals of neighbouring times are correlated ({correlation:.2g}): intervals"
@@ -173,8 +173,8 @@ def _accuracy_notes(fit: Estimate, at_fit: list[list[SceneOfRows]]) -> Iterator[
             except IntegrationError as error:
                 yield f"the run of the fitted scene could not be checked: {error}"
                 return
-            own = numbers[which]
-            worst = max(worst, float(np.max(np.abs(run - fit.predicted[own]) / fit.deviation[own])))
+            places = numbers[which]
+            worst = max(worst, float(np.max(np.abs(run - fit.predicted[places]) / fit.deviation[places])))
     if worst > _NOTABLE_ERROR:
         yield f"runs with an error check differ from the fitted ones by up to {worst:.2g} standard deviations"
 
@@ -191,9 +191,9 @@ def _bluntness_notes(scenes: list[Scene]) -> Iterator[str]:
 
 def _pressure_notes(fit: Estimate, scenes: list[Scene]) -> Iterator[str]:
     """Yield a warning if an ambient pressure that carries a part of the draft is taken as known."""
-    known = {unknown.name for unknown in fit.unknowns}.union(*(m.conditions for m in fit.setup.measured))
+    named = {unknown.name for unknown in fit.unknowns}.union(*(m.conditions for m in fit.setup.measured))
     share = max((float(as_number(scene.ambient_share)) for scene in scenes), default=0.0)
-    if "soil.ambient_pressure" not in known and share > 0.0:
+    if "soil.ambient_pressure" not in named and share > 0.0:
         pressure = float(as_number(scenes[0].soil.ambient_pressure)) / 1e3
         yield (
             f"an ambient pressure of {pressure:.4g} kPa is taken as known and carries {100 * share:.0f} % of the"

@@ -24,7 +24,7 @@ from plough_opt.core.process import available, progress_on
 from plough_opt.core.saving import versions
 from plough_opt.core.screen import Screen
 from plough_opt.studies.sweep.identity import digest_of
-from plough_opt.studies.sweep.points import Grid, Sample, axis_of, points_of
+from plough_opt.studies.sweep.points import PointGrid, PointSample, axis_of, points_of
 from plough_opt.studies.sweep.pool import (
     STORED,
     Cluster,
@@ -81,7 +81,7 @@ class _Task:
         return _Task(self.numbers[which], self.values[which], deaths, alone)
 
 
-class Engine:
+class SweepLoop:
     """A sweep under way.
 
     It submits more tasks than there are workers, so that no worker waits. Tasks whose workers died are submitted again,
@@ -91,7 +91,7 @@ class Engine:
     def __init__(
         self,
         evaluation: Evaluation,
-        points: Grid | Sample,
+        points: PointGrid | PointSample,
         store: Store,
         executor: Executor,
         workers: int,
@@ -303,7 +303,7 @@ def sweep(
                     used: Executor = stack.enter_context(ProcessPool(count, evaluation, seconds))
                 else:
                     used = Cluster.of(executor) or executor
-                Engine(evaluation, points, opened, used, count, callback).run()
+                SweepLoop(evaluation, points, opened, used, count, callback).run()
         opened.finish()
     except KeyboardInterrupt:
         done = opened.counts().stored
@@ -330,11 +330,11 @@ def _finished(path: Path, question: Mapping[str, str]) -> Sweep | None:
     """Return the sweep in a store if it is complete and has this question; the medium may be read-only."""
     if not path.is_file() or not path.stat().st_size:
         return None
-    found = Store(path, write=False)
+    store = Store(path, write=False)
     # The store may be empty, because another run has created the file and not yet its tables.
-    if not found.empty and found.about.question == dict(question) and found.counts().stored == found.about.count:
-        return Sweep(found, found.about.count)
-    found.close()
+    if not store.empty and store.about.question == dict(question) and store.counts().stored == store.about.count:
+        return Sweep(store, store.about.count)
+    store.close()
     return None
 
 

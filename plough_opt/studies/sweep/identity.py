@@ -136,7 +136,7 @@ class _Reader:
             owner = getattr(item, "__self__", None)
             return f"{type(item).__name__} {name or item.__name__}", () if isinstance(owner, ModuleType) else (owner,)
         if isinstance(item, set | frozenset):
-            return type(item).__name__, sorted(_Reader().digest(one) for one in item)
+            return type(item).__name__, sorted(_Reader().digest(part) for part in item)
         if (type(item) is np.ndarray or isinstance(item, np.generic)) and not item.dtype.hasobject:
             return f"array {item.dtype.descr} {np.shape(item)}", (item.tobytes(),)
         return type(item).__name__, _inside(item)
@@ -240,9 +240,9 @@ def _inside(item: Any) -> Iterable[Any]:
 
 def _globals(code: CodeType, names: dict[str, Any]) -> list[Any]:
     """Return the globals that code names, each after its name."""
-    own = [part for name in code.co_names if name in names for part in (name, names[name])]
-    inner = [_globals(one, names) for one in code.co_consts if isinstance(one, CodeType)]
-    return [*own, *(part for found in inner for part in found)]
+    named = [part for name in code.co_names if name in names for part in (name, names[name])]
+    inner = [_globals(constant, names) for constant in code.co_consts if isinstance(constant, CodeType)]
+    return [*named, *(part for parts in inner for part in parts)]
 
 
 def _attributes(of: type) -> Iterator[Any]:
@@ -275,8 +275,8 @@ def _version(source: _Source) -> str:
 
 def _hash(*parts: str | bytes) -> bytes:
     """Return the digest of texts and digests; their lengths keep them apart."""
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for part in parts:
         content = part.encode("utf-8", "surrogatepass") if isinstance(part, str) else part
-        found.update(len(content).to_bytes(8, "little") + content)
-    return found.digest()
+        digest.update(len(content).to_bytes(8, "little") + content)
+    return digest.digest()

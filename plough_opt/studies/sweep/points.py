@@ -119,7 +119,7 @@ def axis_of(name: str, given: object) -> Axis:
     return values
 
 
-class Grid:
+class PointGrid:
     """All combinations of the values of several quantities; the last quantity changes fastest."""
 
     def __init__(self, axes: Mapping[str, Axis]) -> None:
@@ -145,7 +145,7 @@ class Grid:
         return {f"over {name}": _short(x) for name, x in zip(self.names, self._values, strict=True)}
 
 
-class Sample:
+class PointSample:
     """A scrambled Sobol sample: scipy.stats.qmc.Sobol, scaled to the ranges of several quantities."""
 
     def __init__(self, axes: Mapping[str, Axis], count: int, seed: int) -> None:
@@ -192,8 +192,8 @@ class Sample:
     def question(self) -> dict[str, str]:
         """Return the ranges, the number of samples and the seed as texts."""
         ranges = {
-            f"over {name}": f"{one.lower!r} to {one.upper!r}{' log' * one.log}"
-            for name, one in zip(self.names, self._ranges, strict=True)
+            f"over {name}": f"{axis.lower!r} to {axis.upper!r}{' log' * axis.log}"
+            for name, axis in zip(self.names, self._ranges, strict=True)
         }
         return {**ranges, "samples": str(self.count), "seed": str(self._seed)}
 
@@ -204,15 +204,15 @@ class Sample:
         self._position = 0
 
 
-def points_of(axes: Mapping[str, Axis], samples: int | None, seed: int) -> Grid | Sample:
+def points_of(axes: Mapping[str, Axis], samples: int | None, seed: int) -> PointGrid | PointSample:
     """Return a grid, or a sample if a number of samples is given.
 
     Raises:
-        InputError: there are no quantities, or `Grid` or `Sample` raises.
+        InputError: there are no quantities, or `PointGrid` or `PointSample` raises.
     """
     if not axes:
         raise InputError("over is empty: a sweep needs at least one quantity")
-    return Grid(axes) if samples is None else Sample(axes, samples, seed)
+    return PointGrid(axes) if samples is None else PointSample(axes, samples, seed)
 
 
 def _short(values: Array) -> str:

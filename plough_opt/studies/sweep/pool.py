@@ -29,7 +29,7 @@ import numpy as np
 
 from plough_opt.core.checks import NOT_NUMBERS
 from plough_opt.core.errors import InputError, PloughError
-from plough_opt.core.notes import merge
+from plough_opt.core.notes import Counted, count
 from plough_opt.core.plain_data import Array
 from plough_opt.core.process import Sieve, available, load_additions, one_of_several
 
@@ -94,15 +94,8 @@ class Done:
     results: Array | None = None
     names: tuple[str, ...] = ()
     reasons: dict[int, str] = field(default_factory=dict)
-    notes: dict[str, tuple[str, int, int]] = field(default_factory=dict)
+    notes: Counted = field(default_factory=dict)
     seconds: float = 0.0
-
-    def note(self, place: int, texts: Sequence[str], points: int = 1) -> None:
-        """Count notes on a point, or on several points of which the first one is given."""
-        notes = {kind: text for kind, (text, _, _) in self.notes.items()}
-        for kind in {merge(notes, text): None for text in texts}:
-            _, start, count = self.notes.get(kind, ("", place, 0))
-            self.notes[kind] = (notes[kind], start, count + points)
 
 
 def work(key: str, evaluation: Evaluation, names: tuple[str, ...], values: Array, budget: float) -> Done:
@@ -140,7 +133,7 @@ def _together(evaluation: ManyPoints, values: Array) -> Done:
             column = int(np.flatnonzero(~np.isfinite(done.results[k]))[0])
             done.reasons[k] = _not_finite(done.names[column], float(done.results[k, column]))
     for place, points, texts in notes:
-        done.note(place, texts, points)
+        count(done.notes, texts, place, points)
     return done
 
 
@@ -167,7 +160,7 @@ def _one_by_one(
             if bad := [name for name, number in numbers.items() if not math.isfinite(number)]:
                 done.reasons[k] = _not_finite(bad[0], numbers[bad[0]])
             else:
-                done.note(k, getattr(results, "notes", ()))
+                count(done.notes, getattr(results, "notes", ()), k)
         done.points += 1
         if time.perf_counter() > until:
             break
@@ -431,8 +424,8 @@ class ProcessPool(Executor):
 
 def environment(threads: int) -> dict[str, str]:
     """Return this environment without MPI variables, and with the given number of threads where none is set."""
-    own = {name: text for name, text in os.environ.items() if not _MPI_VARIABLES.match(name)}
-    return {**dict.fromkeys(_THREAD_VARIABLES, str(threads)), **own}
+    inherited = {name: text for name, text in os.environ.items() if not _MPI_VARIABLES.match(name)}
+    return {**dict.fromkeys(_THREAD_VARIABLES, str(threads)), **inherited}
 
 
 def _command() -> list[str]:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from plough_opt.core.checks import path_of, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import drawn, write_file
+from plough_opt.core.notes import counted
 from plough_opt.core.plain_data import Array
 from plough_opt.core.process import optional
 from plough_opt.core.saving import Origin
@@ -40,7 +41,7 @@ _AT_ONCE: Final = 16384
 
 
 @dataclass(frozen=True)
-class Failure:
+class PointWithoutResults:
     """A point without results.
 
     Attributes:
@@ -152,12 +153,12 @@ class Sweep(Readable):
         return np.array([row[0] for row in self._store.rows(name)], dtype=float)
 
     @property
-    def failures(self) -> Iterator[Failure]:
+    def failures(self) -> Iterator[PointWithoutResults]:
         """The points that failed, in order."""
         return self._without_results("failed")
 
     @property
-    def undetermined(self) -> Iterator[Failure]:
+    def undetermined(self) -> Iterator[PointWithoutResults]:
         """The points without results because all their workers died, in order."""
         return self._without_results("undetermined")
 
@@ -166,7 +167,7 @@ class Sweep(Readable):
         """Warnings, each kind once, with the ranges of its numbers and the number of points that have it."""
         count = len(self)
         # Points that were computed again after their rows were lost were counted twice.
-        return tuple(f"at {min(points, count)} of {count} points: {text}" for text, points in self._store.notes())
+        return counted(((text, min(points, count)) for text, points in self._store.notes()), count, "points")
 
     def extreme(self, name: str, *, largest: bool = False) -> Extreme | None:
         """Return the least or the largest value of a result, or None if no point has results."""
@@ -240,12 +241,12 @@ class Sweep(Readable):
             state: [vars(point) for point in itertools.islice(points, _LISTED)]
             for state, points in (("failed", self.failures), ("undetermined", self.undetermined))
         }
-        found = {
+        summary = {
             "schema": 1, "kind": "sweep", "title": self.origin.title, "points": len(self), "complete": self.complete,
             "units": self.units, "results": ranges, **lost, "notes": self.notes, "question": self.question,
             "store": None if self.path is None else str(self.path),
         }  # fmt: skip
-        return json.dumps(found, indent=2, allow_nan=False)
+        return json.dumps(summary, indent=2, allow_nan=False)
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a row for each point: quantities and results in SI units, NaN where there are no results.
@@ -303,9 +304,9 @@ class Sweep(Readable):
 
         return write_file(path, "table", write)
 
-    def _without_results(self, state: State) -> Iterator[Failure]:
+    def _without_results(self, state: State) -> Iterator[PointWithoutResults]:
         for point, reason, *values in self._store.rows("point", "reason", *self.names, where=state):
-            yield Failure(point, dict(zip(self.names, values, strict=True)), reason)
+            yield PointWithoutResults(point, dict(zip(self.names, values, strict=True)), reason)
 
 
 def _short(key: str) -> str:

@@ -25,7 +25,7 @@ from plough_opt.design.search.landscape import FEASIBLE, Evaluations, Landscape
 from plough_opt.design.search.local import descend, point_as_found, polished
 from plough_opt.design.search.near import feasible_from, near_optimum
 from plough_opt.design.search.points import SEED, evolved, sample
-from plough_opt.studies.tradeoff.front import Failure, lead_over_points, undominated
+from plough_opt.studies.tradeoff.front import MissingPoint, lead_over_points, undominated
 from plough_opt.studies.tradeoff.program import FrontProgram
 
 # Least factor on the number of steps of a search. A share that oscillates fast on a stiff mount has errors of a few
@@ -110,13 +110,13 @@ class Archive:
         key = points.tobytes() if len(points) >= _CACHED and finer == _FINER and together == 1 else b""
         if key in self._samples:
             return self._samples[key]
-        found = self.front.evaluate(points, finer, together)
+        results = self.front.evaluate(points, finer, together)
         self.tried += len(points)
         if key:
-            self._samples[key] = found
+            self._samples[key] = results
         if together == 1:
-            self._archive(points, *found)
-        return found
+            self._archive(points, *results)
+        return results
 
     def _archive(self, points: Array, objectives: Array, rows: Array) -> None:
         """Add the designs that have a value and meet the design's own requirements."""
@@ -148,12 +148,12 @@ class Archive:
         _, objectives = self.feasible
         fresh = {key: place for key, place in optima.items() if key not in self._compared}
         self._compared |= fresh
-        known = len(self._leads)
+        compared = len(self._leads)
         if fresh:
-            over_fresh = lead_over_points(np.array(list(fresh.values())), objectives[:known])
+            over_fresh = lead_over_points(np.array(list(fresh.values())), objectives[:compared])
             self._leads = np.minimum(self._leads, over_fresh)
         every = np.array(list(self._compared.values())).reshape(-1, self.front.count)
-        self._leads = np.r_[self._leads, lead_over_points(every, objectives[known:])]
+        self._leads = np.r_[self._leads, lead_over_points(every, objectives[compared:])]
         return self._leads
 
     def exclude(self, needles: NDArray[np.intp]) -> None:
@@ -198,13 +198,13 @@ class Archive:
 
         Empty if fewer than two variables are searched, or runs are integrated one by one, which takes too long.
         """
-        landscape, own, found = FrontLandscape(self, p), list(self.vary), []
-        if not self.vectorised or len(own) < 2:
+        landscape, varied, ends = FrontLandscape(self, p), list(self.vary), []
+        if not self.vectorised or len(varied) < 2:
             return []
 
         def whole(points: Array) -> Array:
             designs = np.repeat(self._start[None], len(points), axis=0)
-            designs[:, own] = points
+            designs[:, varied] = points
             return designs
 
         def merit(points: Array) -> Array:
@@ -213,15 +213,18 @@ class Archive:
         for number in range(self._effort.rounds):
             # `basin_minima` begins with the same sample, which is cached.
             points, _ = sample(
-                len(own), self._effort.designs, self._start[own], np.random.default_rng([SEED + self.seed, number])
+                len(varied),
+                self._effort.designs,
+                self._start[varied],
+                np.random.default_rng([SEED + self.seed, number]),
             )
             merits = merit(points)
             if np.any(np.isfinite(merits)):
-                best = points[np.argsort(merits, kind="stable")[: _DESIGNS_EACH * len(own)]]
+                best = points[np.argsort(merits, kind="stable")[: _DESIGNS_EACH * len(varied)]]
                 rng = np.random.default_rng([SEED + self.seed, number, 1])
                 end = evolved(merit, best, _GENERATIONS, rng, from_best=True, alike=_CONVERGED)
-                found.append(whole(end[None])[0])
-        return found
+                ends.append(whole(end[None])[0])
+        return ends
 
     # --- tolerances --------------------------------------------------------------------------------------
 
@@ -240,10 +243,10 @@ class Archive:
         for first in range(0, len(fresh), _BOXES_AT_ONCE):
             part = fresh[first : first + _BOXES_AT_ONCE]
             around = boxes(self.front.program.declared.variables, points[part])
-            found = self.front.evaluate(around, 1.0, 1)[0]
+            results = self.front.evaluate(around, 1.0, 1)[0]
             self.tried += len(around)
-            found = np.where(np.isfinite(found), found, np.inf).reshape(len(part), -1, self.front.count)
-            self._medians |= {keys[k]: median for k, median in zip(part, np.median(found, axis=1), strict=True)}
+            results = np.where(np.isfinite(results), results, np.inf).reshape(len(part), -1, self.front.count)
+            self._medians |= {keys[k]: median for k, median in zip(part, np.median(results, axis=1), strict=True)}
         return np.array([self._medians[key] for key in keys]).reshape(-1, self.front.count)
 
     def needles(self, points: Array, objectives: Array) -> NDArray[np.bool_]:
@@ -259,8 +262,10 @@ class Archive:
         medians = self.medians(points)
         if medians is None:
             return np.zeros(len(points), dtype=bool)
-        own = self.front.scaled(objectives)
-        needles: NDArray[np.bool_] = np.any(medians - own > NEEDLE * np.maximum(np.abs(own), self.front.span), axis=1)
+        scaled = self.front.scaled(objectives)
+        needles: NDArray[np.bool_] = np.any(
+            medians - scaled > NEEDLE * np.maximum(np.abs(scaled), self.front.span), axis=1
+        )
         return needles
 
 
@@ -311,7 +316,7 @@ _SHRINKS = 0.5
 
 
 @dataclass(eq=False)
-class Candidate:
+class FrontCandidate:
     """A local optimum on some branch, or a simulated design that is just as good; equal to itself alone.
 
     Attributes:
@@ -365,13 +370,13 @@ class Arrangement:
         holes: numbers of the two shown candidates on either side of each hole.
     """
 
-    efficient: list[Candidate]
-    shown: list[Candidate]
+    efficient: list[FrontCandidate]
+    shown: list[FrontCandidate]
     parts: tuple[tuple[int, ...], ...]
     holes: tuple[tuple[int, int], ...]
 
 
-class Candidates(ABC):
+class FrontCandidates(ABC):
     """All candidates found, and ways to find one near another.
 
     Attributes:
@@ -391,8 +396,8 @@ class Candidates(ABC):
             progress: called with what is being done and the fraction done.
         """
         self.archive, self.front, self.progress = archive, archive.front, progress
-        self.candidates: list[Candidate] = []
-        self.failures: list[Failure] = []
+        self.candidates: list[FrontCandidate] = []
+        self.failures: list[MissingPoint] = []
         self._ranges = np.ones(self.front.count)
 
     # --- anchors -----------------------------------------------------------------------------------------
@@ -429,12 +434,14 @@ class Candidates(ABC):
         else:
             starts = [list(self.archive.basin_minima(p).points) for p in alone]
         # The ranges between the starts, which needles are judged by until the anchors are known.
-        ends = self.archive.evaluate(np.array([own[0] for own in starts]))[0]
+        ends = self.archive.evaluate(np.array([designs_of[0] for designs_of in starts]))[0]
         sizes = np.maximum(np.abs(ends).max(axis=0), 1.0)
         self._ranges = np.maximum(np.ptp(ends, axis=0), _SAME_OBJECTIVES * sizes)
         self.front.normalise(ends.min(axis=0), self._ranges)
         designs, objectives = self.archive.feasible
-        self.front.build([y for own in starts for y in own] + list(designs[undominated(objectives, THINNING)]))
+        self.front.build(
+            [y for designs_of in starts for y in designs_of] + list(designs[undominated(objectives, THINNING)])
+        )
         return starts
 
     def anchors(self, p: Array, starts: Sequence[Array]) -> list[Point]:
@@ -444,8 +451,8 @@ class Candidates(ABC):
             p: parameters of a subproblem without position constraints.
             starts: scaled designs.
         """
-        found = [minimum_from(self.front.program, p, self._polished(p, y)) for y in starts]
-        solved = [point for point in found if point.solved]
+        points = [minimum_from(self.front.program, p, self._polished(p, y)) for y in starts]
+        solved = [point for point in points if point.solved]
         objectives = np.array([self.front.objectives(point.y) for point in solved]).reshape(-1, self.front.count)
         needles = self.archive.needles(np.array([point.y for point in solved]), objectives)
         return [solved[k] for k in sorted(range(len(solved)), key=lambda k: (bool(needles[k]), solved[k].f))]
@@ -463,7 +470,7 @@ class Candidates(ABC):
         """Return whether a point is an optimum and as good as its start, up to the error of a search."""
         return point.solved and point.f <= start.f + NOT_WORSE * max(abs(start.f), 1.0)
 
-    def solve(self, near: Candidate, start: Array, p: Array, *, report: bool = True) -> Candidate | None:
+    def solve(self, near: FrontCandidate, start: Array, p: Array, *, report: bool = True) -> FrontCandidate | None:
         """Return the optimum of a subproblem near a start, or None if there is none.
 
         Args:
@@ -477,12 +484,12 @@ class Candidates(ABC):
             return self.candidate_of(p, point)
         if report:
             reason = REMEDIES.get(point.status, "the optimiser stopped without an optimum")
-            failure = Failure(tuple(near.objectives.tolist()), f"{point.status}: {reason}")
+            failure = MissingPoint(tuple(near.objectives.tolist()), f"{point.status}: {reason}")
             if failure not in self.failures:
                 self.failures.append(failure)
         return None
 
-    def no_worse_than(self, y: Array, p: Array) -> Candidate | None:
+    def no_worse_than(self, y: Array, p: Array) -> FrontCandidate | None:
         """Return the optimum of a subproblem near a design of a search, or None if there is none as good.
 
         Args:
@@ -494,21 +501,21 @@ class Candidates(ABC):
         point = self.front.solve(start if near is None else near.point, y, p)
         return self.candidate_of(p, point) if self._no_worse(point, start) else None
 
-    def candidate_of(self, p: Array, point: Point) -> Candidate:
+    def candidate_of(self, p: Array, point: Point) -> FrontCandidate:
         """Return the candidate to record for an optimum at a position; subclasses may take one on the edge instead."""
         return self.recorded(point, p)
 
-    def recorded(self, point: Point, p: Array) -> Candidate:
+    def recorded(self, point: Point, p: Array) -> FrontCandidate:
         """Return the candidate of an optimum: a new one, or the earlier one if the same design was found before."""
         objectives = self.front.objectives(point.y)
-        known = self.objectives_of(self.candidates)
-        for k in np.flatnonzero(np.max(np.abs(known - objectives), axis=1) < _SAME_OBJECTIVES):
+        recorded = self.objectives_of(self.candidates)
+        for k in np.flatnonzero(np.max(np.abs(recorded - objectives), axis=1) < _SAME_OBJECTIVES):
             if np.max(np.abs(self.candidates[k].point.y - point.y)) < _SAME_DESIGN:
                 return self.candidates[k]
-        self.candidates.append(Candidate(point, p, objectives))
+        self.candidates.append(FrontCandidate(point, p, objectives))
         return self.candidates[-1]
 
-    def solve_exactly(self, candidates: Sequence[Candidate], *, again: bool = False) -> None:
+    def solve_exactly(self, candidates: Sequence[FrontCandidate], *, again: bool = False) -> None:
         """Solve candidates with exact slopes.
 
         Args:
@@ -516,18 +523,18 @@ class Candidates(ABC):
             again: solve only those solved exactly before, because the program now takes more integration steps.
         """
         chosen = [candidate for candidate in candidates if candidate.confirmed and candidate.exact == again]
-        for number, one in enumerate(chosen):
+        for number, candidate in enumerate(chosen):
             self.progress("solving to the last digits", number / len(chosen))
-            point = self.front.solve(one.point, one.point.y, one.p, exact=True)
+            point = self.front.solve(candidate.point, candidate.point.y, candidate.p, exact=True)
             objectives = self.front.objectives(point.y, exact=True)
             # Slopes by differences may stop in a flat valley that has no optimum; exact ones then lead far away.
-            near = np.max(np.abs(objectives - one.objectives)) < _SAME_OPTIMUM
-            if point.solved and near and np.all(objectives <= one.objectives + MATTERS):
-                one.point, one.exact, one.objectives = point, True, objectives
+            near = np.max(np.abs(objectives - candidate.objectives)) < _SAME_OPTIMUM
+            if point.solved and near and np.all(objectives <= candidate.objectives + MATTERS):
+                candidate.point, candidate.exact, candidate.objectives = point, True, objectives
 
     # --- what makes up the front -------------------------------------------------------------------------
 
-    def without_needles(self) -> list[Candidate]:
+    def without_needles(self) -> list[FrontCandidate]:
         """Return the candidates that a workshop can make."""
         fresh = [candidate for candidate in self.candidates if candidate.needle is None]
         if fresh:
@@ -537,7 +544,7 @@ class Candidates(ABC):
                 candidate.needle = bool(needle)
         return [candidate for candidate in self.candidates if not candidate.needle]
 
-    def balances(self, candidate: Candidate) -> bool:
+    def balances(self, candidate: FrontCandidate) -> bool:
         """Return whether every objective has a positive weight at a candidate.
 
         A position constraint can hold an optimum where it would rather have more of an objective. Such an optimum is
@@ -546,13 +553,13 @@ class Candidates(ABC):
         return not candidate.confirmed or bool(np.all(self.front.weights_at(candidate.point, candidate.p) > 0.0))
 
     @abstractmethod
-    def arrange(self, candidates: Sequence[Candidate]) -> Arrangement:
+    def arrange(self, candidates: Sequence[FrontCandidate]) -> Arrangement:
         """Return candidates arranged as a front."""
 
     @abstractmethod
-    def efficient(self) -> list[Candidate]:
+    def efficient(self) -> list[FrontCandidate]:
         """Return the candidates that no other dominates; those of two objectives in order."""
 
-    def objectives_of(self, candidates: Sequence[Candidate]) -> Array:
+    def objectives_of(self, candidates: Sequence[FrontCandidate]) -> Array:
         """Return the normalised objectives of candidates, a row each."""
         return np.array([candidate.objectives for candidate in candidates]).reshape(-1, self.front.count)

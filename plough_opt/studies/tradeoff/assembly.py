@@ -1,7 +1,6 @@
 """`trade_off`: returns the front of two or three objectives, assembled from certified candidates."""
 
 import time
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from operator import is_
@@ -13,7 +12,7 @@ import numpy as np
 from plough_opt.core.checks import check_callable, check_kind, check_switch, check_text, mapping_of, shown, whole_number
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.core.expressions import Expression, is_count
-from plough_opt.core.notes import merge
+from plough_opt.core.notes import Counted, count, counted, listed
 from plough_opt.core.plain_data import Array
 from plough_opt.core.saving import Origin
 from plough_opt.design import Design, Progress
@@ -22,9 +21,9 @@ from plough_opt.design.model.optimality import PULLS, decides
 from plough_opt.design.search.effort import Search
 from plough_opt.design.search.explore import silent
 from plough_opt.motion.checks import remarks
-from plough_opt.studies.tradeoff.archive import MATTERS, Archive, Candidate
+from plough_opt.studies.tradeoff.archive import MATTERS, Archive, FrontCandidate
 from plough_opt.studies.tradeoff.curve import CurveTracer, Tracer
-from plough_opt.studies.tradeoff.front import Axis, Failure, FrontPoint, Goal, Hole
+from plough_opt.studies.tradeoff.front import Axis, FrontPoint, Goal, Hole, MissingPoint
 from plough_opt.studies.tradeoff.program import FrontProgram, declarations
 from plough_opt.studies.tradeoff.result import TradeOff
 from plough_opt.studies.tradeoff.surface import SurfaceTracer
@@ -50,7 +49,7 @@ def assembled(tracer: Tracer, goals: Sequence[Goal], title: str) -> TradeOff:
     Raises:
         NotConverged: no point could be certified.
     """
-    front, certified = tracer.front, dict[Candidate, FrontPoint]()
+    front, certified = tracer.front, dict[FrontCandidate, FrontPoint]()
     left = tracer.without_needles() or tracer.candidates
     while True:
         arrangement = tracer.arrange(left)
@@ -58,7 +57,7 @@ def assembled(tracer: Tracer, goals: Sequence[Goal], title: str) -> TradeOff:
             break
         tracer.solve_exactly(fresh)
         certified |= {candidate: certificate(front, candidate) for candidate in fresh}
-        left = [one for one in left if one not in certified or not certified[one].doubt]
+        left = [candidate for candidate in left if candidate not in certified or not certified[candidate].doubt]
     shown = arrangement.shown
     failures = _failures(tracer, shown, certified)
     if not shown:
@@ -66,9 +65,11 @@ def assembled(tracer: Tracer, goals: Sequence[Goal], title: str) -> TradeOff:
         raise NotConverged(f"no point of the front could be certified: {why}", "Not_Certified")
     efficient = set(arrangement.efficient)
     others = [candidate for candidate in tracer.candidates if candidate not in efficient]
-    certified |= {one: certificate(front, one, beaten=True) for one in others if one not in certified}
+    certified |= {
+        candidate: certificate(front, candidate, beaten=True) for candidate in others if candidate not in certified
+    }
     points = _with_medians(tracer, shown, certified)
-    beaten = _with_medians(tracer, [one for one in others if not certified[one].doubt], certified)
+    beaten = _with_medians(tracer, [candidate for candidate in others if not certified[candidate].doubt], certified)
     variables = front.program.declared.variables
     return TradeOff(
         title=title,
@@ -80,58 +81,58 @@ def assembled(tracer: Tracer, goals: Sequence[Goal], title: str) -> TradeOff:
         failures=failures,
         parts=arrangement.parts,
         holes=tuple(hole(points[a], points[b], failures, front.signs) for a, b in arrangement.holes),
-        notes=(*notes_on(tracer, goals, points), *warnings_of(front, [one.point.y for one in shown])),
+        notes=(*notes_on(tracer, goals, points), *warnings_of(front, [candidate.point.y for candidate in shown])),
         search=search_in_words(tracer),
         origin=_origin(front, goals, title),
     )
 
 
 def _with_medians(
-    tracer: Tracer, candidates: Sequence[Candidate], certified: Mapping[Candidate, FrontPoint]
+    tracer: Tracer, candidates: Sequence[FrontCandidate], certified: Mapping[FrontCandidate, FrontPoint]
 ) -> tuple[FrontPoint, ...]:
     """Return the certificates of candidates, with the medians of their objectives over the tolerances."""
-    medians = tracer.archive.medians(np.array([one.point.y for one in candidates])) if candidates else None
+    medians = tracer.archive.medians(np.array([candidate.point.y for candidate in candidates])) if candidates else None
     if medians is None:
-        return tuple(certified[one] for one in candidates)
+        return tuple(certified[candidate] for candidate in candidates)
     return tuple(
-        replace(certified[one], medians=tuple((row * tracer.front.units).tolist()), needle=bool(one.needle))
-        for one, row in zip(candidates, medians, strict=True)
+        replace(certified[candidate], medians=tuple((row * tracer.front.units).tolist()), needle=bool(candidate.needle))
+        for candidate, row in zip(candidates, medians, strict=True)
     )
 
 
 def _failures(
-    tracer: Tracer, shown: Sequence[Candidate], certified: Mapping[Candidate, FrontPoint]
-) -> tuple[Failure, ...]:
+    tracer: Tracer, shown: Sequence[FrontCandidate], certified: Mapping[FrontCandidate, FrontPoint]
+) -> tuple[MissingPoint, ...]:
     """Return the positions without a design, with objectives in their units.
 
     Failures next to a design that another beats are left out, since the front misses nothing there. So are doubtful
     candidates that a certified design replaces.
     """
-    front, found = tracer.front, list[Failure]()
-    known = tracer.objectives_of(tracer.candidates)
+    front, missing = tracer.front, list[MissingPoint]()
+    everywhere = tracer.objectives_of(tracer.candidates)
     for failure in tracer.failures:
         objectives = np.array(failure.objectives)
-        no_worse, better = np.all(known <= objectives + _EQUAL, axis=1), np.any(known < objectives - MATTERS, axis=1)
-        if not np.any(no_worse & better):
-            found.append(replace(failure, objectives=tuple((front.scaled(objectives) * front.units).tolist())))
+        no_worse = np.all(everywhere <= objectives + _EQUAL, axis=1)
+        if not np.any(no_worse & np.any(everywhere < objectives - MATTERS, axis=1)):
+            missing.append(replace(failure, objectives=tuple((front.scaled(objectives) * front.units).tolist())))
     for candidate, point in certified.items():
         if point.doubt and not any(np.all(other.objectives <= candidate.objectives + MATTERS) for other in shown):
-            found.append(Failure(point.objectives, point.doubt))
-    return tuple(found)
+            missing.append(MissingPoint(point.objectives, point.doubt))
+    return tuple(missing)
 
 
 def _origin(front: FrontProgram, goals: Sequence[Goal], title: str) -> Origin:
     """Return the origin of a front: the design's declarations, with the goals in place of the design's objective."""
     displays = {v.name: v.display for v in front.declared.variables if v.display is not None}
     plain = front.declared.plain(front.values)
-    found = {name: declared for name, declared in plain.items() if declared["kind"] != "objective"}
+    declared = {name: entry for name, entry in plain.items() if entry["kind"] != "objective"}
     for goal in goals:
         aim = "maximise" if goal.maximise else "minimise"
-        found[goal.name] = {"kind": "objective", "aim": aim, "unit": goal.unit}
-    return Origin(title, displays, declarations=found).now()
+        declared[goal.name] = {"kind": "objective", "aim": aim, "unit": goal.unit}
+    return Origin(title, displays, declarations=declared).now()
 
 
-def hole(before: FrontPoint, after: FrontPoint, failures: Sequence[Failure], signs: Array) -> Hole:
+def hole(before: FrontPoint, after: FrontPoint, failures: Sequence[MissingPoint], signs: Array) -> Hole:
     """Return the hole between two points, settled unless the optimiser failed inside.
 
     Args:
@@ -153,7 +154,7 @@ def hole(before: FrontPoint, after: FrontPoint, failures: Sequence[Failure], sig
 # --- certificates ---------------------------------------------------------------------------------------------
 
 
-def certificate(front: FrontProgram, candidate: Candidate, *, beaten: bool = False) -> FrontPoint:
+def certificate(front: FrontProgram, candidate: FrontCandidate, *, beaten: bool = False) -> FrontPoint:
     """Return the certificate of a candidate by a tight integration.
 
     Args:
@@ -162,9 +163,9 @@ def certificate(front: FrontProgram, candidate: Candidate, *, beaten: bool = Fal
         beaten: whether it is not on the front; its curvature and branch are left out then.
     """
     program, point, corrector = front.program, candidate.point, front.correctors[candidate.exact]
-    scaled, found = front.tight(point.y)
+    scaled, values = front.tight(point.y)
     margins, violation, active = {}, 0.0, []
-    for k, (r, value) in enumerate(zip(front.declared.requirements, found, strict=False)):
+    for k, (r, value) in enumerate(zip(front.declared.requirements, values, strict=False)):
         margin = r.margin(value.ravel())
         pull = float(np.max(np.abs(point.lam_g[np.array(program.owner) == k])))
         margins[r.name] = margin
@@ -192,14 +193,14 @@ def certificate(front: FrontProgram, candidate: Candidate, *, beaten: bool = Fal
     )
 
 
-def _weights(front: FrontProgram, candidate: Candidate) -> tuple[float, ...] | None:
+def _weights(front: FrontProgram, candidate: FrontCandidate) -> tuple[float, ...] | None:
     """Return the weight of each objective per unit at a candidate; in units of the ranges they add up to 1."""
     point, p = candidate.inner_neighbour or (candidate.point, candidate.p)
-    own = front.weights_at(point, p) * front.span
+    weights = front.weights_at(point, p) * front.span
     # If the position constraints are inactive, the weights are merely those with which the subproblem was posed.
-    if not front.position_decides(point) or np.any(own < -PULLS) or not own[-1] > PULLS:
+    if not front.position_decides(point) or np.any(weights < -PULLS) or not weights[-1] > PULLS:
         return None
-    return tuple((own / np.sum(own) / (front.span * front.units)).tolist())
+    return tuple((weights / np.sum(weights) / (front.span * front.units)).tolist())
 
 
 # --- sentences ------------------------------------------------------------------------------------------------
@@ -208,7 +209,8 @@ def _weights(front: FrontProgram, candidate: Candidate) -> tuple[float, ...] | N
 def notes_on(tracer: Tracer, goals: Sequence[Goal], points: Sequence[FrontPoint]) -> tuple[str, ...]:
     """Return sentences on objectives that hardly conflict, needles, unconfirmed points, and a wanted error missed."""
     needles, unconfirmed = sum(point.needle for point in points), sum(not point.confirmed for point in points)
-    wanted, gap = tracer.front.program.wanted_error, max((one.gap for one in points if one.confirmed), default=0.0)
+    wanted = tracer.front.program.wanted_error
+    gap = max((point.gap for point in points if point.confirmed), default=0.0)
     notes = {
         f"{tracer.archive.needles_beyond} designs beyond the front were left out: they are needles, which no workshop"
         " can hit within their tolerances": tracer.archive.needles_beyond,
@@ -231,10 +233,10 @@ def _conflict_notes(tracer: Tracer, goals: Sequence[Goal], points: Sequence[Fron
         ignored = tracer.front.ignored_conflict
         within = f", to within {100.0 * ignored:.2g} %" if ignored > _ROUNDING else ""
         where = "" if tracer.archive.vary else " in the basin of the guess"
-        return [f"{_listed(names)} do not conflict{where}: one design is best in {best}{within}"]
+        return [f"{listed(names)} do not conflict{where}: one design is best in {best}{within}"]
     if np.max(ranges) < _HARDLY:
-        how = _listed([f"{100 * change:.2g} %" for change in ranges])
-        return [f"{_listed(names)} hardly conflict: along the whole front they change by {how}"]
+        how = listed([f"{100 * change:.2g} %" for change in ranges])
+        return [f"{listed(names)} hardly conflict: along the whole front they change by {how}"]
     return [
         f"{name} hardly conflicts with the rest: along the whole front it changes by {100 * change:.2g} % of its value"
         for name, change in zip(names, ranges, strict=True)
@@ -259,16 +261,12 @@ def warnings_of(front: FrontProgram, designs: Sequence[Array]) -> tuple[str, ...
         front: the program.
         designs: the efficient designs, in order, as scaled variables.
     """
-    notes, counts = dict[str, str](), Counter[str]()
+    notes: Counted = {}
     for y in designs:
         texts = [text for run in front.runs(y) for text in (*run.scene.warnings(), *remarks(run))]
         texts += [text for scene in front.still_scenes(y) for text in scene.warnings()]
-        counts.update({merge(notes, text) for text in texts})
-    return tuple(f"at {counts[kind]} of {len(designs)} designs: {text}" for kind, text in notes.items())
-
-
-def _listed(words: Sequence[str]) -> str:
-    return f"{', '.join(words[:-1])} and {words[-1]}"
+        count(notes, texts)
+    return counted(((text, points) for text, _, points in notes.values()), len(designs), "designs")
 
 
 _FEWEST_POINTS, _MOST_POINTS = 5, 1000
@@ -370,10 +368,10 @@ def trade_off(
     idle = _normalise(front, anchors)
     if len(idle) == 1 and len(goals) == 3:
         conflicting = [goal for k, goal in enumerate(goals) if k not in idle]
-        found = trade_off(design, *conflicting, points=points, parameters=parameters, search=search, seed=seed,
+        result = trade_off(design, *conflicting, points=points, parameters=parameters, search=search, seed=seed,
                           compiled=compiled, title=title, progress=progress)  # fmt: skip
         note = f"'{goals[idle[0]].name}' does not conflict with the others: it is at its best all along their front"
-        return replace(found, notes=(note, *found.notes), seconds=time.perf_counter() - started)
+        return replace(result, notes=(note, *result.notes), seconds=time.perf_counter() - started)
     if idle:
         # One design is best in all. An objective that conflicts with none may not determine it, so take another's.
         number = next((k for k in range(len(anchors)) if k // (len(anchors) // len(goals)) not in idle), 0)
@@ -387,8 +385,8 @@ def trade_off(
         tracer.find_inner_neighbours()
         tracer.add_unconfirmed()
     notify("checking", 0.0)
-    found = assembled(tracer, goals, title)
-    return replace(found, seconds=time.perf_counter() - started, building=building + front.building)
+    result = assembled(tracer, goals, title)
+    return replace(result, seconds=time.perf_counter() - started, building=building + front.building)
 
 
 def _built(design: Design, goals: Sequence[Goal], compiled: bool) -> FrontProgram:
@@ -397,8 +395,8 @@ def _built(design: Design, goals: Sequence[Goal], compiled: bool) -> FrontProgra
     parts = (*declared.variables, *declared.parameters, *declared.requirements, *(goal.expression for goal in goals))
     flags = (compiled, *((goal.name, goal.maximise) for goal in goals))
     if design in _BUILT:
-        known, known_flags, front = _BUILT[design]
-        if known_flags == flags and len(known) == len(parts) and all(map(is_, known, parts)):
+        parts_before, flags_before, front = _BUILT[design]
+        if flags_before == flags and len(parts_before) == len(parts) and all(map(is_, parts_before, parts)):
             return front
     front = FrontProgram(declared, goals, compiled=compiled)
     _BUILT[design] = (parts, flags, front)
@@ -411,15 +409,15 @@ def _anchors(front: FrontProgram, tracer: Tracer) -> list[list[Point]]:
     Raises:
         NotConverged: the optimiser finds no optimum of an objective alone.
     """
-    found = tracer.all_anchors(tracer.begin())
-    for number, points in enumerate(found):
+    anchors = tracer.all_anchors(tracer.begin())
+    for number, points in enumerate(anchors):
         if not points:
             raise NotConverged(
-                f"the optimiser finds no optimum of objective number {1 + number * front.count // len(found)} alone:"
+                f"the optimiser finds no optimum of objective number {1 + number * front.count // len(anchors)} alone:"
                 " check the bounds, or search more thoroughly",
                 "no optimum",
             )
-    return found
+    return anchors
 
 
 def _normalise(front: FrontProgram, anchors: Sequence[Sequence[Point]]) -> list[int]:
@@ -440,7 +438,7 @@ def _refine(tracer: Tracer, front: FrontProgram, notify: Progress) -> None:
         chosen = tracer.arrange(tracer.without_needles()).shown
         tracer.solve_exactly(chosen)
         wanted = front.program.wanted_error
-        if wanted is None or all(front.gap(one.point.y) <= wanted for one in chosen if one.exact):
+        if wanted is None or all(front.gap(candidate.point.y) <= wanted for candidate in chosen if candidate.exact):
             return
         notify("refining", refinement / _REFINEMENTS)
         front.refine()

@@ -23,8 +23,8 @@ from plough_opt.studies.tradeoff.archive import (
     THINNING,
     Archive,
     Arrangement,
-    Candidate,
-    Candidates,
+    FrontCandidate,
+    FrontCandidates,
     extrapolated,
 )
 from plough_opt.studies.tradeoff.front import (
@@ -104,7 +104,7 @@ _MOST_JUDGEMENTS = 40
 _MANY = 10_000
 
 
-class Tracer(Candidates):
+class Tracer(FrontCandidates):
     """Candidates of a front, and the search for those that are missing.
 
     Attributes:
@@ -140,7 +140,7 @@ class Tracer(Candidates):
         """Return the parameters of the subproblem whose position is that of normalised objectives."""
 
     @abstractmethod
-    def follow_everywhere(self, candidate: Candidate) -> None:
+    def follow_everywhere(self, candidate: FrontCandidate) -> None:
         """Follow the branch of a candidate wherever it leads."""
 
     @property
@@ -171,7 +171,7 @@ class Tracer(Candidates):
         leads = self.archive.leads_over({candidate: candidate.objectives for candidate in self.efficient()})
         return designs, objectives, leads
 
-    def candidate_beside(self, y: Array) -> Candidate | None:
+    def candidate_beside(self, y: Array) -> FrontCandidate | None:
         """Return an optimum near a design of the archive, or None if there is none as good.
 
         It is sought at the position of the design, and then with each objective minimised in turn while the others are
@@ -184,12 +184,12 @@ class Tracer(Candidates):
         front, fallback = self.front, None
         objectives = front.objectives(y)
         limits = [{j: float(objectives[j]) for j in range(front.count) if j != k} for k in range(front.count)]
-        limited = (front.limited(k, own, OTHERS_WEIGHT) for k, own in enumerate(limits))
+        limited = (front.limited(k, limit, OTHERS_WEIGHT) for k, limit in enumerate(limits))
         for p in (self.parameters_at(objectives), *limited):
-            found = self.no_worse_than(y, p)
-            if found is not None and self.balances(found):
-                return found
-            fallback = fallback or found
+            candidate = self.no_worse_than(y, p)
+            if candidate is not None and self.balances(candidate):
+                return candidate
+            fallback = fallback or candidate
         return fallback
 
     def follow_missed(self, *, sample: bool = True) -> None:
@@ -210,17 +210,17 @@ class Tracer(Candidates):
         """Start from what branches have in common; return whether that gave a candidate better than all others."""
         return False
 
-    def follow_new(self, candidate: Candidate | None, known: int) -> bool:
+    def follow_new(self, candidate: FrontCandidate | None, before: int) -> bool:
         """Follow the branch of a candidate if it is new.
 
         Args:
             candidate: the candidate, or None.
-            known: number of candidates before it was found.
+            before: number of candidates before it was found.
 
         Returns:
             Whether it is new and no other candidate is as good.
         """
-        if candidate is None or len(self.candidates) == known:
+        if candidate is None or len(self.candidates) == before:
             return False
         candidate.between = True
         best = not self.is_beaten(candidate)
@@ -236,13 +236,13 @@ class Tracer(Candidates):
                 done = (number + k / self.at_once) / self.comparisons
                 self.progress("following designs that the front misses", done)
                 self.tried.add(y.tobytes())
-                known = len(self.candidates)
-                improved |= self.follow_new(self.candidate_beside(y), known)
+                before = len(self.candidates)
+                improved |= self.follow_new(self.candidate_beside(y), before)
             if not missed:
                 break
         return improved
 
-    def is_beaten(self, candidate: Candidate) -> bool:
+    def is_beaten(self, candidate: FrontCandidate) -> bool:
         """Return whether some other candidate is better in one objective and, within what matters, no worse in any."""
         others = self.objectives_of([other for other in self.candidates if other is not candidate])
         no_worse = np.all(others <= candidate.objectives + MATTERS, axis=1)
@@ -328,7 +328,7 @@ class Tracer(Candidates):
                 if lead_over_points(self.objectives_of(self.efficient()), objectives[None])[0] > SOUGHT:
                     p = self.parameters_at(objectives)
                     point = point_as_found(self.front.program, p, y)
-                    self.candidates.append(Candidate(point, p, objectives, confirmed=False))
+                    self.candidates.append(FrontCandidate(point, p, objectives, confirmed=False))
 
 
 # An optimum farther from its position is not held by it: the branch has ended.
@@ -394,11 +394,11 @@ class CurveTracer(Tracer):
 
     def all_anchors(self, starts: Sequence[Sequence[Array]]) -> list[list[Point]]:
         """Return the local optima of each anchor's subproblem near its starts."""
-        return [self.anchors(p, own) for p, own in zip(self.anchor_parameters(), starts, strict=True)]
+        return [self.anchors(p, near) for p, near in zip(self.anchor_parameters(), starts, strict=True)]
 
     # --- following a branch ------------------------------------------------------------------------------
 
-    def follow(self, candidate: Candidate, objective: int) -> None:
+    def follow(self, candidate: FrontCandidate, objective: int) -> None:
         """Follow a branch towards less of an objective, one position after another, until it ends.
 
         The limit on the other objective loosens on the way, so that each optimum is a feasible start for the next.
@@ -416,18 +416,18 @@ class CurveTracer(Tracer):
             p = self._parameters_for(objective, float(position))
             # A failure at the candidate's own position is not recorded: that position has the candidate.
             moves = position - self._position_of(candidate, objective) > _OFF_POSITION
-            found = self.solve(candidate, start, p, report=bool(moves))
-            if found is None:
+            optimum = self.solve(candidate, start, p, report=bool(moves))
+            if optimum is None:
                 failed, behind = failed + 1, []
                 if failed == _GIVE_UP:
                     return
                 continue
             failed, behind = 0, [*behind, candidate.point.y][-_REMEMBERED:]
-            candidate = found
+            candidate = optimum
             if objective in candidate.followed and candidate is not first:
                 return
             candidate.followed.add(objective)
-            if np.max(np.abs(found.point.y - start)) < _SAME_BRANCH:
+            if np.max(np.abs(optimum.point.y - start)) < _SAME_BRANCH:
                 # The way back from here is the way that led here.
                 candidate.followed.add(1 - objective)
             if position - self._position_of(candidate, objective) > _OFF_POSITION:
@@ -443,10 +443,10 @@ class CurveTracer(Tracer):
     def _search_at(self, position: float) -> None:
         p = self._parameters_for(1, position)
         for y in self.archive.evolved_at(p):
-            known = len(self.candidates)
-            self.follow_new(self.no_worse_than(y, p), known)
+            before = len(self.candidates)
+            self.follow_new(self.no_worse_than(y, p), before)
 
-    def follow_everywhere(self, candidate: Candidate) -> None:
+    def follow_everywhere(self, candidate: FrontCandidate) -> None:
         """Follow a branch both ways."""
         for objective in (1, 0):
             if objective not in candidate.followed:
@@ -470,9 +470,9 @@ class CurveTracer(Tracer):
                     start[j] = neighbour.point.y[j]
                     if start.tobytes() not in self.tried:
                         self.tried.add(start.tobytes())
-                        known = len(self.candidates)
-                        found = self.solve(neighbour, start, p, report=False)
-                        improved |= self.follow_new(found, known)
+                        before = len(self.candidates)
+                        crossed = self.solve(neighbour, start, p, report=False)
+                        improved |= self.follow_new(crossed, before)
         return improved
 
     def parameters_at(self, objectives: Array) -> Array:
@@ -484,23 +484,23 @@ class CurveTracer(Tracer):
         return self.front.limited(objective, {1 - objective: position}, relative=True)
 
     @staticmethod
-    def _position_of(candidate: Candidate, objective: int) -> float:
+    def _position_of(candidate: FrontCandidate, objective: int) -> float:
         """Return by how much the other objective of a candidate exceeds this one."""
         return float(candidate.objectives[1 - objective] - candidate.objectives[objective])
 
     # --- gaps --------------------------------------------------------------------------------------------
 
-    def efficient(self) -> list[Candidate]:
+    def efficient(self) -> list[FrontCandidate]:
         """Return the candidates that no other dominates, from the best in the first objective to the worst."""
         sound = self.without_needles()
         return [sound[k] for k in undominated_in_order(self.objectives_of(sound))]
 
-    def arrange(self, candidates: Sequence[Candidate]) -> Arrangement:
+    def arrange(self, candidates: Sequence[FrontCandidate]) -> Arrangement:
         """Return candidates arranged as a front: its points in order, its parts, and the gaps between them."""
         objectives, step = self.objectives_of(candidates), self.step
         best = undominated_in_order(objectives)
-        own = best[without_needless(objectives[best], [candidates[k].between for k in best], step)]
-        shown = own[uncrowded_on_curve(objectives[own], step)]
+        needed = best[without_needless(objectives[best], [candidates[k].between for k in best], step)]
+        shown = needed[uncrowded_on_curve(objectives[needed], step)]
         breaks = gaps(objectives[shown], step)
         bounds = [0, *(k + 1 for k in breaks), len(shown)]
         return Arrangement(
@@ -531,7 +531,7 @@ class CurveTracer(Tracer):
             if not fresh:
                 return
 
-    def _end(self, candidate: Candidate, objective: int, limit: float) -> Candidate | None:
+    def _end(self, candidate: FrontCandidate, objective: int, limit: float) -> FrontCandidate | None:
         """Return the design of a branch with the least of an objective while the other one is limited."""
         p = self.front.limited(objective, {1 - objective: limit})
         return self.solve(candidate, candidate.point.y, p, report=False)
@@ -541,12 +541,12 @@ class CurveTracer(Tracer):
     def find_inner_neighbours(self) -> None:
         """Give the ends of the front a neighbour on it, for their rates: multipliers at an end are not unique."""
         front = self.efficient()
-        for number, one in enumerate(front):
-            if self.front.position_decides(one.point):
+        for number, candidate in enumerate(front):
+            if self.front.position_decides(candidate.point):
                 continue
             objective = 0 if number == len(front) - 1 else 1
-            p = self._parameters_for(objective, self._position_of(one, objective) + _INWARD * self.step)
-            point = self.front.solve(one.point, one.point.y, p, exact=one.exact)
-            moved = np.sum(np.abs(self.front.objectives(point.y, exact=one.exact) - one.objectives))
+            p = self._parameters_for(objective, self._position_of(candidate, objective) + _INWARD * self.step)
+            point = self.front.solve(candidate.point, candidate.point.y, p, exact=candidate.exact)
+            moved = np.sum(np.abs(self.front.objectives(point.y, exact=candidate.exact) - candidate.objectives))
             if point.solved and moved < self.step and self.front.position_decides(point):
-                one.inner_neighbour = (point, p)
+                candidate.inner_neighbour = (point, p)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from plough_opt.core.checks import array_of, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, is_casadi
+from plough_opt.core.notes import listed
 from plough_opt.core.plain_data import Array
 from plough_opt.core.saving import Origin, versions
 from plough_opt.core.units import Display
@@ -53,8 +54,8 @@ def undominated(designs: Array, tolerance: float = EQUAL) -> NDArray[np.intp]:
     while len(left):
         chosen.append(int(left[0]))
         better = columns[0] < columns[0, 0] - tolerance
-        for own in columns[1:]:
-            better |= own < own[0] - tolerance
+        for column in columns[1:]:
+            better |= column < column[0] - tolerance
         left, columns = left[better], columns[:, better]
     return np.array(chosen, dtype=np.intp)
 
@@ -89,10 +90,10 @@ def strongest_dominators(front: Array, designs: Array) -> tuple[NDArray[np.intp]
     """
     strongest, by = np.zeros(len(front), dtype=np.intp), np.full(len(front), -np.inf)
     for rows, gains in _gains(front, designs, np.minimum):
-        own = np.argmax(gains, axis=0)
-        best = gains[own, np.arange(len(front))]
+        rows_of = np.argmax(gains, axis=0)
+        best = gains[rows_of, np.arange(len(front))]
         better = best > by
-        strongest[better], by[better] = rows.start + own[better], best[better]
+        strongest[better], by[better] = rows.start + rows_of[better], best[better]
     return strongest, by
 
 
@@ -162,14 +163,14 @@ def _depth_below_surface(front: Array, designs: Array, step: float) -> Array:
     locations = corners - corners.mean(axis=2, keepdims=True)
     sides = np.abs(locations - np.roll(locations, 1, axis=1)).max(axis=(1, 2))
     across = designs @ ACROSS
-    own = triangles.find_simplex(across)
-    inside = np.flatnonzero(own >= 0)
-    inside = inside[sides[own[inside]] <= SURFACE_GAP * step]
+    containing = triangles.find_simplex(across)
+    inside = np.flatnonzero(containing >= 0)
+    inside = inside[sides[containing[inside]] <= SURFACE_GAP * step]
     # Barycentric coordinates in the design's own triangle give the height of the triangle below or above it.
-    transform = triangles.transform[own[inside]]
+    transform = triangles.transform[containing[inside]]
     first_two = np.einsum("ijk,ik->ij", transform[:, :2], across[inside] - transform[:, 2])
     weights = np.column_stack([first_two, 1.0 - first_two.sum(axis=1)])
-    height = np.einsum("ij,ij->i", weights, corners[own[inside]].mean(axis=2))
+    height = np.einsum("ij,ij->i", weights, corners[containing[inside]].mean(axis=2))
     depth[inside] = height - designs[inside].mean(axis=1)
     return depth
 
@@ -350,7 +351,7 @@ class FrontPoint:
 
 
 @dataclass(frozen=True)
-class Failure:
+class MissingPoint:
     """Position on a front without a certified design.
 
     Attributes:
@@ -404,7 +405,7 @@ class Front:
     variables: tuple[Axis, ...]
     points: tuple[FrontPoint, ...]
     dominated: tuple[FrontPoint, ...]
-    failures: tuple[Failure, ...]
+    failures: tuple[MissingPoint, ...]
     parts: tuple[tuple[int, ...], ...]
     holes: tuple[Hole, ...]
     notes: tuple[str, ...] = ()
@@ -422,7 +423,7 @@ class Front:
     def display(self, axis: Axis) -> Display:
         """Return the unit in which an objective or a variable is shown; all that share an SI unit share it."""
         columns = zip((*self.goals, *self.variables), (*self.objectives.T, *self.designs.T), strict=True)
-        alike = {own.name: float(np.max(np.abs(values))) for own, values in columns if own.unit == axis.unit}
+        alike = {other.name: float(np.max(np.abs(values))) for other, values in columns if other.unit == axis.unit}
         return self.origin.displays.get(axis.name) or self.origin.common(axis.unit, alike)
 
     @property
@@ -444,8 +445,8 @@ class Front:
     @property
     def part_of(self) -> list[int]:
         """Number of each point's part, counted from 1."""
-        found = {k: number for number, part in enumerate(self.parts, start=1) for k in part}
-        return [found[k] for k in range(len(self.points))]
+        numbers = {k: number for number, part in enumerate(self.parts, start=1) for k in part}
+        return [numbers[k] for k in range(len(self.points))]
 
     @property
     def rates(self) -> Array:
@@ -515,7 +516,7 @@ class Front:
         cost, at = self.cost(number, of, by), self.points[number].objectives
         gains, gives = self.goals[by], self.goals[of]
         values = [f"{called(goal.name)} {cell}" for goal, cell in zip(self.goals, self.cells(at), strict=True)]
-        place = f"at {', '.join(values[:-1])} and {values[-1]}"
+        place = f"at {listed(values)}"
         if cost is None and len(self.points) > 1 and self._change(by) < _ONE_PER_CENT:
             return f"{place}: the whole front changes {called(gains.name)} by only {100.0 * self._change(by):.2g} %"
         if cost is None:
@@ -526,8 +527,8 @@ class Front:
     @property
     def knee(self) -> FrontPoint | None:
         """Point farthest on the good side of the line or plane through the front's ends; None if none is there."""
-        found = knee(self.objectives * self._signs)
-        return None if found is None else self.points[found]
+        row = knee(self.objectives * self._signs)
+        return None if row is None else self.points[row]
 
     def hypervolume(self, reference: Sequence[float] | None = None) -> float:
         """Return the area or volume that the front dominates, in the product of the objectives' units.

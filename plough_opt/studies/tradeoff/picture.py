@@ -47,8 +47,8 @@ _TICKS_IN_SPACE: Final = 5
 
 def front_figure(front: Front) -> Figure:
     """Return a figure of the front, with panels for a third objective and for the variables that change along it."""
-    varying = [v for v, own in zip(front.variables, front.designs.T, strict=True)
-               if np.ptp(own) > _CONSTANT * np.max(np.abs(own))]  # fmt: skip
+    varying = [v for v, values in zip(front.variables, front.designs.T, strict=True)
+               if np.ptp(values) > _CONSTANT * np.max(np.abs(values))]  # fmt: skip
     varying = varying or list(front.variables)
     flat = len(front.goals) == 2
     panels = [*front.goals[2:], *varying]
@@ -86,12 +86,12 @@ def draw_front(axes: Axes, front: Front) -> None:
     if len(beaten):
         axes.plot(*beaten.T, "x", color=_GREY, markersize=4.5, zorder=2, label=_DOMINATED)
     for number, part in enumerate(front.parts):
-        own, colour = places[list(part)], COLOURS[number % len(COLOURS)]
-        for corners in [] if flat else _triangles(own):
+        of_part, colour = places[list(part)], COLOURS[number % len(COLOURS)]
+        for corners in [] if flat else _triangles(of_part):
             face = {"color": colour, "alpha": 0.35, "linewidth": 0.3, "edgecolor": colour}
-            axes.plot_trisurf(*own.T, triangles=corners, **face)  # type: ignore[attr-defined]
+            axes.plot_trisurf(*of_part.T, triangles=corners, **face)  # type: ignore[attr-defined]
         label = "front" if len(front.parts) == 1 else f"front, part {number + 1}"
-        axes.plot(*own.T, "o-" if flat else "o", color=colour, markersize=4, linewidth=1.3, zorder=4, label=label)
+        axes.plot(*of_part.T, "o-" if flat else "o", color=colour, markersize=4, linewidth=1.3, zorder=4, label=label)
     if len(unconfirmed := places[[not point.confirmed for point in front.points]]):
         axes.plot(*unconfirmed.T, "o", color="white", markersize=3, zorder=9, label="unconfirmed")
     if flat:
@@ -164,8 +164,8 @@ def _draw_along(axes: Axes, front: Front, variable: Axis) -> None:
     values, factor = _values(front, variable), front.display(variable).factor
     places = _places(front, front.points)[:, 0]
     for number, part in enumerate(front.parts):
-        own = list(part)
-        axes.plot(places[own], values[own], "o-", color=COLOURS[number % len(COLOURS)], markersize=2.5, linewidth=1.2)
+        rows = list(part)
+        axes.plot(places[rows], values[rows], "o-", color=COLOURS[number % len(COLOURS)], markersize=2.5, linewidth=1.2)
     if variable.log:
         axes.set_yscale("log")
     else:

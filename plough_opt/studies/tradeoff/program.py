@@ -180,10 +180,10 @@ class Corrector:
         for number in range(_MOST_STEPS):
             f, g, gradient, jacobian = self.slopes(point.y, p)
             y = point.y
-            found = optimum_step(curvature, y, (g, gradient, jacobian), self._limits, _LONGEST_STEP)
-            if found is None:
+            solution = optimum_step(curvature, y, (g, gradient, jacobian), self._limits, _LONGEST_STEP)
+            if solution is None:
                 return point
-            step, lam_g, lam_y = found
+            step, lam_g, lam_y = solution
             point = replace(point, f=float(f[0]), lam_g=lam_g, lam_y=without_rounding(y, lam_y))
             if self.residual(point, p) <= self.largest_residual:
                 self._curvature = curvature
@@ -270,8 +270,8 @@ class BatchCorrector(Corrector):
         count, slopes = len(stencils[0][0]), []
         for k, (_, steps) in enumerate(stencils):
             rows = slice(k * count, (k + 1) * count)
-            own = _differences(f[rows], g[rows], steps)
-            slopes.append(own.gradient + own.jacobian.T @ lam_g)
+            slope = _differences(f[rows], g[rows], steps)
+            slopes.append(slope.gradient + slope.jacobian.T @ lam_g)
         hessian = (np.array(slopes[1:]) - slopes[0]) / moves[:, None]
         return made_convex((hessian + hessian.T) / 2.0)
 
@@ -321,7 +321,7 @@ def _differences(f: Array, g: Array, steps: Array) -> Slopes:
     """
     n = len(steps)
     gradient, jacobian = (
-        ((4.0 * (own[1 : n + 1] - own[0]) - (own[n + 1 :] - own[0])).T / (2.0 * steps)) for own in (f, g)
+        ((4.0 * (values[1 : n + 1] - values[0]) - (values[n + 1 :] - values[0])).T / (2.0 * steps)) for values in (f, g)
     )
     return Slopes(f[:1], g[0], gradient, jacobian)
 
@@ -375,13 +375,13 @@ class FrontProgram:
         self.scales = _sizes(objectives, declared.symbols(), [*(v.guess for v in declared.variables), *self.values])
         self.units = self.signs * self.scales
         scaled = ca.vertcat(*(objective / size for objective, size in zip(objectives, self.scales, strict=True)))
-        own = [ca.MX.sym(f"{_POSITION} {k}") for k in range(count * (count + 1))]
-        weights, limits = ca.vertcat(*own[: 1 + count]), ca.vertcat(*own[1 - count :])
-        normals = ca.reshape(ca.vertcat(*own[1 + count : 1 - count]), count, count - 1).T
+        symbols = [ca.MX.sym(f"{_POSITION} {k}") for k in range(count * (count + 1))]
+        weights, limits = ca.vertcat(*symbols[: 1 + count]), ca.vertcat(*symbols[1 - count :])
+        normals = ca.reshape(ca.vertcat(*symbols[1 + count : 1 - count]), count, count - 1).T
         self.program = Program.of(
             replace(
                 declared,
-                parameters=(*declared.parameters, *(Parameter(symbol.name(), symbol, 0.0, "") for symbol in own)),
+                parameters=(*declared.parameters, *(Parameter(symbol.name(), symbol, 0.0, "") for symbol in symbols)),
                 objective=weights[0] + ca.dot(weights[1:], scaled),
                 requirements=(
                     *declared.requirements,
@@ -499,8 +499,8 @@ class FrontProgram:
 
     def subproblem(self, p: Array) -> tuple[Array, Array, Array]:
         """Return w, n and c of parameters, in scaled units."""
-        count, own = self.count, p[len(self.values) :]
-        return own[: 1 + count], own[1 + count : 1 - count].reshape(count - 1, count), own[1 - count :]
+        count, posed = self.count, p[len(self.values) :]
+        return posed[: 1 + count], posed[1 + count : 1 - count].reshape(count - 1, count), posed[1 - count :]
 
     def solve(self, neighbour: Point, start: Array, p: Array, *, exact: bool = False) -> Point:
         """Return the optimum of a subproblem near a start, from a neighbour's multipliers or, failing that, without.
@@ -547,15 +547,15 @@ class FrontProgram:
         """Return the scaled objectives and all requirements of a design by a tight integration."""
         key = y.tobytes()
         if key not in self._tight:
-            found = self.program.exact.values([*self.program.values(y), *self._objectives_only])
+            results = self.program.exact.values([*self.program.values(y), *self._objectives_only])
             row = 1 + self.program.owner[self.position_rows[0]]
-            self._tight[key] = np.concatenate([found[0].ravel(), found[row].ravel()]), found[1:]
+            self._tight[key] = np.concatenate([results[0].ravel(), results[row].ravel()]), results[1:]
         return self._tight[key]
 
     def gap(self, y: Array, *, exact: bool = True) -> float:
         """Return the largest relative difference of the optimiser's objectives from the tightly integrated ones."""
-        found, tight = self.scaled(self.objectives(y, exact=exact)), self.tight(y)[0]
-        return float(np.max(np.abs(found - tight) / np.maximum(np.abs(tight), _SMALL)))
+        scaled, tight = self.scaled(self.objectives(y, exact=exact)), self.tight(y)[0]
+        return float(np.max(np.abs(scaled - tight) / np.maximum(np.abs(tight), _SMALL)))
 
     def runs(self, y: Array) -> list[Run]:
         """Return the runs of a design by a tight integration."""
@@ -577,17 +577,17 @@ def declarations(design: Design, goals: Sequence[Goal]) -> Declarations:
     Raises:
         InputError: the design has no variables.
     """
-    own = copy.copy(design)
-    own.minimise(goals[0].expression)
-    return own.declared
+    copied = copy.copy(design)
+    copied.minimise(goals[0].expression)
+    return copied.declared
 
 
 def _sizes(expressions: list[ca.MX], symbols: list[ca.MX], numbers: list[float]) -> list[float]:
     """Return the sizes of the objectives at the guess; 1 for an objective that is zero or has no value there."""
     try:
         with np.errstate(all="ignore"):
-            found = TightEvaluation(expressions, symbols).values(numbers)
+            values = TightEvaluation(expressions, symbols).values(numbers)
     except (PloughError, RuntimeError, ValueError):  # building the program reports which objective fails, and why
         return [1.0] * len(expressions)
-    sizes = (abs(float(value.item())) for value in found)
+    sizes = (abs(float(value.item())) for value in values)
     return [size if np.isfinite(size) and size > 0.0 else 1.0 for size in sizes]

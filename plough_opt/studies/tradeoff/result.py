@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 from plough_opt.core.files import write_file
+from plough_opt.core.notes import listed
 from plough_opt.core.saving import Saveable
 from plough_opt.core.tables import Column, Grid, Page, data_frame, write_rows
 from plough_opt.motion.vocabulary import called
@@ -44,13 +45,13 @@ class TradeOff(Saveable, Front):
         everywhere = [name for name in self.points[0].active if all(name in point.active for point in self.points)]
         parts: list[Grid | str] = [_table(self, everywhere)]
         for hole in self.holes:
-            start, end = (_place(self, place) for place in (hole.start, hole.end))
+            start, end = (listed(self.cells(place)) for place in (hole.start, hole.end))
             doubt = "" if hole.settled else "; the optimiser failed inside, so designs may be missing"
             parts.append(f"Hole: no efficient design between {start}, and {end}{doubt}.")
         if self.knee is not None:
             number = self.points.index(self.knee)
             costs = "; ".join(self.in_words(number, of, by).partition(": ")[2] for of, by in self.pairs)
-            parts.append(f"Knee (bold), at {_place(self, self.knee.objectives)}: {costs}.")
+            parts.append(f"Knee (bold), at {listed(self.cells(self.knee.objectives))}: {costs}.")
         if everywhere:
             parts.append(f"Limits that decide every design: {', '.join(map(called, everywhere))}.")
         parts += [self.search] if self.search else []
@@ -58,7 +59,7 @@ class TradeOff(Saveable, Front):
         for failure in self.failures:
             # IPOPT's status stands before the colon.
             reason = failure.reason.partition(": ")[2] or failure.reason
-            failures.setdefault(reason, []).append(_place(self, failure.objectives))
+            failures.setdefault(reason, []).append(listed(self.cells(failure.objectives)))
         parts += [f"No certified design near {'; '.join(places)}: {reason}." for reason, places in failures.items()]
         gap = max(point.gap for point in self.points)
         residual = max((point.residual for point in self.points if point.confirmed), default=0.0)
@@ -126,8 +127,8 @@ class TradeOff(Saveable, Front):
         ]
         for status, part, point in (*rows, *(("dominated", "", point) for point in self.dominated)):
             values = [*point.objectives, *(point.variables[v.name] for v in self.variables)]
-            found = [point.rate_of(of, by) for of, by in self.pairs]
-            rates = ["" if rate is None else repr(rate) for rate in found]
+            every = [point.rate_of(of, by) for of, by in self.pairs]
+            rates = ["" if rate is None else repr(rate) for rate in every]
             table.append([status, part, *map(repr, values), *rates, *(repr(point.margins[name]) for name in margins),
                           "; ".join(point.active), point.branch, repr(point.residual), repr(point.gap)])  # fmt: skip
         text = StringIO()
@@ -180,8 +181,3 @@ def _table(front: Front, everywhere: Sequence[str]) -> Grid:
             cells += [decided] if limits else []
             table.row(*cells, bold=point is knee, end=k == part[-1])
     return table
-
-
-def _place(front: Front, values: Sequence[float]) -> str:
-    *first, last = front.cells(values)
-    return f"{', '.join(first)} and {last}"

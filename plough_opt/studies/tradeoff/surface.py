@@ -23,7 +23,7 @@ from plough_opt.core.plain_data import Array
 from plough_opt.design.certify.confirmation import minimum_from
 from plough_opt.design.model.ipopt import Point
 from plough_opt.design.search.explore import Progress
-from plough_opt.studies.tradeoff.archive import MATTERS, Archive, Arrangement, Candidate, extrapolated
+from plough_opt.studies.tradeoff.archive import MATTERS, Archive, Arrangement, FrontCandidate, extrapolated
 from plough_opt.studies.tradeoff.curve import Tracer
 from plough_opt.studies.tradeoff.front import SURFACE_GAP, lead_over_points, undominated
 
@@ -103,9 +103,9 @@ def parts_of(objectives: Array, step: float) -> tuple[list[list[int]], list[tupl
     between_parts, ends = np.zeros((count, count)), {}
     for a in range(count):
         for b in range(a + 1, count):
-            own = apart[np.ix_(parts[a], parts[b])]
-            i, j = np.unravel_index(np.argmin(own), own.shape)
-            between_parts[a, b] = own[i, j]
+            between = apart[np.ix_(parts[a], parts[b])]
+            i, j = np.unravel_index(np.argmin(between), between.shape)
+            between_parts[a, b] = between[i, j]
             ends[a, b] = parts[a][i], parts[b][j]
     tree = minimum_spanning_tree(csr_array(between_parts)).tocoo()
     return parts, [ends[int(a), int(b)] for a, b in zip(tree.row, tree.col, strict=True)]
@@ -191,7 +191,7 @@ class SurfaceTracer(Tracer):
         self.spacing = _COVERED * self.step
         # Nodes to solve in any case. Those beyond are solved only where a flood reaches them.
         self._wanted = self._lattice.triangle()
-        self._found_at: dict[Node, list[Candidate]] = {}
+        self._found_at: dict[Node, list[FrontCandidate]] = {}
 
     def trace(self, anchors: Sequence[Sequence[Point]]) -> None:
         """Find the designs at all nodes that the front reaches, and what lies between and beyond them.
@@ -220,20 +220,20 @@ class SurfaceTracer(Tracer):
         Args:
             starts: scaled designs for each objective alone.
         """
-        parameters, found = self.anchor_parameters(), list[list[Point]]()
-        for number, own in enumerate(starts):
+        parameters, anchors = self.anchor_parameters(), list[list[Point]]()
+        for number, near in enumerate(starts):
             # Two anchors begin with this objective. The optima of the first are starts for the second.
             first, second = 2 * number, 2 * number + 1
-            optima = self.anchors(parameters[first], own)
+            optima = self.anchors(parameters[first], near)
             if not optima:
-                return [*found, [], []]
+                return [*anchors, [], []]
             p = parameters[second]
-            designs = [*self._start_between(_ANCHOR_WEIGHTS[second]), *own]
+            designs = [*self._start_between(_ANCHOR_WEIGHTS[second]), *near]
             points = [self.front.solve(optima[0], y, p) for y in designs]
             points += [self.front.solve(optimum, optimum.y, p) for optimum in optima]
             points = [minimum_from(self.front.program, p, point) for point in points if point.solved]
-            found += [optima, sorted(points, key=lambda point: point.f)]
-        return found
+            anchors += [optima, sorted(points, key=lambda point: point.f)]
+        return anchors
 
     def _start_between(self, weights: Array) -> list[Array]:
         """Return the archive's best design in the second objective of those nearly best in the first, if there is any.
@@ -261,15 +261,15 @@ class SurfaceTracer(Tracer):
     def _parameters_at_node(self, node: Node) -> Array:
         return self.parameters_at(np.array(node) * self.step)
 
-    def _distance(self, candidate: Candidate, node: Node) -> float:
+    def _distance(self, candidate: FrontCandidate, node: Node) -> float:
         """Return the distance of a candidate from a node, in steps."""
         return float(self._lattice.distance(candidate.objectives[None], node)[0])
 
-    def _is_at(self, candidate: Candidate, node: Node) -> bool:
+    def _is_at(self, candidate: FrontCandidate, node: Node) -> bool:
         """Return whether an optimum lies at a node and no objective is held back there."""
         return self.balances(candidate) and self._distance(candidate, node) < _AT_NODE
 
-    def candidate_of(self, p: Array, point: Point) -> Candidate:
+    def candidate_of(self, p: Array, point: Point) -> FrontCandidate:
         """Return the candidate to record for an optimum at a position.
 
         On the edge of the front the position constraints are not all active. The objective minimised there may leave
@@ -285,19 +285,19 @@ class SurfaceTracer(Tracer):
             objectives = self.front.objectives(point.y)
             limits = {k: float(objectives[k]) for k in range(3) if k != minimised}
             at_edge = self.front.limited(minimised, limits, _EDGE_WEIGHT)
-            found = self.front.solve(point, point.y, at_edge)
-            if found.solved:
-                p, point = at_edge, found
+            on_edge = self.front.solve(point, point.y, at_edge)
+            if on_edge.solved:
+                p, point = at_edge, on_edge
         return self.recorded(point, p)
 
     # --- solving at nodes --------------------------------------------------------------------------------
 
-    def _record_at(self, node: Node, candidate: Candidate | None) -> bool:
+    def _record_at(self, node: Node, candidate: FrontCandidate | None) -> bool:
         """Record a candidate as found at a node; return whether it is new there."""
-        known = self._found_at.setdefault(node, [])
-        if candidate is None or candidate in known:
+        recorded = self._found_at.setdefault(node, [])
+        if candidate is None or candidate in recorded:
             return False
-        known.append(candidate)
+        recorded.append(candidate)
         return True
 
     def _solve_from_archive(self) -> None:
@@ -329,19 +329,19 @@ class SurfaceTracer(Tracer):
             self.progress("solving from the best designs seen", number / len(starts))
             self._record_at(node, self.no_worse_than(start, self._parameters_at_node(node)))
 
-    def _flood_from_middle(self, ends: Sequence[Candidate]) -> None:
+    def _flood_from_middle(self, ends: Sequence[FrontCandidate]) -> None:
         """Follow the front from the middle of the triangle, since slopes that lead inwards may vanish at its ends."""
         middle = self._lattice.nearest_node(np.full(3, 1.0 / 3.0))
         p = self._parameters_at_node(middle)
         self.progress("solving in the middle", 0.0)
         starts = [self.front.program.start(), np.mean([end.point.y for end in ends], axis=0)]
         for start in starts:
-            found = self.solve(ends[0], start, p, report=False)
-            if found is not None and self._is_at(found, middle):
-                self._flood(found, middle)
+            candidate = self.solve(ends[0], start, p, report=False)
+            if candidate is not None and self._is_at(candidate, middle):
+                self._flood(candidate, middle)
                 return
 
-    def _flood(self, candidate: Candidate, node: Node, *, report: bool = True) -> None:
+    def _flood(self, candidate: FrontCandidate, node: Node, *, report: bool = True) -> None:
         """Follow a branch from a node to its neighbours, from those to theirs, and so on until it ends everywhere.
 
         Args:
@@ -350,19 +350,19 @@ class SurfaceTracer(Tracer):
             report: whether to record failures. If not, the flood also stops at dominated candidates; else it passes
                 them, because the branch may become efficient again.
         """
-        solved: dict[Node, Candidate] = {}
+        solved: dict[Node, FrontCandidate] = {}
         waiting = deque([(candidate, candidate.point.y, node)])
         queued = {node}
         while waiting:
             neighbour, start, node = waiting.popleft()
-            found = self.solve(neighbour, start, self._parameters_at_node(node), report=report)
-            if found is None or not self._record_at(node, found):
+            reached = self.solve(neighbour, start, self._parameters_at_node(node), report=report)
+            if reached is None or not self._record_at(node, reached):
                 continue
-            solved[node] = found
-            if not report and self.is_beaten(found):
+            solved[node] = reached
+            if not report and self.is_beaten(reached):
                 continue
-            at_node = self._is_at(found, node)
-            if not (at_node or (node in self._wanted and self._distance(found, node) < _NEAR_NODE)):
+            at_node = self._is_at(reached, node)
+            if not (at_node or (node in self._wanted and self._distance(reached, node) < _NEAR_NODE)):
                 continue
             for following in neighbours(node):
                 extends = at_node and not self._samples_around and min(following) >= -_EXTENSION * self._lattice.steps
@@ -371,9 +371,9 @@ class SurfaceTracer(Tracer):
                     # The node opposite to the following one, if it is solved, shows in which direction designs change.
                     i, j, k = (2 * here - there for here, there in zip(node, following, strict=True))
                     behind = [solved[i, j, k].point.y] if (i, j, k) in solved else []
-                    waiting.append((found, extrapolated([*behind, found.point.y]), following))
+                    waiting.append((reached, extrapolated([*behind, reached.point.y]), following))
 
-    def follow_everywhere(self, candidate: Candidate) -> None:
+    def follow_everywhere(self, candidate: FrontCandidate) -> None:
         """Follow a branch from the node nearest to a candidate, unless the archive is rich enough to show all of it."""
         if not self._samples_around:
             self._flood(candidate, self._lattice.nearest_node(candidate.objectives), report=False)
@@ -383,14 +383,16 @@ class SurfaceTracer(Tracer):
         best = set(self.efficient())
         front = [
             (node, candidate)
-            for node, found in self._found_at.items()
-            for candidate in found
+            for node, candidates in self._found_at.items()
+            for candidate in candidates
             if candidate in best and self._is_at(candidate, node)
         ]
         for number, (node, candidate) in enumerate(front):
             self.progress("following the front into gaps", number / len(front))
             for other in neighbours(node):
-                if other in self._wanted and not any(self._is_at(own, other) for own in self._found_at.get(other, ())):
+                if other in self._wanted and not any(
+                    self._is_at(there, other) for there in self._found_at.get(other, ())
+                ):
                     self._flood(candidate, other, report=False)
 
     # --- what makes up the front -------------------------------------------------------------------------
@@ -407,16 +409,16 @@ class SurfaceTracer(Tracer):
             return np.full(len(objectives), np.inf)
         apart, _ = KDTree(front).query(objectives, p=np.inf)
         far = apart > _COVERED * self.step
-        locations, known = (rows - rows.mean(axis=1, keepdims=True) for rows in (objectives[far], front))
-        far[far] = KDTree(known).query(locations, p=np.inf)[0] > self.step / 2.0
+        locations, covered = (rows - rows.mean(axis=1, keepdims=True) for rows in (objectives[far], front))
+        far[far] = KDTree(covered).query(locations, p=np.inf)[0] > self.step / 2.0
         return np.where(far, apart, 0.0)
 
-    def efficient(self) -> list[Candidate]:
+    def efficient(self) -> list[FrontCandidate]:
         """Return the candidates that no other dominates."""
         balanced = [candidate for candidate in self.without_needles() if self.balances(candidate)]
         return [balanced[k] for k in sorted(undominated(self.objectives_of(balanced)))]
 
-    def arrange(self, candidates: Sequence[Candidate]) -> Arrangement:
+    def arrange(self, candidates: Sequence[FrontCandidate]) -> Arrangement:
         """Return candidates arranged as a front, from the best in the first objective to the worst.
 
         Shown are the ends of holes, anchors, points at nodes, and as many others as fit between or are needed so that
@@ -427,10 +429,10 @@ class SurfaceTracer(Tracer):
         order = np.sort(balanced[undominated(objectives[balanced])])
         if not len(order):
             return Arrangement([], [], (), ())
-        own = objectives[order]
-        parts, hole_ends = parts_of(own, step)
-        shown = covering(own, self._uncrowded(own, hole_ends), _COVERED * step)
-        shown = shown[np.lexsort(own[shown].T[::-1])]
+        places = objectives[order]
+        parts, hole_ends = parts_of(places, step)
+        shown = covering(places, self._uncrowded(places, hole_ends), _COVERED * step)
+        shown = shown[np.lexsort(places[shown].T[::-1])]
         number = {int(row): k for k, row in enumerate(shown)}
         return Arrangement(
             [candidates[k] for k in order],

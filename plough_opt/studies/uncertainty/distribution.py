@@ -349,7 +349,8 @@ class SoilDistribution:
             if name not in properties:
                 raise InputError(f"within names '{name}', which has no distribution: {nearest(name, properties)}")
         marginals = {
-            name: Marginal(own, *bounds.get(name, (-math.inf, math.inf)), name) for name, own in properties.items()
+            name: Marginal(distribution, *bounds.get(name, (-math.inf, math.inf)), name)
+            for name, distribution in properties.items()
         }
         object.__setattr__(self, "soil", soil)
         object.__setattr__(self, "marginals", marginals)
@@ -376,8 +377,8 @@ class SoilDistribution:
                 raise InputError(f"a correlation needs a pair of properties, not {shown(pair)}")
             for name in pair:
                 if name not in self.names:
-                    known = nearest(str(name), self.names)
-                    raise InputError(f"the correlation names '{name}', which has no distribution: {known}")
+                    hint = nearest(str(name), self.names)
+                    raise InputError(f"the correlation names '{name}', which has no distribution: {hint}")
             a, b = map(self.names.index, pair)
             if not isinstance(value, int | float | np.number) or not -1.0 < value < 1.0:
                 raise InputError(
@@ -437,7 +438,7 @@ class SoilDistribution:
         """
         if not 0.0 < plain_number("the part of each distribution", part) < 1.0:
             raise InputError(f"the part {shown(part)} of each distribution within the box must lie between 0 and 1")
-        ends = [own.quantile([(1.0 - part) / 2.0, (1.0 + part) / 2.0]) for own in self.marginals.values()]
+        ends = [marginal.quantile([(1.0 - part) / 2.0, (1.0 + part) / 2.0]) for marginal in self.marginals.values()]
         grid = np.stack([axis.ravel() for axis in np.meshgrid(*ends, indexing="ij")], axis=1)
         return SoilSamples(self.soil, self.names, grid)
 
@@ -452,7 +453,9 @@ class SoilDistribution:
             raise InputError(f"points of the shape {points.shape} do not have a column for each of {self.names}")
         if self.correlated:
             points = np.asarray(special.ndtr(special.ndtri(points) @ self.factor.T))
-        columns = [own.quantile(column) for own, column in zip(self.marginals.values(), points.T, strict=True)]
+        columns = [
+            marginal.quantile(column) for marginal, column in zip(self.marginals.values(), points.T, strict=True)
+        ]
         return SoilSamples(self.soil, self.names, np.stack(columns, axis=1))
 
     def in_words(self) -> str:
@@ -462,17 +465,17 @@ class SoilDistribution:
     @property
     def moments(self) -> dict[str, tuple[float, float]]:
         """Property -> its mean and standard deviation, SI."""
-        return {name: own.moments for name, own in self.marginals.items()}
+        return {name: marginal.moments for name, marginal in self.marginals.items()}
 
     def _check_domain(self) -> None:
         """Raise DomainError if a distribution extends outside the model's domain."""
-        for name, own in self.marginals.items():
+        for name, marginal in self.marginals.items():
             if is_casadi(getattr(self.soil, name)):
                 raise InputError(
                     f"'{name}' is an expression in the soil, so it cannot be uncertain too: give the soil a number"
                 )
             for end in (_TAIL, 1.0 - _TAIL):
-                value: Any = float(own.quantile(end))
+                value: Any = float(marginal.quantile(end))
                 try:
                     replace(self.soil, **{name: value})
                 except DomainError as error:

@@ -115,7 +115,7 @@ def sobol_indices(
         return answers[-1]
 
     uniform = [stats.uniform()] * count
-    found = stats.sobol_indices(func=response, n=samples, dists=uniform, rng=generator)
+    indices = stats.sobol_indices(func=response, n=samples, dists=uniform, rng=generator)
     # SciPy's bootstrap cannot be seeded. The third answer is that of one sample with each property from the other.
     parts = {"f_A": answers[0], "f_B": answers[1], "f_AB": np.moveaxis(answers[2].reshape(-1, samples, count), -1, 0)}
     again = [
@@ -124,8 +124,8 @@ def sobol_indices(
     ]
     tail, columns = (1.0 - _CONFIDENCE) / 2.0, dict[str, Array]()
     for kind in ("first", "total"):
-        columns[kind] = getattr(found, f"{kind}_order").reshape(-1, count)
-        resampled = np.reshape([getattr(one, f"{kind}_order") for one in again], (_RESAMPLES, -1, count))
+        columns[kind] = getattr(indices, f"{kind}_order").reshape(-1, count)
+        resampled = np.reshape([getattr(resample, f"{kind}_order") for resample in again], (_RESAMPLES, -1, count))
         columns[f"{kind}_low"], columns[f"{kind}_high"] = np.quantile(resampled, (tail, 1.0 - tail), axis=0)
     note = "the properties are correlated: each counts only as far as it is independent of those before it"
     return {
@@ -193,14 +193,14 @@ class RobustOptimum(Saveable):
         parts += [required] if required.rows else []
         if len(self.best.local_optima) > 1:
             optima = Grid.of("All robust optima found", "", "objective", *self.best.variables)
-            for one in self.best.local_optima:
-                cells = (self.best.display(name).text(value, 6) for name, value in one.variables.items())
-                optima.row(one.name, f"{one.objective:.9g}", *cells)
+            for optimum in self.best.local_optima:
+                cells = (self.best.display(name).text(value, 6) for name, value in optimum.variables.items())
+                optima.row(optimum.name, f"{optimum.objective:.9g}", *cells)
             parts.append(optima)
         parts.append(_checks_table(checks, self.nominal_fresh.checks, self.fresh.samples, self.origin))
         parts += [f"* {text}" for check in checks for text in _remarks_on(check, self.origin)]
         parts += [_indices_table(self.indices)] if self.indices else []
-        parts += [f"In that table {note}." for note in {own.note for own in self.indices.values()} if note]
+        parts += [f"In that table {note}." for note in {result.note for result in self.indices.values()} if note]
         parts.append(f"In the robust design {in_words(checks)}.")
         failed = len(self.fresh.failures)
         notes = (*self.best.warnings, *self.failures)
@@ -264,7 +264,7 @@ class RobustOptimum(Saveable):
         beside = f" {display.symbol}".rstrip()
         # A requirement in another unit limits a probability, and not the result itself.
         wanted = ("requirement", name, unit)
-        limit = next((one for one in self.best.limits if (one.kind, one.name, one.unit) == wanted), None)
+        limit = next((limit for limit in self.best.limits if (limit.kind, limit.name, limit.unit) == wanted), None)
         low, high = (None, None) if limit is None else (limit.low, limit.high)
         sides = [side / display.factor for side in (low, high) if side is not None]
         least, most = np.array([-np.inf if low is None else low, np.inf if high is None else high]) / display.factor
@@ -327,7 +327,7 @@ def _design_table(best: Optimum, nominal: Optimum) -> Grid:
     table = Grid.of(title, "variable", "robust", "nominal", "bounds", "", mark="")
     for limit in best.limits:
         if limit.kind == "bound":
-            values = (limit.shown.text(one.variables[limit.name], 6) for one in (best, nominal))
+            values = (limit.shown.text(optimum.variables[limit.name], 6) for optimum in (best, nominal))
             table.row(limit.name, *values, limit.limits, "at its bound" if limit.active else "")
     return table
 
@@ -388,9 +388,9 @@ def _indices_table(indices: Mapping[str, SobolIndices]) -> Grid:
     names = next(iter(indices.values())).names
     title = "Sobol indices of the robust design: part of each result's variance, alone / with others"
     table = Grid.of(title, "result", *names, fold=names)
-    for own in indices.values():
-        parts = [f"{_percent(a)} / {_percent(b)}" for a, b in zip(own.first, own.total, strict=True)]
-        table.row(own.result, *parts)
+    for result in indices.values():
+        parts = [f"{_percent(a)} / {_percent(b)}" for a, b in zip(result.first, result.total, strict=True)]
+        table.row(result.result, *parts)
     return table
 
 

@@ -112,8 +112,8 @@ class Robust(Readable):
     def page(self) -> Page:
         """Return the results, the uncertain soil, and the requested measures."""
         table = Grid.of("", "result", "measure", left=("measure",))
-        for one in self.requested:
-            table.row(one.result, one.text)
+        for measure in self.requested:
+            table.row(measure.result, measure.text)
         heading = f"{', '.join(self.columns)} over {len(self.samples)} samples of {self.field.in_words()}"
         return Page(heading, (table,) if table.rows else ("No measure has been requested yet.",))
 
@@ -319,11 +319,11 @@ def best_robust(
         settled = [(searched, robust)]
     best, robust = min(settled, key=lambda pair: pair[0].objective)
     distinct: list[LocalOptimum] = []
-    every = [*(one.local_optima[0] for one, _ in settled), *searched.local_optima[len(candidates) :]]
-    for local in sorted(every, key=lambda one: one.objective):
+    every = [*(optimum.local_optima[0] for optimum, _ in settled), *searched.local_optima[len(candidates) :]]
+    for local in sorted(every, key=lambda optimum: optimum.objective):
         if not any(_same(local.variables, other.variables) for other in distinct):
             distinct.append(local)
-    seconds = searched.seconds + sum(one.seconds for one, _ in settled if one is not searched)
+    seconds = searched.seconds + sum(optimum.seconds for optimum, _ in settled if optimum is not searched)
     best = replace(best, local_optima=tuple(distinct), search=searched.search, seconds=seconds)
     return best, robust, tuple(failures)
 
@@ -356,9 +356,9 @@ def _settled(
     return solution
 
 
-def _same(one: Mapping[str, float], other: Mapping[str, float]) -> bool:
+def _same(variables: Mapping[str, float], other: Mapping[str, float]) -> bool:
     """Return whether no variable of two designs differs by more than a small part of its value."""
-    return all(abs(x - other[name]) <= _SAME * abs(x) for name, x in one.items())
+    return all(abs(x - other[name]) <= _SAME * abs(x) for name, x in variables.items())
 
 
 SAMPLES = 4096
@@ -466,8 +466,8 @@ class Verification(ByValue):
         for check in self.checks:
             if check.result == key[0] and check.text.startswith(key[1]):
                 return check
-        known = ", ".join(f"{check.result}: {check.text}" for check in self.checks)
-        raise InputError(f"{key} is not among the checks, which are {known}")
+        listed = ", ".join(f"{check.result}: {check.text}" for check in self.checks)
+        raise InputError(f"{key} is not among the checks, which are {listed}")
 
     @property
     def confirmed(self) -> bool:
@@ -501,7 +501,7 @@ def verify(
     started = time.perf_counter()
     if not is_count(samples) or samples < 100:
         raise InputError(f"samples = {shown(samples)} must be a whole number of at least 100, for confidence intervals")
-    own = robust.values(at)
+    common = robust.values(at)
     fresh = robust.responses(at, robust.field.draw(samples, seed=seed))
     valid = samples - len(fresh.failures)
     if len(fresh.failures) > _MOST_FAILURES * samples:
@@ -510,20 +510,22 @@ def verify(
             f"{len(fresh.failures)} of {samples} fresh soils have no result, such as number {number}: {reason};"
             " truncate the distribution at the ends of the model's domain"
         )
-    requested = {(one.result, one.text): one for one in robust.requested}
-    checks = tuple(_checked(one, own[one.result], fresh.values[one.result], seed) for one in requested.values())
+    requested = {(measure.result, measure.text): measure for measure in robust.requested}
+    checks = tuple(
+        _checked(measure, common[measure.result], fresh.values[measure.result], seed) for measure in requested.values()
+    )
     return Verification(checks, valid, fresh.failures, fresh.values, seed, time.perf_counter() - started)
 
 
-def _checked(requested: RequestedMeasure, own: Array, fresh: Array, seed: int) -> Check:
+def _checked(requested: RequestedMeasure, common: Array, fresh: Array, seed: int) -> Check:
     """Return the check of a measure, from the values over the optimiser's own samples and over fresh ones."""
-    seen, sharp = float(requested.smoothed(own)), float(requested.exact(own))
-    found = float(requested.exact(fresh))
-    rounding = float(requested.smoothed(fresh)) - found if requested.width else 0.0
+    seen, sharp = float(requested.smoothed(common)), float(requested.exact(common))
+    exact = float(requested.exact(fresh))
+    rounding = float(requested.smoothed(fresh)) - exact if requested.width else 0.0
     ends: tuple[float, float] | tuple[None, None] = None, None
     worse = None
     if requested.kind == "probability":
-        ends, note = _binomial(round(found * len(fresh)), len(fresh)), "Clopper and Pearson"
+        ends, note = _binomial(round(exact * len(fresh)), len(fresh)), "Clopper and Pearson"
     elif requested.kind == "mean":
         ends, note = _bootstrap(requested, fresh, seed), "bootstrap"
     else:
@@ -532,7 +534,7 @@ def _checked(requested: RequestedMeasure, own: Array, fresh: Array, seed: int) -
         note = f"{worse} of {len(fresh)} are worse: {100 * least:.2g} to {100 * most:.2g} % of the whole distribution"
     low, high = ends
     return Check(
-        requested.result, requested.text, seen, sharp, found, low, high, requested.width, rounding, note, worse
+        requested.result, requested.text, seen, sharp, exact, low, high, requested.width, rounding, note, worse
     )
 
 

@@ -1,10 +1,16 @@
-"""A model that is linear in its unknowns, against linear regression in closed form."""
+"""Models linear in their unknowns, against linear regression; optima of every loss; how often intervals hold."""
+
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import stats
+from helpers.known_soil import TRUTH, steady_scene
+from helpers.scripts import imported
+from scipy import optimize, stats
 
 import plough_opt as po
+from plough_opt.studies.calibration.least_squares import CAUCHY, HUBER, LOSSES, SOFT_L1
 
 # The draft is linear in the cohesion (through F0) and, without rate term, in the density (through the drag).
 UNKNOWN = {"soil.cohesion": (0.0, 60e3, 10e3), "soil.density": (100.0, 4000.0, 1000.0)}
@@ -117,3 +123,177 @@ def test_a_row_of_weight_zero_equals_no_row(regression, loss):
     # A robust fit ends when its scale changes by less than 1e-4.
     assert fit.values == pytest.approx(without.values, rel=1e-7 if loss == "squares" else 1e-5)
     assert fit.standard_errors == pytest.approx(without.standard_errors, rel=1e-6 if loss == "squares" else 1e-4)
+
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="session")
+def script():
+    """Yield problems/calibration_coverage.py as a module."""
+    with imported("calibration_coverage") as module:
+        yield module
+
+
+def identifiable(found):
+    """Return the unknowns that the data determined in every trial, and check that the others never were."""
+    determined = [own for own in found if own.identifiable]
+    assert all(own.identifiable == own.trials for own in determined)
+    assert determined
+    return determined
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say(script):
+    """A thin version: twenty trials tell a coverage of 95 % from one below some 70 %."""
+    found = script.CASES[0].run(20)
+    # With correct intervals, this many or fewer of twenty cover in one case of two thousand; all twenty do so often.
+    least = stats.binom.ppf(5e-4, 20, 0.95) / 20
+    for own in identifiable(found):
+        assert min(own.rate("profile"), own.rate("linearised")) >= least
+        # The mean of twenty fits lies within 0.8 standard deviations of the truth, 3.6 of its own.
+        assert abs(own.bias) < 0.8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(5))
+def test_coverage_of_500_trials_is_95_per_cent_within_3(script, number):
+    found = script.CASES[number].run(500)
+    for own in identifiable(found):
+        assert abs(own.rate("profile") - 0.95) <= 0.03, own
+
+
+def test_the_page_has_the_table_of_the_script(script):
+    """A row for each case and unknown, with rates of 95 % within 3, and every parameter identifiable in some case."""
+    page = (ROOT / "docs" / "calibration.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\|(.*)\| `([\w.]+)` \| in (\d+) \| (.*) \|$", page, flags=re.MULTILINE)
+    found = [(own.name, own.identifiable) for case in script.CASES for own in case.run(1)]
+    assert [(name, int(count) / 500) for _, name, count, _ in rows] == found
+    assert {name for name, identifiable in found if identifiable} == set(script.BOUNDS)
+    for _, _, count, rest in rows:
+        rates = [float(text) for text in re.findall(r"([\d.]+) %", rest)[:2]]
+        assert rates == pytest.approx([95.0, 95.0] if int(count) else [], abs=3.0)
+
+
+def residuals(measured):
+    """Return the weighted residuals as a function of cohesion [kPa], tool friction and 100 times the rate term."""
+    speed, angle = measured.conditions["scene.tow_speed"], measured.conditions["share.wedge_angle"]
+
+    def of(x):
+        soil = po.Soil(1350.0, TRUTH["soil.density_ratio"], x[0] * 1e3, TRUTH["soil.friction_angle"], x[1], 60e3)
+        reaction = po.soil_reaction(po.Wedge(angle, po.deg(15.0), 0.25).equivalent_cone(), soil)
+        drafts = reaction.static * (1.0 + x[2] / 100.0 * speed**2) + reaction.drag * speed**2
+        return (drafts - measured.values) / measured.sigma
+
+    return of
+
+
+# The losses of docs/calibration.md, r -> rho, written independently of the package.
+WRITTEN = {
+    "squares": lambda r: r**2 / 2,
+    "huber": lambda r: np.where(np.abs(r) <= 1.345, r**2 / 2, 1.345 * np.abs(r) - 1.345**2 / 2),
+    "soft_l1": lambda r: 1.287**2 * (np.sqrt(1 + (r / 1.287) ** 2) - 1),
+    "cauchy": lambda r: 2.385**2 / 2 * np.log(1 + (r / 2.385) ** 2),
+}
+
+
+def test_the_page_names_the_constants_of_the_code():
+    text = (Path(__file__).resolve().parents[2] / "docs" / "calibration.md").read_text(encoding="utf-8")
+    assert [float(c) for c in re.findall(r"\$c=([\d.]+)\$", text)] == [HUBER, SOFT_L1, CAUCHY]
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_optimum_is_that_of_a_simplex_search(measured, three, loss):
+    fit = po.calibrate(steady_scene(), measured, three, loss=loss)
+    r = residuals(measured)
+    found = optimize.minimize(
+        lambda x: np.sum(WRITTEN[loss](r(x))), [25.0, 0.6, 3.0], method="Nelder-Mead",
+        options={"xatol": 1e-9, "fatol": 1e-14, "maxfev": 5000},
+    )  # fmt: skip
+    values = np.array(list(fit.values.values())) * np.array([1e-3, 1.0, 100.0])
+    # The loss is flat at its optimum: its rounding, 1e-15, is some 1e-7 of a standard error.
+    np.testing.assert_allclose(values, found.x, rtol=2e-6)
+    assert fit.total == pytest.approx(found.fun, rel=1e-12)
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_exact_drafts_without_sigma_give_the_truth(plane, three, loss):
+    conditions, exact, _ = plane
+    fit = po.calibrate(steady_scene(), po.Measurements("mean_draft", exact, conditions), three, loss=loss)
+    # Rounding of the drafts, magnified by their correlation.
+    assert fit.values == pytest.approx({name: TRUTH[name] for name in three}, rel=1e-11)
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_weight_and_curvature_are_the_derivatives_of_a_loss(loss):
+    own, step = LOSSES[loss], 1e-5
+    for r in (-7.0, -1.0, 0.3, 1.2, 3.0):
+        slope = (own.value(r + step) - own.value(r - step)) / (2.0 * step)
+        assert own.weight(r) * r == pytest.approx(slope, rel=1e-8)
+        bend = (own.weight(r + step) * (r + step) - own.weight(r - step) * (r - step)) / (2.0 * step)
+        assert own.curvature(r) == pytest.approx(bend, rel=1e-7, abs=1e-9)
+    assert own.value(1e-3) == pytest.approx(0.5e-6, rel=1e-5)
+
+
+def test_outliers_pull_a_robust_fit_less(plane, three):
+    conditions, exact, noisy = plane
+    spoilt = noisy.copy()
+    spoilt[[2, 9, 20]] *= [1.8, 0.4, 1.7]
+    data = po.Measurements("mean_draft", spoilt, conditions, sigma=0.03 * exact, name="spoilt")
+    plain, robust = (po.calibrate(steady_scene(), data, three, loss=loss) for loss in ("squares", "cauchy"))
+    # Without sigma only ratios of weights count, because the scatter is estimated.
+    weighted = (po.Measurements("mean_draft", spoilt, conditions, weights=w / exact**2) for w in (1, 1e4))
+    one, other = (po.calibrate(steady_scene(), own, three, loss="cauchy") for own in weighted)
+    assert list(one.values.values()) == pytest.approx(list(other.values.values()), rel=1e-4)
+    assert one.values["soil.cohesion"] == pytest.approx(robust.values["soil.cohesion"], rel=0.1)
+    for name in three:
+        assert abs(robust.values[name] - TRUTH[name]) < 3.0 * robust.standard_errors[name]
+    # The cohesion suffers most: squares miss it by more than ten times the robust fit's error.
+    assert abs(plain.values["soil.cohesion"] - 20e3) > 4.0 * abs(robust.values["soil.cohesion"] - 20e3)
+    assert any("outliers: spoilt, row" in warning for warning in plain.warnings)
+    assert any("the stated sigma" in warning for warning in plain.warnings)
+
+
+def test_all_optima_are_found_and_close_ones_give_a_warning(measured):
+    def scene_of(values):
+        x = values["soil.cohesion"] / 40e3 - 1.0
+        soil = {"cohesion": 20e3 + 10e3 * (4.0 * x**3 - 3.0 * x), "tool_friction": 0.46 + 0.03 * x}
+        return steady_scene(values["scene.tow_speed"], values["share.wedge_angle"], **soil)
+
+    fit = po.calibrate(scene_of, measured, {"soil.cohesion": (0.0, 80e3)}, starts=16)
+    r, places = residuals(measured), np.linspace(-1.0, 1.0, 4001)
+    loss = [np.sum(r([20 + 10 * (4 * x**3 - 3 * x), 0.46 + 0.03 * x, 2.0]) ** 2) / 2.0 for x in places]
+    least = sorted(b for a, b, c in zip(loss, loss[1:], loss[2:], strict=False) if b < min(a, c))
+    # The nearest place is within 10 Pa of an optimum, a twentieth of its standard error: 0.05^2/2 of a loss.
+    assert list(fit.optima) == pytest.approx(least, abs=2e-3)
+    near = sum(one - least[0] < 0.5 * 1.96**2 for one in least[1:])
+    assert any(text.startswith(f"{near} other local optima fit almost as well") for text in fit.warnings)
+
+
+SLOWLY = [0.86, 1.11, 1.99, 2.94], [0.465, 0.476, 0.679, 0.919], [1459.0, 1421.0, 4615.0, 6184.0]
+NEVER = (
+    [1.07, 1.14, 1.3, 1.86, 2.15, 2.51],
+    [0.465, 0.544, 0.568, 0.834, 0.94, 0.974],
+    [2328.0, 1748.0, 4311.0, 2338.0, 6300.0, 19271.0],
+)
+
+
+@pytest.mark.parametrize(("rows", "settles"), [(SLOWLY, True), (NEVER, False)], ids=["slowly", "never"])
+def test_a_robust_fit_settles_on_its_own_scale_or_says_that_it_does_not(rows, settles):
+    """Poor data, from which fit and scale approach each other slowly or take turns."""
+    speed, angle, drafts = rows
+    data = po.Measurements("mean_draft", drafts, {"scene.tow_speed": speed, "share.wedge_angle": angle})
+    unknown = {"soil.cohesion": (1e3, 80e3), "soil.tool_friction": (0.05, 1.5)}
+    fit = po.calibrate(steady_scene(), data, unknown, loss="huber")
+    scale = 1.4826 * np.median(np.abs(fit.residuals)) * (len(drafts) / (len(drafts) - 2)) ** 0.5
+    ratio = scale * fit.source.data.weights[0]
+    # Each scale is nearer by a seventh, and the last two differ by 1e-4.
+    assert settles == (ratio == pytest.approx(1.0, rel=1e-3))
+    assert settles != any(f"scatter {ratio:.3g} times" in warning for warning in fit.warnings)
+
+
+def test_an_unknown_at_its_bound_gives_a_warning(measured, three):
+    fit = po.calibrate(steady_scene(), measured, three | {"soil.tool_friction": (0.7, 1.5)})
+    assert fit.values["soil.tool_friction"] == pytest.approx(0.7, abs=1e-6)
+    assert any("soil.tool_friction is at its lower bound 0.7" in warning for warning in fit.warnings)
+    interval = fit.intervals()["soil.tool_friction"]
+    assert (interval.lower, interval.clipped) == (0.7, ("lower",))

@@ -1,14 +1,19 @@
-"""Fronts of known shape: designs without runs, whose fronts are closed forms."""
+"""Fronts of known shape, of a ridge, of objectives that hardly conflict, and of designs beside needles."""
 
+import csv
 from dataclasses import replace
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.problem_files import PROBLEMS
 from helpers.scenes import scene_of
 from helpers.small_designs import design
+from matplotlib.figure import Figure
 
 import plough_opt as po
+from plough_opt.problem_file.sweep import SimulationOfMany
 from plough_opt.studies.tradeoff.assembly import hole
 from plough_opt.studies.tradeoff.front import MissingPoint
 
@@ -233,3 +238,149 @@ def test_questions_that_cannot_be(plane, objectives, options, said):
     d, x, y = plane
     with pytest.raises(po.PloughError, match=said):
         po.trade_off(d, *objectives(x, y), **options)
+
+
+@pytest.fixture(scope="module")
+def small():
+    """Front of a power of 4073 that changes by 3e-5 of it, against a deflection between 0 and 1."""
+    d, x, y = design(x=(0.4, -2.0, 2.0), y=(0.4, -2.0, 2.0))
+    power = po.Goal("power", 4073.0 * (1.0 + 3e-5 * (x**2 + y**2)), unit="W")
+    return po.trade_off(d, power, po.Goal("deflection", (x - 1.0) ** 2 + y**2, unit="m"), points=11)
+
+
+def test_a_small_conflict_is_traced_and_its_size_given(small):
+    (note,) = small.notes
+    assert note == "'power' hardly conflicts with the rest: along the whole front it changes by 0.003 % of its value"
+    power, deflection = small.objectives.T
+    # Efficient designs lie between both optima. The power's change of 3e-5 is known to its rounding, 1e-12.
+    assert np.sqrt((power / 4073.0 - 1.0) / 3e-5) + np.sqrt(deflection) == pytest.approx(1.0, abs=1e-4)
+    assert len(small.points) == 11
+
+
+def test_conflicts_that_are_all_small_are_given_with_their_sizes():
+    d, x, y = design(x=(0.4, -2.0, 2.0), y=(0.4, -2.0, 2.0))
+    front = po.trade_off(d, 1.0 + 0.01 * (x**2 + y**2), 1.0 + 0.005 * ((x - 1.0) ** 2 + y**2), points=5)
+    # From the best to the worst value.
+    assert front.notes[0].endswith("hardly conflict: along the whole front they change by 0.99 % and 0.5 %")
+
+
+def test_a_cost_beyond_the_front_is_not_given(small):
+    assert small.cost(5) is None
+    assert small.in_words(5).endswith("the whole front changes power by only 0.003 %")
+    # The rate in units is still given, and the cost of 1 % less deflection, which is on the front.
+    x = small.designs[5, 0]
+    assert small.rate(5) == pytest.approx((x - 1.0) / (4073.0 * 3e-5 * x), rel=1e-4)
+    assert small.cost(5, 0, 1) == pytest.approx(abs(small.rate(5, 0, 1) * small.objectives[5, 1] / 4073.0), rel=1e-3)
+
+
+def test_the_picture_has_no_offset_and_ticks_that_do_not_touch(small):
+    figure = small.plot()
+    figure.canvas.draw()
+    front, *panels = figure.axes
+    for axes in (front, panels[-1]):
+        labels = [label for label in axes.get_xticklabels() if label.get_text()]
+        boxes = sorted((label.get_window_extent() for label in labels), key=lambda box: box.x0)
+        assert all(left.x1 < right.x0 for left, right in pairwise(boxes))
+        assert axes.xaxis.get_offset_text().get_text() == ""
+    low, high = front.get_xlim()
+    # The axis spans 1 % of the power, which changes by 0.003 %.
+    assert high - low == pytest.approx(0.01 * 4.073, rel=0.01)
+
+
+THREE = "'first objective', 'second objective' and 'third objective' do not conflict: one design is best in all three"
+BOTH = "'first objective' and 'second objective' do not conflict: one design is best in both"
+# An objective that is 0 at its best changes by more than 5 % at every other design, which would all be needles.
+CONFLICTS = {
+    "none": (lambda x, y: (x**2 + y**2, 2.0 * (x**2 + y**2) + 3.0), [0.0, 0.0], BOTH),
+    "less than the optimiser's tolerance":
+        (lambda x, y: (1 + 2e-6 * (x**2 + y**2), 1 + (x - 1) ** 2 + y**2), [1.0, 0.0], f"{BOTH}, to within 0.0002 %"),
+    "none of three": (lambda x, y: (1.0 + x**2 + y**2, 2.0 + x**2 + y**2, 3.0 + x**4 + y**2), [0.0, 0.0], THREE),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CONFLICTS)
+def test_objectives_that_do_not_conflict_give_one_design_and_say_so(name, tmp_path):
+    objectives, best, words = CONFLICTS[name]
+    d, x, y = design(x=(0.4, -2.0, 2.0), y=(0.4, -2.0, 2.0))
+    front = po.trade_off(d, *objectives(x, y), points=9)
+    assert front.notes == (words,)
+    assert front.designs == pytest.approx(np.array([best]), abs=1e-3)
+    assert (front.holes, front.knee, front.points[0].rate) == ((), None, None)
+    assert "no finite rate" in front.in_words(0)
+    assert po.TradeOff.load(front.save(tmp_path / "one.json")).points == front.points
+
+
+FILE = PROBLEMS / "force_against_deflection.toml"
+
+
+def test_parts_on_either_side_of_the_ridge_are_certified():
+    """Mean deflection against the force's oscillation: soft mounts, and one as stiff as its bound."""
+    # The first number of steps leaves an error of 2e-12, so the front is refined once.
+    changes, told = ["trade_off.points=17", "accuracy.error=1e-12"], []
+    front = po.read_problem(FILE, changes).trade_off(progress=lambda step, done: told.append((step, done)))
+    assert (told[0], told.count(("refining", 0.0))) == (("building the model", 0.0), 1)
+    assert all(0.0 <= done < 1.0 for _, done in told)
+    assert front.parts[0] == (0,)
+    assert [front.points[0].branch, *{front.points[k].branch for k in front.parts[1]}] == ["stiff", "soft"]
+    assert front.points[0].variables["scene.stiffness"] == pytest.approx(5e5, rel=1e-6)
+    assert (front.holes[0].settled, front.failures) == (True, ())
+    # On the soft side the part begins where the oscillation is that of the stiff mount.
+    assert front.objectives[1, 1] == pytest.approx(front.objectives[0, 1], rel=1e-6)
+    # The stiffness is the only limit that decides some designs and not all: those at its bounds.
+    rows = str(front).splitlines()[3 : 3 + len(front.points)]
+    assert [row.split()[-1] for row in rows] == ["1", *["soft"] * (len(rows) - 2), "1"]
+    assert "limits: 1 stiffness" in str(front)
+    for point in front.points:
+        assert point.gap < 1e-12
+        assert max(point.violation, point.residual) < 1e-9
+        assert {"loosened_radius", "half_angle"} <= set(point.active)
+    many = SimulationOfMany(po.read_problem(FILE), tuple(axis.name for axis in front.variables))
+    found = dict(zip(many.results, many.many(front.designs)[0].T, strict=True))
+    # Another method of integration, to the error that it promises.
+    assert np.column_stack([found["mean_deflection"], found["force_rms"]]) == pytest.approx(front.objectives, rel=1e-6)
+
+
+# The search around needles takes a minute.
+pytestmark = pytest.mark.slow
+
+# Depth and width of a dip in the second objective. The tolerance, 0.3 % of a range of 1, is 1.5 times the width.
+DEPTH, WIDTH = 0.5, 0.002
+
+
+@pytest.fixture(scope="module")
+def front():
+    """Front of x against 2 - x, with lower values in a dip along z that is too narrow to hit."""
+    d, x, z = design(x=(0.4, 0.0, 1.0), z=(0.47, 0.0, 1.0))
+    dip = DEPTH * ca.exp(-(((z - 0.5) / WIDTH) ** 2))
+    return po.trade_off(d, po.Goal("a", x), po.Goal("b", 2.0 - x - dip), points=9)
+
+
+def test_designs_at_the_edge_of_a_needle_are_part_of_the_front_and_marked(front):
+    assert len(front.needles) > 2
+    for needle in front.needles:
+        # A design is better than 2 - x only in the dip.
+        assert abs(needle.variables["z"] - 0.5) < 3.0 * WIDTH
+    edge = [point for point in front.points if not point.confirmed]
+    assert len(edge) > 2
+    for point in edge:
+        x, z = point.variables["x"], point.variables["z"]
+        assert not point.needle
+        assert point.rate is None
+        assert point.doubt == ""
+        # Objectives are those of a simulation, to rounding.
+        assert point.objectives == pytest.approx((x, 2.0 - x - DEPTH * np.exp(-(((z - 0.5) / WIDTH) ** 2))), rel=1e-12)
+        # 5 % of a value of at most 2 is the limit for a needle.
+        assert point.medians[1] - point.objectives[1] <= 0.05 * 2.0
+    assert any(f"{len(edge)} of {len(front.points)} designs are unconfirmed" in note for note in front.notes)
+    assert not any("are needles" in note and note.startswith(f"{len(front.points)} of") for note in front.notes)
+
+
+def test_files_tables_and_pictures_mark_them(front, tmp_path):
+    count = sum(not point.confirmed for point in front.points)
+    with front.to_csv(tmp_path / "front.csv").open(encoding="utf-8", newline="") as file:
+        assert [row["status"] for row in csv.DictReader(file)].count("unconfirmed") == count
+    assert po.load(front.save(tmp_path / "front.json")).points == front.points
+    assert str(front).count("unconfirmed") > 1
+    axes = front.plot(Figure().subplots())
+    (drawn,) = [line for line in axes.lines if line.get_label() == "unconfirmed"]
+    assert len(drawn.get_xdata()) == count

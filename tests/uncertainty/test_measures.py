@@ -103,7 +103,7 @@ def test_bias_of_cvar_is_of_second_order(level):
 
 @pytest.mark.parametrize("name", SMOOTHED)
 def test_gradient_and_hessian_against_differences_of_order_8(name):
-    x, s = ca.SX.sym("x", 64), ca.SX.sym("s", 64)  # with MX: tests/uncertainty/test_run_groups.py
+    x, s = ca.SX.sym("x", 64), ca.SX.sym("s", 64)  # with MX: test_known_optima.py
     value = SMOOTHED[name](x)
     gradient = ca.gradient(value, x)
     function = ca.Function("f", [x], [value])

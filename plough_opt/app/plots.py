@@ -29,7 +29,6 @@ from plough_opt.soil.elastic import wedge_stress
 from plough_opt.soil.elastic.medium import Profile, body
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.soil import Soil
-from plough_opt.studies.sweep.result import Sweep
 
 save = save_figure
 
@@ -42,11 +41,9 @@ CONSTANT: Final = 1e-6
 
 # Smallest margin on either side of a limit, relative to its size: a smaller one would magnify rounding.
 _LEAST_ROOM = 0.02
-# Results of a sweep that one picture shows: with more panels none is legible.
-_MOST_PANELS = 6
 # Points in one panel: more would hide each other.
 _MOST_POINTS = 20_000
-# A swept quantity whose largest value exceeds the smallest by more than this factor has a logarithmic axis.
+# A variable whose largest value exceeds the smallest by more than this factor has a logarithmic axis.
 _LOG_RATIO = 20.0
 # Panels of the search in one row.
 _PANELS = 3
@@ -312,37 +309,6 @@ def plot_wedge_field(profile: Profile, soil: Soil, speed: float) -> Figure:
         axes.annotate("", xy=(x[0] + 0.06 * length, 0), xytext=(x[0] + 0.3 * length, 0),
                       arrowprops={"arrowstyle": "->", "color": "black"})  # fmt: skip
         axes.set(aspect="equal", xlabel="x behind the tip [m]", ylabel="y across [m]")
-    return figure
-
-
-def plot_sweep(swept: Sweep) -> Figure:
-    """Draw every result of a sweep over the first swept quantity; colours show the second.
-
-    Points are not connected, because there may be a resonance between them.
-    """
-    check_kind("the sweep", swept, Sweep, "a Sweep, as returned by po.sweep")
-    names = swept.results[:_MOST_PANELS]
-    step = max(1, len(swept) // _MOST_POINTS)
-    places, heading = swept.shown(swept.names[0])
-    shades, shades_label = swept.shown(swept.names[1]) if len(swept.names) > 1 else (None, "")
-    rows = -(-max(1, len(names)) // 2)
-    figure = Figure(figsize=(10.0, 3.2 * rows), layout="constrained")
-    every = figure.subplots(rows, 2, squeeze=False).ravel()
-    for axes in every[len(names) :]:
-        axes.set_visible(False)
-    for axes, name in zip(every, names, strict=False):
-        values, label = swept.shown(name)
-        colours = {"color": SHARE} if shades is None else {"c": shades[::step], "cmap": "viridis"}
-        points = axes.scatter(places[::step], values[::step], s=14, **colours)
-        axes.set(xlabel=heading, ylabel=label)
-        if 0.0 < _LOG_RATIO * np.min(places) < np.max(places):
-            axes.set_xscale("log")
-        # Show a constant result from 0, so that its rounding is not magnified.
-        finite = values[np.isfinite(values)]
-        if len(finite) and float(np.max(finite)) > 0.0 and np.ptp(finite) < CONSTANT * np.max(np.abs(finite)):
-            axes.set_ylim(0.0, 1.2 * float(np.max(finite)))
-    if shades is not None and names:
-        figure.colorbar(points, ax=every[: len(names)], label=shades_label)
     return figure
 
 

@@ -342,7 +342,11 @@ def drawn(name: str, *arguments: Any, target: str | Path | None = None) -> Figur
     Raises:
         InputError: the file name has no known ending, or the file cannot be written.
     """
-    figure: Figure = from_above("plots", name)(*arguments)
+    return written(from_above("plots", name)(*arguments), target)
+
+
+def written(figure: Figure, target: str | Path | None) -> Figure:
+    """Write a figure to a file as `save_figure` does, if one is given; return the figure."""
     if target is not None:
         save_figure(figure, target)
     return figure

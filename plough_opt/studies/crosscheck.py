@@ -16,7 +16,8 @@ import numpy as np
 from plough_opt.core.checks import array_of, check_domain, check_kind, check_named, check_single
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Expression, as_number, holds_casadi
-from plough_opt.core.files import COLOURS, save_figure
+from plough_opt.core.files import COLOURS, written
+from plough_opt.core.tables import Grid
 from plough_opt.laws import (
     AsabeD497,
     McKyesAli,
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from rich.table import Table
 
 __all__ = [
     "Comparison", "ModelDraft", "Tine", "asabe_draft", "compare", "godwin_draft", "mckyes_ali_draft",
@@ -124,27 +124,21 @@ class Comparison:
         pairs = zip(row.drafts, self.own.drafts, strict=True)
         return tuple(theirs / ours if ours else math.nan for theirs, ours in pairs)
 
-    def table(self) -> Table:
+    def table(self) -> Grid:
         """Return a table of drafts in kN, in brackets their ratios to this model's, and their rise with the speed."""
-        from rich.table import Table
-
-        table = Table(title="Mean draft in kN, ratio to this model's: calculated, not measured")
-        table.add_column("model")
-        table.add_column("depth", justify="right")
-        for speed in self.speeds:
-            table.add_column(f"{KM_PER_H * speed:.3g} km/h", justify="right")
-        table.add_column("rise", justify="right")
-        table.add_row(self.own.model, "none", *map(_kilo, self.own.drafts), _percent(self.own.rise), end_section=True)
+        speeds = [f"{KM_PER_H * speed:.3g} km/h" for speed in self.speeds]
+        title = "Mean draft in kN, ratio to this model's: calculated, not measured"
+        table = Grid.of(title, "model", "depth", *speeds, "rise")
+        table.row(self.own.model, "none", *map(_kilo, self.own.drafts), _percent(self.own.rise), end=True)
         for row in self.others:
             cells = (
                 f"{_kilo(draft)} ({ratio:.2f})" if math.isfinite(ratio) else _kilo(draft)
                 for draft, ratio in zip(row.drafts, self.ratios(row), strict=True)
             )
-            depth = "none" if row.depth is None else f"{row.depth:.3g} m"
-            table.add_row(row.model, depth, *cells, _percent(row.rise))
+            table.row(row.model, "none" if row.depth is None else f"{row.depth:.3g} m", *cells, _percent(row.rise))
             if row.band:
                 ends = ([_kilo(draft * (1.0 + sign * row.band)) for sign in (-1, 1)] for draft in row.drafts)
-                table.add_row(f"  its band of ±{100.0 * row.band:.0f} %", "", *map(" to ".join, ends))
+                table.row(f"  its band of ±{100.0 * row.band:.0f} %", "", *map(" to ".join, ends), "")
         return table
 
     def plot(self, path: str | Path | None = None) -> Figure:
@@ -153,10 +147,7 @@ class Comparison:
         Raises:
             InputError: the file's ending is not a picture format, or the file cannot be written.
         """
-        figure = _figure_of(self)
-        if path is not None:
-            save_figure(figure, path)
-        return figure
+        return written(_figure_of(self), path)
 
 
 def _kilo(force: float) -> str:

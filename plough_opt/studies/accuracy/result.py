@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from plough_opt.core.errors import InputError
-from plough_opt.core.files import COLOURS, save_figure
+from plough_opt.core.files import COLOURS, written
 from plough_opt.core.plain_data import MaybeInfinite
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Column, Grid, Page, Part, data_frame
@@ -313,10 +313,7 @@ class AccuracyStudy(Saveable):
             whole = target.get_figure(root=True)
             assert isinstance(whole, Figure)  # axes that were removed from theirs have none
             return whole
-        figure = _figure_of(self)
-        if target is not None:
-            save_figure(figure, target)
-        return figure
+        return written(_figure_of(self), target)
 
     def also_saved(self) -> dict[str, Any]:
         """Return the advice."""

@@ -16,7 +16,7 @@ from scipy import stats
 
 from plough_opt.core.checks import check_choice
 from plough_opt.core.errors import InputError
-from plough_opt.core.files import COLOURS, save_figure
+from plough_opt.core.files import COLOURS, written
 from plough_opt.core.plain_data import Array, MaybeInfinite, Unsaved
 from plough_opt.core.quantities import EVERY, Quantity
 from plough_opt.core.saving import Origin, Saveable, versions
@@ -400,10 +400,7 @@ class Fit(Saveable):
         Raises:
             InputError: a file name without a known ending, or a path that cannot be written.
         """
-        figure = figure_of(self.title, self.rows, self.origin)
-        if target is not None:
-            save_figure(figure, target)
-        return figure
+        return written(figure_of(self.title, self.rows, self.origin), target)
 
     def to_json(self, page: Page | None = None) -> str:
         """Return the fit as JSON, with its intervals and the ranking of measurements: see `Saveable.to_json`."""

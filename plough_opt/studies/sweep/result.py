@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.checks import path_of, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.files import drawn, write_file
+from plough_opt.core.files import COLOURS, write_file, written
 from plough_opt.core.notes import counted
 from plough_opt.core.plain_data import Array
 from plough_opt.core.process import optional
@@ -36,6 +36,14 @@ if TYPE_CHECKING:
 _QUOTED: Final = 3
 # Failures that a JSON text lists.
 _LISTED: Final = 1000
+# Results that one picture shows: with more panels none is legible.
+_MOST_PANELS: Final = 6
+# Points in one panel: more would hide each other.
+_MOST_POINTS: Final = 20_000
+# A swept quantity whose largest value exceeds the smallest by more than this factor has a logarithmic axis.
+_LOG_RATIO: Final = 20.0
+# Relative change below which a result counts as constant: smaller changes are rounding.
+_CONSTANT: Final = 1e-6
 # Rows of an array that are written at once.
 _AT_ONCE: Final = 16384
 
@@ -219,7 +227,7 @@ class Sweep(Readable):
         Raises:
             InputError: the file name has an unknown ending, or the path cannot be written.
         """
-        return drawn("plot_sweep", self, target=target)
+        return written(_figure_of(self), target)
 
     def shown(self, name: str) -> tuple[Array, str]:
         """Return a column in its display unit, and its heading."""
@@ -307,6 +315,38 @@ class Sweep(Readable):
     def _without_results(self, state: State) -> Iterator[PointWithoutResults]:
         for point, reason, *values in self._store.rows("point", "reason", *self.names, where=state):
             yield PointWithoutResults(point, dict(zip(self.names, values, strict=True)), reason)
+
+
+def _figure_of(swept: Sweep) -> Figure:
+    """Draw every result of a sweep over the first swept quantity; colours show the second.
+
+    Points are not connected, because there may be a resonance between them.
+    """
+    from matplotlib.figure import Figure
+
+    names = swept.results[:_MOST_PANELS]
+    step = max(1, len(swept) // _MOST_POINTS)
+    places, heading = swept.shown(swept.names[0])
+    shades, shades_label = swept.shown(swept.names[1]) if len(swept.names) > 1 else (None, "")
+    rows = -(-max(1, len(names)) // 2)
+    figure = Figure(figsize=(10.0, 3.2 * rows), layout="constrained")
+    every = figure.subplots(rows, 2, squeeze=False).ravel()
+    for axes in every[len(names) :]:
+        axes.set_visible(False)
+    for axes, name in zip(every, names, strict=False):
+        values, label = swept.shown(name)
+        colours = {"color": COLOURS[0]} if shades is None else {"c": shades[::step], "cmap": "viridis"}
+        points = axes.scatter(places[::step], values[::step], s=14, **colours)
+        axes.set(xlabel=heading, ylabel=label)
+        if 0.0 < _LOG_RATIO * np.min(places) < np.max(places):
+            axes.set_xscale("log")
+        # Show a constant result from 0, so that its rounding is not magnified.
+        finite = values[np.isfinite(values)]
+        if len(finite) and float(np.max(finite)) > 0.0 and np.ptp(finite) < _CONSTANT * np.max(np.abs(finite)):
+            axes.set_ylim(0.0, 1.2 * float(np.max(finite)))
+    if shades is not None and names:
+        figure.colorbar(points, ax=every[: len(names)], label=shades_label)
+    return figure
 
 
 def _short(key: str) -> str:

@@ -8,7 +8,7 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
-from plough_opt.core.files import write_file
+from plough_opt.core.files import write_file, written
 from plough_opt.core.notes import listed
 from plough_opt.core.saving import Saveable
 from plough_opt.core.tables import Column, Grid, Page, data_frame, write_rows
@@ -97,16 +97,12 @@ class TradeOff(Saveable, Front):
         Raises:
             InputError: the file has no known picture format, or cannot be written.
         """
-        from plough_opt.core.files import save_figure
         from plough_opt.studies.tradeoff.picture import draw_front, front_figure
 
         if target is not None and not isinstance(target, str | Path):
             draw_front(target, self)
             return target
-        figure = front_figure(self)
-        if target is not None:
-            save_figure(figure, target)
-        return figure
+        return written(front_figure(self), target)
 
     def to_csv(self, path: str | Path) -> Path:
         """Write a table of all points in SI units, the efficient ones first.

@@ -14,7 +14,7 @@ from plough_opt.core.checks import check_kind, shown
 from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import InputError, printable
 from plough_opt.core.expressions import is_count
-from plough_opt.core.files import COLOURS, save_figure
+from plough_opt.core.files import COLOURS, written
 from plough_opt.core.plain_data import Array, Unsaved
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.core.saving import Origin, Saveable
@@ -253,9 +253,7 @@ class RobustOptimum(Saveable):
             axes.set_visible(False)
         for axes, name in zip(panels, names, strict=False):
             self._draw(axes, name)
-        if target is not None:
-            save_figure(figure, target)
-        return figure
+        return written(figure, target)
 
     def _draw(self, axes: Axes, name: str) -> None:
         """Draw the histograms of a result in both designs, with means and limits."""

@@ -180,7 +180,7 @@ class _Screen:
     def evolved(self, known: Promising, designs: Evaluations) -> Promising:
         """Return the end of an evolution from a combination's lowest designs if it is lower than the known start.
 
-        Of the random catalogue problems, two lose their best combination's basin without it.
+        Without it two of the random catalogue problems miss the basin of their best combination.
         """
         n = len(self.free)
         size = _DESIGNS_PER_VARIABLE * n
@@ -197,7 +197,10 @@ class _Screen:
         return self._along_each_variable(min(known, end, key=lambda one: one.merit))
 
     def _along_each_variable(self, one: Promising) -> Promising:
-        """Return the lowest end of descents from dips along each free variable, which a sparse sample misses."""
+        """Return the lowest end of descents from dips along each free variable, which a sparse sample misses.
+
+        One of the random catalogue problems needs it with some seeds.
+        """
         for _ in range(_MOST_LOOKS):
             lines = lines_through(one.start.points[0], _LINE_POSITIONS, self.free)
             dips = dips_along(self._landscape(lines).merit, _LINE_POSITIONS)[: _DIPS_PER_VARIABLE * len(self.free)]

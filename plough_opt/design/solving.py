@@ -26,7 +26,7 @@ from plough_opt.design.result.sensitivity import Solved
 from plough_opt.design.search.effort import CAN_WIN, FEW_VARIABLES, Search, effort_of, searched
 from plough_opt.design.search.explore import Explored, Explorer, Progress
 from plough_opt.design.search.landscape import FEASIBLE, Evaluations, Landscape
-from plough_opt.design.search.local import AS_FOUND, descend, lower_from, point_as_found, polished
+from plough_opt.design.search.local import AS_FOUND, descend, point_as_found, polished
 from plough_opt.design.search.near import feasible_from, near_optimum
 from plough_opt.design.search.points import evaluated_sample
 
@@ -103,7 +103,7 @@ class _Solve:
         )
         self._progress("checking", 0.0)
         best = converged_tightly(program, p, points[0])
-        best = minimum_from(program, p, best, partial(lower_from, landscape) if landscape.vectorised else None)
+        best = minimum_from(program, p, best)
         optima, warnings = reports(program, landscape, [best, *points[1:]])
         confirmed = best.status != AS_FOUND
         directions = flat_directions(program, p, best) if confirmed else []

@@ -246,7 +246,7 @@ def test_the_hilltops_of_several_variables_are_all_left():
 
 def test_a_saddle_with_too_little_to_gain_is_an_answer():
     d, x, y = design(x=(0.5, 0.0, 1.0), y=(0.5, 0.0, 1.0))
-    # The ends of x are lower by 1e-7, which a descent takes for rounding, and there is nothing else to move to.
+    # The ends of x are lower by 1e-7 only, and there is nothing else to move to.
     d.minimise(1.0 - 4e-7 * (x - 0.5) ** 2 + (y - 0.5) ** 2)
     best = d.solve(search="near")
     assert best.status == "solved"

@@ -139,9 +139,7 @@ def flat_directions(program: Program, p: Vector, at: Point) -> list[Vector]:
     return [directions[:, k] for k in flat if _confirmed(program, p, at, directions[:, k])]
 
 
-def minimum_from(
-    program: Program, p: Vector, at: Point, downhill: Callable[[Vector, Vector], Vector | None] | None = None
-) -> Point:
+def minimum_from(program: Program, p: Vector, at: Point) -> Point:
     """Return a stationary point with its curvatures or, if it is a maximum or a saddle, a lower optimum near it.
 
     IPOPT accepts any stationary point that it starts from. The reduced Hessian shows whether it is a minimum.
@@ -150,8 +148,6 @@ def minimum_from(
         program: the design's program.
         p: parameters.
         at: the stationary point.
-        downhill: (the point, a design near it) -> the end of a descent from that design if it is lower than the
-            point, else None. Without this function IPOPT starts from the design itself.
     """
     # At the top of a hill each descent may move a single variable.
     for _ in range(len(at.y) + 1):
@@ -160,8 +156,6 @@ def minimum_from(
             return replace(at, curvatures=known)
         step = _ASIDE * directions[:, 0] / np.max(np.abs(directions[:, 0]))
         starts = [np.clip(at.y + sign * step, 0.0, 1.0) for sign in (1.0, -1.0)]
-        if downhill is not None:
-            starts = [lower for start in starts if (lower := downhill(at.y, start)) is not None]
         points = [program.solve(start, p, SolveOptions(near=True, exact=False, enough=True)) for start in starts]
         found = [point for point in points if point.solved and point.f < at.f]
         if not found:

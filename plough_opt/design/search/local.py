@@ -37,8 +37,6 @@ _MOST_ITERATIONS = 25
 _MANY_ITERATIONS = 20
 # A requirement with many rows, such as a deflection at every output, enters a descent with its worst rows only.
 _MOST_ROWS = 6
-# A design counts as lower than another if its merit is lower by more than this fraction; less may be rounding.
-_LOWER = 1e-6
 # Most runs of SLSQP in a descent, each with the rows that the last one violated.
 _MOST_RESTARTS = 6
 # A restart must lower the merit by this fraction to justify another one.
@@ -57,12 +55,6 @@ def descend(landscape: Landscape, start: Vector, box: Box | None = None) -> Eval
     if landscape.eliminated:
         start = np.clip(landscape(start[None]).points[0], *box)
     return _Descent(landscape, box).end_from(start)
-
-
-def lower_from(landscape: Landscape, design: Vector, start: Vector) -> Vector | None:
-    """Return the end of a descent from a start near a design if it is lower than the design, else None."""
-    end, own = descend(landscape, start), landscape(design[None], finer=FINER)
-    return end.points[0] if end.merit[0] < own.merit[0] - _LOWER * abs(own.merit[0]) else None
 
 
 def nearest_feasible(landscape: Landscape, design: Vector, start: Vector | None = None) -> Evaluations:

@@ -25,6 +25,14 @@ def test_files_are_about_one_story():
     assert [path for path in SOURCES if len(path.read_text(encoding="utf-8").splitlines()) > 700] == []
 
 
+def test_constants_of_designs_have_names_of_their_own():
+    named = re.compile(r"^(_?[A-Z][A-Z0-9_]*)(?:: Final)? = [-0-9(.]", re.MULTILINE)
+    designs = (path.read_text(encoding="utf-8") for path in SOURCES if "design" in path.parts)
+    names = [name for text in designs for name in named.findall(text)]
+    assert len(names) > 50
+    assert sorted(names) == sorted({*names})
+
+
 def test_the_list_of_thinned_tests_names_tests():
     tests = Path(__file__).parent
     (listed,) = re.findall(r"^ONE_OF = ({.*?^})", (tests / "conftest.py").read_text(), re.DOTALL | re.MULTILINE)

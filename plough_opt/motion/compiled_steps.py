@@ -8,6 +8,7 @@ outputs are read from the polynomial of degree 5 through deflection, rate and ac
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
@@ -147,38 +148,30 @@ class CompiledSteps:
             timeline: steps and outputs, not aligned.
             p: the equation's parameters with the duration last.
         """
-        nodes, ends, weights = _times(timeline)
-        outputs, states = len(ends) - 1, 2 * len(ends)
-        given = np.array([*p, len(nodes) - 1.0, 0.0, 0.0])
-        found = self.integrate(given[:, None], outputs, nodes.ctypes.data, ends.ctypes.data, weights.ctypes.data)[0]
+        arrays = timeline.nodes, *readings(timeline)
+        given = np.array([*p, len(timeline.nodes) - 1.0, 0.0, 0.0])
+        (found,) = self.integrate(given[:, None], timeline.outputs, [array.ctypes.data for array in arrays])
         if not np.isfinite(found).all():
             return None
+        states = 2 * timeline.outputs + 2
         averages = states + self.equation.count
         return found[:states].reshape(-1, 2), found[states:averages], found[averages:]
 
-    def integrate(self, given: Array, outputs: int, *times: int | None) -> Array:
+    def integrate(self, given: Array, outputs: int, times: Sequence[int | None] = (None, None, None)) -> Array:
         """Return the results of runs, a row each.
 
         Args:
             given: the array `in` of `_SOURCE`.
             outputs: number of intervals between output times; 0 for averages only.
-            times: addresses of `times`, `from` and `weight` of `_SOURCE`, or None for each.
+            times: addresses of the arrays `times`, `from` and `weight` of a single run.
         """
         results = np.empty((given.shape[1], (2 * (outputs + 1) if outputs else 0) + self.equation.averages))
         memory = np.empty((4 * (int(np.max(given[-3])) + 2) + 1) * _WIDEST)
         # Vectors must lie at addresses that are multiples of their size.
         begin = -(-memory.ctypes.data // (8 * _WIDEST)) * (8 * _WIDEST)
-        starts, *rest = times
-        where = given.ctypes.data, starts, outputs, *rest, begin, results.ctypes.data
-        self.library.steps(given.shape[1], *where)
+        nodes, *read = times
+        self.library.steps(given.shape[1], given.ctypes.data, nodes, outputs, *read, begin, results.ctypes.data)
         return results
-
-
-@lru_cache(maxsize=256)
-def _times(timeline: Timeline) -> tuple[Array, NDArray[np.int64], Array]:
-    """Return the ends of a timeline's steps, and the ends and weights from which its outputs are read."""
-    read = readings(timeline)
-    return timeline.nodes, read.ends, read.weights
 
 
 @lru_cache(maxsize=64)
@@ -240,7 +233,7 @@ class ManyRuns:
         self._equation = equation_of(structure)
         self._code = compiled_steps(structure)
         if self._code is None:
-            source_of(structure)
+            source_of(structure)  # raises the error if an operation is the cause
 
     @property
     def size(self) -> int:
@@ -307,7 +300,7 @@ class ManyRuns:
         given[:-3], given[-3] = p.T, steps
         if self._structure.ramp:
             given[-2], given[-1] = _before_kink(p[:, self._equation.names.index("ramp_time")] / p[:, -1], steps)
-        return self._code.integrate(given, self._outputs, None, None, None)
+        return self._code.integrate(given, self._outputs)
 
     def _interpret(self, p: Array, steps: Array) -> Array:
         """Return the results of some runs, a row each, by CasADi with the next power of two as number of steps."""

@@ -8,8 +8,8 @@ LOWEST := .venv-lowest
 
 # At least one test file for every dependency, and quick ones otherwise.
 FAST   := $(addprefix tests/,problem_file cli export study calibration/test_linear.py design/test_declarations.py \
-          motion/test_simulate.py uncertainty/test_distribution.py test_layout.py test_geometry.py test_soil.py \
-          test_forces.py test_scene.py test_component.py test_plots.py test_results.py test_source_equations.py)
+          motion/test_simulate.py uncertainty/test_distribution.py test_layout.py test_forces.py \
+          test_scene.py test_component.py test_plots.py test_results.py test_source_equations.py)
 
 .PHONY: run test slow bench lowest lines mutants clean
 

@@ -1,4 +1,4 @@
-"""Resistance of the soil to the share, equations (24)-(26), against independent values and 120 digits."""
+"""Soils, wedge and cone, resistance and cone index, equations (5)-(7) and (24)-(26), against independent values."""
 
 import json
 import math
@@ -9,11 +9,152 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from helpers import equations
 from helpers import high_precision as hp
 from helpers.equations import FIRM, SOIL, forces, resistance
-from helpers.high_precision import assert_close, assert_derivatives
+from helpers.high_precision import assert_close, assert_derivatives, differentiated, mp
+from helpers.refusals import refusals
+from helpers.scenes import scene_of
 
 import plough_opt as po
+from plough_opt.soil.soil import STANDARD_ATMOSPHERE
+
+# --- soils, and the domain of each property of a soil and a share ---
+
+
+# density, locked density [kg/m^3], b1, cohesion [kPa], friction angle [deg], mu0, E [MPa], Poisson's ratio
+NAMED = {
+    "loose sandy loam": (1300, 1800, 0.722, 5, 30, 0.40, 3, 0.30),
+    "firm sandy loam": (1500, 1840, 0.815, 15, 32, 0.45, 8, 0.30),
+    "serozem": (1350, 1700, 0.794, 20, 28, 0.50, 10, 0.33),
+    "hardpan": (1600, 1750, 0.914, 35, 32, 0.50, 20, 0.35),
+    "heavy clay": (1300, 1600, 0.812, 45, 15, 0.40, 8, 0.40),
+}
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_named_soil_has_the_values_of_the_table(name):
+    soil = po.named_soil(name)
+    density, locked, ratio, cohesion, friction, tool_friction, modulus, poisson = NAMED[name]
+    assert STANDARD_ATMOSPHERE == 101325.0
+    elastic = {"youngs_modulus": 1e6 * modulus, "poisson_ratio": poisson}
+    angle = pytest.approx(math.radians(friction), rel=3e-16)
+    wanted = po.Soil(density, ratio, 1e3 * cohesion, soil.friction_angle, tool_friction, STANDARD_ATMOSPHERE, **elastic)
+    assert (soil, soil.friction_angle) == (replace(wanted, name=name, source=soil.source), angle)
+    assert soil.density_ratio == pytest.approx(density / locked, abs=5.01e-4)  # the table rounds to three digits
+    assert "not measured" in soil.source
+
+
+def test_an_unknown_name_gets_the_nearest_suggested():
+    with pytest.raises(po.InputError, match="did you mean 'firm sandy loam' or 'loose sandy loam'"):
+        po.named_soil("sandy loam")
+
+
+LOAM, WEDGE, CONE = po.named_soil("firm sandy loam"), po.Wedge(0.5, 0.2, 0.3), po.Cone(0.2, 0.3)
+RIGHT = math.pi / 2
+# What has the number, the number's name there and in messages, refused values, and allowed values at the domain's ends.
+DOMAIN = [
+    (LOAM, "density", "soil density", [0.0, -1400.0], []),
+    (LOAM, "density_ratio", "density ratio b1", [1.0, 1.0001, 0.0, -0.2], [1e-300, math.nextafter(1.0, 0.0)]),
+    (LOAM, "cohesion", "cohesion", [-1e-9], [0.0]),
+    (LOAM, "friction_angle", "friction angle", [-1e-9, RIGHT, 2.0], [0.0, math.nextafter(RIGHT, 0.0)]),
+    (LOAM, "tool_friction", "tool friction", [-0.1], [0.0]),
+    (LOAM, "ambient_pressure", "ambient pressure", [-1.0], [0.0]),
+    (LOAM, "youngs_modulus", "Young's modulus", [0.0, -1e6], [None]),
+    (LOAM, "poisson_ratio", "Poisson's ratio", [-0.1, 0.5, 0.7], [0.0, math.nextafter(0.5, 0.0), None]),
+    (WEDGE, "angle", "wedge angle", [0.0, -0.1, RIGHT, 2.0], []),
+    (WEDGE, "chisel_angle", "chisel angle", [-1e-9, RIGHT, 2.0], [0.0]),
+    (WEDGE, "height", "share height", [0.0, -0.3], []),
+    (CONE, "half_angle", "half angle", [0.0, -0.1, RIGHT, 2.0], []),
+    (CONE, "height", "share height", [0.0, -0.3], []),
+]
+
+
+@pytest.mark.parametrize(("thing", "argument", "name", "refused", "allowed"), DOMAIN)
+def test_numbers_outside_the_domain_are_refused_by_name_and_value(thing, argument, name, refused, allowed):
+    for value in [*refused, math.nan, math.inf, -math.inf]:
+        for number in [value, np.array([getattr(thing, argument), value]), ca.DM(value), ca.SX(value), ca.MX(value)]:
+            with pytest.raises(po.DomainError) as error:
+                replace(thing, **{argument: number})
+            assert any(f"{name} = {value:.{digits}g}" in str(error.value) for digits in (6, 17))
+            assert ("must be finite" in str(error.value)) is not math.isfinite(value)
+    for value in allowed:
+        assert getattr(replace(thing, **{argument: value}), argument) == value
+
+
+# --- wedge and cone against the printed formulas in 120 digits ---
+
+
+# A dozen roundings of 1.1e-16 in numbers that are squared twice.
+ROUNDING = 1e-14
+
+WEDGES = [
+    *[(math.radians(d), 0.2) for d in (1e-6, 0.1, 5.0, 30.0, 45.0, 60.0, 80.0, 89.0, 89.9, 89.99)],
+    *[(1e-8, 0.0), (1e-8, 0.3), (1e-4, 1.5), (0.5, 0.0), (0.5, 1e-9), (0.5, 1.2)],
+]
+CONES = [1e-8, 0.01, 0.2, 0.7, 1.5]
+STEEP_CHISELS = [(0.5, 1.5), (1.4, 1.5), (0.5, 1.57), (0.5, math.radians(89.99)), (1.57, 1.57)]
+
+
+def wedge_area(*numbers):
+    return po.Wedge(*numbers).area
+
+
+def cone_area(*numbers):
+    return po.Cone(*numbers).area
+
+
+def half_angle(wedge_angle, chisel_angle):
+    return po.Wedge(wedge_angle, chisel_angle, 0.3).equivalent_cone().half_angle
+
+
+EQUATIONS = [
+    *[(wedge_area, equations.wedge_area, (*point, 0.3)) for point in WEDGES],
+    *[(cone_area, equations.cone_area, (angle, 0.3)) for angle in CONES],
+    *[(half_angle, equations.half_angle, point) for point in WEDGES],
+]
+
+
+@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
+@pytest.mark.parametrize(("equation", "precise", "point"), EQUATIONS)
+def test_value_gradient_and_hessian(equation, precise, point, symbol):
+    assert_close(equation(*point), precise(*map(mp.mpf, point)), 1e-15, "float")
+    # An angle is an exact float, so its tangent is rounded only once and accurate even near 90 degrees.
+    found = differentiated(equation, symbol, len(point))(point)
+    assert_derivatives(found, hp.derivatives(precise, point), ROUNDING, range(len(point)))
+
+
+@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
+@pytest.mark.parametrize("point", STEEP_CHISELS)
+def test_half_angle_with_the_chisel_beside_90_degrees(point, symbol):
+    value, gradient, hessian = hp.derivatives(equations.half_angle, point)
+    got_value, got_gradient, got_hessian = differentiated(half_angle, symbol, 2)(point)
+    assert_close(got_value, value, 1e-15, "value")
+    # The curvature along the chisel angle is a small difference of terms as large as slope * tan(chisel).
+    terms = abs(gradient[1]) * mp.tan(mp.mpf(point[1]))
+    for i, j in ((0, 0), (0, 1), (1, 1)):
+        assert_close(got_gradient[i], gradient[i], ROUNDING, f"slope {i}")
+        scale = terms + abs(hessian[i][j]) if i == j == 1 else None
+        assert_close(got_hessian[i, j], hessian[i][j], ROUNDING, f"curvature {i}{j}", scale)
+
+
+@pytest.mark.parametrize("angle", CONES)
+def test_volume_and_mass_of_a_cone(angle):
+    tan, height = mp.tan(mp.mpf(angle)), mp.mpf(0.3)
+    cone, volume = po.Cone(angle, 0.3), mp.pi * (height * tan) ** 2 * height / 3
+    assert_close(cone.slope, tan, 1e-15)
+    assert_close(cone.volume, volume, 1e-15)
+    assert_close(cone.solid_mass(7850.0), 7850 * volume, 1e-15)
+
+
+def test_degrees():
+    assert po.deg(90.0) == math.pi / 2
+    x = ca.SX.sym("x")
+    assert float(ca.Function("f", [x], [po.deg(x)])(45.0)) == pytest.approx(math.pi / 4, rel=3e-16)
+
+
+# --- resistance against independent values and 120 digits ---
+
 
 # The documented accuracy is 1e-12; some hundred roundings of 1.1e-16 allow a bound ten times tighter.
 DIGITS = 1e-13
@@ -34,10 +175,12 @@ def symbolic(request):
     return hp.differentiated(lambda *x: outputs(x)[0], request.param, len(FIRM))
 
 
-TABLE = json.loads((Path(__file__).parent / "reference" / "plastic.json").read_text(encoding="utf-8"))["cases"]
+INDEPENDENT = json.loads((Path(__file__).parent / "reference" / "plastic.json").read_text(encoding="utf-8"))["cases"]
 
 
-@pytest.mark.parametrize("case", TABLE, ids=[f"{case['kind']}-{number}" for number, case in enumerate(TABLE)])
+@pytest.mark.parametrize(
+    "case", INDEPENDENT, ids=[f"{case['kind']}-{number}" for number, case in enumerate(INDEPENDENT)]
+)
 def test_independent_values(symbolic, case):
     """Every value of the table, which was computed from the source by another program, with 60 digits."""
     point, wanted = [float(case["inputs"][name]) for name in FIRM], case["outputs"]
@@ -88,7 +231,7 @@ def precise_derivatives(*point):
 def test_forces_gradient_and_hessian_up_to_the_singularities(symbolic, change):
     values = FIRM | change
     wanted = precise_derivatives(*values.values())
-    exact = wanted[0], *forces({name: hp.mp.mpf(value) for name, value in values.items()})
+    exact = wanted[0], *forces({name: mp.mpf(value) for name, value in values.items()})
     for name, found, true in zip(("F", "F0", "Fd", "added mass"), outputs(values.values()), exact, strict=True):
         assert_close(found, true, DIGITS, name)
     assert_derivatives(symbolic([*values.values()]), wanted, DIGITS, FIRM)
@@ -126,3 +269,93 @@ def test_arrays_are_computed_element_by_element():
     wanted = 0.3 * np.tan([0.1, 0.2]) / math.sqrt(0.2)
     radii = po.loosened_radius(po.Cone(np.array([0.1, 0.2]), 0.3), po.Soil(*(FIRM[name] for name in SOIL)))
     np.testing.assert_allclose(radii, wanted, rtol=1e-15)
+
+
+# --- the cone index of a soil, and soils from a cone index ---
+
+
+ADJUSTS = ("strength factor", "cohesion", "density ratio")
+
+
+def precise(soil):
+    """Return (1 + mu0/tan b) (a^(nu/2) - 1)/nu (nu p_a + tau0/(1 + mu)) with 120 digits."""
+    mu, beta = mp.sin(soil.friction_angle), mp.mpf(15) * mp.pi / 180
+    nu = 2 * mu / (1 + mu)
+    growth = ((1 / (1 - mp.mpf(soil.density_ratio))) ** (nu / 2) - 1) / nu
+    tau0 = 2 * mp.mpf(soil.cohesion) * mp.cos(soil.friction_angle)
+    strength = nu * soil.ambient_pressure + tau0 / (1 + mu)
+    return float((1 + soil.tool_friction / mp.tan(beta)) * growth * strength)
+
+
+@pytest.mark.parametrize("pressure", [101325.0, 5e3])
+@pytest.mark.parametrize("name", po.soil_names())
+def test_the_cone_index_is_the_formula(name, pressure):
+    soil = replace(po.named_soil(name), ambient_pressure=pressure)
+    # A dozen operations cost a few of the last bits.
+    assert po.cone_index(soil) == pytest.approx(precise(soil), rel=2e-15)
+
+
+@pytest.mark.parametrize("adjust", ADJUSTS)
+@pytest.mark.parametrize("name", po.soil_names())
+def test_a_soil_from_a_cone_index_has_that_cone_index(adjust, name):
+    named, readings, x = po.named_soil(name), np.array([0.7e6, 1.5e6, 6e6]), ca.SX.sym("x")
+    soil = po.Soil.from_cone_index(readings, soil=named, adjust=adjust)
+    # For a density ratio of 1 - 1e-4 cancellation costs four of sixteen digits.
+    assert po.cone_index(soil) == pytest.approx(readings, rel=1e-12)
+    changed = {key for key, value in vars(soil).items() if np.any(value != vars(named)[key])}
+    assert changed == {adjust.replace(" ", "_"), "name", "source"}
+    index = po.cone_index(po.Soil.from_cone_index(x, soil=named, adjust=adjust))
+    back = ca.Function("back", [x], [index, ca.jacobian(index, x)])
+    assert [float(one) for one in back(1.5e6)] == pytest.approx([1.5e6, 1.0], rel=1e-12)
+
+
+def test_the_draft_of_a_share_follows_the_closed_ratio():
+    soil = po.Soil.from_cone_index(2e6, soil=po.named_soil("firm sandy loam"))
+    cone = po.Cone(po.deg(11.0), 0.3)
+    base = math.pi * (0.3 * math.tan(po.deg(11.0))) ** 2
+    ratio = (1 + 0.45 / math.tan(po.deg(11.0))) / (1 + 0.45 / math.tan(po.deg(15.0)))
+    assert po.resistance(cone, soil, 0.0, 0.0) == pytest.approx(2e6 * base * ratio, rel=1e-14)
+
+
+def test_a_strength_factor_scales_the_static_resistance_and_nothing_else():
+    soil = po.named_soil("hardpan")
+    strong = replace(soil, strength_factor=3.0)
+    cone = po.Cone(po.deg(12.0), 0.25)
+    weak, found = po.soil_reaction(cone, soil), po.soil_reaction(cone, strong)
+    coefficients = [po.resistance_coefficients(cone, one).A for one in (soil, strong)]
+    assert [found.static, coefficients[1]] == pytest.approx([3.0 * weak.static, 3.0 * coefficients[0]], rel=1e-15)
+    assert (found.drag, found.added_mass) == (weak.drag, weak.added_mass)
+    assert po.loosened_radius(cone, strong) == po.loosened_radius(cone, soil)
+    cavity = po.plastic.Cavity(0.05, 0.5, 0.0)
+    assert po.plastic.surface_pressure(cavity, strong) == po.plastic.surface_pressure(cavity, soil)
+
+
+STRENGTHLESS = po.Soil(1350.0, 0.8, 0.0, 0.0, 0.5)
+
+
+SEROZEM, CLAY = po.named_soil("serozem"), po.named_soil("heavy clay")
+test_readings_that_cannot_be_met_are_refused = refusals(
+    (po.InputError, po.DomainError),
+    (lambda: po.Soil.from_cone_index(0.0, SEROZEM, "cohesion"), "cone index = 0 Pa must be above 0"),
+    (lambda: po.Soil.from_cone_index(1e5, CLAY, "cohesion"), r"3\.574 kPa above the reading"),
+    (lambda: po.Soil.from_cone_index(1e6, SEROZEM, "cohesian"), "cohesion"),
+    (lambda: po.Soil.from_cone_index(1e6, STRENGTHLESS), "zero strength"),
+    (lambda: po.Soil.from_cone_index(1e6, "serozem"), "must be the Soil"),
+    (lambda: po.Soil.from_cone_index(1e6, SEROZEM.with_density_profile(abs)), "a density profile cannot be adjusted"),
+)
+
+
+def test_a_soil_without_strength_gets_cohesion():
+    soil = po.Soil.from_cone_index(1e6, soil=STRENGTHLESS, adjust="cohesion")
+    assert po.cone_index(soil) == pytest.approx(1e6, rel=1e-14)
+
+
+def test_properties_outside_the_range_of_soils_cause_warnings():
+    serozem = po.named_soil("serozem")
+    warned = {a: " ".join(po.Soil.from_cone_index(1.5e6, soil=serozem, adjust=a).warnings()) for a in ADJUSTS}
+    expected = {"strength factor": "static resistance by 5.737", "cohesion": "370 kPa", "density ratio": "11.5 times"}
+    assert all(words in warned[adjust] for adjust, words in expected.items())
+    assert "0.992465" in warned["density ratio"]
+    assert serozem.warnings() == ()
+    scene = scene_of(po.Soil.from_cone_index(1.5e6, soil=serozem), motion=False)
+    assert any("strength factor" in text for text in po.simulate(scene, 1.0).warnings)

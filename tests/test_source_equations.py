@@ -1,15 +1,16 @@
-"""Equations (1)-(27) one by one, evaluated as the source prints them, apart from its errata.
+"""Equations (1)-(27) as the source prints them apart from its errata; and where its printed forms fail.
 
 Nothing is rearranged against cancellation and integrals are computed by quadrature, so that a reader with the source
-in hand finds every line again. What the errata change is in `tests/test_errata.py`.
-"""
+in hand finds every line again."""
 
+import itertools
 import math
 from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.refusals import refusals
 from scipy.special import k0, k1
 
 import plough_opt as po
@@ -314,3 +315,183 @@ def test_equation_27_with_an_attracting_spring():
     left = (20.0 + po.added_mass(CONE, SOIL)) * rise
     right = -face * (c.A + c.B * RHO0 * speed**2) + 5e4 * (2.0 * time - travel)
     np.testing.assert_allclose(left, right, atol=1e-8 * np.max(np.abs(left)))
+
+
+# --- errata: the printed form fails where the derived form holds ---
+
+
+def printed_coefficients(cone, soil):
+    """Return A [Pa], B and C [-] of (26) as printed: with pi twice, 1/3, and divisions by nu and b1."""
+    mu, slope, b1 = math.sin(soil.friction_angle), cone.slope, soil.density_ratio
+    nu, tau0, a = 2.0 * mu / (1.0 + mu), 2.0 * soil.cohesion * math.cos(soil.friction_angle), 1.0 / (1.0 - b1)
+    growth, decay = a ** (nu / 2.0), a ** (nu / 2.0 - 1.0)
+    bracket = (nu - 2.0) / nu * (growth - 1.0) + b1 * (nu - 2.0) * growth - (decay - 1.0)
+    static = soil.strength_factor * (soil.ambient_pressure + tau0 / (nu * (1.0 + mu))) * (growth - 1.0)
+    return (
+        math.pi * slope**2 * static,
+        math.pi * slope**4 / (b1 * (nu - 2.0)) * bracket,
+        math.pi * slope**4 / (3.0 * b1 * nu) * (growth - 1.0),
+    )
+
+
+def printed_resistance(cone, soil, speed, acceleration):
+    """Return F [N] of (25) with these coefficients."""
+    a, b, c = printed_coefficients(cone, soil)
+    motion = b * soil.density * speed**2 + soil.density * c * cone.height * acceleration
+    return math.pi * (1.0 + soil.tool_friction / cone.slope) * (a + motion) * cone.height**2
+
+
+def imbalance_across(factor):
+    """Return the residual of d sigma_xy/dx + d sigma_yy/dy = rho V0^2 uy_xx over its largest term.
+
+    The shear stress sigma_xy is multiplied by a factor.
+    """
+    at = ca.SX.sym("at", 2)
+    found = elastic.wedge_stress(at[0], at[1], PROFILE, SOIL, SPEED)
+    slope = elastic.wedge_gradient(at[0], at[1], PROFILE, SOIL, SPEED).uy_x
+    shear_x, stress_y = ca.jacobian(factor * found.xy, at)[0], ca.jacobian(found.yy, at)[1]
+    inertia = RHO0 * SPEED**2 * ca.jacobian(slope, at)[0]
+    terms = ca.Function("f", [at], [ca.vertcat(shear_x, stress_y, -inertia)])([0.0, AWAY]).full()
+    return abs(np.sum(terms)) / np.max(np.abs(terms))
+
+
+def test_2_lacks_a_factor_2():
+    assert imbalance_across(1.0) < 1e-13
+    assert imbalance_across(0.5) > 0.4
+
+
+def test_3_and_4_are_the_axial_and_the_radial_displacement():
+    # With the names exchanged the body would pull the soil inwards, because the first is not S/r near the axis.
+    near = 1e-5
+    found = elastic.cone_displacement(X, near, PROFILE, SOIL, SPEED)
+    section = 0.5 * (SLOPE * X) ** 2
+    assert near * found.radial == pytest.approx(section, rel=1e-6)
+    assert near * found.axial < 0.01 * section
+
+
+def test_4_lacks_what_keeps_the_soil_far_ahead_at_rest():
+    ahead = elastic.cone_displacement(-1e4 * LENGTH, AWAY, PROFILE, SOIL, SPEED).radial
+    missing = 0.5 * (SLOPE * LENGTH) ** 2 / (2.0 * AWAY)
+    assert abs(ahead) < 1e-8 * missing  # and the printed integral is ahead - missing, which is not small
+
+
+def test_text_before_6_has_the_wrong_angle():
+    assert CONE.area == pytest.approx(SHARE.area, rel=1e-14)
+    assert po.Cone(po.deg(15), 0.25).area > 1.3 * CONE.area
+
+
+def test_10_as_printed_lets_cohesion_lower_the_pressure():
+    def pressure(sign):
+        phi = (A ** (NU / 2.0) - 1.0) / NU
+        return phi * (NU * PA + sign * TAU0 / (1.0 + MU))
+
+    rest = plastic.Cavity(0.05, 0.0, 0.0)
+    assert pressure(1.0) == pytest.approx(plastic.surface_pressure(rest, SOIL), rel=1e-13)
+    assert pressure(-1.0) < 0.0 < plastic.surface_pressure(rest, SOIL)
+
+
+def test_14_with_13_as_printed_contradict_each_other_by_twice_tau0():
+    """Equation (13) is correct as printed; (14) as printed is then wrong by 2 tau0/(1 + mu) (r*^nu - y^nu)/nu."""
+    r = 0.6 * FRONT
+    cohesive = TAU0 / (1 + MU) * (FRONT**NU - y(r) ** NU) / NU
+    left = y(r) ** NU * sigma(r) - FRONT**NU * sigma(FRONT)
+    assert -work(r, FRONT) + cohesive - left == pytest.approx(2.0 * cohesive, rel=1e-10)
+
+
+def test_22_to_the_letter_is_far_off():
+    """The errors: the sign, R for R^2 in the powers, h for r* as upper limit, and the tau0 term without 1/nu."""
+    r = 0.5 * FRONT
+    cohesive = TAU0 / (1.0 + MU) * (FRONT**NU - y(r) ** NU)
+    printed = pressure_22(r, CONE.height, CAVITY.radius, cohesive) / y(r) ** NU
+    assert printed > 0.0 > sigma(r)  # the print would have the soil pull
+    assert abs(printed + sigma(r)) > 0.04 * abs(sigma(r))  # and of another size
+
+
+def test_24_needs_the_ambient_pressure():
+    # The net force on a share at rest in soil without strength is zero, because face and back are under equal pressure.
+    weak = po.Soil(1350.0, 0.6, 0.0, 0.0, 0.5, PA)
+    assert po.resistance(CONE, weak, 0.0, 0.0) == pytest.approx(0.0, abs=1e-12 * PA * CONE.height**2)
+
+
+def test_25_and_26_count_pi_twice():
+    ratio = printed_resistance(CONE, SOIL, 2.0, 0.0) / po.resistance(CONE, SOIL, 2.0, 0.0)
+    assert ratio == pytest.approx(math.pi, rel=1e-12)
+
+
+def test_26_has_a_third_for_two_thirds():
+    printed, derived = printed_coefficients(CONE, SOIL), po.resistance_coefficients(CONE, SOIL)
+    assert printed[2] / (math.pi * derived.C) == pytest.approx(0.5, rel=1e-12)
+    # The inertial part of (24) is an integral of x^2, h^3/3; the factored h^2/2 leaves 2 h/3.
+    assert integral(lambda x: x**2, 0.0, 1.0) / (1.0 / 2.0) == pytest.approx(2.0 / 3.0, rel=1e-14)
+
+
+def motion(formulation, duration):
+    effects = po.Effects(start="rest", inertial_drag=False, formulation=formulation)
+    scene = po.Scene(SOIL, SHARE, 5e4, 20.0, 2.0, effects)
+    return scene, po.simulate(scene, duration)
+
+
+def test_27_with_its_printed_spring_runs_away():
+    scene, printed = motion(po.Printed(pi_twice=False, one_third=False), 0.3)
+    _, derived = motion("derived", 0.3)
+    omega = scene.natural_frequency
+    # The solution of z'' = F0/M + omega^2 z grows without bound, like cosh and sinh of omega t.
+    rest = scene.reaction.static / 5e4
+    grown = rest * (math.cosh(omega * 0.3) - 1.0) + 2.0 / omega * math.sinh(omega * 0.3)
+    assert printed.deflection[-1] == pytest.approx(grown, rel=1e-7)
+    assert np.max(np.abs(derived.deflection)) <= rest + math.hypot(rest, 2.0 / omega)
+    assert grown > 10.0 * np.max(np.abs(derived.deflection))
+
+
+# --- the effects of the printed errors on a scene ---
+
+
+NONE = {"pi_twice": False, "one_third": False, "repelling_spring": False}
+FACTORS = {
+    # Printed error -> factors of F0, Fd, the added mass and the stiffness.
+    "pi_twice": (math.pi, math.pi, math.pi, 1.0),
+    "one_third": (1.0, 1.0, 0.5, 1.0),
+    "repelling_spring": (1.0, 1.0, 1.0, -1.0),
+}
+
+
+def only(*errors):
+    return po.Printed(**(NONE | dict.fromkeys(errors, True)))
+
+
+ALL_SETS = [errors for count in range(4) for errors in itertools.combinations(FACTORS, count)]
+
+
+@pytest.mark.parametrize("errors", ALL_SETS, ids="+".join)
+def test_errors_multiply(r1_scene, errors):
+    derived, scene = r1_scene(), r1_scene(formulation=only(*errors))
+    static, drag, added, spring = np.prod([[1.0] * 4, *(FACTORS[name] for name in errors)], axis=0)
+    assert scene.reaction.static == pytest.approx(static * derived.reaction.static, rel=1e-15)
+    assert scene.reaction.drag == pytest.approx(drag * derived.reaction.drag, rel=1e-15)
+    assert scene.reaction.added_mass == pytest.approx(added * derived.reaction.added_mass, rel=1e-15)
+    assert scene.restoring_stiffness == spring * 5e4
+    assert scene.inertia == scene.mass + scene.reaction.added_mass
+    # The warning names the errors, and there is none without errors.
+    words = {"pi_twice": "pi twice", "one_third": "1/3 for 2/3", "repelling_spring": "spring that repels"}
+    text = " ".join(warning for warning in scene.warnings() if "as printed" in warning)
+    assert {name for name, word in words.items() if word in text} == set(errors)
+    assert not errors or "not physics" in text
+
+
+REPELLING = "repelling spring needs motion: .*formulation = 'derived'"
+
+
+test_invalid_formulations_are_refused = refusals(
+    po.InputError,
+    (lambda: po.Effects(formulation="prnted"), r"'prnted' is neither a Printed\(\.\.\.\) nor .*did you mean 'printed'"),
+    (lambda: po.Effects(formulation=True), r"is neither a Printed\(\.\.\.\) nor the name of one"),
+    (lambda: po.Printed(one_third=1), "one_third = .* must be True or False"),
+    (lambda: po.Effects(motion=False, formulation="printed"), REPELLING),
+    (lambda: po.Effects(motion=False, formulation=only("repelling_spring")), REPELLING),
+)
+
+
+def test_the_other_errors_have_a_quasi_static_limit(r1_scene):
+    forms = only("pi_twice"), "derived"
+    wrong, right = (po.simulate(r1_scene(motion=False, formulation=form), 1.0) for form in forms)
+    assert wrong.mean_draft == pytest.approx(math.pi * right.mean_draft, rel=1e-14)

@@ -104,7 +104,7 @@ ONE_OF = {
     "study/test_problem_sweep::test_memory_does_not_grow_with_the_points": 0,
     "test_batch": 3,
     "test_batch::test_designs_are_refused_as_a_single_scene_is": 1,
-    "test_expressions::test_ratio_and_its_two_derivatives_keep_their_digits": 3,
+    "test_core::test_ratio_and_its_two_derivatives_keep_their_digits": 3,
     "test_forces::test_forces_gradient_and_hessian_up_to_the_singularities": 4,
     "test_forces::test_independent_values": 4,
     "test_plastic_field::test_a_constant_profile_is_the_closed_form": 2,

@@ -1,7 +1,9 @@
-"""A scene as one CasADi Function: its values, derivatives and error, and its use in other graphs."""
+"""A scene as one CasADi Function: its values, derivatives and error, every kind of scene, and invalid ones."""
 
 import copy
+import dataclasses
 import pickle
+import re
 import subprocess
 import sys
 
@@ -11,9 +13,15 @@ import pytest
 from helpers.differences import differences
 from helpers.equations import FIRM, forces, mp
 from helpers.high_precision import derivatives, differentiated
-from helpers.scenes import R1_RUNS
+from helpers.refusals import refusals
+from helpers.scenes import R1_RUNS, Shank, scene_of
 
 import plough_opt as po
+from plough_opt.core.quantities import QUANTITIES
+from plough_opt.exchange.component.building import Box
+from plough_opt.exchange.component.component import Port, corner_points, interior_points
+from plough_opt.laws import McKyesAli, UniversalEarthmoving
+from plough_opt.motion.vocabulary import MEASURES
 
 STEEL = 7850.0
 BOUNDS = {"share.wedge_angle": (po.deg(5), po.deg(60)), "share.height": (0.1, 0.5), "scene.stiffness": (5e3, 5e5)}
@@ -164,3 +172,235 @@ def test_sx_symbols_give_the_same_numbers_and_derivatives(r1_scene, r1_wave):
     values, slopes = ca.Function("f", [k], [ca.vertcat(*found), ca.jacobian(ca.vertcat(*found), k)])(4.5e4)
     assert values.full().ravel() == pytest.approx(made(4.5e4), rel=1e-14)
     assert slopes.full() == pytest.approx(made.slopes(4.5e4).full(), rel=1e-12)
+
+
+# --- components of every kind of scene, and messages about invalid ones ---
+
+
+WAVE = po.StrengthWave(0.3, 0.6)
+STRENGTHLESS = po.Soil(1350.0, 0.8, 0.0, 0.0, 0.5)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"damping": 250.0, "start": "rest", "strength_wave": WAVE},
+        {"tow_ramp": 0.5, "strength_wave": WAVE},
+        {"contact": po.Smooth(0.4), "rate_term": 0.05},
+        {"motion": False, "strength_wave": WAVE, "tow_ramp": 0.5},
+        {"orbit": "linearised", "strength_wave": WAVE, "damping": 400.0},
+        {"orbit": po.HarmonicBalance(8), "strength_wave": WAVE, "damping": 400.0},
+        {"orbit": "periodic", "strength_wave": WAVE, "damping": 400.0},
+        {"own": (), "inertial_drag": False, "added_mass": False, "ambient_pressure": False},
+        {"soil": STRENGTHLESS, "tow_speed": 0.0},
+    ],
+    ids=lambda effects: "+".join(effects),
+)
+def test_every_result_agrees_with_the_numeric_scene(r1_scene, effects):
+    scene = r1_scene(**effects)
+    duration = None if "orbit" in effects else 2.0
+    inputs = [po.Input("share.height", 0.2, 0.3), po.Input("scene.stiffness", 3e4, 6e4)]
+    everything = [name for name, one in MEASURES.items() if scene.effects.waves or not one.random]
+    made = po.component(scene, duration, inputs=inputs, outputs=everything, samples=50)
+    share = dataclasses.replace(scene.share, height=0.27)
+    run = po.simulate(dataclasses.replace(scene, share=share, stiffness=5.1e4), duration, outputs=50)
+    for name, found in zip(everything, made(0.27, 5.1e4), strict=True):
+        # Two integrations, each to 1e-8 of the force; the RMS of nothing is rounding.
+        wanted = MEASURES[name].of(run)
+        assert found == pytest.approx(wanted, rel=3e-8, abs=3e-8 * np.max(np.abs(wanted)) + 1e-9), name
+
+
+def test_every_quantity_can_be_an_input(r1_soil):
+    """Each in turn, in a scene that has it: the output is that of the scene with the other number."""
+    waves = tuple(po.StrengthWave(0.1, 0.2 + 0.05 * k, 0.3 * k - 1.0) for k in range(2))
+    effects = po.Effects(strength_wave=waves, tow_ramp=0.1, damping=250.0, rate_term=0.05, contact=po.Smooth(0.5),
+                         random_strength=po.RandomStrength(0.2, 0.3))  # fmt: skip
+    scene = po.Scene(r1_soil, po.Wedge(0.5, 0.25, 0.25), 5e4, 25.0, 2.0, effects)
+    absent = {"share.half_angle", "effects.breakaway", "soil.youngs_modulus", "soil.poisson_ratio"}
+    # Two of eight strength waves; the others are named and reached alike.
+    names = [name for name in QUANTITIES if name not in absent and not re.search("wave_[3-8]", name)]
+    # How exactly is another test's question.
+    few = po.Accuracy("dop853", steps=20)
+    made = po.component(scene, 0.2, inputs=names, outputs=["mean_draft", "stationary_force_rms"], accuracy=few)
+    base = made(*(port.value for port in made.inputs))
+    changed = [made(**{port.name: port.upper}) for port in made.inputs]
+    moved = {port.name for port, found in zip(made.inputs, changed, strict=True) if [*found.values()] != [*base]}
+    assert moved == set(names)
+    cone = po.Scene(r1_soil, po.Cone(0.2, 0.25), 5e4, 25.0, 2.0, po.Effects(motion=False))
+    assert po.component(cone, 1.0, inputs=["share.half_angle"], outputs=["half_angle"])(0.3) == 0.3
+
+
+def test_the_elastic_medium_can_be_a_component():
+    soil = po.named_soil("serozem")
+    scene = po.Scene(soil, po.Wedge(0.5, 0.25, 0.25), 5e5, 20.0, 2.0, po.Effects(motion=False), medium="elastic")
+    inputs = ["soil.youngs_modulus"]
+    made = po.component(scene, 1.0, inputs=inputs, outputs=["mean_draft"])
+    assert made(*(port.value for port in made.inputs)) == pytest.approx(scene.steady_resistance, rel=1e-13)
+    with pytest.raises(po.InputError, match="no meaning in the elastic medium"):
+        po.component(scene, 1.0, inputs=inputs, outputs=["loosened_radius"])
+
+
+def steady(law, *bounds):
+    scene = scene_of(medium=law, motion=False)
+    return po.component(scene, 1.0, inputs=[po.Input(*bounds)], outputs=["mean_draft"])
+
+
+STEEP, NARROW = McKyesAli(width=0.1, rake_angle=1.4), UniversalEarthmoving(width=0.1)
+test_corners_outside_the_domain_of_a_law_are_refused = refusals(
+    po.DomainError,
+    (lambda: steady(STEEP, "soil.tool_friction", 0.4, 4.0), "at soil.tool_friction = 4: .*would not move up the face"),
+    (lambda: steady(NARROW, "share.height", 0.2, 0.8), "at share.height = 0.8 m: .*critical depth"),
+)
+
+
+def test_duration_and_masses_are_inputs_too(r1_scene):
+    scene = r1_scene(damping=300.0, start="rest")
+    names = ["scene.duration", "scene.frame_mass", "scene.steel_density"]
+    made = po.component(scene, 1.0, inputs=names, outputs=["moving_mass", "mean_draft"], steel_density=7850.0)
+    found, draft = made(1.7, 30.0, 5000.0)
+    mass = 30.0 + 5000.0 * scene.cone.volume
+    assert found == pytest.approx(mass, rel=1e-14)
+    other = dataclasses.replace(scene, mass=mass)
+    assert draft == pytest.approx(po.simulate(other, 1.7).mean_draft, rel=3e-8)
+
+
+def test_a_mass_that_does_not_follow_the_share_gives_a_warning(r1_scene):
+    for effects, name, density, warned in (
+        ({}, "share.height", None, True),
+        ({}, "share.height", 7850.0, False),
+        ({}, "scene.stiffness", None, False),
+        ({"motion": False}, "share.height", None, False),
+    ):
+        made = po.component(r1_scene(**effects), 0.5, inputs=[name], outputs=["mean_draft"], steel_density=density)
+        assert any("the moving mass stays" in note for note in made.warnings) is warned
+
+
+@pytest.mark.parametrize("kind", [ca.MX, pytest.param(ca.SX, marks=pytest.mark.slow)])
+def test_a_scene_of_symbols_with_a_density_profile(r1_soil, kind):
+    k, width = kind.sym("k"), kind.sym("width")
+
+    def scene(k, width):
+        soil = r1_soil.with_density_profile(lambda r, w: 1400 * (1.05 + 0.3 / (1.0 + (r / w) ** 2)), width, order=5)
+        return po.Scene(soil, po.Wedge(0.5, 0.25, 0.25), k, 25.0, 2.0, po.Effects(strength_wave=WAVE))
+
+    def cost(run):
+        return run.mean_draft / 1e3 + run.force_rms**2
+
+    inputs = [po.Input("mount", 3e4, 6e4, unit="N/m", symbol=k), po.Input("width", 0.1, 0.3, unit="m", symbol=width)]
+    outputs = [po.Output("cost", of=cost, unit="kN"), "loosened_radius"]
+    made = po.component(scene(k, width), 1.0, inputs=inputs, outputs=outputs)
+    run = po.simulate(scene(4e4, 0.2), 1.0)
+    assert made(4e4, 0.2) == pytest.approx((cost(run), run.scene.loosened_radius), rel=1e-7)
+    assert [port.unit for port in (*made.inputs, *made.outputs)] == ["N/m", "m", "kN", "m"]
+
+
+FREE = ca.MX.sym("k")
+HEIGHT = po.Input("k", 0.2, 0.3, symbol=FREE)
+ALONE = po.Input("k", 1.0, 2.0, symbol=ca.MX.sym("k"))
+OWN = po.Output("scene_stiffness", of=lambda run: run.scene.stiffness)
+NOTHING = po.Output("nothing", of=lambda run: run.mean_draft / (0.0 * run.mean_draft))
+
+
+def _stiffness(lower, upper):
+    return {"inputs": [po.Input("scene.stiffness", lower, upper)]}
+
+
+@pytest.mark.parametrize(
+    ("effects", "requested", "words"),
+    [
+        ({"contact": po.StickSlip()}, {}, "stick and slip cannot be a component: its events"),
+        ({"entry": True, "start": "rest"}, {}, "enters the soil cannot be a component"),
+        ({}, {"outputs": ["mean_drft"]}, "did you mean 'mean_draft'"),
+        ({}, {"outputs": ["peak_force"]}, "use 'mount_force'"),
+        ({}, {"inputs": ["effects.damping"]}, "the scene has no 'effects.damping'"),
+        ({}, {"duration": None}, "the duration is missing"),
+        ({}, {"inputs": ["scene.frame_mass"]}, "needs a steel_density"),
+        ({}, {"inputs": ["scene.mass"], "steel_density": 7850.0}, "follows from steel_density"),
+        ({}, {"steel_density": 78500.0}, "more than the whole moving mass of 23.1724 kg"),
+        ({}, {"inputs": ["scene.stiffness", "scene.stiffness"]}, "twice"),
+        ({}, {"outputs": [OWN]}, "'scene.stiffness' and 'scene_stiffness' clash"),
+        ({}, {"inputs": [po.Input("2k")]}, "'2k' must be a name that begins with a letter"),
+        ({}, {"inputs": [po.Input("scene.stiffness", 4e4, 6e4, unit="N")]}, "is in N/m, not in N"),
+        ({"own": (Shank(per_metre=-1e8),)}, {}, "the motion has no finite value at scene.stiffness = 50000 N/m"),
+        ({"height": FREE}, {"inputs": [HEIGHT], "steel_density": 7850.0}, "needs a numeric scene"),
+        ({}, {"inputs": [po.Input("k", 1.0, 2.0, symbol=2 * FREE)]}, "must be a scalar CasADi symbol"),
+        ({}, {"inputs": [FREE]}, "input MX(k) must be a name, or po.Input(name, ...)"),
+        ({}, {"outputs": [NOTHING]}, "'nothing' has no finite value"),
+        ({}, {"inputs": []}, "name at least one"),
+        ({}, {"accuracy": po.Accuracy("cvodes")}, "'cvodes' cannot be part of a component"),
+        ({"orbit": "periodic", "strength_wave": WAVE}, {}, "leave the duration out"),
+        ({}, {"inputs": [ALONE]}, "does not hold the symbol of input 'k'"),
+        ({}, {"inputs": [po.Input("k", symbol=FREE)]}, "needs lower and upper"),
+        ({"stiffness": FREE}, {"inputs": ["share.height"]}, "not inputs (k)"),
+        ({"stiffness": FREE}, {"inputs": [po.Input("k", 4e4, 6e4, symbol=FREE), "scene.stiffness"]}, "make its symbol"),
+        # Bounds, and where they lead out of the domain.
+        ({}, _stiffness(6e4, 5e4), "lower 60000 is not below upper 50000"),
+        ({}, _stiffness(6e4, 7e4), "= 50000 lies outside its bounds 60000 to 70000"),
+        ({}, _stiffness(-1.0, 7e4), "at scene.stiffness = -1 N/m: stiffness = -1 N/m must be above 0"),
+        ({}, _stiffness(-1.0, 7e4) | {"accuracy": po.Accuracy("dop853", steps=100)}, "must be above 0"),
+        ({}, _stiffness(1.0, 1e14), "so fast that the run would take"),
+        ({}, _stiffness(1.0, np.inf), "upper of 'scene.stiffness' = inf N/m must be finite"),
+        ({}, {"inputs": [po.Input("share.wedge_angle", 0.1, 1.0), po.Input("soil.density_ratio", 0.5, 1.5)]},
+         "at share.wedge_angle = 0.1 rad, soil.density_ratio = 1.5: density ratio b1"),
+        ({"strength_wave": po.StrengthWave(0.0, 0.6)}, {"inputs": ["effects.strength_wave.amplitude"]}, "give bounds"),
+    ],
+)  # fmt: skip
+def test_an_invalid_component_is_refused_with_the_reason(r1_scene, effects, requested, words):
+    requested = {"duration": 1.0, "inputs": ["scene.stiffness"], "outputs": ["mean_draft"]} | requested
+    with pytest.raises((po.InputError, po.DomainError), match=re.escape(words)):
+        po.component(r1_scene(**effects), **requested)
+
+
+def test_an_error_that_does_not_fall_ends_the_search_for_steps():
+    assert Box(None, po.Accuracy(), 1)._refined(10, lambda _: 1.0, 1e-6) == (10 * 2**6, 1.0)
+
+
+def test_default_bounds_are_within_the_domain(r1_scene):
+    scene = r1_scene(strength_wave=po.StrengthWave(1.0, 0.6))
+    names = ["soil.density_ratio", "share.wedge_angle", "scene.stiffness"]
+    made = po.component(scene, 1.0, inputs=names, outputs=["mean_draft"])
+    assert [(port.lower, port.upper) for port in made.inputs] == [
+        (0.4, 0.9), (po.deg(12.5), pytest.approx(po.deg(50), rel=1e-15)), (2.5e4, 1e5),
+    ]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def two_inputs(r1_scene):
+    inputs = [po.Input("scene.stiffness", 4e4, 6e4), "share.height"]
+    return po.component(r1_scene(), 1.0, inputs=inputs, outputs=["mean_draft"])
+
+
+@pytest.mark.parametrize(
+    ("values", "named", "words"),
+    [
+        ((1e6, 0.25), {}, r"scene.stiffness = 1e\+06 N/m must lie between 40000 and 60000 N/m"),
+        ((5e4, float("nan")), {}, "share.height = nan"),
+        # Conversions of units and optimisers leave a billionth of the width; twice that is outside.
+        ((6e4 + 4e-5, 0.25), {}, "must lie between"),
+        ((5e4,), {}, "takes 2 inputs"),
+        ((5e4, "high"), {}, "must be a number"),
+        ((np.array([4e4, 5e4]), 0.25), {}, "component.map takes many"),
+        ((5e4,), {"share_height": 0.25}, "in order or by name"),
+        ((), {"share_hight": 0.25}, "did you mean 'share.height'"),
+        ((), {"share.height": 0.2, "share_height": 0.3}, "'share.height' is given twice, also as 'share_height'"),
+    ],
+)
+def test_invalid_calls_are_refused(two_inputs, values, named, words):
+    with pytest.raises((po.InputError, po.DomainError), match=words):
+        two_inputs(*values, **named)
+    assert np.isfinite([two_inputs(bound, 0.25) for bound in (4e4 - 1.8e-5, 6e4 + 1.8e-5)]).all()
+
+
+def test_a_retreating_share_gives_a_warning(r1_scene):
+    made = po.component(r1_scene(start="rest"), 0.5, outputs=["mean_draft"], **_stiffness(2e3, 1e5))
+    assert any("the share retreats, as at scene.stiffness" in note for note in made.warnings)
+
+
+def test_many_inputs_are_sampled_at_each_bound_alone():
+    many = [Port(f"x{k}", "", 1.0, 3.0, 2.0) for k in range(9)]
+    assert len(corner_points(many)) == 19
+    points = np.array(interior_points(many))
+    assert points.shape == (32, 9)
+    assert np.all((points > 1.0) & (points < 3.0))
+    # Evenly spread: every half of every input holds at least a quarter of the points.
+    assert np.all(np.abs((points > 2.0).mean(axis=0) - 0.5) <= 0.25)

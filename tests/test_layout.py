@@ -3,6 +3,7 @@
 import ast
 import importlib.metadata
 import re
+import runpy
 import subprocess
 import sys
 import tomllib
@@ -113,3 +114,13 @@ def test_the_licence_of_every_library_is_listed():
         fields = ("License-Expression", "License", "Classifier")
         said = SILENT.get(name) or " ".join(text for field in fields for text in about.get_all(field, []))
         assert any(family in said and family in LICENCES[name] for family in FAMILIES), (name, said[:200])
+
+
+def test_only_code_counts():
+    """Without docstrings, comments and blank lines."""
+    count = runpy.run_path(str(ROOT / ".ci" / "lines.py"))["lines_of_code"]
+    head = '"""A module\nof two lines."""\n\n# a comment\nimport math  # behind code\n\n\n'
+    source = head + 'def f():\n    """Text."""\n    return (\n        1\n    )\n'
+    # The import, the def, and the three lines of the return.
+    assert count(source) == 5
+    assert count("") == 0

@@ -1,24 +1,38 @@
-"""docs/*.md: code runs and gives what the page says, tables are the code's, formulas survive GitHub's Markdown."""
+"""Pages, docstrings and notebooks: their code runs as they say, tables are the code's, formulas survive Markdown."""
 
+import csv
+import doctest
+import importlib
 import inspect
+import json
+import os
+import pkgutil
 import re
+import runpy
+import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from pathlib import Path
 
+import nbformat
 import pytest
-from helpers.commands import line_of_a_page
+from helpers.commands import call, line_of_a_page, printed
+from nbclient import NotebookClient
 
 import plough_opt as po
 from plough_opt.core import quantities, saving, tables, units
 from plough_opt.core.quantities import EVERY
 from plough_opt.design.search import effort
+from plough_opt.exchange.export.formats import FORMATS
+from plough_opt.laws import LAWS
 from plough_opt.motion import plan
-from plough_opt.motion.effects import MOST_HARMONICS
-from plough_opt.motion.vocabulary import MEASURES
+from plough_opt.motion.effects import MOST_HARMONICS, OWN_EFFECTS
+from plough_opt.motion.methods import METHODS
+from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.problem_file import measures, reading, schema, source, uncertain
 from plough_opt.soil.elastic import medium
 from plough_opt.studies.calibration.measurements import measurable
@@ -261,3 +275,364 @@ def test_figures_of_limits_are_the_codes(table):
 
 def test_every_table_of_limits_is_tested():
     assert TEXTS["limits"].count("| at most |") == len(LIMITS)
+
+
+# --- soils.md: its numbers match the code ---
+
+
+def test_the_table_of_cone_indices_matches_the_code():
+    rows = re.findall(r"^\| ([a-z ]+) \| ([\d.]+) kPa \| ([\d.]+) kPa \|$", TEXTS["soils"], flags=re.MULTILINE)
+    assert tuple(name for name, *_ in rows) == po.soil_names()
+    for name, *values in rows:
+        soils = [replace(po.named_soil(name), ambient_pressure=pressure) for pressure in (101325.0, 5e3)]
+        assert [*map(float, values)] == pytest.approx([po.cone_index(soil) / 1e3 for soil in soils], rel=4e-4)  # digits
+
+
+def test_its_problem_file_tables_are_valid(tmp_path):
+    tables, waves, random = re.findall(r"```toml\n(.*?)```", TEXTS["soils"], flags=re.DOTALL)
+    soil, uncertain = tables.split("\n\n")
+    file = (ROOT / "problems" / "cotton_subsoiler.toml").read_text(encoding="utf-8")
+    start = file.index("[soil]")
+    rest = file[file.index("\n[", start) :].replace("[effects]", waves, 1)
+    left_out = ("deflection", "strength_wave = { amplitude = 0.3")
+    lines = [line for line in rest.splitlines() if not line.startswith(left_out)]
+    path = tmp_path / "share.toml"
+    path.write_text(file[:start] + soil + "\n" + "\n".join(lines) + "\n" + uncertain, encoding="utf-8")
+    shutil.copy(ROOT / "problems" / "insertions.csv", tmp_path)
+    problem = po.read_problem(path)
+    readings = po.read_penetrometer(ROOT / "problems" / "insertions.csv", (0.25, 0.45))
+    assert po.cone_index(problem.scene().soil) == pytest.approx(readings.mean, rel=1e-12)
+    assert [wave.wavelength for wave in problem.scene().effects.waves] == [0.73, 2.1]
+    _, effects, minimise = re.split(r"\[\w+\]\n", random)
+    given = effects.replace("# random", "random").splitlines()
+    shutil.copy(ROOT / "problems" / "transect.csv", tmp_path)
+    for line in given[:2]:
+        text = file.replace('strength_wave = { amplitude = 0.3, wavelength = "0.2 m" }', line)
+        path.write_text(text.replace("[minimise]\n", f"[minimise]\n{minimise}"), encoding="utf-8")
+        assert po.read_problem(path).scene().stationary_force_rms > 0.0
+
+
+def test_the_quoted_draft_and_band_match_the_command():
+    own, low, high = map(
+        float, re.findall(r"^([\d.]+) kN beside ([\d.]+) to ([\d.]+) kN", TEXTS["soils"], flags=re.MULTILINE)[0]
+    )
+    scene = po.read_problem(ROOT / "problems" / "field.toml").scene()
+    found = po.crosscheck.compare(scene, depth=[0.45], texture="fine", speeds=[5 / 3.6])
+    draft = next(row for row in found.others if row.model.startswith("ASABE"))
+    shown = (found.own.drafts[0], *(draft.drafts[0] * (1.0 + sign * draft.band) for sign in (-1, 1)))
+    assert (own, low, high) == pytest.approx([value / 1e3 for value in shown], abs=0.05)
+
+
+def test_the_synthetic_readings_match_their_script():
+    script = runpy.run_path(str(ROOT / "problems" / "make_field_data.py"))
+    for name in ("insertions", "transect"):
+        text = (ROOT / "problems" / f"{name}.csv").read_text(encoding="utf-8")
+        assert text == script[name]()
+        assert "synthetic" in text.splitlines()[0]
+
+
+# --- README.md: every code block runs ---
+
+
+README = re.findall(r"```(\w+)\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.DOTALL)
+PYTHON = [text for language, text in README if language == "python"]
+LINES = [line for language, text in README if language == "sh" for line in text.splitlines() if line]
+ENVIRONMENT = Path(sys.prefix)
+
+
+def shell(line: str) -> str:
+    """Run a line in the present folder, one of the toolkit's commands in this process; return what it prints."""
+    if line.startswith("plough-opt "):
+        return line_of_a_page(line)
+    environment = os.environ | {"PATH": f"{ENVIRONMENT / 'bin'}{os.pathsep}{os.environ['PATH']}"}
+    done = subprocess.run(line, shell=True, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+def rehearsed(line: str, brief: bool) -> str:
+    """Return what stands for a line that would set up an environment, or test the tests, anew."""
+    words = shlex.split(line)
+    if line == "make run" and not brief:
+        # The environment that runs this test is ready: -o keeps make from building another.
+        return f"make run VENV={ENVIRONMENT} -o {ENVIRONMENT}/.plough_opt-installed"
+    if words[0] == "make":
+        return f"make --dry-run {words[1]}"
+    if words[0].endswith("python3") and words[1:3] == ["-m", "venv"]:
+        return f"{sys.executable} -m venv --without-pip .venv"
+    if words[0] == ".venv/bin/pip":
+        rest = line.removeprefix(".venv/bin/pip install")
+        return f"{sys.executable} -m pip install --dry-run --no-deps --no-build-isolation {rest}"
+    return line.replace(".venv/bin/", "")
+
+
+@pytest.mark.parametrize("block", PYTHON, ids=range(len(PYTHON)))
+def test_python_block_runs(block, capsys):
+    exec(compile(block, "README.md", "exec"), {})  # the README's own text
+    assert capsys.readouterr().out
+
+
+# The longest lines, which other tests run thinned: of sweeps and of the study of accuracy.
+LONG = ("plough-opt sweep", "plough-opt accuracy")
+QUICK = [line for line in LINES if not line.startswith(LONG)]
+
+
+@pytest.mark.parametrize("lines", [QUICK, pytest.param(LINES, marks=pytest.mark.slow)], ids=["quick", "all"])
+def test_shell_lines_run_in_order_and_print_the_figures(tmp_path, monkeypatch, lines):
+    assert {language for language, _ in README} == {"python", "sh"}  # blocks of other languages would not run
+    work = tmp_path / "clone"
+    shutil.copytree(ROOT, work, ignore=shutil.ignore_patterns(".git", ".venv", ".*_cache", "out", "__pycache__"))
+    monkeypatch.chdir(work)
+    printed = {line: shell(rehearsed(line, brief=lines is QUICK)) for line in lines}
+    # What `make run` does beside the same optimum is to draw it, as a line further down does.
+    assert "--plot out/cotton_subsoiler.png" in printed["make run"] or (work / "out" / "cotton_subsoiler.png").exists()
+    assert (work / "my_share.png").stat().st_size > 10_000
+    assert '"schema": 2' in (work / "my_share.json").read_text(encoding="utf-8")
+    for figure in ("39.1147 deg", "0.2540811 m", "50.77128 kN/m", "3.9415 kN", "0.65314 kN", "0.010312 m", "73 %"):
+        assert figure in printed[".venv/bin/plough-opt optimise problems/cotton_subsoiler.toml"]
+
+
+# --- CONTRIBUTING.md: its five additions are taken from the page, added from outside the package, and used ---
+
+
+TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+BLOCKS = re.compile(r"```(\w+)\n(.*?)```", re.DOTALL)
+INTRODUCTION, *PARTS = re.split(r"^### ", TEXT, flags=re.MULTILINE)
+SECTIONS = {part.partition("\n")[0]: BLOCKS.findall(part) for part in PARTS}
+REGISTRIES = (OWN_EFFECTS, LAWS, MEASURES, FORMATS, METHODS)
+
+
+def module_of(section):
+    """Return the name and the text of the one file that a section adds."""
+    (text,) = (text for language, text in SECTIONS[section] if language == "python" and text.startswith("# "))
+    return re.match(r"# (\w+)\.py\n", text)[1], text
+
+
+@pytest.fixture
+def workshop(tmp_path, monkeypatch):
+    """Return a function that puts a section's modules and files where a user would, and removes what they add."""
+    before, known = [dict(registry) for registry in REGISTRIES], {*sys.modules}
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    kinds = dict(BLOCKS.findall(INTRODUCTION[INTRODUCTION.index("The examples below") :]))
+
+    def install(section):
+        name, text = module_of(section)
+        # An installed package, as its entry points are found.
+        Path("mine-1.0.dist-info").mkdir()
+        for file, content in {
+            "tine.toml": kinds["toml"],
+            "scene_of_mine.py": kinds["python"],
+            f"{name}.py": text,
+            "mine-1.0.dist-info/METADATA": "Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n",
+            "mine-1.0.dist-info/entry_points.txt": f"[plough_opt]\n{name} = {name}\n",
+        }.items():
+            Path(file).write_text(content, encoding="utf-8")
+        return name
+
+    yield install
+    for registry, own in zip(REGISTRIES, before, strict=True):
+        registry.clear()
+        registry.update(own)
+    for name in {*sys.modules} - known:
+        if str(tmp_path) in (getattr(sys.modules[name], "__file__", None) or ""):
+            del sys.modules[name]
+
+
+def use(section, capsys, long=False):
+    """Run a section's other blocks in order, or only its lines that take long; return what each of them printed."""
+    said = []
+    for language, text in SECTIONS[section]:
+        if language == "sh":
+            lines = [line for line in text.splitlines() if ("accuracy tine" in line) is long]
+            said.append("".join(map(line_of_a_page, lines)))
+        elif not long and not text.startswith("# "):
+            exec(compile(text, f"CONTRIBUTING.md, {section}", "exec"), {})  # the page's own text
+            said.append(capsys.readouterr().out)
+    return said
+
+
+def refused(line, told):
+    """Check that a command refuses its arguments with some words."""
+    done = call(*shlex.split(line))
+    assert done.status == 2
+    assert told in done.said
+
+
+def test_the_page_shows_five_additions_each_one_file_and_one_line():
+    assert list(SECTIONS) == ["An effect", "A resistance law", "A measure", "An export format", "An integrator"]
+    for section in SECTIONS:
+        line = r"^(?:po\.laws\.)?(OWN_EFFECTS|LAWS|MEASURES|FORMATS|METHODS)\["
+        assert len(re.findall(line, module_of(section)[1], flags=re.MULTILINE)) == 1, section
+    named = re.findall(r"`(plough_opt/[\w/]+\.py)`", TEXT)
+    assert len(named) == 5
+    assert all((ROOT / path).exists() for path in named)
+
+
+def test_effect(workshop, capsys):
+    workshop("An effect")
+    first, second = use("An effect", capsys)[0].splitlines()
+    slides, sticks = map(float, first.split())
+    bare = po.Scene(po.named_soil("serozem"), po.Wedge(po.deg(30), po.deg(35), 0.25), 2e5, 40.0, 2.0)
+    assert slides == pytest.approx(bare.steady_resistance + 150.0 + 160.0, rel=1e-12)
+    # From rest and over a short time.
+    assert sticks > bare.steady_resistance / 2
+    assert "viscous" in second
+    shank = "[{effect='shank', static='150 N', viscous='80 N*s/m'}]"
+    own = po.read_problem("tine.toml", [f"effects.own={shank}"])
+    # 80 N s/m at 2 m/s.
+    rise = own.simulate().mean_draft - po.read_problem("tine.toml").simulate().mean_draft
+    assert rise == pytest.approx(150.0 + 160.0, rel=1e-9)
+    for wrong, told in (
+        ("[{effect='shank', static='150 N'}]", "is incomplete"),
+        ("[{static='150 N'}]", "must be a list of tables with a name"),
+        ("[{effect='shank', static='150 m', viscous='1 N*s/m'}]", "'static' = \"150 m\" has the wrong unit"),
+        ("[{effect='shank', statik='150 N'}]", "'statik' is not a quantity of Shank: did you mean 'static'"),
+    ):
+        refused(f'check tine.toml --set effects.own="{wrong}"', told)
+
+
+def test_resistance_law(workshop, capsys):
+    workshop("A resistance law")
+    script, command = use("A resistance law", capsys)
+    assert "a fit per width and depth: fitted from 1 to 3 m/s" in script
+    assert "does not include soil that moves with the share" in script
+    assert "law of resistance" in command or "share.height" in command
+    table = "scene.medium={law='per_width', width='12 cm'}"
+    own = po.read_problem("tine.toml", [table])
+    # 250 kPa on 12 cm by 25 cm, and a twentieth of that per (m/s)^2.
+    assert own.simulate().mean_draft == pytest.approx(250e3 * 0.12 * 0.25 * 1.2, rel=1e-9)
+    refused("check tine.toml --set scene.medium='per_with'", "did you mean 'per_width'")
+
+
+def test_measure(workshop, capsys):
+    workshop("A measure")
+    objective, *_ = use("A measure", capsys)[0].split()
+    assert called("work_per_metre at_most") == "towing work per metre, at most"
+    # At a steady speed the work per metre is the draft.
+    own = po.read_problem("tine.toml").optimise()[0].objective
+    assert float(objective) == pytest.approx(own, rel=1e-7)
+    lines = Path("swept.csv").read_text(encoding="utf-8").splitlines()
+    rows = [*csv.DictReader(line for line in lines if not line.startswith("#"))]
+    assert len(rows) == 3
+    for row in rows:
+        found = {heading.partition(" ")[0]: value for heading, value in row.items()}
+        assert float(found["work_per_metre"]) == pytest.approx(float(found["mean_draft"]), rel=1e-9)
+    assert "towing work per metre" in printed("simulate", "tine.toml")
+    told = po.Measurements("work_per_metre", [3e3, 4e3], {"scene.tow_speed": [1.0, 2.0]}, sigma=100.0)
+    assert told.result == "work_per_metre"
+    wrong = "check tine.toml --set 'require.work_per_meter.at_most=5 kN'"
+    refused(wrong, "did you mean 'work_per_metre'")
+
+
+def test_export_format(workshop, capsys):
+    workshop("An export format")
+    use("An export format", capsys)
+    rows = csv.DictReader(Path("tine.csv").read_text(encoding="utf-8").splitlines())
+    values = {row["name"]: float(row["value"]) for row in rows}
+    assert values["share.height"] == 0.25
+    assert values["mean_draft"] == pytest.approx(po.read_problem("tine.toml").simulate().mean_draft, rel=1e-6)
+    refused("export tine.toml --to table --output a.txt", "end in .csv")
+    refused("export tine.toml --to table --output a.csv --strut speed", "--strut cannot be used with --to table")
+
+
+def test_integrator(workshop, capsys):
+    workshop("An integrator")
+    script, _ = use("An integrator", capsys)
+    draft, error = map(float, script.splitlines()[0].split())
+    assert 0.0 < error < 1e-6
+    assert draft > 0.0
+    assert "stiffness" in script
+    refused("simulate tine.toml --set accuracy.method=three_eights", "did you mean 'three_eighths'")
+
+
+@pytest.mark.slow
+def test_integrator_takes_part_in_the_accuracy_study(workshop, capsys):
+    workshop("An integrator")
+    (said,) = use("An integrator", capsys, long=True)
+    assert "three_eighths" in said
+    assert "three_eighths" in json.dumps(json.loads(Path("accuracy.json").read_text(encoding="utf-8")))
+
+
+def test_addition_that_cannot_be_imported_is_named(workshop, tmp_path):
+    name = workshop("An integrator")
+    (tmp_path / f"{name}.py").write_text("import no_such_module\n", encoding="utf-8")
+    told = f"the addition '{name}' = {name} of mine cannot be imported (ModuleNotFoundError"
+    refused("soils", told)
+
+
+# --- examples in docstrings: every public name has one, and all give the results shown ---
+
+
+def examples():
+    """Return every docstring of the package that has an example, by its full name."""
+    finder = doctest.DocTestFinder(exclude_empty=True)
+    names = [name for _, name, _ in pkgutil.walk_packages(po.__path__, "plough_opt.")]
+    modules = [name for name in names if not name.endswith("__main__")]
+    found = [one for name in modules for one in finder.find(importlib.import_module(name)) if one.examples]
+    return {one.name: one for one in found}
+
+
+EXAMPLES = examples()
+
+
+@pytest.mark.parametrize("name", po.__all__)
+def test_each_public_name_has_an_example(name):
+    thing = getattr(po, name)
+    if inspect.ismodule(thing):  # whose functions have theirs
+        name = thing.__name__
+        assert thing.__doc__
+        return
+    assert ">>> " in inspect.getdoc(thing)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_examples_run_as_shown(name, monkeypatch):
+    monkeypatch.chdir(ROOT)  # where its problem files are
+    one = EXAMPLES[name]
+    # Run as a user's program, because some warnings appear only for values that a user passes.
+    one.globs = {**one.globs, "__name__": "__main__"}
+    said = []
+    results = doctest.DocTestRunner().run(one, out=said.append)
+    assert results.failed == 0, "".join(said)
+
+
+# --- the notebooks run from top to bottom ---
+
+
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+QUICKEST = next(path for path in NOTEBOOKS if path.stem == "02_from_paper_to_code")
+
+
+def code_of(path):
+    """Return the code cells of a notebook."""
+    return [cell for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"]
+
+
+# ipykernel and its event loop warn about themselves at start-up and shut-down; the notebook's own warnings
+# stay in the kernel, where its first cell turns them into errors.
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_runs(path):
+    notebook = nbformat.read(path, as_version=4)
+    NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(path.parent)}}).execute()
+    assert any(cell.get("outputs") for cell in notebook.cells if cell.cell_type == "code")
+
+
+def test_the_quickest_notebook_runs_without_a_kernel(monkeypatch, capsys):
+    """It calls what the others call; a kernel would take three times as long to start as its cells to run."""
+    monkeypatch.chdir(QUICKEST.parent)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    names = {}
+    for cell in code_of(QUICKEST):
+        source = "\n".join(line for line in cell.source.splitlines() if not line.startswith("%matplotlib"))
+        exec(compile(source, QUICKEST.name, "exec"), names)  # the notebook's own text
+    assert capsys.readouterr().out
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_is_stored_with_its_outputs_and_in_order(path):
+    cells = code_of(path)
+    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
+    assert not any(output.output_type == "error" for cell in cells for output in cell.outputs)

@@ -1,21 +1,33 @@
-"""Quantities in Python: texts and pint quantities as well as SI numbers, refusals with a remedy, likely slips."""
+"""Quantities in Python: texts, pint quantities and numbers of every type; likely slips; wrong types refused by name."""
 
 import dataclasses
+import decimal
+import fractions
 import math
+import pickle
 import warnings
+from importlib.resources import files
 
 import casadi as ca
 import numpy as np
+import pandas
 import pint
 import pytest
 from helpers.refusals import refusals
 from helpers.scenes import SEROZEM, scene_of
 
 import plough_opt as po
+from plough_opt import crosscheck
 from plough_opt.app.main import main
+from plough_opt.core.checks import LEAST, Limit
+from plough_opt.core.expressions import exp
 from plough_opt.core.quantities import EVERY
+from plough_opt.core.saving import Origin
+from plough_opt.core.units import registry
+from plough_opt.design.search import effort
 from plough_opt.motion.scene import quantities_of, with_quantities
 from plough_opt.problem_file import template
+from plough_opt.soil import plastic
 
 U = pint.UnitRegistry()
 
@@ -149,3 +161,198 @@ def test_durations_bounds_and_limits_accept_texts_and_pint():
         assert po.Batch(varied, duration, [stiffness])([[5e4]]).mean_draft == wanted
         made = po.component(scene, duration, inputs=[given], outputs=["mean_draft"])
         assert made(5e4) == po.component(scene, 0.2, inputs=["scene.stiffness"], outputs=["mean_draft"])(5e4)
+
+
+# --- arguments of the wrong type or outside a formula's domain are refused by name ---
+
+
+SOIL = po.named_soil("serozem")
+CONE = po.Cone(0.2, 0.25)
+NODES = [(0.0, 0.0), (0.5, 0.05)]
+LINE = np.arange(40.0)
+
+
+def _record(values, positions=LINE):
+    return po.StrengthRecord(positions, values)
+
+
+def _denser(order=16):
+    return SOIL.with_density_profile(lambda r, w: 1350.0 * (1.05 + 0.3 * exp(-((r / w) ** 2))), 0.15, order=order)
+
+
+# --- arrays where a formula needs one number ---
+
+ARRAYS = {
+    "angles": lambda n: po.resistance(po.Cone(np.linspace(0.1, 0.2, n), 0.25), _denser(), 2.0, 0.0),
+    "heights": lambda n: po.added_mass(po.Cone(0.2, np.linspace(0.1, 0.2, n)), _denser()),
+    "cohesion": lambda n: po.resistance_coefficients(CONE, dataclasses.replace(_denser(), cohesion=1e4 + np.arange(n))),
+    "a column of symbols": lambda n: po.soil_reaction(po.Cone(ca.MX.sym("angle", n), 0.25), _denser()),
+    "a column of numbers": lambda n: po.soil_reaction(po.Cone(ca.DM(np.linspace(0.1, 0.2, n)), 0.25), _denser()),
+    "speeds of a wedge": lambda n: po.elastic.wedge_force(NODES, SOIL, np.linspace(1.0, 2.0, n)),
+    "thicknesses": lambda n: po.elastic.wedge_force([(0.0, 0.0), (0.5, np.linspace(0.01, 0.05, n))], SOIL, 2.0),
+    "speeds of a cone": lambda n: po.elastic.cone_force(NODES, SOIL, np.linspace(1.0, 2.0, n)),
+    "section factors": lambda n: po.elastic.cone_force(NODES, SOIL, 2.0, section_factor=np.linspace(0.5, 1.0, n)),
+    "speeds of integrals": lambda n: po.elastic.fourier.wedge_stress(0.2, 0.1, float, 0.5, SOIL, np.linspace(1, 2, n)),
+    "factors of integrals": lambda n: po.elastic.fourier.cone_stress(0.2, 0.1, float, 0.5, SOIL, 2.0, 12, np.ones(n)),
+}
+
+
+@pytest.mark.parametrize("call", ARRAYS.values(), ids=ARRAYS)
+# As many elements as a quadrature has nodes or cells would broadcast against these and give wrong numbers.
+@pytest.mark.parametrize("count", [3, 7, 16])
+def test_arrays_never_meet_the_nodes_of_a_quadrature(call, count):
+    with pytest.raises(po.InputError, match="one number per quantity"):
+        call(count)
+
+
+def test_an_array_of_one_number_is_that_number():
+    alone = po.resistance(po.Cone(np.array([0.2]), 0.25), _denser(), np.array([1.0, 2.0]), 0.0)
+    assert alone == pytest.approx([po.resistance(CONE, _denser(), v, 0.0) for v in (1.0, 2.0)], rel=1e-15)
+
+
+# --- wrong types, and numbers that would overflow ---
+
+
+WRONG = {
+    "soil of a scene": (lambda: scene_of(soil="serozem"), "scene's soil = 'serozem' must be a Soil, for instance name"),
+    "share of a scene": (lambda: scene_of(share=0.3), "scene's share = 0.3 must be a Wedge or a Cone"),
+    "effects": (lambda: po.Scene(SOIL, CONE, 5e4, 25.0, 2.0, None), "scene's effects = None must be an Effects"),
+    "a wedge": (lambda: po.added_mass(po.Wedge(0.5, 0.2, 0.25), SOIL), r"must be a Cone: use its equivalent_cone\(\)"),
+    "a number": (lambda: po.soil_reaction(0.3, SOIL), r"the cone = 0\.3 must be a Cone$"),
+    "a name": (lambda: po.loosened_radius(CONE, "serozem"), "the soil = 'serozem' must be a Soil, for instance named_"),
+    "a list": (lambda: po.Cone([0.2], 0.25), "half angle = .* must be a number or a NumPy array, in rad"),
+    "a tuple": (lambda: po.resistance(CONE, SOIL, (0.2, 0.3), 0.0), "speed = .* must be a number or a NumPy array"),
+    # In 8 bits a cone of 10 m would have a negative volume.
+    "8 bits": (lambda: po.Cone(0.2, np.array([1, 10], dtype=np.int8)), "share height has type int8, .* float"),
+    "16 bits": (lambda: po.Cone(0.2, np.float16([1, 10])), "share height has type float16, .* float"),
+    # What would overflow.
+    "largest speed but one": (lambda: po.resistance(CONE, SOIL, 1.1e60, 0.0), "must be at most"),
+    "width of a contact": (lambda: po.Smooth(5e-324), "width of the smooth contact = .* must be at least"),
+    "place at a wedge's tip": (lambda: po.elastic.wedge_pressure(5e-324, NODES, SOIL, 2.0), "node 1"),
+    "samples": (lambda: po.uncertainty.worst([1.0, 1e308], width=0.1), "must (be|lie)"),
+    "reading": (lambda: po.Penetrometer("a.csv", [1e6, 1e308]), "cone indices"),
+    "record": (lambda: _record(np.full(40, 1e308)), "must (be|lie)"),
+    # Records, profiles and results that are none.
+    "short column": (lambda: _record(np.ones(39)), r"of equal length, not of shapes \(40,\) and \(39,\)"),
+    "backwards": (lambda: _record(np.ones(40), LINE[::-1]), "must increase, but 38 m follows 39 m"),
+    "long and uneven": (lambda: _record(np.ones(10_001), np.arange(10_001.0) ** 1.1), "10001 points at uneven"),
+    "always the same": (lambda: po.strength_waves(_record(np.full(40, 1.5e6))), "its strength does not vary"),
+    "a wide base": (lambda: po.strength_waves(_record(1.0 + LINE % 2), base_diameter=39.0), "between 39 m"),
+    "no problem to restore": (lambda: Origin().restore("new"), "does not come from a problem file: see its declar"),
+    "data elsewhere": (lambda: Origin(text="title=''", data={"../a": ""}).restore("new"), "must be below its folder"),
+    "a text to refine": (lambda: po.refine(hex, [2, 4]), "returned '0x8' at size 8, but must return numbers"),
+    "a symbol to refine": (lambda: po.refine(lambda _: ca.SX.sym("x"), [2]), "'x' holds symbols"),
+    "a search in bytes": (lambda: effort.searched(b"near", ()), "search = b'near' must be 'auto'"),
+    "a search of nothing": (lambda: effort.searched([], ()), r"search = \[\] must be 'auto'"),
+    "limits": (lambda: po.Output("mean_draft", lower=2.0, upper=1.0), "limits of 'mean_draft' .* 2 is above 1"),
+    "node of three": (lambda: po.elastic.wedge_force([(0.0, 0.0), (0.5, 0.1, 0.2)], SOIL, 2.0), "is not a pair"),
+}
+
+
+test_wrong_types_are_refused_with_the_right_ones = refusals((po.InputError, po.DomainError), *WRONG.values())
+
+
+@pytest.mark.parametrize("name", ["motion", "inertial_drag", "added_mass", "ambient_pressure", "entry"])
+@pytest.mark.parametrize("value", ["off", 0, None])
+def test_a_switch_must_be_a_bool(name, value):
+    with pytest.raises(po.InputError, match=f"{name} = {value!r} must be True or False"):
+        po.Effects(**{name: value})
+
+
+# --- every type of number gives the value of the float, or is refused ---
+
+KINDS = {
+    **{kind.__name__: kind for kind in (np.int8, np.int16, np.int32, np.int64, np.uint8, np.uint16, np.uint32)},
+    **{kind.__name__: kind for kind in (np.uint64, np.float16, np.float32, np.float64, np.longdouble, complex)},
+    "int": int, "a subclass": type("Metres", (float,), {}), "0-d": lambda x: np.array(x), "bool": lambda _: True,
+    "0-d int": lambda x: np.array(int(x)), "a fraction": fractions.Fraction, "a decimal": decimal.Decimal,
+    "text": lambda x: f"{x}", "None": lambda _: None, "a column": lambda x: pandas.Series([x, x]),
+    "a quantity": lambda x: registry().Quantity(x, "m^7"), "a symbol's name": lambda _: "x",
+}  # fmt: skip
+# Largest value tried and a function of it.
+TAKES = {
+    "height": (2e9, lambda x: po.Cone(0.17, x).volume),
+    "half angle": (1, lambda x: po.Cone(x, 0.25).volume),
+    "degrees": (80, po.deg),
+    "speed": (1e30, lambda x: po.resistance(CONE, SOIL, x, 0.0)),
+    "acceleration": (1e30, lambda x: po.resistance(CONE, SOIL, 1.0, x)),
+    "cohesion": (1e9, lambda x: po.soil_reaction(CONE, dataclasses.replace(SOIL, cohesion=x)).static),
+    "density": (1e5, lambda x: po.soil_reaction(CONE, dataclasses.replace(SOIL, density=x)).drag),
+    "cavity": (1e30, lambda x: plastic.front_radius(plastic.Cavity(x, 1.0, 0.0), SOIL)),
+    "cavity rate": (1e30, lambda x: plastic.surface_pressure(plastic.Cavity(0.1, x, 0.0), SOIL)),
+    "stiffness": (2e9, lambda x: scene_of(stiffness=x).natural_frequency),
+    "mass": (2e9, lambda x: scene_of(mass=x).inertia),
+    "tow speed": (1e9, lambda x: scene_of(tow_speed=x).steady_resistance),
+    "elastic speed": (30, lambda x: po.elastic.wedge_force(NODES, SOIL, x)),
+    "width of a tine": (1e5, lambda x: crosscheck.godwin_draft(SOIL, crosscheck.Tine(x, x, 1.0, adhesion=x), 1.0)),
+    "depth of a subsoiler": (1e9, lambda x: crosscheck.asabe_draft(x, 1.0, "fine", shanks=x)),
+    "width": (1e9, lambda x: po.Smooth(x).width * 3.0),
+}
+
+
+@pytest.mark.parametrize("takes", TAKES)
+def test_every_type_of_number_gives_the_value_of_the_float_or_is_refused(takes):
+    most, function = TAKES[takes]
+    random, refused = np.random.default_rng(8), set()
+    for name, kind in KINDS.items():
+        for value in [float(round(10.0 ** random.uniform(0.0, math.log10(most)))) for _ in range(3)] + [float(most)]:
+            with warnings.catch_warnings(), np.errstate(all="ignore"):
+                warnings.simplefilter("ignore")  # of implausible sizes, and of casts out of range in this test
+                try:
+                    given = kind(value)
+                except OverflowError:  # an integer without so many digits
+                    continue
+                try:
+                    found = function(given)
+                except (po.InputError, po.DomainError):
+                    refused.add(name)
+                    continue
+                expected = function(float(given))
+            # A float of four bytes is exactly the float that is expected.
+            assert np.all(np.isfinite(found)), (name, value)
+            np.testing.assert_allclose(found, expected, rtol=1e-14, err_msg=f"{name} {value}")
+    assert refused >= {"complex", "a fraction", "a decimal", "text", "None", "a column", "a quantity", "bool"}
+    assert not refused & {"float64", "a subclass", "0-d"}
+
+
+# --- pickled errors ---
+
+
+def test_errors_come_back_from_another_process():
+    infeasible = po.InfeasibleDesign("no design", {"draft": 3.0}, ["upper bound"])
+    for error in (infeasible, po.NotConverged("it stopped", "Restoration_Failed"), po.InputError("wrong")):
+        copy = pickle.loads(pickle.dumps(error))
+        assert (type(copy), str(copy), vars(copy)) == (type(error), str(error), vars(error))
+
+
+def test_the_package_is_marked_as_typed():
+    assert (files("plough_opt") / "py.typed").is_file()
+
+
+def test_the_largest_numbers_are_accepted():
+    assert math.isfinite(po.resistance(CONE, SOIL, 1e60, 0.0))
+    assert math.isfinite(po.Cone(0.2, 1e60).volume)
+
+
+# --- names ---
+
+
+def test_a_requirement_may_have_the_name_of_a_fronts_own_one():
+    """Its margins are those of any other requirement."""
+    d = po.Design()
+    angle = d.variable("angle", guess=0.5, lower=0.3, upper=0.8, unit="rad")
+    scene = po.Scene(SOIL, po.Wedge(angle, 0.26, 0.25), 5e4, 45.0, 2.0, po.Effects(motion=False))
+    d.require("position on the front", scene.cone.half_angle, at_most=0.3, unit="rad")
+    draft = po.simulate(scene, 1.0).mean_draft
+    front = po.trade_off(d, draft, po.Goal("r", scene.loosened_radius, maximise=True), points=5, search="local")
+    for point in front.points:
+        angle = po.Wedge(point.variables["angle"], 0.26, 0.25).equivalent_cone().half_angle
+        assert point.margins["position on the front"] == pytest.approx(0.3 - angle, abs=1e-12)
+
+
+def test_a_limit_against_underflow_is_zero_in_a_design():
+    assert Limit("x", above=0.0, at_least=LEAST).kept == (0.0, None)
+
+
+def test_numbers_of_numpy_are_ends_of_a_domain():
+    po.Design().parameter("p", 0.5, unit="rad", domain=[np.int64(0), np.float32(2)])

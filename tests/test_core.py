@@ -1,0 +1,383 @@
+"""Expressions, labels in graphs, notes and refinement: what every room builds on."""
+
+import dataclasses
+import itertools
+import math
+import re
+
+import casadi as ca
+import numpy as np
+import pytest
+from helpers import small_designs
+from helpers.high_precision import assert_close, derivatives, mp
+
+import plough_opt as po
+from plough_opt.core import expressions as ex
+from plough_opt.core.checks import Limit
+from plough_opt.core.labels import Meanings, attach, labels_in, meaning_of
+from plough_opt.core.notes import merge
+from plough_opt.core.refinement import Refinement
+
+# --- functions of floats, arrays and CasADi expressions, and ratios without cancellation ---
+
+
+def beside(x):
+    """Return a number and its two neighbours, which lie on both sides of a branch."""
+    return [math.nextafter(x, -math.inf), x, math.nextafter(x, math.inf)]
+
+
+BOTH_SIDES = [s * x for x in (1e-20, 1e-12, 1e-8, 1e-4, 0.01, 0.3) for s in (-1, 1)]
+EXPM1 = [
+    *[0.0, *BOTH_SIDES, -0.9, 0.5, 0.9, *beside(-1.0), *beside(1.0)],
+    *[-1.0001, 1.0001, -1.5, 1.5, -5.0, 5.0, -30.0, 30.0, -700.0, 600.0],
+]
+LOG1P = [
+    *[0.0, *BOTH_SIDES, -0.45, 0.45, *beside(-0.5), *beside(0.5)],
+    *[-0.5001, 0.5001, -0.7, 1.0, 10.0, 1e6, -0.999, -1 + 1e-9, math.nextafter(-1.0, 0.0)],
+]
+INSIDE = [0.0, *BOTH_SIDES, -0.45, 0.45, *beside(-0.5), *beside(0.5), -0.5001, 0.5001, -0.9, 0.99]
+# Ratio -> the function over x, and value, slope and curvature at 0.
+PRECISE = {
+    ex.expm1_ratio: (mp.expm1, (1, 1 / 2, 1 / 3)),
+    ex.log1p_ratio: (mp.log1p, (1, -1 / 2, 2 / 3)),
+    ex.arctanh_ratio: (mp.atanh, (1, 0, 2 / 3)),
+    ex.arctan_ratio: (mp.atan, (1, 0, -2 / 3)),
+    ex.arcsinh_ratio: (mp.asinh, (1, 0, -1 / 3)),
+}
+RATIOS = [
+    *((ex.expm1_ratio, x) for x in EXPM1),
+    *((ex.log1p_ratio, x) for x in LOG1P),
+    *((ex.arctanh_ratio, x) for x in INSIDE),
+    *((ratio, x) for ratio in (ex.arctan_ratio, ex.arcsinh_ratio) for x in (*INSIDE, -3.0, 20.0)),
+]
+
+
+def with_derivatives(ratio, symbol):
+    """Return the Function from a number to a ratio and its first two derivatives."""
+    x = symbol.sym("x")
+    y = ratio(x)
+    first = ca.gradient(y, x)
+    return ca.Function("f", [x], [y, first, ca.gradient(first, x)])
+
+
+@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
+@pytest.mark.parametrize(("ratio", "at"), RATIOS)
+def test_ratio_and_its_two_derivatives_keep_their_digits(ratio, at, symbol):
+    value, slope, curvature = with_derivatives(ratio, symbol)(at)
+    precise = PRECISE[ratio][0]
+    want, [want_slope], [[want_curvature]] = derivatives(lambda x: precise(x) / x if x else mp.mpf(1), [at])
+    # The value has some ten roundings; beyond the branch each derivative of the closed form costs a digit.
+    assert_close(value, want, 1e-15, "value")
+    assert_close(ratio(at), want, 1e-15, "value of a float")
+    assert_close(slope, want_slope, 1e-14, "first derivative")
+    assert_close(curvature, want_curvature, 1e-13, "second derivative")
+
+
+@pytest.mark.parametrize("ratio", PRECISE)
+@pytest.mark.parametrize("at", [0.0, 5e-324, -1e-300])
+def test_ratio_has_its_limits_at_zero(ratio, at):
+    got = [float(v) for v in with_derivatives(ratio, ca.SX)(at)]
+    # Two units in the last place; a slope follows x.
+    assert got == pytest.approx(PRECISE[ratio][1], rel=4e-16, abs=1e-299)
+
+
+@pytest.mark.parametrize("ratio", [ex.expm1_ratio, ex.log1p_ratio, ex.arctan_ratio, ex.arcsinh_ratio])
+def test_ratios_of_arrays_are_elementwise(ratio):
+    x = np.array([[-0.9, -0.5, -1e-9], [0.0, 0.5, 3.0]])
+    # One unit in the last place: NumPy may use different code for whole registers and for single numbers.
+    np.testing.assert_allclose(ratio(x), [[ratio(float(v)) for v in row] for row in x], rtol=3e-16)
+    assert isinstance(ratio(0.25), float)
+
+
+UNARY = {
+    "sin": mp.sin, "cos": mp.cos, "tan": mp.tan, "arctan": mp.atan, "sqrt": mp.sqrt, "exp": mp.exp, "log1p": mp.log1p,
+    "expm1": mp.expm1, "absolute": abs, "arcsinh": mp.asinh,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", UNARY)
+def test_operation_is_the_same_for_numbers_arrays_and_symbols(name):
+    operation, points = getattr(ex, name), [0.0, 1e-9, 0.3, 1.2]
+    of_symbols = [ca.Function("f", [s], [operation(s)]) for s in (ca.SX.sym("s"), ca.MX.sym("s"))]
+    for x in points:
+        for of in (operation, lambda x: operation(ca.DM(x)), *of_symbols):
+            assert_close(of(x), UNARY[name](mp.mpf(x)), 3e-16, name)
+    np.testing.assert_allclose(operation(np.array(points)), [operation(x) for x in points], rtol=3e-16)
+    assert operation.__name__ in operation.__doc__
+
+
+@pytest.mark.parametrize("symbol", [ca.SX, ca.MX])
+def test_choice_and_minimum_take_numbers_arrays_and_symbols(symbol):
+    def chosen(x):
+        return ex.where(x < 2.0, x, -1.0), ex.minimum(x, 2.0), ex.minimum(2.0, x)
+
+    x = symbol.sym("x")
+    for value, wanted in ((1.5, (1.5, 1.5, 1.5)), (2.5, (-1.0, 2.0, 2.0))):
+        assert chosen(value) == wanted
+        assert tuple(map(float, ca.Function("f", [x], [*chosen(x)])(value))) == wanted
+    assert [[*found] for found in chosen(np.array([1.5, 2.5]))] == [[1.5, -1.0], [1.5, 2.0], [1.5, 2.0]]
+
+
+def test_symbols_are_distinguished_from_numbers():
+    symbols = [2.0 * ca.MX.sym("x"), ca.vertcat(ca.SX.sym("x"), 1.0)]
+    for value in (1.0, np.ones(2), ca.DM(1.0), ca.MX(1.0), *symbols):
+        casadi = not isinstance(value, float | np.ndarray)
+        assert ex.is_casadi(value) is ex.holds_casadi([{"nested": (value,)}]) is casadi
+        assert ex.is_symbolic(value) is any(value is symbol for symbol in symbols)
+
+
+@pytest.mark.parametrize("value", [1.5, np.float64(1.5), ca.DM(1.5), ca.SX(1.5), ca.MX(1.5), [1.5], np.array([[1.5]])])
+def test_numbers_of_every_type_are_read(value):
+    assert ex.as_number(value).shape == ()
+    assert float(ex.as_number(value)) == 1.5
+
+
+def test_a_symbol_has_no_value():
+    for symbol in (ca.SX, ca.MX):
+        with pytest.raises(po.InputError, match=r"speed.*no value"):
+            ex.as_number(2.0 * symbol.sym("speed"))
+
+
+def test_a_column_can_be_combined_with_symbols():
+    values = np.array([1.0, 2.0])
+    assert ex.column(values, symbolic=False) is values
+    x = ca.SX.sym("x")
+    product = ca.Function("f", [x], [x * ex.column(values, symbolic=True)])(3.0)
+    assert product.full().tolist() == [[3.0], [6.0]]
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 16, 64])
+def test_a_quadrature_is_exact_for_polynomials_below_twice_its_order(order):
+    nodes, weights = ex.gauss_legendre(order)
+    assert {*map(type, (*nodes, *weights))} == {float}  # CasADi keeps floats as constants
+    for power in range(2 * order):
+        assert np.dot(weights, np.power(nodes, power)) == pytest.approx(1.0 / (power + 1), rel=2e-14)
+
+
+# --- labels: calls in a graph that do not change its value and can be found again ---
+
+
+LOW = Limit("something", at_most=2.0, unit="m")
+HIGH = Limit("something else", at_most=3.0)
+
+POINT = np.array([0.7, -1.3, 2.1])
+
+
+def whole(*outputs, symbol):
+    return ca.Function("whole", [symbol], list(outputs), {"never_inline": True})
+
+
+VALUES = {
+    "scalar": lambda x: ca.sin(x[0]) * ca.exp(x[1]) + x[2] ** 3,
+    "column": lambda x: ca.vertcat(x[0] * x[1], ca.cos(x[2]), x[0] ** 2),
+    "matrix": lambda x: x @ x.T,
+    "sparse": lambda x: ca.diag(x**2),
+}
+
+
+@pytest.mark.parametrize("value", VALUES.values(), ids=VALUES)
+def test_value_and_all_derivatives_pass_unchanged(value):
+    x = ca.MX.sym("x", 3)
+    plain = value(x)
+    labelled = attach(plain, ca.vertcat(x[0] * x[1], x[2]), LOW, LOW)
+    assert labelled.shape == plain.shape
+    found = []
+    for y in (plain, labelled):
+        y = ca.vec(ca.densify(y))
+        jacobian = ca.jacobian(y, x)
+        weights = ca.DM(np.linspace(1.0, 2.0, y.numel()))
+        hessian, gradient = ca.hessian(ca.dot(weights, y), x)
+        forward, reverse = ca.jtimes(y, x, ca.DM([1.0, 2.0, 3.0])), ca.jtimes(y, x, weights, True)
+        third = ca.jacobian(ca.vec(hessian), x)
+        function = whole(y, jacobian, gradient, hessian, forward, reverse, third, symbol=x)
+        found.append([np.asarray(part) for part in function(POINT)])
+    for own, wanted in zip(found[1], found[0], strict=True):
+        # Differentiation through the label adds the same terms in a different order.
+        np.testing.assert_allclose(own, wanted, rtol=4e-16, atol=4e-16 * np.max(np.abs(wanted)))
+
+
+def test_carried_expressions_do_not_affect_the_value_even_if_undefined():
+    x = ca.MX.sym("x")
+    y = attach(x**3, ca.vertcat(ca.sqrt(-x), ca.log(-x)), LOW, LOW)
+    hessian, gradient = ca.hessian(y, x)
+    assert [float(part) for part in whole(y, gradient, hessian, symbol=x)(2.0)] == [8.0, 12.0, 12.0]
+
+
+def test_labels_are_found_each_with_its_meaning():
+    x = ca.MX.sym("x", 3)
+    parts = [(x[0], x[2], LOW), (x[1], x[2], LOW), (x[0], x[2], HIGH), (x[0], x, LOW)]
+    graph = whole(*(attach(value, carried, meaning, meaning) for value, carried, meaning in parts), symbol=x)
+    found = [(meaning_of(node.which_function()), node.dep(1).numel()) for node in labels_in(graph)]
+    assert sorted(found, key=str) == sorted([(LOW, 1), (LOW, 1), (HIGH, 1), (LOW, 3)], key=str)
+    assert len({hash(node.which_function()) for node in labels_in(graph)}) == 3  # equal meanings share one
+
+
+def called(meanings, key):
+    """Return a graph that holds the only reference to the Function it calls."""
+    x = ca.MX.sym("x")
+
+    def make():
+        return ca.Function("own", [x], [ca.sin(x)], {"never_inline": True}), key
+
+    return meanings.shared(key, make)(x) + 1.0
+
+
+def test_meanings_live_as_long_as_the_graphs_that_use_them():
+    meanings, x, others = Meanings(), ca.MX.sym("x"), []
+    kept = {k: called(meanings, k) for k in range(0, 2000, 100)}
+    most = 0
+    for k in range(2000, 4000):
+        called(meanings, k)
+        others.append(ca.Function("other", [x], [x]))  # takes the place of a freed one
+        most = max(most, len(meanings))
+    assert most <= 2 * (64 + len(kept))  # twice those that are alive or cached
+    for key, graph in kept.items():
+        assert meanings.of(graph.dep(1).dep(0).which_function()) == key
+
+
+def test_a_new_function_at_a_freed_address_has_no_meaning():
+    meanings, x = Meanings(), ca.MX.sym("x")
+    places = {hash(meanings.shared(k, lambda: (ca.Function("own", [x], [ca.sin(x)]), "own"))) for k in range(200)}
+    # The most recent Functions are cached for similar graphs.
+    places -= {hash(function) for function, _ in meanings._recent.values()}
+    others = [ca.Function("other", [x], [ca.cos(x)]) for _ in range(2000)]
+    assert any(hash(other) in places for other in others)  # else this shows nothing
+    assert all(meanings.of(other) is None for other in others)
+
+
+# --- notes that differ only in their numbers become one note with the ranges of these ---
+
+
+# Notes of one kind, and what they become.
+ALIKE = [
+    (["a carries 92 % of it", "a carries 38 % of it", "a carries 50 % of it"], "a carries 38 to 92 % of it"),
+    (["at 1e-9 and -3.5 m", "at 2e-10 and 4 m"], "at 2e-10 to 1e-9 and -3.5 to 4 m"),
+    (["from 3 to 5 kPa", "from 2 to 4 kPa", "from 4 to 4.5 kPa"], "from 2 to 5 kPa"),
+    (["only 7 of 'part 2'", "only 7 of 'part 2'"], "only 7 of 'part 2'"),
+    (["the wave's part is 0.1 in Poisson's ratio", "the wave's part is 0.2 in Poisson's ratio"],
+     "the wave's part is 0.1 to 0.2 in Poisson's ratio"),
+    (["1 %", "1.0 %"], "1 %"),
+    (["a C3 share ends with 5.", "a C3 share ends with 6."], "a C3 share ends with 5 to 6."),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("texts", "wanted"), ALIKE)
+def test_numbers_become_their_range_in_any_order(texts, wanted):
+    for order in itertools.permutations(texts):
+        notes = {}
+        kinds = {merge(notes, text) for text in order}
+        assert list(notes.values()) == [wanted]
+        # Merged notes can be merged again, as by several processes of a sweep.
+        assert kinds == {merge(notes, wanted)}
+        assert list(notes.values()) == [wanted]
+
+
+def test_names_with_numbers_are_different_notes():
+    notes = {}
+    for text in ("'tine 1' rests", "'tine 2' rests", "x1 rests 3 times", "x2 rests 3 times", "2 rest"):
+        merge(notes, text)
+    assert len(notes) == 5
+
+
+@pytest.mark.parametrize("texts", [
+    ("x 1 2", "x 1 "),
+    ("at 1,000 N", "at 20,500 N"),
+    ("12.5m wide", "13.5m wide"),
+    ("on 2026-11-24", "on 2026-11-25"),
+    ("version 1.2.3", "version 1.2.4"),
+    ("at 17:40", "at 18:50"),
+])  # fmt: skip
+def test_other_digits_are_no_numbers(texts):
+    notes = {}
+    for text in texts:
+        merge(notes, text)
+    assert [*notes.values()] == [*texts]
+
+
+def share_of_draft(text):
+    """Return the ends of the share of the draft that an ambient pressure carries, as a note gives them."""
+    percent = text.partition("carries ")[2].partition(" %")[0].split(" to ")
+    return float(percent[0]), float(percent[-1])
+
+
+def test_a_front_gives_the_range_over_all_its_designs():
+    design, cohesion = small_designs.design(cohesion=(1e4, 1e3, 1e5, "Pa", True))
+
+    def scene(cohesion):
+        soil = dataclasses.replace(po.named_soil("serozem"), cohesion=cohesion)
+        return po.Scene(soil, po.Cone(0.2, 0.3), 5e4, 60.0, 1.5, po.Effects(motion=False))
+
+    run = po.simulate(scene(cohesion), 0.1, outputs=1)
+    front = po.trade_off(design, run.mean_draft / 1e3, 1e4 / cohesion, points=5)
+    alone = [po.simulate(scene(point.variables["cohesion"]), 0.1).warnings for point in front.points]
+    shares = [share_of_draft(text) for texts in alone for text in texts if "carries" in text]
+    (note,) = [text for text in front.notes if "carries" in text]
+    assert note.startswith("at 5 of 5 designs")
+    assert share_of_draft(note) == (min(shares)[0], max(shares)[0])
+    assert min(shares) < max(shares)
+
+
+# --- `refine`: errors and times of quadratures whose errors are known ---
+
+
+def midpoints(count):
+    """Return the integral of exp from 0 to 1 by the midpoint rule."""
+    return math.fsum(math.exp((k + 0.5) / count) for k in range(count)) / count
+
+
+def test_errors_and_order_of_a_method_are_recovered():
+    # The reference has twice the largest size.
+    found = po.refine(midpoints, [4, 8, 16, 32])
+    wanted = [abs(midpoints(size) / midpoints(64) - 1.0) for size in found.sizes]
+    np.testing.assert_allclose(found.errors, wanted, rtol=1e-10)
+    errors = found.errors + abs(math.e - 1.0 - midpoints(64)) / midpoints(64)
+    np.testing.assert_allclose(errors[:-1] / errors[1:], 4.0, rtol=3e-3)
+    assert str(found).count("\n") == len(found.sizes)  # nothing is said of rounding
+
+
+def test_errors_of_arrays_are_the_largest_relative_to_the_largest_value():
+    # The errors of the elements of (2, -20, 2) are 1/size, 4/size and 0.
+    found = po.refine(lambda size: np.array([2.0 + 1.0 / size, -20.0 + 4.0 / size, 2.0]), [4, 1, 2, 2])
+    assert found.sizes == (1, 2, 4)
+    reference = 20.0 - 4.0 / 8
+    np.testing.assert_allclose(found.errors, [4.0 * (1.0 / n - 1.0 / 8) / reference for n in (1, 2, 4)], rtol=1e-14)
+
+
+STUDY = Refinement((2, 4, 8, 16), np.array([0.01, 3e-6, 9.9e-15, 1e-16]), np.array([2e-3, 1e-3, 3e-3, 25e-3]))
+
+
+@pytest.mark.parametrize(("error", "size"), [(1.0, 2), (0.01, 2), (0.0099, 4), (1e-16, 16)])
+def test_size_for_an_error_is_the_smallest_that_reaches_it(error, size):
+    assert STUDY.size_for(error) == size
+
+
+@pytest.mark.parametrize("error", [9e-17, 0.0])
+def test_an_error_out_of_reach_is_refused_with_the_largest_size_tried(error):
+    with pytest.raises(po.InputError, match=f"no size up to 16 reaches a relative error of {error:g}: try larger"):
+        STUDY.size_for(error)
+
+
+def test_an_error_below_0_is_refused():
+    with pytest.raises(po.InputError, match=r"error = -0\.01 must be at least 0"):
+        STUDY.size_for(-0.01)
+
+
+def test_the_table_shows_size_error_and_cost():
+    heading, *rows, said = str(STUDY).splitlines()
+    assert heading.split("  ")[-1] == "time, fastest = 1"
+    assert [row.split()[0::2] for row in rows] == [["2", "2.0"], ["4", "1.0"], ["8", "3.0"], ["16", "25.0"]]
+    assert rows[2].split()[1] == "9.9e-15"
+    assert said == "At 8 only rounding errors remain; larger sizes gain nothing."
+
+
+@pytest.mark.parametrize("sizes", [[], [4, 0], [2.5, 4], ["4"]])
+def test_invalid_sizes_are_refused(sizes):
+    with pytest.raises(po.InputError, match=re.escape(f"sizes = {sizes} must be one or more positive integers")):
+        po.refine(float, sizes)
+
+
+@pytest.mark.parametrize("bad", [math.inf, np.array([1.0, math.nan])])
+@pytest.mark.parametrize("where", [2, 8])
+def test_a_result_that_is_not_finite_is_refused_with_its_size(bad, where):
+    with pytest.raises(po.InputError, match=f"the result at size {where} is not finite"):
+        po.refine(lambda size: bad if size == where else np.ones(np.shape(bad)), [2, 4])

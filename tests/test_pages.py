@@ -119,7 +119,7 @@ PAGES = {
     "trade_offs": Page(
         ("Front of", "1 % less draft costs", "half angle", "1 % more tow speed costs"),
         ("out/loosening.png", "out/loosening.csv", "out/deflection.json", "out/surface.png"),
-        shorter={"points=12": "points=7"},
+        shorter={"points=12": "points=7, search='near'", "(10e3, 20e3)": "(20e3,)"},
         briefly=few_points,
     ),
     "uncertain_soil": Page(("radius, probability of at least 0.15", "variance of draft"), least="import"),

@@ -124,7 +124,7 @@ def test_designs_outside_the_domain(batch_of, r1_scene, r1_wave):
 
 
 # A name in the reason -> a sound and an unsound value, and the scene of a value.
-FALLING = SEROZEM.with_density_profile(lambda r: SEROZEM.density * (1.0 + exp(-((2.0 * r) ** 2))), order=8)
+FALLING = SEROZEM.with_density_profile(lambda r: SEROZEM.density * (1.0 + exp(-((2.0 * r) ** 2))), order=4)
 WITHOUT_STRENGTH = {"ambient_pressure": False, "inertial_drag": False, "start": "rest"}
 UNSOUND = {
     "depth over width": (0.5, 0.05, lambda x: scene_of(share=po.Wedge(x, 0.3, 0.3), medium="universal_earthmoving")),

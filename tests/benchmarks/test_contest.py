@@ -1,0 +1,362 @@
+"""Simulations, optimisations and a front of R1, compared with other tools at the same error. No test asserts a time."""
+
+import math
+from functools import partial
+
+import numpy as np
+import pytest
+from contest_table import Row, race, solved_anew
+from helpers.scenes import R1_RUNS
+from peers import r1
+
+import plough_opt as po
+from plough_opt.motion.equation import parameters
+
+pytestmark = [pytest.mark.bench, pytest.mark.filterwarnings("ignore")]
+
+WANTED = 1e-6
+OUTPUTS, TIGHT = 400, 1e-8
+OURS = "plough_opt simulate"
+# Groups of designs that need similar numbers of steps, so that tools with fixed steps take few unnecessary ones.
+GROUPS = 8
+
+
+def _domain(count):
+    uniform = np.random.default_rng(0).uniform(0.0, 1.0, (3, count))
+    return np.column_stack(r1.unscaled(uniform))
+
+
+def _near_start(count):
+    return r1.START * np.random.default_rng(1).uniform(0.999, 1.001, (count, 3))
+
+
+def _simulated(r1_scene, wave, x, error=1e-11):
+    scene = r1_scene(math.degrees(x[0]), x[1], x[2], strength_wave=wave)
+    return po.simulate(scene, r1.DURATION, accuracy=po.Accuracy(error=error), outputs=OUTPUTS)
+
+
+def _error(found, truth):
+    """Return the largest error of mean draft and RMS force, relative to the larger of the two."""
+    found, truth = np.asarray(found), np.asarray(truth)
+    return float(np.max(np.abs(found - truth) / np.max(truth, axis=0)))
+
+
+def test_hand_written_r1_is_ours(r1_scene, r1_wave):
+    for x in (r1.START, r1.LOWER, r1.UPPER):
+        known = parameters(r1_scene(math.degrees(x[0]), x[1], x[2], strength_wave=r1_wave))
+        ours = [known[name] for name in ("static", "drag", "inertia", "stiffness")]
+        # Rounding of about twenty operations.
+        np.testing.assert_allclose(r1.equation(*x)[:4], ours, rtol=2e-14)
+
+
+@pytest.mark.parametrize("where", ["start", "domain"])
+def test_very_many_designs(batch_of, r1_scene, r1_wave, where, contest, peer):
+    task = f"mean and RMS force of very many designs {'near the start' if where == 'start' else 'all over the domain'}"
+    designs = {"start": _near_start, "domain": _domain}[where]
+    values, few = designs(16384), designs(16384)[:4096]
+    batch = batch_of(r1.DURATION, WANTED, strength_wave=r1_wave)
+    reference = batch_of(r1.DURATION, 1e-10, strength_wave=r1_wave)(values)
+    truth = np.array([reference.mean_draft, reference.force_rms])
+    for k in range(0, len(values), len(values) // 12):
+        run = _simulated(r1_scene, r1_wave, values[k])
+        # The error of the reference plus that of the simulation.
+        assert _error(truth[:, [k]], [[run.mean_draft], [run.force_rms]]) < 2e-10
+    found = batch(values)
+    error = _error([found.mean_draft, found.force_rms], truth)
+    assert error < WANTED
+    tools = {"plough_opt Batch, compiled": (lambda: batch(values), len(values), error)}
+    tools |= _fixed_step_peers(few, truth[:, : len(few)], GROUPS if where == "domain" else 1, peer)
+    spent = race({name: function for name, (function, _, _) in tools.items()}, 5)
+    for name, (_, count, error) in tools.items():
+        each = spent[name].per(count)
+        contest.rows.append(Row(task, name, each, error, note=f"{1.0 / each.cpu:.3g} designs per second"))
+
+
+def _fixed_step_peers(values, truth, groups, peer):
+    """Return the tools that take classical Runge-Kutta steps, as few as each group of designs allows."""
+    p = np.array(r1.equation(*values.T))
+    fastest = (p[3] + r1.AMPLITUDE * p[0] * 2.0 * math.pi / r1.WAVELENGTH) / p[2]
+    parts = [(np.ascontiguousarray(p[:, k]), truth[:, k]) for k in np.array_split(np.argsort(fastest), groups)]
+    runs = {}
+    if (c := peer("c_rk4")) is not None:
+        runs[f"RK4 in C, {c.WIDTH} designs side by side"] = c.vector()
+        runs["RK4 in C, a design at a time"] = c.scalar()
+    if (numba := peer("numba_rk4")) is not None:
+        runs["RK4 in Numba"] = numba.batch
+    if (jax := peer("jax_rk4")) is not None:
+        runs["RK4 in JAX, vmap and jit"] = jax.batch
+
+    def error(run, part, wanted, steps):
+        mean, spread = np.asarray(run(part, steps))
+        return _error((part[3] * (part[4] + mean), part[3] * spread), wanted)
+
+    found, steps = {}, None
+    for name, run in runs.items():
+        steps = steps or [
+            next(n for n in (int(50 * 1.1**k) for k in range(80)) if error(run, *part, n) < WANTED) for part in parts
+        ]
+        reached = max(error(run, *part, n) for part, n in zip(parts, steps, strict=True))
+        # All tools take the same steps and differ only by rounding.
+        assert reached < WANTED * (1.0 + 1e-3)
+
+        def every(run=run, steps=steps):
+            for (part, _), n in zip(parts, steps, strict=True):
+                np.asarray(run(part, n))
+
+        found[name] = every, len(values), reached
+    return found
+
+
+def test_one_simulation(r1_scene, r1_wave, contest, peer):
+    truth = _simulated(r1_scene, r1_wave, r1.START)
+    task = f"one simulation of {OUTPUTS} outputs, mount force to {TIGHT:g}"
+    assert _error([[truth.mean_draft], [truth.force_rms]], np.array(R1_RUNS[0])[3:, None]) < 1e-11
+
+    def error(found):
+        mean, rms, force = found
+        errors = [np.max(np.abs(force - truth.mount_force)) / truth.peak_force]
+        if mean is not None:
+            errors.append(_error([[mean], [rms]], [[truth.mean_draft], [truth.force_rms]]))
+        return float(max(errors))
+
+    scene, read = r1_scene(strength_wave=r1_wave), f"problem = po.read_problem({r1.PROBLEM!r})"
+    setup = f"import plough_opt as po; from peers import r1; {read}; s = problem.scene()"
+    rows = {}
+    for name, compiled in ((OURS, False), (f"{OURS}, compiled before", True)):
+        simulate = partial(po.simulate, scene, r1.DURATION, compiled=compiled)
+        run = simulate()
+        ours = error((run.mean_draft, run.force_rms, run.mount_force))
+        assert ours < TIGHT
+        call = f"po.simulate(s, {r1.DURATION!r}, compiled={compiled})"
+        rows[name] = (simulate, ours, "and once more for its error estimate", setup, call)
+    p = [float(x) for x in r1.equation(*r1.START)]
+    rows |= _scipy_rows(p, error, contest)
+    if (numba := peer("numba_rk4")) is not None:
+        steps = next(n for n in range(OUTPUTS, 40 * OUTPUTS, OUTPUTS) if error(numba.forces(*p, n, OUTPUTS)) < TIGHT)
+        setup = "from peers import r1, numba_rk4; p = [float(x) for x in r1.equation(*r1.START)]"
+        call = f"numba_rk4.forces(*p, {steps}, {OUTPUTS})"
+        forces = partial(numba.forces, *p, steps, OUTPUTS)
+        rows["RK4 in Numba"] = (forces, error(forces()), f"{steps} steps", setup, call)
+    contest.hold(task, rows, 7)
+
+
+def _scipy_rows(p, error, contest):
+    """Return SciPy's integrators, each with the loosest tolerance that reaches the wanted error."""
+    from peers import scipy_ivp
+
+    rows = {}
+    setup = "from peers import r1, scipy_ivp; p = r1.equation(*r1.START)"
+    for method in ("DOP853", "LSODA", "RK45", "Radau", "odeint"):
+        for averages in (True, False):
+            name = f"SciPy {method}, {'with' if averages else 'without'} mean and RMS"
+            for tolerance in 10.0 ** -np.arange(6.0, 13.01, 0.25):
+                arguments = (method, float(f"{tolerance:.2g}"), OUTPUTS, averages)
+                reached = error(scipy_ivp.solve(p, *arguments))
+                if reached < TIGHT:
+                    call, solve = f"scipy_ivp.solve(p, *{arguments!r})", partial(scipy_ivp.solve, p, *arguments)
+                    rows[name] = (solve, reached, f"rtol {arguments[1]:g}", setup, call)
+                    break
+            else:
+                contest.missing[name] = f"no tolerance reaches {TIGHT:g}"
+    return rows
+
+
+# --- R1 and five shares, compared with SLSQP to a relative gap of 1e-8 ---
+
+
+GAP = 1e-8
+TRUE = po.Accuracy(error=1e-11)
+# Tool -> (module of peers/ that it needs, its simulation, whether it must reach the gap).
+TOOLS = {
+    "SLSQP, Numba RK4, 1600 steps": ("numba_rk4", "numba_averages(1600)", False),
+    "SLSQP, Numba RK4, 3200 steps": ("numba_rk4", "numba_averages(3200)", True),
+    "SLSQP, SciPy DOP853 1e-9": ("scipy_ivp", "scipy_averages('DOP853', 1e-9)", True),
+}
+DESIGN = {"plough_opt Design": False, "plough_opt Design, compiled before": True}
+TASKS = {
+    "local": "R1 from the first start to a local optimum",
+    "best": "R1 to the global optimum: ours searches, others from five starts",
+}
+TEN = "five shares, ten variables, from the start to a local optimum"
+
+
+def _judged(x, reported):
+    """Return the larger of a design's gap and the error of its reported objective; a note; and the violation."""
+    keys = ("share.wedge_angle", "share.height", "scene.stiffness")
+    scene = po.read_problem(r1.PROBLEM).scene(dict(zip(keys, x, strict=True)))
+    run = po.simulate(scene, r1.DURATION, accuracy=TRUE)
+    objective = (run.mean_draft + run.force_rms) / 1e3
+    violation = max(0.0, *(-float(g) for g in r1.requirements(*x, run.mean_draft)))
+    name, _, best = min(r1.OPTIMA, key=lambda optimum: abs(math.log(x[2] / optimum[1])))
+    error, gap = abs(reported / objective - 1.0), objective / best - 1.0
+    note = f"{name}: J off by {error:.0e}, gap {gap:.0e}, violation {violation:.0e}"
+    return max(error, abs(gap)), note, violation
+
+
+@pytest.mark.parametrize("task", list(TASKS))
+def test_r1(task, contest, peer):
+    from peers import slsqp  # imported here because that is slow
+
+    search = {"local": "local", "best": "auto"}[task]
+    rows = {}
+    for own, compiled in DESIGN.items():
+        design, _ = po.read_problem(r1.PROBLEM).design()
+        solve = partial(solved_anew, design, search=search, compiled=compiled)
+        best = solve()
+        reached, note, violation = _judged(np.array(list(best.variables.values())), best.objective)
+        assert max(reached, violation) < GAP
+        if task == "best":
+            _find_all_optima(best)
+            note += f"; {len(best.local_optima)} optima"
+        setup = f"import plough_opt as po; problem = po.read_problem({r1.PROBLEM!r})"
+        call = f"problem.design()[0].solve(search={search!r}, compiled={compiled})"
+        rows[own] = (solve, reached, note, setup, call)
+    for name, (module, averages, exact) in TOOLS.items():
+        if peer(module) is None:
+            continue
+        solve = partial(getattr(slsqp, task), eval(f"slsqp.{averages}", {"slsqp": slsqp}))
+        reached, note, _ = _judged(*solve())
+        assert reached < GAP or not exact
+        rows[name] = (solve, reached, note, f"from peers import slsqp, {module}", f"slsqp.{task}(slsqp.{averages})")
+    contest.hold(TASKS[task], rows)
+
+
+def _find_all_optima(best):
+    """Assert that the search found the three optima of the truth."""
+    for _, stiffness, objective in r1.OPTIMA:
+        nearest = min(best.local_optima, key=lambda o: abs(math.log(o.variables["scene.stiffness"] / stiffness)))
+        assert abs(nearest.objective / objective - 1.0) < GAP
+
+
+def test_ten_variables(r1_wave, contest, peer):
+    """Each difference of SLSQP costs a simulation of every share."""
+    from peers import slsqp
+
+    tools = {name: _solver_of_five(r1_wave, compiled) for name, compiled in DESIGN.items()}
+    if peer("numba_rk4") is not None:
+        for steps in (1600, 3200):
+            averages = slsqp.numba_averages(steps)
+            tools[f"SLSQP, Numba RK4, {steps} steps"] = partial(slsqp.five_shares, averages)
+    judged = {name: _judged_five(r1_wave, *solve()) for name, solve in tools.items()}
+    least = min(objective for objective, _, violation in judged.values() if violation < GAP)
+    rows = {}
+    for name, (objective, error, violation) in judged.items():
+        gap = objective / least - 1.0
+        assert max(error, gap, violation) < GAP or name not in DESIGN
+        note = f"J off by {error:.0e}, gap {gap:.0e}, violation {violation:.0e}"
+        rows[name] = tools[name], max(error, abs(gap)), note
+    contest.hold(TEN, rows)
+
+
+def _five_scenes(wave, angles, heights):
+    from peers import slsqp
+
+    scenes = []
+    for angle, height, cohesion in zip(angles, heights, slsqp.COHESIONS, strict=True):
+        soil = po.Soil(r1.DENSITY, r1.RATIO, cohesion, r1.FRICTION, r1.TOOL, r1.AMBIENT)
+        share = po.Wedge(angle, r1.CHISEL, height)
+        mass = r1.FRAME + share.equivalent_cone().solid_mass(r1.STEEL)
+        scenes.append(po.Scene(soil, share, slsqp.STIFFNESS, mass, r1.SPEED, po.Effects(strength_wave=wave)))
+    return scenes
+
+
+def _solver_of_five(wave, compiled):
+    """Return a function that solves the design of five shares and returns (angles and heights, objective)."""
+    from peers import slsqp
+
+    d = po.Design()
+    names = [(name, which, k) for which, name in enumerate(("angle", "height")) for k in range(1, 6)]
+    x = [d.variable(f"{name} {k}", guess=r1.START[which], lower=r1.LOWER[which], upper=r1.UPPER[which])
+         for name, which, k in names]  # fmt: skip
+    scenes = _five_scenes(wave, x[:5], x[5:])
+    runs = [po.simulate(scene, r1.DURATION) for scene in scenes]
+    d.minimise(sum(run.mean_draft + run.force_rms for run in runs) / 1e3)
+    d.require("mean radius", sum(scene.loosened_radius for scene in scenes) / 5.0, at_least=slsqp.MEAN_RADIUS)
+    for k, (scene, run) in enumerate(zip(scenes, runs, strict=True), 1):
+        d.require(f"deflection {k}", run.mean_deflection, at_most=0.15)
+        d.require(f"half angle {k}", scene.cone.half_angle, at_most=po.deg(15.0))
+
+    def solve():
+        best = solved_anew(d, search="local", compiled=compiled)
+        return np.array(list(best.variables.values())), best.objective
+
+    return solve
+
+
+def _judged_five(wave, x, reported):
+    """Return a design's objective to 1e-11, the error of the reported one, and the violation."""
+    from peers import slsqp
+
+    angles, heights = np.split(x, 2)
+    runs = [po.simulate(scene, r1.DURATION, accuracy=TRUE) for scene in _five_scenes(wave, angles, heights)]
+    objective = sum(run.mean_draft + run.force_rms for run in runs) / 1e3
+    least = np.min(slsqp.five_requirements(angles, heights, [run.mean_draft for run in runs]))
+    return objective, abs(reported / objective - 1.0), max(0.0, -float(least))
+
+
+# --- the disconnected front of oscillation against deflection, compared with pymoo's NSGA-II ---
+
+
+PROBLEM = r1.PROBLEM.replace("reference", "force_against_deflection")
+# A fifth of the positions lies in the gap of the front, so 64 positions give 50 designs.
+POINTS, DESIGNS = 64, 50
+STEPS = 500
+# Deflection [m] and RMS force [N] of the far corner.
+CORNER = (0.25, 160.0)
+TRADE_OFF, NSGA2 = "plough_opt trade_off", "pymoo NSGA-II, 100 x 100, NumPy RK4"
+
+
+def _simulated_of_front(designs):
+    """Return deflection and RMS force of designs, each to 1e-11."""
+    problem = po.read_problem(PROBLEM)
+    keys = ("share.wedge_angle", "share.height", "scene.stiffness")
+    runs = [po.simulate(problem.scene(dict(zip(keys, x, strict=True))), r1.DURATION, accuracy=po.Accuracy(error=1e-11))
+            for x in designs]  # fmt: skip
+    return np.array([(run.mean_deflection, run.force_rms) for run in runs])
+
+
+def _front(problem, *, compiled):
+    """Return the front of the problem file, with the program built anew."""
+    d = po.Design()
+    symbols = {key: d.variable(key, guess=v.guess, lower=v.lower, upper=v.upper, unit=v.unit, log=v.log)
+               for key, v in problem.variables.items()}  # fmt: skip
+    scene = problem.scene(symbols)
+    run = po.simulate(scene, r1.DURATION)
+    d.require("loosened radius", po.loosened_radius(scene.cone, scene.soil), at_least=0.12, unit="m")
+    d.require("half angle", scene.cone.half_angle, at_most=po.deg(15.0), unit="rad")
+    goals = po.Goal("deflection", run.mean_deflection, "m"), po.Goal("force oscillation", run.force_rms, "N")
+    return po.trade_off(d, *goals, points=POINTS, compiled=compiled)
+
+
+def test_disconnected_front(contest, peer):
+    nsga2 = peer("nsga2")
+    task = "front of force oscillation against deflection, in two parts"
+    problem = po.read_problem(PROBLEM)
+    setup = f"import plough_opt as po, scipy.optimize; problem = po.read_problem({PROBLEM!r})"
+    rows = {}
+    for name, compiled in ((TRADE_OFF, False), (f"{TRADE_OFF}, compiled before", True)):
+        solve = partial(_front, problem, compiled=compiled)
+        solve()
+        front = solve()
+        assert len(front.points) >= DESIGNS
+        assert len(front.parts) == 2
+        assert not front.failures
+        # The optimiser's designs give what the front says by simulations of another setting.
+        error = float(np.max(np.abs(_simulated_of_front(front.designs[::10]) / front.objectives[::10] - 1.0)))
+        assert error < 1e-7
+        own = front.hypervolume(CORNER)
+        note = f"{len(front.points)} certified, hypervolume {own:.4f}, {front.building:.2f} s of it building"
+        rows[name] = solve, error, note, *((setup, f"problem.trade_off({POINTS})") if name == TRADE_OFF else ())
+    if nsga2 is not None:
+        from pymoo.indicators.hv import HV
+
+        designs = nsga2.Mount(STEPS).designs(np.random.default_rng(0).uniform(*nsga2.Mount(STEPS).bounds(), (20, 3)))
+        error = float(
+            np.max(np.abs(np.column_stack(nsga2.averages(designs, STEPS)) / _simulated_of_front(designs) - 1.0))
+        )
+        found = nsga2.front(STEPS)
+        theirs = float(HV(ref_point=np.array(CORNER))(found))
+        note = f"{len(found)} designs, hypervolume {theirs:.4f}"
+        rows[NSGA2] = partial(nsga2.front, STEPS), error, note, "from peers import nsga2", f"nsga2.front({STEPS})"
+        assert own >= theirs
+    contest.hold(task, rows, 3)

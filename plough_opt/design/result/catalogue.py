@@ -53,10 +53,7 @@ _DESIGNS_PER_VARIABLE = 12
 _GENERATIONS = 50
 _EVOLUTION_CONVERGED = 1e-6  # The evolution ends when the merits scatter by less than this fraction.
 
-# Positions on the line along each free variable through the lowest designs of these combinations, the dips on it from
-# which descents start, the number of looks along the lines, and the relative gain that justifies another one.
-_LINE_POSITIONS = 128
-_DIPS_PER_VARIABLE = 4
+# Looks along the lines through the lowest designs of these combinations, and the relative gain that justifies another.
 _MOST_LOOKS = 4
 _GAIN = 1e-6
 
@@ -202,8 +199,8 @@ class _Screen:
         One of the random catalogue problems needs it with some seeds.
         """
         for _ in range(_MOST_LOOKS):
-            lines = lines_through(one.start.points[0], _LINE_POSITIONS, self.free)
-            dips = dips_along(self._landscape(lines).merit, _LINE_POSITIONS)[: _DIPS_PER_VARIABLE * len(self.free)]
+            lines = lines_through(one.start.points[0], self.free)
+            dips = dips_along(self._landscape(lines).merit)
             ends = [Promising(one.number, self._end(lines[k])) for k in dips]
             best = min([one, *ends], key=lambda end: end.merit)
             if not best.merit < one.merit - _GAIN * abs(one.merit):

@@ -31,10 +31,8 @@ from plough_opt.design.search.points import (
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction of it done."""
 
-# The scan along each variable through the best design.
-_LINE_POSITIONS = 128
-_DIPS_PER_VARIABLE = 4  # from which descents start
-_ANOTHER_DIP = 0.01  # A dip farther than this from the best design counts as another one.
+# A dip farther than this from the best design counts as another one.
+_ANOTHER_DIP = 0.01
 
 # Boxes that are sampled around the best designs. Lengths are fractions of the range.
 _ZOOM_ROUNDS = 4
@@ -239,10 +237,10 @@ class Explorer:
         """
         if not self.landscape.vectorised or self.stop() or not len((minima := self._basins()[0]).f):
             return
-        lines = lines_through(minima.points[0], _LINE_POSITIONS, self.variables)
+        lines = lines_through(minima.points[0], self.variables)
         evaluated = self.landscape(lines)
-        promising, dips = self._worth_descending(evaluated), dips_along(self._merit(evaluated), _LINE_POSITIONS)
-        for k in dips[: _DIPS_PER_VARIABLE * len(self.variables)]:
+        promising, dips = self._worth_descending(evaluated), dips_along(self._merit(evaluated))
+        for k in dips:
             if promising[k] and np.max(np.abs(lines[k] - minima.points[0])) > _ANOTHER_DIP:
                 self.progress("descending from dips along each variable", 0.0)
                 self._end_from(lines[k])

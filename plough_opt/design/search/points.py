@@ -113,12 +113,18 @@ def sample(n: int, count: int, start: Vector, rng: np.random.Generator) -> tuple
     return np.vstack([points, start[None], np.full((1, n), 0.5)]), rng.permutation(half)
 
 
-def lines_through(y: Vector, count: int, variables: Sequence[int] | None = None) -> Vector:
-    """Return this many designs along each of the given variables, by default all, through a design; a row each."""
-    vary = range(len(y)) if variables is None else variables
-    lines = np.repeat(y[None], count * len(vary), axis=0)
-    for k, variable in enumerate(vary):
-        lines[k * count : (k + 1) * count, variable] = np.linspace(0.0, 1.0, count)
+LINE_POSITIONS = 128
+"""Positions on each line along a variable through a design."""
+
+DIPS_PER_VARIABLE = 4
+"""Dips on such lines, as many times the number of variables, from which descents start."""
+
+
+def lines_through(y: Vector, variables: Sequence[int]) -> Vector:
+    """Return `LINE_POSITIONS` designs along each of the given variables through a design, a row each."""
+    lines = np.repeat(y[None], LINE_POSITIONS * len(variables), axis=0)
+    for k, variable in enumerate(variables):
+        lines[k * LINE_POSITIONS : (k + 1) * LINE_POSITIONS, variable] = np.linspace(0.0, 1.0, LINE_POSITIONS)
     return lines
 
 
@@ -146,17 +152,17 @@ def local_minima(points: Vector, merit: Vector) -> tuple[np.ndarray, np.ndarray]
     return lowest[np.argsort(merit[lowest], kind="stable")], ends
 
 
-def dips_along(merit: Vector, count: int) -> np.ndarray:
-    """Return the numbers of the positions that are lower than both neighbours on their line, lowest first.
+def dips_along(merit: Vector) -> np.ndarray:
+    """Return the numbers of the lowest positions that are lower than both neighbours on their line, lowest first.
 
     Args:
         merit: of each position, line after line.
-        count: number of positions on each line.
     """
-    wall = np.pad(merit.reshape(-1, count), ((0, 0), (1, 1)), constant_values=np.inf)
+    lines = merit.reshape(-1, LINE_POSITIONS)
+    wall = np.pad(lines, ((0, 0), (1, 1)), constant_values=np.inf)
     dips = np.flatnonzero(((wall[:, 1:-1] < wall[:, :-2]) & (wall[:, 1:-1] <= wall[:, 2:])).ravel())
     lowest_first: np.ndarray = dips[np.argsort(merit[dips], kind="stable")]
-    return lowest_first
+    return lowest_first[: DIPS_PER_VARIABLE * len(lines)]
 
 
 def evolved(

@@ -59,7 +59,7 @@ def test_intervals_agree_with_error_propagation():
     assert width / 2.0 == pytest.approx(1.959964 * math.hypot(1e5 / INDEX, slope * of_ratio), rel=1e-5)
 
 
-@pytest.mark.slow  # by default test_coverage.py stands for it
+@pytest.mark.slow  # by default test_linear.py stands for it
 def test_the_intervals_hold_the_truth():
     """Eight insertions and three widths of a known soil: 95 +- 3 % of the 95 % intervals hold the truth."""
     true = dataclasses.replace(BASE, density_ratio=0.85, strength_factor=20.0)

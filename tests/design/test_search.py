@@ -63,7 +63,7 @@ def test_ripples_over_a_small_feasible_region_are_searched_in_every_way(seed):
     d.minimise(1.0 + x0 + ca.sumsqr(offsets) + 0.02 * (1.0 - waves))
     # A ball that contains one design in 5000.
     d.require("ball", ca.sumsqr(offsets), at_most=0.08**2)
-    # A higher ripple is found without the zoom or the scan for dips.
+    # A higher ripple is found without boxes around the best, translations between ripples, or the scan for dips.
     assert d.solve(judge="bare", seed=seed).objective == pytest.approx(1.0, rel=1e-6)
 
 

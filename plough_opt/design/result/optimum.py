@@ -350,6 +350,8 @@ class Optimum(LocalOptimum):
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a table with a row for each local optimum, best first: objective and variables in SI units.
 
+        The column of a variable named as another column, such as "objective", is called "variable objective".
+
         Raises:
             InputError: pandas is not installed.
         """

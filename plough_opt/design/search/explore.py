@@ -246,7 +246,10 @@ class Explorer:
                 self._end_from(lines[k])
 
     def _zoom_in(self, rng: np.random.Generator) -> None:
-        """Sample boxes around the best designs, and again around a better one: a rippled basin has basins inside it."""
+        """Sample boxes around the best designs, and again around a better one: a rippled basin has basins inside it.
+
+        Ripples of five variables over a small feasible region end in a higher one without boxes and translations.
+        """
         if not self.landscape.vectorised or len(self.variables) < 2:
             return
         for _ in range(_ZOOM_ROUNDS):

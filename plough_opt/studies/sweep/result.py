@@ -8,10 +8,10 @@ import json
 import re
 import weakref
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 from numpy.lib import format as npy
@@ -30,16 +30,20 @@ from plough_opt.studies.sweep.store import RESERVED, State, Store
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 # Failures that a printed table quotes.
 _QUOTED: Final = 3
 # Failures that a JSON text lists.
 _LISTED: Final = 1000
-# Results that one picture shows: with more panels none is legible.
-_MOST_PANELS: Final = 6
-# Points in one panel: more would hide each other.
-_MOST_POINTS: Final = 20_000
+# Results, and of a large sweep swept quantities, that one picture shows: with more panels none is legible.
+_MOST_ROWS: Final = 6
+_MOST_COLUMNS: Final = 4
+# Points that are drawn one by one: more would hide each other, and take longer than all else.
+_MOST_DOTS: Final = 2000
+# Cells across a panel of densities.
+_CELLS: Final = 40
 # A swept quantity whose largest value exceeds the smallest by more than this factor has a logarithmic axis.
 _LOG_RATIO: Final = 20.0
 # Relative change below which a result counts as constant: smaller changes are rounding.
@@ -219,7 +223,11 @@ class Sweep(Readable):
         return self.origin.display(name, self.units.get(name, ""), value).text(value)
 
     def plot(self, target: str | Path | None = None) -> Figure:
-        """Draw every result against the first swept quantity, a dot for each point; the colour shows the second one.
+        """Draw every result against the swept quantities.
+
+        With one or two swept quantities and up to 2,000 points there is a dot for each point, over the first quantity;
+        the colour shows the second. Otherwise each of the first four quantities has its column, and more points than
+        that are shown by their density.
 
         Args:
             target: file to write (.png, .svg, .pdf), or None.
@@ -318,35 +326,66 @@ class Sweep(Readable):
 
 
 def _figure_of(swept: Sweep) -> Figure:
-    """Draw every result of a sweep over the first swept quantity; colours show the second.
+    """Draw every result over the first swept quantity, or over each of them if there are more than two or many points.
 
     Points are not connected, because there may be a resonance between them.
     """
+    names = swept.results[:_MOST_ROWS]
+    if len(swept) > _MOST_DOTS or len(swept.names) > 2:
+        return _panels(swept, names, swept.names[:_MOST_COLUMNS])
+    rows = -(-max(1, len(names)) // 2)
+    figure, every = _empty_panels(rows, 2)
+    colours = {"color": COLOURS[0]}
+    if len(swept.names) > 1:
+        shades, shades_label = swept.shown(swept.names[1])
+        colours = {"c": shades, "cmap": "viridis"}
+    for axes in every.flat[len(names) :]:
+        axes.set_visible(False)
+    for axes, name in zip(every.flat, names, strict=False):
+        points = _draw_points(axes, swept, swept.names[0], name, colours)
+    if len(swept.names) > 1 and names:
+        figure.colorbar(points, ax=list(every.flat[: len(names)]), label=shades_label)
+    return figure
+
+
+def _panels(swept: Sweep, names: Sequence[str], keys: Sequence[str]) -> Figure:
+    """Draw each result in a row and each swept quantity in a column; many points as their density."""
+    figure, every = _empty_panels(max(1, len(names)), len(keys))
+    for row, name in zip(every, names, strict=False):
+        for axes, key in zip(row, keys, strict=True):
+            _draw_points(axes, swept, key, name, {"color": COLOURS[0]})
+            axes.label_outer()
+    if len(swept) > _MOST_DOTS:
+        figure.suptitle("darker cells hold more points, on a logarithmic scale")
+    return figure
+
+
+def _empty_panels(rows: int, columns: int) -> tuple[Figure, Any]:
+    """Return a figure with rows and columns of panels."""
     from matplotlib.figure import Figure
 
-    names = swept.results[:_MOST_PANELS]
-    step = max(1, len(swept) // _MOST_POINTS)
-    places, heading = swept.shown(swept.names[0])
-    shades, shades_label = swept.shown(swept.names[1]) if len(swept.names) > 1 else (None, "")
-    rows = -(-max(1, len(names)) // 2)
-    figure = Figure(figsize=(10.0, 3.2 * rows), layout="constrained")
-    every = figure.subplots(rows, 2, squeeze=False).ravel()
-    for axes in every[len(names) :]:
-        axes.set_visible(False)
-    for axes, name in zip(every, names, strict=False):
-        values, label = swept.shown(name)
-        colours = {"color": COLOURS[0]} if shades is None else {"c": shades[::step], "cmap": "viridis"}
-        points = axes.scatter(places[::step], values[::step], s=14, **colours)
-        axes.set(xlabel=heading, ylabel=label)
-        if 0.0 < _LOG_RATIO * np.min(places) < np.max(places):
-            axes.set_xscale("log")
-        # Show a constant result from 0, so that its rounding is not magnified.
-        finite = values[np.isfinite(values)]
-        if len(finite) and float(np.max(finite)) > 0.0 and np.ptp(finite) < _CONSTANT * np.max(np.abs(finite)):
-            axes.set_ylim(0.0, 1.2 * float(np.max(finite)))
-    if shades is not None and names:
-        figure.colorbar(points, ax=every[: len(names)], label=shades_label)
-    return figure
+    figure = Figure(figsize=(5.0 * columns, 3.2 * rows), layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def _draw_points(axes: Axes, swept: Sweep, key: str, name: str, colours: Mapping[str, Any]) -> Any:
+    """Draw a result over a swept quantity in one panel: a dot for each point, or the density of many."""
+    (places, heading), (values, label) = swept.shown(key), swept.shown(name)
+    axes.set(xlabel=heading, ylabel=label)
+    scale: Literal["log", "linear"] = "log" if 0.0 < _LOG_RATIO * np.min(places) < np.max(places) else "linear"
+    finite = np.isfinite(values)
+    if len(swept) > _MOST_DOTS and finite.any():
+        at = {"gridsize": _CELLS, "xscale": scale, "bins": "log", "mincnt": 1, "cmap": "Blues", "linewidths": 0.0}
+        points: Any = axes.hexbin(places[finite], values[finite], **at)
+    else:
+        points = axes.scatter(places, values, s=14, **colours)
+        axes.set_xscale(scale)
+    # Show a constant result from 0, so that its rounding is not magnified.
+    if finite.any() and np.max(values[finite]) > 0.0:
+        largest = float(np.max(np.abs(values[finite])))
+        if np.ptp(values[finite]) < _CONSTANT * largest:
+            axes.set_ylim(0.0, 1.2 * largest)
+    return points
 
 
 def _short(key: str) -> str:

@@ -1,6 +1,8 @@
 """A complete subsoiler: n shares on springs, frame, hitch and tractor, designed for minimum fuel per hectare.
 
-    python problems/subsoiler_frame.py --check --plot out/subsoiler_frame.png
+    python problems/subsoiler_frame.py
+    python problems/subsoiler_frame_check.py        # certify the optimum and set it beside brute force
+    python problems/subsoiler_frame_picture.py out/subsoiler_frame.png
 
 Firm sandy loam at the left end hardens to hardpan at the right: each share has a soil of its own, and the frame is set
 off so that the resultant of all drafts runs through the tractor's centre line. Two tubes, one behind the other, carry
@@ -134,26 +136,21 @@ def design(n: int = 5) -> tuple[po.Design, SimpleNamespace, SimpleNamespace]:
     return d, c, m
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Solve and print; optionally certify and draw."""
-    parser = argparse.ArgumentParser(description="The subsoiler of least fuel per hectare.")
-    parser.add_argument("--shares", type=int, default=5, choices=range(2, 10), help="how many (default: 5)")
-    parser.add_argument("--check", action="store_true", help="certify the optimum and set it beside brute force")
-    parser.add_argument("--plot", help="draw the machine and its optimum to this file")
-    options = parser.parse_args(arguments)
-    d, c, m = design(options.shares)
+def solved(n: int = 5) -> tuple[SimpleNamespace, SimpleNamespace, po.Optimum]:
+    """Return the variables and results of a machine of n shares, and its optimum, after printing it."""
+    d, c, m = design(n)
     best = d.solve()
     for limit in best.limits:
         print(f"{limit.name:16s} {limit.value:11.5g} {limit.unit:8s} {limit.limits}{'  decides' * limit.active}")
     print(f"{best(m.fuel):.2f} MJ/ha at {best(m.work_rate):.3f} ha/h; local optima found: {len(best.local_optima)}")
-    if options.check:
-        from subsoiler_frame_check import check
+    return c, m, best
 
-        check(c, m, best)
-    if options.plot:
-        from subsoiler_frame_picture import draw
 
-        print(f"wrote {draw(m, best, options.plot)}")
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Solve and print."""
+    parser = argparse.ArgumentParser(description="The subsoiler of least fuel per hectare.")
+    parser.add_argument("--shares", type=int, default=5, choices=range(2, 10), help="how many (default: 5)")
+    solved(parser.parse_args(arguments).shares)
 
 
 if __name__ == "__main__":

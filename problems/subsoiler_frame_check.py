@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import differential_evolution, nnls
-from subsoiler_frame import GRAVITY, STRENGTH, TRACTOR, VARIABLES, WAVE, machine, traction
+from subsoiler_frame import GRAVITY, STRENGTH, TRACTOR, VARIABLES, WAVE, machine, solved, traction
 
 import plough_opt as po
 
@@ -145,3 +145,7 @@ def brute_force(n: int, generations: int = 150, size: int = 20, seed: int = 1) -
     best = evaluate(result.x[:, None], n)
     variables = {name: float(getattr(best.variables, name.replace(" ", "_"))[0]) for name in VARIABLES}
     return SimpleNamespace(fuel=float(best.fuel[0]), worst=float(best.worst[0]), variables=variables), tried
+
+
+if __name__ == "__main__":
+    check(*solved())

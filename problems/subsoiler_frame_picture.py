@@ -1,6 +1,7 @@
 """Picture of `subsoiler_frame`: the machine across its width, its forces, its tubes, and its best spacing."""
 
 import math
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,7 +10,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
-from subsoiler_frame import DEPTH, LEG_LENGTH, STRENGTH, WAVE, design
+from subsoiler_frame import DEPTH, LEG_LENGTH, STRENGTH, WAVE, design, solved
 from subsoiler_frame_check import FREE, evaluate
 
 import plough_opt as po
@@ -144,3 +145,8 @@ def cloud(n: int, best: po.Optimum, count: int, seed: int = 1) -> SimpleNamespac
         worst=np.concatenate([part.worst for part in found]),
         variables=SimpleNamespace(spacing=spacing),
     )
+
+
+if __name__ == "__main__":
+    _, results, optimum = solved()
+    print(f"wrote {draw(results, optimum, sys.argv[1])}")

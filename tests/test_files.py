@@ -409,6 +409,32 @@ def test_cells_of_a_table_are_shown_as_they_are(tmp_path):
     assert read_rows(path, "texts")[1] == (2, texts)
 
 
+def test_any_text_of_a_table_is_read_back(tmp_path):
+    draw, path = random.Random(7), tmp_path / "a.csv"
+    signs = ["a", "1", " ", "#", "'", '"', ",", ";", "\t", "\r", "\n", "\r\n", "=", "\u2028", "\x0b", "\x85", "°"]
+    for _ in range(400):
+        width = draw.randint(1, 4)
+        rows = [["".join(draw.choices(signs, k=draw.randint(0, 5))) for _ in range(width)]
+                for _ in range(draw.randint(1, 5))]  # fmt: skip
+        rows = [[*row, "end"] for row in rows]  # a row of blanks is none
+        with path.open("w", encoding="utf-8", newline="") as file:
+            write_rows(file, rows)
+        assert [cells for _, cells in read_rows(path, "texts")] == rows
+        with path.open(encoding="utf-8", newline="") as file:  # Python's own reader finds the same cells
+            assert [[cell.lstrip("'") for cell in row] for row in csv.reader(file)] == [
+                [cell.lstrip("'") for cell in row] for row in rows
+            ]
+
+
+def test_rows_have_the_number_of_their_first_line_and_a_quotation_mark_is_closed(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text('# "open\na,b\n"1\n#2",3\n\n# c\n4,5" x\n', encoding="utf-8")
+    assert read_rows(path, "texts") == [(2, ["a", "b"]), (3, ["1\n#2", "3"]), (7, ["4", '5" x'])]
+    path.write_text('a,b\n1,"2\n' + "3,4\n" * 40_000, encoding="utf-8")
+    with pytest.raises(po.InputError, match="line 2: a quotation mark"):
+        read_rows(path, "texts")
+
+
 def formula_of(values):
     raise ValueError(f"=HYPERLINK({values['@a']})")
 

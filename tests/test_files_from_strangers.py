@@ -208,6 +208,8 @@ ELSEWHERE = [
     *("\\\\host\\share\\x", "\\\\?\\C:\\x", "a:stream", "NUL", "con.csv", "COM1", "a/lpt9.txt/b", "a.", "a ", "a/ /b"),
     *("link/x", "link/deep/x", ".bashrc", ".ssh/authorized_keys", "a/.git/config", "numpy.py", "a/b.PY"),
     *("subsoiler.TOML", "cotton_subsoiler.toml/x", "a\nb", "a\0b", "a\x1bb", "~/.profile", "a\u202eb"),
+    *("a<b", "a>b", 'a"b', "a|b", "a?b", "a*b", "x/a*/b", "-rf", "x/--help", "a.pyd", "x/a.SO", "a.pyw", "a.pth"),
+    *("con.txt", "x/nul", "Aux.csv/x", "lpt1", "CONIN$"),
 ]  # fmt: skip
 
 
@@ -230,7 +232,8 @@ def test_a_problem_is_restored_below_its_folder(tmp_path, place):
 
 def test_files_that_are_one_on_some_systems_are_not_restored(tmp_path):
     for data in ({"a.csv": "1", "A.csv": "2"}, {"x/\u00e9.csv": "1", "x/e\u0301.csv": "2"}, {"SHARE.toml": "1"},
-                 {"x/a.csv": "1", "x\\a.csv": "2"}, {"share.toml": "1"}):  # fmt: skip
+                 {"x/a.csv": "1", "x\\a.csv": "2"}, {"share.toml": "1"}, {"A": "1", "a/b.csv": "2"},
+                 {"SHARE.toml/b.csv": "1"}):  # fmt: skip
         path = with_origin(tmp_path / "a.json", file="share.toml", data=data)
         done = call("show", path, "--restore", tmp_path / "new")
         assert (done.status, "the same" in done.said) == (2, True)

@@ -15,8 +15,7 @@ import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
-from importlib.machinery import all_suffixes
-from pathlib import Path, PureWindowsPath
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from types import FrameType
 from typing import IO, TYPE_CHECKING, Any, Final, TypeAlias
 
@@ -35,8 +34,12 @@ _LONGEST_STEM: Final = 100
 BYTE_ORDER_MARK: Final = "\ufeff"
 """Character with which some editors begin a file in UTF-8."""
 
-# Names that Windows reserves for devices, with any ending.
-_DEVICE: Final = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9¹²³]) *(\..*)?", re.IGNORECASE)
+# Names that are hidden, options of commands, not valid on Windows, or reserved there for devices, with any ending.
+_ODD_NAME: Final = re.compile(
+    r'[<>:"|?*]|^[-.]|[. ]$|^(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9¹²³]) *(\..*)?$', re.IGNORECASE
+)
+# Endings of modules that Python, on any system, would import in the place of others, and of start-up files.
+_CODE: Final = {".py", ".pyw", ".pyc", ".pyd", ".so", ".dll", ".dylib", ".pth"}
 
 PICTURE_FORMATS = ("png", "svg", "pdf")
 
@@ -152,8 +155,7 @@ def write_below(folder: Path, kind: str, files: Sequence[tuple[str, Content]]) -
     for name, content in files:
         path = PureWindowsPath(name)  # which knows every separator
         place = base / name
-        odd = path.suffix.lower() in all_suffixes() or unprintable(name, allowed="") is not None
-        if odd or ":" in name or path.root or not path.parts or not all(map(_is_plain, path.parts)):
+        if path.suffix.lower() in _CODE or path.root or not path.parts or not all(map(_is_plain, path.parts)):
             raise InputError(
                 f"{shown(name)} is not written: a {kind} must be below its folder, and its name valid on every system"
             )
@@ -162,16 +164,17 @@ def write_below(folder: Path, kind: str, files: Sequence[tuple[str, Content]]) -
         if os.path.lexists(place):
             raise InputError(f"'{place}' exists already and is left as it is: name a new folder")
         places[place] = content
-    one_in_another = any(parent in places for place in places for parent in place.parents)
-    if one_in_another or len({folded(name) for name, _ in files}) < len(files):
-        names = ", ".join(shown(name) for name, _ in files)
-        raise InputError(f"nothing is written: on some systems two of these paths are the same: {short(names, 200)}")
+    names = [folded(name) for name, _ in files]
+    folders = {str(parent) for name in names for parent in PurePosixPath(name).parents}
+    if len({*names}) < len(names) or folders & {*names}:
+        given = ", ".join(shown(name) for name, _ in files)
+        raise InputError(f"nothing is written: on some systems two of these paths are the same: {short(given, 200)}")
     write_files(places, kind)
 
 
 def _is_plain(part: str) -> bool:
-    """Return whether a part of a path names a visible file or folder on every system."""
-    return not (part.startswith(".") or part.endswith((".", " ")) or _DEVICE.fullmatch(part))
+    """Return whether a part of a path names a visible file or folder on every system, and is no option of a command."""
+    return _ODD_NAME.search(part) is None and unprintable(part, allowed="") is None
 
 
 def folded(name: str) -> str:

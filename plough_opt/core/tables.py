@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -31,8 +32,11 @@ HEADING: Final = re.compile(r"\s*(?P<name>[\w.]+)\s*(?:\[(?P<unit>[^\]]*)\])?\s*
 _CUSTOMARY: Final = {"N": "kN", "rad": "deg", "m/s": "km/h", "Pa": "kPa", "N/m": "kN/m", "W": "kW"}
 # Infinite numbers and NaN match too, because they get a different error message.
 _NUMBER: Final = re.compile(r"[+-]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:e[+-]?[0-9]+)?|nan|inf(?:inity)?)", re.IGNORECASE)
-# Beginning of a text that a spreadsheet would compute; an apostrophe before it makes it a text, and is doubled itself.
-_FORMULA: Final = re.compile(r"'*[=+\-@\t\r\n＝＋－＠]")
+# Beginning of a text that a spreadsheet would compute, or that `read_rows` would skip; an apostrophe before it makes it
+# a text, and is doubled itself.
+_FORMULA: Final = re.compile(r"'*[=+\-@\t\r\n＝＋－＠# ]")
+# Characters that end a cell or a row in some files, where they are not in quotation marks.
+_SEPARATOR: Final = re.compile(r"[;\t\r\n]")
 # Most mistakes listed in one message.
 _MOST_LISTED: Final = 8
 # Largest file: some 300,000 rows, each of which may require a simulation.
@@ -303,27 +307,52 @@ def read_rows(path: Path, what: str) -> list[tuple[int, list[str]]]:
         InputError: the file is missing, too large or not UTF-8 text.
     """
     text = read_text(path, f"a file of {what}", ".csv", _MOST_BYTES).removeprefix(BYTE_ORDER_MARK)
-    lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
-    for number, line in lines:
-        if len(line) > _LONGEST_LINE:
-            raise InputError(
-                f"{path}, line {number}: it has {len(line)} characters, but at most {_LONGEST_LINE} can be read: write"
-                " one row per line"
-            )
-    delimiter = next((mark for mark in "\t;" if lines and mark in lines[0][1].strip()), ",")
-    read = ((k, next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))) for k, line in lines)
-    rows = [(k, [*map(_unshielded, cells)]) for k, cells in read if any(map(str.strip, cells))]
+    rows = [(k, [*map(_unshielded, cells)]) for k, cells in _records(path, text) if any(map(str.strip, cells))]
     width = max((k for k, heading in enumerate(rows[0][1], 1) if heading.strip()), default=0) if rows else 0
     return [(k, cells if any(map(str.strip, cells[width:])) else cells[:width]) for k, cells in rows]
+
+
+def _records(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the cells of each row with the number of its first line; a cell in quotation marks may have several."""
+    lines = [*enumerate(io.StringIO(text, newline=""), 1)]
+    heading = next((line for _, line in lines if line.strip() and not line.startswith("#")), "")
+    unquoted = re.sub(r'"[^"]*"?', "", heading.strip())
+    first = 0
+
+    def fed() -> Iterator[str]:
+        nonlocal first
+        for number, line in lines:
+            if not first and (not line.strip() or line.startswith("#")):
+                continue
+            if len(line) > _LONGEST_LINE:
+                raise InputError(
+                    f"{path}, line {number}: it has {len(line)} characters, but at most {_LONGEST_LINE} can be read:"
+                    " write one row per line"
+                )
+            first = first or number
+            yield line
+
+    delimiter = next((mark for mark in "\t;" if mark in unquoted), ",")
+    reader = csv.reader(fed(), delimiter=delimiter, skipinitialspace=True)
+    try:
+        while (cells := next(reader, None)) is not None:
+            yield first, cells
+            first = 0
+    except csv.Error:
+        raise InputError(f"{path}, line {first}: a quotation mark begins a cell that does not end: close it") from None
 
 
 def write_rows(file: TextIO, rows: Iterable[Sequence[object]]) -> None:
     """Write rows as CSV. Numbers have all their digits, and a text that begins like a formula gets an apostrophe.
 
-    `read_rows` removes the apostrophe again. It does not read every text back as it was: a cell must not contain a line
-    break or begin with a blank, the first cell of a row must not begin with "#", nor a heading contain a tab or ";".
+    So does one that begins with a blank or with "#", as comments do. `read_rows` removes the apostrophe again, and
+    reads every row back that is not blank. A row with a separator or a line break is written in quotation marks.
     """
-    csv.writer(file, lineterminator="\n").writerows(map(_shielded, row) for row in rows)
+    plain = csv.writer(file, lineterminator="\n")
+    quoted = csv.writer(file, lineterminator="\n", quoting=csv.QUOTE_ALL)
+    for row in rows:
+        odd = any(isinstance(cell, str) and _SEPARATOR.search(cell) for cell in row)
+        (quoted if odd else plain).writerow(map(_shielded, row))
 
 
 def _unshielded(cell: str) -> str:

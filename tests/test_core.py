@@ -13,7 +13,7 @@ from helpers.high_precision import assert_close, derivatives, mp
 
 import plough_opt as po
 from plough_opt.core import expressions as ex
-from plough_opt.core.checks import Limit
+from plough_opt.core.checks import DomainLimit
 from plough_opt.core.labels import Meanings, attach, labels_in, meaning_of
 from plough_opt.core.notes import merge
 from plough_opt.core.refinement import Refinement
@@ -157,8 +157,8 @@ def test_a_quadrature_is_exact_for_polynomials_below_twice_its_order(order):
 # --- labels: calls in a graph that do not change its value and can be found again ---
 
 
-LOW = Limit("something", at_most=2.0, unit="m")
-HIGH = Limit("something else", at_most=3.0)
+LOW = DomainLimit("something", at_most=2.0, unit="m")
+HIGH = DomainLimit("something else", at_most=3.0)
 
 POINT = np.array([0.7, -1.3, 2.1])
 

@@ -19,7 +19,7 @@ from helpers.scenes import SEROZEM, scene_of
 import plough_opt as po
 from plough_opt import crosscheck
 from plough_opt.app.main import main
-from plough_opt.core.checks import LEAST, Limit
+from plough_opt.core.checks import LEAST, DomainLimit
 from plough_opt.core.expressions import exp
 from plough_opt.core.quantities import EVERY
 from plough_opt.core.saving import Origin
@@ -351,7 +351,7 @@ def test_a_requirement_may_have_the_name_of_a_fronts_own_one():
 
 
 def test_a_limit_against_underflow_is_zero_in_a_design():
-    assert Limit("x", above=0.0, at_least=LEAST).kept == (0.0, None)
+    assert DomainLimit("x", above=0.0, at_least=LEAST).kept == (0.0, None)
 
 
 def test_numbers_of_numpy_are_ends_of_a_domain():

@@ -115,7 +115,7 @@ def optimise(options: argparse.Namespace) -> None:
         found = tables.sensitivities_of(best, notify) if options.sensitivity else ()
     best = dataclasses.replace(best, sensitivities=found)
     page = best.page()
-    page = dataclasses.replace(page, parts=(*page.parts, *tables.own_results(problem, run)))
+    page = dataclasses.replace(page, parts=(*page.parts, *tables.further_results(problem, run)))
     page = tables.with_sensitivities(page, problem, found)
     give(options, page, lambda: best.to_json(page), best.plot)
 

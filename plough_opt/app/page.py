@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from plough_opt.app.plots import Panel, changing
+from plough_opt.app.panels import Panel, changing
 from plough_opt.core.files import COLOURS
 from plough_opt.core.process import optional
 from plough_opt.core.quantities import EVERY, QUANTITIES

@@ -63,7 +63,7 @@ def run_page(problem: Problem, run: Run | Machine) -> Page:
     """Return the page of a numeric run, or of the runs of several shares, with each scene."""
     page, runs = run.page(), runs_of(run)
     scenes = [_scene_table(part, runs[name].scene, name) for name, part in problem.parts.items()]
-    return replace(page, parts=(*scenes, *page.parts, *own_results(problem, run)))
+    return replace(page, parts=(*scenes, *page.parts, *further_results(problem, run)))
 
 
 def runs_of(run: Run | Machine) -> Mapping[str, Run]:
@@ -71,17 +71,18 @@ def runs_of(run: Run | Machine) -> Mapping[str, Run]:
     return run.runs if isinstance(run, Machine) else {"": run}
 
 
-def own_results(problem: Problem, run: Run | Machine) -> tuple[Grid, ...]:
+def further_results(problem: Problem, run: Run | Machine) -> tuple[Grid, ...]:
     """Return a table of the results that the file defines and of those with a label; empty if there are none."""
+    runs = [*runs_of(run).values()]
     rows = [
-        (name, own, [float(own.of(one)) for one in runs_of(run).values()])
-        for name, own in measures_of(problem.table).items()
-        if name in problem.table.measures
-        or (own.label and all(own.given_by(one.scene.law) for one in runs_of(run).values()))
+        (name, measure, [float(measure.of(part)) for part in runs])
+        for name, measure in measures_of(problem.table).items()
+        if name in problem.table.measures or (measure.label and all(measure.given_by(part.scene.law) for part in runs))
     ]
     grid = Grid.of("Results of this file" if problem.table.measures else "Further results", "", *problem.parts)
-    for name, own, values in rows:
-        grid.row(own.label or name.replace("_", " "), *(shown(problem, name, x, own.unit.symbol) for x in values))
+    for name, measure, values in rows:
+        texts = (shown(problem, name, x, measure.unit.symbol) for x in values)
+        grid.row(measure.label or name.replace("_", " "), *texts)
     return (grid,) if rows else ()
 
 

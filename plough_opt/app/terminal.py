@@ -67,7 +67,7 @@ def quiet() -> bool:
 
 
 # Options that name a file to be written.
-_OUTPUTS = ("plot", "csv", "npz", "output", "description", "store")
+_OUTPUT_FILES = ("plot", "csv", "npz", "output", "description", "store")
 
 
 def read(options: argparse.Namespace) -> Problem:
@@ -110,7 +110,7 @@ def check_outputs(options: argparse.Namespace) -> None:
     else:
         taken = {_place(options.file): "the problem file"}
     taken |= {_place(data): "a data file" for data in getattr(options, "data", ())}
-    for name in _OUTPUTS:
+    for name in _OUTPUT_FILES:
         if (written := getattr(options, name, None)) is None:
             continue
         place = _place(written)

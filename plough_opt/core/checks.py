@@ -135,7 +135,7 @@ def path_of(what: str, value: object) -> Path:
 
 
 @dataclass(frozen=True)
-class Limit:
+class DomainLimit:
     """The limits of a named value: those of `check_domain`, which describes the attributes."""
 
     name: str
@@ -189,7 +189,7 @@ class Limit:
                 raise DomainError(f"{self.name} = {bad:.{digits}g}{suffix} must be {relation}{bound}{reason}")
 
 
-Recorded: TypeAlias = list[tuple[Limit, Any]]
+Recorded: TypeAlias = list[tuple[DomainLimit, Any]]
 """Limits, each with the value that it limits."""
 
 _OF_SYMBOLS: ContextVar[Recorded | None] = ContextVar("of_symbols", default=None)
@@ -255,7 +255,7 @@ def check_domain(
     record = (_OF_SYMBOLS if symbolic else _OF_NUMBERS).get()
     if symbolic and record is None:
         return value
-    limit = Limit(name, unit, above, below, at_least, at_most, why, inside)
+    limit = DomainLimit(name, unit, above, below, at_least, at_most, why, inside)
     if record is not None:
         record.append((limit, value))
         return value

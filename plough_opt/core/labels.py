@@ -15,7 +15,7 @@ from typing import Any, Final, Generic, ParamSpec, TypeVar
 
 import casadi as ca
 
-from plough_opt.core.checks import Limit, Recorded, limits_of_symbols
+from plough_opt.core.checks import DomainLimit, Recorded, limits_of_symbols
 from plough_opt.core.expressions import (
     Expression,
     classes_in,
@@ -45,7 +45,7 @@ class Domain:
         bare: for each of them whether it is a symbol by itself, so that the bounds of a variable must keep the limit.
     """
 
-    limits: tuple[Limit, ...]
+    limits: tuple[DomainLimit, ...]
     bare: tuple[bool, ...]
 
 

@@ -14,6 +14,8 @@ _SHORT: Final = {
     r"\bndarray\[tuple\[Any, \.\.\.\], dtype\[float64\]\]|\bNDArray\[float64\]": "ndarray",
     r"\bNoneType\b": "None",
 }
+# A union within another type.
+_UNION: Final = re.compile(r"\bUnion\[((?:[^\[\]]|\[[^\[\]]*\])*)\]")
 
 
 class _Words(str):
@@ -67,4 +69,4 @@ def _words(annotation: Any) -> Any:
         annotation = formatannotation(annotation)
     for pattern, words in _SHORT.items():
         annotation = re.sub(pattern, words, annotation)
-    return _Words(annotation)
+    return _Words(_UNION.sub(lambda inner: re.sub(r", (?![^\[]*\])", " | ", inner[1]), annotation))

@@ -40,7 +40,7 @@ _EXAMPLE: Final = '"tow_power / (2 * loosened_radius)"'
 
 
 @lru_cache(maxsize=128)
-def own_measure(text: str, unit: str) -> Measure:
+def defined_measure(text: str, unit: str) -> Measure:
     """Return a measure that an expression computes from other results and quantities.
 
     Args:
@@ -172,19 +172,19 @@ def _power(tree: ast.expr) -> float:
 
 def measures_of(table: ProblemTable) -> Mapping[str, Measure]:
     """Return name -> measure of every result that a file can name: those of plough_opt and those it defines."""
-    return MEASURES | {name: own_measure(own.value, own.unit) for name, own in table.measures.items()}
+    return MEASURES | {name: defined_measure(entry.value, entry.unit) for name, entry in table.measures.items()}
 
 
-def check_own(source: Source, table: ProblemTable) -> bool:
+def check_definitions(source: Source, table: ProblemTable) -> bool:
     """Note every invalid result in [measures]; return True if all are valid."""
     valid = 0
-    for name, own in table.measures.items():
+    for name, entry in table.measures.items():
         with source.noting((TABLE, name), prefix=f"'{name}' "):
             if name in MEASURES or name in EVERY:
                 raise InputError("is the name of a built-in result or quantity: choose another")
             if not name.isidentifier():
                 raise InputError("cannot be a name: use letters, digits and _")
-            own_measure(own.value, own.unit)
+            defined_measure(entry.value, entry.unit)
             valid += 1
     return valid == len(table.measures)
 

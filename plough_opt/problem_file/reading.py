@@ -27,7 +27,7 @@ from plough_opt.laws.law import ResistanceLaw
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.vocabulary import Measure
 from plough_opt.problem_file.field_data import average_readings, spectrum_of_file
-from plough_opt.problem_file.measures import check_own, measures_of
+from plough_opt.problem_file.measures import check_definitions, measures_of
 from plough_opt.problem_file.problem import TRADED, FileVariable, Problem, by_share
 from plough_opt.problem_file.schema import (
     RANDOM,
@@ -186,7 +186,7 @@ def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Pro
             if written is not None:
                 displays[key] = display_of(written, unit)
     check_complete(source, table, {*fixed, *table.variables})
-    if check_own(source, table):  # the checks below need the names of all results
+    if check_definitions(source, table):  # the checks below need the names of all results
         known = measures_of(table)
         displays |= {name: display_of(f"1 {own.unit}", known[name].unit) for name, own in table.measures.items()}
         check_measures(source, table, displays)

@@ -56,3 +56,10 @@ def test_an_optimisation_needs_no_registry_of_units_and_draws_nothing():
     _, modules = started("optimise", SUBSOILER, "--search", "near", "--set", "scene.duration=0.2 s")
     assert "plough_opt.design" in modules
     assert not modules & {"matplotlib", "pint"}
+
+
+def test_a_report_draws_with_its_own_scripts(tmp_path):
+    guess = ("--set=share.wedge_angle=25 deg", "--set=share.height=0.25 m", "--set=scene.stiffness=50 kN/m")
+    _, modules = started("report", SUBSOILER, *guess, "--no-accuracy", "--output", tmp_path / "a.html")
+    assert (tmp_path / "a.html").stat().st_size > 10_000
+    assert not modules & {"matplotlib", "pint"}

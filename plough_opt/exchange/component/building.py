@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import LEAST, Limit, check_kind, check_single, plain_number, shown
+from plough_opt.core.checks import LEAST, DomainLimit, check_kind, check_single, plain_number, shown
 from plough_opt.core.errors import DomainError, InputError, PloughError
 from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, stacked
 from plough_opt.core.labels import limits_of_laws
@@ -192,7 +192,7 @@ class Scenes:
         values = results_of.call([*symbols, *integrate.call(parameters_of.call(symbols))])
         return ca.Function(self.name, symbols, values, arguments, names, options)
 
-    def domain(self) -> tuple[tuple[Limit, ...], ca.Function]:
+    def domain(self) -> tuple[tuple[DomainLimit, ...], ca.Function]:
         """Return the limits of the law of resistance, and a Function from the inputs to the limited values."""
         kind, x, _, _ = self._symbolic
         with limits_of_laws() as found:

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import Limit, check_domain, check_text, plain_number, shown
+from plough_opt.core.checks import DomainLimit, check_domain, check_text, plain_number, shown
 from plough_opt.core.errors import DomainError, InputError, nearest
 from plough_opt.core.expressions import Expression, as_number, is_casadi, is_symbolic
 from plough_opt.core.quantities import EVERY, Quantity
@@ -308,7 +308,7 @@ class Component(ca.Function):
         accuracy: Accuracy,
         error_estimate: float,
         warnings: tuple[str, ...],
-        domain: tuple[tuple[Limit, ...], ca.Function],
+        domain: tuple[tuple[DomainLimit, ...], ca.Function],
     ) -> None:
         super().__init__(function)
         self.inputs, self.outputs, self.accuracy = inputs, outputs, accuracy

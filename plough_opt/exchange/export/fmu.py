@@ -25,7 +25,7 @@ from plough_opt.core.expressions import as_number, is_casadi, is_symbolic, map_e
 from plough_opt.core.files import check_file, write_file
 from plough_opt.core.quantities import BESIDE
 from plough_opt.core.units import registry
-from plough_opt.exchange.export.fmu_model import KINDS, Model, model_of
+from plough_opt.exchange.export.fmu_model import KINDS, FmuModel, model_of
 from plough_opt.exchange.named_scene import NamedScene
 from plough_opt.motion.scene import Scene
 
@@ -52,7 +52,7 @@ _MOST_OPTIMISED: Final = 500_000
 _DATE: Final = (1980, 1, 1, 0, 0, 0)
 
 
-def model_description(model: Model, name: str, token: str, description: str, duration: float | None) -> bytes:
+def model_description(model: FmuModel, name: str, token: str, description: str, duration: float | None) -> bytes:
     """Return modelDescription.xml.
 
     Args:
@@ -99,7 +99,7 @@ def build_description(name: str, source: str) -> bytes:
     return _xml(_tag("fmiBuildDescription", configuration, fmiVersion="3.0"))
 
 
-def documentation(model: Model, name: str, description: str, notes: Iterable[str]) -> bytes:
+def documentation(model: FmuModel, name: str, description: str, notes: Iterable[str]) -> bytes:
     """Return documentation/index.html: a table of the variables, and warnings about the results."""
     rows = "\n".join(
         f"<tr><td>{html.escape(v.name)}</td><td>{html.escape(_spelled(v.unit))}</td>"
@@ -135,7 +135,7 @@ def _spelled(unit: str) -> str:
     return unit.replace("^", "").replace("*", ".")
 
 
-def _units(model: Model) -> Iterator[ElementTree.Element]:
+def _units(model: FmuModel) -> Iterator[ElementTree.Element]:
     """Yield the variables' units in SI base units, each with the display units that its variables propose."""
     shown: dict[str, set[str]] = {"s": set()}
     for kind in KINDS:
@@ -152,7 +152,7 @@ def _units(model: Model) -> Iterator[ElementTree.Element]:
         yield _tag("Unit", _tag("BaseUnit", **base), *displays, name=_spelled(unit))
 
 
-def _variables(model: Model) -> Iterator[ElementTree.Element]:
+def _variables(model: FmuModel) -> Iterator[ElementTree.Element]:
     """Yield time and every variable."""
     time = {"name": "time", "valueReference": "0", "causality": "independent", "variability": "continuous"}
     yield _tag("Float64", **time, unit="s", description="time")
@@ -177,7 +177,7 @@ def _variables(model: Model) -> Iterator[ElementTree.Element]:
             yield _tag("Float64", **{name: text for name, text in attributes.items() if text})
 
 
-def _structure(model: Model) -> Iterator[ElementTree.Element]:
+def _structure(model: FmuModel) -> Iterator[ElementTree.Element]:
     """Yield outputs, rates, initial unknowns and event indicators with their dependencies."""
     of_kind, reference = model.of_kind, model.references
     unknown = (*model.visible, *of_kind["rates"], *of_kind["calculated"])
@@ -194,7 +194,7 @@ def _structure(model: Model) -> Iterator[ElementTree.Element]:
             yield _tag(name, **attributes)
 
 
-def c_source(model: Model, *, pushes: bool, by_speed: bool) -> tuple[str, str]:
+def c_source(model: FmuModel, *, pushes: bool, by_speed: bool) -> tuple[str, str]:
     """Return the C source of an FMU, and its instantiation token.
 
     Args:
@@ -215,7 +215,7 @@ def c_source(model: Model, *, pushes: bool, by_speed: bool) -> tuple[str, str]:
     return "\n".join((f'#define TOKEN "{token}"', *parts)), token
 
 
-def _constants(model: Model, pushes: bool, by_speed: bool) -> str:
+def _constants(model: FmuModel, pushes: bool, by_speed: bool) -> str:
     """Return the C of sizes and options, and of the variables' domains, start values and orders of magnitude."""
     of_kind, functions = model.of_kind, model.functions
     counts = {count: len(of_kind[kind]) for count, kind in _COUNTS.items()} | {

@@ -155,7 +155,7 @@ class Share:
 
 
 @dataclass(frozen=True)
-class Variable:
+class FmuVariable:
     """A variable of an exported share.
 
     Attributes:
@@ -191,7 +191,7 @@ class Variable:
 
 
 @dataclass(frozen=True)
-class Model:
+class FmuModel:
     """An exported share.
 
     Attributes:
@@ -207,12 +207,12 @@ class Model:
         depends: name of a rate, output or indicator -> names of the states, inputs and time that it depends on.
     """
 
-    of_kind: Mapping[str, tuple[Variable, ...]]
+    of_kind: Mapping[str, tuple[FmuVariable, ...]]
     functions: Mapping[str, ca.Function]
     depends: Mapping[str, tuple[str, ...]]
 
     @property
-    def visible(self) -> tuple[Variable, ...]:
+    def visible(self) -> tuple[FmuVariable, ...]:
         """Variables whose causality is "output": states, forces and discrete variables."""
         return tuple(one for kind, (causality, *_) in KINDS.items() if causality == "output"
                      for one in self.of_kind[kind])  # fmt: skip
@@ -224,7 +224,7 @@ class Model:
         return {name: str(k) for k, name in enumerate(["time", *(variable.name for variable in variables)])}
 
 
-def model_of(named: NamedScene, *, by_speed: bool) -> Model:
+def model_of(named: NamedScene, *, by_speed: bool) -> FmuModel:
     """Return the model of a numeric scene with motion from a start.
 
     Args:
@@ -269,7 +269,9 @@ def model_of(named: NamedScene, *, by_speed: bool) -> Model:
         for name, (arguments, found) in graphs.items()
     }
     of_kind = {kind: tuple(found) for kind, found in expressions.items()} | {"parameters": tuple(used_parameters)}
-    return Model(of_kind, functions, _depends(of_kind, ca.jacobian_sparsity(_column(now), _column([x, u, share.time]))))
+    return FmuModel(
+        of_kind, functions, _depends(of_kind, ca.jacobian_sparsity(_column(now), _column([x, u, share.time])))
+    )
 
 
 def _check_position_suffices(structure: Structure) -> None:
@@ -317,7 +319,7 @@ def _derivatives(
     }
 
 
-def _depends(of_kind: Mapping[str, tuple[Variable, ...]], pattern: ca.Sparsity) -> dict[str, tuple[str, ...]]:
+def _depends(of_kind: Mapping[str, tuple[FmuVariable, ...]], pattern: ca.Sparsity) -> dict[str, tuple[str, ...]]:
     """Return for each rate, output and indicator the names of states, inputs and time that it depends on."""
     rows = [variable.name for kind in ("rates", "outputs", "indicators") for variable in of_kind[kind]]
     known = [*(variable.name for kind in ("states", "inputs") for variable in of_kind[kind]), "time"]
@@ -327,17 +329,17 @@ def _depends(of_kind: Mapping[str, tuple[Variable, ...]], pattern: ca.Sparsity) 
     return depends
 
 
-def _quantities(named: NamedScene) -> Iterator[Variable]:
+def _quantities(named: NamedScene) -> Iterator[FmuVariable]:
     """Yield the named quantities of a scene as parameters."""
     for name, value in named.values.items():
         one, is_ramp = EVERY[name], name == "effects.tow_ramp"
         # A model has the equations of a ramp or not: without them its duration stays 0, with them it is above 0.
         if not is_ramp or named.scene.effects.ramps:
-            yield Variable(name, one.unit or "1", one.meaning, float(value), one.low, one.high, one.above or is_ramp,
+            yield FmuVariable(name, one.unit or "1", one.meaning, float(value), one.low, one.high, one.above or is_ramp,
                            one.below, shown=one.shown)  # fmt: skip
 
 
-def _with_parameters(named: NamedScene) -> tuple[dict[Variable, ca.SX], Scene]:
+def _with_parameters(named: NamedScene) -> tuple[dict[FmuVariable, ca.SX], Scene]:
     """Return a symbol for each parameter of a scene, and the scene with these symbols.
 
     Beside the named quantities, the numbers of a density profile and of a user's own effects are parameters. The
@@ -350,7 +352,7 @@ def _with_parameters(named: NamedScene) -> tuple[dict[Variable, ca.SX], Scene]:
         scene = replace(scene, soil=replace(scene.soil, density_profile=replace(profile, parameters=parameters)))
         for k, (value, symbol) in enumerate(pairs, start=1):
             what = f"number {k} of the density profile"
-            symbols[Variable(f"soil.density_profile.parameters[{k}]", "", what, value)] = symbol
+            symbols[FmuVariable(f"soil.density_profile.parameters[{k}]", "", what, value)] = symbol
     effects: tuple[Any, ...] = scene.effects.own
     own = []
     for k, effect in enumerate(effects, start=1):
@@ -361,7 +363,7 @@ def _with_parameters(named: NamedScene) -> tuple[dict[Variable, ca.SX], Scene]:
             fields = [f"parameters[{j}]" for j, _ in enumerate(pairs, start=1)]
         for field, (value, symbol) in zip(fields, pairs, strict=True):
             what = f"{field} of the resistance {type(effect).__name__}"
-            symbols[Variable(f"effects.own[{k}].{field}", "", what, value)] = symbol
+            symbols[FmuVariable(f"effects.own[{k}].{field}", "", what, value)] = symbol
     return symbols, replace(scene, effects=replace(scene.effects, own=tuple(own)))
 
 
@@ -371,7 +373,7 @@ def _with_symbols(part: Any) -> tuple[Any, list[tuple[float, ca.SX]]]:
     return template, [*zip(map(float, values), template_of(template)[1], strict=True)]
 
 
-def _varying(share: Share, scene: Scene) -> dict[str, Mapping[Variable, Column]]:
+def _varying(share: Share, scene: Scene) -> dict[str, Mapping[FmuVariable, Column]]:
     """Return, by kind, the variables that change during a run with their expressions.
 
     Args:
@@ -380,8 +382,8 @@ def _varying(share: Share, scene: Scene) -> dict[str, Mapping[Variable, Column]]
     """
     nominal, by_speed, events = _magnitudes(scene), share.by_speed, share.structure.events
 
-    def variable(name: str, unit: str, description: str, shown: str = "", **more: Any) -> Variable:
-        return Variable(name, unit, description, nominal=nominal.get(unit, 0.0), shown=shown, **more)
+    def variable(name: str, unit: str, description: str, shown: str = "", **more: Any) -> FmuVariable:
+        return FmuVariable(name, unit, description, nominal=nominal.get(unit, 0.0), shown=shown, **more)
 
     travel = variable("travel", "m", "travel L of the share")
     speed = variable("speed", "m/s", "speed L' of the share", "km/h")
@@ -422,14 +424,14 @@ def _magnitudes(scene: Scene) -> dict[str, float]:
     return {"N": force, "m": length, "m/s": speed or length * frequency, "m/s^2": force / float(scene.inertia)}
 
 
-def _calculated(scene: Scene, symbolic: Scene) -> dict[Variable, ca.SX]:
+def _calculated(scene: Scene, symbolic: Scene) -> dict[FmuVariable, ca.SX]:
     """Return the variables that depend on the parameters alone, with their expressions from the symbolic scene."""
     gas, carries = not scene.law.lacks("loosened_radius"), not scene.law.lacks("added_mass")
-    half_angle = Variable("share.half_angle", "rad", "half angle beta of the equivalent cone", shown="deg")
-    radius = Variable("share.loosened_radius", "m", "radius r* of the compaction front at the share's base")
-    static = Variable("share.static_resistance", "N", "static resistance F0", shown="kN")
-    drag = Variable("share.drag_coefficient", "N*s^2/m^2", "resistance Fd per squared speed")
-    carried = Variable("share.added_mass", "kg", "mass m_a of soil that the share carries along")
+    half_angle = FmuVariable("share.half_angle", "rad", "half angle beta of the equivalent cone", shown="deg")
+    radius = FmuVariable("share.loosened_radius", "m", "radius r* of the compaction front at the share's base")
+    static = FmuVariable("share.static_resistance", "N", "static resistance F0", shown="kN")
+    drag = FmuVariable("share.drag_coefficient", "N*s^2/m^2", "resistance Fd per squared speed")
+    carried = FmuVariable("share.added_mass", "kg", "mass m_a of soil that the share carries along")
     found = {}
     for variable, path, present in (
         (half_angle, "cone.half_angle", isinstance(scene.share, Wedge)),

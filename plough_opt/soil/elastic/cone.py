@@ -58,12 +58,12 @@ class ConeStress:
     rx: Expression
 
 
-def displacement_of(found: Potentials, section: Expression, r: Expression, soil: Medium) -> ConeDisplacement:
+def displacement_of(found: ConePotentials, section: Expression, r: Expression, soil: Medium) -> ConeDisplacement:
     """Return the displacement that follows from the potentials and the displaced section S(x)."""
     return ConeDisplacement(axial=found.n + 2.0 * soil.eta**2 * found.n_change, radial=section / r + found.outward)
 
 
-def stress_of(found: Potentials, section: Expression, r: Expression, soil: Medium) -> ConeStress:
+def stress_of(found: ConePotentials, section: Expression, r: Expression, soil: Medium) -> ConeStress:
     """Return the stresses that follow from the potentials and the displaced section S(x)."""
     mu, hoop = soil.shear_modulus, (section / r + found.outward) / r
     dilatation = soil.stiffening * soil.lateral * found.n_x
@@ -174,7 +174,7 @@ def state_of(soil: Soil, speed: Expression) -> Medium:
 
 @medium_law
 def _around(
-    field_of: Callable[[Potentials, Expression, Expression, Medium], _Field],
+    field_of: Callable[[ConePotentials, Expression, Expression, Medium], _Field],
     x: Expression,
     r: Expression,
     profile: Profile,
@@ -195,7 +195,7 @@ def _around(
 # --- potentials of a line of sources ---------------------------------------------------------------------------------
 
 
-class Potentials(NamedTuple):
+class ConePotentials(NamedTuple):
     """Functions whose linear combinations are the fields of a cone.
 
     Attributes:
@@ -214,13 +214,13 @@ class Potentials(NamedTuple):
     n_r_change: Expression
     outward: Expression
 
-    def plus(self, other: Potentials, weight: Expression = 1.0) -> Potentials:
+    def plus(self, other: ConePotentials, weight: Expression = 1.0) -> ConePotentials:
         """Return the sum of these potentials and others multiplied by a weight."""
-        return Potentials(*(a + weight * b for a, b in zip(self, other, strict=True)))
+        return ConePotentials(*(a + weight * b for a, b in zip(self, other, strict=True)))
 
-    def where(self, condition: Expression, other: Potentials) -> Potentials:
+    def where(self, condition: Expression, other: ConePotentials) -> ConePotentials:
         """Return these potentials where a condition holds, and the other ones elsewhere."""
-        return Potentials(*(where(condition, a, b) for a, b in zip(self, other, strict=True)))
+        return ConePotentials(*(where(condition, a, b) for a, b in zip(self, other, strict=True)))
 
 
 class _Point:
@@ -271,7 +271,7 @@ def sources(segment: Segment, section_factor: Expression) -> tuple[Expression, E
 
 def potentials(
     offsets: list[Expression], r: Expression, cone: Body, soil: Medium, section_factor: Expression
-) -> Potentials:
+) -> ConePotentials:
     """Return the potentials of a cone.
 
     Args:
@@ -281,11 +281,11 @@ def potentials(
         soil: the medium.
         section_factor: S/R^2 [-].
     """
-    total = Potentials(*[0.0] * 6)
+    total = ConePotentials(*[0.0] * 6)
     for segment in cone.segments:
         place = (offsets[segment.start], offsets[segment.start + 1], r)
         arguments = (*place, segment.length, *sources(segment, section_factor), *soil.in_order)
-        total = total.plus(Potentials(*_piece(*arguments)))
+        total = total.plus(ConePotentials(*_piece(*arguments)))
     return total
 
 
@@ -316,7 +316,7 @@ def _piece(
     return _far(first, last, length, (at_first, slope)).where(far, _near(first, last, (at_first, slope)))
 
 
-def _near(first: _Point, last: _Point, source: tuple[Expression, Expression]) -> Potentials:
+def _near(first: _Point, last: _Point, source: tuple[Expression, Expression]) -> ConePotentials:
     """Return the potentials of a piece in closed form."""
     at_first, slope = source
     soil, r = first.soil, first.r
@@ -326,7 +326,7 @@ def _near(first: _Point, last: _Point, source: tuple[Expression, Expression]) ->
     inverse = first.inverse_change, last.inverse_change
     scaled = first.scaled_inverse_change - last.scaled_inverse_change
     moments = last.x * last.gap - first.x * first.gap + _stiffness(soil) * log + 2.0 * soil.eta**2 * log_change
-    return Potentials(
+    return ConePotentials(
         n=(here * log - slope * (first.fast - last.fast)) / 2.0,
         n_change=(here * log_change - slope * r**2 * (first.change - last.change)) / 2.0,
         n_x=(slope * log + at_first / first.fast - at_last / last.fast) / 2.0,
@@ -356,12 +356,12 @@ def _logarithm(first: _Point, last: _Point) -> tuple[Expression, Expression]:
     return log, -turn * arcsinh_ratio(soil.m * turn)
 
 
-def _far(first: _Point, last: _Point, length: Expression, source: tuple[Expression, Expression]) -> Potentials:
+def _far(first: _Point, last: _Point, length: Expression, source: tuple[Expression, Expression]) -> ConePotentials:
     """Return the potentials of a piece by Gauss-Legendre quadrature."""
     at_first, slope = source
     soil, r = first.soil, first.r
     above = (first.x >= 0.0) * (last.x < 0.0)
-    total = Potentials(*[0.0] * 6)
+    total = ConePotentials(*[0.0] * 6)
     for node, weight in zip(*gauss_legendre(FAR_NODES), strict=True):
         point = _Point(first.x - node * length, r, soil)
         cubed = 1.0 / point.fast**2 + 1.0 / (point.fast * point.slow) + 1.0 / point.slow**2
@@ -373,7 +373,7 @@ def _far(first: _Point, last: _Point, length: Expression, source: tuple[Expressi
             where(point.x < 0.0, point.beyond_fast, point.fast + point.x) / (r * point.fast)
             - 2.0 * point.x * point.inverse_change / r
         )
-        kernel = Potentials(
+        kernel = ConePotentials(
             n=1.0 / point.fast,
             n_change=point.inverse_change,
             n_x=-point.x / point.fast**3,
@@ -383,7 +383,7 @@ def _far(first: _Point, last: _Point, length: Expression, source: tuple[Expressi
         )
         total = total.plus(kernel, share)
     passed = _passed(first.x, last.x, length, source)
-    return total.plus(Potentials(0.0, 0.0, 0.0, 0.0, 0.0, where(above, -passed / r, 0.0)))
+    return total.plus(ConePotentials(0.0, 0.0, 0.0, 0.0, 0.0, where(above, -passed / r, 0.0)))
 
 
 def _passed(x0: Expression, x1: Expression, length: Expression, source: tuple[Expression, Expression]) -> Expression:

@@ -145,7 +145,7 @@ def cone_stress(
 
 def _cone(
     x: Expression, r: Expression, profile: Curve, length: float, soil: Soil, speed: float, order: int, factor: float
-) -> tuple[cones.Potentials, Expression, Expression, Medium]:
+) -> tuple[cones.ConePotentials, Expression, Expression, Medium]:
     """Return the potentials of a slender body, its displaced section S(x), r, and the medium."""
     check_domain("section factor", factor, above=0.0)
     check_single("a Fourier integral", factor)
@@ -170,7 +170,7 @@ def _cone(
         ]
 
     *found, displaced, away = waves.over_points(integrals)
-    return cones.Potentials(*found), displaced, away, state
+    return cones.ConePotentials(*found), displaced, away, state
 
 
 def _bessel(z: Array, state: Medium) -> tuple[Array, Array, Array, Array]:

@@ -1,0 +1,326 @@
+"""Studies on the command line: accuracy, sensitivities, sweeps and fronts."""
+
+import csv
+import json
+import re
+import signal
+import subprocess
+import sys
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from helpers import swept
+from helpers.commands import call, cells, printed
+from helpers.problem_files import PROBLEMS, REFERENCE, STATIC, SUBSOILER, changed
+
+import plough_opt as po
+from plough_opt.core.quantities import QUANTITIES
+from plough_opt.studies.accuracy.result import AccuracyStudy
+from plough_opt.studies.tradeoff.surface import distances
+
+# --- `plough-opt accuracy`: tables, advice and files ---
+
+
+@pytest.fixture
+def small(tmp_path):
+    """Return the path of a small problem file."""
+    path = tmp_path / "small.toml"
+    path.write_text(STATIC, encoding="utf-8")
+    return path
+
+
+def test_tables_advice_and_files(small, tmp_path):
+    picture, output = tmp_path / "cost.png", tmp_path / "deep" / "cost.json"
+    moving = ("--set", "effects.motion=true", "--set", "scene.duration=0.1 s")
+    uncertain = "uncertain.soil.cohesion={ distribution = 'normal', mean = '20 kPa', std = '1 kPa' }"
+    options = ("--thin", "--error", "1e-5", "--seconds", "0.05", "--plot", picture, "--output", output)
+    done = call("accuracy", small, *options, *moving, "--set", uncertain)
+    assert done.status == 0
+    assert "averages of the motion: relative error against time" in done.out
+    (advice,) = (line for line in done.out.splitlines() if line.startswith("averages of the motion: for 1e-05 take "))
+    assert "the default" in advice
+    assert "note: the study uses the nominal soil" in done.out
+    assert "casadi " in done.out.splitlines()[-1]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert f"wrote {picture}" in done.err.replace("\n", "")
+    study = AccuracyStudy.load(output)
+    assert (study.wanted, study.duration) == (1e-5, pytest.approx(0.1))
+    assert advice in json.loads(output.read_text(encoding="utf-8"))["advice"]
+
+
+def test_a_file_without_a_motion_has_nothing_to_compare(small):
+    assert "no motion to integrate" in printed("accuracy", small)
+
+
+@pytest.mark.slow
+def test_the_methods_of_a_motion_and_of_its_gradients():
+    out = printed("accuracy", SUBSOILER, "--set", "scene.duration=0.1 s", "--thin", "--seconds", "0.2")
+    for words in ("averages of the motion", "gradients of the averages"):
+        assert f"{words}: relative error against time" in out
+    for method in ("auto, error 1e-08 (default) ", "dop853, ", "cvodes, ", "quasi-static ", "harmonic balance, "):
+        assert f" {method}" in out
+
+
+def test_a_design_instead_of_a_scene(small, tmp_path):
+    output = tmp_path / "cost.json"
+    out = printed("accuracy", small, "--design", "--seconds", "0.3", "--output", output)
+    for words in ("objective of the optimum: relative error", "variables of the optimum: relative", "auto (default)"):
+        assert words in out
+    study = AccuracyStudy.load(output)
+    assert (study.duration, study.title) == (None, "Quasi-static")
+    # One basin: every search finds its best.
+    assert [row.right for row in study.thoroughness] == [row.asked for row in study.thoroughness]
+    assert study.thoroughness[0].search == "near"
+    assert all(max(entry.errors.values()) < 1e-9 for entry in study.entries if entry.failure is None)
+
+
+# --- `plough-opt optimise --sensitivity`: elasticities of every quantity of the file and of the limits that decide ---
+
+# One quantity in a customary unit, one requirement that decides and one that does not.
+FREE = '"share.wedge_angle" = { lower = "5 deg", upper = "60 deg", guess = "25 deg" }'
+LIMITS = 'half_angle = { at_most = "15 deg" }\nmean_deflection = { at_most = "1 m" }\n'
+TEXT = changed(
+    ('wedge_angle = "35 deg"\n', ""), ("[variables]", f"[variables]\n{FREE}"),
+    ('name = "serozem"', 'name = "serozem"\ncohesion = "20 kPa"'), ("0.12 m", "0.15 m"), text=STATIC + LIMITS,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("problems") / "static.toml"
+    path.write_text(TEXT, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def saved(file):
+    """Return the optimum with its sensitivities, read back from JSON."""
+    path = file.with_name("best.json")
+    path.write_text(printed("optimise", file, "--sensitivity", "--json"), encoding="utf-8")
+    return po.load(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "value"),
+    [
+        ("soil.cohesion", "soil.cohesion", "{} Pa"),
+        ("soil.ambient_pressure", "soil.ambient_pressure", "{} Pa"),  # of the named soil, not in the file
+        ("half_angle at_most", "require.half_angle.at_most", "{} rad"),
+    ],
+)
+def test_it_is_the_file_solved_again_with_another_value(file, saved, name, key, value):
+    (found,) = [item for item in saved.sensitivities if item.name == name]
+    assert saved.run.scene.soil.name == "serozem, changed"  # as in the file
+
+    def objective(factor):
+        text = value.format(repr(factor * found.value))
+        return po.read_problem(file, [f'{key}="{text}"']).optimise()[0].objective
+
+    one, two = (objective(1.0 + s) - objective(1.0 - s) for s in (1e-3, 2e-3))
+    # An objective good to 1e-12 over a step of 1e-3, and the step to the fourth power.
+    assert found.elasticity == pytest.approx((8.0 * one - two) / 12e-3 / saved.objective, rel=1e-8, abs=1e-9)
+
+
+def test_the_table_has_every_quantity_that_matters_in_order_of_size(file, saved):
+    done = call("optimise", file, "--sensitivity")
+    assert (done.status, done.err) == (0, "")
+    names = [item.name for item in saved.sensitivities]
+    sizes = [abs(item.elasticity) for item in saved.sensitivities]
+    assert sizes == sorted(sizes, reverse=True)
+    # No mass moves, no spring deflects to its limit, and the plastic gas has no Young's modulus.
+    soil = "density density_ratio cohesion friction_angle tool_friction ambient_pressure strength_factor"
+    others = {"share.chisel_angle", "scene.tow_speed", "scene.stiffness"}
+    limits = {"loosened_radius at_least", "half_angle at_most"}
+    assert {*names} == {f"soil.{name}" for name in soil.split()} | others | limits
+    places = [done.out.index(f"│ {name} ") for name in names]
+    assert places == sorted(places)
+    assert cells(done.out, "scene.tow_speed")[0] == "7.2 km/h"
+    for item in saved.sensitivities:
+        shown = f"{item.elasticity:+.3g}" if abs(item.elasticity) > 1e-9 else "0"
+        assert cells(done.out, item.name)[1] == shown
+    (radius,) = [item for item in saved.sensitivities if item.name == "loosened_radius at_least"]
+    # The front's radius is proportional to the height, the draft to its square; the angle keeps it.
+    assert cells(done.out, radius.name)[1:4] == [f"{radius.elasticity:+.3g}", "0", "+1"]
+    # No percentage is one of a variable whose best value is 0.
+    free = "variables.effects.rate_term={ lower = '0 s^2/m^2', upper = '1 s^2/m^2' }"
+    out = printed("optimise", file, "--sensitivity", "--set", free)
+    assert ("value 0" in out, " 0 s^2/m^2 │" in out) == (True, True)
+
+
+def test_an_optimum_that_is_not_unique_is_printed_with_a_note(file):
+    free = '"scene.stiffness" = { lower = "1 kN/m", upper = "9 kN/m" }\n"share.wedge'
+    flat = file.with_name("flat.toml")
+    text = changed(('stiffness = "60 kN/m"\n', ""), ('"share.wedge', free), text=TEXT.replace("\nmean_defl", "\n#"))
+    flat.write_text(text, encoding="utf-8")
+    done = call("optimise", flat, "--sensitivity", "--search", "8", "-v")
+    assert done.status == 0
+    stages = [line.split(" s  ")[1] for line in done.err.splitlines()]
+    assert all(one != two for one, two in pairwise(stages))  # each once, however often it is reported
+    # Parameters instead of numbers round otherwise, which may change the number of designs along the flat direction.
+    assert str(po.read_problem(flat).optimise(search=8)[0].search).partition(" tried")[2] in done.out
+    assert "not unique" in done.out
+    assert "note: no sensitivities: the optimum is not unique" in done.said
+    assert "one per cent" not in done.out
+
+
+def test_no_range_leaves_the_models_domain():
+    """Half a revolution of friction or a chisel of 103 degrees is neither soil nor share, whatever the slopes say."""
+    short = ("--set", "scene.duration=0.5 s", "--search", "near")
+    saved = json.loads(printed("optimise", SUBSOILER, "--sensitivity", "--json", *short))
+    ends = {item["name"]: (item["valid_from"], item["valid_to"], item["then"]) for item in saved["sensitivities"]}
+    assert len(ends) > 10
+    reached = 0
+    for name, (low, high, then) in ends.items():
+        quantity = QUANTITIES.get(name.partition(" ")[0])
+        if quantity is None:
+            continue
+        for end, side, limit in ((low, then[0], quantity.low), (high, then[1], quantity.high)):
+            assert end is None or quantity.low <= end <= quantity.high, name
+            if side == "the model's domain ends":
+                reached += 1
+                assert end == limit
+    assert reached > 0
+
+
+# --- `plough-opt sweep`: tables, resumption, Ctrl-C and failures ---
+
+SWEPT = ("--set", "scene.duration=0.2 s", "--set", "scene.outputs=40")
+OVER = ("--over", 'soil.cohesion="5..45 kPa:3"', "--over", "scene.tow_speed=1 m/s, 3 m/s")
+
+
+def test_a_sweep_is_reported_written_and_resumed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    command = ("sweep", SUBSOILER, *SWEPT, *OVER, "--workers", "1")
+    done = call(*command, "--csv", "deep/table.csv", "--npz", "table.npz", "--plot", "deep/picture.svg")
+    assert done.status == 0, done.err
+    assert "Subsoiler for cotton on serozem\n6 points, 0 failed" in done.out
+    assert re.search(r"│ mean_draft +│ +[0-9.]+ kN │ cohesion 5 kPa +│ +[0-9.]+ kN │ cohesion 45 kPa", done.out)
+    assert "Each point is simulated by po.simulate; stored in cotton_subsoiler-" in done.out
+    assert "Note: at 6 of 6 points: ambient pressure (101.3 kPa) carries" in done.out
+    assert "wrote deep/table.csv" in done.err
+    assert "</svg>" in (tmp_path / "deep" / "picture.svg").read_text()
+    rows = list(csv.reader((tmp_path / "deep" / "table.csv").read_text().splitlines()))
+    assert rows[0][:4] == ["point", "soil.cohesion [Pa]", "scene.tow_speed [m/s]", "mean_draft [N]"]
+    run = po.read_problem(SUBSOILER, SWEPT[1::2]).simulate({"soil.cohesion": 25e3, "scene.tow_speed": 3.0})
+    assert float(rows[4][3]) == run.mean_draft
+    with np.load(tmp_path / "table.npz") as arrays:
+        assert arrays["mean_draft"][3] == run.mean_draft
+
+    # Nothing is computed any more, and so no process begins.
+    again = call(*command, "--csv", "again.csv")
+    assert again.status == 0
+    assert "6 points were stored before" in again.out
+    assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "deep" / "table.csv").read_bytes()
+    assert len(list(tmp_path.glob("*.sweep.db"))) == 1
+
+
+@pytest.mark.usefixtures("ctrl_c")
+def test_ctrl_c_leaves_a_store_that_goes_on(tmp_path):
+    file = str(tmp_path / "stick.toml")
+    call("init", file)
+    store, table = tmp_path / "sweep.db", tmp_path / "table.csv"
+    over = ("--over", "soil.cohesion=5..45 kPa:100", "--over", "scene.tow_speed=1..3 m/s:100", "--method", "each")
+    command = ("sweep", file, *over, "--workers", "1", "--store", str(store))
+    process = subprocess.Popen([sys.executable, "-m", "plough_opt", *command], stderr=subprocess.PIPE, text=True)
+    try:
+        swept.until(lambda: swept.stored(store), process)
+        process.send_signal(signal.SIGINT)
+        error = process.communicate(timeout=60)[1]
+    finally:
+        process.kill()
+    kept = len(swept.stored(store))
+    assert 0 < kept < 10_000
+    assert process.returncode == 130
+    # Before it, where the machine is slow, how far it was after every ten seconds.
+    expected = f"stopped: {kept} of 10000 points are in '{store}': the same sweep continues from there"
+    assert error.splitlines()[-1] == expected
+    # Another question is refused with what differs; the same one goes on (that it repeats nothing is tested elsewhere).
+    other = call(*command, "--set", "scene.frame_mass=25 kg", "--csv", table)
+    assert other.status == 2
+    assert "scene.frame_mass: 20.0 there, 25.0 here" in other.said
+    assert not table.exists()
+
+
+def test_failures_are_reported(tmp_path, monkeypatch):
+    monkeypatch.setattr("plough_opt.studies.sweep.result._QUOTED", 1)
+    over = ("--over", "share.height=0.12..0.13 m", "--samples", "3", "--set", "effects.motion=false", "--optimise")
+    store, table = tmp_path / "sweep.db", tmp_path / "table.csv"
+    done = call("sweep", REFERENCE, *over, "--workers", "1", "--store", store, "--csv", table)
+    assert done.status == 1
+    assert "3 points, 3 failed" in done.out
+    assert len(re.findall(r"failed at share.height = 0.12[0-9]* m: .*'loosened_radius'", done.out)) == 1
+    assert "and 2 more failed" in done.out
+    assert table.read_text().count("'loosened_radius'") == 3
+    assert "note: 'share.height' is a variable of the file: every point fixes it" in done.err
+    assert "note: 3 samples are not a power of two" in done.err
+    assert "no solution: every point failed" in done.err
+
+
+# --- `plough-opt tradeoff`, and the [trade_off] table of a problem file ---
+
+LOOSENING = PROBLEMS / "draft_against_loosening.toml"
+FIVE = ("--set", "scene.duration=0.1 s", "--points", "5")
+
+
+def test_table_and_files(tmp_path):
+    picture, table, output = tmp_path / "front.svg", tmp_path / "front.csv", tmp_path / "deep" / "front.json"
+    done = call("tradeoff", LOOSENING, *FIVE, "--plot", picture, "--csv", table, "--output", output)
+    assert done.status == 0
+    assert "Front of 5 designs" in done.out
+    assert "Limits that decide every design: half angle." in done.out
+    # A warning that holds for every design is given once, whatever its figures.
+    assert done.out.count("Note: ") == 1, done.out
+    assert "Note: at 5 of 5 designs: ambient pressure (101.3 kPa) carries 73 % of the static draft" in done.out
+    assert "1 % costs: of loosened radius for 1 % less mean draft" in done.out
+    for path in (picture, table, output):
+        assert f"wrote {path}" in done.err.replace("\n", "")
+    assert picture.read_text(encoding="utf-8").lstrip().startswith("<?xml")
+    front = po.TradeOff.load(output)
+    assert front.title == "Draft against loosened radius on serozem"
+    # The last position is that of an anchor on a bound, where no other design lies.
+    assert front.failures == ()
+    assert front.objectives[0, 1] == pytest.approx(0.08, rel=1e-6)
+    assert len(table.read_text(encoding="utf-8").splitlines()) == 1 + len(front.points) + len(front.dominated)
+
+
+def test_json():
+    front = json.loads(printed("tradeoff", LOOSENING, *FIVE, "--json", "--set", "effects.strength_wave.amplitude=0"))
+    assert front["kind"] == "trade-off"
+    assert [goal["maximise"] for goal in front["goals"]] == [False, True]
+    # Without waves the draft is steady and proportional to the height squared, the radius to the height. So 1 % less
+    # draft costs half a per cent of the radius.
+    for point in front["points"][1:-1]:
+        assert point["rate"] * point["objectives"][0] / point["objectives"][1] == pytest.approx(0.5, rel=1e-6)
+
+
+def test_a_trading_file_is_valid_and_says_what_next():
+    assert "plough-opt tradeoff" in printed("check", PROBLEMS / "draft_oscillation_loosening.toml").replace("\n", " ")
+
+
+def test_a_problem_without_solution():
+    done = call("tradeoff", LOOSENING, *FIVE, "--set", "require.loosened_radius.at_least=2 m")
+    assert done.status == 1
+    assert "'loosened_radius' (at least 2 m) fails by" in done.err
+
+
+@pytest.mark.slow
+def test_the_shipped_surface_is_even_and_certified():
+    front = po.read_problem(PROBLEMS / "draft_oscillation_loosening.toml").trade_off()
+    assert len(front.points) > 25
+    # One anchor is apart: the widest share with the least draft, stiff and slow. Stiff designs between it and the rest
+    # have less than 1e-4 less draft than softer ones, too little for points of their own.
+    body, (alone,) = front.parts
+    assert len(body) == len(front.points) - 1
+    assert front.points[alone].branch == "stiff"
+    assert front.objectives[alone, 2] == pytest.approx(0.22, rel=1e-9)
+    assert max(point.gap for point in front.points) < 1e-8
+    assert max(point.residual for point in front.points) < 1e-9
+    assert {point.branch for point in front.points} == {"soft", "stiff"}
+    # All are as blunt as allowed: a slender share pays in friction twice what it saves in oscillation.
+    assert all("half_angle" in point.active for point in front.points)
+    normalised = front.objectives * [1.0, 1.0, -1.0] / np.ptp(front.objectives, axis=0)
+    apart = distances(normalised) + np.eye(len(normalised))
+    # 45 positions lie an eighth of the range apart, other points at 0.7 of that. Anchors stay, however near.
+    assert np.min(apart) > 0.5 / 8.0
+    assert np.max(np.min(apart[list(body)], axis=1)) < 1.75 / 8.0

@@ -233,7 +233,8 @@ def test_a_problem_is_restored_below_its_folder(tmp_path, place):
 def test_files_that_are_one_on_some_systems_are_not_restored(tmp_path):
     for data in ({"a.csv": "1", "A.csv": "2"}, {"x/\u00e9.csv": "1", "x/e\u0301.csv": "2"}, {"SHARE.toml": "1"},
                  {"x/a.csv": "1", "x\\a.csv": "2"}, {"share.toml": "1"}, {"A": "1", "a/b.csv": "2"},
-                 {"SHARE.toml/b.csv": "1"}):  # fmt: skip
+                 {"SHARE.toml/b.csv": "1"}, {"x/a.csv": "1", "x//a.csv": "2"},
+                 {"x/a.csv": "1", "x/./a.csv": "2"}):  # fmt: skip
         path = with_origin(tmp_path / "a.json", file="share.toml", data=data)
         done = call("show", path, "--restore", tmp_path / "new")
         assert (done.status, "the same" in done.said) == (2, True)

@@ -164,9 +164,8 @@ def write_below(folder: Path, kind: str, files: Sequence[tuple[str, Content]]) -
         if os.path.lexists(place):
             raise InputError(f"'{place}' exists already and is left as it is: name a new folder")
         places[place] = content
-    names = [folded(name) for name, _ in files]
-    folders = {str(parent) for name in names for parent in PurePosixPath(name).parents}
-    if len({*names}) < len(names) or folders & {*names}:
+    names = [PurePosixPath(folded(name)) for name, _ in files]
+    if len({*names}) < len(names) or any(parent in names for name in names for parent in name.parents):
         given = ", ".join(shown(name) for name, _ in files)
         raise InputError(f"nothing is written: on some systems two of these paths are the same: {short(given, 200)}")
     write_files(places, kind)

@@ -82,8 +82,8 @@ def simulate(
         outputs: number of equal intervals between output times, at least 1.
         compiled: whether steps of order 8 of a numeric scene, integrated from a start, run as machine code. Compilation
             by the system's C compiler takes about a second, once per machine for all scenes with the same effects; a
-            run then takes about a quarter of the time, with the same result. A warning reports if there is no compiler,
-            if another method or model takes the run, or if an own effect looks up a table.
+            run then takes about a quarter of the time, with the same result up to rounding. A warning reports if there
+            is no compiler, if another method or model takes the run, or if an own effect looks up a table.
 
     Returns:
         A numeric or symbolic `Run`.

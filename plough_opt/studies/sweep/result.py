@@ -334,11 +334,11 @@ def _figure_of(swept: Sweep) -> Figure:
     if len(swept) > _MOST_DOTS or len(swept.names) > 2:
         return _panels(swept, names, swept.names[:_MOST_COLUMNS])
     rows = -(-max(1, len(names)) // 2)
-    figure, every = _empty_panels(rows, 2)
-    colours = {"color": COLOURS[0]}
+    figure, every = _empty_panels(rows, 2, (5.0, 3.2))
+    colours: dict[str, Any] = {"color": COLOURS[0]}
     if len(swept.names) > 1:
         shades, shades_label = swept.shown(swept.names[1])
-        colours = {"c": shades, "cmap": "viridis"}
+        colours = {"c": shades, "cmap": "viridis", "norm": _scale(shades)}
     for axes in every.flat[len(names) :]:
         axes.set_visible(False)
     for axes, name in zip(every.flat, names, strict=False):
@@ -350,7 +350,7 @@ def _figure_of(swept: Sweep) -> Figure:
 
 def _panels(swept: Sweep, names: Sequence[str], keys: Sequence[str]) -> Figure:
     """Draw each result in a row and each swept quantity in a column; many points as their density."""
-    figure, every = _empty_panels(max(1, len(names)), len(keys))
+    figure, every = _empty_panels(max(1, len(names)), len(keys), (3.6, 2.4))
     for row, name in zip(every, names, strict=False):
         for axes, key in zip(row, keys, strict=True):
             _draw_points(axes, swept, key, name, {"color": COLOURS[0]})
@@ -360,23 +360,29 @@ def _panels(swept: Sweep, names: Sequence[str], keys: Sequence[str]) -> Figure:
     return figure
 
 
-def _empty_panels(rows: int, columns: int) -> tuple[Figure, Any]:
-    """Return a figure with rows and columns of panels."""
+def _empty_panels(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, Any]:
+    """Return a figure with rows and columns of panels, each of a size [inches]."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(5.0 * columns, 3.2 * rows), layout="constrained")
+    figure = Figure(figsize=(size[0] * columns, size[1] * rows), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def _scale(values: Array) -> Literal["log", "linear"]:
+    """Return the scale of a swept quantity's axis or colours."""
+    return "log" if 0.0 < _LOG_RATIO * np.min(values) < np.max(values) else "linear"
 
 
 def _draw_points(axes: Axes, swept: Sweep, key: str, name: str, colours: Mapping[str, Any]) -> Any:
     """Draw a result over a swept quantity in one panel: a dot for each point, or the density of many."""
     (places, heading), (values, label) = swept.shown(key), swept.shown(name)
     axes.set(xlabel=heading, ylabel=label)
-    scale: Literal["log", "linear"] = "log" if 0.0 < _LOG_RATIO * np.min(places) < np.max(places) else "linear"
-    finite = np.isfinite(values)
+    scale, finite = _scale(places), np.isfinite(values)
     if len(swept) > _MOST_DOTS and finite.any():
-        at = {"gridsize": _CELLS, "xscale": scale, "bins": "log", "mincnt": 1, "cmap": "Blues", "linewidths": 0.0}
-        points: Any = axes.hexbin(places[finite], values[finite], **at)
+        at = places[finite], values[finite]
+        points: Any = axes.hexbin(
+            *at, gridsize=_CELLS, xscale=scale, bins="log", mincnt=1, cmap="Blues", linewidths=0.0
+        )
     else:
         points = axes.scatter(places, values, s=14, **colours)
         axes.set_xscale(scale)

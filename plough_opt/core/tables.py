@@ -324,9 +324,9 @@ def _records(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
         for number, line in lines:
             if not first and (not line.strip() or line.startswith("#")):
                 continue
-            if len(line) > _LONGEST_LINE:
+            if (length := len(line.rstrip("\r\n"))) > _LONGEST_LINE:
                 raise InputError(
-                    f"{path}, line {number}: it has {len(line)} characters, but at most {_LONGEST_LINE} can be read:"
+                    f"{path}, line {number}: it has {length} characters, but at most {_LONGEST_LINE} can be read:"
                     " write one row per line"
                 )
             first = first or number

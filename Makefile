@@ -11,7 +11,7 @@ FAST   := $(addprefix tests/,problem_file cli export study calibration/test_line
           motion/test_simulate.py uncertainty/test_distribution.py test_layout.py test_forces.py \
           test_scene.py test_component.py test_plots.py test_results.py test_source_equations.py)
 
-.PHONY: run test slow bench lowest lines mutants clean
+.PHONY: run test thorough slow bench lowest lines mutants clean
 
 run: $(READY)
 	$(BIN)/plough-opt optimise problems/cotton_subsoiler.toml --plot out/cotton_subsoiler.png
@@ -21,6 +21,10 @@ test: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n auto --dist worksteal
+
+# The tests that `make test` leaves out for time; .ci/run runs both.
+thorough: $(READY)
+	$(BIN)/pytest -n auto --dist worksteal -m "thorough and not slow and not bench"
 
 slow: $(READY)
 	$(BIN)/pytest -n auto --dist worksteal -m "slow or not bench"

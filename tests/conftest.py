@@ -36,6 +36,22 @@ def no_lines_that_depend_on_time():
     heartbeat.INTERVAL = before
 
 
+# Of the tests of these files, `make test` runs every second one, and `.ci/run` all.
+LONG = """
+    accuracy/test_accuracy_study accuracy/test_motion_reference bad_input/test_fuzz calibration/test_calibrate
+    calibration/test_linear cli/test_cli cli/test_cli_files cli/test_cli_start cli/test_cli_studies
+    design/test_design_nlp design/test_global_search_study design/test_holes_in_laws
+    design/test_independent_problems design/test_infeasible design/test_optimum design/test_over_tolerances
+    design/test_results_are_values design/test_rounded design/test_search design/test_sensitivity
+    elastic/test_contact elastic/test_field export/test_c export/test_fmu_interface
+    hard_cases/test_derivatives_at_the_ends hard_cases/test_hard_designs motion/test_combination_derivatives
+    motion/test_estimates motion/test_integrators motion/test_orbit motion/test_resistance_laws
+    motion/test_stick_slip report/test_report study/test_deaths study/test_executors study/test_problem_sweep
+    study/test_store_files test_batch test_batch_compiler test_batch_errors test_component test_files test_pages
+    test_plastic_field test_results test_scripts test_strength_record tradeoff/test_front_reports
+    tradeoff/test_surfaces uncertainty/test_known_optima uncertainty/test_uncertain_file
+"""
+
 # File or test -> n: by default only every n-th case of a parametrised test runs, and of 0 none; the slow tests run all.
 ONE_OF = {
     "accuracy/test_design_study::test_the_reference_of_a_design_with_every_result_of_a_run": 0,
@@ -133,8 +149,9 @@ ONE_OF = {
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark the cases that `ONE_OF` skips as slow, before pytest deselects the slow tests."""
+    """Mark the cases that `ONE_OF` skips as slow, and tests of `LONG` files as thorough, before pytest selects."""
     seen = collections.Counter()
+    tests, long = collections.defaultdict(dict), LONG.split()
     for item in items:
         if not isinstance(item, pytest.Function):
             continue
@@ -147,6 +164,8 @@ def pytest_collection_modifyitems(items):
             if seen[name] % step:
                 item.add_marker(pytest.mark.slow)
             seen[name] += 1
+        if file in long and tests[file].setdefault(item.originalname, len(tests[file])) % 2:
+            item.add_marker(pytest.mark.thorough)
 
 
 # Modules and tests last to the end: the garbage collector would look through them again and again, a third of the time

@@ -36,7 +36,8 @@ def test_constants_of_designs_have_names_of_their_own():
 def test_the_list_of_thinned_tests_names_tests():
     tests = Path(__file__).parent
     (listed,) = re.findall(r"^ONE_OF = ({.*?^})", (tests / "conftest.py").read_text(), re.DOTALL | re.MULTILINE)
-    for key in ast.literal_eval(listed):
+    (long,) = re.findall(r'^LONG = """(.*?)"""', (tests / "conftest.py").read_text(), re.DOTALL | re.MULTILINE)
+    for key in [*ast.literal_eval(listed), *long.split()]:
         file, _, name = key.partition("::")
         assert (f"def {name}(" if name else "def test") in (tests / f"{file}.py").read_text(encoding="utf-8"), key
 

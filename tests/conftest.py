@@ -36,7 +36,7 @@ def no_lines_that_depend_on_time():
     heartbeat.INTERVAL = before
 
 
-# Of the tests of these files, `make test` runs every second one, and `.ci/run` all.
+# Of the tests of these files, `make test` runs every third one, and `.ci/run` all.
 LONG = """
     accuracy/test_accuracy_study accuracy/test_motion_reference bad_input/test_fuzz calibration/test_calibrate
     calibration/test_linear cli/test_cli cli/test_cli_files cli/test_cli_start cli/test_cli_studies
@@ -164,7 +164,7 @@ def pytest_collection_modifyitems(items):
             if seen[name] % step:
                 item.add_marker(pytest.mark.slow)
             seen[name] += 1
-        if file in long and tests[file].setdefault(item.originalname, len(tests[file])) % 2:
+        if file in long and tests[file].setdefault(item.originalname, len(tests[file])) % 3:
             item.add_marker(pytest.mark.thorough)
 
 

@@ -344,8 +344,8 @@ def draw_wedge(axes: Axes, scene: Scene) -> None:
     axes.plot(0.3 * edge * np.cos(angles), 0.3 * edge * np.sin(angles), color="white", linewidth=1.2)
     axes.text(0.34 * edge * math.cos(angles[-1] / 2), 0.34 * edge * math.sin(angles[-1] / 2),
               f"λ = {math.degrees(share.angle):.1f}°", color="white", ha="left", va="center")  # fmt: skip
-    angle = f"$\\beta_{{pl}}$ = {math.degrees(share.chisel_angle):.0f}°"
-    along = f"along the edge $h/\\cos\\,\\beta_{{pl}}$ = {edge:.3f} m\nh = {share.height:.3f} m, {angle}"
+    angle = f"chisel angle {math.degrees(share.chisel_angle):.0f}°"
+    along = f"along the edge, {edge:.3f} m long\nh = {share.height:.3f} m, {angle}"
     _scale(axes, along, edge, width)
 
 

@@ -245,9 +245,7 @@ class ManyRuns:
         """Whether machine code integrates the runs."""
         return self._code is not None
 
-    def __call__(
-        self, p: Array, *, finer: float = 1.0, together: int = 1, threads: int = 1, count: int | None = None
-    ) -> Array:
+    def __call__(self, p: Array, *, finer: float = 1.0, together: int = 1, threads: int = 1) -> Array:
         """Return the results, a row for each run; NaN if its parameters are not finite or it needs too many steps.
 
         Args:
@@ -256,16 +254,12 @@ class ManyRuns:
             together: number of consecutive rows that take equally many steps, so that their results differ only because
                 of their parameters. It divides the number of rows.
             threads: number of threads of machine code; the results do not depend on it.
-            count: number of steps of every run, instead of a number for each.
         """
         results = np.full((len(p), self.size), np.nan)
         known = dict(zip(self._equation.names, p.T, strict=False))
         with np.errstate(all="ignore"):
-            if count is None:
-                steps = self._steps(known, p[:, -1], finer)
-                steps = np.repeat(steps.reshape(-1, together).max(axis=1), together)
-            else:
-                steps = np.full(len(p), float(count))
+            steps = self._steps(known, p[:, -1], finer)
+        steps = np.repeat(steps.reshape(-1, together).max(axis=1), together)
         sound = np.flatnonzero(np.isfinite(steps) & np.isfinite(p).all(axis=1))
         # Runs in one register wait for the slowest of them.
         order = sound[np.argsort(steps[sound], kind="stable")]

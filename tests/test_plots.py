@@ -156,6 +156,8 @@ def test_an_optimum_is_drawn_with_requirements_and_the_limits_of_what_is_drawn(o
     (required,) = (axes for axes in figure.axes if axes.get_title() == "Requirements")
     assert f"limit of the deflection {1250 * peak:.4g} mm" in legend(deflection)
     assert line(deflection, legend(deflection)[-1])[0, 1] == pytest.approx(1250 * peak)
+    # Dollar signs are drawn as such: no label contains a formula.
+    assert not [axes for axes in figure.axes if "$" in axes.get_xlabel() + axes.get_ylabel()]
     assert required.patches[0].get_width() == pytest.approx(20.0)  # per cent of the limit
     assert words(required).splitlines()[1] == "loosening 0 mm ≥ 0 mm: decides"
 

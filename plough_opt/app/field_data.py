@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from plough_opt.soil.record_waves import RecordWaves
     from plough_opt.soil.strength_record import Rig
     from plough_opt.studies.calibration import Fit, Measurements
+    from plough_opt.studies.calibration.fit import HeldOut
 
 
 def calibrate(options: argparse.Namespace) -> None:
@@ -50,11 +52,25 @@ def calibrate(options: argparse.Namespace) -> None:
         fit.intervals(options.level)
         notify("what to measure next", 0.8)
         fit = fit.complete(options.level)
+        held = None if options.hold_out is None else _held_out(fit, options)
         text = fit.to_json() if options.json or options.output is not None else ""
+        if held is not None and text:
+            text = json.dumps(json.loads(text) | {"held_out": held.plain()}, indent=2, allow_nan=False)
         quality = "" if options.json else _quality(fit, options.folds)
         page = fit.page()
-    page = replace(page, parts=(*page.parts, *([quality] if quality else [])))
-    give(options, page, lambda: text, fit.plot)
+    more = (quality, held.words() if held is not None else "")
+    page = replace(page, parts=(*page.parts, *(sentence for sentence in more if sentence)))
+    give(options, page, lambda: text, fit.plot if held is None else held.plot)
+
+
+def _held_out(fit: Fit, options: argparse.Namespace) -> HeldOut:
+    """Return the predictions of the part of the rows that the options hold out."""
+    written = options.hold_out.strip()
+    try:
+        part = float(Fraction(written.removesuffix("%").strip())) / (100.0 if written.endswith("%") else 1.0)
+    except (ValueError, ZeroDivisionError):
+        raise InputError(f"--hold-out {written}: expected a part of the rows, like 1/3, 0.3 or 30 %") from None
+    return fit.hold_out(part, by=options.hold_out_by, seed=options.seed, level=options.level)
 
 
 def _check_distinct(paths: Sequence[str]) -> None:

@@ -265,7 +265,14 @@ def _calibrate(verb: _Parser) -> None:
     verb.choice("errors", ("constant", "relative"), errors, "constant")
     verb.option("level", "P", "confidence level of the intervals (default: 0.95)", type=float, default=0.95)
     verb.option("folds", "N", "number of folds in cross-validation (default: leave one row out)", type=int)
-    verb.shared("json", "output", plot="draw the residuals: .png, .svg or .pdf")
+    part = "also fit to the other rows, and predict this part of them: 1/3, 0.3 or 30 %"
+    verb.option("hold-out", "PART", part)
+    by = "hold out rows together that have one value in this column: share.wedge_angle (default: single rows)"
+    verb.option("hold-out-by", "KEY", by)
+    seed = "seed of the rows that are held out (default: 1)"
+    plot = "draw the residuals, or with --hold-out the predicted rows: .png, .svg or .pdf"
+    verb.option("seed", "N", seed, type=int, default=1)
+    verb.shared("json", "output", plot=plot)
 
 
 def _export(verb: _Parser) -> None:

@@ -48,6 +48,8 @@ class Identifiability:
 
     Attributes:
         covariance: covariance of the scaled unknowns (p, p); rows of undetermined ones are 0.
+        along: covariance of the scaled unknowns along the determined directions alone (p, p). Predictions that depend
+            on no other direction have its errors, even where single unknowns are undetermined.
         determined: whether an unknown's variance is smaller than that from its bounds alone (p).
         free: undetermined directions of the scaled unknowns, as columns (p, d).
         structural: for each of these, whether the predictions do not depend on it at all (d).
@@ -55,6 +57,7 @@ class Identifiability:
     """
 
     covariance: Array
+    along: Array
     determined: NDArray[np.bool_]
     free: Array
     structural: NDArray[np.bool_]
@@ -83,8 +86,10 @@ def identifiability_of(slope: Array, noise: float) -> Identifiability:
     finite = np.where(np.isfinite(deviation), deviation, 0.0)
     covariance = (directions * finite**2) @ directions.T
     mask = determined.astype(float)
+    within = directions[:, ~undetermined_directions] * deviation[~undetermined_directions]
     return Identifiability(
         covariance=covariance * np.outer(mask, mask),
+        along=within @ within.T,
         determined=determined,
         free=directions[:, undetermined_directions],
         structural=structural[undetermined_directions],

@@ -9,12 +9,13 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations, cycle
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
 from scipy import stats
 
 from plough_opt.core.checks import check_choice
+from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import COLOURS, written
 from plough_opt.core.plain_data import Array, MaybeInfinite, Unsaved
@@ -37,9 +38,9 @@ from plough_opt.studies.calibration.estimate import (
     next_measurements,
     undetermined,
 )
-from plough_opt.studies.calibration.measurements import result_unit
+from plough_opt.studies.calibration.measurements import Row, result_unit
 from plough_opt.studies.calibration.model import ERRORS, NOMINAL
-from plough_opt.studies.calibration.quality import CrossValidation, caveats, cross_validate
+from plough_opt.studies.calibration.quality import CrossValidation, caveats, cross_validate, held_out
 
 if TYPE_CHECKING:
     import pandas
@@ -84,35 +85,6 @@ class Correlation:
 
 
 @dataclass(frozen=True)
-class Row:
-    """A measured row with its prediction, SI.
-
-    Attributes:
-        place: file and line, or set and row.
-        result: the measured result.
-        unit: its unit.
-        conditions: conditions of the row by key.
-        time: time since the start of the run [s], or None.
-        observed: measured value.
-        predicted: fitted value.
-        sigma: standard deviation of the measurement, stated or estimated; infinite for a row of weight 0.
-        standard_error: standard error of the prediction, from the errors of the determined unknowns.
-        residual: predicted minus observed value.
-    """
-
-    place: str
-    result: str
-    unit: str
-    conditions: Mapping[str, float]
-    time: float | None
-    observed: float
-    predicted: float
-    sigma: MaybeInfinite
-    standard_error: MaybeInfinite
-    residual: float
-
-
-@dataclass(frozen=True)
 class KnownInterval:
     """A computed interval of an unknown, with its level and the requested kind."""
 
@@ -120,6 +92,97 @@ class KnownInterval:
     level: float
     asked: Kind
     interval: Interval
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut(ByValue):
+    """Predictions of rows that were held out of a fit, SI.
+
+    Attributes:
+        title: title of the calibration.
+        fitted: number of rows that were fitted.
+        values: unknown -> value fitted to these.
+        rows: the rows held out; standard errors of predictions that the fitted rows do not determine are infinite.
+        level: level of the prediction intervals.
+        quantile: half width of an interval over the standard deviation of measurement and prediction together.
+        origin: origin of the fit, which gives the units of the file.
+    """
+
+    title: str
+    fitted: int
+    values: Mapping[str, float]
+    rows: tuple[Row, ...]
+    level: float
+    quantile: float
+    origin: Origin
+
+    @property
+    def half_widths(self) -> Array:
+        """Half widths of the prediction intervals; infinite where the fitted rows do not determine a prediction."""
+        return np.array([self.quantile * math.hypot(row.sigma, row.standard_error) for row in self.rows])
+
+    @property
+    def coverage(self) -> tuple[int, int]:
+        """Number of rows whose measured value lies in its prediction interval, and number of finite intervals."""
+        finite = np.isfinite(self.half_widths)
+        inside = np.abs([row.residual for row in self.rows]) <= self.half_widths
+        return int(np.sum(inside & finite)), int(np.sum(finite))
+
+    @property
+    def rms(self) -> dict[str, float]:
+        """Result -> root mean square of its errors."""
+        results = dict.fromkeys(row.result for row in self.rows)
+        return {name: math.sqrt(np.mean([row.residual**2 for row in self.rows if row.result == name]))
+                for name in results}  # fmt: skip
+
+    def plain(self) -> dict[str, Any]:
+        """Return the predictions as plain values for JSON, SI; None stands for what is not determined."""
+        rows = [
+            {
+                "place": row.place,
+                "observed": row.observed,
+                "predicted": row.predicted,
+                "half_width": half if half < math.inf else None,
+            }
+            for row, half in zip(self.rows, self.half_widths.tolist(), strict=True)
+        ]
+        about = {"fitted": self.fitted, "values": dict(self.values), "level": self.level, "rms": self.rms}
+        return about | {"inside": self.coverage[0], "finite": self.coverage[1], "rows": rows}
+
+    def words(self) -> str:
+        """Return errors and coverage in a sentence."""
+        errors = []
+        for name, rms in self.rms.items():
+            like = [row for row in self.rows if row.result == name]
+            mean = float(np.mean([abs(row.observed) for row in like]))
+            size = self.origin.display(name, like[0].unit, mean).text(rms, 3)
+            errors.append(f"{name} {size}" + (f" ({100.0 * rms / mean:.3g} % of its mean)" if mean else ""))
+        inside, finite = self.coverage
+        open_ended = len(self.rows) - finite
+        more = f"; {open_ended} more depend on what the fitted rows do not determine" if open_ended else ""
+        return (
+            f"Fitted to {self.fitted} rows, RMS error of {len(self.rows)} others: {'; '.join(errors)};"
+            f" {inside} of {finite} lie in their {100 * self.level:g} % prediction intervals{more}."
+        )
+
+    def plot(self, target: str | Path | None = None) -> Figure:
+        """Draw measured over predicted values of the rows held out, with the errors of both.
+
+        Args:
+            target: file to write (.png, .svg, .pdf), or None.
+
+        Raises:
+            InputError: the fitted rows determine no prediction, or the file cannot be written.
+        """
+        from matplotlib.figure import Figure
+
+        rows = [row for row in self.rows if math.isfinite(row.standard_error)]
+        if not rows:
+            raise InputError("the fitted rows determine none of the rows held out: hold out a smaller part")
+        figure = Figure(figsize=(7.2, 5.8), layout="constrained")
+        _draw_fit(figure.subplots(), rows, {row.result: _display(row, rows, self.origin) for row in rows})
+        figure.suptitle(f"{self.title}\nrows held out of the fit", fontsize="medium")
+        return written(figure, target)
 
 
 def fitted_unknowns(fit: Estimate) -> tuple[FittedUnknown, ...]:
@@ -338,6 +401,35 @@ class Fit(Saveable):
             NotConverged: a fit without some of the rows did not converge.
         """
         return cross_validate(self._source_to("cross-validate"), folds, seed)
+
+    def hold_out(self, part: float = 1 / 3, *, by: str | None = None, seed: int = 1, level: float = 0.95) -> HeldOut:
+        """Fit to a part of the rows anew, and return how well this predicts the others.
+
+        Args:
+            part: part of the rows that is held out, between 0 and 1.
+            by: key of a column, such as "share.wedge_angle": whole groups of rows with one value in it are held out,
+                and rows without this column are fitted. Default: single rows, at random; of a record the last ones.
+            seed: seed of the choice.
+            level: level of the prediction intervals, between 0 and 1.
+
+        Raises:
+            InputError: a part that leaves too few rows, no such column, or a loaded fit.
+            NotConverged: the fit to the other rows did not converge.
+
+        Example:
+            >>> import plough_opt as po
+            >>> data = po.read_measurements("problems/synthetic_draft.csv")
+            >>> fit = po.calibrate(po.read_problem("problems/calibration.toml"), data)
+            >>> fit.hold_out(1 / 3, by="scene.tow_speed").fitted
+            16
+        """
+        level = check_level(level)
+        whole, held, errors = held_out(self._source_to("hold rows out of"), part, by, seed)
+        rows = rows_of(whole)
+        predicted = tuple(replace(rows[k], standard_error=float(e)) for k, e in zip(held, errors, strict=True))
+        values = {unknown.name: unknown.value for unknown in fitted_unknowns(whole)}
+        fitted = whole.data.count - len(held)
+        return HeldOut(self.title, fitted, values, predicted, level, whole.quantile(level), self.origin)
 
     @property
     def scene(self) -> Scene:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from plough_opt.core.checks import array_of, check_kind, check_named, check_text, mapping_of, path_of, shown
 from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import InputError
-from plough_opt.core.plain_data import Array
+from plough_opt.core.plain_data import Array, MaybeInfinite
 from plough_opt.core.quantities import every_quantity, quantities
 from plough_opt.core.tables import HEADING, columns_of, raise_listed, read_rows, table_of
 from plough_opt.core.units import Unit, in_si
@@ -172,6 +172,35 @@ class Measurements(ByValue):
         if np.any(bad):
             number = int(np.argmax(bad))
             raise InputError(f"{self._place(number)}: {key} = {column[number]:g} must be {expected}")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A measured row with its prediction, SI.
+
+    Attributes:
+        place: file and line, or set and row.
+        result: the measured result.
+        unit: its unit.
+        conditions: conditions of the row by key.
+        time: time since the start of the run [s], or None.
+        observed: measured value.
+        predicted: fitted value.
+        sigma: standard deviation of the measurement, stated or estimated; infinite for a row of weight 0.
+        standard_error: standard error of the prediction, from the errors of the determined unknowns.
+        residual: predicted minus observed value.
+    """
+
+    place: str
+    result: str
+    unit: str
+    conditions: Mapping[str, float]
+    time: float | None
+    observed: float
+    predicted: float
+    sigma: MaybeInfinite
+    standard_error: MaybeInfinite
+    residual: float
 
 
 def _check_names(name: str, result: object, conditions: Mapping[str, Any]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, stats
 
-from plough_opt.core.checks import shown
+from plough_opt.core.checks import check_named, plain_number, shown
 from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import as_number, is_count
@@ -17,7 +17,7 @@ from plough_opt.core.plain_data import Array
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 from plough_opt.studies.calibration.estimate import Estimate, estimate
-from plough_opt.studies.calibration.least_squares import AT_BOUND
+from plough_opt.studies.calibration.least_squares import AT_BOUND, UNIFORM
 from plough_opt.studies.calibration.measurements import RECORD, measurable
 from plough_opt.studies.calibration.model import Rows, SceneOfRows, is_closed
 
@@ -235,8 +235,7 @@ def cross_validate(fit: Estimate, folds: int | None, seed: int) -> CrossValidati
         NotConverged: a fit without some of the rows did not converge.
     """
     setup, data = fit.setup, fit.data
-    results = np.array([m.result for m in setup.measured for _ in range(m.rows)])
-    order = np.flatnonzero(np.isin(results, measurable()) & (data.weights > 0.0))
+    results, order = _counted(fit)
     count = len(order)
     if count < 2:
         raise InputError("cross-validation needs two rows or more that are not left out by a weight of 0")
@@ -251,14 +250,93 @@ def cross_validate(fit: Estimate, folds: int | None, seed: int) -> CrossValidati
         np.random.default_rng(seed).shuffle(order)
     errors = np.zeros(len(results))
     for part in np.array_split(order, folds):
-        weights = setup.data.weights.copy()
-        weights[part] = 0.0
-        if np.sum(weights > 0.0) < setup.problem.unknowns:
+        if data.count - len(part) < setup.problem.unknowns:
             raise InputError(f"{folds} folds leave fewer rows than unknowns: use more folds")
-        without = estimate(setup, replace(data, weights=weights), fit.y, starts=1)
+        without = _without(fit, part, fit.y, starts=1)
         errors[part] = (without.predicted - data.observed)[part]
 
     def rms(values: Array) -> dict[str, float]:
         return {str(name): float(np.sqrt(np.mean(values[rows][results[rows] == name] ** 2))) for name in names}
 
     return CrossValidation(folds, rows, errors[rows], rms(errors), rms(fit.predicted - data.observed))
+
+
+def held_out(fit: Estimate, part: float, by: str | None, seed: int) -> tuple[Estimate, NDArray[np.intp], Array]:
+    """Fit to some of the rows, and return the fit with what it says of the others.
+
+    Args:
+        fit: the fit to all rows.
+        part: part of the rows to hold out, or of the distinct values of a column.
+        by: key of a column; None for single rows.
+        seed: seed of the choice. Of a record the last rows are held out, because errors of neighbours are correlated.
+
+    Returns:
+        The fit, whose weights include those of the rows held out; their indices; and the standard errors of their
+        predictions, infinite where these depend on combinations of unknowns that the other rows do not determine.
+
+    Raises:
+        InputError: no such column, or a part that leaves too few rows on either side.
+        NotConverged: the fit to the other rows did not converge.
+    """
+    results, order = _counted(fit)
+    groups = _groups(fit, order, by)
+    if not 0.0 < (share := plain_number("the part to hold out", part)) < 1.0:
+        raise InputError(f"hold out {shown(part)}: give a part of the rows between 0 and 1, such as 1/3")
+    count = max(1, round(share * len(groups)))
+    chosen = np.arange(len(groups))
+    if by is not None or RECORD not in results:
+        np.random.default_rng(seed).shuffle(chosen)
+    held = np.sort(np.concatenate([groups[k] for k in chosen[len(groups) - count :]]))
+    unknowns = fit.setup.problem.unknowns
+    least = unknowns + (0 if fit.normal else 1)
+    if fit.data.count - len(held) < least:
+        raise InputError(
+            f"holding out {len(held)} of {len(order)} rows leaves fewer than the {least} that {unknowns} unknowns need:"
+            " hold out a smaller part, or measure more"
+        )
+    # The other rows choose their own starts, so that nothing of the rows held out enters.
+    without = _without(fit, held, fit.setup.model.guess, starts=4)
+    weights = fit.setup.data.at(without.predicted).weights
+    kept = without.data.weights > 0.0
+    # A robust loss has divided all weights by the scale of the residuals.
+    weights = weights * float(np.median(without.data.weights[kept] / weights[kept]))
+    whole = replace(without, data=replace(without.data, weights=weights))
+    slope, spread = without.slope[held], without.spread
+    errors = np.sqrt(np.einsum("ni,ij,nj->n", slope, spread.along, slope))
+    # Along an undetermined direction the unknowns may be anywhere between their bounds.
+    elsewhere = UNIFORM * np.linalg.norm(slope @ spread.free, axis=1)
+    return whole, held, np.where(elsewhere > _NOTABLE_ERROR * whole.deviation[held], np.inf, errors)
+
+
+def _counted(fit: Estimate) -> tuple[NDArray[np.str_], NDArray[np.intp]]:
+    """Return the result of every row, and the indices of the rows that can be left out.
+
+    Neither rows of weight 0 nor rows that measure an unknown directly are among these.
+    """
+    results = np.array([m.result for m in fit.setup.measured for _ in range(m.rows)])
+    return results, np.flatnonzero(np.isin(results, measurable()) & (fit.data.weights > 0.0))
+
+
+def _without(fit: Estimate, rows: NDArray[np.intp], guess: Array, starts: int) -> Estimate:
+    """Return the fit without some rows."""
+    weights = fit.setup.data.weights.copy()
+    weights[rows] = 0.0
+    return estimate(fit.setup, replace(fit.setup.data, observed=fit.data.observed, weights=weights), guess, starts)
+
+
+def _groups(fit: Estimate, order: NDArray[np.intp], by: str | None) -> list[NDArray[np.intp]]:
+    """Return the rows that are held out together: single rows, or those with one value in a column.
+
+    Raises:
+        InputError: no such column, or one with a single value.
+    """
+    if by is None:
+        return [order[k : k + 1] for k in range(len(order))]
+    measured = fit.setup.measured
+    columns = dict.fromkeys(key for m in measured for key in m.conditions)
+    check_named("{} is not a column of the data", by, columns)
+    values = np.concatenate([m.conditions.get(by, np.full(m.rows, np.nan)) for m in measured])[order]
+    distinct = np.unique(values[np.isfinite(values)])
+    if len(distinct) < 2:
+        raise InputError(f"'{by}' has one value in all rows: hold out by a column that varies, or by rows")
+    return [order[values == value] for value in distinct]

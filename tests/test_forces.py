@@ -359,3 +359,45 @@ def test_properties_outside_the_range_of_soils_cause_warnings():
     assert serozem.warnings() == ()
     scene = scene_of(po.Soil.from_cone_index(1.5e6, soil=serozem), motion=False)
     assert any("strength factor" in text for text in po.simulate(scene, 1.0).warnings)
+
+
+# --- density ratio from a compression test ---
+
+PRESSURES, LOST = [25e3, 50e3, 100e3, 200e3], [0.0103, 0.0208, 0.0393, 0.0654]
+
+
+def test_density_ratio_follows_a_compression_test():
+    x = ca.SX.sym("pressure")
+    symbolic = po.Soil.from_compaction(PRESSURES, LOST, replace(SEROZEM, ambient_pressure=x)).density_ratio
+    at = np.array([*PRESSURES, 31e3, 77e3, 160e3])
+    # NumPy's interpolation of the logarithms; twelve digits are those of exp and log at numbers near 10.
+    expected = 1.0 - np.exp(np.interp(np.log(at), np.log(PRESSURES), np.log(LOST)))
+    soil = replace(SEROZEM, ambient_pressure=at)
+    found = po.Soil.from_compaction([f"{p / 1e3:g} kPa" for p in PRESSURES], LOST, soil)
+    np.testing.assert_allclose(found.density_ratio, expected, rtol=1e-12)
+    of_pressure = ca.Function("of_pressure", [x], [symbolic])
+    np.testing.assert_allclose([float(of_pressure(p)) for p in at], expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("pressure", "lost", "soil", "words"),
+    [
+        (PRESSURES, LOST, SEROZEM, None),
+        (PRESSURES, LOST, replace(SEROZEM, ambient_pressure=5e3), "outside the compression test, 25 to 200 kPa"),
+        (PRESSURES, LOST[:3], SEROZEM, "has 4 pressures and 3 compactions"),
+        ([5e4], [0.1], SEROZEM, "two or more"),
+        ([5e4, 4e4], [0.1, 0.2], SEROZEM, "must rise from above 0"),
+        ([5e4, 2e5], [0.1, 1.0], SEROZEM, "must rise from above 0 to below 1"),
+        ([5e4, np.nan], [0.1, 0.2], SEROZEM, "must rise"),
+        (["5 m", "6 m"], [0.1, 0.2], SEROZEM, "wrong unit"),
+        ("5 kPa", [0.1, 0.2], SEROZEM, "must be a list of pressures"),
+        (PRESSURES, LOST, "serozem", "must be the Soil"),
+        (PRESSURES, LOST, SEROZEM.with_density_profile(abs), "no density ratio"),
+    ],
+)
+def test_compression_tests_that_do_not_fit_are_refused(pressure, lost, soil, words):
+    if words is None:
+        assert po.Soil.from_compaction(pressure, lost, soil).density_ratio < 1.0 - LOST[2]
+        return
+    with pytest.raises(po.InputError, match=words):
+        po.Soil.from_compaction(pressure, lost, soil)

@@ -1,5 +1,6 @@
 """The scripts of problems/: the paper's figures, the larger design, particles and measurements."""
 
+import dataclasses
 import math
 import re
 import shutil
@@ -509,6 +510,27 @@ def test_the_soil_of_triaxial_tests_fails_where_they_failed(particles):
         if (case.friction, case.cohesion) == (30.0, 100e3):
             expected = case.pressure * strength**2 + 2.0 * soil.cohesion * strength
             assert float(row["axial_stress"]) == pytest.approx(expected, rel=0.15)
+
+
+def test_the_page_states_what_one_density_ratio_gives(particles):
+    """b1 from the tests at each pressure, by `Soil.from_compaction` too; and that of 50 kPa at all pressures."""
+    pressures = [25e3, 50e3, 100e3, 200e3]
+    soils = [dataclasses.replace(particles.tested_soil(30.0, 100e3, p), tool_friction=0.4) for p in pressures]
+    lost = [1.0 - soil.density_ratio for soil in soils]
+
+    def draft(soil):
+        still = po.Effects(motion=False)
+        return float(po.Scene(soil, po.Cone(po.deg(15.0), 0.1), 1e6, 1.0, 2.0, still).steady_resistance)
+
+    following = [draft(po.Soil.from_compaction(pressures, lost, soil)) for soil in soils]
+    assert following == pytest.approx([draft(soil) for soil in soils], rel=1e-12)
+    fixed = [draft(dataclasses.replace(soil, density_ratio=soils[1].density_ratio)) for soil in soils]
+    one = [force / fixed[1] for force in fixed]
+    assert f"{one[0]:.2f}, {one[2]:.2f} and {one[3]:.2f} times that at 50 kPa" in PAGE
+    soils_page = (PROBLEMS.parent / "docs" / "soils.md").read_text(encoding="utf-8")
+    (deepest,) = (r.mean for q in particles.QUESTIONS for r in particles.ratios(q) if r.case.pressure == 200e3)
+    assert f"from {one[3]:.2f} to {following[3] / following[1]:.2f} times" in soils_page
+    assert f"the particles' is {deepest:.2f} times" in soils_page
 
 
 def test_ratios_compare_cases_that_differ_in_nothing_else(particles):

@@ -202,6 +202,13 @@ class Problem:
         return Soil.from_cone_index(reading, self._soil_of(own), table.adjust)
 
     def _soil_of(self, own: dict[str, Column]) -> Soil:
+        test = self.table.soil.compaction
+        if test is None or "density_ratio" in own:
+            return self._with_properties(own)
+        any_ratio = {"density_ratio": EVERY["soil.density_ratio"].typical}  # a Soil needs some value of it
+        return Soil.from_compaction(test.pressure, test.volume_lost, self._with_properties(own | any_ratio))
+
+    def _with_properties(self, own: dict[str, Column]) -> Soil:
         name = self.table.soil.name
         if name is None:
             return Soil(**own, name="the soil of this file", source=f"values in {self.name}")

@@ -42,7 +42,7 @@ from plough_opt.problem_file.schema import (
 )
 from plough_opt.problem_file.source import TOO_DEEP, Keys, Source, entry_at, nested_line, unreadable
 from plough_opt.problem_file.uncertain import check_joint, check_uncertain, join_dotted
-from plough_opt.soil.soil import named_soil
+from plough_opt.soil.soil import compression_test, named_soil
 
 if TYPE_CHECKING:
     from plough_opt.design import Over
@@ -55,6 +55,7 @@ _SHOWN: Final = 120
 _SHARES: Final = "shares"
 # Keys of [scene] that belong to the frame and cannot differ between shares.
 _FRAME_KEYS: Final = ("tow_speed", "duration", "outputs")
+_BY_READING: Final = "follows from the cone index: remove it, or set soil.adjust to another property"
 _EXAMPLE: Final = '[shares.front] with soil.cohesion = "15 kPa"'
 # Fewest and most positions on a front.
 _FEWEST, _MOST = 5, 1000
@@ -423,17 +424,24 @@ def check_complete(source: Source, table: ProblemTable, known: set[str]) -> None
     """
     if not known <= {*quantities()}:
         return  # a misspelt variable is noted already; here it would be reported as missing too
-    decided = {table.soil.adjusted} if known & {*READINGS} else set()
+    decided = dict.fromkeys([table.soil.adjusted] if known & {*READINGS} else [], _BY_READING)
+    if table.soil.compaction is not None:
+        with source.noting(("soil", "compaction")):
+            compression_test(table.soil.compaction.pressure, table.soil.compaction.volume_lost)
+        if "soil.density_ratio" in decided:
+            source.note(("soil", "adjust"), "both the cone index and the compaction decide the density ratio: adjust"
+                        " another property, or remove the compaction")  # fmt: skip
+        decided["soil.density_ratio"] = "follows from the compaction: remove one of the two"
     if table.soil.name is not None:
         with source.noting(("soil", "name")):
             named_soil(table.soil.name)
-    elif missing := [name for name in _required("soil") if name not in known | decided]:
+    elif missing := [name for name in _required("soil") if name not in known and name not in decided]:
         names = ", ".join(f"'{IN_FILES[name].key}'" for name in missing)
         verb = "is" if len(missing) == 1 else "are"
         source.note(("soil",), f"{names} {verb} missing: give them in [soil], or the 'name' of a known soil")
     effects = table.effects
     random = [key for key in IN_FILES if IN_FILES[key].owner == RANDOM]
-    excess = dict.fromkeys(decided, "follows from the cone index: remove it, or set soil.adjust to another property")
+    excess = dict(decided)
     for key, law in (("effects.contact_width", "smooth"), ("effects.breakaway", "stick_slip")):
         if effects.contact != law:
             excess[key] = f'belongs to contact = "{law}", which is not set in [effects]'

@@ -127,13 +127,24 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+class CompactionTable(Table):
+    """A compression test, from which the density ratio at the ambient pressure follows."""
+
+    pressure: list[Written]
+    volume_lost: list[StrictFloat]
+
+
 class SoilTable(Table):
-    """The soil: the name of a known soil, its properties, or both; a cone index may decide one property."""
+    """The soil: the name of a known soil, its properties, or both.
+
+    A cone index may decide one property, and a compression test the density ratio.
+    """
 
     name: str | None = None
     adjust: Adjust = "strength factor"
     penetrometer: str | None = None
     depth: str | None = None
+    compaction: CompactionTable | None = None
 
     @property
     def adjusted(self) -> str:

@@ -3,29 +3,33 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from plough_opt.core.checks import check_kind, check_named, check_text, shown
+from plough_opt.core.checks import LARGEST, array_of, check_kind, check_named, check_text, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import (
     COUNT,
     Expression,
     as_number,
     cos,
+    exp,
     expm1,
     expm1_ratio,
     is_count,
     is_symbolic,
+    log,
     log1p,
     log1p_ratio,
+    maximum,
     sin,
 )
-from plough_opt.core.plain_data import FUNCTION
+from plough_opt.core.plain_data import FUNCTION, Array
 from plough_opt.core.quantities import EVERY, QUANTITIES, read_fields
+from plough_opt.core.units import in_si
 
 STANDARD_ATMOSPHERE = 101325.0
 """Ambient pressure [Pa] of the named soils and of the source."""
@@ -218,6 +222,51 @@ class Soil:
         source = f"{soil.source}; {adjust} from a cone index"
         return replace(soil, **changed, name=f"{soil.name}, by cone index", source=source)
 
+    @classmethod
+    def from_compaction(
+        cls, pressure: Sequence[float | str] | Array, compaction: Sequence[float] | Array, soil: Soil
+    ) -> Soil:
+        """Return the soil with the density ratio that a compression test shows at its ambient pressure.
+
+        A soil that compacts by the part e of its volume under a pressure has b1 = 1 - e there. Between the pressures of
+        the test, log e is linear in log p. As b1 falls with the pressure, the draft grows less than in proportion to
+        it; with one b1 for all pressures it grows as nu p_a + tau0/(1 + mu).
+
+        Args:
+            pressure: mean pressures of a triaxial test, or axial ones of an oedometer, two or more that rise [Pa].
+            compaction: parts of the initial volume that the soil has lost at these pressures, above 0 and below 1 and
+                rising [-]; in a triaxial test the largest part before the soil dilates.
+            soil: the other properties; its ambient pressure must lie in the range of the test. A symbolic ambient
+                pressure gives a symbolic density ratio, which beyond that range follows the nearest two pressures.
+
+        Raises:
+            InputError: fewer than two pressures, numbers that do not rise or lie outside their domains, an ambient
+                pressure outside the range, or a soil with a density profile.
+
+        Example:
+            >>> import plough_opt as po
+            >>> soil = po.Soil("1.35 g/cm^3", 0.8, "20 kPa", "28 deg", 0.5, "50 kPa")
+            >>> po.Soil.from_compaction([25e3, 100e3], [0.01, 0.04], soil).density_ratio
+            0.98
+        """
+        check_kind("soil", soil, Soil, "the Soil whose density ratio is to follow")
+        if soil.density_profile is not None:
+            raise InputError("a soil with a density profile has no density ratio: give its profile another density")
+        p, e = compression_test(pressure, compaction)
+        at = soil.ambient_pressure
+        if not is_symbolic(at) and not np.all((p[0] <= as_number(at)) & (as_number(at) <= p[-1])):
+            raise InputError(
+                f"ambient pressure = {shown(at)} Pa is outside the compression test, {p[0] / 1e3:g} to"
+                f" {p[-1] / 1e3:g} kPa: set the soil's ambient_pressure to one in it, or test at that pressure too"
+            )
+        x, y = np.log(p), np.log(e)
+        slopes = np.diff(y) / np.diff(x)
+        log_e = y[0] + slopes[0] * (log(at) - x[0])
+        for knot, change in zip(x[1:-1].tolist(), np.diff(slopes).tolist(), strict=True):
+            log_e = log_e + change * maximum(log(at) - knot, 0.0)
+        source = f"{soil.source}; density ratio from a compression test"
+        return replace(soil, density_ratio=1.0 - exp(log_e), name=f"{soil.name}, by compaction", source=source)
+
     def warnings(self) -> tuple[str, ...]:
         """Return warnings about unusual properties of a numeric soil."""
         warned = []
@@ -328,6 +377,22 @@ def named_soil(name: str) -> Soil:
     """
     check_named("no soil is named {}", name, _NAMED)
     return _NAMED[name]
+
+
+def compression_test(pressure: object, compaction: object) -> tuple[Array, Array]:
+    """Return pressures [Pa] and lost parts of the volume as arrays; raise InputError as `Soil.from_compaction` does."""
+    if isinstance(pressure, Sequence) and not isinstance(pressure, str):
+        pressure = [in_si("pressure", one, "Pa") for one in pressure]
+    p = array_of(pressure, "pressure must be a list of pressures, not {}")
+    e = array_of(compaction, "the compaction must be a list of numbers, not {}")
+    if p.ndim != 1 or p.shape != e.shape or len(p) < 2:
+        raise InputError(
+            f"a compression test has {p.size} pressures and {e.size} compactions: give as many of both, two or more"
+        )
+    for name, values, most in (("pressure", p, LARGEST), ("compaction", e, 1.0)):
+        if not (values[0] > 0.0 and values[-1] < most and np.all(np.diff(values) > 0.0)):
+            raise InputError(f"{name} = {shown(values.tolist())} must rise from above 0 to below {most:g}")
+    return p, e
 
 
 def check_soil(soil: object) -> None:

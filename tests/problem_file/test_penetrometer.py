@@ -211,3 +211,47 @@ def test_what_the_reading_decides_is_not_uncertain_by_itself(refusal, adjust, en
     said = refusal(adjusting(adjust) + f"[uncertain]\n{entries}\n")
     assert words in said
     assert ", line " in said
+
+
+# --- a compression test in a problem file: b1 follows the ambient pressure, however that is changed ---
+
+COMPACTION = 'compaction = { pressure = ["25 kPa", "0.05 MPa", "200 kPa"], volume_lost = [0.01, 0.021, 0.066] }'
+TESTED = changed((NAME, f'{NAME}\nambient_pressure = "50 kPa"\n{COMPACTION}'), text=STATIC)
+
+
+def test_the_density_ratio_follows_the_ambient_pressure_of_the_file(tmp_path):
+    path = tmp_path / "tested.toml"
+    path.write_text(TESTED, encoding="utf-8")
+    problem = po.read_problem(path)
+    assert problem.scene().soil.density_ratio == pytest.approx(0.979, rel=1e-14)
+    # Halfway between 50 and 200 kPa on the scale of the logarithm.
+    halfway = 1.0 - (0.021 * 0.066) ** 0.5
+    assert problem.scene({"soil.ambient_pressure": 1e5}).soil.density_ratio == pytest.approx(halfway, rel=1e-14)
+    again = po.read_problem(path, ["soil.ambient_pressure=100 kPa"])
+    assert again.scene().soil.density_ratio == pytest.approx(halfway, rel=1e-14)
+    assert problem.scene({"soil.density_ratio": 0.8}).soil.density_ratio == 0.8
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("soil.ambient_pressure=10 kPa", "outside the compression test, 25 to 200 kPa"),
+        ("soil.density_ratio=0.8", "'soil.density_ratio' follows from the compaction"),
+        ("soil.compaction.volume_lost=[0.1, 0.2]", "3 pressures and 2 compactions"),
+        ("soil.compaction.pressure=['1 m', '2 m', '3 m']", "wrong unit"),
+        ("soil.compaction.volume_loss=[0.1]", "did you mean 'volume_lost'"),
+    ],
+)
+def test_compression_tests_that_contradict_the_file_are_refused(tmp_path, change, words):
+    path = tmp_path / "tested.toml"
+    path.write_text(TESTED, encoding="utf-8")
+    with pytest.raises(po.InputError, match=words):
+        po.read_problem(path, [change])
+
+
+def test_a_cone_index_cannot_decide_the_density_ratio_too(tmp_path):
+    path = tmp_path / "tested.toml"
+    both = f'{NAME}\ncone_index = "1 MPa"\nadjust = "density ratio"'
+    path.write_text(changed((NAME, both), text=TESTED), encoding="utf-8")
+    with pytest.raises(po.InputError, match="both the cone index and the compaction decide"):
+        po.read_problem(path)

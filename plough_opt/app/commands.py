@@ -67,7 +67,7 @@ def check(options: argparse.Namespace) -> None:
         comparison = compare(problem.scene(), **against)
     if options.json:
         quantities = {key: float(value) for key, value in problem.values().items()}
-        notes = (*problem.notes, *problem.cautions, *tables.warnings_of(problem))
+        notes = (*problem.notes, *problem.cautions, *tables.warnings_of(problem), *problem.reliance)
         print(json.dumps({"title": problem.title, "quantities": quantities, "notes": notes}, indent=2, allow_nan=False))
         return
     tables.print_check(console(), problem)

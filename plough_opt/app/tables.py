@@ -104,7 +104,7 @@ def print_check(screen: Screen, problem: Problem) -> None:
         names = ", ".join(key for key in problem.table.uncertain if key.startswith("soil."))
         screen.print(f"Uncertain: {names}. plough-opt optimise allows for this; all other commands use the"
                       " nominal soil.", soft_wrap=True)  # fmt: skip
-    print_notes(screen, warnings_of(problem))
+    print_notes(screen, (*warnings_of(problem), *problem.reliance))
 
 
 def warnings_of(problem: Problem) -> tuple[str, ...]:

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, TypeVar
 
 from plough_opt.core.checks import check_kind, check_named, check_switch, mapping_of
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Column, Expression
+from plough_opt.core.expressions import Column, Expression, as_number
 from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
 from plough_opt.core.saving import Origin
-from plough_opt.core.units import Display
+from plough_opt.core.units import Display, Unit
 from plough_opt.exchange.component import Component, Input, Output, Port, build
 from plough_opt.exchange.component.component import port_of
 from plough_opt.motion import Run, simulate
@@ -23,7 +23,7 @@ from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import Measure
 from plough_opt.problem_file.measures import measures_of, total_of
 from plough_opt.problem_file.schema import LimitTable, ProblemTable, medium_of
-from plough_opt.soil.geometry import Wedge
+from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT, Wedge
 from plough_opt.soil.random_strength import Spectrum
 from plough_opt.soil.soil import Soil, named_soil
 
@@ -118,6 +118,43 @@ class Problem:
         for name, key, value in every:
             if slip := EVERY[key].slip(value):
                 found.append(f"{name} = {self.origin.display(key, EVERY[key].unit, value).text(value)}: {slip}")
+        return tuple(found)
+
+    @property
+    def reliance(self) -> tuple[str, ...]:
+        """Warnings that this design relies on what did not hold when the model was tried: docs/validation.md."""
+        if self.shares:
+            return tuple(dict.fromkeys(text for part in self.shares.values() for text in part.reliance))
+        if not self.table.scene.law.slender:
+            return ()
+        found, given, limits = [], self.values(), self.table.require
+        if not given.keys() & {_READING, "soil.strength_factor"}:
+            found.append(
+                "the level of the draft was not measured: computed from the soil's properties it is low by a factor of"
+                " three among particles and by more in sand, so give a cone index (soil.cone_index)"
+            )
+        angle = limits["half_angle"].at_most if "half_angle" in limits else None
+        blunt = angle is None or Unit("rad").parse(angle) > PLANE_SECTIONS_LIMIT
+        if "share.wedge_angle" in self.variables and blunt:
+            found.append(
+                "of two shares with the same base the blunter has less draft here, and the same draft among particles:"
+                f" require half_angle at most {math.degrees(PLANE_SECTIONS_LIMIT):.0f} deg"
+            )
+        if "scene.tow_speed" in self.variables and "effects.rate_term" not in given:
+            found.append(
+                "the draft grows by some per cent over the usual speeds, in measurements by much more: calibrate"
+                " effects.rate_term to drafts at several speeds"
+            )
+        if (
+            "loosened_radius" in {*self.table.minimise, *self.table.goals, *limits}
+            and "soil.density_ratio" not in given
+        ):
+            ratio = (1.0 - float(as_number(self.scene().soil.density_ratio))) ** -0.5
+            found.append(
+                f"loosened_radius is {ratio:.3g} times the base radius of the cone in this soil, so it measures the"
+                " size of the share; among particles displacement has no front: take soil.density_ratio from the width"
+                " of a trench across a pass"
+            )
         return tuple(found)
 
     @property

@@ -182,3 +182,37 @@ def test_the_record_tells_what_it_was_made_of():
         # Of some sixty independent lengths the variance scatters by a fifth, its root by a tenth.
         put_in = math.hypot(made.RMS, made.ROW_AMPLITUDE / math.sqrt(2.0))
         assert math.sqrt(found.variance) == pytest.approx(put_in, rel=0.25)
+
+
+SPEED = "variables.scene.tow_speed={lower='1 m/s', upper='3 m/s'}"
+RELIANCE = {
+    "level": "the level of the draft was not measured",
+    "blunt": "of two shares with the same base the blunter",
+    "speed": "the draft grows by some per cent over the usual speeds",
+    "front": "loosened_radius is 2.2 times the base radius",
+}
+
+
+@pytest.mark.parametrize(
+    ("changes", "relied_on"),
+    [
+        ([], ["level", "front"]),
+        (["soil.cone_index=1 MPa"], ["front"]),
+        (["soil.strength_factor=3"], ["front"]),
+        (["soil.density_ratio=0.794"], ["level"]),
+        (["require={half_angle={at_most='20 deg'}}"], ["level"]),
+        (["require={half_angle={at_most='21 deg'}}"], ["level", "blunt"]),
+        (["require={half_angle={at_most='21 deg'}}", "share.wedge_angle=30 deg"], ["level"]),
+        ([SPEED], ["level", "speed", "front"]),
+        ([SPEED, "effects.rate_term=0.02 s^2/m^2"], ["level", "front"]),
+        (["scene.medium={law='mckyes_ali', depth='30 cm'}", "require={}"], []),
+    ],
+)  # fmt: skip
+def test_a_design_is_told_what_it_relies_on(tmp_path, changes, relied_on):
+    path = tmp_path / "cotton.toml"
+    text = COTTON.replace('tow_speed = "7.2 km/h"', "") if "tow_speed" in str(changes) else COTTON
+    path.write_text(text, encoding="utf-8")
+    found = po.read_problem(path, changes).reliance
+    assert len(found) == len(relied_on)
+    for name, sentence in zip(relied_on, found, strict=True):
+        assert sentence.startswith(RELIANCE[name])

@@ -50,7 +50,11 @@ def test_combinations_of_effects(batch_of, errors, effects):
 @pytest.mark.usefixtures("no_compiler")
 @pytest.mark.parametrize(
     "more",
-    [{"start": "rest", "rate_term": 0.05}, {"start": "towed", "tow_ramp": 0.2, "damping": 200.0}, {"tow_ramp": 0.2}],
+    [
+        {"start": "rest", "rate_term": 0.05, "speed_term": 0.2},
+        {"start": "towed", "tow_ramp": 0.2, "damping": 200.0},
+        {"tow_ramp": 0.2},
+    ],
     ids=str,
 )
 def test_smooth_contact(batch_of, errors, more):

@@ -33,6 +33,7 @@ PAIRS = {
     "added mass": ({}, {"added_mass": False}),
     "strength wave": ({}, {"strength_wave": None}),
     "damping": ({}, {"damping": None}),
+    "speed term": ({"speed_term": 0.1}, {}),
     "rate term": ({"rate_term": 0.01}, {}),
     "tow ramp": ({"tow_ramp": 0.1}, {}),
     "stick and slip": ({"contact": po.StickSlip()}, {}),

@@ -69,12 +69,14 @@ def scene(random=RANDOM, **effects):
 def integrated(own, density, ends):
     """Return force, displacement and speed RMS by adaptive quadrature of |H|^2 S with the transfer function H."""
     reaction, v, k = own.reaction, own.tow_speed, own.stiffness
-    kappa, c = own.effects.rate_term or 0.0, own.effects.damping or 0.0
+    kappa, c, linear = (getattr(own.effects, name) or 0.0 for name in ("rate_term", "damping", "speed_term"))
+    static = reaction.static * (1.0 + linear * v) * (1.0 + kappa * v**2)
+    slope = reaction.static * (linear * (1.0 + kappa * v**2) + 2.0 * kappa * v * (1.0 + linear * v))
 
     def h(q):
         w = q * v
-        d = c + 2.0 * (reaction.drag + kappa * reaction.static) * v
-        return reaction.static * (1.0 + kappa * v**2) / complex(k - own.inertia * w**2, w * d)
+        d = c + 2.0 * reaction.drag * v + slope
+        return static / complex(k - own.inertia * w**2, w * d)
 
     peak = math.sqrt(k / own.inertia) / v
     near_peak = peak * np.array([0.5, 0.9, 0.99, 1.0, 1.01, 1.1, 2.0])
@@ -92,8 +94,14 @@ def integrated(own, density, ends):
 
 @pytest.mark.parametrize(
     "effects",
-    [{"damping": 30.0, "rate_term": 0.05}, {"damping": 2e4, "inertial_drag": False}, {"rate_term": 0.02}],
-    ids=["damped", "overdamped", "by the soil alone"],
+    [
+        {"damping": 30.0, "rate_term": 0.05},
+        {"damping": 2e4, "inertial_drag": False},
+        {"rate_term": 0.02},
+        {"speed_term": 0.3},
+        {"damping": 30.0, "rate_term": 0.05, "speed_term": 0.2},
+    ],
+    ids=["damped", "overdamped", "by the soil alone", "by its growth with speed", "by everything"],
 )
 @pytest.mark.parametrize("length", [0.01, 20.0])
 def test_the_closed_form_is_the_integral(effects, length):
@@ -114,7 +122,7 @@ def test_a_table_is_integrated_through_its_resonance(damping, near):
 
 
 def test_waves_have_the_rms_of_their_linearised_orbit():
-    effects = {"damping": 50.0, "rate_term": 0.03}
+    effects = {"damping": 50.0, "rate_term": 0.03, "speed_term": 0.1}
     waves = tuple(po.StrengthWave(0.02 + 0.01 * k, 1.2 / (k + 1), 0.7 * k) for k in range(3))
     own = scene(None, strength_wave=waves, **effects)
     orbit = po.simulate(dataclasses.replace(own, effects=dataclasses.replace(own.effects, orbit="linearised")))

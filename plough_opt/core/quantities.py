@@ -290,6 +290,10 @@ QUANTITIES: dict[str, Quantity] = {
             ("effects", "damping"), plausible=(5.0, math.inf),
         ),
         Quantity(
+            "effects.speed_term", "speed term", "lambda of the static resistance F0 (1 + lambda L')", "s/m", 0.1,
+            ("effects", "speed_term"),
+        ),
+        Quantity(
             "effects.rate_term", "rate term", "kappa of the static resistance F0 (1 + kappa L'^2)", "s^2/m^2", 0.01,
             ("effects", "rate_term"),
         ),

@@ -60,7 +60,7 @@ class ShareInSoil:
 
 
 STEADY: Final = dict.fromkeys(
-    ("motion", "strength_wave", "random_strength", "tow_ramp", "rate_term", "own"),
+    ("motion", "strength_wave", "random_strength", "tow_ramp", "speed_term", "rate_term", "own"),
     "gives the force of steady sliding only",
 )
 """Entries of `ResistanceLaw.lacking` for a law that is not a polynomial in the speed."""
@@ -86,9 +86,9 @@ class ResistanceLaw(Protocol):
         band: fraction of a force by which it may be wrong in either direction according to its source; comparisons show
             it.
         lacking: things that it does not provide -> clause that follows "which". They are effects that a scene then
-            refuses ("motion", "strength_wave", "random_strength", "tow_ramp", "rate_term", "own", "entry"), results
-            that are then missing ("added_mass", "loosened_radius", "cone_index"), "ambient_pressure" (has no effect),
-            and "uncertain" (soil).
+            refuses ("motion", "strength_wave", "random_strength", "tow_ramp", "speed_term", "rate_term", "own",
+            "entry"), results that are then missing ("added_mass", "loosened_radius", "cone_index"),
+            "ambient_pressure" (has no effect), and "uncertain" (soil).
         scalar: whether it can be part of a graph of scalar operations (SX); False if it contains loops or matrices.
         slender: whether it relies on the hypothesis of plane sections.
 

@@ -86,8 +86,8 @@ class Scene:
         check_kind("the scene's soil", self.soil, Soil, "a Soil, for instance named_soil('serozem')")
         check_kind("the scene's share", self.share, Wedge | Cone, "a Wedge or a Cone")
         check_kind("the scene's effects", self.effects, Effects, "an Effects")
-        effects = self.effects
-        for name in ("motion", "strength_wave", "random_strength", "tow_ramp", "rate_term", "own", "entry"):
+        effects, by_speed = self.effects, ("speed_term", "rate_term")
+        for name in ("motion", "strength_wave", "random_strength", "tow_ramp", *by_speed, "own", "entry"):
             if self.law.lacks(name) and getattr(effects, name) not in (None, False, ()):
                 raise InputError(self.law.refusal(name))
         if effects.printed.errors and not isinstance(self.law, PlasticGas):
@@ -274,8 +274,10 @@ class Scene:
         effects, speed = self.effects, self.tow_speed
         with unlabelled():
             static, drag, inertia = self.reaction.static, self.reaction.drag, self.inertia
-        rate = effects.rate_term if effects.rate_term is not None else 0.0
-        force, slope = static * (1.0 + rate * speed**2), 2.0 * speed * (drag + rate * static)
+        linear, rate = (0.0 if term is None else term for term in (effects.speed_term, effects.rate_term))
+        by_speed, by_square = 1.0 + linear * speed, 1.0 + rate * speed**2
+        force = static * by_speed * by_square
+        slope = static * (linear * by_square + by_speed * 2.0 * rate * speed) + 2.0 * speed * drag
         if not effects.motion:
             variance = sum(wave.amplitude**2 / 2.0 for wave in effects.waves)
             if effects.random_strength is not None:
@@ -311,9 +313,9 @@ class Scene:
             raise InputError(f"{what} needs a spring that holds the share: use formulation = 'derived'")
         if not is_symbolic(self.tow_speed) and not float(as_number(self.tow_speed)) > 0.0:
             raise InputError(f"{what} needs a tow speed above 0: a standing share stays in the same soil")
-        given = (effects.damping, effects.rate_term, 1.0 if effects.inertial_drag else 0.0)
+        given = (effects.damping, effects.speed_term, effects.rate_term, 1.0 if effects.inertial_drag else 0.0)
         if not any(is_symbolic(part) or (part is not None and float(as_number(part)) > 0.0) for part in given):
-            raise InputError(f"{what} needs some damping: give damping or rate_term, or keep inertial_drag")
+            raise InputError(f"{what} needs some damping: give damping, speed_term or rate_term, or keep inertial_drag")
         lengths = [float(as_number(w.wavelength)) for w in effects.waves if not is_symbolic(w.wavelength)]
         if len({*lengths}) < len(lengths):
             raise InputError(f"{what} needs strength waves of different lengths: merge those of equal length")

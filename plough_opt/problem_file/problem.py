@@ -140,10 +140,10 @@ class Problem:
                 "of two shares with the same base the blunter has less draft here, and the same draft among particles:"
                 f" require half_angle at most {math.degrees(PLANE_SECTIONS_LIMIT):.0f} deg"
             )
-        if "scene.tow_speed" in self.variables and "effects.rate_term" not in given:
+        if "scene.tow_speed" in self.variables and not given.keys() & {"effects.speed_term", "effects.rate_term"}:
             found.append(
                 "the draft grows by some per cent over the usual speeds, in measurements by much more: calibrate"
-                " effects.rate_term to drafts at several speeds"
+                " effects.speed_term to drafts at several speeds"
             )
         if (
             "loosened_radius" in {*self.table.minimise, *self.table.goals, *limits}

@@ -213,6 +213,7 @@ class EffectsTable(Table):
             random_strength=RandomStrength(*random) if None not in random else spectrum,
             tow_ramp=values.get("effects.tow_ramp"),
             damping=values.get("effects.damping"),
+            speed_term=values.get("effects.speed_term"),
             rate_term=values.get("effects.rate_term"),
             orbit=HarmonicBalance(self.harmonics) if self.orbit == "harmonic_balance" else self.orbit,
             formulation=self.formulation,

@@ -23,7 +23,7 @@ Pair = dataclasses.make_dataclass(
     "Pair", ["pair"], frozen=True, namespace={"force": lambda self, _, speed: self.pair[0] + self.pair[1] * speed}
 )
 CASES = {
-    "every smooth effect": {"strength_wave": CALM, "damping": 400.0, "rate_term": 0.05, "tow_ramp": 0.3},
+    "every smooth effect": {"strength_wave": CALM, "damping": 400.0, "speed_term": 0.1, "tow_ramp": 0.3},
     "smooth contact": {"contact": po.Smooth(0.1), "strength_wave": WAVE, "start": "towed"},
     "stick and slip": {"contact": po.StickSlip(1.3), "strength_wave": WAVE, "start": "rest"},
     "entry, stick and slip": {"contact": po.StickSlip(1.2), "strength_wave": WAVE, "start": "rest", "entry": True},

@@ -18,7 +18,8 @@ class Forces:
         self.sin = m.sin
         self.k, self.c, self.m = map(number, (scene.restoring_stiffness, e.damping, scene.mass))
         self.static, self.drag, self.added = map(number, (reaction.static, reaction.drag, reaction.added_mass))
-        self.rate, self.ramp, self.v0 = map(number, (e.rate_term, e.tow_ramp, scene.tow_speed))
+        self.linear, self.rate = number(e.speed_term), number(e.rate_term)
+        self.ramp, self.v0 = number(e.tow_ramp), number(scene.tow_speed)
         self.height, self.entry, self.first = number(scene.cone.height), e.entry, e.start
         waves = e.strength_wave if isinstance(e.strength_wave, tuple) else (e.strength_wave,) if e.strength_wave else ()
         # The equation holds 2 pi as a double, whose rounding is not an error of the integration.
@@ -53,7 +54,7 @@ class Forces:
 
     def soil(self, travel, speed):
         """Return the resistance without the added mass."""
-        strength = self.strength(travel) * (1 + self.rate * speed**2)
+        strength = self.strength(travel) * (1 + self.linear * speed) * (1 + self.rate * speed**2)
         return self.step(speed) * self.buried(travel) ** 2 * (strength + self.drag * speed**2)
 
     def hold(self, travel):
@@ -79,7 +80,8 @@ class Forces:
         v = self.v0 * (self.ramp == 0)
         travel, speed = 0 * v, (0 * v if self.first == "rest" else v)
         if self.first == "equilibrium":
-            travel = -self.step(v) * (self.static * (1 + self.rate * v**2) + self.drag * v**2) / self.k
+            strength = self.static * (1 + self.linear * v) * (1 + self.rate * v**2)
+            travel = -self.step(v) * (strength + self.drag * v**2) / self.k
         if self.breakaway is None or speed > 0:
             return travel, speed, SLIP
         pull = self.static if self.first == "equilibrium" else self.pull(0, travel, speed)

@@ -16,7 +16,7 @@ ROUNDING = 1e-13
 BESIDE = 1e-9
 
 
-def sampled(seed, most_phase=MOST_PHASE):
+def sampled(seed, most_phase=MOST_PHASE, speed_term=False):
     """Return a scene with a motion, its duration [s] and its outputs; None if it is refused or oscillates too often."""
     random = np.random.default_rng([seed, 20])
 
@@ -58,6 +58,7 @@ def sampled(seed, most_phase=MOST_PHASE):
     }
     mount = pick(log(3, 6), log(1, 8)), pick(log(0, 2), log(-1, 3)), log(-2, 0.8)
     duration, outputs = pick(log(-1.5, 0.3), log(-4, -1.5)), pick(1, 5, 40, 100, 400)
+    effects["speed_term"] = maybe(log(-3, 0)) if speed_term else None
     try:
         scene = po.Scene(soil, share, *mount, po.Effects(**effects))
     except po.PloughError:

@@ -24,7 +24,7 @@ SOIL = {
 SHARE = {"angle": po.deg(45.0), "chisel_angle": po.deg(15.0), "height": 0.15}
 NUMBERS = SOIL | SHARE | {"stiffness": 8e4, "mass": 24.0, "tow_speed": 1.2, "duration": 0.2}
 # Those of effects. The ramp ends neither at an output nor at the end of a step.
-OWN = {"tow_ramp": 0.061, "damping": 120.0, "rate_term": 0.08}
+OWN = {"tow_ramp": 0.061, "damping": 120.0, "rate_term": 0.08, "speed_term": 0.2}
 OUTPUTS, INNER = 4, 2
 STEP = 3e-4
 # Intervals on which events are told apart, and the fewest of them between two events or an event and an output.

@@ -27,12 +27,14 @@ FACTORS = {
     "tow_ramp": (None, 0.15),
     "damping": (None, 120.0),
     "rate_term": (None, 0.08),
+    "speed_term": (None, 0.2),
 }
 # Mostly refused, so combined only in the test of refusals.
 FURTHER = {"motion": (True, False), "orbit": ("transient", "periodic"), "formulation": ("derived", "printed")}
 OWN = {
     "inertial_drag": {"drag"}, "added_mass": {"added_mass"}, "entry": {"height"}, "tow_ramp": {"ramp_time"},
     "strength_wave": {"wave_amplitude", "wavelength"}, "damping": {"damping"}, "rate_term": {"rate_term"},
+    "speed_term": {"speed_term"},
 }  # fmt: skip
 
 

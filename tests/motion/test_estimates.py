@@ -25,7 +25,7 @@ DOUBTFUL = 1e-10
 
 def by(seed, *accuracies):
     """Return a sampled scene's runs by each accuracy with their errors, or a text if there are none."""
-    drawn = wild_scenes.sampled(seed)
+    drawn = wild_scenes.sampled(seed, speed_term=True)
     if drawn is None:
         return "not drawn"
     scene, duration, outputs = drawn

@@ -24,6 +24,7 @@ CASES = {
     "resonant": {"stiffness": 1.2e4},
     "resonant and damped": {"stiffness": 1.2e4, "damping": 250.0},
     "rate term": {"rate_term": 0.05, "damping": 100.0},
+    "speed term": {"speed_term": 0.2, "damping": 100.0},
     "conservative": {"inertial_drag": False},
     "slow": {"tow_speed": 0.5, "damping": 300.0},
     "strongest": {"strength_wave": FULL},
@@ -126,6 +127,7 @@ APPROXIMATED = {
     "soft": {"stiffness": 6e3, "damping": 150.0},
     "resonant": {"stiffness": 1.2e4, "damping": 300.0},
     "rate term": {"rate_term": 0.05, "damping": 100.0},
+    "speed term": {"speed_term": 0.2, "damping": 100.0},
     "conservative": {"inertial_drag": False},
     "slow": {"tow_speed": 0.5, "damping": 300.0},
     "stiff": {"stiffness": 1e6, "damping": 1e3},
@@ -151,12 +153,13 @@ def simulated(r1_scene):
 def test_linear_response_is_that_of_the_textbook(simulated, name, amplitude):
     run = simulated(name, "linearised", amplitude)
     scene, effects, reaction = run.scene, run.scene.effects, run.scene.reaction
-    v, kappa, damping = scene.tow_speed, effects.rate_term or 0.0, effects.damping or 0.0
+    v, damping = scene.tow_speed, effects.damping or 0.0
+    linear, kappa = effects.speed_term or 0.0, effects.rate_term or 0.0  # no case has both
     # F(L, L') to first order in w about L = V0 t - z_s, L' = V0: forced by the wave, damped by dF/dL'.
     omega = 2 * math.pi * v / 0.6
-    steady = reaction.static * (1 + kappa * v**2) + reaction.drag * v**2
-    friction = damping + 2 * v * (reaction.drag + kappa * reaction.static)
-    push = amplitude * reaction.static * (1 + kappa * v**2)
+    steady = reaction.static * (1 + linear * v + kappa * v**2) + reaction.drag * v**2
+    friction = damping + linear * reaction.static + 2 * v * (reaction.drag + kappa * reaction.static)
+    push = amplitude * reaction.static * (1 + linear * v + kappa * v**2)
     phasor = push / (scene.stiffness - scene.inertia * omega**2 + 1j * omega * friction)
     phasor *= np.exp(-2j * math.pi / 0.6 * steady / scene.stiffness)
     turning = phasor * np.exp(1j * omega * np.asarray(run.time))

@@ -96,7 +96,7 @@ OUTSIDE = {
     "effects.strength_wave.amplitude": [-0.1, 1.1], "effects.strength_wave.wavelength": [0.0, -0.6],
     "effects.random_strength.rms": [-0.1, 1.2], "effects.random_strength.correlation_length": [0.0],
     "effects.tow_ramp": [-1e-3], "effects.damping": [-1e-3], "effects.rate_term": [-1e-3],
-    "effects.contact_width": [0.0], "effects.breakaway": [0.999],
+    "effects.speed_term": [-1e-3], "effects.contact_width": [0.0], "effects.breakaway": [0.999],
 }  # fmt: skip
 
 
@@ -104,7 +104,7 @@ OUTSIDE = {
 def test_numbers_outside_their_domain_are_refused_by_name(name):
     contact = po.StickSlip() if name == "effects.breakaway" else po.Smooth(0.1)
     effects = {"strength_wave": WAVE, "random_strength": po.RandomStrength(0.1, 0.3), "tow_ramp": 0.1}
-    scene = scene_of(contact=contact, damping=400.0, rate_term=0.01, **effects)
+    scene = scene_of(contact=contact, damping=400.0, rate_term=0.01, speed_term=0.1, **effects)
     for wrong in (*OUTSIDE[name], math.nan, math.inf):
         with pytest.raises(po.DomainError, match=f"{QUANTITIES[name].called} = {wrong:g}.* must be"):
             with_quantities(scene, {name: wrong})
@@ -204,6 +204,7 @@ INPUT = [
     (elastics(own=(Own(steady),)), "own has no meaning in the elastic medium"),
     (elastics(strength_wave=WAVE), "strength_wave has no meaning"),
     (elastics(rate_term=0.1), "rate_term has no meaning"),
+    (elastics(speed_term=0.1), "speed_term has no meaning"),
     (elastics(formulation=po.Printed(repelling_spring=False)), "printed formulation is one of the plastic gas"),
     (elastics(medium="viscous"), "no resistance law is named 'viscous'.*elastic.*plastic"),
     (run(soil=replace(SEROZEM, youngs_modulus=None), medium="elastic", motion=False), "needs youngs_modulus"),

@@ -80,8 +80,15 @@ def test_linear_motion_from_rest(r1_scene, stiffness, speed, damping, formulatio
 @pytest.mark.parametrize("accuracy", [None, FINE, po.Accuracy("cvodes"), po.Accuracy("rosenbrock")])
 @pytest.mark.parametrize(
     "effects",
-    [{}, {"rate_term": 0.05}, {"damping": 250.0}, {"inertial_drag": False}, {"inertial_drag": False, "soil": WEAK}],
-    ids=["drag", "rate", "damper", "bare", "no force"],
+    [
+        {},
+        {"rate_term": 0.05},
+        {"speed_term": 0.2},
+        {"damping": 250.0},
+        {"inertial_drag": False},
+        {"inertial_drag": False, "soil": WEAK},
+    ],
+    ids=["drag", "rate", "speed", "damper", "bare", "no force"],
 )
 def test_a_steady_start_stays_steady_exactly(r1_scene, effects, accuracy):
     scene = r1_scene(**effects)

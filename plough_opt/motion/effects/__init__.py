@@ -10,6 +10,7 @@ from plough_opt.motion.effects.terms import (
     RateTerm,
     Smooth,
     SmoothContact,
+    SpeedTerm,
     StickSlip,
     StickSlipContact,
     StrengthWaves,
@@ -27,6 +28,6 @@ __all__ = [
 ]  # fmt: skip
 
 TERMS: tuple[type[Term], ...] = (
-    StrengthWaves, RateTerm, InertialDrag, Entry, SmoothContact, StickSlipContact, Own, TowRamp, Damping,
+    StrengthWaves, SpeedTerm, RateTerm, InertialDrag, Entry, SmoothContact, StickSlipContact, Own, TowRamp, Damping,
 )  # fmt: skip
 """Classes of all terms, in the order in which the resistance is built up from them."""

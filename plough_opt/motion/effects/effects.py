@@ -64,7 +64,10 @@ class Effects:
         tow_ramp: time [s] in which the strut's speed rises from 0 by a C2 smoothstep; None or 0: full speed from the
             start. An expression with the value 0 means 1e-9 s, too short to matter, so that derivatives exist.
         damping: viscous damper c in the mount [N s/m], or None.
-        rate_term: kappa [s^2/m^2] of F0 (1 + kappa L'^2), for calibration, or None. Not in the source.
+        speed_term: lambda [s/m] of F0 (1 + lambda L'), for calibration, or None. Not in the source: blades and chisels
+            were measured to grow linearly with speed (Onwualu and Watts 1998; Al-Neama and Herlitzius 2016).
+        rate_term: kappa [s^2/m^2] of F0 (1 + kappa L'^2), for calibration, or None. Not in the source. Together with a
+            speed term the two factors multiply.
         own: resistances of the user's own classes, added to that of the soil: see `OwnResistance`.
         orbit: ``"transient"``: motion from the start over the duration; ``"periodic"``: one wavelength of the periodic
             orbit under the strength wave, without a duration; ``"linearised"``: the linear forced response in closed
@@ -93,6 +96,7 @@ class Effects:
     random_strength: Annotated[RandomStrength | Spectrum, ByName()] | None = None
     tow_ramp: Expression | None = None
     damping: Expression | None = None
+    speed_term: Expression | None = None
     rate_term: Expression | None = None
     own: tuple[Annotated[OwnResistance, ByName()], ...] = ()
     orbit: Literal["transient", "periodic", "linearised"] | HarmonicBalance = "transient"
@@ -109,7 +113,7 @@ class Effects:
             words = ("transient", "periodic", "linearised")
             check_choice("orbit", self.orbit, words, ", or HarmonicBalance(harmonics)")
         check_choice("start", self.start, ("equilibrium", "rest", "towed"))
-        read_fields(self, **{name: f"effects.{name}" for name in ("tow_ramp", "damping", "rate_term")})
+        read_fields(self, **{name: f"effects.{name}" for name in ("tow_ramp", "damping", "speed_term", "rate_term")})
         if not self.motion:
             self._check_quasi_static()
         if self.entry and self.start == "equilibrium":

@@ -278,6 +278,22 @@ class RateTerm(Term):
         return Rates(damping=slope, steepest=(peak_strength(p) - 1.0) * slope)
 
 
+class SpeedTerm(Term):
+    """Factor 1 + lambda L' on the static resistance. A retreating share has less of it."""
+
+    label, field = "speed term", "speed_term"
+    names = ("speed_term",)
+    usual = 0.1
+
+    def resist(self, force: Expression, at: Place, p: Parameters) -> Expression:
+        return cast(Expression, force * (1.0 + p["speed_term"] * at.speed))
+
+    @staticmethod
+    def rates(p: Parameters) -> Rates:
+        slope = p.get("speed_term", 0.0) * p.get("static", 0.0)
+        return Rates(damping=slope, steepest=(peak_strength(p) - 1.0) * slope)
+
+
 class Entry(Term):
     """Factor (H/h)^2 on the resistance of a share of height h with the length H in the soil."""
 

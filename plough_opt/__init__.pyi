@@ -35,6 +35,7 @@ from .motion.effects import (
     Smooth as Smooth,
     StickSlip as StickSlip,
 )
+from .motion.driven import MotionEquation as MotionEquation
 from .motion.machine import Machine as Machine
 from .motion.scene import Scene as Scene
 from .problem_file import Problem as Problem, read_problem as read_problem

@@ -24,8 +24,17 @@ import casadi as ca
 from plough_opt.core.expressions import Column, Expression, stacked, where
 from plough_opt.core.labels import unlabelled
 from plough_opt.motion.effects import TERMS, Damping, Entry, HarmonicBalance, Own, SmoothContact, StickSlipContact
-from plough_opt.motion.effects.terms import Changed, Parameters, Place, StrengthWaves, Strut, Term, TowRamp, resisted
-from plough_opt.motion.scene import Scene
+from plough_opt.motion.effects.terms import (
+    Changed,
+    Parameters,
+    Place,
+    StrengthWaves,
+    Strut,
+    Term,
+    Towed,
+    TowRamp,
+    resisted,
+)
 
 _Kind = TypeVar("_Kind", bound=Term)
 
@@ -56,7 +65,7 @@ class Structure:
     locates_ramp: bool = False
 
     @classmethod
-    def of(cls, scene: Scene) -> Structure:
+    def of(cls, scene: Towed) -> Structure:
         """Return the structure of a scene."""
         effects, orbit = scene.effects, scene.effects.orbit
         terms = tuple(term for kind in TERMS for term in kind.of(scene))
@@ -231,7 +240,7 @@ class Structure:
         return p["added_mass"] if entry is None else p["added_mass"] * entry.buried(p, travel) ** 3
 
 
-def parameters(scene: Scene, structure: Structure | None = None) -> dict[str, Expression]:
+def parameters(scene: Towed, structure: Structure | None = None) -> dict[str, Expression]:
     """Return the parameters that the equation of motion may need, by name, in SI units."""
     structure = structure or Structure.of(scene)
     with unlabelled():  # a design checks a run together with its scene

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, Any, TypeVar
@@ -18,6 +18,7 @@ from plough_opt.core.quantities import QUANTITIES, read_fields
 from plough_opt.laws import law_of
 from plough_opt.laws.forces import PlasticGas
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction, without_pressure
+from plough_opt.motion.driven import MotionEquation, driven_equation, symbols_of
 from plough_opt.motion.effects import TERMS, Effects, Place, Smooth, resisted
 from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.random_strength import PASS, Sliding, Stationary, check_strength, rare_peak, stationary_response
@@ -367,6 +368,33 @@ class Scene:
         if not is_symbolic(total) and not float(as_number(total)) > 0.0:
             return 0.0
         return 1.0 - bare / total
+
+    def equation(self, *, controls: Sequence[str] = (), parameters: Sequence[str] = ()) -> MotionEquation:
+        """Return the equation of motion as CasADi Functions, for an integrator or an optimiser of one's own.
+
+        Args:
+            controls: quantities that change during the motion: "tow_speed" of the strut [m/s], "stiffness" [N/m] or
+                "damping" [N s/m] of an active mount. They enter as they are at each moment, and may jump. The law of
+                resistance and the orders of magnitude are those at the scene's own tow speed.
+            parameters: names of quantities as in problem files, such as "soil.cohesion", that are arguments of the
+                Functions. All others have the scene's values.
+
+        Returns:
+            See `MotionEquation`. Its domain is that of the scene; the Functions check nothing.
+
+        Raises:
+            InputError: a name is unknown, given twice or not in the scene; a quantity cannot be a control; the scene
+                holds symbols, is quasi-static or has an orbit; or a tow ramp and a control prescribe the strut's speed.
+
+        Example:
+            >>> import plough_opt as po
+            >>> scene = po.Scene(po.named_soil("serozem"), po.Cone("10 deg", "25 cm"), "50 kN/m", "30 kg", "2 m/s")
+            >>> scene.equation(controls=("tow_speed", "stiffness")).controls
+            array([2.e+00, 5.e+04])
+        """
+        symbols = symbols_of(self, controls, parameters)
+        values = [quantity_of(self, name) for name in symbols]
+        return driven_equation(self, with_quantities(self, symbols), symbols, values, controls)
 
     def describe(self) -> str:
         """Return a noun phrase that identifies a numeric scene in messages."""

@@ -19,7 +19,7 @@ Parameters = Mapping[str, Expression]
 
 
 class Towed(Protocol):
-    """Attributes of a scene that effects read."""
+    """Attributes of a scene that effects and the equation of motion read."""
 
     @property
     def effects(self) -> Any:
@@ -32,6 +32,22 @@ class Towed(Protocol):
     @property
     def reaction(self) -> SoilReaction:
         """Reaction of the soil."""
+
+    @property
+    def restoring_stiffness(self) -> Expression:
+        """Force of the spring per unit of deflection [N/m]."""
+
+    @property
+    def inertia(self) -> Expression:
+        """Moving mass with the soil that it carries along [kg]."""
+
+    @property
+    def mass(self) -> Expression:
+        """Moving mass without soil [kg]."""
+
+    @property
+    def tow_speed(self) -> Expression:
+        """Speed of the strut [m/s]."""
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ from .motion.effects import (
     HarmonicBalance as HarmonicBalance,
     OwnResistance as OwnResistance,
     Smooth as Smooth,
+    SpeedProfile as SpeedProfile,
     StickSlip as StickSlip,
 )
 from .motion.driven import MotionEquation as MotionEquation

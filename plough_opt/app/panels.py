@@ -64,7 +64,7 @@ def deflection_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
 def speed_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
     """Return the speeds of share and strut over time, with the limits of the share's."""
     structure, p = Structure.of(run.scene), parameters(run.scene)
-    strut_speed = structure.start_speed(p) + structure.strut(p, run.time).gain + 0.0 * run.time
+    strut_speed = structure.towed(p, run.time)[1] + 0.0 * run.time
     lines = {"share": (run.speed, SHARE, False), "strut": (strut_speed, STRUT, True)}
     return Panel("speed", run.origin.display("scene.tow_speed", "m/s"), lines, limits_of(run, limits, "speed"))
 

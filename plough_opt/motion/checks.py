@@ -402,7 +402,7 @@ def difference(run: Run, other: Run) -> float:
         "mean_deflection": size_z,
         "displacement_rms": max(found["displacement_rms"], least_z),
     }
-    if run.scene.effects.ramps:
+    if run.scene.effects.accelerates:
         towed = (run.travel[-1] + run.deflection[-1] - run.travel[0] - run.deflection[0]) / run.duration
         sizes["tow_power"] = max(abs(found["tow_power"]), size * float(towed))
     pairs += [(abs(found[name] - check[name]), scale) for name, scale in sizes.items()]

@@ -64,7 +64,7 @@ class DrivenShare:
         self.deflection = ca.SX.sym("deflection") if position is None else position - self.travel
         self.opening = where(self.mode > STICK, self.furthest - self.travel, 0.0)
         p = {**p, **({"entered": self.entered, "behind": self.opening} if structure.entry else {})}
-        self.strut_speed = structure.start_speed(p) + structure.strut(p, self.time).gain
+        _, self.strut_speed = structure.towed(p, self.time)
         self.pull: Column = structure.pull(p, self.deflection, self.strut_speed - self.speed)
         steady = structure.resistance(p, self.travel, self.speed)
         self._carried = structure.carried_mass(p, self.travel) if structure.events else p["added_mass"]
@@ -237,8 +237,9 @@ def symbols_of(scene: Towed, controls: Sequence[str], parameters: Sequence[str])
         check_named("{} cannot be a control, because only mount and strut may change during a motion", name, CONTROLS)
         if CONTROLS[name] in parameters:
             raise InputError(f"'{name}' is a control, so '{CONTROLS[name]}' cannot be a parameter: omit one of them")
-    if "tow_speed" in controls and effects.ramps:
-        raise InputError("tow_ramp and the control 'tow_speed' both prescribe the strut's motion: leave one out")
+    if "tow_speed" in controls and effects.accelerates:
+        other = "tow_ramp" if effects.ramps else "tow_profile"
+        raise InputError(f"{other} and the control 'tow_speed' both prescribe the strut's motion: leave one out")
     return {name: ca.SX.sym(name) for name in (*(CONTROLS[name] for name in controls), *parameters)}
 
 

@@ -4,6 +4,9 @@ With z = s(t) - L the deflection of the spring, z0 its value at the start and w 
 
     M w'' = F(L, L') - k0 z0 - k0 w - c w' + M s''
 
+With a profile of the tow speed w is counted from a strut that keeps its initial speed, and the mount is compressed by
+w and by how far the strut is ahead of that.
+
 It is written in deviations from the start, so that the large steady forces of an equilibrium start cancel algebraically
 and not in floating point. As printed, with + k0 (L - V0 t), the spring repels: the parameter "stiffness" is then -k0,
 the equilibrium lies at z = -F/k0, and a deviation from it grows like exp(sqrt(k0/M) t).
@@ -23,7 +26,16 @@ import casadi as ca
 
 from plough_opt.core.expressions import Column, Expression, stacked, where
 from plough_opt.core.labels import unlabelled
-from plough_opt.motion.effects import TERMS, Damping, Entry, HarmonicBalance, Own, SmoothContact, StickSlipContact
+from plough_opt.motion.effects import (
+    TERMS,
+    Damping,
+    Entry,
+    HarmonicBalance,
+    Own,
+    SmoothContact,
+    StickSlipContact,
+    TowProfile,
+)
 from plough_opt.motion.effects.terms import (
     Changed,
     Parameters,
@@ -95,6 +107,16 @@ class Structure:
         return self.find(TowRamp) is not None
 
     @cached_property
+    def profile(self) -> TowProfile | None:
+        """Profile of the strut's speed, or None."""
+        return self.find(TowProfile)
+
+    @property
+    def accelerates(self) -> bool:
+        """Whether the strut's speed changes, so that the tow power is averaged apart."""
+        return self.ramp or self.profile is not None
+
+    @cached_property
     def damper(self) -> bool:
         """Whether the mount has a damper."""
         return self.find(Damping) is not None
@@ -150,12 +172,23 @@ class Structure:
         return tuple(term for term in self.terms if term.state and (self.ends_ramp or not isinstance(term, TowRamp)))
 
     def strut(self, p: Parameters, time: Expression) -> Strut:
-        """Return the strut's motion: at constant speed, or with a ramp."""
+        """Return the motion from which deviations are counted: the strut's, but under a profile at constant speed."""
         ramp = self.find(TowRamp)
-        return Strut(path=p["tow_speed"] * time, gain=0.0, acceleration=0.0) if ramp is None else ramp.strut(p, time)
+        return Strut(self.start_speed(p) * time, gain=0.0, acceleration=0.0) if ramp is None else ramp.strut(p, time)
+
+    def lead(self, p: Parameters, time: Expression) -> tuple[Expression, Expression]:
+        """Return how far the strut is ahead of `strut` [m], and how much faster it is [m/s]: 0 without a profile."""
+        return (0.0, 0.0) if self.profile is None else self.profile.lead(p, time)
+
+    def towed(self, p: Parameters, time: Expression) -> tuple[Expression, Expression]:
+        """Return path [m] and speed [m/s] of the strut."""
+        mount, (ahead, faster) = self.strut(p, time), self.lead(p, time)
+        return mount.path + ahead, self.start_speed(p) + mount.gain + faster
 
     def start_speed(self, p: Parameters) -> Expression:
         """Return the strut's speed at time 0 [m/s], which also defines the steady state of an equilibrium start."""
+        if self.profile is not None:
+            return self.profile.start_speed(p)
         return 0.0 if self.ramp else p["tow_speed"]
 
     def start_resistance(self, p: Parameters) -> Expression:
@@ -289,8 +322,8 @@ class Equation:
         events: (time, state, parameters) -> (values, a row for each event, that become negative at the event; the state
             after each event, a column each); None without events.
         start: parameters -> state at time 0.
-        signals: (time, state, parameters) -> the change of deflection w; with a damper, the change of mount force
-            k0 w + c (w' - w'(0)); with a tow ramp, the tow power P s'. Without a damper the mount force is k0 z.
+        signals: (time, state, parameters) -> the change of deflection; with a damper, the change of mount force; if the
+            strut's speed varies, the tow power P s'. Without a damper the mount force is k0 z.
         count: number of signals.
         squared: number of signals, from the first, that have an RMS too.
     """
@@ -354,7 +387,8 @@ class _SymbolicShare:
         self.strut_speed = structure.start_speed(self.p) + self.strut.gain
         self.speed = self.strut_speed - self.rate
         self.stopping = self.speed + _STANDSTILL * self.p["tow_speed"]
-        change = structure.pull(self.p, self.w, self.rate)
+        self.ahead, self.faster = structure.lead(self.p, self.time)
+        change = structure.pull(self.p, self.w + self.ahead, self.rate + self.faster)
         self.mount_force = structure.start_force(self.p) + change
         if structure.relaxed:
             soil = structure.resistance(self.p, self.travel, self.speed)
@@ -366,10 +400,11 @@ class _SymbolicShare:
     def signals(self) -> list[Expression]:
         """Return the signals of an `Equation`."""
         structure = self.structure
-        force = structure.pull(self.p, self.w, self.rate - structure.start_rate(self.p))
-        values: list[Expression] = [self.w, force] if structure.damper else [self.w]
-        if structure.ramp:
-            values.append((structure.start_force(self.p) + force) * self.strut_speed)
+        w, rate = self.w + self.ahead, self.rate + self.faster
+        force = structure.pull(self.p, w, rate - structure.start_rate(self.p))
+        values: list[Expression] = [w, force] if structure.damper else [w]
+        if structure.accelerates:
+            values.append(self.mount_force * (self.strut_speed + self.faster))
         return values
 
     def by_mode(self, slip: Column, stick: Column, gap: Column) -> Column:

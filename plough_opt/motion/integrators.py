@@ -152,7 +152,7 @@ def _expected(structure: Structure, p: dict[str, Any], duration: Any) -> Any:
     squared, others = [deflection], []
     if structure.damper:
         squared.append(force + structure.pull(p, 0.0, rate))
-    if structure.ramp:
+    if structure.accelerates:
         others.append(force * (p["tow_speed"] + rate))
     return stacked(deflection, rate, *squared, *others, *squared)
 

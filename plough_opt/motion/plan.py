@@ -54,6 +54,9 @@ _LEAST_REFINEMENT = 1.15
 _BLIND_REFINEMENT = 1.4
 # A check takes three quarters of the steps: its error is (4/3)^8 = 10 times as large, at less than the run's cost.
 _CHECK_STEPS = 0.75
+STEPS_PER_PIECE = 32
+"""Least number of steps for each piece of a speed profile. Every piece then takes nine at least, and its check seven:
+as many in both would hide their error."""
 # Fewest steps of a run. Outputs are interpolated between eight ends of steps.
 _FEWEST_STEPS = 20
 # Most steps of a run, limited by memory.
@@ -185,6 +188,11 @@ def steps_for(total_phase: float, phase_per_step: float = PHASE_PER_STEP) -> int
     return max(_FEWEST_STEPS, math.ceil(min(total_phase / phase_per_step, _MOST_STEPS)))
 
 
+def fewest_steps(p: Mapping[str, Any]) -> int:
+    """Return the least number of steps of order 8 that fewer can check: 0 unless the tow speed has a profile."""
+    return STEPS_PER_PIECE * int(p.get("speed_pieces", 0))
+
+
 # Similar scenes share a timeline, whose times are computed once.
 _timeline = lru_cache(maxsize=256)(Timeline)
 
@@ -205,16 +213,21 @@ def timeline_of(
         symbolic: whether the run will be differentiated, so that steps must also end at the ends of smooth contact.
     """
     effects, ramp = scene.effects, scene.effects.tow_ramp
+    if effects.tow_profile is not None and is_symbolic(duration):
+        raise InputError("the tow speed varies with time, so the duration cannot be a symbol: give a number [s]")
     untimed = effects.ramps and (is_symbolic(ramp) or is_symbolic(duration))
     if untimed or (symbolic and effects.motion and isinstance(effects.contact, Smooth)):
         return _timeline(outputs, steps, moving=True)
-    kink = kink_of(float(as_number(ramp)), float(as_number(duration))) if effects.ramps else None
-    return _timeline(outputs, steps, kink, method not in ORDER_8)
+    times: tuple[float, ...] = (float(as_number(ramp)),) if effects.ramps else ()
+    if effects.tow_profile is not None:
+        times = effects.tow_profile.times
+    kinks = kinks_of(times, float(as_number(duration))) if times else ()
+    return _timeline(outputs, steps, kinks, method not in ORDER_8)
 
 
-def kink_of(ramp: float, duration: float) -> float | None:
-    """Return the fraction of a duration [s] at which a ramp [s] ends; None if it is 0 or ends after the run."""
-    return ramp / duration if 0.0 < ramp < duration else None
+def kinks_of(times: tuple[float, ...], duration: float) -> tuple[float, ...]:
+    """Return the fractions of a duration [s] at which the strut's motion is not smooth, from the times of that [s]."""
+    return tuple(time / duration for time in times if 0.0 < time < duration)
 
 
 def unknown_steps(scene: Scene, accuracy: Accuracy, outputs: int) -> int:
@@ -271,12 +284,12 @@ def automatic(method: str, wanted: float, p: Mapping[str, float], duration: floa
     if method == "erk":
         return Accuracy(method, tolerance=max(0.01 * wanted, TIGHTEST))
     enough = steps_for(summed_rate(p) * duration, _USUAL_PHASE * (max(wanted, TIGHTEST) / DEFAULT_TOLERANCE) ** 0.125)
-    return _order_8(_rounded(math.ceil(enough / _CHECK_STEPS)))
+    return _order_8(_rounded(max(math.ceil(enough / _CHECK_STEPS), fewest_steps(p))))
 
 
 def first_steps(p: Mapping[str, float], duration: float) -> int:
     """Return the number of steps of order 8 at which the error just begins to follow the law of that order."""
-    return _rounded(steps_for(summed_rate(p) * duration, _LONG_PHASE))
+    return _rounded(max(steps_for(summed_rate(p) * duration, _LONG_PHASE), fewest_steps(p)))
 
 
 def next_steps(steps: int, error: float, wanted: float) -> int:

@@ -458,9 +458,10 @@ def assemble(
     mount, initial_speed = structure.strut(p, time), structure.start_speed(p)
     gain = mount.gain - rate
     first = structure.start_force(p)
-    deflection = first / p["stiffness"] + w
-    travel = mount.path - deflection
-    force = first + structure.pull(p, w, rate)
+    ahead, faster = structure.lead(p, time)
+    behind = first / p["stiffness"] + w
+    deflection, travel = behind + ahead, mount.path - behind
+    force = first + structure.pull(p, w + ahead, rate + faster)
     soil = structure.resistance(p, travel, initial_speed + gain)
     acceleration = (force - soil) / structure.inertia_at(p, travel)
     carried = structure.carried_mass(p, travel) if structure.events else _added_mass(scene)
@@ -498,5 +499,5 @@ def averages_of(
         mean_draft = first + p["stiffness"] * means[0]
         force_rms = scene.stiffness * displacement_rms
     mean_deflection = first / p["stiffness"] + means[0]
-    tow_power = means[-1] if structure.ramp else mean_draft * p["tow_speed"]
+    tow_power = means[-1] if structure.accelerates else mean_draft * p["tow_speed"]
     return Averages(mean_draft, force_rms, mean_deflection, displacement_rms, tow_power)

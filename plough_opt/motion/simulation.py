@@ -5,6 +5,7 @@ import math
 import time
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -29,7 +30,7 @@ from plough_opt.core.quantities import BESIDE
 from plough_opt.motion import checks, plan
 from plough_opt.motion.checks import WORTH_A_WARNING, Escape, MissedEvent, difference, unnoticed_stops
 from plough_opt.motion.compiled_steps import source_of
-from plough_opt.motion.effects import Smooth, ramp_time
+from plough_opt.motion.effects import Smooth, profile_of, ramp_time
 from plough_opt.motion.effects.terms import Parameters
 from plough_opt.motion.equation import Structure, parameters
 from plough_opt.motion.integrators import Array, Case, Integrated, embed, integrate, integration, labelled, thinned
@@ -71,6 +72,7 @@ def simulate(
     accuracy: Accuracy | None = None,
     outputs: int = plan.OUTPUTS,
     compiled: bool = False,
+    tow_speed: Any = None,
 ) -> Run:
     """Simulate a share on its mount, equation (27), or its quasi-static limit.
 
@@ -84,6 +86,11 @@ def simulate(
             by the system's C compiler takes about a second, once per machine for all scenes with the same effects; a
             run then takes about a quarter of the time, with the same result up to rounding. A warning reports if there
             is no compiler, if another method or model takes the run, or if an own effect looks up a table.
+        tow_speed: speed of the strut over time instead of the scene's constant one: a table of times [s], from 0 on,
+            and speeds [m/s], with straight lines between them and the last speed afterwards; a function of the time [s]
+            that returns the speed [m/s], smooth but for a few kinks; or a `scipy.interpolate.PPoly`, such as a
+            `CubicSpline`. Steps end at its knots. In the run's scene ``tow_speed`` is the largest speed, at which laws
+            of resistance are evaluated, and ``effects.tow_profile`` the course.
 
     Returns:
         A numeric or symbolic `Run`.
@@ -110,10 +117,11 @@ def simulate(
         400. That suffices for about a hundred waves; a warning about a longer run is not given.
 
     Raises:
-        DomainError: the duration is not positive.
+        DomainError: the duration is not positive, or the tow speed is never above 0.
         InputError: the duration is missing, or given for an orbit; there is no output interval; the scene holds an
-            array; a quasi-static scene has an integration method; the method cannot take SX symbols; or a symbolic
-            scene is to be compiled.
+            array; a quasi-static scene has an integration method; the method cannot take SX symbols; a symbolic scene
+            is to be compiled; or the tow speed is not as above, jumps, is negative, or is combined with an orbit, a tow
+            ramp, stick and slip, entry, random strength or a symbolic duration.
         IntegrationError: the method failed; the message names the scene, the time and the likely cause.
 
     Example:
@@ -123,9 +131,16 @@ def simulate(
         >>> scene = po.Scene(po.named_soil("serozem"), share, "50 kN/m", "30 kg", "2 m/s", still)
         >>> po.simulate(scene, "1 s").duration
         1.0
+        >>> po.simulate(scene, "9 s", tow_speed=([0.0, 3.0, 9.0], [0.0, 2.0, 1.0])).speed[-1]
+        1.0
     """
     accuracy = Accuracy() if accuracy is None else accuracy
     duration = _checked_duration(scene, duration, accuracy, outputs, compiled)
+    if tow_speed is not None:
+        scene = _with_tow_speed(scene, duration, tow_speed)
+    profile, steps = scene.effects.tow_profile, accuracy.steps
+    if profile is not None and steps is not None and steps < (fewest := plan.STEPS_PER_PIECE * len(profile.pieces)):
+        raise InputError(f"accuracy steps = {steps} are too few for the knots of the tow speed: give {fewest} or more")
     if holds_casadi((scene, duration)):
         check_single("simulate", (scene, duration))
         if any(map(is_symbolic, (*parameters(scene).values(), scene.mass, duration))):
@@ -175,6 +190,16 @@ def _checked_duration(
     return scene.wave_period
 
 
+def _with_tow_speed(scene: Scene, duration: Expression, tow_speed: Any) -> Scene:
+    """Return a scene whose strut has a tow speed [m/s] that varies over time."""
+    if scene.effects.orbit != "transient":
+        raise InputError("a tow speed that varies has no periodic orbit: leave orbit out, or use a constant speed")
+    if is_symbolic(duration):
+        raise InputError("the tow speed varies with time, so the duration cannot be a symbol: give a number [s]")
+    largest, profile = profile_of(tow_speed, float(as_number(duration)))
+    return replace(scene, tow_speed=largest, effects=replace(scene.effects, tow_profile=profile))
+
+
 def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: int, compiled: bool) -> Run:
     """Return the run as expressions of the scene's symbols; raise InputError if it is to be compiled."""
     if compiled:
@@ -197,9 +222,11 @@ def _symbolic(scene: Scene, duration: Expression, accuracy: Accuracy, outputs: i
         part = 1e-4 if isinstance(scene.effects.contact, Smooth) else 1e-2
         wanted = min(accuracy.error or DEFAULT_ERROR, part * accuracy.wanted_derivatives)
         accuracy = Accuracy("erk", tolerance=max(0.01 * wanted, plan.TIGHTEST))
-    steps = plan.MOST_ADAPTIVE if accuracy.adaptive else accuracy.steps or plan.unknown_steps(scene, accuracy, outputs)
+    p, steps = parameters(scene), plan.MOST_ADAPTIVE
+    if not accuracy.adaptive:
+        steps = accuracy.steps or max(plan.unknown_steps(scene, accuracy, outputs), plan.fewest_steps(p))
     timeline = plan.timeline_of(scene, duration, outputs, steps, accuracy.method, symbolic=True)
-    solver, p = integration(Structure.of(scene), accuracy, timeline), parameters(scene)
+    solver = integration(Structure.of(scene), accuracy, timeline)
     states, means, variances = embed(solver, [*(p[name] for name in solver.names), duration], scene)
     return assemble(scene, duration, timeline.output_fractions, states.T, means, variances, accuracy)
 
@@ -217,7 +244,8 @@ def verified(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...
     if effects.orbit not in ("transient", "periodic"):
         return _stand_in(case, wanted)
     if accuracy.method != "auto":
-        named = plan.with_setting(accuracy, plan.steps_for(case.phase), case.outputs)
+        usual = max(plan.steps_for(case.phase), plan.fewest_steps(case.p))
+        named = plan.with_setting(accuracy, usual, case.outputs)
         found, error = _checked(case, named, plan.check_of(named, case.p, case.duration, case.structure.kinked))
         error, warnings = _warned(case, found, error, None)
     else:
@@ -494,11 +522,10 @@ def _course(
     if isinstance(fractions, np.ndarray):
         fractions = column(fractions, holds_casadi((scene, duration)))
     time = fractions * duration
-    mount = structure.strut(p, time)
-    force = structure.resistance(p, mount.path, structure.start_speed(p) + mount.gain)
+    path, speed = structure.towed(p, time)
+    force = structure.resistance(p, path, speed)
     everywhere = 0.0 * time
-    speed = structure.start_speed(p) + mount.gain
-    return time, mount.path + everywhere, speed + everywhere, force + everywhere
+    return time, path + everywhere, speed + everywhere, force + everywhere
 
 
 def _average(values: Column, weights: Column) -> Expression:

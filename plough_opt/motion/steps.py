@@ -54,19 +54,19 @@ class Timeline:
     Args:
         outputs: number of equal intervals between output times.
         steps: number of integration steps; for an adaptive method the largest number.
-        kink: fraction between 0 and 1 at which the right-hand side is not smooth (the end of a tow ramp), or None. A
-            step ends there, so that the method keeps its order. Without ``aligned`` the steps on either side are
-            equally long, no longer than they would be without a kink.
+        kinks: fractions between 0 and 1, rising, at which the right-hand side is not smooth: the end of a tow ramp or
+            the knots of a speed profile. A step ends there, so that the method keeps its order. Without ``aligned`` the
+            steps between two of them are equally long, no longer than they would be without a kink.
         aligned: whether a step ends at each output. Each output interval then has the nearest whole number of steps, at
             least one. Otherwise outputs are interpolated between the ends of `READ_FROM` steps.
         moving: whether steps of order 8 also end at kinks whose times depend on the parameters: see
             `plough_opt.motion.steps`. Steps are then aligned, their number in an output interval is rounded up,
-            and ``kink`` is None.
+            and there are no ``kinks``.
     """
 
     outputs: int
     steps: int
-    kink: float | None = None
+    kinks: tuple[float, ...] = ()
     aligned: bool = True
     moving: bool = False
 
@@ -79,18 +79,19 @@ class Timeline:
     def nodes(self) -> NDArray[np.float64]:
         """Ends of the steps as fractions of the duration, both ends included."""
         if not self.aligned:
-            if self.kink and _SHORT <= self.kink <= 1.0 - _SHORT:
-                return self._around_kink(self.kink)
-            return self._smooth_part(0.0, 1.0, self.steps)
+            return self._between_kinks([kink for kink in self.kinks if _SHORT <= kink <= 1.0 - _SHORT])
         steps_per_output = self.steps / self.outputs
         per_interval = max(1, math.ceil(steps_per_output) if self.moving else round(steps_per_output))
         return self._with_kink(np.linspace(0.0, 1.0, self.outputs * per_interval + 1))
 
-    def _around_kink(self, kink: float) -> NDArray[np.float64]:
-        """Return the ends of steps before and after a kink."""
-        least = min(self.steps, math.ceil(_LEAST_PER_SIDE * self.steps**0.75))
-        before, after = (max(math.ceil(part * self.steps), least) for part in (kink, 1.0 - kink))
-        return np.concatenate([self._smooth_part(0.0, kink, before), self._smooth_part(kink, 1.0, after)[1:]])
+    def _between_kinks(self, kinks: list[float]) -> NDArray[np.float64]:
+        """Return the ends of steps before, between and after kinks."""
+        least = min(self.steps, math.ceil(_LEAST_PER_SIDE * (self.steps / len(kinks)) ** 0.75)) if kinks else 0
+        parts = [
+            self._smooth_part(start, end, max(math.ceil((end - start) * self.steps), least))
+            for start, end in itertools.pairwise((0.0, *kinks, 1.0))
+        ]
+        return np.concatenate([parts[0], *(part[1:] for part in parts[1:])])
 
     def _smooth_part(self, start: float, end: float, steps: int) -> NDArray[np.float64]:
         """Return the ends of equal steps of which the first and the last are halved.
@@ -106,13 +107,12 @@ class Timeline:
 
     @cached_property
     def stops(self) -> NDArray[np.float64]:
-        """Times at which a fixed step must end: the outputs and the kink, as fractions of the duration."""
+        """Times at which a fixed step must end: the outputs and the kinks, as fractions of the duration."""
         return self._with_kink(self.output_fractions)
 
     def _with_kink(self, nodes: NDArray[np.float64]) -> NDArray[np.float64]:
-        if self.kink is None or np.min(np.abs(nodes - self.kink)) < _SHORT:
-            return nodes
-        return np.sort(np.append(nodes, self.kink))
+        apart = [kink for kink in self.kinks if np.min(np.abs(nodes - kink)) >= _SHORT]
+        return np.sort(np.append(nodes, apart)) if apart else nodes
 
     @cached_property
     def output_columns(self) -> list[int]:
@@ -168,9 +168,9 @@ def _matrices(timeline: Timeline) -> list[ca.DM]:
 
 @lru_cache(maxsize=64)
 def readings(timeline: Timeline) -> Readings:
-    """Return the interpolation weights of a timeline; no polynomial extends across its kink."""
+    """Return the interpolation weights of a timeline; no polynomial extends across a kink."""
     nodes, outputs = timeline.nodes, timeline.output_fractions
-    kinks = [] if timeline.kink is None else [int(np.argmin(np.abs(nodes - timeline.kink)))]
+    kinks = [int(np.argmin(np.abs(nodes - kink))) for kink in timeline.kinks]
     inner = [kink for kink in kinks if 0 < kink < len(nodes) - 1]
     read = np.zeros((len(outputs), READ_FROM), dtype=np.int64)
     weights = np.zeros((len(outputs), READ_FROM, 2, 2))

@@ -21,7 +21,7 @@ from plough_opt.motion.effects import MOST_HARMONICS
 from plough_opt.motion.equation import equation_of
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.methods import Accuracy
-from plough_opt.motion.plan import checked, kink_of, most_steps, phase, steps_for, suited, summed_rate
+from plough_opt.motion.plan import checked, kinks_of, most_steps, phase, steps_for, suited, summed_rate
 from plough_opt.motion.run import Run, assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.steps import Timeline
@@ -176,11 +176,13 @@ def _tight_results(own: Integration, inputs: tuple[float, ...], check: bool) -> 
         inputs: the run's parameters, with the duration last.
         check: whether to use the method that checks.
     """
-    p, duration = dict(zip(own.names, inputs[:-1], strict=True)), inputs[-1]
+    profile, outputs = own.structure.profile, own.timeline.outputs
+    times: tuple[float, ...] = () if profile is None else profile.profile.times
+    p, duration = dict(zip(own.names, inputs[:-1], strict=True)) | {"speed_pieces": len(times)}, inputs[-1]
     total = phase(p, duration)
-    outputs, kink = own.timeline.outputs, kink_of(p.get("ramp_time", 0.0), duration)
+    kinks = kinks_of((p["ramp_time"],) if "ramp_time" in p else times, duration)
     accuracy = checked(suited(own.structure, total)[0], TIGHT, p, duration)[int(check)]
-    timeline = Timeline(outputs, accuracy.steps or most_steps(total), kink, aligned=False)
+    timeline = Timeline(outputs, accuracy.steps or most_steps(total), kinks, aligned=False)
     # Compiled steps of order 8 give the same numbers in less time.
     by_code = own.structure.stepped and accuracy.order_8
     code = compiled_steps(own.structure) if by_code else None

@@ -40,7 +40,7 @@ from plough_opt.motion.derivatives import derivative_error
 from plough_opt.motion.equation import Structure, parameters
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
-from plough_opt.motion.plan import forced_rate, numbers_of, phase, steps_for, timeline_of
+from plough_opt.motion.plan import fewest_steps, forced_rate, numbers_of, phase, steps_for, timeline_of
 from plough_opt.motion.run import assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import quasi_static
@@ -245,7 +245,8 @@ class Box:
         """Values of the inputs at which errors are estimated."""
         effects, inputs = self.scenes.scene.effects, self.scenes.inputs
         # A draft that is constant in time has no error of steps or panels, so the corners suffice.
-        varies = effects.motion or bool(effects.waves) or effects.tow_ramp is not None or effects.own
+        towed = effects.tow_ramp is not None or effects.accelerates
+        varies = effects.motion or bool(effects.waves) or towed or effects.own
         return [*corner_points(inputs), *(interior_points(inputs) if varies else ())]
 
     def resolved(self) -> tuple[Resolution, float, tuple[str, ...]]:
@@ -323,7 +324,7 @@ class Box:
                 raise DomainError(f"at {where}: {error}; give the inputs narrower bounds") from None
             p = numbers_of(scene)
             if self._moves:
-                most = max(most, steps_for(phase(p, duration), _PHASE_PER_STEP))
+                most = max(most, steps_for(phase(p, duration), _PHASE_PER_STEP), fewest_steps(p))
             else:
                 most = max(most, steps_for(forced_rate(p) * duration, _PHASE_PER_PANEL))
             if self.accuracy.steps is None and most > _MOST_STEPS:

@@ -308,6 +308,8 @@ def _check(scene: Scene, strut: str, duration: float | None, name: str) -> None:
         raise InputError(f"name = {name!r} must be a C identifier: letters, digits and _, at most 63, no digit first")
     if not scene.effects.motion:
         raise InputError("a scene without motion has nothing to integrate: an FMU needs effects with motion = True")
+    if scene.effects.tow_profile is not None:
+        raise InputError("the input of an FMU is the strut's motion: leave tow_profile out")
     if scene.effects.orbit != "transient":
         raise InputError(
             "a periodic orbit has no start to integrate from: an FMU needs effects with orbit = 'transient'"

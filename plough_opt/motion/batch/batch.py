@@ -370,6 +370,8 @@ def _check_scene(scene: Scene) -> None:
             "a batch integrates a motion from its start: use orbit = 'transient' and a long duration, or po.simulate"
             " for the periodic orbit of each design"
         )
+    if effects.tow_profile is not None:
+        raise InputError("a batch has a constant tow speed or a tow_ramp: use po.simulate for each design")
     if effects.events:
         cause = "StickSlip" if isinstance(effects.contact, StickSlip) else "the entry of a share"
         raise InputError(

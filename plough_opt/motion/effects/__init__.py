@@ -2,6 +2,7 @@
 
 from plough_opt.motion.effects.effects import MOST_HARMONICS, Effects, HarmonicBalance
 from plough_opt.motion.effects.own import OWN_EFFECTS, Own, OwnResistance, RestingResistance, slopes
+from plough_opt.motion.effects.profile import SpeedProfile, TowProfile, profile_of
 from plough_opt.motion.effects.terms import (
     Damping,
     Entry,
@@ -23,11 +24,12 @@ from plough_opt.motion.effects.terms import (
 
 __all__ = [
     "MOST_HARMONICS", "OWN_EFFECTS", "TERMS", "Damping", "Effects", "Entry", "HarmonicBalance", "Own", "OwnResistance",
-    "Place", "RestingResistance", "Smooth", "SmoothContact", "StickSlip", "StickSlipContact", "StrengthWaves", "Term",
-    "TowRamp", "ramp_time", "resisted", "slopes", "wave_names",
+    "Place", "RestingResistance", "Smooth", "SmoothContact", "SpeedProfile", "StickSlip", "StickSlipContact",
+    "StrengthWaves", "Term", "TowProfile", "TowRamp", "profile_of", "ramp_time", "resisted", "slopes", "wave_names",
 ]  # fmt: skip
 
 TERMS: tuple[type[Term], ...] = (
-    StrengthWaves, SpeedTerm, RateTerm, InertialDrag, Entry, SmoothContact, StickSlipContact, Own, TowRamp, Damping,
+    StrengthWaves, SpeedTerm, RateTerm, InertialDrag, Entry, SmoothContact, StickSlipContact, Own, TowRamp, TowProfile,
+    Damping,
 )  # fmt: skip
 """Classes of all terms, in the order in which the resistance is built up from them."""

@@ -12,6 +12,7 @@ from plough_opt.core.plain_data import ByName
 from plough_opt.core.quantities import MOST_WAVES, read_fields
 from plough_opt.laws.printed import Formulation, Printed, errors_of
 from plough_opt.motion.effects.own import OwnResistance, check_own
+from plough_opt.motion.effects.profile import SpeedProfile
 from plough_opt.motion.effects.terms import Smooth, StickSlip
 from plough_opt.soil.random_strength import RandomStrength, Spectrum, StrengthWave, turns_of
 
@@ -63,6 +64,8 @@ class Effects:
             It enters stationary results such as `Scene.stationary_force_rms`, not the simulated motion.
         tow_ramp: time [s] in which the strut's speed rises from 0 by a C2 smoothstep; None or 0: full speed from the
             start. An expression with the value 0 means 1e-9 s, too short to matter, so that derivatives exist.
+        tow_profile: speed of the strut over time relative to the tow speed, or None. ``simulate(..., tow_speed=...)``
+            makes it of a table or a function. Laws of resistance are evaluated at the tow speed itself.
         damping: viscous damper c in the mount [N s/m], or None.
         speed_term: lambda [s/m] of F0 (1 + lambda L'), for calibration, or None. Not in the source: blades and chisels
             were measured to grow linearly with speed (Onwualu and Watts 1998; Al-Neama and Herlitzius 2016).
@@ -95,6 +98,7 @@ class Effects:
     strength_wave: StrengthWave | tuple[StrengthWave, ...] | None = None
     random_strength: Annotated[RandomStrength | Spectrum, ByName()] | None = None
     tow_ramp: Expression | None = None
+    tow_profile: SpeedProfile | None = None
     damping: Expression | None = None
     speed_term: Expression | None = None
     rate_term: Expression | None = None
@@ -121,6 +125,8 @@ class Effects:
         check_own(self.own, resting=isinstance(self.contact, StickSlip))
         if self.orbit != "transient":
             self._check_orbit()
+        if self.tow_profile is not None:
+            self._check_profile()
         if self.printed.repelling_spring and self.contact != "resisting":
             raise InputError("the print has no contact law: use contact = 'resisting' with its repelling spring")
 
@@ -161,6 +167,26 @@ class Effects:
             raise InputError("an orbit has no start: omit start, tow_ramp and entry")
         if self.printed.repelling_spring:
             raise InputError("the print's repelling spring has no periodic orbit: use formulation = 'derived'")
+
+    def _check_profile(self) -> None:
+        """Raise InputError if a strut whose speed varies cannot have one of the effects."""
+        check_kind("tow_profile", self.tow_profile, SpeedProfile, "a SpeedProfile")
+        if self.orbit != "transient":
+            raise InputError("a tow speed that varies has no periodic orbit: leave orbit out, or use a constant speed")
+        if self.tow_ramp is not None:
+            raise InputError(
+                "tow_ramp and a varying tow speed both prescribe the strut's motion: leave one of them out"
+            )
+        if self.events:
+            cause = "entry" if self.entry else "StickSlip"
+            raise InputError(
+                f"the events of {cause} are located at constant tow speed or with tow_ramp only: use Smooth(width)"
+                " without entry, or integrate scene.equation(controls=('tow_speed',)) with its events"
+            )
+        if self.random_strength is not None:
+            raise InputError(
+                "random strength has stationary results at a constant tow speed only: leave one of them out"
+            )
 
     def _check_quasi_static(self) -> None:
         """Raise InputError if a quasi-static scene cannot have one of the effects."""
@@ -204,3 +230,8 @@ class Effects:
     def ramps(self) -> bool:
         """Whether the strut's speed ramps up. A ramp of zero duration does not count."""
         return self.tow_ramp is not None and (is_symbolic(self.tow_ramp) or bool(np.any(as_number(self.tow_ramp) > 0)))
+
+    @property
+    def accelerates(self) -> bool:
+        """Whether the strut's speed varies."""
+        return self.ramps or self.tow_profile is not None

@@ -262,7 +262,7 @@ class Motion:
         p: parameters by name.
         swing: inverse of the largest angular frequency of the share on its mount [s].
         scales: sizes of the deviation w [m] and its rate w' [m/s], to which rounding is relative.
-        ramp: end of the strut's ramp [s]; 0 if there is none, or its end is an event.
+        kinks: times [s] at which the strut's motion is not smooth, unless they are events.
         start: state at time 0.
     """
 
@@ -290,11 +290,15 @@ class Motion:
         self.swing = hardness / stiffness
         # Rounding comes from the forces and, unless the start is steady, from the speed that the mount must take up.
         # Soil without resistance leaves the rounding of the latter.
-        steady = self.structure.start == "equilibrium" and not self.structure.ramp
+        steady = self.structure.start == "equilibrium" and not self.structure.accelerates
         least = speed * hardness * (EPS if steady else 1)
         force = self.structure.start_resistance(self.p) + least
         self.scales = np.array([force / stiffness, force / hardness])
-        self.ramp = LONGDOUBLE(0) if self.structure.ends_ramp else self.p.get("ramp_time", LONGDOUBLE(0))
+        self.kinks: list[LongDouble] = []
+        if self.structure.profile is not None:
+            self.kinks = [LONGDOUBLE(time) for time in self.structure.profile.profile.times]
+        elif "ramp_time" in self.p and not self.structure.ends_ramp:
+            self.kinks = [self.p["ramp_time"]]
         self.start: LongDouble = self._graph["start"](self._numbers)[0][:, 0]
 
     def rates(self, times: LongDouble, states: LongDouble) -> LongDouble:
@@ -400,7 +404,7 @@ def integrate(
     events: list[tuple[LongDouble, str]] = []
     now, size, at_once, steps = LONGDOUBLE(0), motion.swing, 0, 0
     while now < duration:
-        stop = motion.ramp if now < motion.ramp < duration else duration
+        stop = next((kink for kink in motion.kinks if now < kink < duration), duration)
         # The last step is a little longer rather than leaving almost nothing for another one.
         whole = stop - now <= size * LONGDOUBLE(1.001)
         done = step(degree, now, stop - now if whole else size, state, motion.rates, motion.scales)

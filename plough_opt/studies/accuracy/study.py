@@ -309,7 +309,7 @@ def _tight_slopes(program: Program, p: Array, at: Array) -> ca.Function:
             steps = steps_for(phase(dict(zip(spec.names, values, strict=True)), duration), _TIGHT_PHASE)
             accuracy = Accuracy("dop853", steps=steps)
         outputs = 1 if averages_only(run, whole, 1 + k) else spec.timeline.outputs
-        timeline = Timeline(outputs, accuracy.steps or MOST_ADAPTIVE, spec.timeline.kink)
+        timeline = Timeline(outputs, accuracy.steps or MOST_ADAPTIVE, spec.timeline.kinks)
         used = ca.veccat(*integration(spec.structure, accuracy, timeline).function.call([run.inputs]))
         # Outputs that the design does not use are left out of the integration.
         results.append(ca.vertcat(ca.MX.zeros(result.numel() - used.numel()), used))

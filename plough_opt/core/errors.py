@@ -7,6 +7,8 @@ from typing import Final
 
 # Most characters of a name that are compared with valid ones, because the time grows with the square of the length.
 _LONGEST_NAME: Final = 100
+# Least similarity, by difflib, of a name that is suggested.
+_SIMILAR: Final = 0.55
 # Categories of Unicode: control, format (such as the order of writing), surrogate, line and paragraph separator.
 _ODD: Final = ("Cc", "Cf", "Cs", "Zl", "Zp")
 # Format characters that spelling needs: a hyphen where a word may be broken, and two joiners of letters.
@@ -162,8 +164,19 @@ def printable(text: str) -> str:
     )
 
 
-def nearest(name: str, valid: Iterable[str]) -> str:
-    """Return a clause that suggests the nearest valid names, or lists all of them if none is near."""
-    names = sorted(valid)
-    close = difflib.get_close_matches(str(name)[:_LONGEST_NAME], names, n=2, cutoff=0.55)
-    return f"did you mean {' or '.join(map(repr, close))}?" if close else f"valid names: {', '.join(names)}"
+def nearest(name: str, valid: Iterable[str], fitting: Iterable[str] = ()) -> str:
+    """Return a clause that suggests the nearest valid names.
+
+    Args:
+        name: as written.
+        valid: all valid names; a dotted one is near if its last part is.
+        fitting: the names to suggest if none is near (default: all valid ones).
+    """
+    names, name, rest = sorted(valid), str(name)[:_LONGEST_NAME], sorted(fitting)
+    close = difflib.get_close_matches(name, names, n=2, cutoff=_SIMILAR)
+    if not close:
+        last = {full.rpartition(".")[2]: full for full in reversed(names) if "." in full}
+        close = [last[part] for part in difflib.get_close_matches(name, last, n=2, cutoff=_SIMILAR)]
+    if close or len(rest) == 1:
+        return f"did you mean {' or '.join(map(repr, close or rest))}?"
+    return f"valid names: {', '.join(rest or names)}"

@@ -26,8 +26,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.table import Table
 
-HEADING: Final = re.compile(r"\s*(?P<name>[\w.]+)\s*(?:\[(?P<unit>[^\]]*)\])?\s*")
-"""A column's name and its unit in brackets."""
+# A column's name, and its unit in brackets.
+_HEADING: Final = re.compile(
+    r"\s*(?P<name>[\w.]+(?:[\s-]+[\w.]+)*)\s*(?:(?:\[(?P<unit>[^\]]*)\]|\((?P<round>[^)]*)\)))?\s*"
+)
+# A number with a decimal comma.
+_COMMA: Final = re.compile(r"\s*[+-]?(?:[0-9]+,[0-9]*|,[0-9]+)(?:e[+-]?[0-9]+)?\s*", re.IGNORECASE)
 # Units customary in the field, for messages that ask for a unit.
 _CUSTOMARY: Final = {"N": "kN", "rad": "deg", "m/s": "km/h", "Pa": "kPa", "N/m": "kN/m", "W": "kW"}
 # Infinite numbers and NaN match too, because they get a different error message.
@@ -297,14 +301,15 @@ def data_frame(columns: Mapping[str, Any], units: Mapping[str, str]) -> pandas.D
 def read_rows(path: Path, what: str) -> list[tuple[int, list[str]]]:
     """Return the rows of a file with their line numbers, without comments and empty lines.
 
-    Separators at the end of lines, and lines of separators alone, as spreadsheets write them, are ignored.
+    Separators at the end of lines, and lines of separators alone, as spreadsheets write them, are ignored. Where
+    semicolons separate the cells, a decimal comma is read as a decimal point.
 
     Args:
         path: the file.
         what: name of its content in messages, such as "measurements".
 
     Raises:
-        InputError: the file is missing, too large or not UTF-8 text.
+        InputError: the file is missing, too large or not UTF-8 text, or has both decimal commas and decimal points.
     """
     text = read_text(path, f"a file of {what}", ".csv", _MOST_BYTES).removeprefix(BYTE_ORDER_MARK)
     rows = [(k, [*map(_unshielded, cells)]) for k, cells in _records(path, text) if any(map(str.strip, cells))]
@@ -334,12 +339,29 @@ def _records(path: Path, text: str) -> Iterator[tuple[int, list[str]]]:
 
     delimiter = next((mark for mark in "\t;" if mark in unquoted), ",")
     reader = csv.reader(fed(), delimiter=delimiter, skipinitialspace=True)
+    marks: dict[str, int] = {}  # decimal mark -> line that has it
     try:
         while (cells := next(reader, None)) is not None:
-            yield first, cells
+            yield first, _with_points(path, first, cells, marks) if delimiter == ";" else cells
             first = 0
     except csv.Error:
         raise InputError(f"{path}, line {first}: a quotation mark begins a cell that does not end: close it") from None
+
+
+def _with_points(path: Path, line: int, cells: list[str], marks: dict[str, int]) -> list[str]:
+    """Return the cells of a row with decimal points in place of decimal commas; ``marks`` records both by line."""
+    found = []
+    for cell in cells:
+        comma = _COMMA.fullmatch(cell)
+        if comma or ("." in cell and _NUMBER.fullmatch(cell.strip())):
+            marks.setdefault("comma" if comma else "point", line)
+        found.append(cell.replace(",", ".") if comma else cell)
+    if len(marks) > 1:
+        raise InputError(
+            f"{path}: line {marks['comma']} has a decimal comma and line {marks['point']} a decimal point: use one of"
+            " the two, and no separator of thousands"
+        )
+    return found
 
 
 def write_rows(file: TextIO, rows: Iterable[Sequence[object]]) -> None:
@@ -422,12 +444,33 @@ def number_of(cell: str, factor: float) -> float:
     if not text:
         raise InputError("the cell is empty: a number is expected; omit the whole row if it was not measured")
     if _NUMBER.fullmatch(text) is None:
-        hint = "a decimal point" if re.fullmatch(r"[+-]?\d+,\d+", text) else "it as 12.5 or 1.25e1, without its unit"
-        raise InputError(f"'{short(text)}' is not a number: write {hint}")
+        hint = "write it as 12.5 or 1.25e1, without its unit"
+        if _COMMA.fullmatch(text):
+            hint = "write a decimal point for the comma, or separate the columns by semicolons"
+        raise InputError(f"'{short(text)}' is not a number: {hint}")
     value = float(text) * factor
     if not math.isfinite(value):
         raise InputError(f"'{short(text)}' is not a finite number; omit the whole row if it was not measured")
     return value
+
+
+def heading_of(text: str, known: Iterable[str]) -> tuple[str, str | None]:
+    """Return the name and the unit of a column, such as "cone_index" and "kPa" of "Cone Index [kPa]".
+
+    Args:
+        text: the heading: a name, in capitals or not, its words joined by "_", "-" or blanks, and a unit in brackets or
+            after an underscore.
+        known: valid names; of any other name only the blanks are changed.
+    """
+    match = _HEADING.fullmatch(text)
+    if match is None:
+        return text.strip(), None
+    spelt = {name.lower(): name for name in known}
+    joined, unit = re.sub(r"[\s-]+", "_", match["name"]), match["unit"] or match["round"]
+    stem, _, last = joined.rpartition("_")
+    if unit is None and joined.lower() not in spelt and stem.lower() in spelt:
+        joined, unit = stem, last
+    return spelt.get(joined.lower(), joined), unit
 
 
 def columns_of(place: str, headings: Sequence[str], units: Mapping[str, Unit]) -> list[tuple[str, float]]:
@@ -444,15 +487,25 @@ def columns_of(place: str, headings: Sequence[str], units: Mapping[str, Unit]) -
     found: list[tuple[str, float]] = []
     errors = []
     for text in headings:
-        match = HEADING.fullmatch(text)
+        name, unit = heading_of(text, units)
         try:
-            if match is None or match["name"] not in units:
-                raise InputError(f"this column is unknown: {nearest(match['name'] if match else text, units)}")
-            found.append((match["name"], factor_of(match["name"], match["unit"], units[match["name"]])))
+            if name not in units:
+                fitting = [other for other in units if unit and _measures(unit, units[other])]
+                raise InputError(f"this column is unknown: {nearest(name, units, fitting)}")
+            found.append((name, factor_of(name, unit, units[name])))
         except InputError as error:
             errors.append(f"{place}, column '{short(text.strip())}': {error}")
     raise_listed(errors)
     return found
+
+
+def _measures(written: str, unit: Unit) -> bool:
+    """Return whether a unit in a heading is one of a quantity in an SI unit."""
+    try:
+        factor_of("", written, unit)
+    except InputError:
+        return False
+    return True
 
 
 def table_of(
@@ -476,9 +529,10 @@ def table_of(
     for number, cells in rows:
         place, values = f"{path}, line {number}", []
         if len(cells) != len(columns):
+            commas = ", and separate cells by semicolons if commas are decimal" if len(cells) > len(columns) else ""
             errors.append(
                 f"{place}: the row has {len(cells)} cells, but the header names {len(columns)} columns: give one"
-                " cell per column"
+                f" cell per column{commas}"
             )
             continue
         for k, (cell, (name, factor)) in enumerate(zip(cells, columns, strict=True)):

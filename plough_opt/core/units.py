@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, cast
@@ -21,6 +22,7 @@ _QUANTITY = re.compile(
     r"\s*(?P<number>[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*"
     r"(?P<unit>(?:[^\W\d_]|[°%])(?:[\w°%/*^.·³²()-]| (?=\S))*|)\s*"
 )
+_THOUSANDS: Final = re.compile(r"\s*[+-]?[0-9]{1,3},[0-9]{3}(?![0-9])")
 # Most characters of a quantity.
 _LONGEST: Final = 100
 # A power that is not a single digit: pint would compute 9^9^9 before rejecting it as a unit.
@@ -34,7 +36,14 @@ _COMMON: Final = {
     "second": {"s": 1.0, "ms": 0.001, "min": 60.0, "h": 3600.0},
     "gram": {"kg": 1e3, "g": 1.0, "t": 1e6},
     "meter / second": {"m/s": 1.0, "km/h": 0.2777777777777778, "mph": 0.44704},
-    "gram * meter / second ** 2": {"N": 1e3, "kN": 1e6, "lbf": 4448.221615260501},
+    "gram * meter / second ** 2": {
+        "N": 1e3,
+        "daN": 1e4,
+        "kN": 1e6,
+        "kgf": 9806.65,
+        "tf": 9806650.0,
+        "lbf": 4448.221615260501,
+    },
     "gram * meter ** 2 / second ** 3": {"W": 1e3, "kW": 1e6},
     "gram / meter / second ** 2": {"Pa": 1e3, "kPa": 1e6, "MPa": 1e9, "bar": 1e8, "psi": 6894757.293168363},
     "gram / meter ** 3": {"kg/m^3": 1e3, "g/cm^3": 999999.9999999999},
@@ -42,6 +51,8 @@ _COMMON: Final = {
     "gram / second": {"N*s/m": 1e3, "kN*s/m": 1e6},
     "second ** 2 / meter ** 2": {"s^2/m^2": 1.0},
 }
+# Names of units that mean different things in different trades.
+_AMBIGUOUS: Final = {"tonf": '"tf" is the metric ton-force, "2000 lbf" the American one'}
 _ROOTS: Final = {unit: (factor, root) for root, units in _COMMON.items() for unit, factor in units.items()}
 _EXAMPLES = {
     "m": '"0.3 m"', "rad": '"25 deg"', "kg": '"20 kg"', "s": '"2 s"', "m/s": '"7.2 km/h"', "N/m": '"50 kN/m"',
@@ -120,8 +131,8 @@ class Unit:
 
     def _factor(self, written: str, value: object) -> float:
         """Return the conversion factor from a written unit to this one."""
-        factor, kind = _root(written, value)
         own_factor, own_kind = _root(self.symbol, value)
+        factor, kind = _root(written, value, _COMMON.get(own_kind))
         if kind != own_kind:
             expected = f"a quantity in {self.symbol}" if self.symbol else "a pure number"
             raise InputError(f'= "{value}" has the wrong unit: expected {expected}, like {self.example()}')
@@ -150,6 +161,10 @@ def _parsed(text: str, example: str) -> tuple[float, str]:
         length = f"has {len(text)} characters; a quantity may have at most {_LONGEST}"
         raise InputError(f'= "{short(text)}" {length}: write it like {example}')
     match = _QUANTITY.fullmatch(text)
+    if match is None and _QUANTITY.fullmatch(text.replace(",", ".")):
+        thousands = f', or "{text.replace(",", "")}" if it separates thousands' if _THOUSANDS.match(text) else ""
+        point = text.replace(",", ".")
+        raise InputError(f'= "{text}" has a comma: write "{point}" with a decimal point{thousands}')
     if match is None:
         raise InputError(f'= "{text}" is not a quantity: write it like {example}')
     if _POWER.search(match["unit"]):
@@ -294,8 +309,14 @@ def display_of(value: object, unit: Unit) -> Display:
     return Display(match["unit"] if match else unit.symbol, factor)
 
 
-def _root(written: str, value: object) -> tuple[float, str]:
-    """Return a unit's factor to pint's root units, and those units, which distinguish an angle from a number."""
+def _root(written: str, value: object, wanted: Iterable[str] | None = None) -> tuple[float, str]:
+    """Return a unit's factor to pint's root units, and those units, which distinguish an angle from a number.
+
+    Args:
+        written: the unit.
+        value: the quantity, for messages.
+        wanted: units to list if nothing like the written one is known (default: all common ones).
+    """
     if written in _ROOTS:
         return _ROOTS[written]
     try:
@@ -306,6 +327,6 @@ def _root(written: str, value: object) -> tuple[float, str]:
             text = f'= "{value}" is not a quantity: its unit cannot be read; write one like "kN*s/m"'
             raise InputError(text) from None
         names = names if isinstance(names, str) else ", ".join(names)
-        valid = nearest(names, filter(None, _ROOTS))
+        valid = _AMBIGUOUS.get(names) or nearest(names, filter(None, _ROOTS), filter(None, wanted or _ROOTS))
         raise InputError(f"= \"{value}\" has an unknown unit '{names}': {valid}") from None
     return float(cast(float, factor)), str(root)

@@ -161,7 +161,12 @@ def average_readings(source: Source, folder: Path) -> str:
         written, depth = soil.get("penetrometer"), soil.get("depth")
         if not isinstance(written, str) or not isinstance(depth, str):
             raise InputError('penetrometer = "FILE.csv" and depth = "25..45 cm" belong together: give both')
-        between, _ = read_axis(depth, Unit("m"), sampled=True)
+        try:
+            between, _ = read_axis(depth, Unit("m"), sampled=True)
+        except InputError:
+            raise InputError(
+                f'depth = "{depth}" is not a range of depths: write the shallower first, like "25..45 cm"'
+            ) from None
         assert isinstance(between, Range)  # which read_axis returns for samples
         found = read_penetrometer(folder / written, (between.lower, between.upper))
         source.read_files[written] = exact_text(folder / written)

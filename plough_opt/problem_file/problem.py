@@ -56,6 +56,11 @@ class FileVariable:
     domain: tuple[float, float]
     tolerance: float | str | None = None
 
+    @property
+    def words(self) -> str:
+        """The bounds in words, such as "0.1 m to 0.5 m"."""
+        return f"{self.display.text(self.lower)} to {self.display.text(self.upper)}"
+
     def declared(self, design: Design, name: str, guess: float) -> Expression:
         """Declare the variable in a design under a name and with a guess, and return its symbol."""
         return design.variable(name, guess=guess, lower=self.lower, upper=self.upper, unit=self.unit, log=self.log,

@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any, Final
 from pydantic import ValidationError
 
 from plough_opt.core.checks import check_kind, path_of
-from plough_opt.core.errors import InputError, nearest, short
-from plough_opt.core.expressions import is_count
+from plough_opt.core.errors import DomainError, InputError, nearest, short
+from plough_opt.core.expressions import as_number, is_count
 from plough_opt.core.quantities import IN_FILES, READINGS, quantities
-from plough_opt.core.units import Display, display_of
+from plough_opt.core.units import Display, display_of, in_words
 from plough_opt.laws.law import ResistanceLaw
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.vocabulary import Measure
@@ -84,7 +84,8 @@ def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
     notes = tuple(note for text in overrides if (note := apply_override(source, text)))
     names = names_of_shares(source)
     if not names:
-        return _read(source, Path(path).parent, notes, overrides)
+        found = _read(source, Path(path).parent, notes, overrides)
+        return dataclasses.replace(found, notes=(*found.notes, *_soil_notes(found, path, overrides)))
     parts, own = {}, {}
     for name in names:
         view = copy.copy(source)
@@ -138,6 +139,23 @@ def _read(source: Source, folder: Path, notes: tuple[str, ...], overrides: tuple
     source.raise_noted()
     check_values(source, problem)
     return problem
+
+
+def _soil_notes(problem: Problem, path: str | Path, overrides: tuple[str, ...]) -> tuple[str, ...]:
+    """Return a note if overrides change a soil that has been measured, with what they do to the draft."""
+    own = [text for text in overrides if text.strip().startswith("soil.")]
+    if not own or problem.table.soil.penetrometer is None:
+        return ()
+    try:
+        before = read_problem(path, [text for text in overrides if text not in own])
+        drafts = [float(as_number(one.scene().steady_resistance)) for one in (before, problem)]
+    except (InputError, DomainError):  # the file holds no soil without the overrides
+        return ()
+    unused = "" if problem.readings else ", and the penetrometer's readings are not used"
+    low, high = (in_words(draft, "N", 4) for draft in drafts)
+    percent = 100.0 * (drafts[1] / drafts[0] - 1.0)
+    changed = f"the steady draft at the guesses changes from {low} to {high} ({percent:+.2g} %)"
+    return (f"{', '.join(own)} changes a soil that a penetrometer has measured: {changed}{unused}",)
 
 
 def check_changed(problem: Problem) -> None:
@@ -268,7 +286,8 @@ def _change(source: Source, keys: list[str], value: Any, text: str) -> str:
     if not all(key.strip() for key in keys):
         raise InputError(f"'{path}' is not a key: give a table and a key, like scene.tow_speed")
     if keys[0] not in ProblemTable.model_fields:
-        raise InputError(f"no table is named '{keys[0]}': {nearest(keys[0], ProblemTable.model_fields)}")
+        valid = IN_FILES if len(keys) == 1 else ProblemTable.model_fields
+        raise InputError(f"no table is named '{keys[0]}': {nearest(keys[0], valid, ProblemTable.model_fields)}")
     if keys[0] == _SHARES and isinstance(shares, dict) and shares and keys[1] not in shares:
         raise InputError(f"no share is named {short(repr(keys[1]))}: {nearest(keys[1], shares)}")
     place: Any = source.data
@@ -286,10 +305,20 @@ def _change(source: Source, keys: list[str], value: Any, text: str) -> str:
     own = source.data[_SHARES][keys[1]] if share else source.data  # the table around [variables]
     if isinstance(own, dict):
         join_dotted_variables(own)
-        variables = own.get("variables")
-        if isinstance(variables, dict) and variables.pop(".".join(keys[share:]), None) is not None:
-            return f"'{path}' is a variable of the file and is now fixed at {text.partition('=')[2].strip()}"
+        variables, name = own.get("variables"), ".".join(keys[share:])
+        if isinstance(variables, dict) and (declared := variables.pop(name, None)) is not None:
+            outside = _outside(name, value, declared)
+            return f"'{path}' is a variable of the file and is now fixed at {text.partition('=')[2].strip()}{outside}"
     return ""
+
+
+def _outside(key: str, value: Any, declared: Any) -> str:
+    """Return a clause about a value outside the bounds of its variable, or ""."""
+    try:
+        x, lower, upper = (quantities()[key].parse(one) for one in (value, declared["lower"], declared["upper"]))
+    except (InputError, KeyError, TypeError):  # a mistake that is reported when the file is read
+        return ""
+    return "" if lower <= x <= upper else f", outside its bounds {declared['lower']} to {declared['upper']}"
 
 
 def _keys_of(path: str) -> list[str]:

@@ -44,6 +44,8 @@ _TOKEN: Final = re.compile(
     r"|[\[\]{}\n]",
     re.DOTALL,
 )
+# A number with a decimal comma where TOML expects a value.
+_DECIMAL_COMMA: Final = re.compile(r"^[^#\"']*=\s*([+-]?[0-9]+,[0-9]+)(?![\w\"'])")
 # Size limits: far above any file written by hand, and low enough that any content is read within a second.
 _MAX_BYTES: Final = 100_000
 _MAX_LINE_LENGTH: Final = 1_000  # below the 4300 digits beyond which Python refuses to parse an integer
@@ -94,8 +96,13 @@ class Source:
             self.data: dict[str, Any] = tomllib.loads(self.text)
         except tomllib.TOMLDecodeError as error:
             at = re.search(r"at line (\d+)", str(error))
-            where = f", line {at[1]}" if at else f", line {len(self.text.splitlines()) or 1}"
-            raise InputError(f"{name}{where}: not valid TOML: {_with_remedy(str(error).split(' (at')[0])}") from None
+            lines = self.text.splitlines() or [""]
+            number = int(at[1]) if at else len(lines)
+            comma = _DECIMAL_COMMA.search(lines[min(number, len(lines)) - 1])
+            remedy = _with_remedy(str(error).split(" (at")[0])
+            if comma is not None:
+                remedy = f"{comma[1]} has a decimal comma: write {comma[1].replace(',', '.')}"
+            raise InputError(f"{name}, line {number}: not valid TOML: {remedy}") from None
         if wrong := unreadable(self.data):
             raise self.error(*wrong)
 
@@ -384,6 +391,11 @@ def read_axis(text: str, unit: Unit, *, sampled: bool = False) -> tuple[Axis, Di
 
 def _read_list(text: str, unit: Unit) -> tuple[Axis, Display]:
     parts = [part.strip() for part in text.split(",")]
+    if len(parts) == 2 and re.match(r"[0-9]", text.partition(",")[2]) and _NUMBER.fullmatch(parts[0]):
+        raise InputError(
+            f'"{text}" may be one number with a decimal comma, or two: write "{text.replace(",", ".")}" with a decimal'
+            f' point, or "{parts[0]}, {parts[1]}" with a blank'
+        )
     if len(parts) < 2:
         raise InputError(f'"{text}" is one value: fix it with --set, or {_how(unit)}')
     numbers = [_split(part, parts[-1], unit) for part in parts]

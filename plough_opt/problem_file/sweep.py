@@ -96,11 +96,15 @@ class ProblemSweep:
             corner.design()
         evaluation, how = _evaluation(problem, tuple(axes), what, method, count)
         fixed = [name for name in axes if what == "optimise" and name in problem.variables]
-        notes = tuple(f"'{name}' is a variable of the file: every point fixes it" for name in fixed)
+        notes = [f"'{name}' is a variable of the file: every point fixes it" for name in fixed]
+        for name, variable in problem.variables.items():
+            low, high = _ends(axes[name]) if name in axes else (variable.lower, variable.upper)
+            if low < variable.lower or high > variable.upper:
+                notes.append(f"'{name}' is swept outside its bounds in the file, {variable.words}")
         units = quantities()
         shown = {name: displays.get(name, Display(units[name].symbol, 1.0)) for name in axes}
         origin = Origin(problem.title, {**problem.displays, **shown})
-        return cls(evaluation, axes, origin, count, _question(problem, axes, what, how), how, notes)
+        return cls(evaluation, axes, origin, count, _question(problem, axes, what, how), how, tuple(notes))
 
     def run(self, **rest: Any) -> Sweep:
         """Return the results at every point; arguments as in `sweep`."""

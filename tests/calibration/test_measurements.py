@@ -100,7 +100,7 @@ WRONG_FILES = [
     ("mean_draft [kN]; sigma [%]\n1e300; 1e300\n", "sigma = inf must be a finite number"),
     (HEADER + "3.6, 40, 4.0, -0.1\n", "line 2, column 'sigma [kN]': -0.1 must be above 0"),
     ("mount_force [N], time [s]\n1, -1\n", "column 'time [s]': -1 must be at least 0"),
-    ("mean_draft [kN]; sigma [kN]\n4,1; 0,1\n", "'4,1' is not a number: write a decimal point"),
+    ("mean_draft [kN]\tsigma [kN]\n4,1\t0,1\n", "'4,1' is not a number: write a decimal point"),
     (f"{HEADER}3.6, 40, {'4' * 10_000}, 0.1\n", "line 2: it has 10014 characters, but at most 10000 can be read"),
     # nothing
     ("", "the file is empty"),

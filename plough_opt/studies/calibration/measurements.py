@@ -13,7 +13,7 @@ from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import InputError
 from plough_opt.core.plain_data import Array, MaybeInfinite
 from plough_opt.core.quantities import every_quantity, quantities
-from plough_opt.core.tables import HEADING, columns_of, raise_listed, read_rows, table_of
+from plough_opt.core.tables import columns_of, heading_of, raise_listed, read_rows, table_of
 from plough_opt.core.units import Unit, in_si
 from plough_opt.motion.vocabulary import MEASURES
 
@@ -221,7 +221,7 @@ def read_measurements(path: str | Path) -> Measurements:
     ``scene.tow_speed [km/h], share.wedge_angle [deg], mean_draft [kN], sigma [kN]``. Conditions have their keys in a
     problem file. There is one measured result, and optionally ``sigma`` (its standard deviation, in its unit or in
     ``%``) or ``weight``; ``mount_force`` needs a column ``time``. Cells are numbers with a decimal point, separated by
-    commas, semicolons or tabs.
+    commas, semicolons or tabs; between semicolons they may have decimal commas.
 
     Raises:
         InputError: the file does not exist, or has an invalid column or cell; the message lists each with line, column,
@@ -237,7 +237,7 @@ def read_measurements(path: str | Path) -> Measurements:
     if not rows:
         raise InputError(f"{path}: the file is empty: name the columns in its first line, such as {_EXAMPLE}")
     line, headings = rows[0]
-    relative = any((m := HEADING.fullmatch(text)) and (m["name"], m["unit"]) == ("sigma", "%") for text in headings)
+    relative = any(heading_of(text, ("sigma",)) == ("sigma", "%") for text in headings)
     columns = _columns(f"{path}, line {line}", headings, relative)
     if len(rows) == 1:
         raise InputError(f"{path}, line {line}: there is no row below the header: add the measured values")
@@ -260,12 +260,13 @@ def _columns(place: str, headings: Sequence[str], relative: bool) -> list[tuple[
     Raises:
         InputError: invalid columns, or columns that do not go together; the message lists all.
     """
-    measured = [m["name"] for text in headings if (m := HEADING.fullmatch(text)) and m["name"] in measurable()]
+    measured = [name for text in headings if (name := heading_of(text, measurable())[0]) in measurable()]
     units = {**quantities(), **{name: MEASURES[name].unit for name in measurable()}}
     of_sigma = MEASURES[measured[0]].unit if measured and not relative else Unit("")
     units |= {"sigma": of_sigma, "weight": Unit(""), "time": Unit("s")}
     # Without a measured result the unit of sigma is unknown: report the missing result only.
-    columns = columns_of(place, [text for text in headings if measured or "sigma" not in text], units)
+    known = (text for text in headings if measured or heading_of(text, ("sigma",))[0] != "sigma")
+    columns = columns_of(place, [*known], units)
     names = [name for name, _ in columns]
     twice = sorted({name for name in names if names.count(name) > 1})
     errors = [f"{place}, column '{key}': it is given twice: leave one of the two out" for key in twice]

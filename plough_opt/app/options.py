@@ -18,6 +18,10 @@ from plough_opt.core.units import Unit
 
 _SHARED: Final[dict[str, dict[str, Any]]] = {
     "json": {"action": "store_true", "help": "print JSON (SI units) instead of a table"},
+    "over": {
+        "choices": ("worst", "mean"),
+        "help": "minimise the worst or the mean within the tolerances, and keep all requirements there",
+    },
     "plot": {"metavar": "FILE", "help": "write a picture: .png, .svg or .pdf"},
     "csv": {"metavar": "FILE", "help": "write a table of all points as CSV"},
     "output": {"metavar": "FILE", "help": "write the whole result as JSON"},
@@ -219,6 +223,7 @@ def _optimise(verb: _Parser) -> None:
     verb.option("search", "HOW", search, default="auto")
     judge = "rank optima by their median within the tolerances, or by their own objective (default: tolerance)"
     verb.choice("judge", ("tolerance", "bare"), judge, "tolerance")
+    verb.shared("over")
     verb.switch(
         "sensitivity", "print the change of the optimum in per cent for one per cent more of every quantity and limit"
     )
@@ -298,7 +303,7 @@ def _export(verb: _Parser) -> None:
 
 def _report(verb: _Parser) -> None:
     verb.add_argument("-o", "--output", required=True, metavar="FILE.html", help="page to write")
-    verb.shared("seed", json="print the path of the page and its provenance as JSON")
+    verb.shared("over", "seed", json="print the path of the page and its provenance as JSON")
     verb.switch("no-accuracy", "omit the comparison of integration methods")
 
 

@@ -265,6 +265,7 @@ def notes(report: Report) -> list[str]:
     """Return all warnings as sentences."""
     found = [*(report.best.warnings if report.best else ()), *report.run.warnings]
     if report.best is not None:
+        found = [*filter(None, [report.best.keeping()]), *found]
         for direction in report.best.flat_directions:
             names = _listed([called(name) for name, change in direction.items() if change])
             found.append(f"the optimum is not unique: the result does not change along {names}; fix one of these")

@@ -13,7 +13,7 @@ from plough_opt.core.compiler import compiler_problem
 from plough_opt.core.errors import InfeasibleDesign, NotConverged
 from plough_opt.core.expressions import Column
 from plough_opt.design.certify.confirmation import converged_tightly, flat_directions, minimum_from, with_enough_steps
-from plough_opt.design.certify.tolerance import BOX_DESIGNS, Judge, boxes, ranked, ranking_criterion, unit_box
+from plough_opt.design.certify.tolerance import BOX_DESIGNS, Judge, boxes, corners, ranked, ranking_criterion, unit_box
 from plough_opt.design.declarations import Declarations, Requirement, Variable
 from plough_opt.design.model.ipopt import Point, Vector
 from plough_opt.design.model.program import Program, with_sure_steps
@@ -288,7 +288,7 @@ class ToleranceBoxSolver:
             count = designs_per_box(own)
             over = (
                 f"the objective is the {self._over} of {count} designs within the tolerances, all of which meet the"
-                " requirements"
+                f" requirements, as do {len(corners(len(own.variables), count))} corners of the box"
             )
             declared = over_box(own, count, bounds)
             self._built = key, Program.of(declared, compiled=self._bare.compiled, bare=self._bare, over=over)
@@ -299,7 +299,7 @@ def over_box(declared: Declarations, count: int, bounds: tuple[float, float] | N
     """Return a design problem over a sample of the tolerance box around the chosen design.
 
     The sampled designs have their variables within the tolerances, clipped at the bounds. All of them must meet the
-    requirements.
+    requirements, and so must the corners of the box, or with many variables some of them.
 
     Args:
         declared: the problem of the bare design.
@@ -309,12 +309,13 @@ def over_box(declared: Declarations, count: int, bounds: tuple[float, float] | N
     symbols = [v.symbol for v in declared.variables]
     expressions = [declared.objective, *(r.expression for r in declared.requirements)]
     found = []
-    for position in unit_box(len(symbols))[:count]:
+    for position in np.vstack([unit_box(len(symbols))[:count], corners(len(symbols), count)]):
         within: list[Column] = [
             v.within_tolerance(v.symbol, float(part)) for v, part in zip(declared.variables, position, strict=True)
         ]
         found.append(ca.graph_substitute(expressions, symbols, within))
-    objectives, *columns = (ca.vertcat(*column) for column in zip(*found, strict=True))
+    objectives = ca.vertcat(*(objective for objective, *_ in found[:count]))
+    columns = [ca.vertcat(*column) for column in [*zip(*found, strict=True)][1:]]
     everywhere = [replace(r, expression=column) for r, column in zip(declared.requirements, columns, strict=True)]
     if bounds is None:
         mean = ca.sum1(objectives) / objectives.numel()

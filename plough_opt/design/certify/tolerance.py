@@ -1,5 +1,6 @@
 """Objective and margins over the tolerance box around a design, that is, of the share as a workshop makes it."""
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -41,7 +42,8 @@ class Spread:
     Attributes:
         median: median objective of the designs that can be evaluated.
         worst: largest objective of these.
-        margins: smallest margin of each requirement, positive if met, in its unit.
+        margins: smallest margin of each requirement in the sample and at corners of the box (all of them with up to six
+            variables), positive if met, in its unit.
         kept: fraction of the designs that meet all requirements. It is about a tenth if two limits are active: a share
             that must meet its limits as made needs a margin.
         needle: whether the median exceeds the design's own objective by more than 5 % (of a quarter of its median size
@@ -60,10 +62,16 @@ class Spread:
         return f"As made, within the tolerances: median objective {self.median:.6g}, worst {self.worst:.6g}{kept}."
 
 
-def boxes(variables: Sequence[Variable], points: Vector) -> Vector:
-    """Return the sampled designs of the tolerance boxes around scaled designs, box after box."""
-    unit = unit_box(len(variables))
-    found = np.empty((len(points), BOX_DESIGNS, len(variables)))
+def boxes(variables: Sequence[Variable], points: Vector, unit: Vector | None = None) -> Vector:
+    """Return the sampled designs of the tolerance boxes around scaled designs, box after box.
+
+    Args:
+        variables: of the design.
+        points: scaled designs, a row each.
+        unit: designs in the unit box, a row each (default: `unit_box`).
+    """
+    unit = unit_box(len(variables)) if unit is None else unit
+    found = np.empty((len(points), len(unit), len(variables)))
     for k, v in enumerate(variables):
         low, high = v.tolerance_interval(points[:, k, None])
         found[:, :, k] = low + (high - low) * unit[:, k]
@@ -138,13 +146,17 @@ def spread(landscape: Landscape, y: Vector, objective: float) -> Spread | None:
         landscape = Landscape(program, landscape.p, range(len(program.declared.variables)))
     landscape, y = _as_made(landscape), y[: landscape.dimensions]
     program = landscape.program
-    _, f, g = landscape.rows_after_elimination(boxes(program.declared.variables, y[None]), finer=FINER)
+    n = len(program.declared.variables)
+    designs = boxes(program.declared.variables, y[None], np.vstack([unit_box(n), corners(n, BOX_DESIGNS)]))
+    _, f, g = landscape.rows_after_elimination(designs, finer=FINER)
+    everywhere, g_everywhere, f, g = np.isfinite(f), g, f[:BOX_DESIGNS], g[:BOX_DESIGNS]
     valid = np.isfinite(f)
     scale = landscape.objective_scale
     values = f[valid] * scale if np.any(valid) else np.array([objective])
     median = float(np.median(values))
     too_high = _too_high(landscape, np.array([median / scale]), np.array([objective / scale]))
-    least = program.least_margins(g)[valid].min(axis=0) if np.any(valid) else np.zeros(len(program.scales))
+    margins = program.least_margins(g_everywhere)[everywhere]
+    least = margins.min(axis=0) if np.any(everywhere) else np.zeros(len(program.scales))
     return Spread(
         median=median,
         worst=float(values.max()),
@@ -165,6 +177,13 @@ def _too_high(landscape: Landscape, median: Vector, own: Vector) -> NDArray[np.b
     typical = float(np.median(sizes)) if len(sizes) else 0.0
     found: NDArray[np.bool_] = median - own > NEEDLE * np.maximum(np.abs(own), _SMALL_OBJECTIVE * typical)
     return found
+
+
+def corners(n: int, most: int) -> Vector:
+    """Return the corners of the unit box, a row each; of more than ``most``, only those nearest to a sample."""
+    if n < most.bit_length():
+        return np.array([*itertools.product((0.0, 1.0), repeat=n)])
+    return np.unique(np.round(unit_box(n)[:most]), axis=0)
 
 
 @lru_cache(maxsize=16)

@@ -248,6 +248,8 @@ class LocalOptimum(Saveable):
         return tuple(limit.name for limit in self.limits if limit.active)
 
 
+# A smaller fraction of designs as made that meet all requirements is pointed out.
+_FEW_KEPT = 0.5
 # A cost below this percentage of the objective is rounding.
 _NO_COST = 1e-9
 _WITHOUT_DESIGN = "this optimum was saved without its design: evaluate expressions before saving it, or solve again"
@@ -324,9 +326,36 @@ class Optimum(LocalOptimum):
             f"gap of the objective to a tight integration {self.gap:.0e}, error estimate {self.error_estimate:.0e};"
             f" {self.seconds:.2f} s"
         )
-        notes = (*self.warnings, *(() if self.run is None else self.run.warnings))
+        kept = self.keeping()
+        notes = (*([kept] if kept else []), *self.warnings, *(() if self.run is None else self.run.warnings))
         heading = f"Best design: objective {self.objective:.9g} ({self.status})"
         return Page(heading, tuple(parts), notes, trust, self.origin.title)
+
+    @property
+    def cost_of_keeping(self) -> float | None:
+        """Estimated rise of the objective if all designs within the tolerances must meet all requirements.
+
+        It is the difference to the worst objective in the tolerance box, plus the multiplier of each requirement times
+        the margin that the requirement loses in the box. None without a spread, or if ``over`` keeps them already.
+        """
+        if self.spread is None or self.over:
+            return None
+        lost = ((one.multiplier, one.margin - self.spread.margins[one.name]) for one in self.limits
+                if one.kind == "requirement")  # fmt: skip
+        return self.spread.worst - self.objective + sum(price * max(0.0, loss) for price, loss in lost)
+
+    def keeping(self) -> str:
+        """Return a sentence on requirements that few designs as made meet, without its full stop, or ""."""
+        cost = self.cost_of_keeping
+        if cost is None or self.spread is None or not self.spread.margins or self.spread.kept >= _FEW_KEPT:
+            return ""
+        # Other requirements may then decide, whose price is unknown.
+        more = any(not one.active and self.spread.margins.get(one.name, 0.0) < 0.0 for one in self.limits)
+        size = f"{100.0 * cost / abs(self.objective):.2g} %" if self.objective else f"{cost:.2g}"
+        return (
+            f"only {100.0 * self.spread.kept:.0f} % of the designs within the tolerances meet all requirements; to keep"
+            f' them in all designs costs about {size}{" or" * more} more of the objective: over = "worst"'
+        )
 
     def _others(self) -> Grid:
         judged = [] if self.spread is None else ["as made"]

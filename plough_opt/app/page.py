@@ -192,6 +192,16 @@ def optima(report: Report) -> Grid | None:
     return grid
 
 
+def bought(report: Report) -> Grid | None:
+    """Return a table of the best design in catalogue values, if the file has catalogues."""
+    best = report.best
+    if best is None or best.bought is None:
+        return None
+    grid, _ = best.bought.comparison(best)
+    grid.rows = [(called(name), *map(nice, cells)) for name, *cells in grid.rows]
+    return grid
+
+
 def scene(report: Report) -> Grid:
     """Return a table of the fixed quantities and effects of the scene."""
     fixed = report.problem.fixed
@@ -490,8 +500,8 @@ def _short(values: Iterable[float]) -> list[float]:
 _CONTENT: Final = {
     part.__name__: part
     for part in (
-        answer, cards, question, variables, requirements, response, share, optima, searched, scene, soil, sensitivities,
-        accuracy, notes,
+        answer, cards, question, variables, requirements, response, share, bought, optima, searched, scene, soil,
+        sensitivities, accuracy, notes,
     )
 }  # fmt: skip
 

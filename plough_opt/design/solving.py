@@ -288,8 +288,10 @@ class ToleranceBoxSolver:
             count = designs_per_box(own)
             over = (
                 f"the objective is the {self._over} of {count} designs within the tolerances, all of which meet the"
-                f" requirements, as do {len(corners(len(own.variables), count))} corners of the box"
+                " requirements"
             )
+            if own.requirements:
+                over += f", as do {len(corners(len(own.variables), count))} corners of the box"
             declared = over_box(own, count, bounds)
             self._built = key, Program.of(declared, compiled=self._bare.compiled, bare=self._bare, over=over)
         return self._built[1]

@@ -55,6 +55,7 @@ class FileVariable:
     display: Display
     domain: tuple[float, float]
     tolerance: float | str | None = None
+    catalogue: tuple[float, ...] | float | None = None  # values, or a step whose multiples can be made
 
     @property
     def words(self) -> str:
@@ -428,7 +429,9 @@ class Problem:
             runs = {name: replace(own, origin=self.shares[name].made(seed)) for name, own in found.runs.items()}
             found = replace(found, runs=runs)
         found = replace(found, origin=origin)
-        return replace(best, run=found, origin=origin), found
+        best = replace(best, run=found, origin=origin)
+        catalogues = {name: v.catalogue for name, v in self.variables.items() if v.catalogue is not None}
+        return (best.with_catalogues(catalogues) if catalogues else best), found
 
     def trade_off(self, points: int | None = None, progress: Progress | None = None) -> TradeOff:
         """Return the Pareto front of the results in [trade_off]; [minimise] is ignored.

@@ -192,6 +192,8 @@ def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Pro
         with source.noting(("variables", key)):
             if key not in units:
                 raise InputError(f"'{key}' cannot be a variable: {nearest(key, units)}")
+            if table.uncertain is not None and (declared.catalogue or declared.step) is not None:
+                raise InputError(f"'{key}' has a catalogue, which is for one soil: remove it, or the table [uncertain]")
             variables[key] = _variable(source, key, declared)
             displays[key] = variables[key].display
     fixed: dict[str, float] = {}
@@ -235,7 +237,32 @@ def _variable(source: Source, key: str, declared: VariableTable) -> FileVariable
             f"the guess {declared.guess} of '{key}' lies outside its bounds {declared.lower} to {declared.upper}"
         )
     display, tolerance = display_of(declared.lower, unit), _tolerance(source, key, declared.tolerance)
-    return FileVariable(lower, upper, guess, declared.log, unit.symbol, display, IN_FILES[key].domain, tolerance)
+    catalogue = _catalogue(source, key, declared, lower, upper)
+    own = unit.symbol, display, IN_FILES[key].domain, tolerance, catalogue
+    return FileVariable(lower, upper, guess, declared.log, *own)
+
+
+def _catalogue(
+    source: Source, key: str, declared: VariableTable, lower: float, upper: float
+) -> tuple[float, ...] | float | None:
+    """Return the values or the step of a variable, in SI; raise InputError if none lies between its bounds."""
+    unit, place = quantities()[key], ("variables", key, "catalogue")
+    if declared.step is not None:
+        if declared.catalogue is not None:
+            raise InputError(f"'{key}' has a catalogue and a step: remove one")
+        place = ("variables", key, "step")
+        step = source.parsed(place, unit, declared.step, f"'{key}' step")
+        if step <= 0.0 or math.floor(upper / step) < math.ceil(lower / step):
+            ends = f"{declared.lower} to {declared.upper}"
+            raise source.error(place, f"'{key}' step = {declared.step} must be above 0, with a multiple in {ends}")
+        return step
+    if declared.catalogue is None:
+        return None
+    found = tuple(source.parsed(place, unit, one, f"'{key}' catalogue") for one in declared.catalogue)
+    if not any(lower <= value <= upper for value in found):
+        ends = f"{declared.lower} to {declared.upper}"
+        raise source.error(place, f"no value in the catalogue of '{key}' lies between its bounds {ends}: add one")
+    return found
 
 
 def _tolerance(source: Source, key: str, written: str | float | None) -> float | str | None:

@@ -229,13 +229,15 @@ class RandomStrengthTable(Table):
 
 
 class VariableTable(Table):
-    """Bounds of a variable as written; the name of the variable decides the unit."""
+    """Bounds of a variable as written, and values or a step to choose from; its name decides the unit."""
 
     lower: Written
     upper: Written
     guess: Written | None = None
     log: StrictBool = False
     tolerance: Written | None = None
+    catalogue: Annotated[list[Written], Field(min_length=1)] | None = None
+    step: Written | None = None
 
 
 class TermTable(Table):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from plough_opt.core.checks import mapping_of
 from plough_opt.core.equality import ByValue
-from plough_opt.core.errors import InputError, printable, short
+from plough_opt.core.errors import InfeasibleDesign, InputError, printable, short
 from plough_opt.core.expressions import is_casadi, map_expressions
 from plough_opt.core.files import drawn
 from plough_opt.core.plain_data import Array, ByName, MaybeInfinite, Unsaved
@@ -248,6 +248,8 @@ class LocalOptimum(Saveable):
         return tuple(limit.name for limit in self.limits if limit.active)
 
 
+# Digits of values that are bought or made.
+_DIGITS = 5
 # A smaller fraction of designs as made that meet all requirements is pointed out.
 _FEW_KEPT = 0.5
 # A cost below this percentage of the objective is rounding.
@@ -272,6 +274,7 @@ class Optimum(LocalOptimum):
         seconds: time that the solve took [s].
         warnings: doubts and limits that a reader of the numbers must know.
         sensitivities: sensitivities to parameters and limits, if they were computed before the optimum was saved.
+        bought: for a problem file with catalogues, the best design in their values.
         run: for a problem file, the numeric run at this design, or the runs of several shares.
         origin: the question that this optimum answers.
 
@@ -295,6 +298,7 @@ class Optimum(LocalOptimum):
     warnings: tuple[str, ...] = ()
     solved: Annotated[Solved | None, Unsaved()] = field(repr=False, compare=False, default=None)
     sensitivities: tuple[Sensitivity, ...] = ()
+    bought: Rounded | None = None
     run: Annotated[Run | Machine, ByName()] | None = None
     origin: Origin = field(default=Origin())
     kind = "optimum"
@@ -317,6 +321,8 @@ class Optimum(LocalOptimum):
             parts.insert(1, self.run.response())
         if self.over:
             parts.append(f"Within the tolerances: {self.over}.")
+        if self.bought is not None:
+            parts += self.bought.comparison(self)
         if len(self.local_optima) > 1:
             parts.append(self._others())
         parts += [self._free(direction) for direction in self.flat_directions]
@@ -471,6 +477,16 @@ class Optimum(LocalOptimum):
         found: Rounded = solved.rounder(solved, offered)
         return found
 
+    def with_catalogues(self, catalogues: Mapping[str, Any]) -> Optimum:
+        """Return the optimum with the best design in catalogue values beside it: see `rounded`.
+
+        If none meets the requirements, a warning says so.
+        """
+        try:
+            return replace(self, bought=self.rounded(catalogues))
+        except InfeasibleDesign as error:
+            return replace(self, warnings=(*self.warnings, f"nothing in the catalogue will do: {error}"))
+
     def _unique(self) -> Solved:
         if self.flat_directions:
             along = "; ".join(", ".join(name for name, change in d.items() if change) for d in self.flat_directions)
@@ -535,6 +551,17 @@ class Rounded(Optimum):
     def cost_percent(self) -> float:
         """Increase of the objective by the rounding, in per cent of the unrounded one; NaN if that is 0."""
         return 100.0 * self.cost / abs(self.unrounded) if self.unrounded else math.nan
+
+    def comparison(self, best: Optimum) -> tuple[Grid, str]:
+        """Return a table of the values beside those of the unrounded optimum, and a sentence on the search."""
+        grid = Grid.of("The best from the catalogue", "", "best", "from the catalogue", "")
+        for name, value in self.variables.items():
+            ends = (best.display(name).text(x, _DIGITS) for x in (best.variables[name], value))
+            grid.row(name, *ends, "catalogue" if name in self.fixed else "")
+        cost = f"{self.cost_percent:+.2g} %" if self.unrounded else f"{self.cost:+.2g}"
+        grid.row("objective", *(f"{x:.{_DIGITS}g}" for x in (self.unrounded, self.objective)), cost)
+        infeasible = f"; {len(self.infeasible)} of them cannot meet the requirements" if self.infeasible else ""
+        return grid, f"From the catalogue, {self._extent_of_search()}{infeasible}."
 
     @property
     def infeasible(self) -> tuple[Choice, ...]:

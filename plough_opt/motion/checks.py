@@ -34,6 +34,10 @@ _NEARLY_STOPS = 5e-3
 # A slipping share with a backward speed above this fraction of the fastest speed shows that its stop was missed. A
 # smaller one is due to rounding of the time of the stop.
 _MISSED = 1e-5
+# Part of a wave that may be missing by rounding.
+_WHOLE_WAVES: Final = 1e-9
+# Change of the mean draft by a broken wave that deserves a warning [%].
+_BROKEN_WAVE: Final = 0.5
 # Places in a wavelength at which own resistances are compared with those one wavelength further on.
 _OWN_PLACES = 16
 # Relative difference of such resistances that is due to rounding of the travel.
@@ -322,7 +326,29 @@ def refuse_missed_event(run: Run) -> None:
 
 def remarks(run: Run) -> tuple[str, ...]:
     """Return the warnings that follow from the outputs of a motion."""
-    return (*retreat(run), *grazing(run))
+    return (*retreat(run), *grazing(run), *broken_wave(run))
+
+
+def broken_wave(run: Run) -> tuple[str, ...]:
+    """Return a warning if the mean draft of a transient differs from that over its whole waves."""
+    waves = run.scene.effects.waves
+    if not waves or run.scene.effects.orbit != "transient":
+        return ()
+    duration = float(run.duration)
+    period = max(float(wave.wavelength) for wave in waves) / float(run.scene.tow_speed)
+    count = math.floor(duration / period + _WHOLE_WAVES)
+    if count < 1:
+        return ()
+    times = np.append(run.time[run.time < count * period], count * period)
+    forces = np.interp(times, run.time, run.mount_force)
+    whole, every = np.trapezoid(forces, times) / times[-1], np.trapezoid(run.mount_force, run.time) / duration
+    percent = 100.0 * float(every / whole - 1.0)
+    if abs(percent) <= _BROKEN_WAVE:
+        return ()
+    return (
+        f"the run ends within a strength wave, which changes its mean draft by {percent:+.2g} %: take the"
+        f' {count} whole waves of {count * period:.4g} s, in a file by average = "whole waves" in [scene]',
+    )
 
 
 def retreat(run: Run) -> tuple[str, ...]:

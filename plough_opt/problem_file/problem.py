@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
 
 from plough_opt.core.checks import check_kind, check_named, check_switch, mapping_of
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Column, Expression, as_number
+from plough_opt.core.expressions import Column, Expression, as_number, floor, maximum
 from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display, Unit
@@ -22,7 +23,7 @@ from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import Measure
 from plough_opt.problem_file.measures import measures_of, total_of
-from plough_opt.problem_file.schema import LimitTable, ProblemTable, medium_of
+from plough_opt.problem_file.schema import WAVES, LimitTable, ProblemTable, medium_of
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT, Wedge
 from plough_opt.soil.random_strength import Spectrum
 from plough_opt.soil.soil import Soil, named_soil
@@ -40,6 +41,8 @@ _READING = "soil.cone_index"
 _SIDES = ("lower", "upper", "guess")
 TRADED = "[trade_off] with two or three results, such as mean_draft = {} and loosened_radius = { maximise = true }"
 """An example of a [trade_off] table, for messages."""
+# Part of a wave that is missing by rounding.
+_WHOLE: Final = 1e-9
 _POINTS = 40  # on a front, if the file gives no number
 
 
@@ -196,12 +199,15 @@ class Problem:
     def values(self, changes: Mapping[str, Expression] | None = None) -> dict[str, Expression]:
         """Return key -> value in SI of every quantity: fixed values and guesses, updated by changes.
 
-        A change of the property that the cone index decides replaces the cone index.
+        With ``average = "whole waves"`` the duration is that of the whole waves that the file's duration holds. A
+        change of the property that the cone index decides replaces the cone index.
         """
         changed = mapping_of("changes", changes, "a quantity's key -> its value")
         found = {**self.fixed, **{key: v.guess for key, v in self.variables.items()}, **changed}
         if self.table.soil.adjusted in changed:
             found.pop(_READING, None)
+        if self.table.scene.average == "whole waves":
+            found["scene.duration"] = _whole_waves(found)
         return found
 
     def scene(self, changes: Mapping[str, Expression] | None = None) -> Scene:
@@ -524,6 +530,14 @@ def _output(name: str, table: ProblemTable, objective: Callable[[Run], Expressio
         lower=-math.inf if low is None else low,
         upper=math.inf if high is None else high,
     )
+
+
+def _whole_waves(values: Mapping[str, Expression]) -> Expression:
+    """Return the time in which the share passes as many of the longest waves as fit into the duration, or one [s]."""
+    lengths = [value for key, value in values.items() if key in {f"{name}.wavelength" for name in WAVES}]
+    period = reduce(maximum, lengths) / values["scene.tow_speed"]
+    count = floor(values["scene.duration"] / period + _WHOLE)
+    return maximum(count, 1.0) * period
 
 
 def by_share(parts: Mapping[str, Mapping[str, _T]], own: Mapping[str, set[str]]) -> dict[str, _T]:

@@ -54,7 +54,7 @@ _MAX_LENGTH: Final = 2_000
 _SHOWN: Final = 120
 _SHARES: Final = "shares"
 # Keys of [scene] that belong to the frame and cannot differ between shares.
-_FRAME_KEYS: Final = ("tow_speed", "duration", "outputs")
+_FRAME_KEYS: Final = ("tow_speed", "duration", "outputs", "average")
 _BY_READING: Final = "follows from the cone index: remove it, or set soil.adjust to another property"
 _EXAMPLE: Final = '[shares.front] with soil.cohesion = "15 kPa"'
 # Fewest and most positions on a front.
@@ -503,6 +503,9 @@ def check_complete(source: Source, table: ProblemTable, known: set[str]) -> None
             excess[key] = f'belongs to contact = "{law}", which is not set in [effects]'
     if effects.orbit != "transient":
         excess["scene.duration"] = "is not used by a periodic orbit, whose duration is one wavelength: remove it"
+    waves = [key for key in known if IN_FILES[key].owner in WAVES]
+    if table.scene.average != "run" and (effects.orbit != "transient" or not waves):
+        source.note(("scene", "average"), "'scene.average' = \"whole waves\" needs a transient over a strength wave")
     if at(table, RANDOM) is None:
         excess |= dict.fromkeys(random, f"belongs to {RANDOM}, which is missing: add it to [effects]")
     elif at(table, f"{RANDOM}.record") is not None:

@@ -161,6 +161,7 @@ class SceneTable(Table):
 
     medium: Annotated[Any, AfterValidator(checked_medium), Field(json_schema_extra=describe_media)] = "plastic"
     outputs: Annotated[StrictInt, Field(ge=1, le=100_000)] = 400
+    average: Literal["run", "whole waves"] = "run"
 
     @property
     def law(self) -> ResistanceLaw:

@@ -1,4 +1,4 @@
-"""Exports to other tools: scenes as C code, CasADi Functions, OpenMDAO components and FMUs, and shares as solids.
+"""Exports to other tools: scenes as C, JavaScript, CasADi Functions, OpenMDAO components and FMUs; shares as solids.
 
 OpenMDAO is imported on first use.
 """
@@ -9,13 +9,22 @@ from typing import TYPE_CHECKING, Any
 from plough_opt.core.signatures import readable
 from plough_opt.exchange.export.c import write_c
 from plough_opt.exchange.export.fmu import write_fmu
+from plough_opt.exchange.export.javascript import write_javascript
 from plough_opt.exchange.export.part import write_part
 from plough_opt.exchange.export.serialised import write_casadi
 
 if TYPE_CHECKING:
     from plough_opt.exchange.export.openmdao import PloughComponent, write_openmdao
 
-__all__ = ["PloughComponent", "write_c", "write_casadi", "write_fmu", "write_openmdao", "write_part"]
+__all__ = [
+    "PloughComponent",
+    "write_c",
+    "write_casadi",
+    "write_fmu",
+    "write_javascript",
+    "write_openmdao",
+    "write_part",
+]
 
 
 def __getattr__(name: str) -> Any:

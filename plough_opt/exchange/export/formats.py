@@ -118,6 +118,15 @@ def _casadi(request: Request) -> Written:
     return Written((path, *([Path(description)] if description else [])), str(component), f"python -c {load}{warning}")
 
 
+def _javascript(request: Request) -> Written:
+    from plough_opt.exchange.export.javascript import write_javascript
+
+    component = request.component()
+    path = write_javascript(component, request.path)
+    hint = f"in node or a page: import {{ evaluate }} from './{path.name}'; evaluate({{}}) has the results"
+    return Written((path,), str(component), hint)
+
+
 def _openmdao(request: Request) -> Written:
     from plough_opt.exchange.export.openmdao import write_openmdao
 
@@ -183,6 +192,7 @@ _PART_OPTIONS = ("opening", "thickness", "body", "at")
 FORMATS: Final[dict[str, Format]] = {
     "c": Format("a new folder with C source, header and a test", _c),
     "casadi": Format("serialised CasADi Function", _casadi, (".casadi",), ("inputs", "outputs", "name", "description")),
+    "javascript": Format("ES module for web pages and node", _javascript, (".mjs", ".js")),
     "openmdao": Format("a new folder with a Python module", _openmdao, needs="openmdao.api"),
     "fmu": Format("FMU for model exchange, FMI 3.0", _fmu, (".fmu",), ("name", "strut", "sources")),
     "stl": Format("triangles of the share in mm", _part, (".stl",), _PART_OPTIONS, "trimesh"),

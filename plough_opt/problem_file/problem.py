@@ -314,10 +314,10 @@ class Problem:
         if not self.table.minimise:
             raise InputError(f"{self.name}: nothing to minimise: add a table [minimise]")
         design, runs = self._required(parameters)
-        design.minimise(self._objective(*runs.values()), over=self.over)
+        design.minimise(self.objective(*runs.values()), over=self.over)
         return design, Machine(runs) if self.shares else runs[""]
 
-    def _objective(self, *runs: Run) -> Expression:
+    def objective(self, *runs: Run) -> Expression:
         """Return the sum of the terms in [minimise] over all shares."""
         objective: Expression = 0.0
         measures = measures_of(self.table)
@@ -339,7 +339,7 @@ class Problem:
         symbols = {name: variable.declared(design, name, variable.guess) for name, variable in self.variables.items()}
         chosen = dict(symbols)
         if parameters:
-            for name, x in self._numbers().items():
+            for name, x in self.numbers().items():
                 key = self._split(name)[1]
                 symbols[name] = design.parameter(name, x, unit=EVERY[key].unit, domain=EVERY[key].domain)
         runs = {name: part._symbolic(*(self._of_share(name, own) for own in (symbols, chosen)))
@@ -387,7 +387,7 @@ class Problem:
             InputError: no inputs or outputs, an unknown name, or a scene that such a Function cannot represent.
             DomainError: bounds outside the model's domain.
         """
-        values = {**self._numbers(), **{key: v.guess for key, v in self.variables.items()}}
+        values = {**self.numbers(), **{key: v.guess for key, v in self.variables.items()}}
         bounds = {key: Input(key, v.lower, v.upper) for key, v in self.variables.items()}
 
         def make(changes: Mapping[str, Expression]) -> tuple[Scene, Expression | None]:
@@ -396,18 +396,18 @@ class Problem:
         return build(
             make,
             input_ports(self.name, inputs, bounds, values),
-            wanted_outputs(self.name, self.table, outputs, self._objective),
+            wanted_outputs(self.name, self.table, outputs, self.objective),
             accuracy=self.accuracy,
             samples=self.table.scene.outputs if samples is None else samples,
             name=name,
         )
 
-    def _numbers(self) -> dict[str, float]:
+    def numbers(self) -> dict[str, float]:
         """Return key -> value of every quantity that is not a variable, including the properties of a named soil."""
         if self.shares:
             given = {share: {key for key in part.fixed if f"{share}.{key}" in self.fixed}
                      for share, part in self.shares.items()}  # fmt: skip
-            return by_share({share: part._numbers() for share, part in self.shares.items()}, given)
+            return by_share({share: part.numbers() for share, part in self.shares.items()}, given)
         soil = self.scene().soil
         own = {name: getattr(soil, one.key) for name, one in QUANTITIES.items() if one.owner == "soil"}
         every = {**own, **self.fixed}

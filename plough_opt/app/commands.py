@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import hashlib
 import json
 import shlex
+import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from plough_opt.app import tables
 from plough_opt.app.options import MODELS, given_quantities
 from plough_opt.app.terminal import console, give, progress, read, wrote
+from plough_opt.core.compiler import cache_folder
 from plough_opt.core.errors import InputError
-from plough_opt.core.files import write_new
+from plough_opt.core.files import check_file, write_new
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion.effect_costs import effect_costs
 from plough_opt.problem_file import Problem, template
@@ -167,3 +170,31 @@ def accuracy(options: argparse.Namespace) -> None:
     nominal = ("the study uses the nominal soil and ignores its uncertainty",) if problem.table.uncertain else ()
     study = dataclasses.replace(study, origin=problem.origin, notes=(*study.notes, *nominal))
     give(options, study.page(), study.to_json, study.plot)
+
+
+def explore(options: argparse.Namespace) -> None:
+    """Write the page of a file, and open it in the browser unless a path is given.
+
+    Raises:
+        InputError: as `report`.
+    """
+    from plough_opt.app.report import explored_file, provenance_of
+
+    target = _cached(options.file) if options.output is None else check_file(options.output, "page", ".html")
+    problem = read(options)
+    with progress() as notify:
+        path = explored_file(problem, target, notify, seed=options.seed, provenance=provenance_of(options, problem))
+    if options.json:
+        print(json.dumps({"wrote": [str(path)]}, indent=2, allow_nan=False))
+    elif options.output is None:
+        webbrowser.open(f"{path.resolve().as_uri()}#explore")
+    wrote(path)
+
+
+def _cached(file: str) -> Path:
+    """Return the path of a file's page in the user's cache folder."""
+    digest = hashlib.sha256(str(Path(file).resolve()).encode(errors="surrogateescape")).hexdigest()[:16]
+    try:
+        return cache_folder() / "pages" / f"{Path(file).stem}-{digest}.html"
+    except (OSError, RuntimeError) as error:
+        raise InputError(f"there is no cache folder for the page ({error}): give its path by -o FILE.html") from None

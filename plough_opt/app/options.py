@@ -307,6 +307,12 @@ def _report(verb: _Parser) -> None:
     verb.switch("no-accuracy", "omit the comparison of integration methods")
 
 
+def _explore(verb: _Parser) -> None:
+    where = "page to write, which is then not opened (default: one in the user's cache folder, which is opened)"
+    verb.add_argument("-o", "--output", metavar="FILE.html", help=where)
+    verb.shared("seed", json="print the path of the page as JSON, and open nothing")
+
+
 def _accuracy(verb: _Parser) -> None:
     verb.option("error", "E", "relative error to reach (default: 1e-6)", type=float, default=1e-6)
     limit = "time limit of one use of a method; a search may take ten times as long (default: 1)"
@@ -366,6 +372,7 @@ _COMMANDS: Final = {
     "calibrate": _Command("field_data", "estimate soil parameters from measured draft", _calibrate),
     "export": _Command("export", "write the scene for other tools: C, CasADi, OpenMDAO, FMU", _export),
     "report": _Command("report", "write everything about the best share as one HTML page", _report),
+    "explore": _Command("commands", "open a page that computes any other design, beside the report", _explore),
     "accuracy": _Command("commands", "compare error and time of integration methods", _accuracy),
 }  # fmt: skip
 

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from plough_opt.app.panels import Panel, changing
+from plough_opt.app.page_model import PageModel, page_model, shown_in
+from plough_opt.app.panels import Panel, changing, deflection_of, force_of
+from plough_opt.core.errors import InputError
 from plough_opt.core.files import COLOURS
 from plough_opt.core.process import optional
 from plough_opt.core.quantities import EVERY, QUANTITIES
@@ -21,8 +23,10 @@ from plough_opt.design import Limit, Optimum, Sensitivity
 from plough_opt.design.search.landscape import FEASIBLE
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion import Run
+from plough_opt.motion.run import OUTPUTS as UNITS_OVER_TIME
 from plough_opt.motion.vocabulary import called
 from plough_opt.problem_file import Problem
+from plough_opt.problem_file.reading import tables_of
 from plough_opt.soil.geometry import Solid, Wedge
 
 if TYPE_CHECKING:
@@ -514,7 +518,13 @@ def page(report: Report) -> str:
     Raises:
         InputError: jinja2 is not installed.
     """
-    return _rendered("page.html", report=report, c=_CONTENT, data=data(report))
+    model, why = None, ""
+    try:
+        model = page_model(report.problem)
+    except InputError as refusal:
+        why = str(refusal)
+    shown = data(report) | {"model": model and explored(report, model)}
+    return _rendered("page.html", report=report, c=_CONTENT, data=shown, model=model, why=why)
 
 
 def motion_page(run: Run, title: str) -> str:
@@ -524,6 +534,24 @@ def motion_page(run: Run, title: str) -> str:
         InputError: jinja2 is not installed.
     """
     return _rendered("motion.html", title=title, data={"motion": motion(run)})
+
+
+def explored(report: Report, model: PageModel) -> dict[str, Any]:
+    """Return what the page's controls must know: its model, the best design, the file, and units over time."""
+    problem, best = report.problem, report.best
+    panels = {panel.name: {"label": panel.name, **shown_in(panel.unit)} for panel in
+              (force_of(report.run), deflection_of(report.run))}  # fmt: skip
+    return {
+        **model.data,
+        "best": {} if best is None else best.variables,
+        "optima": [{"x": one.variables, "objective": one.objective} for one in (best.local_optima if best else ())],
+        "objective": bool(problem.table.minimise),
+        "panels": panels,
+        "units": UNITS_OVER_TIME,
+        "file": problem.name,
+        "overrides": problem.overrides,
+        "tables": tables_of(problem),
+    }
 
 
 def _rendered(name: str, **values: Any) -> str:

@@ -172,7 +172,7 @@ def _input(problem: Problem, key: str, value: float) -> dict[str, Any]:
     high = variable.upper if variable else min(quantity.high, value + size)
     return {
         "name": key, "label": called(key), "group": "variables" if variable else quantity.owner, "unit": quantity.unit,
-        **_shown(display), "lower": low, "upper": high, "log": bool(variable and variable.log), "value": value,
+        **shown_in(display), "lower": low, "upper": high, "log": bool(variable and variable.log), "value": value,
         "variable": variable is not None, "limit": _limit(limit),
     }  # fmt: skip
 
@@ -184,10 +184,11 @@ def _limit(limit: DomainLimit) -> dict[str, Any]:
 
 def _result(problem: Problem, name: str, unit: str) -> dict[str, Any]:
     display = problem.origin.display(name, unit)
-    return {"name": name, "label": called(name), "unit": unit, **_shown(display)}
+    return {"name": name, "label": called(name), "unit": unit, **shown_in(display)}
 
 
-def _shown(display: Display) -> dict[str, Any]:
+def shown_in(display: Display) -> dict[str, Any]:
+    """Return a unit as plain data."""
     return {"symbol": display.symbol, "factor": display.factor}
 
 

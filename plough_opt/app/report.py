@@ -15,7 +15,7 @@ from plough_opt.core.process import optional
 from plough_opt.design import Progress, Sensitivity
 from plough_opt.motion import Run
 from plough_opt.motion.machine import Machine
-from plough_opt.problem_file import Problem
+from plough_opt.problem_file import Problem, read_problem
 from plough_opt.studies.accuracy.study import study_accuracy
 
 # Time limit [s] of one use of an integration method: every efficient one needs less than a tenth of it.
@@ -35,11 +35,43 @@ def report(options: argparse.Namespace) -> None:
     _check(problem)
     with progress() as notify:
         found = reported(problem, notify, seed=options.seed, accuracy=not options.no_accuracy)
-    found = replace(found, provenance=_provenance(options, problem), text=problem.text)
+    found = replace(found, provenance=provenance_of(options, problem), text=problem.text)
     path = write_file(options.output, "report", page(found))
     if options.json:
         print(json.dumps({"wrote": [str(path)], "provenance": found.provenance}, indent=2, allow_nan=False))
     wrote(path)
+
+
+def explore(problem: Problem | str | Path, path: str | Path, *, seed: int = 0) -> Path:
+    """Write the page of a problem file: its report, and controls that compute any other design in the browser.
+
+    Args:
+        problem: a problem, or the path of its file.
+        path: path of the page, ending in .html; an existing file is replaced.
+        seed: seed of the search's samples.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: the file has a mistake, several shares, traded results or an uncertain soil, or the page cannot be
+            written.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.explore("problems/cotton_subsoiler.toml", "out/cotton.html")  # doctest: +SKIP
+    """
+    target = check_file(path, "page", ".html")
+    known = problem if isinstance(problem, Problem) else read_problem(problem)
+    return explored_file(known, target, lambda *_: None, seed=seed, provenance={})
+
+
+def explored_file(problem: Problem, path: Path, notify: Progress, *, seed: int, provenance: dict[str, str]) -> Path:
+    """Write the page of a problem without a comparison of integration methods; return its path."""
+    optional("jinja2")
+    _check(problem)
+    found = reported(problem, notify, seed=seed, accuracy=False)
+    return write_file(path, "page", page(replace(found, provenance=provenance, text=problem.text)))
 
 
 def _check(problem: Problem) -> None:
@@ -56,7 +88,7 @@ def _check(problem: Problem) -> None:
         )
 
 
-def _provenance(options: argparse.Namespace, problem: Problem) -> dict[str, str]:
+def provenance_of(options: argparse.Namespace, problem: Problem) -> dict[str, str]:
     """Return heading -> text of everything that identifies how a report was made."""
     from plough_opt.core.saving import versions
 

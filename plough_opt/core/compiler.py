@@ -114,7 +114,7 @@ def library(source: str, variants: tuple[Variant, ...], symbols: Sequence[str] =
         return None
     name = hashlib.sha256("\0".join((source, *_FLAGS, str(variants), _identity(command))).encode()).hexdigest()
     failure = ""
-    for folder_of in (_cache_folder, _temporary_folder):
+    for folder_of in (cache_folder, _temporary_folder):
         if command[0] in _hanging:
             failure = _hanging[command[0]]
             break
@@ -276,7 +276,7 @@ def _private(folder: Path) -> Path:
     return place
 
 
-def _cache_folder() -> Path:
+def cache_folder() -> Path:
     """Return the folder of the user's libraries.
 
     Raises:

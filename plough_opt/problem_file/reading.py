@@ -277,6 +277,16 @@ def _tolerance(source: Source, key: str, written: str | float | None) -> float |
     return half
 
 
+def tables_of(problem: Problem) -> dict[str, Any]:
+    """Return the tables of a problem's file as they are written, with its overrides; names of variables are keys."""
+    source = Source(problem.text, problem.name)
+    for text in problem.overrides:
+        apply_override(source, text)
+    join_dotted_variables(source.data)
+    join_dotted(source.data)
+    return source.data
+
+
 def apply_override(source: Source, text: str) -> str:
     """Change one key of a parsed file; return a note if this fixed a variable, else "".
 

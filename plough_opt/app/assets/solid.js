@@ -1,7 +1,8 @@
 "use strict";
 /* The share, its cone and the compacted soil, drawn by OGL; turned by mouse, touch, keys and buttons. */
-(() => {
-  const figure = document.getElementById("solid"), canvas = figure.querySelector("canvas");
+/** Draw bodies in a figure; return a function that draws others with the same names, or null without WebGL. */
+function solidView(figure, first) {
+  const canvas = figure.querySelector("canvas");
   const START = { turn: 2.25, tilt: 0.36, far: 0.8 };
   const view = { ...START };
   let renderer;
@@ -11,7 +12,7 @@
   } catch {
     canvas.hidden = true;
     figure.querySelector(".missing").hidden = false;
-    return;
+    return null;
   }
   const gl = renderer.gl;
   gl.clearColor(0.984, 0.988, 0.992, 1);
@@ -21,7 +22,8 @@
     void main() { vec3 m = normalize(gl_FrontFacing ? n : -n); float light = 0.74 + 0.34 * max(0.0, dot(m, normalize(vec3(-0.6, 0.5, 0.6)))) + 0.12 * max(0.0, m.y);
       gl_FragColor = vec4(mix(colour, colour * light, lit), opacity); }`;
   const rgb = (hex) => [1, 3, 5].map((k) => parseInt(hex.slice(k, k + 2), 16) / 255);
-  const material = (colour, opacity, lit) => new ogl.Program(gl, { vertex: VERTEX, fragment: FRAGMENT, transparent: opacity < 1, cullFace: false,
+  const programs = {};
+  const material = (colour, opacity, lit) => programs[colour + opacity + lit] ||= new ogl.Program(gl, { vertex: VERTEX, fragment: FRAGMENT, transparent: opacity < 1, cullFace: false,
     depthWrite: opacity === 1, uniforms: { colour: { value: rgb(colour) }, opacity: { value: opacity }, lit: { value: lit } } });
 
   /* The data has z up; the picture y. Triangles have corners of their own, and normals of the face or, on cones, of the surface. */
@@ -42,22 +44,31 @@
     }
     return made;
   }
-  const scene = new ogl.Transform(), shown = {};
+  const shown = {};
+  let scene = new ogl.Transform(), size = 0;
   const extent = (body, k) => { let low = Infinity, high = -Infinity; for (let i = k; i < body.vertices.length; i += 3) { low = Math.min(low, body.vertices[i]); high = Math.max(high, body.vertices[i]); } return [low, high]; };
-  const wedge = DATA.bodies.find((b) => b.id === "share"), round = DATA.bodies.filter((b) => b.id !== "share");
-  const reach = Math.max(...round.map((b) => extent(b, 1)[1]));
-  const half = wedge ? extent(wedge, 1)[1] : 0, gap = wedge ? half + reach + 0.5 * reach : 0;
-  for (const body of DATA.bodies) {
-    const made = shown[body.id] = mesh(body);
-    const [low, high] = extent(body, 0), [down, up] = extent(body, 2);
-    made.position.set(-(low + high) / 2, body.id === "share" ? -(down + up) / 2 : 0, body.id === "share" ? gap / 2 : -gap / 2);
-    made.setParent(scene);
+  function fill(bodies) {
+    scene.traverse((one) => { if (one.geometry) one.geometry.remove(); });
+    scene = new ogl.Transform();
+    const wedge = bodies.find((b) => b.id === "share"), round = bodies.filter((b) => b.id !== "share");
+    const reach = Math.max(...round.map((b) => extent(b, 1)[1]));
+    const half = wedge ? extent(wedge, 1)[1] : 0, gap = wedge ? half + reach + 0.5 * reach : 0;
+    for (const body of bodies) {
+      const made = mesh(body);
+      made.visible = shown[body.id]?.visible ?? true;
+      shown[body.id] = made;
+      const [low, high] = extent(body, 0), [down, up] = extent(body, 2);
+      made.position.set(-(low + high) / 2, body.id === "share" ? -(down + up) / 2 : 0, body.id === "share" ? gap / 2 : -gap / 2);
+      made.setParent(scene);
+    }
+    /* An arrow along the direction of travel, between the bodies. */
+    const long = Math.max(...bodies.map((b) => extent(b, 0)[1])), above = 1.05 * reach, head = 0.08 * long;
+    const arrow = [[0.4, 0], [-0.5, 0], [-0.5, 0], [-0.5 + head / long, 0.5 * head], [-0.5, 0], [-0.5 + head / long, -0.5 * head]].flatMap(([x, z]) => [x * long, above, z]);
+    new ogl.Mesh(gl, { mode: gl.LINES, program: material("#12202c", 1, 0), geometry: new ogl.Geometry(gl, { position: { size: 3, data: new Float32Array(arrow) }, normal: { size: 3, data: new Float32Array(arrow.length).fill(0.5) } }) }).setParent(scene);
+    /* The first bodies decide the scale, so that later ones are seen to grow. */
+    size ||= Math.hypot(Math.max(...bodies.map((b) => extent(b, 0)[1])), gap + half + reach, 2 * reach) / 2;
   }
-  /* An arrow along the direction of travel, between the bodies. */
-  const long = Math.max(...DATA.bodies.map((b) => extent(b, 0)[1])), above = 1.05 * reach, head = 0.08 * long;
-  const arrow = [[0.4, 0], [-0.5, 0], [-0.5, 0], [-0.5 + head / long, 0.5 * head], [-0.5, 0], [-0.5 + head / long, -0.5 * head]].flatMap(([x, z]) => [x * long, above, z]);
-  new ogl.Mesh(gl, { mode: gl.LINES, program: material("#12202c", 1, 0), geometry: new ogl.Geometry(gl, { position: { size: 3, data: new Float32Array(arrow) }, normal: { size: 3, data: new Float32Array(arrow.length).fill(0.5) } }) }).setParent(scene);
-  const size = Math.hypot(Math.max(...DATA.bodies.map((b) => extent(b, 0)[1])), gap + half + reach, 2 * reach) / 2;
+  fill(first);
   const camera = new ogl.Camera(gl, { fov: 28, near: 0.01 * size, far: 40 * size });
 
   function draw() {
@@ -100,4 +111,6 @@
   canvas.addEventListener("wheel", (event) => { if (event.ctrlKey) { event.preventDefault(); move(event.deltaY < 0 ? "in" : "out"); } }, { passive: false });
   new ResizeObserver(draw).observe(canvas);
   draw();
-})();
+  return (bodies) => { fill(bodies); draw(); };
+}
+solidView(document.getElementById("solid"), DATA.bodies);

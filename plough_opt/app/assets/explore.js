@@ -1,0 +1,285 @@
+"use strict";
+/* The design in the reader's hand: controls, results, landscape. All numbers come from workers that run engine.js. */
+(() => {
+  const section = document.getElementById("explore"), model = DATA.model;
+  section.hidden = false;
+  document.querySelectorAll("[data-explore]").forEach((link) => { link.hidden = false; });
+  if (!model) return;
+  const { inputs } = model, place = (id) => document.getElementById(id);
+  const variables = inputs.flatMap((one, k) => one.variable ? [k] : []);
+  const initial = inputs.map((one) => model.best[one.name] ?? one.value);
+  const columns = [...inputs.filter((one) => one.variable), ...model.results,
+    { ...model.panels.force, name: "peak_force", label: "peak mount force" }, { ...model.panels.deflection, name: "peak_deflection", label: "peak deflection" }];
+  const DESIGNS = 2000, CHUNK = 50, CURVE = 61, MOST_PINS = 4, COLOURS = ["#d55e00", "#009e73", "#cc79a7", "#e69f00"];
+  let x = [...initial], now = null, best = null, error = model.error, pins = [], moves = 0, cloud = [], curve = [], computedFor = "";
+
+  /* Workers: one answers the controls, the other samples, so that a move never waits. */
+  const text = `const MODEL = ${JSON.stringify(model)};\n${place("engine").textContent}`;
+  const url = URL.createObjectURL(new Blob([text], { type: "text/javascript" }));
+  function worker() {
+    const made = new Worker(url), waiting = new Map();
+    let count = 0;
+    made.onmessage = ({ data }) => {
+      const [resolve, reject] = waiting.get(data.id);
+      waiting.delete(data.id);
+      if (data.why) reject(new RangeError(data.why)); else resolve(data.found);
+    };
+    return (task, ...given) => new Promise((resolve, reject) => { waiting.set(++count, [resolve, reject]); made.postMessage({ id: count, task, given }); });
+  }
+  const [quick, slow] = [worker(), worker()];
+
+  const make = (tag, given = {}, ...children) => { const one = Object.assign(document.createElement(tag), given); one.append(...children); return one; };
+  const shown = (one, value) => withUnit(value / one.factor, one.symbol);
+  const percent = (change) => `${change > 0 ? "+" : ""}${number(100 * change)} %`;
+  const value = (one, u) => one.log ? one.lower * (one.upper / one.lower) ** u : one.lower + u * (one.upper - one.lower);
+  const part = (one, v) => one.log ? Math.log(v / one.lower) / Math.log(one.upper / one.lower) : (v - one.lower) / (one.upper - one.lower);
+  const keyed = (values) => Object.fromEntries(inputs.map((one, k) => [one.name, values[k]]));
+  const inOrder = (given) => inputs.map((one, k) => given[one.name] ?? x[k]);
+
+  /* The design in the address: the values that differ from the start. */
+  const address = (values) => ["explore", ...inputs.flatMap((one, k) => values[k] === initial[k] ? [] : [`${one.name}=${values[k]}`])].join("&");
+  function addressed() {
+    const given = new Map(location.hash.slice(1).split("&").map((one) => one.split("=")));
+    return inputs.map((one, k) => { const v = given.get(one.name); return v && Number.isFinite(Number(v)) ? Number(v) : initial[k]; });
+  }
+  function commit() {
+    if (`#${address(x)}` === location.hash || (address(x) === "explore" && !location.hash)) return;
+    moves++;
+    location.hash = address(x);
+  }
+  addEventListener("hashchange", () => { if (`#${address(x)}` !== location.hash) { moves = Math.max(0, moves - 1); take(addressed(), false); } });
+
+  /* Controls: a slider and a field for each quantity, in the file's units. */
+  const controls = inputs.map((one, k) => {
+    const slider = make("input", { type: "range", min: "0", max: "1000", step: "1", ariaLabel: one.label });
+    const field = make("input", { type: "text", inputMode: "decimal", ariaLabel: `${one.label} in ${one.symbol || "no unit"}` });
+    const wrong = make("span", { className: "wrong" }), more = make("span", { className: "small" });
+    slider.addEventListener("input", () => move(k, value(one, slider.value / 1000), field));
+    field.addEventListener("input", () => move(k, Number(field.value.trim().replace(",", ".") || NaN) * one.factor, slider));
+    for (const each of [slider, field]) each.addEventListener("change", () => { write(k); if (!wrong.textContent) commit(); });
+    return { slider, field, wrong, more, row: make("div", { className: "control" }, make("span", { textContent: one.label }), slider, field, make("span", { textContent: one.symbol }), wrong, more) };
+  });
+  for (const group of new Set(inputs.map((one) => one.group))) {
+    const rows = inputs.flatMap((one, k) => one.group === group ? [controls[k].row] : []);
+    const open = group === "variables" || !variables.length;
+    place("controls").append(make("details", { open }, make("summary", { textContent: group.replace(/[._]/g, " ") }), ...rows));
+  }
+  place("controls").addEventListener("submit", (event) => event.preventDefault());
+  function write(k, but) {
+    const { slider, field } = controls[k], one = inputs[k];
+    if (slider !== but && Number.isFinite(x[k])) slider.value = String(Math.round(1000 * Math.min(1, Math.max(0, part(one, x[k])))));
+    slider.ariaValueText = shown(one, x[k]);
+    if (field !== but && Number.isFinite(x[k])) field.value = String(Number((x[k] / one.factor).toPrecision(6)));
+  }
+  function move(k, to, other) {
+    x = x.map((v, i) => i === k ? to : v);
+    write(k, other === controls[k].field ? controls[k].slider : controls[k].field);
+    ask();
+  }
+  function take(values, keep = true) {
+    x = [...values];
+    inputs.forEach((_, k) => write(k));
+    if (keep) commit();
+    return ask();
+  }
+
+  /* One question at a time; the newest waits, and those in between are dropped. */
+  let busy = null, again = false;
+  function ask() {
+    again = true;
+    return busy ||= (async () => {
+      while (again) {
+        again = false;
+        const asked = x;
+        try { show(asked, await quick("evaluate", asked, { error })); } catch (why) { refuse(why.message); }
+      }
+      busy = null;
+    })();
+  }
+  function refuse(why) {
+    const k = why ? inputs.findIndex((one) => why.startsWith(`${one.limit.name} = `)) : -1;
+    controls.forEach(({ wrong, field }, i) => { wrong.textContent = i === k ? why : ""; field.ariaInvalid = String(i === k); });
+    place("status").textContent = why;
+    section.classList.toggle("refused", why !== "");
+  }
+
+  function show(values, found) {
+    now = { x: values, ...found };
+    refuse("");
+    place("accuracy-now").textContent = `estimated error ${found.error_estimate.toExponential(0)}, ${found.steps} steps, ${number(1000 * found.seconds)} ms`;
+    table();
+    place("lights").replaceChildren(...model.requirements.map((one, k) => {
+      const { value: v, margin } = found.requirements[k], rounding = 1e-8 * Math.abs(v), met = margin >= -rounding;
+      return make("li", {}, make("span", { className: `tag ${met ? "good" : "bad"}`, textContent: met ? "✓ met" : "✗ fails" }), ` ${one.label} ${shown(one, v)}, ${one.words}, margin ${shown(one, Math.abs(margin) <= rounding ? 0 : margin)}`);
+    }));
+    draw();
+    if (solid) solid(solids(values, found));
+    place("command").value = command();
+    later();
+  }
+
+  const of = (design, one) => design[one.name] ?? design.x[inputs.findIndex((each) => each.name === one.name)];
+  function table() {
+    const designs = [["now", now], ...(best ? [["best", best]] : []), ...pins.map((pin, k) => [`pin ${k + 1}`, pin])];
+    const head = designs.map(([name, design], k) => make("th", { scope: "col" }, name, ...(pins.includes(design) ? [make("button", { type: "button", textContent: "×", ariaLabel: `remove ${name}`, onclick: () => { pins = pins.filter((pin) => pin !== design); rebuild(); table(); } })] : [])));
+    if (best) head.splice(1, 0, make("th", { scope: "col", textContent: "from best" }));
+    place("table").tHead.replaceChildren(make("tr", {}, make("th", { scope: "col" }), ...head));
+    place("table").tBodies[0].replaceChildren(...columns.map((one) => {
+      const cells = designs.map(([, design]) => make("td", { textContent: shown(one, of(design, one)) }));
+      if (best) cells.splice(1, 0, make("td", { textContent: percent((of(now, one) - of(best, one)) / (Math.abs(of(best, one)) || 1)) }));
+      return make("tr", {}, make("th", { scope: "row", textContent: one.label }), ...cells);
+    }));
+  }
+
+  /* Charts over time, built anew when the pins change and redrawn at each move. */
+  const charts = {};
+  const listed = () => [now, ...pins];
+  function rebuild() {
+    for (const [id, name] of [["now_force", "mount_force"], ["now_deflection", "deflection"]]) {
+      if (charts[id]) charts[id].u.destroy();
+      const panel = model.panels[name === "deflection" ? name : "force"];
+      charts[id] = { name, panel, ...build({ id, x: { label: "time", unit: "s", values: [...now.rows.time] }, y: { label: panel.label, unit: panel.symbol },
+        lines: model.requirements.filter((one) => one.name === name).flatMap((one) => [one.low, one.high]).filter((end) => end !== null).map((end) => ({ label: "limit", value: end / panel.factor, colour: "#d55e00", dash: "" })),
+        series: listed().map((_, k) => ({ label: k ? `pin ${k}` : "now", colour: k ? COLOURS[k - 1] : "#0072b2", dash: k ? "dash" : "", values: [...now.rows.time] })) }) };
+    }
+    draw();
+  }
+  function draw() {
+    if (!charts.now_force) { rebuild(); return; }
+    for (const { u, name, panel } of Object.values(charts)) {
+      const { time } = now.rows, last = time.length - 1;
+      const along = (design) => Array.from(time, (t) => { const k = Math.round(t / design.rows.time[last] * last); return k <= last ? design.rows[name][k] / panel.factor : null; });
+      u.setData([[...time], ...listed().map(along)]);
+    }
+  }
+
+  /* The bodies of the present design, as geometry.py draws them. */
+  function solids(values, found) {
+    const given = keyed(values), [angle, chisel, h] = ["share.wedge_angle", "share.chisel_angle", "share.height"].map((name) => given[name]);
+    const slope = Math.tan(found.half_angle), ridge = h / Math.cos(chisel), width = ridge * Math.tan(angle);
+    const half = Math.asin(Math.min(1, 2 * Math.PI * Math.cos(chisel) ** 3 * (slope / Math.tan(angle)) ** 2)) / 2;
+    const [side, below] = [width * Math.sin(half), width * Math.cos(half)], end = [ridge * Math.cos(chisel), ridge * Math.sin(chisel)];
+    const corner = [end[0] + below * Math.sin(chisel), end[1] - below * Math.cos(chisel)];
+    const share = [0, 0, 0, end[0], 0, end[1], corner[0], side, corner[1], corner[0], -side, corner[1]];
+    const scaled = (body, radius) => { const rim = Math.max(...body.vertices.filter((_, i) => i % 3 === 1)), long = Math.max(...body.vertices.filter((_, i) => i % 3 === 0)); return body.vertices.map((v, i) => i % 3 ? v / rim * radius : v / long * h); };
+    return DATA.bodies.map((body) => ({ ...body, vertices: body.id === "share" ? share : scaled(body, body.id === "cone" ? h * slope : found.loosened_radius) }));
+  }
+  const solid = solidView(place("now_solid"), DATA.bodies);
+
+  /* The landscape: a sample of the box, computed anew when soil or scene change, and a curve through the present design. */
+  const axes = [place("across"), place("up")];
+  axes.forEach((select, k) => {
+    select.append(...columns.map((one, i) => make("option", { value: String(i), textContent: one.label })));
+    select.value = String(k ? variables.length : 0);
+    select.addEventListener("change", () => { later(); scatter(); });
+  });
+  /* Seeded random numbers from 0 to 1 (mulberry32), so that a design can be clicked again on a later visit. */
+  let seed = 33;
+  const random = () => { seed = (seed + 0x6d2b79f5) | 0; let r = Math.imul(seed ^ (seed >>> 15), 1 | seed); r = (r + Math.imul(r ^ (r >>> 7), 61 | r)) ^ r; return ((r ^ (r >>> 14)) >>> 0) / 2 ** 32; };
+  const sampled = () => x.map((v, k) => variables.includes(k) ? value(inputs[k], random()) : v);
+  let timer = 0, seen = false, turn = 0;
+  const later = () => { clearTimeout(timer); timer = setTimeout(sample, 150); };
+  async function sample() {
+    const mine = ++turn, asked = now.x;
+    const nudged = await slow("many", variables.map((k) => asked.map((v, i) => i === k ? 1.01 * v : v)).concat([asked]));
+    if (mine !== turn) return;
+    const base = nudged.pop();
+    variables.forEach((k, i) => { controls[k].more.textContent = nudged[i] && base && model.objective ? `1 % more: objective ${percent((nudged[i].objective - base.objective) / Math.abs(base.objective))}` : ""; });
+    if (!seen || !variables.length) return;
+    const k = inputs.findIndex((one) => one.name === columns[axes[0].value].name);
+    const line = k < 0 ? [] : Array.from({ length: CURVE }, (_, i) => asked.map((v, j) => j === k ? value(inputs[k], i / (CURVE - 1)) : v));
+    const along = await slow("many", line);
+    if (mine !== turn) return;
+    curve = line.flatMap((one, i) => along[i] ? [{ x: one, ...along[i] }] : []);
+    const question = JSON.stringify(asked.filter((_, i) => !variables.includes(i)));
+    if (question !== computedFor) { cloud = []; seed = 33; computedFor = question; }
+    scatter();
+    while (cloud.length < DESIGNS) {
+      const rows = Array.from({ length: CHUNK }, sampled), found = await slow("many", rows);
+      if (mine !== turn) return;
+      cloud.push(...rows.map((one, i) => found[i] && { x: one, ...found[i] }));
+      if (cloud.length % 500 === 0) scatter();
+    }
+  }
+  function scatter() {
+    const [across, up] = axes.map((select) => columns[select.value]);
+    const group = (label, colour, size, designs) => ({ label, colour, size, x: designs.map((one) => of(one, across) / across.factor), y: designs.map((one) => of(one, up) / up.factor) });
+    /* Designs of a very bad objective would press the others to the axis: the better half is drawn. */
+    const found = cloud.filter(Boolean), half = up.name === "objective" ? [...found].sort((a, b) => a.objective - b.objective)[found.length >> 1] : null;
+    const every = half ? found.filter((one) => one.objective <= half.objective || one.violation <= 1e-6) : found, changed = model.objective && JSON.stringify(initial.filter((_, k) => !variables.includes(k))) !== computedFor;
+    place("sample").textContent = `${every.length} of ${found.length} designs`;
+    if (charts.cloud) charts.cloud.u.destroy();
+    charts.cloud = build({ id: "now_cloud", x: { label: across.label, unit: across.symbol, log: across.log }, y: { label: up.label, unit: up.symbol }, groups: [
+      group("fails a requirement", "#b5bcc2", 3, every.filter((one) => one.violation > 1e-6)), group("meets all requirements", "#56b4e9", 4, every.filter((one) => one.violation <= 1e-6)),
+      group("through the present design", "#0072b2", 3, curve), ...(best ? [group(changed ? "best, computed for the file’s question" : "best", "#000000", 10, [best, ...model.optima.map((one) => ({ ...one, x: inOrder(one.x) })).filter((one) => of(one, up) !== undefined)])] : []),
+      group("now", "#d55e00", 10, [now])].filter((one) => one.x.length) });
+    delete charts.cloud.name;
+  }
+  place("now_cloud").addEventListener("click", (event) => {
+    if (!event.target.closest(".u-over")) return;
+    const { u } = charts.cloud, [across, up] = axes.map((select) => columns[select.value]), at = u.over.getBoundingClientRect();
+    const far = (one) => Math.hypot(u.valToPos(of(one, across) / across.factor, "x") + at.left - event.clientX, u.valToPos(of(one, up) / up.factor, "y") + at.top - event.clientY);
+    const near = [...cloud.filter(Boolean), ...(best ? [best] : [])].reduce((a, b) => !a || far(b) < far(a) ? b : a, null);
+    if (near && far(near) < 25) take(x.map((v, k) => variables.includes(k) ? near.x[k] : v));
+  });
+  new IntersectionObserver((entries) => { if (entries.some((one) => one.isIntersecting) && !seen) { seen = true; if (now) later(); } }).observe(place("now_cloud"));
+
+  /* What leaves the page: the command, the problem file, tables, the solid. */
+  const written = (k) => `${Number((x[k] / inputs[k].factor).toPrecision(15))}${inputs[k].symbol ? ` ${inputs[k].symbol}` : ""}`;
+  const quoted = (word) => `'${word.replaceAll("'", "'\\''")}'`;
+  const command = () => [`plough-opt ${model.objective ? "optimise" : "simulate"} ${quoted(model.file)}`, ...model.overrides.map((one) => `--set ${quoted(one)}`),
+    ...inputs.flatMap((one, k) => !(one.variable && model.objective) && x[k] !== initial[k] ? [`--set ${quoted(`${one.name}="${written(k)}"`)}`] : [])].join(" ");
+  const toml = (v) => Array.isArray(v) ? `[${v.map(toml).join(", ")}]` : v !== null && typeof v === "object" ? `{ ${Object.entries(v).map(([key, each]) => `${JSON.stringify(key)} = ${toml(each)}`).join(", ")} }` : JSON.stringify(v);
+  function problem() {
+    const tables = structuredClone(model.tables);
+    inputs.forEach((one, k) => {
+      if (one.variable) tables.variables[one.name].guess = written(k);
+      else if (x[k] !== initial[k]) { const path = one.name.split("."); path.slice(0, -1).reduce((table, key) => table[key] ??= {}, tables)[path[path.length - 1]] = one.symbol ? written(k) : x[k]; }
+    });
+    const plain = (v) => v === null || typeof v !== "object" || Array.isArray(v), entries = Object.entries(tables);
+    return [...entries.filter(([, v]) => plain(v)).map(([key, v]) => `${key} = ${toml(v)}`), ...entries.filter(([, v]) => !plain(v)).flatMap(([key, v]) => ["", `[${key}]`, ...Object.entries(v).map(([name, each]) => `${JSON.stringify(name)} = ${toml(each)}`)])].join("\n") + "\n";
+  }
+  const csv = () => { const names = Object.keys(now.rows); return [names.map((name) => `${name} [${model.units[name]}]`).join(","), ...Array.from(now.rows.time, (_, k) => names.map((name) => now.rows[name][k]).join(","))].join("\n") + "\n"; };
+  function stl() {
+    const { vertices, triangles } = solids(now.x, now).find((one) => one.id === "share"), corner = (k) => `vertex ${[0, 1, 2].map((i) => 1000 * vertices[3 * k + i]).join(" ")}`;
+    const facets = []; for (let t = 0; t < triangles.length; t += 3) facets.push(`facet normal 0 0 0\nouter loop\n${[0, 1, 2].map((i) => corner(triangles[t + i])).join("\n")}\nendloop\nendfacet`);
+    return `solid share\n${facets.join("\n")}\nendsolid share\n`;
+  }
+  function download(name, content) {
+    const link = make("a", { href: URL.createObjectURL(new Blob([content], { type: "text/plain" })), download: name });
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  }
+  const DO = {
+    undo: () => { if (moves) { history.back(); } },
+    reset: () => take(initial),
+    pin: () => { pins = [...pins, now].slice(-MOST_PINS); rebuild(); table(); },
+    command: () => { place("command").select(); document.execCommand("copy"); place("status").textContent = "Copied: run it to compute the certified optimum."; },
+    toml: () => download("design.toml", problem()), csv: () => download("design.csv", csv()), stl: () => download("share.stl", stl()),
+    better: async () => {
+      place("status").textContent = "Searching …";
+      const { x: found, before, after, tried } = await slow("better", now.x, variables);
+      const better = after < before - 1e-9 * Math.abs(before);
+      if (better) await take(found);
+      place("status").textContent = `${better ? "A better design" : "No better design"} after ${tried} tries. This search is local and certifies nothing: the command below does.`;
+    },
+  };
+  section.addEventListener("click", (event) => { const what = event.target.closest("[data-do]"); if (what) DO[what.dataset.do](); });
+  section.addEventListener("keydown", (event) => { if (event.ctrlKey && event.key === "z" && event.target.type !== "text") { event.preventDefault(); DO.undo(); } });
+  place("digits").value = String(Math.round(-Math.log10(error)));
+  place("digits").addEventListener("input", () => { error = 10 ** -place("digits").value; ask(); });
+
+  const plain = ({ rows, requirements, ...rest }) => ({ ...rest, ...rows, requirements });
+  window.ploughOpt = {
+    inputs, outputs: columns.slice(variables.length),
+    evaluate: (given = {}) => quick("evaluate", inOrder(given), { error }).then(plain),
+    state: () => keyed(x),
+    set: (given) => take(inOrder(given)),
+  };
+  x = addressed();
+  (async () => {
+    if (model.objective) best = { x: initial, ...await quick("evaluate", initial, { error }) };
+    await take(x, false);
+    section.dataset.ready = "true";
+  })();
+})();

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import casadi as ca
 import pytest
+from helpers.browser import chromium
 from helpers.scenes import R1_SOIL
 
 import plough_opt as po
@@ -206,6 +207,13 @@ EFFECTS = {
 def _is_covering(drag, rate, wave, ramp, damper, rest):
     # Eight of the 64 combinations, which contain all four settings of any two flags.
     return ramp == (drag ^ rate) and damper == (drag ^ wave) and rest == (rate ^ wave)
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """Return a headless Chromium."""
+    with chromium() as started:
+        yield started
 
 
 @pytest.fixture(scope="session")

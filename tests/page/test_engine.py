@@ -126,6 +126,15 @@ def test_results_are_those_of_simulate(scene, tmp_path):
     assert_equal(problem, model, rows, in_node(model, rows, tmp_path))
 
 
+def test_chromium_computes_the_same(browser):
+    problem = po.read_problem(SUBSOILER)
+    model = page_model(problem)
+    rows = designs(model, "as in the file")
+    page = browser.new_page()
+    assert_equal(problem, model, rows, page.evaluate(f"() => {{ {script(model, rows)}; return ALL; }}"))
+    page.close()
+
+
 REFUSED = {
     "periodic orbits": ["effects.orbit=linearised"],
     "stick and slip": ["effects.contact=stick_slip"],

@@ -5,10 +5,10 @@ import gzip
 import json
 import math
 import re
-import shutil
 from html.parser import HTMLParser
 
 import pytest
+from helpers.browser import open_page
 from helpers.commands import cells, printed
 from helpers.problem_files import PROBLEMS, SUBSOILER, changed
 
@@ -19,8 +19,6 @@ from plough_opt.app.report import reported
 # Two variables fewer than the file has, so that the search is short.
 FIXED = ("share.wedge_angle=39 deg", "share.height=0.26 m")
 HOSTILE = "Subsoiler </script><script>document.title='broken'</script> & \\\"quotes\\\" <img src=http://x.invalid/a>"
-# Without a graphics card Chromium draws WebGL by itself.
-SWITCHES = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
 
 @pytest.fixture(scope="module")
@@ -99,8 +97,11 @@ def test_the_pictures_hold_the_runs_own_numbers(written, solved):
 
 def test_no_text_leaves_its_place_and_nothing_is_asked_of_a_network(written):
     found = Page(written.read_text(encoding="utf-8"))
-    assert [attributes["id"] for tag, attributes in found.tags if tag == "script" and "id" in attributes] == ["data"]
-    assert sum(tag == "script" for tag, _ in found.tags) == 6
+    assert [attributes["id"] for tag, attributes in found.tags if tag == "script" and "id" in attributes] == [
+        "data",
+        "engine",
+    ]
+    assert sum(tag == "script" for tag, _ in found.tags) == 8
     assert not [tag for tag, _ in found.tags if tag in ("img", "link", "iframe", "object")]
     assert not [one for _, one in found.tags if {"src", "srcset", "onload", "onclick"} & one.keys()]
     assert HOSTILE.replace('\\"', '"') in found.text[""]  # as a text, in the heading
@@ -157,30 +158,6 @@ def test_a_limit_that_is_just_met_is_named(solved):
     found = dataclasses.replace(solved[0].every_sensitivity()[0], touching=("half_angle",))
     report = Report(po.read_problem(SUBSOILER, FIXED), solved[1], solved[0], (found,))
     assert "Half angle is just met: sensitivities apply to increasing values." in Page(page(report)).text["warnings"]
-
-
-@pytest.fixture(scope="module")
-def browser():
-    """Return a headless Chromium."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright: pip install 'plough_opt[test]'")
-    where = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if where is None:
-        pytest.skip("there is no browser: apt-get install chromium")
-    with playwright.sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=where, args=SWITCHES)
-        yield browser
-        browser.close()
-
-
-def open_page(browser, written, width=1280, height=900):
-    """Open the report in a window of a size; return it with what it wrote to the console and asked for."""
-    context = browser.new_context(viewport={"width": width, "height": height}, offline=True)
-    page, said, asked = context.new_page(), [], []
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.on("request", lambda request: asked.append(request.url))
-    page.goto(written.as_uri())
-    return page, said, asked
 
 
 @pytest.fixture(scope="module")

@@ -42,12 +42,17 @@
     const given = new Map(location.hash.slice(1).split("&").map((one) => one.split("=")));
     return inputs.map((one, k) => { const v = given.get(one.name); return v && Number.isFinite(Number(v)) ? Number(v) : initial[k]; });
   }
+  function counted(change) {
+    moves = Math.max(0, moves + change);
+    section.querySelector("[data-do=undo]").disabled = moves === 0;
+  }
+  counted(0);
   function commit() {
     if (`#${address(x)}` === location.hash || (address(x) === "explore" && !location.hash)) return;
-    moves++;
+    counted(1);
     location.hash = address(x);
   }
-  addEventListener("hashchange", () => { if (`#${address(x)}` !== location.hash) { moves = Math.max(0, moves - 1); take(addressed(), false); } });
+  addEventListener("hashchange", () => { if (`#${address(x)}` !== location.hash) { counted(-1); take(addressed(), false); } });
 
   /* Controls: a slider and a field for each quantity, in the file's units. */
   const controls = inputs.map((one, k) => {
@@ -118,9 +123,11 @@
     later();
   }
 
+  const fixed = (values) => JSON.stringify(values.filter((_, k) => !variables.includes(k)));
+  const bestName = () => fixed(now.x) === fixed(initial) ? "best" : "best, computed for the file’s question";
   const of = (design, one) => design[one.name] ?? design.x[inputs.findIndex((each) => each.name === one.name)];
   function table() {
-    const designs = [["now", now], ...(best ? [["best", best]] : []), ...pins.map((pin, k) => [`pin ${k + 1}`, pin])];
+    const designs = [["now", now], ...(best ? [[bestName(), best]] : []), ...pins.map((pin, k) => [`pin ${k + 1}`, pin])];
     const head = designs.map(([name, design], k) => make("th", { scope: "col" }, name, ...(pins.includes(design) ? [make("button", { type: "button", textContent: "×", ariaLabel: `remove ${name}`, onclick: () => { pins = pins.filter((pin) => pin !== design); rebuild(); table(); } })] : [])));
     if (best) head.splice(1, 0, make("th", { scope: "col", textContent: "from best" }));
     place("table").tHead.replaceChildren(make("tr", {}, make("th", { scope: "col" }), ...head));
@@ -191,7 +198,7 @@
     const along = await slow("many", line);
     if (mine !== turn) return;
     curve = line.flatMap((one, i) => along[i] ? [{ x: one, ...along[i] }] : []);
-    const question = JSON.stringify(asked.filter((_, i) => !variables.includes(i)));
+    const question = fixed(asked);
     if (question !== computedFor) { cloud = []; seed = 33; computedFor = question; }
     scatter();
     while (cloud.length < DESIGNS) {
@@ -206,12 +213,12 @@
     const group = (label, colour, size, designs) => ({ label, colour, size, x: designs.map((one) => of(one, across) / across.factor), y: designs.map((one) => of(one, up) / up.factor) });
     /* Designs of a very bad objective would press the others to the axis: the better half is drawn. */
     const found = cloud.filter(Boolean), half = up.name === "objective" ? [...found].sort((a, b) => a.objective - b.objective)[found.length >> 1] : null;
-    const every = half ? found.filter((one) => one.objective <= half.objective || one.violation <= 1e-6) : found, changed = model.objective && JSON.stringify(initial.filter((_, k) => !variables.includes(k))) !== computedFor;
+    const every = half ? found.filter((one) => one.objective <= half.objective || one.violation <= 1e-6) : found;
     place("sample").textContent = `${every.length} of ${found.length} designs`;
     if (charts.cloud) charts.cloud.u.destroy();
     charts.cloud = build({ id: "now_cloud", x: { label: across.label, unit: across.symbol, log: across.log }, y: { label: up.label, unit: up.symbol }, groups: [
       group("fails a requirement", "#b5bcc2", 3, every.filter((one) => one.violation > 1e-6)), group("meets all requirements", "#56b4e9", 4, every.filter((one) => one.violation <= 1e-6)),
-      group("through the present design", "#0072b2", 3, curve), ...(best ? [group(changed ? "best, computed for the file’s question" : "best", "#000000", 10, [best, ...model.optima.map((one) => ({ ...one, x: inOrder(one.x) })).filter((one) => of(one, up) !== undefined)])] : []),
+      group("through the present design", "#0072b2", 3, curve), ...(best ? [group(bestName(), "#000000", 10, [best, ...model.optima.map((one) => ({ ...one, x: inOrder(one.x) })).filter((one) => of(one, up) !== undefined)])] : []),
       group("now", "#d55e00", 10, [now])].filter((one) => one.x.length) });
     delete charts.cloud.name;
   }
@@ -245,17 +252,29 @@
     const facets = []; for (let t = 0; t < triangles.length; t += 3) facets.push(`facet normal 0 0 0\nouter loop\n${[0, 1, 2].map((i) => corner(triangles[t + i])).join("\n")}\nendloop\nendfacet`);
     return `solid share\n${facets.join("\n")}\nendsolid share\n`;
   }
+  /** Force and deflection of the present design and the pinned ones as curves in a frame, with the ends of the axes. */
+  function svg() {
+    const wide = 600, high = 220, duration = now.rows.time[now.rows.time.length - 1];
+    const panels = Object.values(charts).filter((one) => one.panel).map(({ name, panel }, row) => {
+      const every = listed().flatMap((design) => [...design.rows[name]]), low = Math.min(...every), size = Math.max(...every) - low || 1;
+      const at = (t, v) => `${(60 + wide * t / duration).toFixed(1)},${(30 + row * (high + 60) + high * (1 - (v - low) / size)).toFixed(1)}`;
+      const words = (px, py, anchor, label) => `<text x="${px}" y="${py}" text-anchor="${anchor}">${label}</text>`, top = 30 + row * (high + 60);
+      const curves = listed().map((design, k) => `<polyline fill="none" stroke="${k ? COLOURS[k - 1] : "#0072b2"}" points="${[...design.rows.time].flatMap((t, i) => t <= duration ? [at(t, design.rows[name][i])] : []).join(" ")}"/>`);
+      return `<rect x="60" y="${top}" width="${wide}" height="${high}" fill="none" stroke="#888"/>${curves.join("")}${words(60, top - 8, "start", `${panel.label} [${panel.symbol}]`)}${words(55, top + 12, "end", number((low + size) / panel.factor))}${words(55, top + high, "end", number(low / panel.factor))}${words(60 + wide, top + high + 18, "end", `${number(duration)} s`)}`;
+    });
+    return `<svg xmlns="http://www.w3.org/2000/svg" width="700" height="${panels.length * (high + 60) + 20}" font-family="sans-serif" font-size="13">${panels.join("")}</svg>\n`;
+  }
   function download(name, content) {
     const link = make("a", { href: URL.createObjectURL(new Blob([content], { type: "text/plain" })), download: name });
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
   }
   const DO = {
-    undo: () => { if (moves) { history.back(); } },
+    undo: () => { if (moves) history.back(); },
     reset: () => take(initial),
     pin: () => { pins = [...pins, now].slice(-MOST_PINS); rebuild(); table(); },
     command: () => { place("command").select(); document.execCommand("copy"); place("status").textContent = "Copied: run it to compute the certified optimum."; },
-    toml: () => download("design.toml", problem()), csv: () => download("design.csv", csv()), stl: () => download("share.stl", stl()),
+    toml: () => download("design.toml", problem()), csv: () => download("design.csv", csv()), stl: () => download("share.stl", stl()), svg: () => download("design.svg", svg()),
     better: async () => {
       place("status").textContent = "Searching …";
       const { x: found, before, after, tried } = await slow("better", now.x, variables);

@@ -1,0 +1,220 @@
+"""The page that computes, in a headless Chromium as a person uses it."""
+
+import csv
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from helpers.browser import open_page
+from helpers.commands import printed
+from helpers.problem_files import COTTON, SUBSOILER, changed
+
+import plough_opt as po
+
+HOSTILE = "</script><script>document.title='broken'</script> <img src=x onerror=alert(1)>"
+HEIGHT = "share height"
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """Return the page of the subsoiler for cotton, under a title that tries to break out of it."""
+    folder = tmp_path_factory.mktemp("explore")
+    (folder / "cotton.toml").write_text(changed(("Subsoiler for cotton on serozem", HOSTILE)), encoding="utf-8")
+    return po.explore(folder / "cotton.toml", folder / "page.html")
+
+
+@pytest.fixture
+def walk(browser, written):
+    """Return the page as it is opened; at the end it has said nothing and asked for nothing."""
+    page, said, asked = open_page(browser, written)
+    yield page
+    assert (said, asked) == ([], [written.as_uri()])
+    page.context.close()
+
+
+def state(page):
+    return page.evaluate("ploughOpt.state()")
+
+
+def cell(page, name, column=0):
+    """Return the text of a result in the table."""
+    row = page.locator("#table tbody tr").filter(has=page.get_by_role("rowheader", name=name, exact=True))
+    return row.locator("td").nth(column).inner_text()
+
+
+def settled(page):
+    """Wait until the last move has been answered."""
+    page.evaluate("() => ploughOpt.set({})")
+
+
+def slider(page, name):
+    return page.get_by_role("slider", name=name, exact=True)
+
+
+def test_a_slider_is_dragged_and_the_results_are_those_of_simulate(walk):
+    handle = slider(walk, HEIGHT)
+    handle.scroll_into_view_if_needed()
+    box = handle.bounding_box()
+    walk.mouse.move(box["x"] + 0.38 * box["width"], box["y"] + box["height"] / 2)
+    walk.mouse.down()
+    walk.mouse.move(box["x"] + 0.7 * box["width"], box["y"] + box["height"] / 2, steps=8)
+    walk.mouse.up()
+    settled(walk)
+    values = state(walk)
+    assert values["share.height"] > 0.3
+    run = po.read_problem(SUBSOILER).simulate(values)
+    assert cell(walk, "mean draft") == f"{run.mean_draft / 1e3:.4g} kN"
+    assert cell(walk, "peak deflection") == f"{run.peak_deflection:.4g} m"
+    assert f"share.height={values['share.height']}" in walk.url
+    best = float(cell(walk, "mean draft", 2).split()[0])
+    from_best = float(cell(walk, "mean draft", 1).strip("+ %"))
+    assert from_best == pytest.approx(100.0 * (run.mean_draft / 1e3 / best - 1.0), abs=0.1)
+    found = walk.evaluate("v => ploughOpt.evaluate(v)", values)
+    assert found["force_rms"] == pytest.approx(run.force_rms, rel=1e-6)
+    assert np.array(list(found["mount_force"].values())) == pytest.approx(run.mount_force, rel=1e-6)
+
+
+def test_values_are_typed_with_a_decimal_comma_and_wrong_ones_refused_at_their_field(walk):
+    field = walk.get_by_label(f"{HEIGHT} in m", exact=True)
+    field.fill("0,31")
+    settled(walk)
+    assert state(walk)["share.height"] == 0.31
+    field.fill("-0.31")
+    refused = walk.locator(".wrong", has_text="share height = -0.31 m must be above 0 m")
+    refused.wait_for()
+    assert field.get_attribute("aria-invalid") == "true"
+    field.fill("0.3")
+    settled(walk)
+    assert (walk.locator(".wrong:not(:empty)").count(), field.get_attribute("aria-invalid")) == (0, "false")
+
+
+def test_a_design_of_the_landscape_is_taken_by_a_click_and_left_by_going_back(walk):
+    before = state(walk)
+    cloud = walk.locator("#now_cloud")
+    cloud.scroll_into_view_if_needed()
+    walk.locator("#sample", has_text="of 2000").wait_for(timeout=60_000)
+    box = cloud.locator(".u-over").bounding_box()
+    walk.mouse.click(box["x"] + 0.3 * box["width"], box["y"] + 0.93 * box["height"])
+    settled(walk)
+    assert state(walk) != before
+    walk.go_back()
+    walk.wait_for_function("before => JSON.stringify(ploughOpt.state()) === JSON.stringify(before)", arg=before)
+    walk.locator("#across").select_option(label="stiffness")
+    walk.locator("#up").select_option(label="mean deflection")
+    assert cloud.locator("canvas").count() == 1
+
+
+def test_the_keyboard_alone_moves_pins_and_undoes(walk):
+    before = state(walk)
+    slider(walk, "stiffness").focus()
+    for _ in range(5):
+        walk.keyboard.press("ArrowRight")
+    settled(walk)
+    assert state(walk)["scene.stiffness"] > before["scene.stiffness"]
+    walk.get_by_role("button", name="Pin this design").press("Enter")
+    assert cell(walk, "stiffness", 3) == cell(walk, "stiffness")
+    walk.get_by_role("button", name="remove pin 1").press("Enter")
+    assert walk.locator("#table thead th").count() == 4
+    while walk.get_by_role("button", name="Undo").is_enabled():
+        walk.get_by_role("button", name="Undo").press("Enter")
+        walk.wait_for_timeout(50)
+    settled(walk)
+    assert state(walk) == before
+
+
+def test_a_link_opens_the_same_design(walk, browser, written):
+    walk.evaluate("ploughOpt.set({ 'scene.tow_speed': 2.5, 'share.height': 0.3 })")
+    settled(walk)
+    again, said, _ = open_page(browser, written, address="#" + walk.url.partition("#")[2])
+    assert (state(again), said) == (state(walk), [])
+    assert again.locator("#table thead").inner_text().count("file’s question") == 1
+    command = again.locator("#command").input_value()
+    assert command.endswith("--set 'scene.tow_speed=\"9 km/h\"'")
+    again.context.close()
+
+
+def test_a_local_search_improves_and_says_what_it_is(walk):
+    walk.evaluate("ploughOpt.set({ 'share.wedge_angle': 0.6, 'share.height': 0.35, 'scene.stiffness': 1e5 })")
+    settled(walk)
+    before = float(cell(walk, "objective"))
+    walk.get_by_role("button", name="Find better from here").click()
+    walk.locator("#status", has_text="local and certifies nothing").wait_for(timeout=60_000)
+    assert float(cell(walk, "objective")) < before
+    assert walk.locator("#lights .bad").count() == 0
+
+
+def test_what_is_downloaded_can_be_read(walk, tmp_path):
+    walk.evaluate("ploughOpt.set({ 'scene.tow_speed': 2.5, 'soil.cohesion': 25e3, 'share.height': 0.3 })")
+    settled(walk)
+    files = {}
+    for name in ("Problem file", "CSV", "SVG", "STL"):
+        with walk.expect_download() as download:
+            walk.get_by_role("button", name=name, exact=True).click()
+        files[name] = tmp_path / download.value.suggested_filename
+        download.value.save_as(files[name])
+    problem = po.read_problem(files["Problem file"])
+    assert problem.values()["scene.tow_speed"] == pytest.approx(2.5)
+    assert problem.title == HOSTILE
+    run = problem.simulate()
+    assert cell(walk, "mean draft") == f"{run.mean_draft / 1e3:.4g} kN"
+    rows = list(csv.reader(files["CSV"].read_text().splitlines()))
+    column = rows[0].index("mount_force [N]")
+    assert [float(row[column]) for row in rows[1:]] == pytest.approx(run.mount_force, rel=1e-6)
+    assert len(ET.parse(files["SVG"]).getroot().findall("{*}polyline")) == 2
+    mesh = run.scene.share.mesh()
+    corners = [line.split()[1:] for line in files["STL"].read_text().splitlines() if line.startswith("vertex")]
+    assert np.array(corners, dtype=float) == pytest.approx(1e3 * mesh.vertices[mesh.triangles.ravel()], rel=1e-5)
+
+
+def test_hostile_names_are_texts(walk):
+    assert walk.title().startswith("</script>")
+    assert walk.locator("h1").inner_text() == HOSTILE
+    assert walk.locator("img").count() == 0
+
+
+def test_a_phone_in_the_dark_and_paper_show_the_page(browser, written):
+    page, said, _ = open_page(browser, written, 390, 844, "#explore", color_scheme="dark")
+    assert page.evaluate("document.documentElement.scrollWidth") == 390
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(18, 25, 31)"
+    page.emulate_media(media="print")
+    assert not page.locator("#explore").is_visible()
+    assert page.locator("#answer").is_visible()
+    assert said == []
+    page.context.close()
+
+
+@pytest.mark.slow
+def test_a_thousand_moves_leave_memory_flat(walk):
+    """The heap after 1,000 moves is that after 200, within the size of a few runs."""
+    session = walk.context.new_cdp_session(walk)
+
+    def after(count):
+        walk.evaluate("""async (count) => {
+          for (let k = 0; k < count; k++) await ploughOpt.set({ "share.height": 0.2 + 0.0001 * (k % 100) });
+        }""", count)  # fmt: skip
+        session.send("HeapProfiler.collectGarbage")
+        return walk.evaluate("performance.memory.usedJSHeapSize")
+
+    first = after(200)
+    assert after(800) < first + 5e6
+
+
+def test_without_scripts_the_report_is_readable(browser, written):
+    context = browser.new_context(java_script_enabled=False, offline=True)
+    page = context.new_page()
+    page.goto(written.as_uri())
+    assert "Best design" in page.locator("#answer").inner_text()
+    assert not page.locator("#explore").is_visible()
+    context.close()
+
+
+def test_a_scene_that_the_page_cannot_compute_stays_a_report(browser, tmp_path):
+    (tmp_path / "stick.toml").write_text(COTTON, encoding="utf-8")
+    fixed = ["share.wedge_angle=35 deg", "share.height=0.25 m", "scene.stiffness=50 kN/m", "effects.contact=stick_slip"]
+    changes = [part for text in [*fixed, "scene.duration=0.3 s"] for part in ("--set", text)]
+    printed("explore", tmp_path / "stick.toml", "-o", tmp_path / "stick.html", *changes)
+    page = browser.new_page()
+    page.goto((tmp_path / "stick.html").as_uri())
+    assert "does not compute further designs" in page.locator("#explore").inner_text()
+    assert "stick and slip" in page.locator("#explore").inner_text()
+    page.close()

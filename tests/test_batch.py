@@ -166,7 +166,6 @@ def test_motions_without_an_end(batch_of, r1_wave):
         ({"motion": False}, "quasi-static"),
         ({"contact": po.StickSlip()}, "events of StickSlip"),
         ({"entry": True, "start": "rest"}, "events of the entry"),
-        ({"orbit": "periodic", "strength_wave": po.StrengthWave(0.3, 0.6)}, "from its start"),
     ],
     ids=lambda value: value if isinstance(value, str) else next(iter(value)),
 )

@@ -21,8 +21,9 @@ from plough_opt.core.compiler import library
 from plough_opt.core.errors import InputError
 from plough_opt.motion.c_source import Statements, head, variants
 from plough_opt.motion.equation import Equation, Structure, equation_of
+from plough_opt.motion.orbit import near_orbit, returning
 from plough_opt.motion.plan import summed_and_lasting_phase
-from plough_opt.motion.steps import READ_FROM, Timeline, readings, run_map, step
+from plough_opt.motion.steps import READ_FROM, Timeline, readings, run_from, step
 
 Array = NDArray[np.float64]
 
@@ -50,19 +51,20 @@ _WIDEST = 8
 _CHUNK = 1024
 
 _SOURCE = """
-/* Integrates n runs. `in` has a column for each: the parameters, the number of steps, the number of steps before the
-   kink, and the time of the kink as a fraction of the duration. Of a single run `times` may hold the ends of its steps.
-   Its outputs are then read from the ends `from`, {ends} for each, with four weights: of w and of its rate in w, of w
-   and of its rate in the rate. Otherwise `times` is NULL. `memory` has room for 4 vectors at each end of a step. `out`
-   has a row for each run: the states at the outputs, if there are any, the means, and the mean squares about these. */
+/* Integrates n runs. `in` has a column for each: the state at time 0, the parameters, the number of steps, the number
+   of steps before the kink, and the time of the kink as a fraction of the duration. Of a single run `times` may hold
+   the ends of its steps. Its outputs are then read from the ends `from`, {ends} for each, with four weights: of w and
+   of its rate in w, of w and of its rate in the rate. Otherwise `times` is NULL. `memory` has room for 4 vectors at
+   each end of a step. `out` has a row for each run: the states at the outputs, if there are any, the means, and the
+   mean squares about these. */
 int steps(int64_t n, const double *in, const double *times, int64_t outputs, const int64_t *from, const double *weight,
           V *memory, double *out) {{
   const int64_t size = (outputs ? 2 * (outputs + 1) : 0) + {count} + {squared};
   for (int64_t first = 0; first < n; first += LANES) {{
     int64_t which[LANES], most = 0;
     for (int l = 0; l < LANES; l++) which[l] = first + l < n ? first + l : n - 1;
-    const V total = gather(in + {given} * n, which), early = gather(in + ({given} + 1) * n, which);
-    const V kink = gather(in + ({given} + 2) * n, which);
+    const V total = gather(in + ({given} + 2) * n, which), early = gather(in + ({given} + 3) * n, which);
+    const V kink = gather(in + ({given} + 4) * n, which);
     for (int l = 0; l < LANES; l++) if (total[l] > most) most = total[l];
     V *node = memory, *ends = memory + most + 2;
     /* Sizes of the steps before and after the kink, as fractions of the duration. */
@@ -73,12 +75,8 @@ int steps(int64_t n, const double *in, const double *times, int64_t outputs, con
       if (times) node[k] = (V){{0}} + times[k < most ? k : most];
     }}
     V p[{given}], x[2], mean[{count}], square[{squared}], time = {{0}};
-    for (int j = 0; j < {given}; j++) p[j] = gather(in + j * n, which);
-    {{
-      V y[2];
-{start}
-      x[0] = y[0]; x[1] = y[1];
-    }}
+    for (int j = 0; j < 2; j++) x[j] = gather(in + j * n, which);
+    for (int j = 0; j < {given}; j++) p[j] = gather(in + (j + 2) * n, which);
     for (int j = 0; j < {count}; j++) mean[j] = (V){{0}};
     for (int j = 0; j < {squared}; j++) square[j] = (V){{0}};
 {once}
@@ -149,7 +147,8 @@ class CompiledSteps:
             p: the equation's parameters with the duration last.
         """
         arrays = timeline.nodes, *readings(timeline)
-        given = np.array([*p, len(timeline.nodes) - 1.0, 0.0, 0.0])
+        rate = float(self.equation.structure.start_rate(dict(zip(self.equation.names, p, strict=False))))
+        given = np.array([0.0, rate, *p, len(timeline.nodes) - 1.0, 0.0, 0.0])
         (found,) = self.integrate(given[:, None], timeline.outputs, [array.ctypes.data for array in arrays])
         if not np.isfinite(found).all():
             return None
@@ -202,7 +201,6 @@ def source_of(structure: Structure) -> str:
     following, moments = step(structure)(state, span, p)
     acceleration = equation.rate(span[0] * p[-1], state, p[:-1])[1]
     result = ca.cse(ca.densify(ca.vertcat(following, acceleration, moments)))
-    first = Statements(ca.Function("begin", [p], [equation.start(p[:-1])]), ("p",))
     one = Statements(ca.Function("advance", [state, span, p], [result]), ("x", "s", "p"))
     source = _SOURCE.format(
         given=p.numel(),
@@ -210,7 +208,6 @@ def source_of(structure: Structure) -> str:
         count=equation.count,
         squared=equation.squared,
         ends=READ_FROM,
-        start="\n".join([*first.once, *first.each]),
         once="\n".join(one.once),
         each="\n".join(one.each),
     )
@@ -221,7 +218,7 @@ class ManyRuns:
     """Runs of one structure, at very many parameters.
 
     Args:
-        structure: of a motion that steps of fixed size can integrate from its start.
+        structure: of a motion that steps of fixed size can integrate from its start, or of a periodic orbit.
         outputs: number of intervals between output times; 0 if only averages are needed.
 
     Raises:
@@ -234,6 +231,7 @@ class ManyRuns:
         self._code = compiled_steps(structure)
         if self._code is None:
             source_of(structure)  # raises the error if an operation is the cause
+        self._near = near_orbit(structure).expand() if structure.orbit == "periodic" else None
 
     @property
     def size(self) -> int:
@@ -246,7 +244,9 @@ class ManyRuns:
         return self._code is not None
 
     def __call__(self, p: Array, *, finer: float = 1.0, together: int = 1, threads: int = 1) -> Array:
-        """Return the results, a row for each run; NaN if its parameters are not finite or it needs too many steps.
+        """Return the results, a row for each run.
+
+        They are NaN if its parameters are not finite, if it needs too many steps, or if no orbit is found.
 
         Args:
             p: parameters of `plough_opt.motion.integrators.Integration`, the duration last; a row for each run.
@@ -263,11 +263,11 @@ class ManyRuns:
         sound = np.flatnonzero(np.isfinite(steps) & np.isfinite(p).all(axis=1))
         # Runs in one register wait for the slowest of them.
         order = sound[np.argsort(steps[sound], kind="stable")]
-        run = self._interpret if self._code is None else self._run
         chunks = [order[k : k + _CHUNK] for k in range(0, len(order), _CHUNK)]
 
         def enter(chunk: NDArray[np.int64]) -> None:
-            results[chunk] = run(p[chunk], steps[chunk])
+            given = p[chunk], steps[chunk]
+            results[chunk] = self._run(self._starts(*given), *given, self._outputs)
 
         if threads > 1 and len(chunks) > 1 and self.compiled:
             with ThreadPoolExecutor(threads) as pool:
@@ -287,26 +287,48 @@ class ManyRuns:
         steps[summed / phase > _MOST_STEPS] = np.inf
         return steps
 
-    def _run(self, p: Array, steps: Array) -> Array:
-        """Return the results of some runs, a row each, by machine code."""
-        assert self._code is not None  # else CasADi interprets
-        given = np.zeros((p.shape[1] + 3, len(p)))
-        given[:-3], given[-3] = p.T, steps
+    def _starts(self, p: Array, steps: Array) -> Array:
+        """Return the states at time 0, a row for each run."""
+        if self._near is not None:
+
+            def once(which: NDArray[np.int64], states: Array) -> Array:
+                return self._run(states, p[which], steps[which], 1)[:, 2:4]
+
+            guess, unit = (np.asarray(one).T for one in self._near.map(len(p))(p.T))
+            return returning(once, guess, unit)[0]
+        first = np.zeros((len(p), 2))
+        first[:, 1] = self._structure.start_rate(dict(zip(self._equation.names, p.T, strict=False)))
+        return first
+
+    def _run(self, first: Array, p: Array, steps: Array, outputs: int) -> Array:
+        """Return the results of some runs, a row each.
+
+        Args:
+            first: states at time 0, a row for each run.
+            p: parameters, the duration last; a row for each run.
+            steps: number of steps of each run.
+            outputs: number of intervals between output times; 0 for averages only.
+        """
+        if self._code is None:
+            return self._interpret(first, p, steps, outputs)
+        given = np.zeros((p.shape[1] + 5, len(p)))
+        given[:2], given[2:-3], given[-3] = first.T, p.T, steps
         if self._structure.ramp:
             given[-2], given[-1] = _before_kink(p[:, self._equation.names.index("ramp_time")] / p[:, -1], steps)
-        return self._code.integrate(given, self._outputs)
+        return self._code.integrate(given, outputs)
 
-    def _interpret(self, p: Array, steps: Array) -> Array:
+    def _interpret(self, first: Array, p: Array, steps: Array, outputs: int) -> Array:
         """Return the results of some runs, a row each, by CasADi with the next power of two as number of steps."""
-        results, steps = np.empty((len(p), self.size)), 2.0 ** np.ceil(np.log2(steps))
+        results, steps = [], 2.0 ** np.ceil(np.log2(steps))
         for count in np.unique(steps):
             alike, ramp = np.flatnonzero(steps == count), self._structure.ramp
-            timeline = Timeline(self._outputs or 1, int(count), aligned=ramp, moving=ramp)
-            run = run_map(self._structure, timeline)
-            states, *averages = (np.asarray(part).T for part in run.map(len(alike))(p[alike].T))
-            read = states.reshape(len(alike), -1) if self._outputs else np.empty((len(alike), 0))
-            results[alike] = np.hstack([read, *averages])
-        return results
+            timeline = Timeline(outputs or 1, int(count), aligned=ramp, moving=ramp)
+            run = run_from(self._structure, timeline).map(len(alike))
+            states, *averages = (np.asarray(part).T for part in run(first[alike].T, p[alike].T))
+            read = states.reshape(len(alike), -1) if outputs else np.empty((len(alike), 0))
+            results.append(np.hstack([read, *averages]))
+        order = np.argsort(steps, kind="stable")
+        return np.concatenate(results)[np.argsort(order)]
 
 
 def _before_kink(kink: Array, steps: Array) -> tuple[Array, Array]:

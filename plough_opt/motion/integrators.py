@@ -23,7 +23,7 @@ from plough_opt.motion.compiled_steps import CompiledSteps, compiled_steps
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.equation import Structure, equation_of, lightest_mass
 from plough_opt.motion.methods import METHODS, Accuracy, tableau_of
-from plough_opt.motion.orbit import orbit_map
+from plough_opt.motion.orbit import orbit_map, without_orbit
 from plough_opt.motion.plan import OUTPUTS, STIFF_PHASE, fastest_rate, most_steps, numbers_of, timeline_of
 from plough_opt.motion.run import OUTPUTS as ARRAYS
 from plough_opt.motion.run import Run, assemble
@@ -451,10 +451,7 @@ def _raise_failure(case: Case, solver: Integration, p: list[float]) -> NoReturn:
     """Raise the IntegrationError that says when and why an integration failed."""
     scene, duration = case.scene, case.duration
     if scene.effects.orbit != "transient":
-        raise IntegrationError(
-            f"no periodic orbit of a {scene.describe()} was found from its linear response: damp the mount, or use"
-            " orbit = 'transient' to see whether the motion settles"
-        )
+        raise IntegrationError(without_orbit(scene))
     if not case.explained:
         raise IntegrationError(f"the motion of a {scene.describe()} could not be integrated")
     used = solver.accuracy, solver.timeline.outputs

@@ -14,6 +14,7 @@ by the steps of the orbit, and compares its state at the end of each with the or
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Final
 
@@ -26,11 +27,15 @@ from plough_opt.motion.effects import StrengthWaves, wave_names
 from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.plan import numbers_of
 from plough_opt.motion.run import Run, Settled, averages_of
+from plough_opt.motion.scene import Scene
 from plough_opt.motion.steps import Timeline, run_from, step
+
+Array = NDArray[np.float64]
 
 # For a root that it does not find, CasADi would print a page. Here such a root becomes NaN, which the caller reports as
 # an IntegrationError.
-_NEWTON_OPTIONS = {"abstol": 1e-12, "max_iter": 60, "error_on_fail": False, "show_eval_warnings": False}
+_MOST_ITERATIONS: Final = 60
+_NEWTON_OPTIONS = {"abstol": 1e-12, "max_iter": _MOST_ITERATIONS, "error_on_fail": False, "show_eval_warnings": False}
 # Largest residual of a root, in units of `_size`.
 _LARGEST_RESIDUAL = 1e-8
 # The unit of the unknowns is proportional to the wave amplitude only above this value, so that derivatives exist at 0.
@@ -129,19 +134,89 @@ def _size(structure: Structure, p: dict[str, Column]) -> Column:
     return amplitude * p["static"] / p["stiffness"] + 1e-30
 
 
+@lru_cache(maxsize=32)
+def near_orbit(structure: Structure) -> ca.Function:
+    """Return parameters -> state (w [m], w' [m/s]) of the linear response at time 0, and the units of states."""
+    p, known = equation_of(structure).symbols(ca.MX)
+    mean, sines, cosines = _response(structure, known)
+    omega, size = _frequency(structure, known), _size(structure, known)
+    turning = omega * ca.dot(ca.DM(range(1, sines.numel() + 1)), sines)
+    state, unit = stacked(mean + ca.sum1(cosines), turning), stacked(size, size * omega)
+    return ca.Function("near_orbit", [p], [state, unit])
+
+
 def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
     """Return the Function of the orbit whose state returns to itself after one period of steps."""
-    (p, known), x = equation_of(structure).symbols(ca.MX), ca.MX.sym("x", 2)
-    mean, sines, cosines = _response(structure, known)
-    omega = _frequency(structure, known)
-    size = _size(structure, known)
-    unit = stacked(size, size * omega)
+    p, x = ca.MX.sym("p", len(equation_of(structure).names) + 1), ca.MX.sym("x", 2)
+    guess, unit = near_orbit(structure)(p)
     once = run_from(structure, Timeline(1, timeline.steps))
     miss = (once(x * unit, p)[0][:, -1] - x * unit) / unit
-    turning = omega * ca.dot(ca.DM(range(1, sines.numel() + 1)), sines)
-    first = _root(x, p, miss, stacked(mean + ca.sum1(cosines), turning) / unit) * unit
+    first = _root(x, p, miss, guess / unit) * unit
     results = run_from(structure, timeline)(first, p)
     return ca.Function("orbit", [p], list(results), {"never_inline": True})
+
+
+# Change of a state, in units of `near_orbit`, by which the map of a period is differentiated. Curvature leaves
+# errors of about 1e-6, rounding of 1e-10.
+_DIFFERENCE: Final = 1e-6
+# A step of Newton's method below this, in the same units, leaves about 1e-13.
+_LAST_STEP: Final = 1e-7
+
+
+def returning(once: Callable[[NDArray[np.int64], Array], Array], guess: Array, unit: Array) -> tuple[Array, Array]:
+    """Return the states to which one period returns, by Newton's method for many designs side by side.
+
+    A step that does not bring a state nearer to its return is halved.
+
+    Args:
+        once: (numbers of the designs, states with a row each) -> states after one period.
+        guess: states near the orbits, a row for each design.
+        unit: of the states.
+
+    Returns:
+        The states, NaN where no orbit was found, and the derivatives of the states after one period by those at time 0,
+        both in their units: (design, component after, component before).
+    """
+    best, change, slope = guess / unit, np.zeros_like(guess), np.full((*guess.shape, 2), np.nan)
+    found, nearest = np.full_like(guess, np.nan), np.full(len(guess), np.inf)
+    sought = np.flatnonzero(np.isfinite(best).all(axis=1))
+    shifts = np.vstack([np.zeros(2), _DIFFERENCE * np.eye(2)])
+    for _ in range(_MOST_ITERATIONS):
+        if not len(sought):
+            break
+        tried = best[sought] + change[sought]
+        every = (tried + shifts[:, None]) * unit[sought]
+        with np.errstate(all="ignore"):
+            after = once(np.tile(sought, 3), every.reshape(-1, 2)).reshape(every.shape) / unit[sought]
+            miss = tried - after[0]
+            apart = np.linalg.norm(miss, axis=1)
+        nearer = apart < nearest[sought]
+        moved, halved = sought[nearer], sought[~nearer]
+        change[halved] /= 2.0
+        best[moved], nearest[moved] = tried[nearer], apart[nearer]
+        slope[moved] = ((after[1:, nearer] - after[0, nearer]) / _DIFFERENCE).transpose(1, 2, 0)
+        change[moved] = (inverse(slope[moved] - np.eye(2)) @ miss[nearer, :, None])[..., 0]
+        done = moved[np.abs(change[moved]).max(axis=1) < _LAST_STEP]
+        found[done] = best[done] + change[done]
+        # A guess from which no motion returns has an infinite distance, and a change of 0.
+        lost = halved[~(np.abs(change[halved]).max(axis=1) > _LAST_STEP)]
+        sought = np.setdiff1d(sought, np.append(done, lost), assume_unique=True)
+    return found * unit, slope
+
+
+def inverse(matrices: Array) -> Array:
+    """Return the inverses of matrices of two rows, one for each design; not finite where a matrix is singular."""
+    (a, b), (c, d) = matrices.transpose(1, 2, 0)
+    with np.errstate(all="ignore"):
+        return np.asarray(np.array([[d, -b], [-c, a]]) / (a * d - b * c)).transpose(2, 0, 1)
+
+
+def without_orbit(scene: Scene) -> str:
+    """Return the message of a scene for which no orbit was found."""
+    return (
+        f"no periodic orbit of a {scene.describe()} was found from its linear response: damp the mount, or use"
+        " orbit = 'transient' to see whether the motion settles"
+    )
 
 
 def _linear(structure: Structure) -> ca.Function:
@@ -213,8 +288,6 @@ def _from_series(structure: Structure, timeline: Timeline, series: ca.Function) 
         variances.append((ca.sumsqr(k * cosines + c * sines) + ca.sumsqr(k * sines - c * cosines)) / 2.0)
     return ca.Function("series", [p], [states, stacked(*means), stacked(*variances)], {"never_inline": True})
 
-
-Array = NDArray[np.float64]
 
 MOST_STEPS: Final = 50_000
 """Steps of order 8 after which a share that has not settled is given up; they take some tenths of a second."""

@@ -23,7 +23,7 @@ from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display
 from plough_opt.laws import LAWS
 from plough_opt.motion import Run
-from plough_opt.motion.batch import Batch
+from plough_opt.motion.batch import UNSTABLE, Batch
 from plough_opt.motion.effects import OWN_EFFECTS
 from plough_opt.motion.methods import DEFAULT_ERROR, METHODS
 from plough_opt.motion.scene import Scene
@@ -224,8 +224,6 @@ def _evaluation(
     if method == "batch" or (method == "auto" and count >= MANY):
         many = SimulationOfMany(problem, names)
         try:
-            if problem.values().get("scene.duration") is None and "scene.duration" not in names:
-                raise InputError("a batch cannot find a periodic orbit: it integrates a motion from its start")
             many.build()
         except InputError:
             if method == "batch":
@@ -359,7 +357,7 @@ class SimulationOfMany:
             if self._built is None:
                 symbols = {name: ca.MX.sym(name) for name in self.names}
                 scene = self.problem.scene(symbols)
-                duration = self.problem.values(symbols)["scene.duration"]
+                duration = self.problem.values(symbols).get("scene.duration")
                 batch = Batch(scene, duration, list(symbols.values()), error=self.error)
                 of_scene = stacked(*(of(scene) for of in self._of_scene.values()), scene.ambient_share)
                 self._built = batch, ca.Function("of_scene", [ca.vertcat(*symbols.values())], [of_scene])
@@ -390,6 +388,8 @@ class SimulationOfMany:
                 notes.append((int(k), points, (*batch.warnings, *scene.warnings())))
         if missed := np.flatnonzero(found.missed).tolist():
             notes.append((missed[0], len(missed), (f"the wanted relative error {self.error:.1e} was not reached",)))
+        if unstable := np.flatnonzero(found.unstable).tolist():
+            notes.append((unstable[0], len(unstable), (UNSTABLE,)))
         return results, found.reasons, notes
 
 

@@ -126,10 +126,22 @@ class TestMany:
         assert "po.simulate" in ProblemSweep.of(problem, axes, method="each").how
         sticky = po.read_problem(PROBLEMS / "stick_slip.toml")
         assert "po.simulate" in ProblemSweep.of(sticky, axes).how
-        orbit = po.read_problem(PROBLEMS / "draft_oscillation_loosening.toml")
-        for other, why in ((sticky, "events"), (orbit, "a batch cannot find a periodic orbit")):
-            with pytest.raises(po.InputError, match=why):
-                ProblemSweep.of(other, axes, method="batch")
+        with pytest.raises(po.InputError, match="events"):
+            ProblemSweep.of(sticky, axes, method="batch")
+
+    def test_a_batch_of_periodic_orbits(self, inline):
+        changed = ("effects.damping=10 N*s/m", "effects.strength_wave.amplitude=1.0", "share.height=45 cm")
+        problem = po.read_problem(PROBLEMS / "draft_oscillation_loosening.toml", changed)
+        axes = {"scene.stiffness": [3e3, 5e3, 1e4, 1e5], "scene.tow_speed": [1.5, 3.0]}
+        with (
+            po.sweep(problem, axes, method="batch", executor=inline) as found,
+            po.sweep(problem, axes, method="each", executor=inline) as single,
+        ):
+            for name in ("mean_draft", "force_rms", "tow_power", "loosened_radius"):
+                np.testing.assert_allclose(found.column(name), single.column(name), rtol=1e-6)
+            assert any("equilibrium" in note for note in found.notes)
+            unstable = [[note for note in one.notes if "the orbit is unstable" in note] for one in (found, single)]
+            assert [*map(bool, unstable)] == [True, True]
 
 
 TEXTS = [

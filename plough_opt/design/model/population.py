@@ -154,8 +154,10 @@ class Population:
         for k, run in enumerate(parts.runs):
             averages = averages_only(run, full, 2 + k)
             outputs = 0 if averages else run.integration.timeline.outputs
-            stepped = run.integration.structure.stepped and (rough or run.integration.accuracy.method == "auto")
-            key = (run.integration.structure, outputs) if stepped else k
+            structure = run.integration.structure
+            stepped = structure.stepped or structure.orbit == "periodic"
+            stepped &= rough or run.integration.accuracy.method == "auto"
+            key = (structure, outputs) if stepped else k
             members_by_key.setdefault(key, []).append(k)
         self._groups = [self._group(parts, members, key) for key, members in members_by_key.items()]
         inputs = [ca.horzcat(*(parts.runs[k].inputs for k in group.members)) for group in self._groups]

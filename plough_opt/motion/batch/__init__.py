@@ -1,6 +1,6 @@
 """Batches: averages of very many designs, integrated side by side in the processor's vector registers."""
 
 from plough_opt.motion.batch.batch import Batch
-from plough_opt.motion.batch.result import BatchResult
+from plough_opt.motion.batch.result import UNSTABLE, BatchResult
 
-__all__ = ["Batch", "BatchResult"]
+__all__ = ["UNSTABLE", "Batch", "BatchResult"]

@@ -73,6 +73,11 @@ class Layout:
         return self.equation.structure
 
     @property
+    def orbit(self) -> bool:
+        """Whether the motion is a periodic orbit."""
+        return self.structure.orbit == "periodic"
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the equation's parameters."""
         return self.equation.names

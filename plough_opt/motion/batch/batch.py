@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -14,7 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from plough_opt.core.checks import NOT_NUMBERS, check_kind, check_single, limits_of_numbers, shown
+from plough_opt.core.checks import NOT_NUMBERS, check_domain, check_kind, check_single, limits_of_numbers, shown
 from plough_opt.core.compiler import compiler_problem
 from plough_opt.core.errors import InputError, PloughError
 from plough_opt.core.expressions import (
@@ -30,11 +31,21 @@ from plough_opt.core.expressions import (
     template_of,
 )
 from plough_opt.core.quantities import BESIDE
-from plough_opt.motion.batch.advance import RESULTS, Layout, StartValues, advance, function_of_column, setup
+from plough_opt.motion.batch.advance import (
+    RESULTS,
+    Layout,
+    Matrix,
+    StartValues,
+    advance,
+    ellipse_after,
+    function_of_column,
+    setup,
+)
 from plough_opt.motion.batch.engine import Array, Engine
-from plough_opt.motion.batch.result import BatchResult
+from plough_opt.motion.batch.result import UNSTABLE, BatchResult
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.equation import Structure
+from plough_opt.motion.orbit import inverse, near_orbit, returning, without_orbit
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.random_strength import check_strength
 
@@ -88,6 +99,8 @@ class DomainCheck:
         """
         values = map(value, range(self._varying))
         scene: Scene = map_expressions(self._template, lambda _: next(values))
+        if scene.effects.orbit != "transient":
+            check_domain("tow speed", scene.tow_speed, "m/s", above=0.0, why="a standing share has no orbit")
         BESIDE["scene.duration"].check(value(self._varying))
         if scene.soil.density_profile is None:
             scene.check_reaction()
@@ -125,6 +138,8 @@ _REPETITIONS = 4
 _RESERVE = 0.3
 # A repetition divides the allowed error of a step by at most a million.
 _LARGEST_CUT = 1e-6
+# Map of deviations that changes none.
+_UNMOVED: Matrix = (ca.SX(1), ca.SX(0), ca.SX(0), ca.SX(1))
 _NO_RAMP = "the time of the tow ramp is not above 0: use a batch of a scene without tow_ramp for such designs"
 
 
@@ -145,10 +160,15 @@ class Batch:
     right-hand side; they are written in C and compiled for the processor's vector registers, once for each kind of
     scene.
 
+    A periodic orbit is found by Newton's method on the map of one wavelength, from the linear response. Its error
+    estimate includes that of the state at time 0, which the map of deviations over one wavelength amplifies. Unlike
+    `simulate`, a batch does not follow a share from equilibrium to see whether it comes to the orbit.
+
     Args:
         scene: scene whose quantities may be CasADi expressions of the inputs; its motion must be transient, with
-            contact ``"resisting"`` or `Smooth`.
-        duration: simulated time, above 0: a float [s], a text such as "2 s", or an expression of the inputs [s].
+            contact ``"resisting"`` or `Smooth`, or a periodic orbit without own resistances.
+        duration: simulated time, above 0: a float [s], a text such as "2 s", or an expression of the inputs [s]; None
+            for a periodic orbit, which lasts one wavelength of the soil's strength.
         inputs: CasADi symbols, in the order of the columns of values.
         error: wanted error of mean draft and RMS force, relative to the larger of them, from 1e-11 to 1e-2.
 
@@ -168,11 +188,13 @@ class Batch:
         2
     """
 
-    def __init__(self, scene: Scene, duration: Expression, inputs: Sequence[Column], *, error: float = 1e-6) -> None:
+    def __init__(
+        self, scene: Scene, duration: Expression | None, inputs: Sequence[Column], *, error: float = 1e-6
+    ) -> None:
         _check_scene(scene)
         if not (isinstance(error, int | float | np.number) and 1e-11 <= error <= 1e-2):
             raise InputError(f"error = {shown(error)} must lie between 1e-11 and 1e-2")
-        duration = BESIDE["scene.duration"].read(duration, stacklevel=2)
+        duration = BESIDE["scene.duration"].read(_duration(scene, duration), stacklevel=2)
         check_single("the duration of a batch", duration)
         symbols = _symbols(inputs)
         self._error = error
@@ -184,6 +206,13 @@ class Batch:
             "quantities": function_of_column("quantities", symbols, stacked(*varying, duration)),
             "setup": setup(self._layout, scene, duration, symbols, error),
         }
+        if self._layout.orbit:
+            p, q = ca.SX.sym("p", len(self._layout.names) + 1), ca.SX.sym("q", 8)
+            functions["near"] = ca.Function("near", [p], [ca.vertcat(*near_orbit(self._layout.structure)(p))])
+            missed = ellipse_after(ca.vertsplit(q[:3]), _UNMOVED, q[3])
+            functions["closed"] = ca.Function(
+                "closed", [q], [ca.vertcat(*ellipse_after(missed, (q[4], q[5], q[6], q[7]), ca.SX(0)))]
+            )
         self._inputs = functions["setup"].numel_in(0)
         # One order more for every digit of the wanted error, and ten because a step may make only a small part of it.
         order = round(10.0 - math.log10(error))
@@ -198,9 +227,12 @@ class Batch:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings about the batch as a whole."""
+        settles = "whether a share from equilibrium comes to an orbit is unknown: a batch does not follow it there"
+        followed = (f"{settles}, as po.simulate does",) if self._layout.orbit else ()
         if self.compiled:
-            return ()
+            return followed
         return (
+            *followed,
             f"{compiler_problem()}: NumPy evaluates the batch, with the same results; with a compiler it would be about"
             " ten times faster for thousands of designs, and a hundred times for tens",
         )
@@ -220,7 +252,7 @@ class Batch:
         began = time.perf_counter()
         rows = self._rows(values)
         starts = range(0, rows.shape[1], _CHUNK)
-        results = np.full((len(RESULTS) + 2, rows.shape[1]), np.nan)
+        results = np.full((len(RESULTS) + 3, rows.shape[1]), np.nan)
         reasons: dict[int, str] = {}
 
         def simulate(start: int) -> None:
@@ -234,13 +266,15 @@ class Batch:
         else:
             with ThreadPoolExecutor(threads) as pool:
                 list(pool.map(simulate, starts))
-        return BatchResult(
-            **dict(zip((*RESULTS, "error_estimate", "steps"), results, strict=True)),
+        found = BatchResult(
+            **dict(zip((*RESULTS, "largest_multiplier", "error_estimate", "steps"), results, strict=True)),
             reasons=dict(sorted(reasons.items())),
             wanted=self._error,
             seconds=time.perf_counter() - began,
             warnings=self.warnings,
         )
+        count = np.count_nonzero(found.unstable)
+        return replace(found, warnings=(*self.warnings, f"{count} designs: {UNSTABLE}")) if count else found
 
     def stream(self, chunks: Iterable[ArrayLike], *, threads: int = 1) -> Iterator[BatchResult]:
         """Yield the results of chunks of designs one after the other, so that memory does not grow with their number.
@@ -271,9 +305,9 @@ class Batch:
         return array.T
 
     def _simulate(self, rows: Array) -> tuple[Array, dict[int, str]]:
-        """Return results, errors and steps of some designs, a row each, and why designs failed, by their position."""
+        """Return a row for each result, multiplier, error and number of steps, and why designs failed, by position."""
         layout = self._layout
-        best = np.full((len(RESULTS) + 2, rows.shape[1]), np.nan)
+        best = np.full((len(RESULTS) + 3, rows.shape[1]), np.nan)
         quantities = self._engine.evaluate("quantities", rows)
         reasons = self._check.reasons(quantities)
         prepared = self._engine.evaluate("setup", rows)
@@ -299,14 +333,16 @@ class Batch:
             # If shorter steps hardly lower the error, it is due to rounding or to a chaotic motion.
             worthwhile = results[-2] <= np.sqrt(cut) * before[-2]
             which, prepared, results = which[worthwhile], prepared[:, worthwhile], results[:, worthwhile]
-        for k in np.flatnonzero(~np.isfinite(best[:-2]).all(axis=0)):
+        for k in np.flatnonzero(~np.isfinite(best[: len(RESULTS)]).all(axis=0)):
             best[:-1, k] = np.nan
             if int(k) not in reasons:
                 reasons[int(k)] = self._reason(quantities[:, k], best[-1, k])
         return best, reasons
 
     def _integrate(self, prepared: Array, key: Array) -> Array:
-        """Return results, errors and steps of designs, a row each; results are NaN if a run took too many steps.
+        """Return results, multipliers, errors and steps of designs, a row each.
+
+        Results are NaN if a run took too many steps, or if no orbit was found.
 
         Args:
             prepared: results of `setup`.
@@ -314,15 +350,54 @@ class Batch:
         """
         count = self._layout.parameters
         p, start = np.ascontiguousarray(prepared[:count]), StartValues(*prepared[count:])
-        states = np.zeros((self._layout.states, p.shape[1]))
+        states, largest = np.zeros((self._layout.states, p.shape[1])), np.full(p.shape[1], np.nan)
         states[2] = start.rate
-        steps = self._engine.run(p, states, np.argsort(key), _MOST_STEPS)
-        results = np.empty((len(RESULTS) + 2, p.shape[1]))
+        if self._layout.orbit:
+            states, largest = self._on_orbits(p, key)
+        steps = self._run(p, states, key)
+        results = np.empty((len(RESULTS) + 3, p.shape[1]))
         with np.errstate(all="ignore"):
-            results[:-1] = start.results(self._layout, states[3:])
-        results[-1] = steps
-        results[:-1, ~(states[0] >= p[self._layout.ends[-1]])] = np.nan
+            *results[: len(RESULTS)], results[-2] = start.results(self._layout, states[3:])
+        results[-3], results[-1] = largest, steps
+        results[:-1, ~np.isfinite(states).all(axis=0)] = np.nan
         return results
+
+    def _run(self, p: Array, states: Array, key: Array) -> Array:
+        """Integrate designs, and return their numbers of steps; unfinished ones get NaN as states."""
+        sound = np.flatnonzero(np.isfinite(states).all(axis=0))
+        steps = self._engine.run(p, states, sound[np.argsort(key[sound])], _MOST_STEPS)
+        states[:, ~(states[0] >= p[self._layout.ends[-1]])] = np.nan
+        return steps
+
+    def _on_orbits(self, p: Array, key: Array) -> tuple[Array, Array]:
+        """Return the states of orbits at time 0, and the absolute values of their largest multipliers.
+
+        A state has NaN if no orbit was found. Its error ellipse holds the orbit: if e is the error of the state after a
+        period, that of the state before it is (1 - slope)^-1 e.
+        """
+        layout, motion = self._layout, slice(1, 3)
+
+        def after(which: NDArray[np.int64], first: Array) -> Array:
+            states = np.zeros((layout.states, len(which)))
+            states[motion] = first.T
+            self._run(np.ascontiguousarray(p[:, which]), states, key[which])
+            return states
+
+        near = self._engine.evaluate("near", p[[*range(len(layout.names)), layout.ends[-1]]])
+        guess, unit = near[:2].T, near[2:].T
+        first, slope = returning(lambda which, tried: after(which, tried)[motion].T, guess, unit)
+        last = after(np.arange(p.shape[1]), first)
+        # The plane of the ellipse is that of w and w'/s, with the mount's angular frequency s.
+        stiffness, inertia = (p[layout.names.index(name)] for name in ("stiffness", "inertia"))
+        metres = np.stack([np.ones_like(inertia), np.sqrt(inertia / np.abs(stiffness))], axis=1)
+        scale = unit * metres
+        gain = inverse(np.eye(2) - slope * scale[:, :, None] / scale[:, None, :])
+        missed = np.linalg.norm(metres * (last[motion].T - first), axis=1)
+        states = np.zeros((layout.states, p.shape[1]))
+        states[motion] = first.T
+        states[-4:-1] = self._engine.evaluate("closed", np.vstack([last[-4:-1], missed, gain.reshape(-1, 4).T]))
+        finite = np.where(np.isfinite(slope), slope, 0.0)
+        return states, np.abs(np.linalg.eigvals(finite)).max(axis=1)
 
     def _reason(self, quantities: Array, steps: float) -> str:
         """Return why a design within the domain failed."""
@@ -331,6 +406,8 @@ class Batch:
             description = scene.describe()
         except PloughError as error:  # such as a density profile without a compaction front
             return str(error)
+        if self._layout.orbit and steps < _MOST_STEPS:
+            return without_orbit(scene)
         if steps >= _MOST_STEPS:
             return (
                 f"the motion of a {description} takes more than {_MOST_STEPS} steps: use the quasi-static scene"
@@ -356,6 +433,17 @@ def _symbols(inputs: Sequence[Column]) -> list[Expression]:
     return symbols
 
 
+def _duration(scene: Scene, duration: Expression | None) -> Expression:
+    """Return the simulated time, for an orbit its period; raise InputError if it is missing or has to be omitted."""
+    if (duration is None) == (scene.effects.orbit == "transient"):
+        raise InputError(
+            "the duration is missing: give the time to simulate, in seconds"
+            if duration is None
+            else "the duration of a periodic orbit is one wavelength of the soil strength: use None"
+        )
+    return scene.wave_period if duration is None else duration
+
+
 def _check_scene(scene: Scene) -> None:
     """Raise InputError if a batch cannot integrate the motion of a scene."""
     check_kind("the scene", scene, Scene, "a Scene, made of soil, share, stiffness, mass and tow speed")
@@ -365,10 +453,14 @@ def _check_scene(scene: Scene) -> None:
             "a batch integrates a motion, and a quasi-static scene has none: use po.simulate(scene, duration) with"
             " symbols and a casadi.Function of its averages, which costs next to nothing"
         )
-    if effects.orbit != "transient":
+    if effects.orbit not in ("transient", "periodic"):
         raise InputError(
-            "a batch integrates a motion from its start: use orbit = 'transient' and a long duration, or po.simulate"
-            " for the periodic orbit of each design"
+            "a batch does not approximate periodic orbits: use orbit = 'periodic', or po.simulate for each design"
+        )
+    if effects.orbit == "periodic" and effects.own:
+        raise InputError(
+            "a batch cannot check whether own resistances repeat themselves with the wave: use po.simulate for the"
+            " periodic orbit of each design"
         )
     if effects.tow_profile is not None:
         raise InputError("a batch has a constant tow speed or a tow_ramp: use po.simulate for each design")

@@ -26,6 +26,10 @@ _UNITS: Final = {
     "mean_draft": "N", "force_rms": "N", "mean_deflection": "m", "displacement_rms": "m", "tow_power": "W",
     "error_estimate": "", "steps": "",
 }  # fmt: skip
+# A multiplier that exceeds 1 by less may be that of an undamped mount: multipliers follow from differences of states.
+_MARGINAL: Final = 1e-5
+UNSTABLE: Final = "the orbit is unstable: a deviation grows in every wavelength, so no share stays on it"
+"""Warning of a design with such an orbit."""
 # Failures that a table quotes.
 _QUOTED: Final = 3
 
@@ -44,6 +48,8 @@ class BatchResult(Saveable):
             truncated terms of all steps as if they pointed the same way, and lets the sum grow or decay by the
             linearised equation of motion. It is usually about a hundred times larger than the error, and infinite for a
             chaotic motion.
+        largest_multiplier: absolute value of the largest Floquet multiplier of a periodic orbit [-], by which a small
+            deviation grows over one wavelength; NaN for a motion from a start.
         steps: number of steps of each design.
         reasons: position of a design without results -> the reason. Its results are NaN.
         wanted: the relative error that was requested [-].
@@ -66,6 +72,7 @@ class BatchResult(Saveable):
     mean_deflection: Array
     displacement_rms: Array
     tow_power: Array
+    largest_multiplier: Array
     error_estimate: Array
     steps: Array
     reasons: dict[int, str]
@@ -125,6 +132,11 @@ class BatchResult(Saveable):
         mask = np.zeros(len(self), dtype=bool)
         mask[list(self.reasons)] = True
         return mask
+
+    @property
+    def unstable(self) -> NDArray[np.bool_]:
+        """Mask of the designs whose periodic orbit is unstable."""
+        return np.asarray(self.largest_multiplier > 1.0 + _MARGINAL)
 
     @property
     def missed(self) -> NDArray[np.bool_]:

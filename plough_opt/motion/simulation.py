@@ -192,8 +192,6 @@ def _checked_duration(
 
 def _with_tow_speed(scene: Scene, duration: Expression, tow_speed: Any) -> Scene:
     """Return a scene whose strut has a tow speed [m/s] that varies over time."""
-    if scene.effects.orbit != "transient":
-        raise InputError("a tow speed that varies has no periodic orbit: leave orbit out, or use a constant speed")
     if is_symbolic(duration):
         raise InputError("the tow speed varies with time, so the duration cannot be a symbol: give a number [s]")
     largest, profile = profile_of(tow_speed, float(as_number(duration)))
@@ -460,7 +458,7 @@ def _change_by_perturbation(case: Case, found: Integrated) -> float:
 
 
 GAUSS_POINTS = 10
-"""Gauss-Legendre nodes in each panel, for the averages of a numeric quasi-static run."""
+"""Gauss-Legendre nodes in each panel, for the averages of a numeric quasi-static run and of a component."""
 
 MORE_POINTS = 6
 """Additional nodes in each panel of the checking run."""

@@ -146,7 +146,7 @@ def sweep(
     Args:
         what_to_sweep: a problem, whose quantities are named as in its file; or a picklable function that takes a
             dictionary of the quantities at a point and returns named finite numbers. If it raises an exception, the
-            point fails for that reason.
+            point fails for that reason. A function of an interactive session or a notebook needs cloudpickle.
         over: name -> values: a `Range`, numbers (SI), or for a problem a text such as "5..45 kPa:9",
             "10..1000 kN/m:7 log", "5 kPa, 10 kPa", or "5..45 kPa" for a sample. The last name varies fastest.
         what: for a problem, "simulate" its scene with its variables at their guesses, or "optimise" its design from the

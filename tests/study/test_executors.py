@@ -4,6 +4,7 @@ import asyncio
 import os
 import shutil
 import signal
+import subprocess
 import sys
 from concurrent.futures import CancelledError, Future
 from pathlib import Path
@@ -128,3 +129,29 @@ def test_mpi_gives_the_same_bits(script, inline, tmp_path):
     out, error = process.communicate(timeout=120)
     assert (process.returncode, out) == (0, "60\n"), error
     np.testing.assert_array_equal(po.Sweep.load(store).table, po.sweep(swept.waves, OVER, executor=inline).table)
+
+
+SESSION = """
+import sys
+sys.modules.update(dict.fromkeys(sys.argv[2:]))  # modules that cannot be imported
+import plough_opt as po
+factor, over = 3.0, {"x": [1.0, 2.0]}
+def response(values):
+    return {"y": factor * values["x"]}
+for task in (response, lambda values: response(values)):
+    with po.sweep(task, over, workers=1, store=sys.argv[1]) as found:
+        print(found.table["y"], found.failed)
+    factor = 4.0  # another function, so another sweep
+    sys.argv[1] += "2"
+"""
+
+
+@pytest.mark.parametrize("absent", [[], ["cloudpickle"]])
+def test_a_function_of_an_interactive_session_is_swept_or_refused_before_a_worker_starts(absent, tmp_path):
+    command = [sys.executable, "-c", SESSION, str(tmp_path / "sweep.db"), *absent]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if absent:
+        assert "InputError" in done.stderr
+        assert "install cloudpickle" in done.stderr
+    else:
+        assert (done.stdout, done.stderr) == ("[3. 6.] 0\n[4. 8.] 0\n", "")

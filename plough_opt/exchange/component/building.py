@@ -43,7 +43,7 @@ from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.plan import fewest_steps, forced_rate, numbers_of, phase, steps_for, timeline_of
 from plough_opt.motion.run import assemble
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.simulation import quasi_static
+from plough_opt.motion.simulation import GAUSS_POINTS, MORE_POINTS, quasi_static
 from plough_opt.motion.steps import Timeline
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 
@@ -53,11 +53,6 @@ MakeScene = Callable[[Mapping[str, Expression]], tuple[Scene, Expression | None]
 Results = Mapping[str, Callable[[Run], Expression]]
 """Name of each result -> its value in a symbolic run, a scalar or a column."""
 
-GAUSS_POINTS = 10
-"""Quadrature nodes in each panel of a quasi-static average."""
-
-_MORE_POINTS = 6
-"""Further nodes for a finer quadrature, whose result checks the coarser one."""
 Values = dict[str, NDArray[np.float64]]
 # The first guess of the number of steps: phase [rad] of the fastest oscillation in one step.
 _PHASE_PER_STEP = 0.8
@@ -98,7 +93,7 @@ class Resolution:
 
     def finer(self, motion: bool) -> Resolution:
         """Return a finer resolution, whose results check those of this one."""
-        return replace(self, steps=2 * self.steps) if motion else replace(self, points=self.points + _MORE_POINTS)
+        return replace(self, steps=2 * self.steps) if motion else replace(self, points=self.points + MORE_POINTS)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import uuid
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -34,6 +33,7 @@ from plough_opt.studies.sweep.pool import (
     OutOfTime,
     ProcessPool,
     WorkerDied,
+    packed,
     work,
 )
 from plough_opt.studies.sweep.result import Sweep
@@ -353,7 +353,9 @@ def _check_arguments(evaluation: object, over: object, executor: object, workers
     if executor is not None:
         return
     try:
-        pickle.dumps(evaluation)
+        packed(evaluation)
+    except InputError:
+        raise
     except Exception as error:
         raise InputError(
             f"{shown(evaluation)} cannot be sent to other processes ({error}): use a function at the top level of a"

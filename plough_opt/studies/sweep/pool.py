@@ -22,6 +22,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
 
@@ -233,6 +234,28 @@ class OutOfTime(Exception):
     """A process did not finish its task within the limit, and was ended."""
 
 
+def packed(task: object) -> bytes:
+    """Return a task as bytes for another process, in an interactive session with the functions defined there.
+
+    Raises:
+        InputError: it needs such a function, and cloudpickle is not installed.
+    """
+    if getattr(sys.modules["__main__"], "__file__", None) is not None and not sys.flags.interactive:
+        return pickle.dumps(task)
+    try:
+        by_value = import_module("cloudpickle")
+    except ImportError:
+        data = pickle.dumps(task)
+        if b"__main__" in data:  # functions are pickled as the names of their modules
+            raise InputError(
+                "other processes cannot import a function that is defined in an interactive session or a notebook:"
+                " install cloudpickle (pip install cloudpickle), or write the function into a module and import it"
+            ) from None
+        return data
+    values: bytes = by_value.dumps(task)
+    return values
+
+
 class ProcessPool(Executor):
     """An executor whose processes are replaced when they die; the task of a dead process fails with `WorkerDied`.
 
@@ -260,7 +283,7 @@ class ProcessPool(Executor):
             )
         script = multiprocessing.spawn.get_preparation_data("worker of a sweep")
         del script["authkey"]  # cannot be pickled
-        self._first_message = script, pickle.dumps(evaluation)
+        self._first_message = script, packed(evaluation)
         # One thread per core for all workers together; more would slow all of them down.
         self._environment = environment(max(1, available() // workers))
         self._limit = limit
@@ -281,7 +304,7 @@ class ProcessPool(Executor):
             InputError: the pool has given up.
         """
         future: Future[Any] = Future()
-        call = pickle.dumps((fn, args, kwargs))
+        call = packed((fn, args, kwargs))
         with self._lock:
             if self._broken is not None:
                 raise self._broken

@@ -331,8 +331,8 @@ def remarks(run: Run) -> tuple[str, ...]:
 
 def broken_wave(run: Run) -> tuple[str, ...]:
     """Return a warning if the mean draft of a transient differs from that over its whole waves."""
-    waves = run.scene.effects.waves
-    if not waves or run.scene.effects.orbit != "transient":
+    effects, waves = run.scene.effects, run.scene.effects.waves
+    if not waves or effects.orbit != "transient" or effects.tow_profile is not None:
         return ()
     duration = float(run.duration)
     period = max(float(wave.wavelength) for wave in waves) / float(run.scene.tow_speed)

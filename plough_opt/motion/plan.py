@@ -212,17 +212,16 @@ def timeline_of(
         method: name of the method.
         symbolic: whether the run will be differentiated, so that steps must also end at the ends of smooth contact.
     """
-    effects, ramp = scene.effects, scene.effects.tow_ramp
-    if effects.tow_profile is not None and is_symbolic(duration):
+    effects, ramp, profile = scene.effects, scene.effects.tow_ramp, scene.effects.tow_profile
+    if profile is not None and is_symbolic(duration):
         raise InputError("the tow speed varies with time, so the duration cannot be a symbol: give a number [s]")
     untimed = effects.ramps and (is_symbolic(ramp) or is_symbolic(duration))
-    if untimed or (symbolic and effects.motion and isinstance(effects.contact, Smooth)):
-        return _timeline(outputs, steps, moving=True)
-    times: tuple[float, ...] = (float(as_number(ramp)),) if effects.ramps else ()
-    if effects.tow_profile is not None:
-        times = effects.tow_profile.times
+    moving = untimed or (symbolic and effects.motion and isinstance(effects.contact, Smooth))
+    times = () if profile is None else profile.times
+    if effects.ramps and not moving:
+        times = (float(as_number(ramp)),)
     kinks = kinks_of(times, float(as_number(duration))) if times else ()
-    return _timeline(outputs, steps, kinks, method not in ORDER_8)
+    return _timeline(outputs, steps, kinks, moving or method not in ORDER_8, moving)
 
 
 def kinks_of(times: tuple[float, ...], duration: float) -> tuple[float, ...]:

@@ -398,6 +398,7 @@ class Scene:
 
     def describe(self) -> str:
         """Return a noun phrase that identifies a numeric scene in messages."""
+        at = "at" if self.effects.tow_profile is None else "at up to"
         spring = " of a repelling spring, as printed," if self.effects.printed.repelling_spring else ""
         angle, height, stiffness, inertia, speed = (
             float(as_number(value))
@@ -405,7 +406,7 @@ class Scene:
         )
         return (
             f"share of half angle {math.degrees(angle):.3g} deg and height {height:.3g} m in {self.soil.name}, on"
-            f" {stiffness / 1e3:.4g} kN/m{spring} with {inertia:.3g} kg at {speed:.3g} m/s"
+            f" {stiffness / 1e3:.4g} kN/m{spring} with {inertia:.3g} kg {at} {speed:.3g} m/s"
         )
 
     def warnings(self) -> tuple[str, ...]:

@@ -61,7 +61,7 @@ class Timeline:
             least one. Otherwise outputs are interpolated between the ends of `READ_FROM` steps.
         moving: whether steps of order 8 also end at kinks whose times depend on the parameters: see
             `plough_opt.motion.steps`. Steps are then aligned, their number in an output interval is rounded up,
-            and there are no ``kinks``.
+            and ``kinks`` are the knots of a speed profile only.
     """
 
     outputs: int

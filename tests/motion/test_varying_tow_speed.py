@@ -135,18 +135,33 @@ def test_a_rigid_mount_follows_the_table():
     assert run.mount_force == pytest.approx(draft, rel=1e-11)
 
 
-def test_a_design_moves_with_the_table():
-    stiffness, at = ca.MX.sym("stiffness"), 4e4
-    profile = po.simulate(scene_of(), 1.2, tow_speed=TABLE).scene.effects.tow_profile
-    effects = {"damping": 300.0, "strength_wave": WAVE, "tow_profile": profile}
+PROFILE = po.simulate(scene_of(motion=False), 1.2, tow_speed=TABLE).scene.effects.tow_profile
+IN_DESIGNS = (EFFECTS[0], EFFECTS[2], {"motion": False, "strength_wave": WAVE})
 
-    def drafts(k):
-        return po.simulate(scene_of(stiffness=k, tow_speed=2.5, **effects), 1.2)
 
-    run = drafts(stiffness)
-    rms, slope = ca.Function("f", [stiffness], [run.force_rms, ca.gradient(run.force_rms, stiffness)])(at)
-    assert float(rms) == pytest.approx(drafts(at).force_rms, rel=1e-8)
-    assert float(slope) == pytest.approx((drafts(at + 40.0).force_rms - drafts(at - 40.0).force_rms) / 80.0, rel=1e-5)
+@pytest.mark.parametrize("effects", IN_DESIGNS, ids=["damped", "smooth", "rigid"])
+def test_symbols_move_with_the_table(effects):
+    stiffness, at, h = ca.MX.sym("stiffness"), 4e4, 40.0
+
+    def swing(k, **more):
+        scene = scene_of(stiffness=k, tow_speed=2.5, tow_profile=PROFILE, **effects)
+        return po.simulate(scene, 1.2, **more).displacement_rms
+
+    exact = {"accuracy": po.Accuracy(error=1e-11)} if effects.get("motion", True) else {}
+    by_symbol = swing(stiffness)
+    rms, slope = ca.Function("f", [stiffness], [by_symbol, ca.gradient(by_symbol, stiffness)])(at)
+    assert float(rms) == pytest.approx(swing(at, **exact), rel=1e-10)
+    difference = (swing(at + h, **exact) - swing(at - h, **exact)) / (2.0 * h)
+    assert float(slope) == pytest.approx(difference, rel=1e-5)
+
+
+def test_a_component_moves_with_the_table():
+    scene = scene_of(tow_speed=2.5, tow_profile=PROFILE, **EFFECTS[0])
+    stiffness = po.Input("scene.stiffness", 3e4, 6e4)
+    part = po.component(scene, duration=1.2, inputs=[stiffness], outputs=["force_rms", "tow_power"])
+    run = po.simulate(scene, 1.2)
+    assert part(5e4) == pytest.approx([run.force_rms, run.tow_power], rel=1e-8)
+    assert not any("whole waves" in text for text in run.warnings)  # their time is that at constant speed
 
 
 def test_a_run_keeps_its_tow_speed_in_a_file(tmp_path):

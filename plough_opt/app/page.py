@@ -23,7 +23,7 @@ from plough_opt.design import Limit, Optimum, Sensitivity
 from plough_opt.design.search.landscape import FEASIBLE
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion import Run
-from plough_opt.motion.run import OUTPUTS as UNITS_OVER_TIME
+from plough_opt.motion.run import ARRAYS
 from plough_opt.motion.vocabulary import called
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.reading import tables_of
@@ -547,7 +547,7 @@ def explored(report: Report, model: PageModel) -> dict[str, Any]:
         "optima": [{"x": one.variables, "objective": one.objective} for one in (best.local_optima if best else ())],
         "objective": bool(problem.table.minimise),
         "panels": panels,
-        "units": UNITS_OVER_TIME,
+        "units": ARRAYS,
         "file": problem.name,
         "overrides": problem.overrides,
         "tables": tables_of(problem),

@@ -27,10 +27,10 @@ from plough_opt.motion.steps import READ_FROM, Timeline, readings, run_from, ste
 
 Array = NDArray[np.float64]
 
-PHASE_PER_STEP = 2.6
+COARSE_PHASE = 2.6
 """Phase of a step by `summed_rate` [rad]; averages then have errors of about 1e-5 of the oscillation."""
 
-PHASE_PER_STEP_READ = 1.6
+COARSE_PHASE_READ = 1.6
 """The same if outputs are read within steps, by a polynomial of lower order than the method."""
 
 # Such steps lose a part of the amplitude of a free oscillation, 3e-5 per rad. For a towed share without a damper it is
@@ -279,9 +279,9 @@ class ManyRuns:
 
     def _steps(self, known: dict[str, Array], duration: Array, finer: float) -> Array:
         """Return the number of steps of each run; infinite if it is too large."""
-        phase = PHASE_PER_STEP_READ if self._outputs else PHASE_PER_STEP
+        phase = COARSE_PHASE_READ if self._outputs else COARSE_PHASE
         summed, lasting = summed_and_lasting_phase(known, duration)
-        shorter = np.maximum((lasting / _LASTING_PHASE) ** (1.0 / _LOSS_ORDER) * phase / PHASE_PER_STEP, 1.0)
+        shorter = np.maximum((lasting / _LASTING_PHASE) ** (1.0 / _LOSS_ORDER) * phase / COARSE_PHASE, 1.0)
         steps: Array = np.maximum(np.ceil(finer * shorter * summed / phase), _FEWEST_STEPS)
         # Whether a run is integrated does not depend on `finer`.
         steps[summed / phase > _MOST_STEPS] = np.inf

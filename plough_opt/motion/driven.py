@@ -25,7 +25,7 @@ from plough_opt.motion.effects.terms import Parameters, Towed
 from plough_opt.motion.equation import GAP, SLIP, STICK, Structure, parameters
 
 # Speeds below this part of the scene's speed, and distances below this part of the share's height, are rounding.
-_ROUNDING = 1e-12
+_ROUNDING_OF_EVENTS = 1e-12
 # An integrator may stop before or after an event by a speed or distance of this part.
 _EVENT_TOLERANCE = 1e-9
 
@@ -99,12 +99,12 @@ class DrivenShare:
         """Expressions that become negative when an event happens."""
         if not self.structure.events:
             return []
-        stopping = self.speed + _ROUNDING * self._speed_scale
-        closing = self.opening + _ROUNDING * self._height
+        stopping = self.speed + _ROUNDING_OF_EVENTS * self._speed_scale
+        closing = self.opening + _ROUNDING_OF_EVENTS * self._height
         if self.sticks:
             indicators = [
                 self._by_mode(stopping, self._hold - self.pull, closing),
-                self._by_mode(1.0, self.pull + _ROUNDING * absolute(self._hold), 1.0),
+                self._by_mode(1.0, self.pull + _ROUNDING_OF_EVENTS * absolute(self._hold), 1.0),
             ]
         else:
             turning = where(self.mode > STICK, closing, stopping)
@@ -231,7 +231,7 @@ def symbols_of(scene: Towed, controls: Sequence[str], parameters: Sequence[str])
     if effects.orbit != "transient":
         raise InputError("an orbit is one solution of the equation of motion: leave orbit out")
     for what, given in (("controls", controls), ("parameters", parameters)):
-        if isinstance(given, str) or len({*given}) < len(given):
+        if not isinstance(given, tuple | list) or len({*map(str, given)}) < len(given):
             raise InputError(f"{what} = {given!r} must be a tuple of different names, such as ('tow_speed',)")
     for name in controls:
         check_named("{} cannot be a control, because only mount and strut may change during a motion", name, CONTROLS)

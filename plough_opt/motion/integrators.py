@@ -25,8 +25,7 @@ from plough_opt.motion.equation import Structure, equation_of, lightest_mass
 from plough_opt.motion.methods import METHODS, Accuracy, tableau_of
 from plough_opt.motion.orbit import orbit_map, without_orbit
 from plough_opt.motion.plan import OUTPUTS, STIFF_PHASE, fastest_rate, most_steps, numbers_of, timeline_of
-from plough_opt.motion.run import OUTPUTS as ARRAYS
-from plough_opt.motion.run import Run, assemble
+from plough_opt.motion.run import ARRAYS, Run, assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.steps import Timeline, run_map
 

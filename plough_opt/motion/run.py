@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-OUTPUTS: Final = {
+ARRAYS: Final = {
     "time": "s", "travel": "m", "speed": "m/s", "deflection": "m", "mount_force": "N", "soil_resistance": "N",
     "opening": "m", "mode": "",
 }  # fmt: skip
@@ -119,7 +119,7 @@ class Run(Saveable):
             InputError: the run is symbolic, or pandas is not installed.
         """
         self._numeric("data frame")
-        return data_frame({name: getattr(self, name) for name in OUTPUTS}, OUTPUTS)
+        return data_frame({name: getattr(self, name) for name in ARRAYS}, ARRAYS)
 
     def plot(self, target: str | Path | None = None) -> Figure:
         """Draw forces, deflection and speed over time.
@@ -176,7 +176,7 @@ class Run(Saveable):
         """Raise ValueError if an array has another length than the times, or an average is not a number."""
         if self.checks is None:
             raise ValueError("a numeric run has its checks")
-        for name in OUTPUTS:
+        for name in ARRAYS:
             if np.shape(getattr(self, name)) != np.shape(self.time) or np.ndim(self.time) != 1:
                 raise ValueError(f"{name} must have a number for each output time")
         for name in Averages.__dataclass_fields__:

@@ -86,7 +86,10 @@ def test_a_varying_speed_and_stiffness_integrated_by_scipy():
     assert x == pytest.approx(y, rel=1e-11, abs=1e-11)
 
 
-@pytest.mark.parametrize("effects", [{}, {"damping": 300.0, "strength_wave": WAVE, "tow_ramp": 0.3}])
+SPEEDS = {"tow_profile": po.SpeedProfile((0.0, 0.4, 0.9), ((0.5, 0.5), (1.0, -0.3)))}
+
+
+@pytest.mark.parametrize("effects", [{}, {"damping": 300.0, "strength_wave": WAVE, "tow_ramp": 0.3}, SPEEDS])
 def test_at_constant_speed_it_gives_the_run_of_the_toolkit(effects):
     scene = scene_of(start="rest", **effects)
     equation, run = scene.equation(), po.simulate(scene, 1.0, accuracy=po.Accuracy(error=1e-10))
@@ -154,6 +157,8 @@ test_refusals_name_the_cause = refusals(
     (equation({}, controls=("stiffness",), parameters=("scene.stiffness",)), "cannot be a parameter"),
     (equation({}, parameters=("soil.colour",)), "no quantity 'soil.colour'"),
     (equation({"tow_ramp": 0.5}, controls=("tow_speed",)), "tow_ramp and the control"),
+    (equation(SPEEDS, controls=("tow_speed",)), "tow_profile and the control"),
+    (equation({}, controls=None), "must be a tuple"),
     (equation({"motion": False}), "quasi-static scene"),
     (equation({"orbit": "periodic", "strength_wave": WAVE}), "orbit"),
     (equation({"damping": ca.MX.sym("damping")}), "scene with symbols"),

@@ -29,15 +29,15 @@ _DEGREE = 9
 # Both ends of a piece are among the nodes of its polynomial, so that the speed does not jump between two pieces.
 _NODES = (1.0 - np.cos(np.linspace(0.0, np.pi, _DEGREE + 1))) / 2.0
 # Error of the approximation relative to the largest speed, near the rounding of the polynomials.
-_ROUNDING = 1e-13
+_APPROXIMATION = 1e-13
 # Around a kink the pieces shrink until it shifts the strut by no more than this part of its path.
 _SHIFT = 1e-13
 # A piece shorter than this part of the duration holds a jump.
 _SHORTEST = 2.0**-30
 # Places in a piece, besides the nodes of the polynomial, at which the approximation and the sign are checked.
 _PLACES = np.linspace(0.0, 1.0, 23)
-# Speeds at the ends of two pieces that differ by less are equal.
-_SAME = 1e-9
+# Relative difference of the speeds at the ends of two pieces from which on the speed jumps.
+_JUMP = 1e-9
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,8 @@ class SpeedProfile:
     pieces: tuple[tuple[float, ...], ...] = field(metadata=COUNT)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "times", tuple(self.times))
+        object.__setattr__(self, "pieces", tuple(map(tuple, self.pieces)))
         times = array_of(self.times, "the times of a speed profile, {}, must be numbers [s]")
         if not (times.ndim == 1 and len(times) > 1 and times[0] == 0.0 and np.all(np.diff(times) > 0.0)):
             raise InputError(f"the times of a speed profile, {shown(self.times)}, must rise from 0: at least two")
@@ -75,10 +77,10 @@ class SpeedProfile:
             )
         rows = [np.polyval(piece[::-1], _PLACES) for piece in self.pieces]
         for time, before, after in zip(times[1:], rows, rows[1:], strict=False):
-            if abs(before[-1] - after[0]) > _SAME * max(1.0, abs(before[-1])):
+            if abs(before[-1] - after[0]) > _JUMP * max(1.0, abs(before[-1])):
                 raise InputError(f"the tow speed jumps at {time:g} s: let it rise or fall over a short time")
         for begin, row in zip(times, rows, strict=False):
-            if not np.all(row >= -_ROUNDING):  # NaN too
+            if not np.all(row >= -_APPROXIMATION):  # NaN too
                 raise InputError(
                     f"the tow speed must be a number and at least 0 everywhere; after {begin:g} s it is not"
                 )
@@ -130,7 +132,7 @@ def _approximated(speed: Callable[[float], Any], duration: float) -> tuple[list[
         error = float(np.max(np.abs(fit(_PLACES) - values(duration * (begin + width * _PLACES))))) / size
         if not math.isfinite(error):
             raise InputError(f"tow_speed(t) is not finite between {duration * begin:g} s and {duration * end:g} s")
-        if error > _ROUNDING and error * width > _SHIFT:
+        if error > _APPROXIMATION and error * width > _SHIFT:
             if width < _SHORTEST:
                 raise InputError(f"the tow speed jumps at {duration * begin:g} s: let it change over a short time")
             middle = begin + width / 2.0

@@ -548,7 +548,7 @@ def explored(report: Report, model: PageModel) -> dict[str, Any]:
         "objective": bool(problem.table.minimise),
         "panels": panels,
         "units": ARRAYS,
-        "file": problem.name,
+        "file": problem.origin.file,
         "overrides": problem.overrides,
         "tables": tables_of(problem),
     }

@@ -1,13 +1,14 @@
 """The page that computes, in a headless Chromium as a person uses it."""
 
 import csv
+import json
 import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
 from helpers.browser import open_page
 from helpers.commands import printed
-from helpers.problem_files import COTTON, SUBSOILER, changed
+from helpers.problem_files import COTTON, STATIC, SUBSOILER, changed
 
 import plough_opt as po
 
@@ -71,7 +72,7 @@ def test_a_slider_is_dragged_and_the_results_are_those_of_simulate(walk):
     assert from_best == pytest.approx(100.0 * (run.mean_draft / 1e3 / best - 1.0), abs=0.1)
     found = walk.evaluate("v => ploughOpt.evaluate(v)", values)
     assert found["force_rms"] == pytest.approx(run.force_rms, rel=1e-6)
-    assert np.array(list(found["mount_force"].values())) == pytest.approx(run.mount_force, rel=1e-6)
+    assert found["mount_force"] == pytest.approx(run.mount_force, rel=1e-6)
 
 
 def test_values_are_typed_with_a_decimal_comma_and_wrong_ones_refused_at_their_field(walk):
@@ -218,3 +219,16 @@ def test_a_scene_that_the_page_cannot_compute_stays_a_report(browser, tmp_path):
     assert "does not compute further designs" in page.locator("#explore").inner_text()
     assert "stick and slip" in page.locator("#explore").inner_text()
     page.close()
+
+
+def test_the_command_opens_the_page_in_the_cache_folder(tmp_path, monkeypatch):
+    opened = []
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    file = tmp_path / "cotton.toml"
+    file.write_text(STATIC, encoding="utf-8")
+    printed("explore", file, "-q")
+    (page,) = (tmp_path / "cache").rglob("*.html")
+    assert opened == [f"{page.as_uri()}#explore"]
+    wrote = json.loads(printed("explore", file, "--json"))["wrote"]
+    assert (wrote, len(opened)) == ([str(page)], 1)

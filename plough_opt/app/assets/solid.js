@@ -65,8 +65,8 @@ function solidView(figure, first) {
     const long = Math.max(...bodies.map((b) => extent(b, 0)[1])), above = 1.05 * reach, head = 0.08 * long;
     const arrow = [[0.4, 0], [-0.5, 0], [-0.5, 0], [-0.5 + head / long, 0.5 * head], [-0.5, 0], [-0.5 + head / long, -0.5 * head]].flatMap(([x, z]) => [x * long, above, z]);
     new ogl.Mesh(gl, { mode: gl.LINES, program: material("#12202c", 1, 0), geometry: new ogl.Geometry(gl, { position: { size: 3, data: new Float32Array(arrow) }, normal: { size: 3, data: new Float32Array(arrow.length).fill(0.5) } }) }).setParent(scene);
-    /* The first bodies decide the scale, so that later ones are seen to grow. */
-    size ||= Math.hypot(Math.max(...bodies.map((b) => extent(b, 0)[1])), gap + half + reach, 2 * reach) / 2;
+    /* The largest bodies so far decide the scale, so that later ones are seen to grow and shrink. */
+    size = Math.max(size, Math.hypot(Math.max(...bodies.map((b) => extent(b, 0)[1])), gap + half + reach, 2 * reach) / 2);
   }
   fill(first);
   const camera = new ogl.Camera(gl, { fov: 28, near: 0.01 * size, far: 40 * size });

@@ -178,12 +178,12 @@ def explore(options: argparse.Namespace) -> None:
     Raises:
         InputError: as `report`.
     """
-    from plough_opt.app.report import explored_file, provenance_of
+    from plough_opt.app.report import explored_file
 
     target = _cached(options.file) if options.output is None else check_file(options.output, "page", ".html")
     problem = read(options)
     with progress() as notify:
-        path = explored_file(problem, target, notify, seed=options.seed, provenance=provenance_of(options, problem))
+        path = explored_file(problem, target, notify, seed=options.seed)
     if options.json:
         print(json.dumps({"wrote": [str(path)]}, indent=2, allow_nan=False))
     elif options.output is None:

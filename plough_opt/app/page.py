@@ -26,6 +26,7 @@ from plough_opt.motion import Run
 from plough_opt.motion.run import ARRAYS
 from plough_opt.motion.vocabulary import called
 from plough_opt.problem_file import Problem
+from plough_opt.problem_file.measures import measures_of
 from plough_opt.problem_file.reading import tables_of
 from plough_opt.soil.geometry import Solid, Wedge
 
@@ -541,11 +542,18 @@ def explored(report: Report, model: PageModel) -> dict[str, Any]:
     problem, best = report.problem, report.best
     panels = {panel.name: {"label": panel.name, **shown_in(panel.unit)} for panel in
               (force_of(report.run), deflection_of(report.run))}  # fmt: skip
+    every = measures_of(problem.table)
+    results = [
+        one | shown_in(report.display(one["name"], one["unit"], float(every[one["name"]].of(report.run))))
+        for one in model.data["results"] if one["name"] in every
+    ]  # fmt: skip
     return {
         **model.data,
+        "results": [one for one in model.data["results"] if one["name"] not in every] + results,
         "best": {} if best is None else best.variables,
         "optima": [{"x": one.variables, "objective": one.objective} for one in (best.local_optima if best else ())],
         "objective": bool(problem.table.minimise),
+        "optimised": best is not None,
         "panels": panels,
         "units": ARRAYS,
         "file": problem.origin.file,

@@ -35,7 +35,7 @@ def report(options: argparse.Namespace) -> None:
     _check(problem)
     with progress() as notify:
         found = reported(problem, notify, seed=options.seed, accuracy=not options.no_accuracy)
-    found = replace(found, provenance=provenance_of(options, problem), text=problem.text)
+    found = replace(found, provenance=_provenance(problem, options.seed), text=problem.text)
     path = write_file(options.output, "report", page(found))
     if options.json:
         print(json.dumps({"wrote": [str(path)], "provenance": found.provenance}, indent=2, allow_nan=False))
@@ -63,15 +63,15 @@ def explore(problem: Problem | str | Path, path: str | Path, *, seed: int = 0) -
     """
     target = check_file(path, "page", ".html")
     known = problem if isinstance(problem, Problem) else read_problem(problem)
-    return explored_file(known, target, lambda *_: None, seed=seed, provenance={})
+    return explored_file(known, target, lambda *_: None, seed=seed)
 
 
-def explored_file(problem: Problem, path: Path, notify: Progress, *, seed: int, provenance: dict[str, str]) -> Path:
+def explored_file(problem: Problem, path: Path, notify: Progress, *, seed: int) -> Path:
     """Write the page of a problem without a comparison of integration methods; return its path."""
     optional("jinja2")
     _check(problem)
     found = reported(problem, notify, seed=seed, accuracy=False)
-    return write_file(path, "page", page(replace(found, provenance=provenance, text=problem.text)))
+    return write_file(path, "page", page(replace(found, provenance=_provenance(problem, seed), text=problem.text)))
 
 
 def _check(problem: Problem) -> None:
@@ -88,16 +88,16 @@ def _check(problem: Problem) -> None:
         )
 
 
-def provenance_of(options: argparse.Namespace, problem: Problem) -> dict[str, str]:
+def _provenance(problem: Problem, seed: int) -> dict[str, str]:
     """Return heading -> text of everything that identifies how a report was made."""
     from plough_opt.core.saving import versions
 
-    changes = {"changed by --set": "; ".join(options.set)} if options.set else {}
+    changes = {"changed by --set": "; ".join(problem.overrides)} if problem.overrides else {}
     return {
-        "file": Path(options.file).name,
+        "file": problem.origin.file,
         "SHA-256 of the file": problem.origin.sha256,
         **changes,
-        "seed of the search": str(options.seed),
+        "seed of the search": str(seed),
         "written": datetime.now().astimezone().isoformat(sep=" ", timespec="minutes"),
         "made by": ", ".join(f"{name} {value}" for name, value in versions().items()),
     }

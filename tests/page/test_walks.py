@@ -116,6 +116,8 @@ def test_the_keyboard_alone_moves_pins_and_undoes(walk):
     assert cell(walk, "stiffness", 3) == cell(walk, "stiffness")
     walk.get_by_role("button", name="remove pin 1").press("Enter")
     assert walk.locator("#table thead th").count() == 4
+    walk.get_by_role("link", name="Explore").press("Enter")  # leads there, and leaves the design
+    assert state(walk) != before
     while walk.get_by_role("button", name="Undo").is_enabled():
         walk.get_by_role("button", name="Undo").press("Enter")
         walk.wait_for_timeout(50)
@@ -219,6 +221,21 @@ def test_a_scene_that_the_page_cannot_compute_stays_a_report(browser, tmp_path):
     assert "does not compute further designs" in page.locator("#explore").inner_text()
     assert "stick and slip" in page.locator("#explore").inner_text()
     page.close()
+
+
+def test_a_file_without_variables_has_controls_and_no_landscape(browser, tmp_path):
+    file = tmp_path / "still.toml"
+    fixed = STATIC.partition("[variables]")[0].replace("[scene]", 'height = "0.25 m"\n[scene]')
+    file.write_text(fixed, encoding="utf-8")
+    page, said, _ = open_page(browser, po.explore(file, tmp_path / "still.html"))
+    page.get_by_label("cohesion in kPa").fill("30")
+    settled(page)
+    run = po.read_problem(file).simulate({"soil.cohesion": 3e4})
+    assert cell(page, "mean draft") == f"{run.mean_draft / 1e3:.4g} kN"
+    assert not page.locator("#now_cloud").is_visible()
+    assert page.locator("#command").input_value().endswith("""simulate 'still.toml' --set 'soil.cohesion="30 kPa"'""")
+    assert said == []
+    page.context.close()
 
 
 def test_the_command_opens_the_page_in_the_cache_folder(tmp_path, monkeypatch):

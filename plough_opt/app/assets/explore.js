@@ -3,7 +3,10 @@
 (() => {
   const section = document.getElementById("explore"), model = DATA.model;
   section.hidden = false;
-  document.querySelectorAll("[data-explore]").forEach((link) => { link.hidden = false; });
+  const link = document.querySelector("[data-explore]");
+  link.hidden = false;
+  /* The address belongs to the design. */
+  link.addEventListener("click", (event) => { event.preventDefault(); section.scrollIntoView(); });
   if (!model) return;
   const { inputs } = model, place = (id) => document.getElementById(id);
   const variables = inputs.flatMap((one, k) => one.variable ? [k] : []);
@@ -11,7 +14,7 @@
   const columns = [...inputs.filter((one) => one.variable), ...model.results,
     { ...model.panels.force, name: "peak_force", label: "peak mount force" }, { ...model.panels.deflection, name: "peak_deflection", label: "peak deflection" }];
   const DESIGNS = 2000, CHUNK = 50, CURVE = 61, MOST_PINS = 4, COLOURS = ["#d55e00", "#009e73", "#cc79a7", "#e69f00"];
-  let x = [...initial], now = null, best = null, error = model.error, pins = [], moves = 0, cloud = [], curve = [], computedFor = "";
+  let x = [...initial], now = null, best = null, error = model.error, pins = [], cloud = [], curve = [], computedFor = "";
 
   /* Workers: one answers the controls, the other samples, so that a move never waits. */
   const text = `const MODEL = ${JSON.stringify(model)};\n${place("engine").textContent}`;
@@ -29,7 +32,8 @@
   const [quick, slow] = [worker(), worker()];
 
   const make = (tag, given = {}, ...children) => { const one = Object.assign(document.createElement(tag), given); one.append(...children); return one; };
-  const shown = (one, value) => withUnit(value / one.factor, one.symbol);
+  const pretty = (symbol) => symbol.replace(/\^([23])/g, (_, power) => "²³"[power - 2]).replaceAll("*", "·").replace(/ ?\bdeg\b/, "°");
+  const shown = (one, value) => withUnit(value / one.factor, pretty(one.symbol)).replace(" °", "°");
   const percent = (change) => `${change > 0 ? "+" : ""}${number(100 * change)} %`;
   const value = (one, u) => one.log ? one.lower * (one.upper / one.lower) ** u : one.lower + u * (one.upper - one.lower);
   const part = (one, v) => one.log ? Math.log(v / one.lower) / Math.log(one.upper / one.lower) : (v - one.lower) / (one.upper - one.lower);
@@ -42,17 +46,26 @@
     const given = new Map(location.hash.slice(1).split("&").map((one) => one.split("=")));
     return inputs.map((one, k) => { const v = given.get(one.name); return v && Number.isFinite(Number(v)) ? Number(v) : initial[k]; });
   }
-  function counted(change) {
-    moves = Math.max(0, moves + change);
-    section.querySelector("[data-do=undo]").disabled = moves === 0;
+  /* Addresses visited, for the button; the browser's own Back and Forward go through the same ones. */
+  let visited = [location.hash.startsWith("#explore") ? location.hash : ""], at = 0;
+  function reached(k) {
+    at = k;
+    section.querySelector("[data-do=undo]").disabled = at === 0;
   }
-  counted(0);
+  reached(0);
   function commit() {
-    if (`#${address(x)}` === location.hash || (address(x) === "explore" && !location.hash)) return;
-    counted(1);
-    location.hash = address(x);
+    const hash = `#${address(x)}`;
+    if (hash === (location.hash || "#explore")) return;
+    visited = [...visited.slice(0, at + 1), hash];
+    reached(at + 1);
+    location.hash = hash;
   }
-  addEventListener("hashchange", () => { if (`#${address(x)}` !== location.hash) { counted(-1); take(addressed(), false); } });
+  addEventListener("hashchange", () => {
+    /* Other links lead to other places of the page. */
+    if (location.hash && !location.hash.startsWith("#explore")) return;
+    reached(Math.max(0, visited.lastIndexOf(location.hash)));
+    if (`#${address(x)}` !== (location.hash || "#explore")) take(addressed(), false);
+  });
 
   /* Controls: a slider and a field for each quantity, in the file's units. */
   const controls = inputs.map((one, k) => {
@@ -62,7 +75,7 @@
     slider.addEventListener("input", () => move(k, value(one, slider.value / 1000), field));
     field.addEventListener("input", () => move(k, Number(field.value.trim().replace(",", ".") || NaN) * one.factor, slider));
     for (const each of [slider, field]) each.addEventListener("change", () => { write(k); if (!wrong.textContent) commit(); });
-    return { slider, field, wrong, more, row: make("div", { className: "control" }, make("span", { textContent: one.label }), slider, field, make("span", { textContent: one.symbol }), wrong, more) };
+    return { slider, field, wrong, more, row: make("div", { className: "control" }, make("span", { textContent: one.label }), slider, field, make("span", { textContent: pretty(one.symbol) }), wrong, more) };
   });
   for (const group of new Set(inputs.map((one) => one.group))) {
     const rows = inputs.flatMap((one, k) => one.group === group ? [controls[k].row] : []);
@@ -115,7 +128,7 @@
     table();
     place("lights").replaceChildren(...model.requirements.map((one, k) => {
       const { value: v, margin } = found.requirements[k], rounding = 1e-8 * Math.abs(v), met = margin >= -rounding;
-      return make("li", {}, make("span", { className: `tag ${met ? "good" : "bad"}`, textContent: met ? "✓ met" : "✗ fails" }), ` ${one.label} ${shown(one, v)}, ${one.words}, margin ${shown(one, Math.abs(margin) <= rounding ? 0 : margin)}`);
+      return make("li", {}, make("span", { className: `tag ${met ? "good" : "bad"}`, textContent: met ? "✓ met" : "✗ fails" }), ` ${one.label} ${shown(one, v)}, ${pretty(one.words)}, margin ${shown(one, Math.abs(margin) <= rounding ? 0 : margin)}`);
     }));
     draw();
     if (solid) solid(solids(values, found));
@@ -124,12 +137,13 @@
   }
 
   const fixed = (values) => JSON.stringify(values.filter((_, k) => !variables.includes(k)));
-  const bestName = () => fixed(now.x) === fixed(initial) ? "best" : "best, computed for the file’s question";
+  const known = model.optimised ? "best" : "file";
+  const bestName = () => !model.optimised || fixed(now.x) === fixed(initial) ? known : "best, computed for the file’s question";
   const of = (design, one) => design[one.name] ?? design.x[inputs.findIndex((each) => each.name === one.name)];
   function table() {
     const designs = [["now", now], ...(best ? [[bestName(), best]] : []), ...pins.map((pin, k) => [`pin ${k + 1}`, pin])];
     const head = designs.map(([name, design], k) => make("th", { scope: "col" }, name, ...(pins.includes(design) ? [make("button", { type: "button", textContent: "×", ariaLabel: `remove ${name}`, onclick: () => { pins = pins.filter((pin) => pin !== design); rebuild(); table(); } })] : [])));
-    if (best) head.splice(1, 0, make("th", { scope: "col", textContent: "from best" }));
+    if (best) head.splice(1, 0, make("th", { scope: "col", textContent: `from ${known}` }));
     place("table").tHead.replaceChildren(make("tr", {}, make("th", { scope: "col" }), ...head));
     place("table").tBodies[0].replaceChildren(...columns.map((one) => {
       const cells = designs.map(([, design]) => make("td", { textContent: shown(one, of(design, one)) }));
@@ -145,7 +159,7 @@
     for (const [id, name] of [["now_force", "mount_force"], ["now_deflection", "deflection"]]) {
       if (charts[id]) charts[id].u.destroy();
       const panel = model.panels[name === "deflection" ? name : "force"];
-      charts[id] = { name, panel, ...build({ id, x: { label: "time", unit: "s", values: [...now.rows.time] }, y: { label: panel.label, unit: panel.symbol },
+      charts[id] = { name, panel, ...build({ id, x: { label: "time", unit: "s", values: [...now.rows.time] }, y: { label: panel.label, unit: pretty(panel.symbol) },
         lines: model.requirements.filter((one) => one.name === name).flatMap((one) => [one.low, one.high]).filter((end) => end !== null).map((end) => ({ label: "limit", value: end / panel.factor, colour: "#d55e00", dash: "" })),
         series: listed().map((_, k) => ({ label: k ? `pin ${k}` : "now", colour: k ? COLOURS[k - 1] : "#0072b2", dash: k ? "dash" : "", values: [...now.rows.time] })) }) };
     }
@@ -216,7 +230,7 @@
     const every = half ? found.filter((one) => one.objective <= half.objective || one.violation <= 1e-6) : found;
     place("sample").textContent = `${every.length} of ${found.length} designs`;
     if (charts.cloud) charts.cloud.u.destroy();
-    charts.cloud = build({ id: "now_cloud", x: { label: across.label, unit: across.symbol, log: across.log }, y: { label: up.label, unit: up.symbol }, groups: [
+    charts.cloud = build({ id: "now_cloud", x: { label: across.label, unit: pretty(across.symbol), log: across.log }, y: { label: up.label, unit: pretty(up.symbol) }, groups: [
       group("fails a requirement", "#b5bcc2", 3, every.filter((one) => one.violation > 1e-6)), group("meets all requirements", "#56b4e9", 4, every.filter((one) => one.violation <= 1e-6)),
       group("through the present design", "#0072b2", 3, curve), ...(best ? [group(bestName(), "#000000", 10, [best, ...model.optima.map((one) => ({ ...one, x: inOrder(one.x) })).filter((one) => of(one, up) !== undefined)])] : []),
       group("now", "#d55e00", 10, [now])].filter((one) => one.x.length) });
@@ -229,13 +243,14 @@
     const near = [...cloud.filter(Boolean), ...(best ? [best] : [])].reduce((a, b) => !a || far(b) < far(a) ? b : a, null);
     if (near && far(near) < 25) take(x.map((v, k) => variables.includes(k) ? near.x[k] : v));
   });
+  place("now_cloud").hidden = !variables.length;
   new IntersectionObserver((entries) => { if (entries.some((one) => one.isIntersecting) && !seen) { seen = true; if (now) later(); } }).observe(place("now_cloud"));
 
   /* What leaves the page: the command, the problem file, tables, the solid. */
   const written = (k) => `${Number((x[k] / inputs[k].factor).toPrecision(15))}${inputs[k].symbol ? ` ${inputs[k].symbol}` : ""}`;
   const quoted = (word) => `'${word.replaceAll("'", "'\\''")}'`;
-  const command = () => [`plough-opt ${model.objective ? "optimise" : "simulate"} ${quoted(model.file)}`, ...model.overrides.map((one) => `--set ${quoted(one)}`),
-    ...inputs.flatMap((one, k) => !(one.variable && model.objective) && x[k] !== initial[k] ? [`--set ${quoted(`${one.name}="${written(k)}"`)}`] : [])].join(" ");
+  const command = () => [`plough-opt ${model.optimised ? "optimise" : "simulate"} ${quoted(model.file)}`, ...model.overrides.map((one) => `--set ${quoted(one)}`),
+    ...inputs.flatMap((one, k) => !(one.variable && model.optimised) && x[k] !== initial[k] ? [`--set ${quoted(`${one.name}="${written(k)}"`)}`] : [])].join(" ");
   const toml = (v) => Array.isArray(v) ? `[${v.map(toml).join(", ")}]` : v !== null && typeof v === "object" ? `{ ${Object.entries(v).map(([key, each]) => `${JSON.stringify(key)} = ${toml(each)}`).join(", ")} }` : JSON.stringify(v);
   function problem() {
     const tables = structuredClone(model.tables);
@@ -270,10 +285,10 @@
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
   }
   const DO = {
-    undo: () => { if (moves) history.back(); },
+    undo: () => history.back(),
     reset: () => take(initial),
     pin: () => { pins = [...pins, now].slice(-MOST_PINS); rebuild(); table(); },
-    command: () => { place("command").select(); document.execCommand("copy"); place("status").textContent = "Copied: run it to compute the certified optimum."; },
+    command: () => { place("command").select(); document.execCommand("copy"); place("status").textContent = model.optimised ? "Copied: run it to compute the certified optimum." : "Copied: run it to compute this with Python."; },
     toml: () => download("design.toml", problem()), csv: () => download("design.csv", csv()), stl: () => download("share.stl", stl()), svg: () => download("design.svg", svg()),
     better: async () => {
       place("status").textContent = "Searching …";
@@ -284,7 +299,7 @@
     },
   };
   section.addEventListener("click", (event) => { const what = event.target.closest("[data-do]"); if (what) DO[what.dataset.do](); });
-  section.addEventListener("keydown", (event) => { if (event.ctrlKey && event.key === "z" && event.target.type !== "text") { event.preventDefault(); DO.undo(); } });
+  section.addEventListener("keydown", (event) => { if (event.ctrlKey && event.key === "z" && event.target.type !== "text") { event.preventDefault(); if (at) DO.undo(); } });
   place("digits").value = String(Math.round(-Math.log10(error)));
   place("digits").addEventListener("input", () => { error = 10 ** -place("digits").value; ask(); });
 
@@ -296,8 +311,9 @@
     set: (given) => take(inOrder(given)),
   };
   x = addressed();
+  if (location.hash.startsWith("#explore")) section.scrollIntoView();
   (async () => {
-    if (model.objective) best = { x: initial, ...await quick("evaluate", initial, { error }) };
+    best = { x: initial, ...await quick("evaluate", initial, { error }) };
     await take(x, false);
     section.dataset.ready = "true";
   })();

@@ -21,7 +21,7 @@ from plough_opt.core.compiler import library
 from plough_opt.core.errors import InputError
 from plough_opt.motion.c_source import Statements, head, variants
 from plough_opt.motion.equation import Equation, Structure, equation_of
-from plough_opt.motion.orbit import near_orbit, returning
+from plough_opt.motion.orbit import DIFFERENCE, LAST_STEP, MOST_ITERATIONS, near_orbit, returning
 from plough_opt.motion.plan import summed_and_lasting_phase
 from plough_opt.motion.steps import READ_FROM, Timeline, readings, run_from, step
 
@@ -49,6 +49,10 @@ _MOST_STEPS = 20_000
 _WIDEST = 8
 # Runs that one thread integrates at once: enough to fill vector registers many times, with little memory.
 _CHUNK = 1024
+# Row of `in` that has the number of steps.
+_STEPS = -5
+# Numbers of orbits whose maps are kept, as many as descents with a dozen variables need.
+_MAPS = 32
 
 _SOURCE = """
 /* Integrates n runs. `in` has a column for each: the state at time 0, the parameters, the number of steps, the number
@@ -56,7 +60,8 @@ _SOURCE = """
    the ends of its steps. Its outputs are then read from the ends `from`, {ends} for each, with four weights: of w and
    of its rate in w, of w and of its rate in the rate. Otherwise `times` is NULL. `memory` has room for 4 vectors at
    each end of a step. `out` has a row for each run: the states at the outputs, if there are any, the means, and the
-   mean squares about these. */
+   mean squares about these. For orbits the two last rows of `in` have the units of states, and the state at time 0 is
+   only near the orbit, which is found as by `plough_opt.motion.orbit.returning`; without one the results are NaN. */
 int steps(int64_t n, const double *in, const double *times, int64_t outputs, const int64_t *from, const double *weight,
           V *memory, double *out) {{
   const int64_t size = (outputs ? 2 * (outputs + 1) : 0) + {count} + {squared};
@@ -74,30 +79,69 @@ int steps(int64_t n, const double *in, const double *times, int64_t outputs, con
       node[k] = v_pick(now < early, now * before, v_pick(now < total, kink + (now - early) * after, (V){{0}} + 1.0));
       if (times) node[k] = (V){{0}} + times[k < most ? k : most];
     }}
-    V p[{given}], x[2], mean[{count}], square[{squared}], time = {{0}};
-    for (int j = 0; j < 2; j++) x[j] = gather(in + j * n, which);
+    V p[{given}], x[2], mean[{count}], square[{squared}], time;
     for (int j = 0; j < {given}; j++) p[j] = gather(in + (j + 2) * n, which);
-    for (int j = 0; j < {count}; j++) mean[j] = (V){{0}};
-    for (int j = 0; j < {squared}; j++) square[j] = (V){{0}};
 {once}
-    for (int64_t k = 0; k <= most; k++) {{
-      V s[2], y[{width}]; /* start and size of the step; a run that has ended takes steps without length */
-      s[0] = node[k];
-      s[1] = node[k + 1] - node[k];
-{each}
-      /* The start of the step: w, w' and w''. */
-      V *end = ends + 3 * k;
-      end[0] = x[0]; end[1] = x[1]; end[2] = y[2];
-      x[0] = y[0]; x[1] = y[1];
-      /* Means and mean squares of this step are pooled with those of the steps before. */
-      time += s[1];
-      const V part = s[1] / time;
-      for (int j = 0; j < {count}; j++) {{
-        const V distance = y[3 + j] - mean[j];
-        if (j < {squared})
-          square[j] = (1.0 - part) * (square[j] + part * distance * distance) + part * y[3 + {count} + j];
-        mean[j] += part * distance;
+    /* Newton's method: the state tried, the nearest one so far with the step from there, and the state found. */
+    V unit[2], tried[2], best[2], change[2] = {{0}}, found[2], reached[6], nearest = (V){{0}} + INFINITY;
+    for (int j = 0; j < 2; j++) {{
+      best[j] = gather(in + j * n, which);
+      unit[j] = gather(in + ({given} + 5 + j) * n, which);
+      found[j] = (V){{0}} + NAN;
+    }}
+    M sought = best[0] == best[0];
+    int last = !{orbit};
+    for (int pass = 0;; pass++) {{
+      const int shift = last ? 0 : pass % 3; /* the component of the state that is changed, from 1 on */
+      for (int j = 0; j < 2; j++) {{
+        tried[j] = best[j] + change[j] * unit[j];
+        x[j] = shift == j + 1 ? tried[j] + {difference} * unit[j] : tried[j];
       }}
+      for (int j = 0; j < {count}; j++) mean[j] = (V){{0}};
+      for (int j = 0; j < {squared}; j++) square[j] = (V){{0}};
+      time = (V){{0}};
+      for (int64_t k = 0; k <= most; k++) {{
+        V s[2], y[{width}]; /* start and size of the step; a run that has ended takes steps without length */
+        s[0] = node[k];
+        s[1] = node[k + 1] - node[k];
+{each}
+        /* The start of the step: w, w' and w''. */
+        V *end = ends + 3 * k;
+        end[0] = x[0]; end[1] = x[1]; end[2] = y[2];
+        x[0] = y[0]; x[1] = y[1];
+        /* Means and mean squares of this step are pooled with those of the steps before. */
+        time += s[1];
+        const V part = s[1] / time;
+        for (int j = 0; j < {count}; j++) {{
+          const V distance = y[3 + j] - mean[j];
+          if (j < {squared})
+            square[j] = (1.0 - part) * (square[j] + part * distance * distance) + part * y[3 + {count} + j];
+          mean[j] += part * distance;
+        }}
+      }}
+      if (last) break;
+      for (int j = 0; j < 2; j++) reached[2 * shift + j] = x[j];
+      if (shift < 2) continue;
+      const V scale[2] = {{1.0 / unit[0], 1.0 / unit[1]}};
+      const V per[2] = {{scale[0] / {difference}, scale[1] / {difference}}};
+      const V miss[2] = {{scale[0] * (tried[0] - reached[0]), scale[1] * (tried[1] - reached[1])}};
+      const V a = per[0] * (reached[2] - reached[0]) - 1.0, b = per[0] * (reached[4] - reached[0]);
+      const V c = per[1] * (reached[3] - reached[1]), d = per[1] * (reached[5] - reached[1]) - 1.0;
+      const V over = 1.0 / (a * d - b * c);
+      const V step[2] = {{over * (d * miss[0] - b * miss[1]), over * (a * miss[1] - c * miss[0])}};
+      const V apart = miss[0] * miss[0] + miss[1] * miss[1];
+      const M nearer = apart < nearest;
+      nearest = v_pick(nearer, apart, nearest);
+      for (int j = 0; j < 2; j++) {{
+        best[j] = v_pick(nearer, tried[j], best[j]);
+        change[j] = v_pick(nearer, step[j], 0.5 * change[j]);
+      }}
+      const M moves = (v_fabs(change[0]) >= {least}) | (v_fabs(change[1]) >= {least});
+      for (int j = 0; j < 2; j++)
+        found[j] = v_pick(sought & nearer & ~moves, best[j] + change[j] * unit[j], found[j]);
+      sought &= moves;
+      if ((last = !any(sought) || pass >= 3 * {iterations} - 1))
+        for (int j = 0; j < 2; j++) best[j] = found[j], change[j] = (V){{0}};
     }}
     for (int l = 0; l < LANES && first + l < n; l++) {{
       double *to = out + size * which[l];
@@ -148,7 +192,7 @@ class CompiledSteps:
         """
         arrays = timeline.nodes, *readings(timeline)
         rate = float(self.equation.structure.start_rate(dict(zip(self.equation.names, p, strict=False))))
-        given = np.array([0.0, rate, *p, len(timeline.nodes) - 1.0, 0.0, 0.0])
+        given = np.array([0.0, rate, *p, len(timeline.nodes) - 1.0, *[0.0] * 4])
         (found,) = self.integrate(given[:, None], timeline.outputs, [array.ctypes.data for array in arrays])
         if not np.isfinite(found).all():
             return None
@@ -165,7 +209,7 @@ class CompiledSteps:
             times: addresses of the arrays `times`, `from` and `weight` of a single run.
         """
         results = np.empty((given.shape[1], (2 * (outputs + 1) if outputs else 0) + self.equation.averages))
-        memory = np.empty((4 * (int(np.max(given[-3])) + 2) + 1) * _WIDEST)
+        memory = np.empty((4 * (int(np.max(given[_STEPS])) + 2) + 1) * _WIDEST)
         # Vectors must lie at addresses that are multiples of their size.
         begin = -(-memory.ctypes.data // (8 * _WIDEST)) * (8 * _WIDEST)
         nodes, *read = times
@@ -208,6 +252,10 @@ def source_of(structure: Structure) -> str:
         count=equation.count,
         squared=equation.squared,
         ends=READ_FROM,
+        orbit=int(structure.orbit == "periodic"),
+        difference=DIFFERENCE,
+        least=LAST_STEP,
+        iterations=MOST_ITERATIONS,
         once="\n".join(one.once),
         each="\n".join(one.each),
     )
@@ -231,7 +279,8 @@ class ManyRuns:
         self._code = compiled_steps(structure)
         if self._code is None:
             source_of(structure)  # raises the error if an operation is the cause
-        self._near = near_orbit(structure).expand() if structure.orbit == "periodic" else None
+        # Number of orbits -> the map of the states near them.
+        self._near = lru_cache(_MAPS)(near_orbit(structure).expand().map) if structure.orbit == "periodic" else None
 
     @property
     def size(self) -> int:
@@ -266,8 +315,7 @@ class ManyRuns:
         chunks = [order[k : k + _CHUNK] for k in range(0, len(order), _CHUNK)]
 
         def enter(chunk: NDArray[np.int64]) -> None:
-            given = p[chunk], steps[chunk]
-            results[chunk] = self._run(self._starts(*given), *given, self._outputs)
+            results[chunk] = self._run(p[chunk], steps[chunk])
 
         if threads > 1 and len(chunks) > 1 and self.compiled:
             with ThreadPoolExecutor(threads) as pool:
@@ -287,21 +335,35 @@ class ManyRuns:
         steps[summed / phase > _MOST_STEPS] = np.inf
         return steps
 
-    def _starts(self, p: Array, steps: Array) -> Array:
-        """Return the states at time 0, a row for each run."""
+    def _run(self, p: Array, steps: Array) -> Array:
+        """Return the results of some runs, a row each."""
+        first, unit = self._starts(p)
+        if self._code is None:
+            if self._near is not None:
+
+                def once(which: NDArray[np.int64], states: Array) -> Array:
+                    return self._interpret(states, p[which], steps[which], 1)[:, 2:4]
+
+                first, _ = returning(once, first, unit)
+            return self._interpret(first, p, steps, self._outputs)
+        given = np.zeros((p.shape[1] + 7, len(p)))
+        given[:2], given[2:_STEPS], given[_STEPS], given[-2:] = first.T, p.T, steps, unit.T
+        if self._structure.ramp:
+            kink = p[:, self._equation.names.index("ramp_time")] / p[:, -1]
+            given[_STEPS + 1], given[_STEPS + 2] = _before_kink(kink, steps)
+        return self._code.integrate(given, self._outputs)
+
+    def _starts(self, p: Array) -> tuple[Array, Array]:
+        """Return the states at time 0, or near those of orbits, and the units of the latter, a row for each run."""
         if self._near is not None:
-
-            def once(which: NDArray[np.int64], states: Array) -> Array:
-                return self._run(states, p[which], steps[which], 1)[:, 2:4]
-
-            guess, unit = (np.asarray(one).T for one in self._near.map(len(p))(p.T))
-            return returning(once, guess, unit)[0]
+            first, unit = (np.asarray(one).T for one in self._near(len(p))(p.T))
+            return first, unit
         first = np.zeros((len(p), 2))
         first[:, 1] = self._structure.start_rate(dict(zip(self._equation.names, p.T, strict=False)))
-        return first
+        return first, np.ones_like(first)
 
-    def _run(self, first: Array, p: Array, steps: Array, outputs: int) -> Array:
-        """Return the results of some runs, a row each.
+    def _interpret(self, first: Array, p: Array, steps: Array, outputs: int) -> Array:
+        """Return the results of some runs, a row each, by CasADi with the next power of two as number of steps.
 
         Args:
             first: states at time 0, a row for each run.
@@ -309,16 +371,6 @@ class ManyRuns:
             steps: number of steps of each run.
             outputs: number of intervals between output times; 0 for averages only.
         """
-        if self._code is None:
-            return self._interpret(first, p, steps, outputs)
-        given = np.zeros((p.shape[1] + 5, len(p)))
-        given[:2], given[2:-3], given[-3] = first.T, p.T, steps
-        if self._structure.ramp:
-            given[-2], given[-1] = _before_kink(p[:, self._equation.names.index("ramp_time")] / p[:, -1], steps)
-        return self._code.integrate(given, outputs)
-
-    def _interpret(self, first: Array, p: Array, steps: Array, outputs: int) -> Array:
-        """Return the results of some runs, a row each, by CasADi with the next power of two as number of steps."""
         results, steps = [], 2.0 ** np.ceil(np.log2(steps))
         for count in np.unique(steps):
             alike, ramp = np.flatnonzero(steps == count), self._structure.ramp

@@ -34,8 +34,8 @@ Array = NDArray[np.float64]
 
 # For a root that it does not find, CasADi would print a page. Here such a root becomes NaN, which the caller reports as
 # an IntegrationError.
-_MOST_ITERATIONS: Final = 60
-_NEWTON_OPTIONS = {"abstol": 1e-12, "max_iter": _MOST_ITERATIONS, "error_on_fail": False, "show_eval_warnings": False}
+MOST_ITERATIONS: Final = 60
+_NEWTON_OPTIONS = {"abstol": 1e-12, "max_iter": MOST_ITERATIONS, "error_on_fail": False, "show_eval_warnings": False}
 # Largest residual of a root, in units of `_size`.
 _LARGEST_RESIDUAL = 1e-8
 # The unit of the unknowns is proportional to the wave amplitude only above this value, so that derivatives exist at 0.
@@ -158,9 +158,10 @@ def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
 
 # Change of a state, in units of `near_orbit`, by which the map of a period is differentiated. Curvature leaves
 # errors of about 1e-6, rounding of 1e-10.
-_DIFFERENCE: Final = 1e-6
+DIFFERENCE: Final = 1e-6
+_SHIFTS: Final = DIFFERENCE * np.array([[[0.0, 0.0]], [[1.0, 0.0]], [[0.0, 1.0]]])
 # A step of Newton's method below this, in the same units, leaves about 1e-13.
-_LAST_STEP: Final = 1e-7
+LAST_STEP: Final = 1e-7
 
 
 def returning(once: Callable[[NDArray[np.int64], Array], Array], guess: Array, unit: Array) -> tuple[Array, Array]:
@@ -177,31 +178,35 @@ def returning(once: Callable[[NDArray[np.int64], Array], Array], guess: Array, u
         The states, NaN where no orbit was found, and the derivatives of the states after one period by those at time 0,
         both in their units: (design, component after, component before).
     """
-    best, change, slope = guess / unit, np.zeros_like(guess), np.full((*guess.shape, 2), np.nan)
-    found, nearest = np.full_like(guess, np.nan), np.full(len(guess), np.inf)
-    sought = np.flatnonzero(np.isfinite(best).all(axis=1))
-    shifts = np.vstack([np.zeros(2), _DIFFERENCE * np.eye(2)])
-    for _ in range(_MOST_ITERATIONS):
-        if not len(sought):
-            break
-        tried = best[sought] + change[sought]
-        every = (tried + shifts[:, None]) * unit[sought]
+    found, slopes = np.full_like(guess, np.nan), np.full((*guess.shape, 2), np.nan)
+    which = np.flatnonzero(np.isfinite(guess / unit).all(axis=1))
+    # Of the designs that are still sought: the nearest states, Newton's steps from there, distances and slopes.
+    best, nearest, slope, unit = (guess / unit)[which], np.full(len(which), np.inf), slopes[which], unit[which]
+    change = np.zeros_like(best)
+    for _ in range(MOST_ITERATIONS if len(which) else 0):
+        tried = best + change
         with np.errstate(all="ignore"):
-            after = once(np.tile(sought, 3), every.reshape(-1, 2)).reshape(every.shape) / unit[sought]
+            after = (
+                once(np.concatenate([which] * 3), ((tried + _SHIFTS) * unit).reshape(-1, 2)).reshape(3, -1, 2) / unit
+            )
             miss = tried - after[0]
-            apart = np.linalg.norm(miss, axis=1)
-        nearer = apart < nearest[sought]
-        moved, halved = sought[nearer], sought[~nearer]
-        change[halved] /= 2.0
-        best[moved], nearest[moved] = tried[nearer], apart[nearer]
-        slope[moved] = ((after[1:, nearer] - after[0, nearer]) / _DIFFERENCE).transpose(1, 2, 0)
-        change[moved] = (inverse(slope[moved] - np.eye(2)) @ miss[nearer, :, None])[..., 0]
-        done = moved[np.abs(change[moved]).max(axis=1) < _LAST_STEP]
-        found[done] = best[done] + change[done]
-        # A guess from which no motion returns has an infinite distance, and a change of 0.
-        lost = halved[~(np.abs(change[halved]).max(axis=1) > _LAST_STEP)]
-        sought = np.setdiff1d(sought, np.append(done, lost), assume_unique=True)
-    return found * unit, slope
+            apart = np.hypot(miss[:, 0], miss[:, 1])
+            slope_here = ((after[1:] - after[0]) / DIFFERENCE).transpose(1, 2, 0)
+            step = (inverse(slope_here - np.eye(2)) @ miss[..., None])[..., 0]
+        nearer = apart < nearest
+        best, nearest = np.where(nearer[:, None], tried, best), np.where(nearer, apart, nearest)
+        slope = np.where(nearer[:, None, None], slope_here, slope)
+        change = np.where(nearer[:, None], step, change / 2.0)
+        # A guess from which no motion returns is not nearer than infinity, and its change is 0.
+        moves = np.abs(change).max(axis=1) >= LAST_STEP
+        if moves.all():
+            continue
+        done = nearer & ~moves
+        found[which[done]], slopes[which[done]] = ((best + change) * unit)[done], slope[done]
+        which, best, change, nearest, slope, unit = (one[moves] for one in (which, best, change, nearest, slope, unit))
+        if not len(which):
+            break
+    return found, slopes
 
 
 def inverse(matrices: Array) -> Array:

@@ -105,7 +105,7 @@ def test_the_orbits_of_a_batch_are_those_of_scipy(designs, batch_of, kind, block
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_orbits_of_a_search_are_single_orbits(designs, kind):
+def test_the_orbits_of_a_search_are_single_orbits(designs, batch_of, kind):
     rows = designs[kind][:8]
     scenes = [built(kind, row.tolist()) for row in rows]
     structure = Structure.of(scenes[0])
@@ -114,8 +114,9 @@ def test_the_orbits_of_a_search_are_single_orbits(designs, kind):
     p = np.array(
         [[*(value[name] for name in names), scene.wave_period] for value, scene in zip(values, scenes, strict=True)]
     )
-    found = ManyRuns(structure, 64)(p)
-    averages = ManyRuns(structure, 0)(p)
+    runs = ManyRuns(structure, 64)
+    assert runs.compiled == batch_of(kind).compiled
+    found, averages = runs(p), ManyRuns(structure, 0)(p)
     for k, row in enumerate(rows):
         run = single(kind, row)
         if isinstance(run, str):

@@ -132,7 +132,7 @@ class Population:
 
     Attributes:
         vectorised: whether all runs are integrated together, at about ten microseconds each. Runs with events and
-            periodic orbits are integrated one by one, which takes a thousand times as long.
+            orbits by harmonic balance are integrated one by one, which takes a thousand times as long.
         compiled: whether machine code integrates those that are integrated together.
         runs: number of runs in a design.
     """
@@ -181,8 +181,13 @@ class Population:
                     return many(theta, finer=finer, together=together, threads=threads)
 
                 return _Group(tuple(members), integrate, many.size)
-        self.vectorised = False
         run = parts.runs[members[0]]
+        if run.integration.structure.orbit == "linearised":
+            closed = run.integration.function
+            p = ca.MX.sym("p", closed.numel_in(0))
+            rows = _RowFunction(ca.Function("rows", [p], [ca.densify(ca.veccat(*closed.call([p])))]))
+            return _Group(tuple(members), lambda theta, _finer, _together: rows(theta)[0], run.integration.results)
+        self.vectorised = False
         solver = _rough_integration(run) if self._rough else run.integration
         return _Group(tuple(members), lambda theta, _finer, _together: _one_by_one(solver, theta), solver.results)
 

@@ -110,6 +110,24 @@ def test_designs_without_an_orbit_are_skipped(build, name):
         assert optimum.objective == pytest.approx(objective(run), rel=1e-8)
 
 
+@pytest.mark.parametrize("name", ["linearised", "periodic"])
+def test_thousands_of_orbits_under_two_waves_are_tried(r1_scene, name):
+    waves = po.StrengthWave(0.2, 0.6), po.StrengthWave(0.2, 0.2, 1.0)
+
+    def run_at(stiffness):
+        scene = r1_scene(stiffness=stiffness, strength_wave=waves, damping=400.0, orbit=CHOICES[name])
+        return po.simulate(scene, outputs=48)
+
+    d, stiffness = design(stiffness=(5e4, LOWER, UPPER, "N/m", True))
+    d.minimise(objective(run_at(stiffness)))
+    best = d.solve()
+    assert best.search.designs > 500
+    assert not best.search.one_by_one
+    grid = [objective(run_at(float(k))) for k in np.geomspace(LOWER, UPPER, 40)]
+    assert best.objective <= min(grid) * (1.0 + 1e-8)
+    assert best.objective == pytest.approx(objective(run_at(best.variables["stiffness"])), rel=1e-8)
+
+
 # A periodic orbit is found by harmonic balance or, with the user's own steps, by shooting.
 OWN = po.Accuracy("dop853", steps=96)
 STEPS = [("linearised", None, 56), ("periodic", None, 12), ("periodic", OWN, None), ("harmonic balance", None, 56)]

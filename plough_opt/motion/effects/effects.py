@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
+import casadi as ca
 import numpy as np
 
 from plough_opt.core.checks import check_choice, check_kind, check_switch, shown
@@ -153,7 +154,8 @@ class Effects:
             raise InputError("an orbit needs motion: a quasi-static share repeats itself from the start")
         if self.strength_wave is None:
             raise InputError("an orbit needs a strength_wave: without one the share ends up sliding steadily")
-        turns = self.turns
+        # Templates of scenes have SX as placeholders of numbers; no orbit takes SX, as `integrators.embed` says.
+        turns = (0,) if any(isinstance(wave.wavelength, ca.SX) for wave in self.waves) else self.turns
         if len(self.waves) > 1 and self.own:
             raise InputError("an orbit under several strength waves cannot have own resistances: simulate from a start")
         if isinstance(self.orbit, HarmonicBalance) and self.orbit.harmonics < max(turns):

@@ -98,7 +98,7 @@ def simulate(options: argparse.Namespace) -> None:
         notify("simulating", 0.0)
         run = problem.machine() if problem.shares else problem.simulate()
     page = tables.run_page(problem, run)
-    give(options, page, lambda: run.to_json(page), run.plot)
+    give(options, page, lambda: run.to_json(page), run.plot, run.to_dataframe)
 
 
 def optimise(options: argparse.Namespace) -> None:
@@ -120,7 +120,7 @@ def optimise(options: argparse.Namespace) -> None:
     page = best.page()
     page = dataclasses.replace(page, parts=(*page.parts, *tables.further_results(problem, run)))
     page = tables.with_sensitivities(page, problem, found)
-    give(options, page, lambda: best.to_json(page), best.plot)
+    give(options, page, lambda: best.to_json(page), best.plot, best.to_dataframe)
 
 
 def _optimise_robust(problem: Problem, options: argparse.Namespace) -> None:
@@ -133,7 +133,7 @@ def _optimise_robust(problem: Problem, options: argparse.Namespace) -> None:
 
     with progress() as notify:
         found = optimise_robust(problem, notify)
-    give(options, found.page(), found.to_json, found.plot)
+    give(options, found.page(), found.to_json, found.plot, found.to_dataframe)
 
 
 def _search_of(text: str) -> Search:
@@ -148,9 +148,7 @@ def tradeoff(options: argparse.Namespace) -> None:
     problem = read(options)
     with progress() as notify:
         front = problem.trade_off(options.points, notify)
-    give(options, front.page(), front.to_json, front.plot)
-    if options.csv is not None:
-        wrote(front.to_csv(options.csv))
+    give(options, front.page(), front.to_json, front.plot, front.to_dataframe, front.to_csv)
 
 
 def accuracy(options: argparse.Namespace) -> None:
@@ -169,7 +167,7 @@ def accuracy(options: argparse.Namespace) -> None:
             study = study_accuracy(problem.scene(), duration, allowance=options.seconds, **common)
     nominal = ("the study uses the nominal soil and ignores its uncertainty",) if problem.table.uncertain else ()
     study = dataclasses.replace(study, origin=problem.origin, notes=(*study.notes, *nominal))
-    give(options, study.page(), study.to_json, study.plot)
+    give(options, study.page(), study.to_json, study.plot, study.to_dataframe)
 
 
 def explore(options: argparse.Namespace) -> None:

@@ -9,13 +9,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from plough_opt.app.options import RECORDED_SHARE, RIG, given_quantities
-from plough_opt.app.terminal import LOG, check_outputs, give, progress, read, wrote
+from plough_opt.app.terminal import LOG, check_outputs, give, progress, read
 from plough_opt.core.errors import InputError, NotConverged, nearest
 from plough_opt.core.quantities import quantities, wave_table
-from plough_opt.core.tables import Grid, Page
+from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.core.units import customary
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.source import with_unit
@@ -60,7 +60,7 @@ def calibrate(options: argparse.Namespace) -> None:
         page = fit.page()
     more = (quality, held.words() if held is not None else "")
     page = replace(page, parts=(*page.parts, *(sentence for sentence in more if sentence)))
-    give(options, page, lambda: text, fit.plot if held is None else held.plot)
+    give(options, page, lambda: text, fit.plot if held is None else held.plot, fit.to_dataframe)
 
 
 def _held_out(fit: Fit, options: argparse.Namespace) -> HeldOut:
@@ -152,9 +152,15 @@ def waves(options: argparse.Namespace) -> None:
     rig = given_quantities(options, RIG)
     record = read_strength_record(options.file, _rig(rig), tow_speed=rig.get("tow_speed"))
     found = strength_waves(record, options.part, **given_quantities(options, RECORDED_SHARE))
-    give(options, _page(found), lambda: json.dumps(_plain(found), indent=2, allow_nan=False))
-    if options.plot is not None:
-        wrote(found.plot(options.plot))
+    text = json.dumps(_plain(found), indent=2, allow_nan=False)
+    give(options, _page(found), lambda: text, found.plot, lambda: _frame(found))
+
+
+def _frame(found: RecordWaves) -> Any:
+    """Return a data frame with a row for each wave, in SI units."""
+    names = {"amplitude": "", "wavelength": "m", "phase": "rad"}
+    columns = {name: [float(getattr(one.wave, name)) for one in found.found] for name in names}
+    return data_frame({**columns, "part": [one.part for one in found.found]}, names)
 
 
 def _rig(given: dict[str, float]) -> Rig | None:

@@ -4,14 +4,16 @@ Exit status: 0 success; 1 the problem has no solution, or none was found; 2 inva
 continues when it is started again).
 """
 
+import argparse
 import contextlib
 import io
+import json
 import os
 import sys
 from collections.abc import Sequence
 
 from plough_opt.app.options import parser
-from plough_opt.core.errors import DomainError, InputError, PloughError
+from plough_opt.core.errors import DomainError, InfeasibleDesign, InputError, PloughError
 from plough_opt.core.process import load_additions, without_notices
 
 SOLVED, UNSOLVED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -41,6 +43,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return BAD_INPUT
     except PloughError as error:
         _complain("no solution", error)
+        if isinstance(error, InfeasibleDesign):
+            _give_conflicts(options, error)
         return UNSOLVED
     except KeyboardInterrupt as stop:
         # A sweep puts what it has stored into the exception.
@@ -53,6 +57,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _drop_output()
         return BAD_INPUT
     return SOLVED
+
+
+def _give_conflicts(options: argparse.Namespace, error: InfeasibleDesign) -> None:
+    """Print the conflicts of an infeasible design as JSON under --json, and write them with --output."""
+    from plough_opt.core.files import write_file
+    from plough_opt.core.plain_data import to_plain
+
+    plain = {"kind": "infeasible design", "message": str(error), **to_plain(vars(error))}
+    text = json.dumps(plain, indent=2, allow_nan=False)
+    if options.json:
+        print(text)
+    if hasattr(options, "by_pandas") and options.output is not None:  # other commands write no JSON there
+        write_file(options.output, "output", f"{text}\n")
 
 
 def _drop_output() -> None:

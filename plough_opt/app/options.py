@@ -23,10 +23,13 @@ _SHARED: Final[dict[str, dict[str, Any]]] = {
         "help": "minimise the worst or the mean within the tolerances, and keep all requirements there",
     },
     "plot": {"metavar": "FILE", "help": "write a picture: .png, .svg or .pdf"},
-    "csv": {"metavar": "FILE", "help": "write a table of all points as CSV"},
+    "csv": {"metavar": "FILE", "help": "write a table of the result (SI units): .csv, or .xlsx"},
     "output": {"metavar": "FILE", "help": "write the whole result as JSON"},
     "seed": {"type": int, "default": 0, "metavar": "N", "help": "seed of the search's samples (default: 0)"},
 }
+
+
+_SHORT: Final = {"output": ("-o",)}
 
 
 @dataclass(frozen=True)
@@ -138,7 +141,18 @@ class _Parser(argparse.ArgumentParser):
             helps: option -> help text for this command.
         """
         for name in (*names, *helps):
-            self.add_argument(f"--{name}", **(_SHARED[name] | ({"help": helps[name]} if name in helps else {})))
+            flags = [*_SHORT.get(name, ()), f"--{name}"]
+            self.add_argument(*flags, **(_SHARED[name] | ({"help": helps[name]} if name in helps else {})))
+
+    def results(self, *, by_pandas: bool = True, **helps: str) -> None:
+        """Add the options of every command that has a result.
+
+        Args:
+            by_pandas: whether its table needs pandas, also as CSV.
+            helps: option -> help text for this command.
+        """
+        self.shared(**{name: helps.get(name, _SHARED[name]["help"]) for name in ("json", "csv", "output", "plot")})
+        self.set_defaults(by_pandas=by_pandas)
 
     def option(self, name: str, value: str, text: str, **more: Any) -> None:
         """Add an option with a value.
@@ -180,19 +194,19 @@ def _waves(verb: _Parser) -> None:
     verb.add_argument("file", metavar="FILE.csv", help=record)
     verb.option("part", "P", "fraction of the variance to represent (default: 0.8)", type=float, default=0.8)
     verb.quantities(RECORDED_SHARE | RIG)
-    verb.shared("json", "plot")
+    verb.results()
 
 
 def _show(verb: _Parser) -> None:
     verb.add_argument("file", metavar="FILE", help="a saved result (JSON), or the store of a sweep")
-    verb.shared(json="print the result as JSON (SI units)")
+    verb.results(json="print the result as JSON (SI units)")
     verb.switch("problem", "print the problem file and its data instead")
     verb.option("restore", "FOLDER", "write the problem file and its data, to compute it again")
 
 
 def _compare(verb: _Parser) -> None:
     verb.add_argument("file", metavar="FILE", nargs="+", help="saved designs or runs (JSON), two or more")
-    verb.shared("json", "plot")
+    verb.results()
 
 
 def _schema(_verb: _Parser) -> None:
@@ -211,7 +225,7 @@ def _check(verb: _Parser) -> None:
 
 
 def _simulate(verb: _Parser) -> None:
-    verb.shared("json", "plot")
+    verb.results(csv="write the motion at every output time (SI units): .csv, or .xlsx")
 
 
 def _optimise(verb: _Parser) -> None:
@@ -227,12 +241,13 @@ def _optimise(verb: _Parser) -> None:
     verb.switch(
         "sensitivity", "print the change of the optimum in per cent for one per cent more of every quantity and limit"
     )
-    verb.shared("seed", "json", "plot")
+    verb.shared("seed")
+    verb.results(csv="write the local optima (SI units): .csv, or .xlsx")
 
 
 def _tradeoff(verb: _Parser) -> None:
     verb.option("points", "N", "positions on the front (default: the file's)", type=int)
-    verb.shared("json", "plot", "csv", "output")
+    verb.results(by_pandas=False)
 
 
 def _sweep(verb: _Parser) -> None:
@@ -251,7 +266,8 @@ def _sweep(verb: _Parser) -> None:
     verb.switch("retry", "repeat points that failed or are undetermined")
     verb.option("limit", "SECONDS", "time after which a point fails (default: 3600)", type=float)
     verb.option("npz", "FILE", "write an array for each column")
-    verb.shared("json", "csv", seed="seed of the sample (default: 0)", plot="draw every result: .png, .svg or .pdf")
+    verb.shared(seed="seed of the sample (default: 0)")
+    verb.results(by_pandas=False, plot="draw every result: .png, .svg or .pdf")
 
 
 def _calibrate(verb: _Parser) -> None:
@@ -277,7 +293,7 @@ def _calibrate(verb: _Parser) -> None:
     seed = "seed of the rows that are held out (default: 1)"
     plot = "draw the residuals, or with --hold-out the predicted rows: .png, .svg or .pdf"
     verb.option("seed", "N", seed, type=int, default=1)
-    verb.shared("json", "output", plot=plot)
+    verb.results(plot=plot, csv="write the fitted rows (SI units): .csv, or .xlsx")
 
 
 def _export(verb: _Parser) -> None:
@@ -286,7 +302,7 @@ def _export(verb: _Parser) -> None:
     verb.shared(json="print the paths of the files as JSON")
     formats = "; ".join(f"{name}: {one}" for name, one in FORMATS.items())
     verb.add_argument("--to", required=True, choices=FORMATS, metavar="FORMAT", help=formats)
-    verb.option("output", "PATH", "file or folder to write", required=True)
+    verb.add_argument("-o", "--output", metavar="PATH", help="file or folder to write", required=True)
     verb.option("inputs", "NAMES", "inputs, such as share.height,soil.cohesion (default: the variables)")
     results = "results, such as mean_draft,force_rms (default: those that the file minimises, trades and requires)"
     verb.option("outputs", "NAMES", results)
@@ -319,7 +335,7 @@ def _accuracy(verb: _Parser) -> None:
     verb.option("seconds", "S", limit, type=float, default=1.0)
     verb.switch("design", "study the optimum of the design instead of its scene")
     verb.switch("thin", "try only every other setting")
-    verb.shared("json", "plot", output="write all results as JSON")
+    verb.results()
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ from plough_opt.app.terminal import check_outputs, console, give, wrote
 from plough_opt.core.errors import InputError, printable
 from plough_opt.core.quantities import EVERY
 from plough_opt.core.saving import Origin
-from plough_opt.core.tables import Grid, Page
+from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.core.units import Display
 from plough_opt.design import LocalOptimum
 from plough_opt.exchange.results import is_store, load
@@ -26,6 +26,8 @@ from plough_opt.studies.sweep.result import Sweep
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+# A relative difference below this is rounding.
+_ROUNDING = 1e-9
 # SI unit -> results of a run that `compare` shows in one common unit.
 _RESULTS = {
     "N": ("mean_draft", "force_rms", "peak_force"),
@@ -37,18 +39,19 @@ _RESULTS = {
 def show(options: argparse.Namespace) -> None:
     """Print a saved result again, and its origin."""
     path = Path(options.file)
+    check_outputs(options)
     if is_store(path):
         if options.problem or options.restore:
             raise InputError("the store of a sweep has no problem file, only its settings: --json prints these")
         with Sweep.load(path) as swept:
-            give(options, swept.page(), swept.to_json)
+            give(options, swept.page(), swept.to_json, swept.plot, swept.to_dataframe, swept.to_csv)
         return
     found = load(path)
     origin: Origin = getattr(found, "origin", Origin())
     if options.problem:
         print(printable(origin.problem()))
     else:
-        give(options, found.shown_page(), found.to_json)
+        give(options, found.shown_page(), found.to_json, found.plot, found.to_dataframe)
         for line in () if options.json else origin.lines(found.made_by):
             console().print(line, soft_wrap=True)
     if options.restore is not None:
@@ -70,7 +73,20 @@ def compare(options: argparse.Namespace) -> None:
     notes = tuple(f"{name}: {origins[name].file}, changed by --set: {text}" for name, text in changed.items())
     page = Page(f"{len(saved)} results side by side", (_table(saved, numbers), *notes))
     plain = {name: {key: value for key, (value, _) in own.items()} for name, own in numbers.items()}
-    give(options, page, lambda: json.dumps(plain, indent=2, allow_nan=False), lambda: _figure(saved))
+    give(
+        options,
+        page,
+        lambda: json.dumps(plain, indent=2, allow_nan=False),
+        lambda: _figure(saved),
+        lambda: _frame(plain),
+    )
+
+
+def _frame(numbers: Mapping[str, Mapping[str, float]]) -> Any:
+    """Return a data frame with a row for each quantity and a column for each result, in SI units."""
+    names = [*dict.fromkeys(name for own in numbers.values() for name in own)]
+    columns = {file: [own.get(name) for name in names] for file, own in numbers.items()}
+    return data_frame({"quantity": names, **columns}, {})
 
 
 def _figure(saved: Mapping[str, Any]) -> Figure:
@@ -123,9 +139,20 @@ def _numbers(saved: Any) -> dict[str, tuple[float, Display | None]]:
     return found | results
 
 
+def _difference(values: Sequence[float | None], display: Display) -> str:
+    """Return by how much the second value, or of several the largest from the smallest, differs from the first."""
+    given = [x for x in values if x is not None]
+    if len(given) < 2:
+        return ""
+    change = given[1] - given[0] if len(values) == 2 else max(given) - min(given)
+    if abs(change) <= _ROUNDING * max(map(abs, given)):
+        return "0 %"
+    return f"{100.0 * change / abs(given[0]):+.3g} %" if given[0] else display.text(change, 3)
+
+
 def _table(saved: Mapping[str, Any], numbers: Mapping[str, Mapping[str, tuple[float, Display | None]]]) -> Grid:
     """Return a table with a row for each result and each quantity that differs; each row has one unit."""
-    grid = Grid.of("", "", *saved)
+    grid = Grid.of("", "", *saved, "difference" if len(saved) == 2 else "largest difference")
     for key in dict.fromkeys(key for own in numbers.values() for key in own):
         cells = [own.get(key) for own in numbers.values()]
         values = [None if cell is None else cell[0] for cell in cells]
@@ -138,8 +165,8 @@ def _table(saved: Mapping[str, Any], numbers: Mapping[str, Mapping[str, tuple[fl
             display = origin.display(quantity.name, quantity.unit, *(x for x in values if x is not None))
         decides = [(design := _design(one)) is not None and key in design.active for one in saved.values()]
         texts = [
-            "" if x is None else f"{display.text(x, 6)}{' *' * own}" for x, own in zip(values, decides, strict=True)
+            "" if x is None else f"{display.result(x)}{' *' * own}" for x, own in zip(values, decides, strict=True)
         ]
-        grid.row(called(key), *texts)
+        grid.row(called(key), *texts, _difference(values, display))
     grid.caption = "* this limit decides the design" if any("*" in cell for row in grid.rows for cell in row) else ""
     return grid

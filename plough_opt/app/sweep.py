@@ -44,10 +44,9 @@ def sweep(options: argparse.Namespace) -> None:
             progress=not quiet(),
         )
     try:
-        give(options, found.page(), found.to_json, found.plot)
-        for name, write in (("csv", found.to_csv), ("npz", found.to_npz)):
-            if getattr(options, name) is not None:
-                wrote(write(getattr(options, name)))
+        give(options, found.page(), found.to_json, found.plot, found.to_dataframe, found.to_csv)
+        if options.npz is not None:
+            wrote(found.to_npz(options.npz))
         if found.failed == len(found):
             raise NotConverged("every point failed; the reasons are listed above and in the tables", "failed")
         if undetermined := len(list(found.undetermined)):

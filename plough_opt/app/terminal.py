@@ -11,12 +11,13 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from plough_opt.core.errors import InputError, short
 from plough_opt.core.files import check_format, save_figure, write_file
-from plough_opt.core.process import progress_on
+from plough_opt.core.process import optional, progress_on
 from plough_opt.core.screen import Screen
+from plough_opt.core.tables import write_frame
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -108,6 +109,9 @@ def check_outputs(options: argparse.Namespace) -> None:
     if getattr(options, "plot", None) is not None:
         _check_matplotlib()
         check_format(options.plot)
+    if (table := getattr(options, "csv", None)) is not None:
+        for name in (["pandas"] if options.by_pandas else []) + (["pandas", "openpyxl"] if _is_workbook(table) else []):
+            optional(name)
     if isinstance(options.file, list):
         taken = {_place(path): "an input file" for path in options.file}
     else:
@@ -203,24 +207,41 @@ def print_notes(to: Screen, notes: Iterable[str]) -> None:
 
 
 def give(
-    options: argparse.Namespace, page: Page, to_json: Callable[[], str], plot: Callable[[], Figure] | None = None
+    options: argparse.Namespace,
+    page: Page,
+    to_json: Callable[[], str],
+    plot: Callable[[], Figure] | None = None,
+    frame: Callable[[], Any] | None = None,
+    to_csv: Callable[[str], Path] | None = None,
 ) -> None:
-    """Print a result as a page, or as JSON with --json; write its picture with --plot and its JSON with --output.
+    """Print a result as a page, or as JSON with --json; write its picture, its table and its JSON where options say so.
 
     Args:
         options: the options of the command.
         page: the page of the result.
         to_json: function that returns the result as JSON.
         plot: function that returns its picture, if it has one.
+        frame: function that returns its table as a data frame, if it has one.
+        to_csv: function that writes a CSV file, if it needs no data frame.
     """
+    path = getattr(options, "csv", None)
+    for name, has in (("plot", plot), ("csv", frame)):
+        if getattr(options, name, None) is not None and has is None:
+            raise InputError(f"--{name}: this result has none: remove the option")
     if options.json:
         print(to_json())
     else:
         print_page(console(), page)
     if plot is not None and options.plot is not None:
         wrote(save_figure(plot(), options.plot))
+    if path is not None and frame is not None:
+        wrote(to_csv(path) if to_csv is not None and not _is_workbook(path) else write_frame(path, frame()))
     if getattr(options, "output", None) is not None:
         wrote(write_file(options.output, "output", f"{to_json()}\n"))
+
+
+def _is_workbook(path: str) -> bool:
+    return path.lower().endswith(".xlsx")
 
 
 def wrote(path: Path) -> None:

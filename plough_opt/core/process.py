@@ -173,7 +173,7 @@ _EXTRAS: Final = {
 
 
 def optional(name: str) -> Any:
-    """Return a module of a library that an extra of this package installs.
+    """Return a module of a library that an extra of this package installs, or that users install themselves.
 
     Raises:
         InputError: the library, or one that it needs, is not installed; the message names the extra.
@@ -181,6 +181,5 @@ def optional(name: str) -> Any:
     try:
         return import_module(name)
     except ModuleNotFoundError as missing:
-        raise InputError(
-            f"{missing.name or name} is not installed: pip install 'plough_opt[{_EXTRAS[name]}]'"
-        ) from None
+        wanted = f"plough_opt[{_EXTRAS[name]}]" if name in _EXTRAS else name
+        raise InputError(f"{missing.name or name} is not installed: pip install '{wanted}'") from None

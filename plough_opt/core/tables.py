@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.errors import InputError, nearest, printable, short
-from plough_opt.core.files import BYTE_ORDER_MARK, draw, read_text
+from plough_opt.core.files import BYTE_ORDER_MARK, draw, read_text, write_file
 from plough_opt.core.process import optional
 from plough_opt.core.units import Unit
 
@@ -375,6 +375,26 @@ def write_rows(file: TextIO, rows: Iterable[Sequence[object]]) -> None:
     for row in rows:
         odd = any(isinstance(cell, str) and _SEPARATOR.search(cell) for cell in row)
         (quoted if odd else plain).writerow(map(_shielded, row))
+
+
+def write_frame(path: str | Path, frame: pandas.DataFrame) -> Path:
+    """Write a data frame with the units of its columns in their headings, as CSV or, by its ending, as a workbook.
+
+    Raises:
+        InputError: the file cannot be written, or it is a workbook and openpyxl is not installed.
+    """
+    units = frame.attrs.get("units", {})
+    headings: list[Any] = [f"{name} [{units[name]}]" if units.get(name) else str(name) for name in frame.columns]
+    cells: list[list[Any]] = frame.to_numpy(dtype=object).tolist()
+    rows = [headings, *([None if isinstance(x, float) and math.isnan(x) else x for x in row] for row in cells)]
+    if Path(path).suffix.lower() == ".xlsx":
+        book = optional("openpyxl").Workbook()
+        for row in rows:
+            book.active.append([_shielded(cell) for cell in row])
+        return write_file(path, "table", book.save)
+    text = io.StringIO()
+    write_rows(text, rows)
+    return write_file(path, "table", text.getvalue())
 
 
 def _unshielded(cell: str) -> str:

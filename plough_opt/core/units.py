@@ -249,6 +249,12 @@ def _to_si(unit: str) -> tuple[float, str]:
     return float(cast(float, base_factor)), f"{base:~}".replace(" ", "").replace("**", "^")
 
 
+RESULT_DIGITS: Final = 4
+"""Significant digits of printed results: tolerances are at best some 0.1 %, and the model does not deserve more."""
+OBJECTIVE_DIGITS: Final = 6
+"""Significant digits of printed objectives, which tell local optima apart."""
+
+
 @dataclass(frozen=True)
 class Display:
     """A unit in which results are displayed, usually the one that the user wrote.
@@ -264,6 +270,10 @@ class Display:
     def text(self, value: float, digits: int = 5) -> str:
         """Return an SI value in this unit as text."""
         return f"{value / self.factor:.{digits}g} {self.symbol}".rstrip()
+
+    def result(self, value: float) -> str:
+        """Return a result, SI, in this unit as text."""
+        return self.text(value, RESULT_DIGITS)
 
     def number(self, value: float) -> str:
         """Return an SI value in this unit as text, without the unit's symbol."""

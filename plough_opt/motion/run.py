@@ -319,8 +319,8 @@ def response_table(runs: Mapping[str, Any], origin: Origin) -> Grid:
     def row(label: str, name: str, unit: str, adds: bool = False) -> None:
         values = [_result(run, name) for run in every]
         shown = units.get(unit) or origin.common(unit, {name: max(values, key=abs)})
-        together = [shown.text(sum(values)) if adds else ""] if several else []
-        grid.row(label, *map(shown.text, values), *together)
+        together = [shown.result(sum(values)) if adds else ""] if several else []
+        grid.row(label, *map(shown.result, values), *together)
 
     row("mean draft", "mean_draft", "N", adds=True)
     # Simulated motions do not include random strength.

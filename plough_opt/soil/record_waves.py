@@ -5,20 +5,22 @@ variogram models (a correlation that decays with distance, and a nugget), as the
 The likelihood is a product over windows, each given the points of the window before it (Vecchia 1988).
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import plain_number, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.files import COLOURS, save_figure
+from plough_opt.core.files import COLOURS, written
 from plough_opt.core.quantities import MOST_WAVES
 from plough_opt.soil.random_strength import Spectrum, StrengthWave, Vector
 from plough_opt.soil.strength_record import (
@@ -29,6 +31,9 @@ from plough_opt.soil.strength_record import (
     spectrum_of,
     unresolved,
 )
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Points of a window, half of which it shares with the one before.
 _WINDOW: Final = 64
@@ -109,7 +114,7 @@ class Windows:
         covariance = (1.0 - part) * correlation + part * np.eye(distances.shape[-1])
         return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
-    def fitted(self, residual: Vector) -> "Continuum":
+    def fitted(self, residual: Vector) -> Continuum:
         """Return the most likely continuum of a residual (n)."""
         from scipy import optimize  # slow to import, and rarely needed
 
@@ -235,13 +240,16 @@ class RecordWaves:
         """The waves, in the form that `Effects` accepts."""
         return tuple(one.wave for one in self.found)
 
-    def plot(self, path: str | Path) -> Path:
-        """Draw the spectrum with its confidence band and the waves; the file's ending determines the format.
+    def plot(self, path: str | Path | None = None) -> Figure:
+        """Draw the spectrum with its confidence band and the waves.
+
+        Args:
+            path: file to write (.png, .svg, .pdf), or None.
 
         Raises:
             InputError: the ending is not a picture format, or the file cannot be written.
         """
-        from matplotlib.figure import Figure  # slow to import, and rarely needed
+        from matplotlib.figure import Figure
 
         figure = Figure(figsize=(7.0, 4.2), layout="constrained")
         axes, s = figure.subplots(), self.spectrum
@@ -254,7 +262,7 @@ class RecordWaves:
         axes.set_xlabel("wavelength [m]")
         axes.set_ylabel("spectrum of relative strength [m/rad]")
         axes.legend(fontsize=8)
-        return save_figure(figure, path)
+        return written(figure, path)
 
 
 def strength_waves(record: StrengthRecord, part: float = 0.8, *, base_diameter: float = 0.0) -> RecordWaves:
@@ -427,12 +435,12 @@ class _Model:
         a, b = self.coefficients[: 2 * len(self.numbers)].reshape(2, -1)
         return float(np.min(a**2 + b**2)) / 2.0
 
-    def extended(self, peak: float, grid: Vector) -> "_Model":
+    def extended(self, peak: float, grid: Vector) -> _Model:
         """Return the model with a further wave near a peak."""
         more = replace(self, numbers=(*self.numbers, peak)).refined(grid)
         return replace(more, continuum=self.continuum.windows.fitted(more.residual))
 
-    def refined(self, grid: Vector) -> "_Model":
+    def refined(self, grid: Vector) -> _Model:
         """Return the model with the wave numbers at which all waves together fit best."""
         from scipy import optimize  # slow to import, and rarely needed
 

@@ -16,7 +16,7 @@ from plough_opt.core.files import drawn
 from plough_opt.core.plain_data import Array, ByName, MaybeInfinite, Unsaved
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, Part, data_frame
-from plough_opt.core.units import Display, customary, in_words
+from plough_opt.core.units import OBJECTIVE_DIGITS, Display, customary, in_words
 from plough_opt.design.certify.tolerance import Spread
 from plough_opt.design.result.sensitivity import Sensitivity, Solved
 from plough_opt.design.search.effort import expected_unseen
@@ -156,7 +156,7 @@ class Limit:
     def margin_text(self) -> str:
         """Return the margin with its unit; 0 if it is only the optimiser's rounding."""
         rounding = self.active or abs(self.margin) < _NO_MARGIN * max(1.0, abs(self.value))
-        return self.shown.text(0.0 if rounding else self.margin)
+        return self.shown.text(0.0 if rounding else self.margin, 3)
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -196,7 +196,7 @@ class LocalOptimum(Saveable):
 
     def page(self) -> Page:
         """Return the design as tables: variables with their bounds, and requirements with their margins."""
-        return Page(f"{self.name}: objective {self.objective:.9g}", self.design_tables())
+        return Page(f"{self.name}: objective {self.objective:.{OBJECTIVE_DIGITS}g}", self.design_tables())
 
     def design_tables(self) -> tuple[Grid, ...]:
         """Return a table of the variables and, if there are requirements, a table of these."""
@@ -204,9 +204,9 @@ class LocalOptimum(Saveable):
         required = Grid.of("Requirements", "requirement", "limits", "value", "margin", "", mark="")
         for one in self.limits:
             if one.kind == "bound":
-                bounds.row(one.name, one.shown.text(one.rounded, 7), one.limits, "at its bound" if one.active else "")
+                bounds.row(one.name, one.shown.result(one.rounded), one.limits, "at its bound" if one.active else "")
             elif not one.trivial:
-                value, decides = one.shown.text(one.value), "decides" if one.active else ""
+                value, decides = one.shown.result(one.rounded), "decides" if one.active else ""
                 required.row(one.name, one.limits, value, one.margin_text(), decides)
         return (bounds, required) if required.rows else (bounds,)
 
@@ -248,8 +248,6 @@ class LocalOptimum(Saveable):
         return tuple(limit.name for limit in self.limits if limit.active)
 
 
-# Digits of values that are bought or made.
-_DIGITS = 5
 # A smaller fraction of designs as made that meet all requirements is pointed out.
 _FEW_KEPT = 0.5
 # A cost below this percentage of the objective is rounding.
@@ -334,7 +332,7 @@ class Optimum(LocalOptimum):
         )
         kept = self.keeping()
         notes = (*([kept] if kept else []), *self.warnings, *(() if self.run is None else self.run.warnings))
-        heading = f"Best design: objective {self.objective:.9g} ({self.status})"
+        heading = f"Best design: objective {self.objective:.{OBJECTIVE_DIGITS}g} ({self.status})"
         return Page(heading, tuple(parts), notes, trust, self.origin.title)
 
     @property
@@ -368,8 +366,8 @@ class Optimum(LocalOptimum):
         grid = Grid.of("Local optima found", "", "objective", *judged, *self.variables)
         for one in self.local_optima:
             made = [] if one.spread is None else [f"{one.spread.median:.6g}"]
-            cells = (self.display(name).text(value, 7) for name, value in one.variables.items())
-            grid.row(one.name, f"{one.objective:.9g}", *made, *cells)
+            cells = (self.display(name).result(value) for name, value in one.variables.items())
+            grid.row(one.name, f"{one.objective:.{OBJECTIVE_DIGITS}g}", *made, *cells)
         return grid
 
     def _free(self, direction: Mapping[str, float]) -> str:
@@ -556,10 +554,10 @@ class Rounded(Optimum):
         """Return a table of the values beside those of the unrounded optimum, and a sentence on the search."""
         grid = Grid.of("The best from the catalogue", "", "best", "from the catalogue", "")
         for name, value in self.variables.items():
-            ends = (best.display(name).text(x, _DIGITS) for x in (best.variables[name], value))
+            ends = (best.display(name).result(x) for x in (best.variables[name], value))
             grid.row(name, *ends, "catalogue" if name in self.fixed else "")
         cost = f"{self.cost_percent:+.2g} %" if self.unrounded else f"{self.cost:+.2g}"
-        grid.row("objective", *(f"{x:.{_DIGITS}g}" for x in (self.unrounded, self.objective)), cost)
+        grid.row("objective", *(f"{x:.{OBJECTIVE_DIGITS}g}" for x in (self.unrounded, self.objective)), cost)
         infeasible = f"; {len(self.infeasible)} of them cannot meet the requirements" if self.infeasible else ""
         return grid, f"From the catalogue, {self._extent_of_search()}{infeasible}."
 
@@ -574,7 +572,7 @@ class Rounded(Optimum):
         side = "below" if self.cost < 0.0 else "above"
         cost = "as" if abs(self.cost_percent) < _NO_COST else f"{abs(self.cost_percent):.3g} % {side}"
         text = (
-            f"{values_in_words(self.variables, units)}: objective {self.objective:.9g},"
+            f"{values_in_words(self.variables, units)}: objective {self.objective:.{OBJECTIVE_DIGITS}g},"
             f" {cost} that of the optimum; {self._extent_of_search()}"
         )
         for choice in self.infeasible:

@@ -19,6 +19,7 @@ from plough_opt.core.plain_data import Array, Unsaved
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, Part, data_frame
+from plough_opt.core.units import OBJECTIVE_DIGITS
 from plough_opt.design import Optimum
 from plough_opt.motion import Run
 from plough_opt.motion.vocabulary import MEASURES, called
@@ -194,8 +195,8 @@ class RobustOptimum(Saveable):
         if len(self.best.local_optima) > 1:
             optima = Grid.of("All robust optima found", "", "objective", *self.best.variables)
             for optimum in self.best.local_optima:
-                cells = (self.best.display(name).text(value, 6) for name, value in optimum.variables.items())
-                optima.row(optimum.name, f"{optimum.objective:.9g}", *cells)
+                cells = (self.best.display(name).result(value) for name, value in optimum.variables.items())
+                optima.row(optimum.name, f"{optimum.objective:.{OBJECTIVE_DIGITS}g}", *cells)
             parts.append(optima)
         parts.append(_checks_table(checks, self.nominal_fresh.checks, self.fresh.samples, self.origin))
         parts += [f"* {text}" for check in checks for text in _remarks_on(check, self.origin)]
@@ -210,7 +211,7 @@ class RobustOptimum(Saveable):
             f" {self.best.gap:.0e}; {self.best.seconds:.1f} s, nominal {self.nominal.seconds:.1f} s, verified in"
             f" {self.fresh.seconds:.1f} s"
         )
-        heading = f"Robust design: objective {self.best.objective:.9g} ({self.best.status})"
+        heading = f"Robust design: objective {self.best.objective:.{OBJECTIVE_DIGITS}g} ({self.best.status})"
         return Page(heading, tuple(parts), notes, footer, self.origin.title)
 
     def also_saved(self) -> dict[str, Any]:
@@ -321,11 +322,11 @@ def _soil_table(field: SoilDistribution, origin: Origin) -> Grid:
 
 def _design_table(best: Optimum, nominal: Optimum) -> Grid:
     """Return a table of the variables in the robust and in the nominal design."""
-    title = f"Design: robust objective {best.objective:.9g} ({best.status})"
+    title = f"Design: robust objective {best.objective:.{OBJECTIVE_DIGITS}g} ({best.status})"
     table = Grid.of(title, "variable", "robust", "nominal", "bounds", "", mark="")
     for limit in best.limits:
         if limit.kind == "bound":
-            values = (limit.shown.text(optimum.variables[limit.name], 6) for optimum in (best, nominal))
+            values = (limit.shown.result(optimum.variables[limit.name]) for optimum in (best, nominal))
             table.row(limit.name, *values, limit.limits, "at its bound" if limit.active else "")
     return table
 

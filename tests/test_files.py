@@ -11,6 +11,7 @@ import signal
 import stat
 import subprocess
 import sys
+import threading
 import unicodedata
 from concurrent.futures import ThreadPoolExecutor
 
@@ -229,6 +230,44 @@ def test_a_process_without_an_error_stream_needs_no_sieve(monkeypatch):
     monkeypatch.setattr(sys, "stderr", None)
     with without_notices():
         assert sys.stderr is None
+
+
+def test_threads_share_one_sieve_and_leave_the_stream_as_it_was():
+    before, inside, go_on = sys.stderr, threading.Barrier(3, timeout=30), threading.Event()
+
+    def nested():
+        with without_notices(), without_notices():
+            inside.wait()
+            go_on.wait(30)
+            return sys.stderr
+
+    with ThreadPoolExecutor(2) as pool:
+        first, second = pool.submit(nested), pool.submit(nested)
+        inside.wait()
+        assert isinstance(sys.stderr, Sieve)
+        assert sys.stderr.stream is before
+        go_on.set()
+        assert isinstance(first.result(), Sieve)
+        second.result()
+    assert sys.stderr is before
+
+
+@pytest.mark.parametrize("what", ["po.simulate(scene(5e4), 0.5)", "design.solve(search='near')"])
+def test_simulations_and_designs_with_events_leave_the_error_stream_empty(what):
+    code = f"""
+import plough_opt as po
+
+def scene(stiffness):
+    effects = po.Effects(strength_wave=po.StrengthWave(0.9, 0.2), damping=200.0, contact=po.StickSlip(1.2))
+    return po.Scene(po.named_soil("serozem"), po.Cone("10 deg", "25 cm"), stiffness, 25.0, 0.5, effects)
+
+design = po.Design()
+stiffness = design.variable("stiffness", guess="50 kN/m", lower="40 kN/m", upper="60 kN/m")
+design.minimise(po.simulate(scene(stiffness), 0.3).force_rms / 1e3)
+{what}
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
+    assert done.stderr == ""
 
 
 def test_progress_on_a_terminal_is_a_bar():

@@ -59,8 +59,8 @@ def one_of_several() -> Iterator[None]:
 class Sieve:
     """A stream that forwards everything except CasADi's notices that event support is experimental.
 
-    CasADi prints one for every integrator with events and for each of its derivatives. Users of the commands do not
-    need them.
+    CasADi prints one for every integrator with events and for each of its derivatives. Every run is checked by a second
+    one, so users do not need them.
 
     CasADi writes a line in pieces. A line with its prefix is therefore buffered, separately for each thread, until it
     is complete; any other text is forwarded at once.
@@ -68,7 +68,7 @@ class Sieve:
 
     def __init__(self, stream: Any) -> None:
         """Set the stream to forward to."""
-        self._stream = stream
+        self.stream = stream
         self._buffer = threading.local()
 
     def write(self, text: str) -> int:
@@ -77,24 +77,33 @@ class Sieve:
         incomplete = line.startswith(_PREFIX) and not line.endswith("\n")
         self._buffer.line = line if incomplete else ""
         if not incomplete and not (line.startswith(_PREFIX) and _NOTICE in line):
-            self._stream.write(line)
+            self.stream.write(line)
         return len(text)
 
     def __getattr__(self, name: str) -> Any:
         """Return any other attribute of the stream."""
-        return getattr(self._stream, name)
+        return getattr(self.stream, name)
+
+
+_sieving = threading.Lock()
+_sieves: list[Sieve] = []  # one entry for each context that is entered
 
 
 @contextmanager
 def without_notices() -> Iterator[None]:
-    """Suppress CasADi's notices on the error stream inside this context."""
-    before = sys.stderr
-    if before is not None:  # a process can be started without an error stream
-        sys.stderr = Sieve(before)
+    """Suppress CasADi's notices on the error stream inside this context; threads share one sieve."""
+    with _sieving:
+        own = sys.stderr if isinstance(sys.stderr, Sieve) else Sieve(sys.stderr)
+        if sys.stderr is not None:  # a process can be started without an error stream
+            sys.stderr = own
+        _sieves.append(own)
     try:
         yield
     finally:
-        sys.stderr = before
+        with _sieving:
+            _sieves.remove(own)
+            if own not in _sieves and sys.stderr is own:
+                sys.stderr = own.stream
 
 
 @contextmanager

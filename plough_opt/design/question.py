@@ -22,6 +22,7 @@ from plough_opt.core.checks import (
 )
 from plough_opt.core.errors import InputError, unprintable
 from plough_opt.core.expressions import Column, Expression, is_casadi
+from plough_opt.core.process import without_notices
 from plough_opt.core.quantities import warn_of_slips
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display, has_unit, in_si, unit_of
@@ -248,11 +249,12 @@ class Design:
         if self._program is None or self._program.compiled != compiled:
             self._program, self._boxed = Program.of(declared, compiled=compiled), None
         request = Request(values, search, judge, seed, progress or silent, started)
-        if self._over is None:
-            best = solve_program(self._program, request)
-        else:
-            self._boxed = self._boxed or ToleranceBoxSolver(self._program, self._over)
-            best = self._boxed.solve(request)
+        with without_notices():
+            if self._over is None:
+                best = solve_program(self._program, request)
+            else:
+                self._boxed = self._boxed or ToleranceBoxSolver(self._program, self._over)
+                best = self._boxed.solve(request)
         return replace(best, origin=Origin(declarations=declared.plain(values), seed=seed).now())
 
     @property

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import Column, Expression, classes_in, is_symbolic, stacked, template_of
 from plough_opt.core.labels import Meanings, attach
+from plough_opt.core.process import without_notices
 from plough_opt.motion.checks import failed_by, refuse_missed_event, refuse_runaway, refuse_weak_rest
 from plough_opt.motion.compiled_steps import CompiledSteps, compiled_steps
 from plough_opt.motion.effects import StickSlip
@@ -120,7 +121,8 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
     times = (timeline.stops if METHODS[accuracy.method].order is not None else timeline.output_fractions)[1:]
     read = [int(i) for i in np.searchsorted(times, timeline.output_fractions[1:])]
     name = "motion" if transition is None else _NAME_WITH_EVENTS
-    solver = ca.integrator(name, accuracy.method, scaled, 0.0, times.tolist(), options)
+    with without_notices():
+        solver = ca.integrator(name, accuracy.method, scaled, 0.0, times.tolist(), options)
     p, known = equation.symbols(ca.MX)
     sizes = ca.MX.sym("sizes", 2 + equation.averages)
     unit = _units(structure, sizes)

@@ -407,7 +407,8 @@ class StickSlip:
       added mass, m v = (m + m_a) v', and slips on.
 
     When an integrator with events, or a derivative of one, is built, CasADi prints on the error stream that its support
-    of events is experimental. The toolkit does not redirect a program's streams. Every run is checked by a second one.
+    of events is experimental. Simulations, designs and studies suppress this line, because every run is checked by a
+    second one; a derivative that you build from a run yourself still prints it.
 
     Derivatives include those of the times at which the share stops and breaks loose. CasADi provides second derivatives
     of a gradient only: see `plough_opt.simulate`.

@@ -34,7 +34,7 @@ from plough_opt.core.compiler import interpretation_warning
 from plough_opt.core.errors import InfeasibleDesign, InputError, NotConverged, PloughError
 from plough_opt.core.expressions import as_number, holds_casadi, is_count, map_expressions
 from plough_opt.core.plain_data import Array
-from plough_opt.core.process import available
+from plough_opt.core.process import available, without_notices
 from plough_opt.core.quantities import BESIDE
 from plough_opt.core.saving import versions
 from plough_opt.design import Design, Optimum, Progress
@@ -331,6 +331,7 @@ ALLOWANCE = 1.0
 _T = TypeVar("_T")
 
 
+@without_notices()
 def study_accuracy(
     scene: Scene,
     duration: float | None = None,
@@ -400,6 +401,7 @@ def study_accuracy(
     )
 
 
+@without_notices()
 def study_design(
     design: Design,
     *,

@@ -5,6 +5,8 @@ positive at upper limits and negative at lower ones. First order: f_y + g_y' lam
 Hessian of the Lagrangian f + lam_g' g curves upwards along every direction that leaves the active limits in place.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -113,14 +115,49 @@ def residual(point: Point, at: tuple[Vector, Vector, Vector], limits: tuple[Vect
 
 # Distance left by the least-distance problem below which the limits contradict each other.
 _INFEASIBLE = 1e-13
-# Smaller curvatures are raised to this, so that the quadratic program is strictly convex.
+# Smaller curvatures are raised to this, or to this part of the largest if that is below 1, so that a quadratic program
+# is strictly convex.
 _LEAST_CURVATURE = 1e-4
 
 
 def made_convex(hessian: Vector) -> Vector:
     """Return a Hessian with every eigenvalue replaced by its absolute value, or a least curvature if that is larger."""
     sizes, directions = np.linalg.eigh(hessian)
-    return np.asarray((directions * np.maximum(np.abs(sizes), _LEAST_CURVATURE)) @ directions.T)
+    sizes = np.abs(sizes)
+    least = max(_LEAST_CURVATURE * min(1.0, float(np.max(sizes))), np.finfo(float).eps)
+    return np.asarray((directions * np.maximum(sizes, least)) @ directions.T)
+
+
+# Scaled step of difference quotients: a run's rounding (about 1e-13) leaves curvatures right to 1e-4, and the narrowest
+# ripples are 1e-2 wide.
+_DIFFERENCE = 5e-5
+
+
+def difference_quotients(
+    evaluate: Callable[[Vector], tuple[Vector, Vector]], y: Vector
+) -> tuple[Vector, Vector, Vector] | None:
+    """Return values, gradients and Hessians of the objective and of each row of the requirements; None without a value.
+
+    Args:
+        evaluate: scaled designs, a row each -> objective and rows of each.
+        y: scaled variables; all steps point to the middle of a range.
+    """
+    signed = np.where(y > 0.5, -_DIFFERENCE, _DIFFERENCE)
+    one, other = np.triu_indices(len(y))
+    steps = np.diag(signed)
+    values = np.column_stack(evaluate(np.vstack([y, y + steps, y + steps[one] + steps[other]])))
+    if not np.all(np.isfinite(values)):
+        return None
+    first = values[1 : len(y) + 1] - values[0]
+    hessians = np.empty((values.shape[1], len(y), len(y)))
+    second = (values[len(y) + 1 :] - values[0] - first[one] - first[other]).T / (signed[one] * signed[other])
+    hessians[:, one, other] = hessians[:, other, one] = second
+    return values[0], first.T / signed - 0.5 * np.einsum("kii->ki", hessians) * signed, hessians
+
+
+def curvature_of(hessians: Vector, lam_g: Vector) -> Vector:
+    """Return the Hessian of the Lagrangian, made convex, from those of the objective and of each requirement row."""
+    return made_convex(hessians[0] + np.tensordot(lam_g, hessians[1:], 1))
 
 
 def quadratic_program(
@@ -172,6 +209,7 @@ def optimum_step(
     at: tuple[Vector, Vector, Vector],
     limits: tuple[Vector, Vector],
     longest: float = np.inf,
+    box: tuple[Vector | float, Vector | float] = (0.0, 1.0),
 ) -> tuple[Vector, Vector, Vector] | None:
     """Return the step of sequential quadratic programming towards an optimum.
 
@@ -181,16 +219,55 @@ def optimum_step(
         at: requirements, gradient and Jacobian there, scaled.
         limits: lower and upper limits of the requirements, scaled.
         longest: largest move of a variable.
+        box: lower and upper bounds of the variables.
 
     Returns:
         The step, and the multipliers of requirements and of bounds after it; None if no step is feasible.
     """
     g, gradient, jacobian = at
-    low = np.concatenate([limits[0] - g, np.maximum(-y, -longest)])
-    high = np.concatenate([limits[1] - g, np.minimum(1.0 - y, longest)])
+    low = np.concatenate([limits[0] - g, np.maximum(box[0] - y, -longest)])
+    high = np.concatenate([limits[1] - g, np.minimum(box[1] - y, longest)])
     rows = np.concatenate([jacobian, np.eye(len(y))])
     solution = quadratic_program(curvature, gradient, rows, (low, high))
     if solution is None:
         return None
     step, multipliers = solution
     return step, multipliers[: len(g)], multipliers[len(g) :]
+
+
+# Curvature of the slacks: far below the weight of a violation, so that hardly any slack is left where none is needed.
+_SLACK_CURVATURE = 1e-2
+
+
+def relaxed_step(
+    curvature: Vector,
+    y: Vector,
+    at: tuple[Vector, Vector, Vector],
+    limits: tuple[Vector, Vector],
+    box: tuple[Vector, Vector],
+    owner: Vector,
+    weight: float,
+) -> tuple[Vector, Vector, Vector] | None:
+    """Return `optimum_step` where limits contradict each other: each requirement's limits give way by a slack.
+
+    Args:
+        curvature: as in `optimum_step`, like all that is not named here.
+        y: scaled variables.
+        at: requirements, gradient and Jacobian.
+        limits: of the requirements.
+        box: bounds of the variables.
+        owner: for each row of the requirements, the number of its requirement.
+        weight: of the sum of the slacks in the objective.
+    """
+    (g, gradient, jacobian), n, count = at, len(y), int(np.max(owner, initial=-1)) + 1
+    gives, unlimited = np.eye(count)[owner], np.full(len(g), np.inf)
+    whole = np.diag(np.full(n + count, _SLACK_CURVATURE))
+    whole[:n, :n] = curvature
+    found = optimum_step(
+        whole,
+        np.r_[y, np.zeros(count)],
+        (np.r_[g, g], np.r_[gradient, np.full(count, weight)], np.block([[jacobian, gives], [jacobian, -gives]])),
+        (np.r_[limits[0], -unlimited], np.r_[unlimited, limits[1]]),
+        box=(np.r_[box[0], np.zeros(count)], np.r_[box[1], np.full(count, np.inf)]),
+    )
+    return None if found is None else (found[0][:n], found[1][: len(g)] + found[1][len(g) :], found[2][:n])

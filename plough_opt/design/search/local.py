@@ -1,16 +1,19 @@
-"""Local searches: SciPy's SLSQP over a landscape, and from the bottom of a basin to an optimum of full accuracy."""
+"""Local searches: sequential quadratic programming on a landscape, and from a basin's bottom to full accuracy."""
 
-import itertools
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Final
+from functools import partial
+from typing import Final
 
 import numpy as np
 
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.model.optimality import (
+    curvature_of,
+    difference_quotients,
     lowest_dips,
-    made_convex,
     optimum_step,
+    relaxed_step,
     residual,
     without_rounding,
 )
@@ -30,17 +33,21 @@ Box = tuple[Vector, Vector]
 
 # Weight of a violation within the feasibility tolerance, so high that the objective cannot exploit the tolerance.
 _WEIGHT_IF_FEASIBLE = 1e4
-# Scaled step of the difference quotients: well above a run's rounding (about 1e-13), small against its curvature.
-_STEP = 1e-6
-_MOST_ITERATIONS = 25
-# More iterations than this indicate a bent valley, in which the descent may have stalled.
-_MANY_ITERATIONS = 20
+_MOST_STEPS = 25
+# Longest step of a descent, as far as the quadratic programs of a multimodal landscape mean anything.
+_LONGEST_DESCENT: Final = 0.3
+# A descent ends when a step is shorter than this, or lowers the merit by less than this fraction: along a flat valley
+# IPOPT goes on.
+_SHORTEST: Final = 1e-7
+_LEAST_GAIN: Final = 1e-7
+# Fractions of a step that are tried side by side. Steps where curvatures are negative are too short.
+_FRACTIONS: Final = np.array([0.0, 1.0, 4.0, 2.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01, 0.003, 0.0005])
+# A violation weighs this many times the largest multiplier; above 1 no optimum breaks a limit.
+_OVER_MULTIPLIERS: Final = 2.0
 # A requirement with many rows, such as a deflection at every output, enters a descent with its worst rows only.
 _MOST_ROWS = 6
-# Most runs of SLSQP in a descent, each with the rows that the last one violated.
-_MOST_RESTARTS = 6
-# A restart must lower the merit by this fraction to justify another one.
-_RESTART_GAIN = 1e-7
+# The first step needs several rounds, because the curvature depends on the multipliers that the step yields.
+_ROUNDS: Final = 3
 
 
 def descend(landscape: Landscape, start: Vector, box: Box | None = None) -> Evaluations:
@@ -59,12 +66,14 @@ def descend(landscape: Landscape, start: Vector, box: Box | None = None) -> Eval
 
 def nearest_feasible(landscape: Landscape, design: Vector, start: Vector | None = None) -> Evaluations:
     """Return the feasible design nearest to a given one, as a local search finds it from a start or from the design."""
-    return _Nearest(landscape, design).end_from(design if start is None else start)
+    descent = _Descent(landscape, _whole_range(landscape), lambda points, _: np.sum((points - design) ** 2, axis=1))
+    return descent.end_from(design if start is None else start)
 
 
 def least_violation(landscape: Landscape, start: Vector, box: Box | None = None) -> Evaluations:
     """Return the local minimum near a start of the summed violations."""
-    return _LeastViolation(landscape, _whole_range(landscape) if box is None else box).end_from(start)
+    box = _whole_range(landscape) if box is None else box
+    return _Descent(landscape, box, lambda _, f: np.zeros_like(f)).end_from(start)
 
 
 class Shortfall:
@@ -108,172 +117,94 @@ def _whole_range(landscape: Landscape) -> Box:
     return np.zeros(landscape.dimensions), np.ones(landscape.dimensions)
 
 
-class _CannotEvaluate(Exception):
-    """A design on the way cannot be evaluated, which ends a descent."""
-
-
 class _Descent:
-    """Runs of SLSQP on the worst rows of each requirement, restarted when other rows turn out to be violated.
+    """Sequential quadratic programs, whose limits give way by a slack where they contradict each other.
 
-    SLSQP's unknowns are the variables and, in a subclass, an amount for each requirement by which its limits give way.
+    Values and derivatives come from designs that are integrated side by side. So do the fractions of each step, of
+    which the one with the lowest merit is taken.
     """
 
-    # Whether the descent is always restarted; otherwise only if the last run may have stalled.
-    _always_restart = False
+    def __init__(
+        self, landscape: Landscape, box: Box, objective: Callable[[Vector, Vector], Vector] = lambda _, f: f
+    ) -> None:
+        """Prepare a descent.
 
-    def __init__(self, landscape: Landscape, box: Box) -> None:
-        self._landscape, self._program, self._n = landscape, landscape.program, landscape.dimensions
-        self._box, self._stalled = box, False
-        # The last variables, as bytes, with their derivatives.
-        self._cached: tuple[bytes, tuple[float, Vector, Vector, Vector]] | None = None
-        # How much each row's margin grows with each further unknown; here there are none.
-        self._give = np.zeros((len(self._program.owner), 0))
+        Args:
+            landscape: the landscape.
+            box: bounds of the scaled variables.
+            objective: scaled designs and their scaled objectives -> what to minimise.
+        """
+        self._landscape, self._program, self._box, self._objective = landscape, landscape.program, box, objective
         # The best design so far: whether it is infeasible, its merit, and its variables.
-        self._best: tuple[tuple[bool, float], Vector] = ((True, np.inf), box[0])
+        self._best: tuple[bool, float, list[float]] | None = None
 
     def end_from(self, start: Vector) -> Evaluations:
         """Return the best design on the way of a descent from a start."""
-        x, rows = self._first_unknowns(start), np.empty(0, dtype=int)
-        try:
-            for _ in range(_MOST_RESTARTS):
-                before, more = self._best[0], self._worst_rows(x[: self._n], rows)
-                if len(more) == len(rows) > 0 and not (self._stalled or self._always_restart):
-                    break
-                x = self._minimised(x, more)
-                gained = self._best[0] < (before[0], before[1] - _RESTART_GAIN * abs(before[1]))
-                if len(more) == len(rows) and not gained:
-                    break
-                rows = more
-        except _CannotEvaluate:
-            pass
-        best = start if np.isinf(self._best[0][1]) else self._best[1]
-        return self._landscape(best[None], finer=FINER)
+        y, lam_g, rows, weight = start, np.zeros(len(self._program.low)), np.empty(0, dtype=int), 1.0
+        for number in range(_MOST_STEPS):
+            derivatives = difference_quotients(self._values, y)
+            if derivatives is None:
+                break
+            rows = np.union1d(rows, self._worst_rows(derivatives[0][1:]))
+            step, lam_g[rows] = self._step(y, derivatives, rows, lam_g[rows], 1 if number else _ROUNDS)
+            if np.max(np.abs(step)) < _SHORTEST:
+                break
+            line = np.clip(y + _FRACTIONS[:, None] * step, *self._box)
+            f, g = self._values(line)
+            weight = max(0.5 * weight, _OVER_MULTIPLIERS * float(np.max(np.abs(lam_g), initial=0.0)))
+            merit = f + weight * self._landscape.violations(g).sum(axis=1)
+            lowest = int(np.nanargmin(merit))
+            if not merit[lowest] < merit[0] - _LEAST_GAIN * abs(merit[0]):
+                break
+            y = line[lowest]
+        return self._landscape(np.array([start if self._best is None else self._best[2]]), finer=FINER)
 
-    def _first_unknowns(self, start: Vector) -> Vector:
-        """Return SLSQP's unknowns at a start."""
-        return start
+    def _values(self, designs: Vector) -> tuple[Vector, Vector]:
+        """Return what to minimise, and the requirements, of designs with equal steps; the best of them is kept."""
+        with np.errstate(all="ignore"):
+            f, g = self._landscape.rows(designs, finer=FINER, together=len(designs))
+            f, violation = self._objective(designs, f), self._landscape.violations(g).sum(axis=1)
+            feasible = violation <= FEASIBLE
+            merit = f + np.where(feasible, _WEIGHT_IF_FEASIBLE, PENALTY) * violation
+        merit[~np.isfinite(merit)] = np.inf
+        k = np.lexsort((merit, ~feasible))[0]
+        if np.isfinite(merit[k]):
+            key = not feasible[k], float(merit[k]), designs[k].tolist()
+            self._best = key if self._best is None else min(self._best, key)
+        return f, g
 
-    def _minimised(self, x: Vector, rows: np.ndarray) -> Vector:
-        """Return SLSQP's solution, subject to some rows of the requirements."""
-        from scipy.optimize import minimize  # slow to import
+    def _step(
+        self, y: Vector, derivatives: tuple[Vector, Vector, Vector], rows: np.ndarray, lam_g: Vector, rounds: int
+    ) -> tuple[Vector, Vector]:
+        """Return the step of a quadratic program, subject to some rows of the requirements, and their multipliers."""
+        (_, *g), (gradient, *jacobian), hessians = (part[np.r_[0, 1 + rows]] for part in derivatives)
+        # A steep objective, as one that is scaled by a value near 0, would drown the limits in rounding.
+        size = max(1.0, float(np.max(np.abs(gradient))))
+        hessians[0] /= size
+        at = np.array(g), gradient / size, np.reshape(jacobian, (len(rows), len(y)))
+        limits = self._program.low[rows], self._program.high[rows]
+        box = np.maximum(self._box[0], y - _LONGEST_DESCENT), np.minimum(self._box[1], y + _LONGEST_DESCENT)
+        step, lam_g = np.zeros(len(y)), lam_g / size
+        for _ in range(rounds):
+            curvature = curvature_of(hessians, lam_g)
+            found = optimum_step(curvature, y, at, limits, box=box) or relaxed_step(
+                curvature, y, at, limits, box, np.array(self._program.owner, dtype=int)[rows], PENALTY
+            )
+            if found is None:
+                break
+            step, lam_g, _ = found
+        return step, lam_g * size
 
-        found = minimize(
-            self._objective,
-            x,
-            jac=self._gradient,
-            bounds=[(low, high if np.isfinite(high) else None) for low, high in zip(*self._box, strict=True)],
-            constraints=self._constraints(rows),
-            method="SLSQP",
-            options={"maxiter": _MOST_ITERATIONS, "ftol": 1e-11},
-        )
-        self._stalled = not found.success or found.nit > _MANY_ITERATIONS
-        clipped: Vector = np.clip(found.x, *self._box)
-        return clipped
-
-    def _objective(self, x: Vector) -> float:
-        """Return the value that SLSQP minimises."""
-        return self._derivatives(x)[0]
-
-    def _gradient(self, x: Vector) -> Vector:
-        """Return the gradient of `_objective`."""
-        return self._derivatives(x)[1]
-
-    def _constraints(self, rows: np.ndarray) -> list[dict[str, Any]]:
-        """Return SLSQP's constraints: the margins of rows to their lower limits, then those to their upper ones."""
-        low, high = self._program.low, self._program.high
-        below, above = rows[np.isfinite(low[rows])], rows[np.isfinite(high[rows])]
-        which, limits = np.r_[below, above], np.r_[low[below], high[above]]
-        signs, give = np.r_[np.ones(len(below)), -np.ones(len(above))], self._give[which]
-
-        def margins(x: Vector) -> Vector:
-            found: Vector = signs * (self._derivatives(x)[2][which] - limits) + give @ x[self._n :]
-            return found
-
-        def slopes(x: Vector) -> Vector:
-            return np.hstack([signs[:, None] * self._derivatives(x)[3][which], give])
-
-        return [{"type": "ineq", "fun": margins, "jac": slopes}] if len(which) else []
-
-    def _merit(self, _y: Vector, f: float, violations: Vector) -> tuple[bool, float]:
-        """Return the key by which designs are compared: any feasible design comes before any infeasible one."""
-        total = float(violations.sum())
-        feasible = total <= FEASIBLE
-        return not feasible, f + (_WEIGHT_IF_FEASIBLE if feasible else PENALTY) * total
-
-    def _derivatives(self, x: Vector) -> tuple[float, Vector, Vector, Vector]:
-        """Return objective, gradient, requirements and their Jacobian, by differences of runs with equal steps."""
-        # SLSQP asks for the four of them one after the other.
-        key = x[: self._n].tobytes()
-        if self._cached is None or self._cached[0] != key:
-            lower, upper = (side[: self._n] for side in self._box)
-            y = np.clip(x[: self._n], lower, upper)
-            step = np.where(y + _STEP > upper, -_STEP, _STEP)
-            with np.errstate(all="ignore"):
-                f, g = self._landscape.rows(np.vstack([y, y + np.diag(step)]), finer=FINER, together=self._n + 1)
-            if not (np.all(np.isfinite(f)) and np.all(np.isfinite(g))):
-                raise _CannotEvaluate
-            merit = self._merit(y, float(f[0]), self._landscape.violations(g[:1])[0])
-            if merit < self._best[0]:
-                self._best = merit, y
-            self._cached = key, (float(f[0]), (f[1:] - f[0]) / step, g[0], ((g[1:] - g[0]) / step[:, None]).T)
-        return self._cached[1]
-
-    def _worst_rows(self, y: Vector, known: np.ndarray) -> np.ndarray:
-        """Return the rows nearest to their limits, some of each requirement, together with the known ones."""
-        g, first = self._derivatives(y)[2], self._program.first_rows
-        margin = self._program.margins(g)
-        chosen = set(known.tolist())
+    def _worst_rows(self, g: Vector) -> np.ndarray:
+        """Return the rows nearest to their limits, some of each requirement."""
+        margin, first = self._program.margins(g), self._program.first_rows
+        chosen: list[int] = []
         for begin, end in zip(first, [*first, len(g)][1:], strict=True):
             # The rows of a long requirement are a curve over time: each dip of its margin can become active.
             few = end - begin <= _MOST_ROWS
             which = range(end - begin) if few else lowest_dips(margin[begin:end], _MOST_ROWS)
-            chosen |= {begin + int(k) for k in which}
-        return np.array(sorted(chosen), dtype=int)
-
-
-class _Nearest(_Descent):
-    """A descent that minimises the squared distance from a design instead of the objective."""
-
-    def __init__(self, landscape: Landscape, design: Vector) -> None:
-        super().__init__(landscape, _whole_range(landscape))
-        self._design = design
-
-    def _objective(self, x: Vector) -> float:
-        return float(np.sum((x - self._design) ** 2))
-
-    def _gradient(self, x: Vector) -> Vector:
-        return 2.0 * (x - self._design)
-
-    def _merit(self, y: Vector, _f: float, violations: Vector) -> tuple[bool, float]:
-        return super()._merit(y, self._objective(y), violations)
-
-
-class _LeastViolation(_Descent):
-    """A descent that minimises the sum of the amounts by which the requirements' limits must give way."""
-
-    _always_restart = True
-
-    def __init__(self, landscape: Landscape, box: Box) -> None:
-        count = len(landscape.program.declared.requirements)
-        super().__init__(landscape, (np.r_[box[0], np.zeros(count)], np.r_[box[1], np.full(count, np.inf)]))
-        self._weights = np.ones(count)
-        self._give = np.eye(count)[landscape.program.owner]
-
-    def _first_unknowns(self, start: Vector) -> Vector:
-        try:
-            g = self._derivatives(start)[2]
-        except _CannotEvaluate:
-            return np.concatenate([start, np.zeros(len(self._weights))])
-        return np.concatenate([start, self._landscape.violations(g[None])[0]])
-
-    def _merit(self, _y: Vector, _f: float, violations: Vector) -> tuple[bool, float]:
-        return False, float(violations @ self._weights)
-
-    def _objective(self, x: Vector) -> float:
-        return float(self._weights @ x[self._n :])
-
-    def _gradient(self, _: Vector) -> Vector:
-        return np.concatenate([np.zeros(self._n), self._weights])
+            chosen += [begin + int(k) for k in which]
+        return np.array(chosen, dtype=int)
 
 
 # Largest scaled residual of the first-order conditions at an optimum.
@@ -283,13 +214,9 @@ _MOST_QUADRATIC_PROGRAMS: Final = 5
 _LONGEST_STEP: Final = 0.02
 # Each step must reduce the residual by at least this factor; otherwise the steps do not converge.
 _REDUCTION: Final = 0.5
-# Scaled step of the difference quotients: between a run's rounding (about 1e-13) and the narrowest ripples (1e-2).
-_DIFFERENCE: Final = 2e-4
 # If difference quotients deviate from the exact slopes by this fraction of the largest, there is a kink in between, as
 # in the RMS of an amplitude at 0.
 _KINK: Final = 0.05
-# The first step needs several rounds, because the curvature depends on the multipliers that the step yields.
-_ROUNDS: Final = 3
 # Scaled margin kept to each limit, so that rounding does not violate it.
 _MARGIN: Final = 1e-11
 # A limit is active below this scaled margin.
@@ -310,10 +237,13 @@ def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -
         p: parameters.
         start: scaled variables, nearly optimal.
     """
-    derivatives = _difference_quotients(program, p, start) if program.population.vectorised else None
+    landscape = Landscape(program, p)
+    evaluate = partial(landscape.rows, finer=FINER, together=(len(start) + 1) * (len(start) + 2) // 2)
+    with np.errstate(all="ignore"):
+        derivatives = difference_quotients(evaluate, start) if landscape.vectorised else None
     if derivatives is None:
         return None
-    slopes, hessians = derivatives
+    _, slopes, hessians = derivatives
     margin = np.where(program.low < program.high, _MARGIN, 0.0)
     y, lam_g, before = start, np.zeros(len(program.low)), np.inf
     for number in range(_MOST_QUADRATIC_PROGRAMS):
@@ -326,7 +256,7 @@ def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -
             return None
         at, limits = (g, gradient, jacobian), (program.low + margin, program.high - margin)
         for _ in range(1 if number else _ROUNDS):
-            curvature = made_convex(hessians[0] + np.tensordot(lam_g, hessians[1:], 1))
+            curvature = curvature_of(hessians, lam_g)
             found = optimum_step(curvature, y, at, limits)
             if found is None:
                 return None
@@ -348,30 +278,6 @@ def _multipliers_unique(program: Program, y: Vector, g: Vector, jacobian: Vector
     active = np.vstack([jacobian, np.eye(len(y))])[margins < _ACTIVE_MARGIN]
     lengths = np.maximum(np.linalg.norm(active, axis=1, keepdims=True), np.finfo(float).tiny)
     return not len(active) or int(np.linalg.matrix_rank(active / lengths, _DEPENDENT)) == len(active)
-
-
-def _difference_quotients(program: Program, p: Vector, y: Vector) -> tuple[Vector, Vector] | None:
-    """Return a gradient (a row) and a Hessian for the objective and each requirement row, by difference quotients.
-
-    None if a neighbouring design cannot be evaluated.
-    """
-    n = len(y)
-    steps = np.diag(np.where(y > 0.5, -_DIFFERENCE, _DIFFERENCE))
-    pairs = list(itertools.combinations_with_replacement(range(n), 2))
-    points = np.vstack([y, y + steps, *(y + steps[i] + steps[j] for i, j in pairs)])
-    with np.errstate(all="ignore"):
-        f, g = program.population(points, p, finer=FINER, together=len(points))
-    scales = np.array(program.scales)[np.array(program.owner, dtype=int)]
-    values = np.column_stack([f / program.objective_scale, g / scales])
-    if not np.all(np.isfinite(values)):
-        return None
-    hessians = np.empty((values.shape[1], n, n))
-    for (i, j), value in zip(pairs, values[n + 1 :], strict=True):
-        second = (value - values[1 + i] - values[1 + j] + values[0]) / (steps[i, i] * steps[j, j])
-        hessians[:, i, j] = hessians[:, j, i] = second
-    signed = np.diag(steps)
-    slopes = (values[1 : n + 1] - values[0]).T / signed - 0.5 * np.einsum("kii->ki", hessians) * signed
-    return slopes, hessians
 
 
 # An optimum this close to a start, as a fraction of the range, belongs to the start's basin.

@@ -30,6 +30,8 @@ from plough_opt.design.declarations import Declarations, Parameter, Requirement
 from plough_opt.design.model.ipopt import Point, SolveOptions
 from plough_opt.design.model.optimality import (
     PULLS,
+    curvature_of,
+    difference_quotients,
     free_directions,
     made_convex,
     optimum_step,
@@ -64,8 +66,6 @@ _LEAST_UPDATE_STEP: Final = 1e-9
 _FINER: Final = 4.0
 # Step of differences for slopes, between the rounding of a run (some 1e-13) and the error by its third derivatives.
 _SLOPE_STEP: Final = 3e-6
-# Step of differences for curvatures, which only guide the steps and may be rough.
-_CURVATURE_STEP: Final = 1e-4
 # Residual of the first-order conditions that slopes by differences can reach: they have errors of some 1e-7.
 _BATCH_RESIDUAL: Final = 5e-7
 
@@ -264,16 +264,10 @@ class BatchCorrector(Corrector):
 
     def _initial_curvature(self, y: Array, p: Array, lam_g: Array) -> Array:
         """Return the Hessian of the Lagrangian by differences of slopes, made positive definite."""
-        moves = np.where(y > 0.5, -_CURVATURE_STEP, _CURVATURE_STEP)
-        stencils = [_stencil(place) for place in (y, *(y + np.diag(moves)))]
-        f, g = self._integrate(np.vstack([designs for designs, _ in stencils]), p)
-        count, slopes = len(stencils[0][0]), []
-        for k, (_, steps) in enumerate(stencils):
-            rows = slice(k * count, (k + 1) * count)
-            slope = _differences(f[rows], g[rows], steps)
-            slopes.append(slope.gradient + slope.jacobian.T @ lam_g)
-        hessian = (np.array(slopes[1:]) - slopes[0]) / moves[:, None]
-        return made_convex((hessian + hessian.T) / 2.0)
+        derivatives = difference_quotients(lambda designs: self._integrate(designs, p), y)
+        if derivatives is None:
+            raise ValueError("a neighbouring design has no value")
+        return curvature_of(derivatives[2], lam_g)
 
 
 def _are_active(margins: Array, multipliers: Array) -> NDArray[np.bool_]:

@@ -14,10 +14,9 @@ from plough_opt.design.model.optimality import (
     lowest_dips,
     optimum_step,
     relaxed_step,
-    residual,
-    without_rounding,
 )
 from plough_opt.design.model.program import Program
+from plough_opt.design.search.corrector import Corrector
 from plough_opt.design.search.landscape import (
     FEASIBLE,
     FEASIBLE_ANSWER,
@@ -207,13 +206,8 @@ class _Descent:
         return np.array(chosen, dtype=int)
 
 
-# Largest scaled residual of the first-order conditions at an optimum.
-_STATIONARY: Final = 1e-10
-# Most steps, and the longest one: a start further from the optimum is not nearly optimal.
+# Most steps: a start that needs more is not nearly optimal.
 _MOST_QUADRATIC_PROGRAMS: Final = 5
-_LONGEST_STEP: Final = 0.02
-# Each step must reduce the residual by at least this factor; otherwise the steps do not converge.
-_REDUCTION: Final = 0.5
 # If difference quotients deviate from the exact slopes by this fraction of the largest, there is a kink in between, as
 # in the RMS of an amplitude at 0.
 _KINK: Final = 0.05
@@ -226,7 +220,7 @@ _DEPENDENT: Final = 1e-7
 
 
 def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -> Point | None:
-    """Return the optimum near a design by sequential quadratic programs, or None if a few short steps do not reach it.
+    """Return the optimum near a design by sequential quadratic programs, or None if a few steps do not reach it.
 
     Curvatures need only be rough, so they come from difference quotients of runs that are integrated together. Two or
     three evaluations of exact slopes then suffice. An interior-point method needs as many again to let its barrier
@@ -243,33 +237,28 @@ def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -
         derivatives = difference_quotients(evaluate, start) if landscape.vectorised else None
     if derivatives is None:
         return None
-    _, slopes, hessians = derivatives
     margin = np.where(program.low < program.high, _MARGIN, 0.0)
-    y, lam_g, before = start, np.zeros(len(program.low)), np.inf
-    for number in range(_MOST_QUADRATIC_PROGRAMS):
-        f, g, gradient, jacobian = (np.asarray(result) for result in program.nlp.slopes(y, p))
-        g, gradient = g.ravel(), gradient.ravel()
-        if not all(np.all(np.isfinite(part)) for part in (f, g, gradient, jacobian)):
+    corrector = Corrector(program, margin)
+    f, *at = corrector.slopes(start, p)
+    exact = np.vstack(at[1:])
+    # A difference from a slope without a value is NaN.
+    if not np.max(np.abs(exact - derivatives[1])) <= _KINK * max(1.0, float(np.max(np.abs(exact)))):
+        return None
+    status, limits = "Search_Direction_Becomes_Too_Small", (program.low + margin, program.high - margin)
+    point = Point(False, status, start, float(f[0]), np.zeros(len(margin)), np.zeros(len(start)), 0)
+    for _ in range(_ROUNDS):
+        curvature = curvature_of(derivatives[2], point.lam_g)
+        found = optimum_step(curvature, start, (at[0], at[1], at[2]), limits)
+        if found is None:
             return None
-        exact = np.vstack([gradient, jacobian])
-        if not number and np.max(np.abs(exact - slopes)) > _KINK * max(1.0, float(np.max(np.abs(exact)))):
-            return None
-        at, limits = (g, gradient, jacobian), (program.low + margin, program.high - margin)
-        for _ in range(1 if number else _ROUNDS):
-            curvature = curvature_of(hessians, lam_g)
-            found = optimum_step(curvature, y, at, limits)
-            if found is None:
-                return None
-            step, lam_g, lam_y = found
-        point = Point(True, "Solve_Succeeded", y, float(f.item()), lam_g, without_rounding(y, lam_y), number)
-        remaining = residual(point, at, (program.low, program.high))
-        if remaining <= _STATIONARY:
-            if np.all((margin == 0.0) | (program.margins(g) >= 0.0)):
-                return point if _multipliers_unique(program, point.y, g, jacobian) else None
-        elif remaining > _REDUCTION * before or np.max(np.abs(step)) > _LONGEST_STEP:
-            return None
-        y, before = np.clip(y + step, 0.0, 1.0), remaining
-    return None
+        point = replace(point, lam_g=found[1])
+    try:
+        point = corrector.iterate(point, curvature, p, _MOST_QUADRATIC_PROGRAMS)
+    except ValueError:  # a slope on the way has no value
+        return None
+    _, g, _, jacobian = corrector.slopes(point.y, p)
+    met = np.all((margin == 0.0) | (program.margins(g) >= 0.0))
+    return point if point.solved and met and _multipliers_unique(program, point.y, g, jacobian) else None
 
 
 def _multipliers_unique(program: Program, y: Vector, g: Vector, jacobian: Vector) -> bool:

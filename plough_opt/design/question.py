@@ -30,7 +30,7 @@ from plough_opt.design.certify.tolerance import Judge
 from plough_opt.design.declarations import EVERYWHERE, Declarations, Parameter, Requirement, Variable
 from plough_opt.design.model.program import Program
 from plough_opt.design.result.optimum import Optimum
-from plough_opt.design.search.effort import Search
+from plough_opt.design.search.effort import Search, TimeLimit
 from plough_opt.design.search.explore import Progress, silent
 from plough_opt.design.solving import Over, Request, ToleranceBoxSolver, solve_program
 
@@ -207,7 +207,8 @@ class Design:
             search: extent of the search.
 
                 * ``"auto"``: all variables, by a sample, evolution and descents; IPOPT then optimises the basins that
-                  can be best.
+                  can be best. After 30 s of processor time no further part of the search begins: the best design so far
+                  is optimised and checked, and one of the optimum's warnings names what was left out.
                 * ``"thorough"``: the same with four times the effort.
                 * ``"near"`` or ``"local"``: the optimum in the basin of the guess, never worse than a guess that meets
                   the requirements. From any other guess it starts at the nearest design that meets them.
@@ -238,7 +239,7 @@ class Design:
                 violations.
             NotConverged: the optimiser stopped without an optimum; the error says why and what to do.
         """
-        started = time.perf_counter()
+        started, limit = time.perf_counter(), TimeLimit(search)
         check_choice("judge", judge, ("tolerance", "bare"))
         check_switch("compiled", compiled)
         if progress is not None:
@@ -248,7 +249,7 @@ class Design:
         values = declared.parameter_values(mapping_of("parameters", parameters, "name -> value"))
         if self._program is None or self._program.compiled != compiled:
             self._program, self._boxed = Program.of(declared, compiled=compiled), None
-        request = Request(values, search, judge, seed, progress or silent, started)
+        request = Request(values, search, judge, seed, progress or silent, started, limit)
         with without_notices():
             if self._over is None:
                 best = solve_program(self._program, request)

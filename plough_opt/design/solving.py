@@ -23,7 +23,7 @@ from plough_opt.design.result.optimum import Optimum
 from plough_opt.design.result.optimum import Search as SearchRecord
 from plough_opt.design.result.reporting import remarks, reports
 from plough_opt.design.result.sensitivity import Solved
-from plough_opt.design.search.effort import CAN_WIN, FEW_VARIABLES, Search, effort_of, searched
+from plough_opt.design.search.effort import CAN_WIN, FEW_VARIABLES, Search, TimeLimit, effort_of, searched
 from plough_opt.design.search.explore import Explored, Explorer, Progress
 from plough_opt.design.search.landscape import FEASIBLE, Evaluations, Landscape
 from plough_opt.design.search.local import AS_FOUND, descend, point_as_found, polished
@@ -50,6 +50,7 @@ class Request:
         seed: seed of the samples.
         progress: called with what is being done and the fraction done.
         started: time at which the solve began [s].
+        limit: of the processor time of the search.
     """
 
     p: Vector
@@ -58,6 +59,7 @@ class Request:
     seed: int
     progress: Progress
     started: float
+    limit: TimeLimit
 
 
 def solve_program(program: Program, request: Request) -> Optimum:
@@ -116,7 +118,12 @@ class _Solve:
             local_optima=optima,
             search=self._record(vary, explored, len(points)),
             seconds=time.perf_counter() - self._request.started,
-            warnings=(*accuracy_warnings, *remarks(explored, best, optima[0]), *warnings),
+            warnings=(
+                *self._request.limit.warnings(),
+                *accuracy_warnings,
+                *remarks(explored, best, optima[0]),
+                *warnings,
+            ),
             solved=Solved(program, p, best, rounder=rounder),
         )
 
@@ -125,7 +132,9 @@ class _Solve:
         program, landscape, request = self._program, self._landscape, self._request
         start, required = program.start(), bool(program.declared.requirements)
         effort = effort_of(request.search, len(vary), program.population.runs, landscape.vectorised)
-        explored = Explorer(landscape, start, vary, self._criterion, effort, self._progress, request.seed).explore()
+        explorer = Explorer(landscape, start, vary, self._criterion, effort, self._progress, request.seed)
+        explorer.limit = request.limit
+        explored = explorer.explore()
         if not len(explored.minima.f) and explored.least_violating is None:
             raise NotConverged(
                 f"none of {landscape.designs_tried} designs between the bounds has a value, with"
@@ -168,6 +177,8 @@ class _Solve:
         program = self._program = with_sure_steps(program, p, list(minima.points[chosen]))
         points: list[Point] = []
         for number, k in enumerate(chosen):
+            if points and self._request.limit.passed(f"the optima of {len(chosen) - number} basins"):
+                break
             self._progress(f"optimising basin {number + 1} of {len(chosen)}", number / len(chosen))
             point = polished(program, p, minima.points[k])
             if point.solved and not any(np.max(np.abs(point.y - other.y)) < _SAME_OPTIMUM for other in points):

@@ -134,7 +134,7 @@ def flat_directions(program: Program, p: Vector, at: Point) -> list[Vector]:
     Candidates are directions without curvature in the reduced Hessian. A candidate is confirmed by a step along it,
     after which the other variables are optimised again.
     """
-    curvatures, directions = at.curvatures or _reduced_curvatures(program, p, at)
+    curvatures, directions = at.curvatures or curvatures_at(program, p, at)
     flat = np.flatnonzero(np.abs(curvatures) < FLAT_CURVATURE)
     return [directions[:, k] for k in flat if _confirmed(program, p, at, directions[:, k])]
 
@@ -151,7 +151,7 @@ def minimum_from(program: Program, p: Vector, at: Point) -> Point:
     """
     # At the top of a hill each descent may move a single variable.
     for _ in range(len(at.y) + 1):
-        curvatures, directions = known = _reduced_curvatures(program, p, at)
+        curvatures, directions = known = curvatures_at(program, p, at)
         if not curvatures.size or curvatures[0] >= -FLAT_CURVATURE:
             return replace(at, curvatures=known)
         step = _ASIDE * directions[:, 0] / np.max(np.abs(directions[:, 0]))
@@ -164,15 +164,17 @@ def minimum_from(program: Program, p: Vector, at: Point) -> Point:
     return at
 
 
-def _reduced_curvatures(program: Program, p: Vector, at: Point) -> tuple[Vector, Vector]:
+def curvatures_at(program: Program, p: Vector, at: Point) -> tuple[Vector, Vector]:
     """Return the curvatures along the active limits, relative to the largest and ascending, and their directions.
 
     The directions are columns.
     """
     values, jacobian = program.built.solver.requirements(at.y, p)
-    active = program.margins(values) < ACTIVE
+    margins, pulls = program.margins(values), np.abs(at.lam_g)
+    active = (margins < ACTIVE) | ((pulls > PULLS) & (pulls > margins))
     # A bound without a multiplier does not stop a move away from it.
-    bounds = ((at.y < ACTIVE) | (at.y > 1.0 - ACTIVE)) & (np.abs(at.lam_y) > PULLS)
+    margins, pulls = np.minimum(at.y, 1.0 - at.y), np.abs(at.lam_y)
+    bounds = (pulls > PULLS) & (pulls > margins)
     free = free_directions(np.vstack([jacobian[active], np.eye(len(at.y))[bounds]]))
     if not free.shape[1]:
         return np.empty(0), free

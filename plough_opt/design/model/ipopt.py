@@ -243,7 +243,8 @@ class Solver:
             if options.near and options.enough and point.status == "Maximum_Iterations_Exceeded":
                 # Steps from a low barrier are short along a flat valley.
                 point = self._attempt(given, "near", False, options.enough)
-            if point.solved or options.exact is False:
+            # Exact curvatures lead to the same violation: it is least by exact slopes.
+            if point.solved or options.exact is False or point.status == "Infeasible_Problem_Detected":
                 return point
         return self._attempt(given, begin, True, options.enough)
 

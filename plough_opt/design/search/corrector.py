@@ -4,16 +4,12 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plough_opt.core.plain_data import Array
 from plough_opt.design.model.ipopt import Point, SolveOptions
 from plough_opt.design.model.optimality import (
-    PULLS,
-    free_directions,
     made_convex,
     optimum_step,
-    reduced_curvatures,
     residual,
     symmetric,
     without_rounding,
@@ -28,8 +24,6 @@ _LONGEST_STEP: Final = 0.3
 _PROGRESS: Final = 0.7
 # Steps in a row without progress after which a correction is given up.
 _PATIENCE: Final = 4
-# A limit whose scaled margin is smaller is active.
-_TOUCHING: Final = 1e-7
 # Threshold of Powell's damping: the least curvature along a step, relative to that of the present estimate.
 _DAMPED: Final = 0.2
 # Over shorter steps the change of a gradient is mostly rounding, so the curvature is not updated.
@@ -95,23 +89,6 @@ class Corrector:
         """Return the scaled residual of the first-order conditions at a point."""
         _, g, gradient, jacobian = self.slopes(point.y, p)
         return residual(point, (g, gradient, jacobian), self._limits)
-
-    def least_curvature(self, point: Point, p: Array) -> float | None:
-        """Return the least curvature of the Lagrangian along directions that keep every active limit.
-
-        Returns:
-            Curvature relative to the largest of the Lagrangian, by a rough integration; None if the active limits leave
-            no direction free.
-        """
-        _, g, _, jacobian = self.slopes(point.y, p)
-        low, high = self._limits
-        active_rows = _are_active(np.minimum(g - low, high - g), point.lam_g)
-        active_bounds = _are_active(np.minimum(point.y, 1.0 - point.y), point.lam_y)
-        free = free_directions(np.concatenate([jacobian[active_rows], np.eye(len(point.y))[active_bounds]]))
-        if not free.size:
-            return None
-        hessian = symmetric(np.asarray(self._built.rough.hess_lag(point.y, p, 1.0, point.lam_g)))
-        return float(reduced_curvatures(hessian, free)[0][0])
 
     def correct(self, neighbour: Point, start: Array, p: Array) -> Point:
         """Return the optimum near a start, by quadratic programs from a neighbour's multipliers.
@@ -188,12 +165,6 @@ class Corrector:
         del neighbour
         point = self._program.solve(start, p, SolveOptions(near=True))
         return point if point.solved else self._program.solve(start, p)
-
-
-def _are_active(margins: Array, multipliers: Array) -> NDArray[np.bool_]:
-    """Return which limits are active: their scaled margin vanishes, or is smaller than their multiplier."""
-    pulls = np.abs(multipliers)
-    return (margins < _TOUCHING) | ((pulls > PULLS) & (pulls > margins))
 
 
 def _updated(curvature: Array, step: Array, change: Array) -> Array:

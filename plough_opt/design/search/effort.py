@@ -8,17 +8,14 @@ import re
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from plough_opt.core.checks import shown
 from plough_opt.core.errors import InputError, nearest
+from plough_opt.core.notes import listed
 from plough_opt.core.units import in_si
 from plough_opt.design.declarations import Variable
-
-if TYPE_CHECKING:
-    pass
 
 Search = str | int | Sequence[str]
 """One of `WORDS`, a time such as "20 s" or "5 min", a number of designs, or names of the variables to search."""
@@ -31,6 +28,9 @@ FEW_VARIABLES = 3
 
 CAN_WIN = 0.15
 """With more variables, only those designs are optimised whose criterion is within this part of the best."""
+
+AUTO_SECONDS = 30.0
+"""Processor time after which no further part of an automatic search begins [s]."""
 
 # Sample size by number of variables, a power of two.
 _DESIGNS = {1: 512, 2: 1024, 3: 2048, 4: 4096}
@@ -94,6 +94,35 @@ class Effort:
         if self.most_designs is not None:
             return designs < self.most_designs
         return rounds < self.rounds
+
+
+class TimeLimit:
+    """Processor time that a solve may take before it leaves out the rest of its search.
+
+    Attributes:
+        left_out: names of the parts that were left out.
+    """
+
+    def __init__(self, search: Search) -> None:
+        """Begin to count the time; only an automatic search has a limit."""
+        self._end = time.process_time() + AUTO_SECONDS if isinstance(search, str) and search == "auto" else math.inf
+        self.left_out: dict[str, None] = {}
+
+    def passed(self, part: str) -> bool:
+        """Return whether a part of the search must be left out."""
+        late = time.process_time() >= self._end
+        if late:
+            self.left_out[part] = None
+        return late
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return a sentence on what was left out, if anything was."""
+        if not self.left_out:
+            return ()
+        return (
+            f"after {AUTO_SECONDS:g} s of processor time the search left out {listed([*self.left_out])}: there may be a"
+            " better design; search='thorough', a number of designs or a time such as '5 min' has no such limit",
+        )
 
 
 def effort_of(search: Search, dimensions: int, runs: int, vectorised: bool) -> Effort:

@@ -4,11 +4,12 @@ import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from plough_opt.design.model.ipopt import Vector
-from plough_opt.design.search.effort import Effort, expected_unseen
+from plough_opt.design.search.effort import Effort, TimeLimit, expected_unseen
 from plough_opt.design.search.landscape import (
     SAME,
     Evaluations,
@@ -46,6 +47,9 @@ _ZOOM_ENDS = 64  # lowest ends of descents whose differences are steps to other 
 _ZOOM_MOVES = 12  # descents from designs after such a step
 _ZOOM_DIGITS = 4  # of such steps: ends of the same descent differ in later digits
 
+# Designs of a sample that are integrated one by one between two looks at the clock: half a minute if they take long.
+_ONE_BY_ONE_BLOCK = 32
+_CLOSER = "a closer look at the best designs"
 # Where feasible designs are rare, descents also start from this many infeasible ones.
 _INFEASIBLE_STARTS = 4
 # An island has converged when the merits of its designs scatter by less than this fraction.
@@ -92,6 +96,7 @@ class Explorer:
         progress: called with what is being done and the fraction of it done.
         seed: of the samples.
         stop: returns True to end the search after its first descents.
+        limit: of the processor time.
     """
 
     landscape: Landscape | Shortfall
@@ -102,6 +107,7 @@ class Explorer:
     progress: Progress = silent
     seed: int = 0
     stop: Callable[[], bool] = lambda: False
+    limit: TimeLimit = field(default_factory=partial(TimeLimit, "near"))
     # Whether feasible designs are so rare that any of them ranks before all others.
     _feasible_rare: bool = False
     # Descents start only from designs with at most this violation.
@@ -134,7 +140,8 @@ class Explorer:
         rng = np.random.default_rng([SEED, self.seed, number])
         self.progress(f"trying {self.effort.designs} designs", 0.0)
         points, uniform = sample(len(self.variables), self.effort.designs, self.start[self.variables], rng)
-        sampled = self.landscape(self._full_designs(points))
+        sampled = self._sampled(points)
+        points, uniform = points[: len(sampled.f)], uniform[uniform < len(sampled.f)]
         self._samples.append(sampled)
         if not np.any(np.isfinite(sampled.merit)):
             return
@@ -147,6 +154,16 @@ class Explorer:
             sampled = concatenated([sampled, feasible])
         self._search(points, sampled, rng, uniform, [] if number else [self.start])
 
+    def _sampled(self, points: Vector) -> Evaluations:
+        """Return the designs of a sample; those that are integrated one by one only as long as there is time."""
+        block = len(points) if self.landscape.vectorised else _ONE_BY_ONE_BLOCK
+        parts = []
+        for begin in range(0, len(points), block):
+            if begin and self.limit.passed(f"part of the sample of {len(points)} designs"):
+                break
+            parts.append(self.landscape(self._full_designs(points[begin : begin + block])))
+        return concatenated(parts)
+
     def _rare_feasible_designs(
         self, landscape: Landscape, points: Vector, sampled: Evaluations, rng: np.random.Generator
     ) -> Evaluations | None:
@@ -154,6 +171,7 @@ class Explorer:
         shortfall = Shortfall(landscape)
         effort, criterion = replace(self.effort, followed=0), lambda y: shortfall(y).merit
         search = Explorer(shortfall, self.start, self.variables, criterion, effort, self.progress, self.seed)
+        search.limit = self.limit
         search.stop = lambda: shortfall.feasible_seen >= self.effort.population
         search._search(points, sampled.without_objective(), rng, further=[self.start])
         self._feasible_rare, self._most_violation = True, float(sampled.violation.min())
@@ -190,6 +208,8 @@ class Explorer:
         starts = [*sampled.points[lowest], *further]
         ends: list[int] = []
         for done, start in enumerate(starts):
+            if done and self.limit.passed("descents from low designs"):
+                break
             self.progress(f"descending from {len(starts)} low designs", done / len(starts))
             ends.append(self._end_from(start))
         known = dict(zip(lowest.tolist(), ends, strict=False))
@@ -199,7 +219,7 @@ class Explorer:
             self._follow(sampled, random_starts, known)
         if not (self._dense and self._few_basins_unseen()):
             for island in range(effort.islands if len(self.variables) > 1 else 0):
-                if self.stop():
+                if self.stop() or self.limit.passed("evolution"):
                     return
                 self._end_from(self._evolved(points, sampled, island, rng))
         self._descend_from_dips()
@@ -237,6 +257,8 @@ class Explorer:
         """
         if not self.landscape.vectorised or self.stop() or not len((minima := self._basins()[0]).f):
             return
+        if self.limit.passed("descents from dips along each variable"):
+            return
         lines = lines_through(minima.points[0], self.variables)
         evaluated = self.landscape(lines)
         promising, dips = self._worth_descending(evaluated), dips_along(self._merit(evaluated))
@@ -253,12 +275,14 @@ class Explorer:
         if not self.landscape.vectorised or len(self.variables) < 2:
             return
         for _ in range(_ZOOM_ROUNDS):
-            if self.stop():
+            if self.stop() or self.limit.passed(_CLOSER):
                 return
             centres, before = self._basins()[0].points[:_ZOOM_CENTRES], len(self._ends)
             rare = self._feasible_rare or isinstance(self.landscape, Shortfall)
             boxes = list(itertools.product(centres, _ZOOM_RADII_IF_RARE if rare else (_ZOOM_RADIUS,)))
             for number, (centre, radius) in enumerate(boxes):
+                if self.limit.passed(_CLOSER):
+                    return
                 self.progress("looking closer at the best designs", number / len(boxes))
                 self._descend_inside(centre, radius, rng)
             self._descend_from_translations()
@@ -308,6 +332,8 @@ class Explorer:
         for number, start in enumerate(starts[:_MOST_FOLLOWED]):
             if start not in known:
                 if left == 0 or not np.isfinite(sampled.merit[start]):
+                    return
+                if self.limit.passed("following designs drawn at random"):
                     return
                 left -= 1
                 self.progress("following designs drawn at random", number / min(len(starts), _MOST_FOLLOWED))

@@ -88,7 +88,7 @@ class _Solve:
         Args:
             vary: numbers of the variables to search over; if empty, the optimum of the guess's basin is returned.
         """
-        p, landscape = self._p, self._landscape
+        p, landscape, limit = self._p, self._landscape, self._request.limit
         # Variables that follow from the others by algebra need no search.
         given = {variable.number for variable in landscape.eliminated}
         vary = tuple(k for k in vary if k not in given) or vary
@@ -118,12 +118,7 @@ class _Solve:
             local_optima=optima,
             search=self._record(vary, explored, len(points)),
             seconds=time.perf_counter() - self._request.started,
-            warnings=(
-                *self._request.limit.warnings(),
-                *accuracy_warnings,
-                *remarks(explored, best, optima[0]),
-                *warnings,
-            ),
+            warnings=(*limit.warnings(), *accuracy_warnings, *remarks(explored, best, optima[0]), *warnings),
             solved=Solved(program, p, best, rounder=rounder),
         )
 
@@ -132,9 +127,8 @@ class _Solve:
         program, landscape, request = self._program, self._landscape, self._request
         start, required = program.start(), bool(program.declared.requirements)
         effort = effort_of(request.search, len(vary), program.population.runs, landscape.vectorised)
-        explorer = Explorer(landscape, start, vary, self._criterion, effort, self._progress, request.seed)
-        explorer.limit = request.limit
-        explored = explorer.explore()
+        known = landscape, start, vary, self._criterion, effort, self._progress, request.seed
+        explored = Explorer(*known, limit=request.limit).explore()
         if not len(explored.minima.f) and explored.least_violating is None:
             raise NotConverged(
                 f"none of {landscape.designs_tried} designs between the bounds has a value, with"

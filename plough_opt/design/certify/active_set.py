@@ -26,6 +26,7 @@ from plough_opt.design.model.optimality import (
     FLAT_CURVATURE,
     PULLS,
     free_directions,
+    independent,
     newton_step,
     reduced_curvatures,
     symmetric,
@@ -298,7 +299,7 @@ class ActiveSet:
 
     def _refuse_degenerate(self) -> None:
         a = self.gradients[self.deciding, : self.n]
-        if len(a) and np.linalg.matrix_rank(a / np.linalg.norm(a, axis=1, keepdims=True).clip(1e-300), _RANK) < len(a):
+        if not independent(a, _RANK):
             raise InputError(
                 f"the limits that decide ({', '.join(self.deciding_names)}) are not independent: their multipliers are"
                 " not unique, so there are no derivatives; drop or loosen one of them"

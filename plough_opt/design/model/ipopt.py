@@ -40,7 +40,8 @@ OPTIONS: dict[str, Any] = {
     "ipopt.constr_viol_tol": 1e-10,
     "ipopt.compl_inf_tol": 1e-10,
     "ipopt.acceptable_iter": 0,
-    "ipopt.max_iter": 300,
+    # The quasi-Newton method no longer converges after that, and Newton's would take long.
+    "ipopt.max_iter": 100,
     # The linear systems of a design are small, dense and of order 1: scaling them only takes time.
     "ipopt.mumps_permuting_scaling": 0,
     "ipopt.mumps_scaling": 0,
@@ -54,8 +55,6 @@ _QUASI_NEWTON: dict[str, Any] = {
     # Skip checking the residual of each step: systems this small are solved to rounding.
     "ipopt.fast_step_computation": "yes",
 }
-# After this many iterations the quasi-Newton method no longer converges.
-_MOST_QUASI_NEWTON_ITERATIONS = 100
 # From any start: the adaptive barrier takes about half the iterations of the monotone one here.
 FAR: dict[str, Any] = {"ipopt.mu_strategy": "adaptive"}
 # From a nearly optimal start: stay in its basin instead of first moving to the middle.
@@ -272,7 +271,6 @@ class Solver:
             if exact:
                 options["hess_lag"] = self._nlp.hess_lag
             else:
-                most_iterations = min(options["ipopt.max_iter"], _MOST_QUASI_NEWTON_ITERATIONS)
-                options |= _QUASI_NEWTON | {"ipopt.max_iter": most_iterations}
+                options |= _QUASI_NEWTON
             self._solvers[kind] = ca.nlpsol("design", "ipopt", self._problem, options)
         return self._solvers[kind]

@@ -11,6 +11,7 @@ from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.model.optimality import (
     curvature_of,
     difference_quotients,
+    independent,
     lowest_dips,
     optimum_step,
     relaxed_step,
@@ -257,16 +258,11 @@ def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -
     except ValueError:  # a slope on the way has no value
         return None
     _, g, _, jacobian = corrector.slopes(point.y, p)
+    margins = np.concatenate([program.margins(g), np.minimum(point.y, 1.0 - point.y)])
+    active = np.vstack([jacobian, np.eye(len(start))])[margins < _ACTIVE_MARGIN]
     met = np.all((margin == 0.0) | (program.margins(g) >= 0.0))
-    return point if point.solved and met and _multipliers_unique(program, point.y, g, jacobian) else None
-
-
-def _multipliers_unique(program: Program, y: Vector, g: Vector, jacobian: Vector) -> bool:
-    """Return whether the slopes of the active limits are independent; otherwise their multipliers are ambiguous."""
-    margins = np.concatenate([program.margins(g), np.minimum(y, 1.0 - y)])
-    active = np.vstack([jacobian, np.eye(len(y))])[margins < _ACTIVE_MARGIN]
-    lengths = np.maximum(np.linalg.norm(active, axis=1, keepdims=True), np.finfo(float).tiny)
-    return not len(active) or int(np.linalg.matrix_rank(active / lengths, _DEPENDENT)) == len(active)
+    # Multipliers of dependent limits are ambiguous.
+    return point if point.solved and met and independent(active, _DEPENDENT) else None
 
 
 # An optimum this close to a start, as a fraction of the range, belongs to the start's basin.

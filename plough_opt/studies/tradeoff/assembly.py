@@ -16,6 +16,7 @@ from plough_opt.core.notes import Counted, count, counted, listed
 from plough_opt.core.plain_data import Array
 from plough_opt.core.saving import Origin
 from plough_opt.design import Design, Progress
+from plough_opt.design.certify.confirmation import curvatures_at
 from plough_opt.design.model.ipopt import Point
 from plough_opt.design.model.optimality import PULLS, decides
 from plough_opt.design.search.effort import Search
@@ -177,6 +178,7 @@ def certificate(front: FrontProgram, candidate: FrontCandidate, *, beaten: bool 
             active.append(v.name)
     weights = _weights(front, candidate)
     waved = [] if beaten else [run.scene.branch for run in front.runs(point.y) if run.scene.effects.strength_wave]
+    curvatures, _ = curvatures_at(program, candidate.p, point)
     return FrontPoint(
         objectives=tuple((scaled * front.units).tolist()),
         variables={v.name: float(x) for v, x in zip(program.declared.variables, program.values(point.y), strict=True)},
@@ -187,7 +189,7 @@ def certificate(front: FrontProgram, candidate: FrontCandidate, *, beaten: bool 
         residual=corrector.residual(point, candidate.p),
         violation=violation,
         gap=front.gap(point.y, exact=candidate.exact),
-        curvature=None if beaten or not candidate.confirmed else corrector.least_curvature(point, candidate.p),
+        curvature=float(curvatures[0]) if curvatures.size and candidate.confirmed and not beaten else None,
         weights=weights,
         confirmed=candidate.confirmed,
     )

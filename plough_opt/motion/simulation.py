@@ -131,7 +131,7 @@ def simulate(
         >>> scene = po.Scene(po.named_soil("serozem"), share, "50 kN/m", "30 kg", "2 m/s", still)
         >>> po.simulate(scene, "1 s").duration
         1.0
-        >>> po.simulate(scene, "9 s", tow_speed=([0.0, 3.0, 9.0], [0.0, 2.0, 1.0])).speed[-1]
+        >>> float(po.simulate(scene, "9 s", tow_speed=([0.0, 3.0, 9.0], [0.0, 2.0, 1.0])).speed[-1])
         1.0
     """
     accuracy = Accuracy() if accuracy is None else accuracy

@@ -54,9 +54,9 @@ _LEAST_REFINEMENT = 1.15
 _BLIND_REFINEMENT = 1.4
 # A check takes three quarters of the steps: its error is (4/3)^8 = 10 times as large, at less than the run's cost.
 _CHECK_STEPS = 0.75
-STEPS_PER_PIECE = 32
-"""Least number of steps for each piece of a speed profile. Every piece then takes nine at least, and its check seven:
-as many in both would hide their error."""
+STEPS_PER_PIECE = 18
+"""Least number of steps for each piece of a speed profile. Every piece then takes six at least, and its check five: as
+many in both would hide their error."""
 # Fewest steps of a run. Outputs are interpolated between eight ends of steps.
 _FEWEST_STEPS = 20
 # Most steps of a run, limited by memory.

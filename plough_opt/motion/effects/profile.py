@@ -21,7 +21,7 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import COUNT, Expression, where
 from plough_opt.motion.effects.terms import Parameters, Term, Towed
 
-# Each piece adds operations to every evaluation of the equation; so many double the time of a usual run.
+# Each piece adds steps to a run, and operations to each of them: a run with so many takes some seconds.
 _MOST_PIECES = 200
 # A function of the time is approximated piece by piece by polynomials of this degree. It is a little above the order of
 # the steps, so a smooth function takes few pieces.

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial import Chebyshev
-from scipy.interpolate import PPoly
 
 from plough_opt.core.checks import array_of, check_domain, shown
 from plough_opt.core.errors import InputError
@@ -98,7 +97,7 @@ def profile_of(speed: Any, duration: float) -> tuple[float, SpeedProfile]:
         InputError: the argument is none of these, or as for `SpeedProfile`.
         DomainError: the speed is nowhere above 0.
     """
-    if isinstance(speed, PPoly):
+    if hasattr(speed, "c") and hasattr(speed, "x"):  # SciPy's class itself is slow to import
         sizes = np.diff(speed.x)
         rows = [(c[::-1] * size ** np.arange(len(c))).tolist() for c, size in zip(speed.c.T, sizes, strict=True)]
         times = speed.x.tolist()

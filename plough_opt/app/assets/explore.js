@@ -80,7 +80,7 @@
   for (const group of new Set(inputs.map((one) => one.group))) {
     const rows = inputs.flatMap((one, k) => one.group === group ? [controls[k].row] : []);
     const open = group === "variables" || !variables.length;
-    place("controls").append(make("details", { open }, make("summary", { textContent: group.replace(/[._]/g, " ") }), ...rows));
+    place("controls").append(make("details", { open }, make("summary", { textContent: group.replace(/^effects\./, "").replace(/[._]/g, " ") }), ...rows));
   }
   place("controls").addEventListener("submit", (event) => event.preventDefault());
   function write(k, but) {

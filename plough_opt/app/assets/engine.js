@@ -15,6 +15,8 @@ function engine(model, f) {
   /* A size below this part of the motion's own scale counts as that part, as in checks.py. */
   const SMALLEST = 1e-7;
   const SHORT = 1e-9;
+  /* Phase per step and output of a rough run: some per cent of an oscillation's peak lie between two outputs. */
+  const ROUGH_PHASE = 0.8;
 
   /** A number in the command line's digits. */
   function digits(value, count = 6) {
@@ -133,9 +135,20 @@ function engine(model, f) {
     return pairs.reduce((most, [change, scale]) => change > 0 ? Math.max(most, change / scale) : most, 0);
   }
 
+  /** A single run for a picture of many designs, with as many steps as outputs. */
+  function rough(x) {
+    const [[rate, kink]] = f.setup(x), duration = durationOf(x), phase = Math.ceil(rate * duration / ROUGH_PHASE);
+    const outputs = Math.min(model.outputs, Math.max(FEWEST, phase)), per = Math.ceil(Math.max(1, phase) / outputs);
+    if (outputs * per > MOST_STEPS) throw new RangeError("the share oscillates too fast");
+    const run = model.moves ? motion(x, f.parameters(x)[0], outputs, per, kink) : still(x, duration, outputs, per, kink, model.gauss[0]);
+    return { ...run, error: run.five.every(Number.isFinite) ? NaN : Infinity };
+  }
+
+  const durationOf = (x) => x[model.inputs.findIndex((one) => one.name === "scene.duration")];
+
   /** A run and its error, estimated by a second one with fewer steps, or by a quadrature with more nodes. */
   function checked(x, outputs, wanted) {
-    const [[rate, kink, stiffness, inertia]] = f.setup(x), duration = x[model.inputs.findIndex((one) => one.name === "scene.duration")];
+    const [[rate, kink, stiffness, inertia]] = f.setup(x), duration = durationOf(x);
     if (!model.moves) {
       const per = Math.max(1, Math.round(Math.max(FEWEST, Math.ceil(rate * duration / PANEL)) / outputs));
       const [run, check] = model.gauss.map((points) => still(x, duration, outputs, per, kink, points));
@@ -160,14 +173,14 @@ function engine(model, f) {
   /**
    * Results at values of the inputs in SI units, given in their order.
    * @param {number[]} x
-   * @param {{ outputs?: number, error?: number }} [options]
+   * @param {{ error?: number, sketch?: boolean }} [options] error to reach; or a single rough run without an estimate
    * @throws {RangeError} values outside the model's domain, or a motion without a finite result
    */
-  function evaluate(x, { outputs = model.outputs, error: wanted = model.error } = {}) {
+  function evaluate(x, { error: wanted = model.error, sketch = false } = {}) {
     const began = performance.now(), why = refusal(x);
     if (why) throw new RangeError(why);
-    const found = checked(x, outputs, wanted);
-    if (!Number.isFinite(found.error)) throw new RangeError("the motion has no finite mean: the share is driven away");
+    const found = sketch ? rough(x) : checked(x, model.outputs, wanted);
+    if (found.error === Infinity) throw new RangeError("the motion has no finite mean: the share is driven away");
     /** @type {any} */
     const results = {};
     const [measures] = f.measures(x, found.five);
@@ -182,8 +195,8 @@ function engine(model, f) {
       const margins = [one.low === null ? Infinity : low - one.low, one.high === null ? Infinity : one.high - high];
       return { value: margins[0] < margins[1] ? low : high, margin: Math.min(...margins) };
     });
-    const duration = x[model.inputs.findIndex((one) => one.name === "scene.duration")];
-    const time = Float64Array.from({ length: outputs + 1 }, (_, k) => k * duration / outputs);
+    const duration = durationOf(x), count = rows.travel.length;
+    const time = Float64Array.from({ length: count }, (_, k) => k * duration / (count - 1));
     return { ...results, rows: { time, ...rows }, requirements, error_estimate: found.error, steps: found.steps,
       seconds: (performance.now() - began) / 1000 };
   }

@@ -1,15 +1,13 @@
 "use strict";
 /** Tasks of a worker, each from plain data to plain data; MODEL, FUNCTIONS and `engine` stand before this file. */
 const own = engine(MODEL, FUNCTIONS);
-/* A sample's designs are integrated roughly: a picture shows three digits. */
-const ROUGH = { outputs: Math.min(40, MODEL.outputs), error: 1e-3 };
 const TASKS = {
   evaluate: (x, options) => own.evaluate(x, options),
 
   /** Results of designs without those over time; null for designs outside the model's domain. */
   many: (rows) => rows.map((x) => {
     try {
-      const { rows: _, ...found } = own.evaluate(x, ROUGH);
+      const { rows: _, ...found } = own.evaluate(x, { sketch: true });
       return { ...found, violation: own.violation(found) };
     } catch { return null; }
   }),
@@ -29,7 +27,7 @@ const TASKS = {
       tried++;
       if (u.some((part) => part < 0 || part > 1)) return Infinity;
       try {
-        const found = own.evaluate(design(u), { outputs: MODEL.outputs, error: 1e-6 });
+        const found = own.evaluate(design(u), { error: 1e-6 });
         /* A violation by a hundredth of its limit counts more than the whole objective. */
         return found.objective + 100 * (1 + Math.abs(found.objective)) * own.violation(found);
       } catch { return Infinity; }

@@ -28,12 +28,16 @@ from plough_opt.motion.steps import Timeline, step
 from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.measures import measures_of
+from plough_opt.problem_file.problem import FileVariable
 
 ROWS: Final = ("travel", "speed", "deflection", "mount_force", "soil_resistance")
 """Results over time, in the order of the JavaScript function `at`."""
 AVERAGES: Final = tuple(Averages.__dataclass_fields__)
 # Results that every page shows if the law of resistance gives them, besides those that the file names.
 _SHOWN: Final = (*AVERAGES, "specific_draft", "loosened_radius", "half_angle", "moving_mass")
+
+# Positions of a slider: about as many as the eye tells apart.
+_MOST_POSITIONS: Final = 1000
 
 
 @dataclass(frozen=True)
@@ -173,8 +177,19 @@ def _input(problem: Problem, key: str, value: float) -> dict[str, Any]:
     return {
         "name": key, "label": called(key), "group": "variables" if variable else quantity.owner, "unit": quantity.unit,
         **shown_in(display), "lower": low, "upper": high, "log": bool(variable and variable.log), "value": value,
-        "variable": variable is not None, "limit": _limit(limit),
+        "variable": variable is not None, "steps": _steps(variable), "limit": _limit(limit),
     }  # fmt: skip
+
+
+def _steps(variable: FileVariable | None) -> list[float] | None:
+    """Return the values of a variable's catalogue between its bounds; None without one, or if there are too many."""
+    if variable is None or variable.catalogue is None:
+        return None
+    if not isinstance(variable.catalogue, float):
+        return sorted(value for value in variable.catalogue if variable.lower <= value <= variable.upper)
+    step = variable.catalogue
+    first, last = math.ceil(variable.lower / step), math.floor(variable.upper / step)
+    return [k * step for k in range(first, last + 1)] if last - first < _MOST_POSITIONS else None
 
 
 def _limit(limit: DomainLimit) -> dict[str, Any]:

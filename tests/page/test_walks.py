@@ -13,14 +13,16 @@ from helpers.problem_files import COTTON, STATIC, SUBSOILER, changed
 import plough_opt as po
 
 HOSTILE = "</script><script>document.title='broken'</script> <img src=x onerror=alert(1)>"
+SPRINGS = 'catalogue = ["40 kN/m", "50 kN/m", "63 kN/m", "80 kN/m"]'
 HEIGHT = "share height"
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    """Return the page of the subsoiler for cotton, under a title that tries to break out of it."""
+    """Return the page of the subsoiler for cotton with a catalogue, under a title that tries to break out of it."""
     folder = tmp_path_factory.mktemp("explore")
-    (folder / "cotton.toml").write_text(changed(("Subsoiler for cotton on serozem", HOSTILE)), encoding="utf-8")
+    text = changed(("Subsoiler for cotton on serozem", HOSTILE), ("log = true }", f"log = true, {SPRINGS} }}"))
+    (folder / "cotton.toml").write_text(text, encoding="utf-8")
     return po.explore(folder / "cotton.toml", folder / "page.html")
 
 
@@ -108,10 +110,10 @@ def test_a_design_of_the_landscape_is_taken_by_a_click_and_left_by_going_back(wa
 def test_the_keyboard_alone_moves_pins_and_undoes(walk):
     before = state(walk)
     slider(walk, "stiffness").focus()
-    for _ in range(5):
+    for _ in range(2):  # from the spring next to the best
         walk.keyboard.press("ArrowRight")
     settled(walk)
-    assert state(walk)["scene.stiffness"] > before["scene.stiffness"]
+    assert state(walk)["scene.stiffness"] == 80e3
     walk.get_by_role("button", name="Pin this design").press("Enter")
     assert cell(walk, "stiffness", 3) == cell(walk, "stiffness")
     walk.get_by_role("button", name="remove pin 1").press("Enter")

@@ -35,8 +35,10 @@
   const pretty = (symbol) => symbol.replace(/\^([23])/g, (_, power) => "²³"[power - 2]).replaceAll("*", "·").replace(/ ?\bdeg\b/, "°");
   const shown = (one, value) => withUnit(value / one.factor, pretty(one.symbol)).replace(" °", "°");
   const percent = (change) => `${change > 0 ? "+" : ""}${number(100 * change)} %`;
-  const value = (one, u) => one.log ? one.lower * (one.upper / one.lower) ** u : one.lower + u * (one.upper - one.lower);
-  const part = (one, v) => one.log ? Math.log(v / one.lower) / Math.log(one.upper / one.lower) : (v - one.lower) / (one.upper - one.lower);
+  /* Values at positions from 0 to 1 between the bounds; a catalogue has equal distances between its entries. */
+  const value = (one, u) => one.steps?.length > 1 ? one.steps[Math.round(u * (one.steps.length - 1))] : one.log ? one.lower * (one.upper / one.lower) ** u : one.lower + u * (one.upper - one.lower);
+  const nearest = (steps, v) => steps.reduce((best, each, k) => Math.abs(each - v) < Math.abs(steps[best] - v) ? k : best, 0);
+  const part = (one, v) => one.steps?.length > 1 ? nearest(one.steps, v) / (one.steps.length - 1) : one.log ? Math.log(v / one.lower) / Math.log(one.upper / one.lower) : (v - one.lower) / (one.upper - one.lower);
   const keyed = (values) => Object.fromEntries(inputs.map((one, k) => [one.name, values[k]]));
   const inOrder = (given) => inputs.map((one, k) => given[one.name] ?? x[k]);
 
@@ -69,10 +71,10 @@
 
   /* Controls: a slider and a field for each quantity, in the file's units. */
   const controls = inputs.map((one, k) => {
-    const slider = make("input", { type: "range", min: "0", max: "1000", step: "1", ariaLabel: one.label });
+    const slider = make("input", { type: "range", min: "0", max: String(one.steps?.length > 1 ? one.steps.length - 1 : 1000), step: "1", ariaLabel: one.label });
     const field = make("input", { type: "text", inputMode: "decimal", ariaLabel: `${one.label} in ${one.symbol || "no unit"}` });
     const wrong = make("span", { className: "wrong" }), more = make("span", { className: "small" });
-    slider.addEventListener("input", () => move(k, value(one, slider.value / 1000), field));
+    slider.addEventListener("input", () => move(k, value(one, slider.value / slider.max), field));
     field.addEventListener("input", () => move(k, Number(field.value.trim().replace(",", ".") || NaN) * one.factor, slider));
     for (const each of [slider, field]) each.addEventListener("change", () => { write(k); if (!wrong.textContent) commit(); });
     return { slider, field, wrong, more, row: make("div", { className: "control" }, make("span", { textContent: one.label }), slider, field, make("span", { textContent: pretty(one.symbol) }), wrong, more) };
@@ -85,7 +87,7 @@
   place("controls").addEventListener("submit", (event) => event.preventDefault());
   function write(k, but) {
     const { slider, field } = controls[k], one = inputs[k];
-    if (slider !== but && Number.isFinite(x[k])) slider.value = String(Math.round(1000 * Math.min(1, Math.max(0, part(one, x[k])))));
+    if (slider !== but && Number.isFinite(x[k])) slider.value = String(Math.round(slider.max * Math.min(1, Math.max(0, part(one, x[k])))));
     slider.ariaValueText = shown(one, x[k]);
     if (field !== but && Number.isFinite(x[k])) field.value = String(Number((x[k] / one.factor).toPrecision(6)));
   }

@@ -1,6 +1,7 @@
 """Designs: variables, an objective and named requirements, solved by IPOPT with exact derivatives."""
 
 from plough_opt.design.certify.tolerance import Spread
+from plough_opt.design.embedding import NonlinearProgram
 from plough_opt.design.question import Design
 from plough_opt.design.result.optimum import Choice, Limit, LocalOptimum, Optimum, Rounded, Search
 from plough_opt.design.result.sensitivity import Sensitivity
@@ -12,6 +13,7 @@ __all__ = [
     "Design",
     "Limit",
     "LocalOptimum",
+    "NonlinearProgram",
     "Optimum",
     "Over",
     "Progress",

@@ -28,6 +28,7 @@ from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display, has_unit, in_si, unit_of
 from plough_opt.design.certify.tolerance import Judge
 from plough_opt.design.declarations import EVERYWHERE, Declarations, Parameter, Requirement, Variable
+from plough_opt.design.embedding import NonlinearProgram, ipopt_options
 from plough_opt.design.model.program import Program
 from plough_opt.design.result.optimum import Optimum
 from plough_opt.design.search.effort import Search, TimeLimit
@@ -199,6 +200,7 @@ class Design:
         seed: int = 0,
         compiled: bool = False,
         progress: Progress | None = None,
+        ipopt: Mapping[str, Any] | None = None,
     ) -> Optimum:
         """Find the best design; the model is built once and kept for further solves.
 
@@ -227,13 +229,16 @@ class Design:
                 once (the code is kept in the user's cache folder), and each solve then takes a fraction of its time, so
                 it pays for repeated solves. Without a compiler the model is interpreted, with a warning.
             progress: called with what is being done and the fraction done.
+            ipopt: name -> value of options of IPOPT, such as ``{"linear_solver": "ma57", "print_level": 5}``, for every
+                solve by IPOPT. Tolerances, scaling, the treatment of bounds and the choice of derivatives cannot be
+                changed. Other options than in the last solve build the model anew.
 
         Returns:
             The best optimum found, with its objective by a tight integration, and all local optima.
 
         Raises:
-            InputError: there is nothing to minimise or to vary, a name is unknown, a parameter's value is not valid, or
-                the model has no value at the start.
+            InputError: there is nothing to minimise or to vary, a name is unknown, a parameter's value or an option is
+                not valid, or the model has no value at the start.
             DomainError: the bounds exceed the model's domain, or a motion is too fast to integrate.
             InfeasibleDesign: no design meets the requirements; the error names the conflicting ones and their
                 violations.
@@ -245,10 +250,10 @@ class Design:
         if progress is not None:
             check_callable("progress", progress, "of what is being done and the fraction done")
         seed = whole_number("seed", seed)
-        declared = self.declared
+        declared, options = self.declared, ipopt_options(ipopt)
         values = declared.parameter_values(mapping_of("parameters", parameters, "name -> value"))
-        if self._program is None or self._program.compiled != compiled:
-            self._program, self._boxed = Program.of(declared, compiled=compiled), None
+        if self._program is None or (self._program.compiled, self._program.ipopt) != (compiled, options):
+            self._program, self._boxed = Program.of(declared, compiled=compiled, ipopt=options), None
         request = Request(values, search, judge, seed, progress or silent, started, limit)
         with without_notices():
             if self._over is None:
@@ -257,6 +262,31 @@ class Design:
                 self._boxed = self._boxed or ToleranceBoxSolver(self._program, self._over)
                 best = self._boxed.solve(request)
         return replace(best, origin=Origin(declarations=declared.plain(values), seed=seed).now())
+
+    def nlp(self, *, parameters: Mapping[str, Written] | None = None) -> NonlinearProgram:
+        """Return the design as a program of CasADi, for another solver or as a part of a larger program.
+
+        Its runs take as many integration steps as the guess and the bounds need. No search, check of the steps or
+        certificate comes with it.
+
+        Args:
+            parameters: name -> value of the parameters that differ from their declaration, as given to `parameter`.
+
+        Returns:
+            The problem ``{x, f, g, p}`` in scaled variables, with guess, bounds, limits and scales.
+
+        Raises:
+            InputError: there is nothing to minimise or to vary, the objective is minimised over tolerances, a name is
+                unknown, a parameter's value is not valid, or the model has no value at the guess.
+            DomainError: the bounds exceed the model's domain, or a motion is too fast to integrate.
+
+        Example: see `NonlinearProgram`.
+        """
+        if self._over is not None:
+            raise InputError("nlp() returns the program of one design: call minimise without over first")
+        declared = self.declared
+        p = declared.parameter_values(mapping_of("parameters", parameters, "name -> value"))
+        return NonlinearProgram.of(self._program or Program.of(declared), p)
 
     @property
     def declared(self) -> Declarations:

@@ -298,7 +298,10 @@ class ToleranceBoxSolver:
             if own.requirements:
                 over += f", as do {len(corners(len(own.variables), count))} corners of the box"
             declared = over_box(own, count, bounds)
-            self._built = key, Program.of(declared, compiled=self._bare.compiled, bare=self._bare, over=over)
+            self._built = (
+                key,
+                Program.of(declared, compiled=self._bare.compiled, bare=self._bare, over=over, ipopt=self._bare.ipopt),
+            )
         return self._built[1]
 
 

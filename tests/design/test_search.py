@@ -15,6 +15,7 @@ from plough_opt.design.certify import confirmation
 from plough_opt.design.certify.tolerance import boxes
 from plough_opt.design.model import ipopt, population, tight_integration
 from plough_opt.design.model.program import Program
+from plough_opt.design.search import effort
 from plough_opt.design.search.landscape import Landscape, barriers, concatenated, end_straight_downhill
 from plough_opt.design.search.points import MOST_DIMENSIONS, sobol_points
 
@@ -117,6 +118,22 @@ def test_a_number_of_designs_and_a_time_are_respected(waves):
     began = time.perf_counter()
     waves.solve(search="0.5 s")
     assert time.perf_counter() - began > 0.5
+
+
+@pytest.mark.parametrize("objective", [None, sticking])
+@pytest.mark.parametrize("search", ["auto", "thorough"])
+def test_an_automatic_search_without_time_names_what_it_left_out(waves, monkeypatch, objective, search):
+    if objective is not None:
+        waves, x = design(x=(0.9, 0.0, 1.0))
+        waves.minimise(objective(x))
+    monkeypatch.setattr(effort, "AUTO_SECONDS", 0.0)
+    best = waves.solve(search=search)
+    told = " ".join(best.warnings)
+    left_out = ["sample"] if objective is sticking else ["descents from low designs", "evolution", "closer look"]
+    for part in [*left_out, "processor time"]:
+        assert (part in told) == (search == "auto")
+    assert np.isfinite(best.objective)
+    assert (best.search.designs < 100) == (search == "auto" and objective is sticking)
 
 
 INVALID = [

@@ -208,8 +208,8 @@ class _Cached(ca.Callback):
 class Solver:
     """IPOPT for one program, with a solver for each kind of start, built when first needed."""
 
-    def __init__(self, nlp: Nlp, low: Vector, high: Vector) -> None:
-        """Prepare to solve a program with lower and upper limits of its requirements."""
+    def __init__(self, nlp: Nlp, low: Vector, high: Vector, options: dict[str, Any]) -> None:
+        """Prepare to solve a program with lower and upper limits of its requirements, and further options of IPOPT."""
         self._nlp, self._last = nlp, LastPoint(nlp)
         # CasADi does not keep a Callback alive.
         self._callbacks = (
@@ -222,7 +222,7 @@ class Solver:
         # IPOPT itself gives the multipliers of bounds, and those of parameters are not needed.
         fewer_evaluations = {"no_nlp_grad": True, "calc_lam_p": False}
         self._derivatives = {"grad_f": parts["grad_f"], "jac_g": parts["jac_g"], **fewer_evaluations}
-        self._low, self._high = ca.DM(low), ca.DM(high)
+        self._low, self._high, self._options = ca.DM(low), ca.DM(high), options
         self._solvers: dict[tuple[str, bool, bool], ca.Function] = {}
 
     def solve(self, start: Vector, p: Vector, lower: Vector, upper: Vector, options: SolveOptions) -> Point:
@@ -272,5 +272,6 @@ class Solver:
                 options["hess_lag"] = self._nlp.hess_lag
             else:
                 options |= _QUASI_NEWTON
+            options |= self._options
             self._solvers[kind] = ca.nlpsol("design", "ipopt", self._problem, options)
         return self._solvers[kind]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -43,6 +43,7 @@ class BuiltProgram:
         owner: for each row of the requirements, the number of its requirement.
         limits: scaled lower and upper limits of the rows.
         compiled: whether to translate the program into machine code.
+        ipopt: options of IPOPT that the user gave, with the prefix of CasADi.
         errors: cache of the errors of derivatives, by scaled design and parameters.
     """
 
@@ -52,6 +53,7 @@ class BuiltProgram:
     owner: Sequence[int]
     limits: tuple[Vector, Vector]
     compiled: bool
+    ipopt: dict[str, Any]
     errors: dict[Hashable, float] = field(default_factory=dict)
 
     @cached_property
@@ -72,12 +74,12 @@ class BuiltProgram:
     @cached_property
     def solver(self) -> Solver:
         """IPOPT on the program."""
-        return Solver(self.nlp, *self.limits)
+        return Solver(self.nlp, *self.limits, self.ipopt)
 
     @cached_property
     def relaxed(self) -> Solver:
         """IPOPT on the sum of the requirements' violations."""
-        return Solver(relaxed(self.nlp, self.owner), *self.limits)
+        return Solver(relaxed(self.nlp, self.owner), *self.limits, self.ipopt)
 
 
 # An error e times too large takes e to this power times as many steps: the method has order 8.
@@ -129,6 +131,7 @@ class Program:
         owner: for each row of the requirements, the number of its requirement.
         compiled: whether to translate the program into machine code.
         bare: as given to `Program.of`.
+        ipopt: as given to `Program.of`.
         over: as given to `Program.of`.
         objective_scale: divisor of the objective.
         scales: divisor of each requirement.
@@ -147,6 +150,7 @@ class Program:
     over: str
     _y: ca.MX
     _p: ca.MX
+    ipopt: dict[str, Any] = field(default_factory=dict)
     _caches: _Caches = field(default_factory=_Caches)
     objective_scale: float = 1.0
     scales: tuple[float, ...] = ()
@@ -159,7 +163,13 @@ class Program:
 
     @classmethod
     def of(
-        cls, declared: Declarations, *, compiled: bool = False, bare: Program | None = None, over: str = ""
+        cls,
+        declared: Declarations,
+        *,
+        compiled: bool = False,
+        bare: Program | None = None,
+        over: str = "",
+        ipopt: Mapping[str, Any] | None = None,
     ) -> Program:
         """Split the expressions around their runs, and add the limits of the theories that they use as requirements.
 
@@ -168,6 +178,7 @@ class Program:
             compiled: whether to translate the program into machine code.
             bare: if this program covers the tolerance box around a design, the program of the design alone.
             over: a sentence on the objective over that box, for reports.
+            ipopt: options of IPOPT that the user gave, with the prefix of CasADi.
 
         Raises:
             InputError: an expression contains a symbol that was not declared, or a run uses the method 'idas'.
@@ -185,7 +196,7 @@ class Program:
             )
         owner = [k for k, r in enumerate(declared.requirements) for _ in range(r.expression.numel())]
         y, p = ca.MX.sym("y", len(declared.variables)), ca.MX.sym("p", len(declared.parameters))
-        return cls(declared, own, exact, owner, compiled, bare, over, y, p)
+        return cls(declared, own, exact, owner, compiled, bare, over, y, p, dict(ipopt or {}))
 
     def start(self) -> Vector:
         """Return the guess, scaled."""
@@ -283,7 +294,7 @@ class Program:
         """Return the program with certain numbers of steps."""
         write = partial(build_nlp, split(self.scaled(self._y, self._p), [self._y, self._p]), self._y, self._p)
         limits = self.low, self.high
-        return BuiltProgram(steps, rough_steps(self.exact, steps), write, self.owner, limits, self.compiled)
+        return BuiltProgram(steps, rough_steps(self.exact, steps), write, self.owner, limits, self.compiled, self.ipopt)
 
     def linear_variables(self, p: Vector) -> list[LinearVariable]:
         """Return the variables that follow from the others by algebra: see `plough_opt.design.population`."""

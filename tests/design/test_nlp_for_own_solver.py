@@ -1,5 +1,7 @@
 """A design's program for another solver, and options of IPOPT that a solve accepts or refuses."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -10,20 +12,26 @@ import plough_opt as po
 SILENT = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
 
 
-def test_another_solver_reaches_the_optimum_of_r1(build_r1, r1_soil):
-    problem = build_r1(duration=0.5, outputs=1, parameters=("cohesion",))
-    cohesion = {"cohesion": 1.1 * r1_soil.cohesion}
-    best = problem.design.solve(search="near", parameters=cohesion)
-    nlp = problem.design.nlp(parameters=cohesion)
-    assert {name: part.shape for name, part in nlp.problem.items()} == {
-        "x": (3, 1), "p": (1, 1), "f": (1, 1), "g": (len(nlp.scales), 1),
-    }  # fmt: skip
+def test_another_solver_reaches_the_optimum_of_a_run(r1_soil, r1_wave):
+    # The force is least between the bounds of the stiffness.
+    d, k0 = design(stiffness=(7e4, 6e4, 1.2e5, "N/m"))
+    cohesion = d.parameter("cohesion", r1_soil.cohesion)
+    share = po.Wedge(po.deg(30.0), po.deg(15.0), 0.2)
+    soil, effects = replace(r1_soil, cohesion=cohesion), po.Effects(strength_wave=r1_wave)
+    run = po.simulate(po.Scene(soil, share, k0, 25.0, 2.0, effects), 0.4, outputs=4)
+    d.minimise(run.force_rms / 1e2)
+    d.require("deflection", run.deflection, at_most=1.0, unit="m")
+    firmer = {"cohesion": 1.1 * r1_soil.cohesion}
+    best, nlp = d.solve(search="near", parameters=firmer), d.nlp(parameters=firmer)
+    assert [nlp.problem[name].shape for name in "xpfg"] == [(1, 1), (1, 1), (1, 1), (len(nlp.scales), 1)]
+    assert set(nlp.requirements[:4]) == {"deflection"}
     found = ca.nlpsol("s", "ipopt", nlp.problem, SILENT)(**nlp.arguments)
-    # Runs of the same order take steps for the guess and the bounds here, and for the optimum there.
-    assert nlp.variables(found["x"]) == pytest.approx(best.variables, rel=1e-5)
-    assert float(found["f"]) * nlp.objective_scale == pytest.approx(best.objective, rel=1e-8)
-    radius = nlp.requirements.index("loosened radius")
-    assert float(found["g"][radius]) * nlp.scales[radius] == pytest.approx(0.12, rel=1e-8)
+    # Here the steps suit the guess and the bounds, there the optimum.
+    assert nlp.variables(found["x"]) == pytest.approx(best.variables, rel=1e-6)
+    assert float(found["f"]) * nlp.objective_scale == pytest.approx(best.objective, rel=1e-9)
+    rows = [name == "deflection" for name in nlp.requirements]
+    highest = np.max((found["g"].full().ravel() * nlp.scales)[rows])
+    assert highest == pytest.approx(next(limit.value for limit in best.limits if limit.name == "deflection"), rel=1e-6)
 
 
 def test_the_program_is_part_of_a_larger_one():

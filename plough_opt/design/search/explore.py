@@ -49,7 +49,6 @@ _ZOOM_DIGITS = 4  # of such steps: ends of the same descent differ in later digi
 
 # Designs of a sample that are integrated one by one between two looks at the clock: half a minute if they take long.
 _ONE_BY_ONE_BLOCK = 32
-_CLOSER = "a closer look at the best designs"
 # Where feasible designs are rare, descents also start from this many infeasible ones.
 _INFEASIBLE_STARTS = 4
 # An island has converged when the merits of its designs scatter by less than this fraction.
@@ -275,14 +274,12 @@ class Explorer:
         if not self.landscape.vectorised or len(self.variables) < 2:
             return
         for _ in range(_ZOOM_ROUNDS):
-            if self.stop() or self.limit.passed(_CLOSER):
+            if self.stop() or self.limit.passed("a closer look at the best designs"):
                 return
             centres, before = self._basins()[0].points[:_ZOOM_CENTRES], len(self._ends)
             rare = self._feasible_rare or isinstance(self.landscape, Shortfall)
             boxes = list(itertools.product(centres, _ZOOM_RADII_IF_RARE if rare else (_ZOOM_RADIUS,)))
             for number, (centre, radius) in enumerate(boxes):
-                if self.limit.passed(_CLOSER):
-                    return
                 self.progress("looking closer at the best designs", number / len(boxes))
                 self._descend_inside(centre, radius, rng)
             self._descend_from_translations()

@@ -57,22 +57,21 @@ def descend(landscape: Landscape, start: Vector, box: Box | None = None) -> Eval
     """
     if not landscape.vectorised:
         return landscape(start[None])
-    box = _whole_range(landscape) if box is None else box
-    start = np.clip(start, *box)
+    descent = _Descent(landscape, box)
+    start = np.clip(start, *descent.box)
     if landscape.eliminated:
-        start = np.clip(landscape(start[None]).points[0], *box)
-    return _Descent(landscape, box).end_from(start)
+        start = np.clip(landscape(start[None]).points[0], *descent.box)
+    return descent.end_from(start)
 
 
 def nearest_feasible(landscape: Landscape, design: Vector, start: Vector | None = None) -> Evaluations:
     """Return the feasible design nearest to a given one, as a local search finds it from a start or from the design."""
-    descent = _Descent(landscape, _whole_range(landscape), lambda points, _: np.sum((points - design) ** 2, axis=1))
+    descent = _Descent(landscape, None, lambda points, _: np.sum((points - design) ** 2, axis=1))
     return descent.end_from(design if start is None else start)
 
 
 def least_violation(landscape: Landscape, start: Vector, box: Box | None = None) -> Evaluations:
     """Return the local minimum near a start of the summed violations."""
-    box = _whole_range(landscape) if box is None else box
     return _Descent(landscape, box, lambda _, f: np.zeros_like(f)).end_from(start)
 
 
@@ -113,10 +112,6 @@ class Shortfall:
         return found.select(np.sort(first))
 
 
-def _whole_range(landscape: Landscape) -> Box:
-    return np.zeros(landscape.dimensions), np.ones(landscape.dimensions)
-
-
 class _Descent:
     """Sequential quadratic programs, whose limits give way by a slack where they contradict each other.
 
@@ -125,16 +120,17 @@ class _Descent:
     """
 
     def __init__(
-        self, landscape: Landscape, box: Box, objective: Callable[[Vector, Vector], Vector] = lambda _, f: f
+        self, landscape: Landscape, box: Box | None, objective: Callable[[Vector, Vector], Vector] = lambda _, f: f
     ) -> None:
         """Prepare a descent.
 
         Args:
             landscape: the landscape.
-            box: bounds of the scaled variables.
+            box: bounds of the scaled variables; by default 0 and 1.
             objective: scaled designs and their scaled objectives -> what to minimise.
         """
-        self._landscape, self._program, self._box, self._objective = landscape, landscape.program, box, objective
+        self._landscape, self._program, self._objective = landscape, landscape.program, objective
+        self.box = (np.zeros(landscape.dimensions), np.ones(landscape.dimensions)) if box is None else box
         # The best design so far: whether it is infeasible, its merit, and its variables.
         self._best: tuple[bool, float, list[float]] | None = None
 
@@ -149,7 +145,7 @@ class _Descent:
             step, lam_g[rows] = self._step(y, derivatives, rows, lam_g[rows], 1 if number else _ROUNDS)
             if np.max(np.abs(step)) < _SHORTEST:
                 break
-            line = np.clip(y + _FRACTIONS[:, None] * step, *self._box)
+            line = np.clip(y + _FRACTIONS[:, None] * step, *self.box)
             f, g = self._values(line)
             weight = max(0.5 * weight, _OVER_MULTIPLIERS * float(np.max(np.abs(lam_g), initial=0.0)))
             merit = f + weight * self._landscape.violations(g).sum(axis=1)
@@ -183,7 +179,7 @@ class _Descent:
         hessians[0] /= size
         at = np.array(g), gradient / size, np.reshape(jacobian, (len(rows), len(y)))
         limits = self._program.low[rows], self._program.high[rows]
-        box = np.maximum(self._box[0], y - _LONGEST_DESCENT), np.minimum(self._box[1], y + _LONGEST_DESCENT)
+        box = np.maximum(self.box[0], y - _LONGEST_DESCENT), np.minimum(self.box[1], y + _LONGEST_DESCENT)
         step, lam_g = np.zeros(len(y)), lam_g / size
         for _ in range(rounds):
             curvature = curvature_of(hessians, lam_g)

@@ -163,8 +163,12 @@ class Corrector:
             p: parameters.
         """
         del neighbour
-        point = self._program.solve(start, p, SolveOptions(near=True))
-        return point if point.solved else self._program.solve(start, p)
+        # Exact curvatures come last: around periodic orbits they take thirty times as long, and seldom help.
+        for options in (SolveOptions(near=True, exact=False), SolveOptions(exact=False), SolveOptions(True, True)):
+            point = self._program.solve(start, p, options)
+            if point.solved or (not options.near and point.status == "Infeasible_Problem_Detected"):
+                break
+        return point
 
 
 def _updated(curvature: Array, step: Array, change: Array) -> Array:

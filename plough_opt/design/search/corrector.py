@@ -17,11 +17,11 @@ from plough_opt.design.model.optimality import (
 from plough_opt.design.model.program import Program
 
 # Most steps of one correction.
-_MOST_STEPS: Final = 15
+_MOST_CORRECTIONS: Final = 15
 # Longest step of a scaled variable. A design farther away is not a neighbour on the same branch.
 _LONGEST_STEP: Final = 0.3
 # A step counts as progress if it is shorter than this part of the shortest one before it.
-_PROGRESS: Final = 0.7
+_SHRINKING: Final = 0.7
 # Steps in a row without progress after which a correction is given up.
 _PATIENCE: Final = 4
 # Threshold of Powell's damping: the least curvature along a step, relative to that of the present estimate.
@@ -117,7 +117,7 @@ class Corrector:
                 return point
         return begin
 
-    def iterate(self, point: Point, curvature: Array, p: Array, most: int = _MOST_STEPS) -> Point:
+    def iterate(self, point: Point, curvature: Array, p: Array, most: int = _MOST_CORRECTIONS) -> Point:
         """Return the optimum to which steps lead from a point; it is not ``solved`` if they cease to shrink.
 
         Args:
@@ -139,7 +139,7 @@ class Corrector:
                 self._curvature = curvature
                 return replace(point, solved=True, status="Solve_Succeeded", iterations=number)
             size = float(np.max(np.abs(step)))
-            stalled = 0 if size < _PROGRESS * shortest else stalled + 1
+            stalled = 0 if size < _SHRINKING * shortest else stalled + 1
             shortest = min(size, shortest)
             if stalled >= _PATIENCE:
                 return point

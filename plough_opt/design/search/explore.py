@@ -37,6 +37,7 @@ _ANOTHER_DIP = 0.01
 
 # Boxes that are sampled around the best designs. Lengths are fractions of the range.
 _ZOOM_ROUNDS = 4
+_VIOLATION_ROUNDS = 16  # as long as it falls; the last per mille may take many
 _ZOOM_CENTRES = 2  # designs that get a box
 _ZOOM_SAMPLE = 256
 _ZOOM_RADIUS = 0.06  # half width of a box
@@ -273,7 +274,7 @@ class Explorer:
         """
         if not self.landscape.vectorised or len(self.variables) < 2:
             return
-        for _ in range(_ZOOM_ROUNDS):
+        for _ in range(_VIOLATION_ROUNDS if isinstance(self.landscape, Shortfall) else _ZOOM_ROUNDS):
             if self.stop() or self.limit.passed("a closer look at the best designs"):
                 return
             centres, before = self._basins()[0].points[:_ZOOM_CENTRES], len(self._ends)

@@ -33,7 +33,7 @@ Box = tuple[Vector, Vector]
 
 # Weight of a violation within the feasibility tolerance, so high that the objective cannot exploit the tolerance.
 _WEIGHT_IF_FEASIBLE = 1e4
-_MOST_STEPS = 25
+_MOST_DESCENT_STEPS = 25
 # Longest step of a descent, as far as the quadratic programs of a multimodal landscape mean anything.
 _LONGEST_DESCENT: Final = 0.3
 # A descent ends when a step is shorter than this, or lowers the merit by less than this fraction: along a flat valley
@@ -137,7 +137,7 @@ class _Descent:
     def end_from(self, start: Vector) -> Evaluations:
         """Return the best design on the way of a descent from a start."""
         y, lam_g, rows, weight = start, np.zeros(len(self._program.low)), np.empty(0, dtype=int), 1.0
-        for number in range(_MOST_STEPS):
+        for number in range(_MOST_DESCENT_STEPS):
             derivatives = difference_quotients(self._values, y)
             if derivatives is None:
                 break

@@ -97,6 +97,14 @@ class TightEvaluation:
         parameters, quantities = (result.full().ravel() for result in self._inputs[run](*map(float, numbers)))
         return parameters, quantities
 
+    def scenes(self, numbers: Sequence[float]) -> list[Scene]:
+        """Return the scenes of all runs, and then the `quasi_static_scenes`.
+
+        Raises:
+            DomainError: a scene lies outside the model's domain.
+        """
+        return [*(self.inputs(k, numbers)[1] for k in range(len(self.runs))), *self.quasi_static_scenes(numbers)]
+
     def quasi_static_scenes(self, numbers: Sequence[float]) -> list[Scene]:
         """Return the scenes in the expressions, at numbers, that are evaluated without integration.
 
@@ -116,16 +124,12 @@ class TightEvaluation:
 
     def refusal(self, numbers: Sequence[float]) -> str:
         """Return why a scene or a law refuses these numbers; empty if none does."""
-        source = ""
         try:
-            scenes = [self.inputs(k, numbers)[1] for k in range(len(self.runs))]
-            for scene in (*scenes, *self.quasi_static_scenes(numbers)):
-                source = scene.law.label
-                scene.check_reaction()
-                source = ""
+            if refused := _refusal_of(self.scenes(numbers)):
+                return refused
             self.check_calls(numbers)
         except PloughError as error:
-            return str(error) if not source or source in str(error) else f"{source}: {error}"
+            return str(error)
         return ""
 
     def followed(self, run: int, parameters: Vector, scene: Scene) -> Run:
@@ -231,6 +235,17 @@ def values_at_guess(
     return found
 
 
+def _refusal_of(scenes: Sequence[Scene]) -> str:
+    """Return why the law of one of the scenes refuses it; empty if none does."""
+    for scene in scenes:
+        try:
+            scene.check_reaction()
+        except PloughError as error:
+            source = scene.law.label
+            return str(error) if source in str(error) else f"{source}: {error}"
+    return ""
+
+
 def corners(declared: Declarations) -> list[tuple[str, list[float]]]:
     """Return the guess, and the guess with each variable in turn at each bound, each with a phrase that says where."""
     guess = [v.guess for v in declared.variables]
@@ -249,13 +264,13 @@ def check_bounds(declared: Declarations, exact: TightEvaluation, p: Vector) -> N
     for clause, values in corners(declared):
         try:
             numbers = [*values, *p]
-            scenes = [exact.inputs(k, numbers)[1] for k in range(len(exact.runs))]
-            for scene in (*scenes, *exact.quasi_static_scenes(numbers)):
+            scenes = exact.scenes(numbers)
+            for scene in scenes:
                 scene.check_bounds()
             exact.check_calls(numbers)
-            if exact.refusal(numbers):
+            if _refusal_of(scenes):
                 continue
-            for run, scene in zip(exact.runs, scenes, strict=True):
+            for run, scene in zip(exact.runs, scenes[: len(exact.runs)], strict=True):
                 own = run.integration
                 if own.structure.orbit != "transient" and own.accuracy.method == "auto":
                     refuse_drifting_own(scene)

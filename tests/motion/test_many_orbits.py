@@ -88,6 +88,9 @@ def test_a_batch_finds_single_orbits_with_honest_errors(designs, batch_of, kind,
         assert found.unstable[k] == any("unstable" in warning for warning in run.warnings)
     assert any("unstable" in warning for warning in found.warnings) == found.unstable.any()
     assert any("equilibrium" in warning for warning in found.warnings)
+    assert found.to_dataframe()["largest_multiplier"].tolist() == pytest.approx(
+        found.largest_multiplier.tolist(), nan_ok=True
+    )
 
 
 @pytest.mark.parametrize("block", BLOCKS)

@@ -116,12 +116,13 @@ class BatchResult(Saveable):
         return drawn("plot_batch", self, target=target)
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return a row for each design in SI units, NaN where it failed.
+        """Return a row for each design in SI units, NaN where it failed; multipliers only of orbits.
 
         Raises:
             InputError: pandas is not installed.
         """
-        return data_frame({name: getattr(self, name) for name in _UNITS}, _UNITS)
+        units = _UNITS | ({} if np.isnan(self.largest_multiplier).all() else {"largest_multiplier": ""})
+        return data_frame({name: getattr(self, name) for name in units}, units)
 
     def __len__(self) -> int:
         return len(self.mean_draft)

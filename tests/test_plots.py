@@ -2,6 +2,7 @@
 
 import dataclasses
 import io
+import itertools
 from concurrent.futures import ThreadPoolExecutor
 
 import matplotlib.pyplot
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from helpers.scenes import SHARP, scene_of
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 
 import plough_opt as po
 from plough_opt.app import plots
@@ -127,6 +129,7 @@ def test_a_share_given_as_a_cone_has_no_faces_to_show(scene):
     assert "given as a cone" in words(left)
     assert not left.axison
     assert "β = 10.0°" in words(right)
+    assert f"{scene.stiffness / 1e3:.4g} kN/m" in right.get_xlabel()
     assert "r*" not in words(plots.plot_share(dataclasses.replace(scene, medium="mckyes_ali")).axes[1])
 
 
@@ -160,6 +163,33 @@ def test_an_optimum_is_drawn_with_requirements_and_the_limits_of_what_is_drawn(o
     assert not [axes for axes in figure.axes if "$" in axes.get_xlabel() + axes.get_ylabel()]
     assert required.patches[0].get_width() == pytest.approx(20.0)  # per cent of the limit
     assert words(required).splitlines()[1] == "loosening 0 mm ≥ 0 mm: decides"
+    # An active requirement has a mark in the place of a bar.
+    marks = [one.get_xydata().tolist() for one in required.get_lines() if one.get_marker() == "D"]
+    assert marks == [[[0.0, 1.0]]]
+
+
+def test_nothing_in_the_picture_of_an_optimum_covers_anything_else(optimum):
+    best, run = optimum
+    limit = Limit("deflection", "requirement", 0.1, "", 0.02, 0.0, False, "m", high=0.12)
+    figure = plots.plot_optimum(dataclasses.replace(best, limits=(*best.limits, limit)), run)
+    figure.savefig(io.BytesIO(), format="png")
+    boxes = [axes.get_tightbbox() for axes in figure.axes]
+    assert len(boxes) == 6
+    for one, other in itertools.combinations(boxes, 2):
+        over = Bbox.intersection(one, other)
+        assert over is None or min(over.width, over.height) < 2.0, (one, other)
+    edges = figure.bbox
+    assert all(edges.x0 - 1 <= box.x0 and box.x1 <= edges.x1 + 1 and box.y1 <= edges.y1 + 1 for box in boxes[:3])
+
+
+def test_a_far_limit_is_named_and_does_not_flatten_the_curve(run):
+    peak = run.peak_deflection
+    near, far = (Limit("deflection", "requirement", peak, "", 0.1, 0.0, False, "m", high=k * peak) for k in (1.2, 20.0))
+    plain, close, distant = (plots.plot_run(run, limits).axes[1] for limits in ((), (near,), (far,)))
+    assert line(close, legend(close)[-1])[0, 1] == pytest.approx(1.2 * peak)
+    assert "above this picture" in legend(distant)[-1]
+    assert distant.get_ylim() == pytest.approx(plain.get_ylim(), rel=0.2)
+    assert close.get_ylim()[1] > 1.2 * peak
 
 
 def test_a_sweep_of_one_quantity_is_drawn_in_one_colour():

@@ -125,7 +125,7 @@ def variables(report: Report) -> list[dict[str, str | float | bool]]:
     return [
         {
             "name": called(key),
-            "value": nice(v.display.text(bounds[key].rounded, 5)),
+            "value": nice(v.display.result(bounds[key].rounded)),
             "lower": nice(v.display.text(v.lower)),
             "upper": nice(v.display.text(v.upper)),
             "place": _place(bounds[key].rounded, v.lower, v.upper, v.log),
@@ -192,7 +192,7 @@ def optima(report: Report) -> Grid | None:
     keys = report.problem.variables
     grid = Grid.of("Local optima found, best first", "", "objective", *map(called, keys))
     for one in best.local_optima:
-        values = (nice(v.display.text(one.variables[key], 5)) for key, v in keys.items())
+        values = (nice(v.display.result(one.variables[key])) for key, v in keys.items())
         grid.row(one.name, f"{one.objective:.6g}", *values)
     return grid
 
@@ -274,6 +274,27 @@ def accuracy(report: Report) -> Grid:
             ("time of the search and the solve", f"{best.seconds:.2g} s"),
         ]
     return Grid.pairs("Errors and computing times", *rows)
+
+
+def precision(report: Report) -> str:
+    """Return a sentence on the numerical accuracy of the results."""
+    error = max(report.run.error_estimate, report.best.gap if report.best is not None else 0.0)
+    return f"The equations are solved to a relative error of about {error:.0e}: the numbers are as good as the model."
+
+
+def trust(report: Report) -> str:
+    """Return how far the model can be trusted, as measured in docs/validation.md."""
+    scene = report.run.scene
+    if scene.law.lacks("cone_index"):
+        return "This law of resistance is another author's; see docs/crosscheck.md for where it was compared."
+    measured = float(scene.soil.strength_factor) != 1.0 or report.problem.readings
+    level = "follows from a penetrometer's reading" if measured else "must be measured: give a cone index in [soil]"
+    return (
+        f"The model predicts how draft changes with geometry, speed and mount; its level {level}. Against pulls through"
+        " bonded particles its ratios of draft over half angle (up to 20°) and pressure hold within 10 to 25 %, and its"
+        " level is low by a factor of three; against measurements, draft grows too little with speed. Nothing has been"
+        " validated in a field. The model ignores working depth, the free surface, the shank and moisture."
+    )
 
 
 def notes(report: Report) -> list[str]:
@@ -506,7 +527,7 @@ _CONTENT: Final = {
     part.__name__: part
     for part in (
         answer, cards, question, variables, requirements, response, share, bought, optima, searched, scene, soil,
-        sensitivities, accuracy, notes,
+        sensitivities, accuracy, precision, trust, notes,
     )
 }  # fmt: skip
 

@@ -26,6 +26,7 @@ from plough_opt.core.checks import check_kind
 from plough_opt.core.expressions import absolute, as_number
 from plough_opt.core.files import COLOURS, save_figure
 from plough_opt.core.saving import Origin
+from plough_opt.core.units import customary
 from plough_opt.design import Limit, LocalOptimum, Optimum
 from plough_opt.design.search.landscape import FEASIBLE
 from plough_opt.motion import Run
@@ -52,6 +53,8 @@ _MOST_POINTS = 20_000
 _LOG_RATIO = 20.0
 # Panels of the search in one row.
 _PANELS = 3
+# Distance of a limit from the curves, in parts of their range, beyond which it is named but not drawn.
+_FAR = 2.0
 # Colours of designs that fail a requirement, and of the share.
 _FAILED, _STEEL = "#cfd4d8", "#4a5a68"
 # Margin [%] at which a bar is cut off: such a requirement does not affect the design.
@@ -104,9 +107,14 @@ def draw_panel(axes: Axes, run: Run, panel: Panel, columns: int = 5) -> None:
                          label=f"± RMS {unit.text(rms, 3)}")  # fmt: skip
     if panel.name == "force":
         _shade_modes(axes, run)
+    low, high = axes.get_ylim()
     for words, value in panel.limits:
-        label = f"limit of the {words} {unit.text(value, 4)}"
-        axes.axhline(value / unit.factor, color=LIMIT, linewidth=1.6, label=label)
+        label, at = f"limit of the {words} {unit.text(value, 4)}", value / unit.factor
+        if low - _FAR * (high - low) < at < high + _FAR * (high - low):
+            axes.axhline(at, color=LIMIT, linewidth=1.6, label=label)
+        else:  # it would flatten the curves
+            side = "above" if at > high else "below"
+            axes.plot([], [], color=LIMIT, linewidth=1.6, label=f"{label}, {side} this picture")
     axes.set(xlabel="time [s]", ylabel=unit.heading(panel.name), xlim=(float(run.time[0]), float(run.time[-1])))
     low, high = axes.get_ylim()
     # Widen the range around an almost constant result, so that its rounding is not magnified.
@@ -284,30 +292,27 @@ def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
     required = [limit for limit in best.limits if limit.kind == "requirement" and not limit.trivial]
     rows = -(-len(panels) // _PANELS)
     response = [p for p in changing(run, best.limits) if p.name != "speed"] if isinstance(run, Run) else []
-    first = 2 if response else 1  # first row of the search
-    figure = Figure(figsize=(12.5, 0.8 + 3.2 * first + 3.0 * rows), layout="constrained")
+    heights = [3.2] * (2 if response else 1) + [3.0] * rows
+    figure = Figure(figsize=(12.5, 0.8 + sum(heights)), layout="constrained")
     figure.suptitle(subject(run) if isinstance(run, Run) else run.origin.title)
-    grid = figure.add_gridspec(first + rows, 12, height_ratios=(*[1.0] * first, *[0.95] * rows))
-    middle, right = (4, 8) if required else (6, 12)
-    left = [figure.add_subplot(grid[0, :middle]), figure.add_subplot(grid[0, middle:right])]
+    top, *below = np.ravel(figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False))
+    left = [top.add_subplot(1, 3 if required else 2, k) for k in (1, 2)]
     if isinstance(run, Machine):
         for axes, name in zip(left, SIDE_BY_SIDE, strict=True):
             draw_side_by_side(axes, run.runs, name, run.origin)
     else:
         draw_wedge(left[0], run.scene)
         draw_cone(left[1], run.scene)
-        for k, panel in enumerate(response):
-            draw_panel(figure.add_subplot(grid[1, 6 * k : 6 * k + 6]), run, panel, columns=3)
+        for k, panel in enumerate(response, start=1):
+            draw_panel(below[0].add_subplot(1, len(response), k), run, panel, columns=3)
     if required:
-        draw_margins(figure.add_subplot(grid[0, right:]), required)
-    for row in range(rows):
-        own = panels[_PANELS * row : _PANELS * (row + 1)]
-        width = 12 // len(own)
-        for k in range(len(own)):
-            axes = figure.add_subplot(grid[first + row, k * width : (k + 1) * width])
+        draw_margins(top.add_subplot(1, 3, 3), required)
+    for row, part in enumerate(below[len(heights) - 1 - rows :]):
+        for k in range(len(panels[_PANELS * row : _PANELS * (row + 1)])):
+            axes = part.add_subplot(1, min(_PANELS, len(panels)), k + 1)
             draw_search(axes, best, _PANELS * row + k)
-            if row == k == 0:
-                figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize="small")
+        if row == rows - 1:
+            part.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize="small")
     return figure
 
 
@@ -317,6 +322,8 @@ def draw_margins(axes: Axes, required: Sequence[Limit]) -> None:
         size = max(abs(limit.value), abs(limit.value + limit.margin)) or 1.0
         percent = 0.0 if limit.active else 100.0 * limit.margin / size
         axes.barh(k, min(percent, _WIDE_MARGIN), height=0.32, color=SHARE)
+        if limit.active:
+            axes.plot(0.0, k, "D", color=LIMIT, markersize=7, clip_on=False)
         words = "decides" if limit.active else f"margin {limit.margin_text()}"
         sides = ((" ≥ ", limit.low), (" ≤ ", limit.high))
         ends = "".join(f"{sign}{limit.shown.text(end, 4)}" for sign, end in sides if end is not None)
@@ -366,9 +373,10 @@ def draw_cone(axes: Axes, scene: Scene) -> None:
     axes.annotate("", xy=(-0.28 * height, 0), xytext=(-0.05 * height, 0),
                   arrowprops={"arrowstyle": "->", "color": "black"})  # fmt: skip
     axes.text(-0.165 * height, 0.04 * front, "travel", ha="center", va="bottom")
-    axes.text(0.6 * height, 0, f"β = {math.degrees(cone.half_angle):.1f}°", color="white", ha="left", va="center")
+    axes.text(0.96 * height, 0, f"β = {math.degrees(cone.half_angle):.1f}°", color="white", ha="right", va="center")
     axes.set_title("Equivalent cone (equal height and surface)")
-    along = f"along the axis [m]\nh = {height:.3f} m, base radius {radius:.3f} m"
+    mount = customary("N/m", float(scene.stiffness)).text(float(scene.stiffness), 4)
+    along = f"along the axis [m]\nh = {height:.3f} m, base radius {radius:.3f} m\non a mount of {mount}"
     _scale(axes, along, height, front, ahead=0.35 * height)
 
 

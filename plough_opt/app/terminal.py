@@ -17,7 +17,6 @@ from plough_opt.core.errors import InputError, short
 from plough_opt.core.files import check_format, save_figure, write_file
 from plough_opt.core.process import optional, progress_on
 from plough_opt.core.screen import Screen
-from plough_opt.core.tables import write_frame
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -224,6 +223,8 @@ def give(
         frame: function that returns its table as a data frame, if it has one.
         to_csv: function that writes a CSV file, if it needs no data frame.
     """
+    from plough_opt.core.tables import write_frame
+
     path = getattr(options, "csv", None)
     for name, has in (("plot", plot), ("csv", frame)):
         if getattr(options, name, None) is not None and has is None:

@@ -82,7 +82,7 @@ _LABELS = {
     "stationary_force_rms": "stationary RMS of the mount force",
     "stationary_displacement_rms": "stationary RMS of the deflection",
 }
-_SIDES = {"at_least": "at least", "at_most": "at most"}
+_SIDES = {"at_least": "at least", "at_most": "at most", "lower": "lower bound", "upper": "upper bound"}
 
 
 def called(name: str) -> str:

@@ -66,7 +66,7 @@ def test_the_page_says_what_was_asked_and_found(written, solved):
         "requirements": [f"{100 * best.margins['deflection'] / 0.12:.3g} % to spare"],
         "soil": ["Syrdarya"],
         "provenance": ["share.wedge_angle=39 deg; share.height=0.26 m"],
-        "warnings": ["carries"],
+        "warnings": ["carries", "10 to 25 %", "factor of three", "Nothing has been validated in a field"],
         "accuracy": ["dop853"],
         "sensitivities": ["tool friction"],
     }.items():
@@ -266,3 +266,27 @@ def test_the_page_prints_on_paper(browser, written, tmp_path):
     ends = page.locator("canvas").evaluate_all("all => all.map(one => one.getBoundingClientRect().right)")
     assert max(ends) <= 673
     assert not page.locator("#solid .controls").is_visible()
+
+
+def test_the_first_sections_say_what_was_found_and_how_far_to_trust_it(written):
+    text = written.read_text(encoding="utf-8")
+    sections = [attributes["id"] for tag, attributes in Page(text).tags if tag == "section"]
+    assert sections[:3] == ["question", "answer", "warnings"]
+    readme = (PROBLEMS.parent / "README.md").read_text(encoding="utf-8").replace("\n", " ")
+    found = Page(text).text
+    for fact in ("10 to 25 %", "factor of three", "Nothing has been validated in a field"):
+        assert fact in found["warnings"]
+        assert fact in readme
+    # One line of numerical accuracy; the rest is folded away.
+    assert found["accuracy"].strip().splitlines()[1].startswith("The equations are solved to")
+    assert "<details><summary>Errors and computing times" in text
+
+
+def test_raw_keys_are_words_and_values_have_one_unit(written):
+    text = re.sub(r"<pre>.*?</pre>", "", written.read_text(encoding="utf-8"), flags=re.DOTALL)
+    found = Page(text.partition('<script type="application/json"')[0]).text
+    said = " ".join(own for name, own in found.items() if name not in ("provenance", "warnings", "soil"))
+    assert not re.findall(r"\b(?:scene|share|soil|effects)\.[a-z_]+", said)
+    assert not re.findall(r"[a-z]_[a-z]", said)
+    lengths = re.findall(r"(?:deflection|radius)[a-z ,]*\s+[0-9.]+ (mm|cm|m)\b", said)
+    assert {*lengths} == {"m"}

@@ -40,3 +40,12 @@ def test_numbers_are_floats_and_a_class_of_ones_own_keeps_its_signature():
             super().__init__(0.5, 0.6, size)
 
     assert str(inspect.signature(Mine)) == "(size)"
+
+
+@pytest.mark.parametrize("name", [name for name in po.__all__ if inspect.ismodule(getattr(po, name))])
+def test_a_public_module_shows_its_public_names_alone(name):
+    module = getattr(po, name)
+    assert sorted(dir(module)) == sorted(module.__all__)
+    of_its_own = {key for key, x in vars(module).items() if getattr(x, "__module__", "") == module.__name__}
+    assert {key for key in of_its_own if not key.startswith("_")} <= {*module.__all__}
+    assert all(hasattr(module, key) for key in module.__all__)

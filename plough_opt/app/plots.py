@@ -40,6 +40,25 @@ from plough_opt.soil.elastic.medium import Profile, body
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.soil import Soil
 
+__all__ = [
+    "SIDE_BY_SIDE",
+    "draw_cone",
+    "draw_margins",
+    "draw_panel",
+    "draw_search",
+    "draw_side_by_side",
+    "draw_wedge",
+    "plot_batch",
+    "plot_designs",
+    "plot_forces",
+    "plot_machine",
+    "plot_optimum",
+    "plot_run",
+    "plot_share",
+    "plot_wedge_field",
+    "save",
+]
+
 save = save_figure
 
 SIDE_BY_SIDE: Final = {"mount_force": "N", "deflection": "m"}

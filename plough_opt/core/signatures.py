@@ -29,7 +29,10 @@ class _Words(str):
 
 
 def readable(thing: Any) -> Any:
-    """Return a function, class or module after giving its public functions and methods readable signatures."""
+    """Return a function, class or module after giving its public functions and methods readable signatures.
+
+    ``dir`` of a module then lists its public names, without those that it imports.
+    """
     if isclass(thing):
         inner = [value for kind in thing.__mro__ if _is_here(kind) for value in vars(kind).values()]
         for value in inner:
@@ -39,6 +42,8 @@ def readable(thing: Any) -> Any:
         for name, value in vars(thing).items():
             if not (name.startswith("_") or ismodule(value)) and _is_here(value):
                 readable(value)
+        if public := getattr(thing, "__all__", None):
+            vars(thing)["__dir__"] = lambda: [*public]
     elif isfunction(unwrap(thing)):
         _describe(thing)
     return thing

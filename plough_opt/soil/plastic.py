@@ -34,6 +34,25 @@ from plough_opt.core.expressions import (
 from plough_opt.core.labels import checked_in_designs
 from plough_opt.soil.soil import Soil, check_soil
 
+__all__ = [
+    "Cavity",
+    "Stress",
+    "WallPressure",
+    "current_radius",
+    "density",
+    "front",
+    "front_radius",
+    "front_speed",
+    "mean_ratio",
+    "particle_acceleration",
+    "particle_velocity",
+    "quadrature_error",
+    "ratio",
+    "stress",
+    "surface_pressure",
+    "wall_pressure",
+]
+
 # Newton steps for the front, starting at the cavity; one suffices if the density hardly varies.
 _FRONT_STEPS = 14
 # Largest residual of the front's equation, relative to R^2.

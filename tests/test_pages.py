@@ -579,9 +579,12 @@ EXAMPLES = examples()
 @pytest.mark.parametrize("name", po.__all__)
 def test_each_public_name_has_an_example(name):
     thing = getattr(po, name)
-    if inspect.ismodule(thing):  # whose functions have theirs
-        name = thing.__name__
+    if inspect.ismodule(thing):
         assert thing.__doc__
+        public = {f"{name}.{key}": getattr(thing, key) for key in thing.__all__}
+        called = {key: x for key, x in public.items() if str(getattr(x, "__module__", "")).startswith("plough_opt")}
+        described = {key: x for key, x in called.items() if inspect.isroutine(x) or inspect.isclass(x)}
+        assert [key for key, x in described.items() if ">>> " not in inspect.getdoc(x)] == []
         return
     assert ">>> " in inspect.getdoc(thing)
 

@@ -89,6 +89,17 @@ def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
 
     Raises:
         InputError: ``run`` is not a run, or ``limits`` holds something else than limits.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> effects = po.Effects(strength_wave=po.StrengthWave(0.3, "0.2 m"))
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", effects)
+        >>> run = po.simulate(scene, "0.5 s")
+        >>> figure = po.plots.plot_run(run)
+        >>> [axes.get_ylabel() for axes in figure.axes]
+        ['force [kN]', 'deflection [m]', 'speed [m/s]']
     """
     check_kind("the run", run, Run, "a numeric Run, as returned by po.simulate")
     check_kind("limits", limits, list | tuple, "a list of limits, such as those of an optimum")
@@ -112,7 +123,22 @@ def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
 
 
 def draw_panel(axes: Axes, run: Run, panel: Panel, columns: int = 5) -> None:
-    """Draw a panel: lines, mean with a band of ± RMS, limits, and above all lines a legend in columns that fit."""
+    """Draw a panel: lines, mean with a band of ± RMS, limits, and above all lines a legend in columns that fit.
+
+    Example:
+        >>> from matplotlib.figure import Figure
+        >>> from plough_opt.app.panels import force_of
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> effects = po.Effects(strength_wave=po.StrengthWave(0.3, "0.2 m"))
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", effects)
+        >>> run = po.simulate(scene, "0.5 s")
+        >>> axes = Figure().subplots()
+        >>> po.plots.draw_panel(axes, run, force_of(run))
+        >>> axes.get_ylabel()
+        'force [kN]'
+    """
     unit = panel.unit
     for label, (values, colour, dashed) in reversed(panel.lines.items()):
         style, width = "--" if dashed else "-", 1.4 if colour == SHARE else 1.0
@@ -159,6 +185,16 @@ def plot_designs(designs: Mapping[str, LocalOptimum]) -> Figure:
 
     Args:
         designs: name -> design; the first decides which variables and requirements are drawn.
+
+    Example:
+        >>> import plough_opt as po
+        >>> design = po.Design()
+        >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+        >>> design.require("half of it", height / 2.0, at_least="60 mm")
+        >>> design.minimise(height**2)
+        >>> best = design.solve(search=64)
+        >>> len(po.plots.plot_designs({"best": best}).axes)
+        2
     """
     first = next(iter(designs.values()))
     figure = Figure(figsize=(8, 0.9 + 0.75 * len(first.limits)), layout="constrained")
@@ -208,6 +244,19 @@ def draw_side_by_side(axes: Axes, runs: Mapping[str, Run], name: str, origin: Or
         runs: name -> numeric run.
         name: name of the result, one of `SIDE_BY_SIDE`.
         origin: origin of the runs, which decides the unit.
+
+    Example:
+        >>> from matplotlib.figure import Figure
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> effects = po.Effects(strength_wave=po.StrengthWave(0.3, "0.2 m"))
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", effects)
+        >>> run = po.simulate(scene, "0.5 s")
+        >>> axes = Figure().subplots()
+        >>> po.plots.draw_side_by_side(axes, {"a": run}, "mount_force", run.origin)
+        >>> axes.get_ylabel()
+        'mount force [kN]'
     """
     size = max(float(np.max(np.abs(getattr(run, name)))) for run in runs.values())
     unit = origin.common(SIDE_BY_SIDE[name], {name: size})
@@ -224,6 +273,16 @@ def plot_forces(runs: Mapping[str, Run]) -> Figure:
 
     Args:
         runs: name -> numeric run.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> effects = po.Effects(strength_wave=po.StrengthWave(0.3, "0.2 m"))
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", effects)
+        >>> run = po.simulate(scene, "0.5 s")
+        >>> po.plots.plot_forces({"stiff": run}).axes[0].get_xlabel()
+        'time [s]'
     """
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     draw_side_by_side(figure.subplots(), runs, "mount_force", next(iter(runs.values())).origin)
@@ -235,6 +294,14 @@ def plot_share(scene: Scene) -> Figure:
 
     Raises:
         InputError: ``scene`` is not a numeric scene.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s")
+        >>> [axes.get_title() for axes in po.plots.plot_share(scene).axes]
+        ['Faces of the share, unfolded', 'Equivalent cone (equal height and surface)']
     """
     check_kind("the scene", scene, Scene, "a numeric Scene")
     figure = Figure(figsize=(13, 4.4), layout="constrained")
@@ -255,6 +322,13 @@ def plot_wedge_field(profile: Profile, soil: Soil, speed: float) -> Figure:
         profile: nodes (x, half thickness) [m], or a share, as in `plough_opt.soil.elastic.wedge_stress`.
         soil: a soil with elastic constants.
         speed: speed of the wedge [m/s], at most that of shear waves.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> profile = [(0.0, 0.0), (0.25, 0.05)]
+        >>> len(po.plots.plot_wedge_field(profile, soil, 2.0).axes)
+        4
     """
     wedge = body(profile)
     length = float(wedge.places[-1] - wedge.places[0])
@@ -278,7 +352,20 @@ def plot_wedge_field(profile: Profile, soil: Soil, speed: float) -> Figure:
 
 
 def plot_batch(found: BatchResult) -> Figure:
-    """Draw RMS force over mean draft for every design of a batch."""
+    """Draw RMS force over mean draft for every design of a batch.
+
+    Example:
+        >>> import casadi as ca
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> effects = po.Effects(strength_wave=po.StrengthWave(0.3, "0.2 m"))
+        >>> k = ca.MX.sym("k")
+        >>> scene = po.Scene(soil, share, k, "30 kg", "2 m/s", effects)
+        >>> found = po.Batch(scene, 0.2, [k])([[4e4], [5e4], [6e4]])
+        >>> po.plots.plot_batch(found).axes[0].get_xlabel()
+        'mean draft [kN]'
+    """
     check_kind("the batch", found, BatchResult, "a BatchResult, as returned by po.Batch")
     figure = Figure(figsize=(6.5, 4.5), layout="constrained")
     axes = figure.subplots()
@@ -289,7 +376,14 @@ def plot_batch(found: BatchResult) -> Figure:
 
 
 def plot_machine(machine: Machine) -> Figure:
-    """Draw mount force and deflection over time of several shares in one frame, each in its own colour."""
+    """Draw mount force and deflection over time of several shares in one frame, each in its own colour.
+
+    Example:
+        >>> import plough_opt as po
+        >>> machine = po.read_problem("problems/two_shares.toml", ["scene.duration=0.2 s"]).machine()
+        >>> len(po.plots.plot_machine(machine).axes)
+        2
+    """
     check_kind("the machine", machine, Machine, "a Machine of numeric runs")
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
     figure.suptitle(machine.origin.title)
@@ -304,6 +398,13 @@ def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
     Args:
         best: the optimum.
         run: its numeric run; for several shares the picture shows their responses instead of their shapes.
+
+    Example:
+        >>> import plough_opt as po
+        >>> problem = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"])
+        >>> best, run = problem.optimise(search="near")
+        >>> len(po.plots.plot_optimum(best, run).axes)
+        5
     """
     check_kind("the optimum", best, Optimum, "an Optimum, as returned by Design.solve")
     check_kind("the run", run, Run | Machine, "a numeric Run, as returned by po.simulate")
@@ -336,7 +437,21 @@ def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
 
 
 def draw_margins(axes: Axes, required: Sequence[Limit]) -> None:
-    """Draw the margin of each requirement in per cent of its limit."""
+    """Draw the margin of each requirement in per cent of its limit.
+
+    Example:
+        >>> from matplotlib.figure import Figure
+        >>> import plough_opt as po
+        >>> design = po.Design()
+        >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+        >>> design.require("half of it", height / 2.0, at_least="60 mm")
+        >>> design.minimise(height**2)
+        >>> best = design.solve(search=64)
+        >>> axes = Figure().subplots()
+        >>> po.plots.draw_margins(axes, [one for one in best.limits if one.kind == "requirement"])
+        >>> axes.get_title()
+        'Requirements'
+    """
     for k, limit in enumerate(required):
         size = max(abs(limit.value), abs(limit.value + limit.margin)) or 1.0
         percent = 0.0 if limit.active else 100.0 * limit.margin / size
@@ -354,7 +469,19 @@ def draw_margins(axes: Axes, required: Sequence[Limit]) -> None:
 
 
 def draw_wedge(axes: Axes, scene: Scene) -> None:
-    """Draw the two triangular faces of a wedge, unfolded along their common edge."""
+    """Draw the two triangular faces of a wedge, unfolded along their common edge.
+
+    Example:
+        >>> from matplotlib.figure import Figure
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s")
+        >>> axes = Figure().subplots()
+        >>> po.plots.draw_wedge(axes, scene)
+        >>> axes.get_title()
+        'Faces of the share, unfolded'
+    """
     share = scene.share
     axes.set_title("Faces of the share, unfolded")
     if not isinstance(share, Wedge):
@@ -376,7 +503,19 @@ def draw_wedge(axes: Axes, scene: Scene) -> None:
 
 
 def draw_cone(axes: Axes, scene: Scene) -> None:
-    """Draw a longitudinal section of the equivalent cone and of the compacted soil around it."""
+    """Draw a longitudinal section of the equivalent cone and of the compacted soil around it.
+
+    Example:
+        >>> from matplotlib.figure import Figure
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s")
+        >>> axes = Figure().subplots()
+        >>> po.plots.draw_cone(axes, scene)
+        >>> axes.get_title()
+        'Equivalent cone (equal height and surface)'
+    """
     cone = scene.cone
     height, radius = float(cone.height), float(cone.height * cone.slope)
     loosens = not scene.law.lacks("loosened_radius")
@@ -406,6 +545,19 @@ def draw_search(axes: Axes, best: Optimum, variable: int) -> None:
         axes: the axes to draw on.
         best: an optimum with a search.
         variable: index of the variable.
+
+    Example:
+        >>> from matplotlib.figure import Figure
+        >>> import plough_opt as po
+        >>> design = po.Design()
+        >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+        >>> design.require("half of it", height / 2.0, at_least="60 mm")
+        >>> design.minimise(height**2)
+        >>> best = design.solve(search=64)
+        >>> axes = Figure().subplots()
+        >>> po.plots.draw_search(axes, best, 0)
+        >>> axes.get_xlabel()
+        'height [mm]'
     """
     search, name = best.search, list(best.variables)[variable]
     assert search is not None  # a precondition

@@ -257,9 +257,17 @@ _sum: Callable[..., Expression] = ca.sum1
 _choose: Callable[..., NDArray[np.float64]] = np.where
 
 
-def _described(apply: _Function, numpy_function: Any) -> _Function:
-    apply.__name__ = apply.__qualname__ = numpy_function.__name__
-    apply.__doc__ = f"{numpy_function.__name__} of floats, arrays or CasADi expressions."
+def _described(apply: _Function, numpy_function: Any, *example: float) -> _Function:
+    """Return a function with the name of NumPy's, and with an example of its value."""
+    name = apply.__name__ = apply.__qualname__ = numpy_function.__name__
+    call = f"{name}({', '.join(map(repr, example))})"
+    apply.__doc__ = f"""Return {name} of floats, arrays or CasADi expressions; angles are in rad.
+
+    Example:
+        >>> from plough_opt.core.expressions import {name}
+        >>> round(float({call}), 6)
+        {round(float(numpy_function(*example)), 6)!r}
+    """
     return apply
 
 
@@ -267,14 +275,14 @@ def _unary(casadi_function: Any, numpy_function: Any) -> Elementary:
     def apply(x: Any, /) -> Any:
         return casadi_function(x) if is_casadi(x) else numpy_function(x)
 
-    return _described(apply, numpy_function)
+    return _described(apply, numpy_function, 0.5)
 
 
 def _binary(casadi_function: Any, numpy_function: Any) -> Callable[[Expression, Expression], Expression]:
     def apply(x: Any, y: Any, /) -> Any:
         return casadi_function(x, y) if is_casadi(x) or is_casadi(y) else numpy_function(x, y)
 
-    return _described(apply, numpy_function)
+    return _described(apply, numpy_function, 0.5, 1.5)
 
 
 sin = _unary(ca.sin, np.sin)
@@ -296,7 +304,14 @@ arctan2 = _binary(ca.atan2, np.arctan2)
 
 
 def where(condition: Expression, yes: Expression, no: Expression) -> Expression:
-    """Return ``yes`` where ``condition`` holds, else ``no``; both are evaluated, so both must be finite."""
+    """Return ``yes`` where ``condition`` holds, else ``no``; both are evaluated, so both must be finite.
+
+    Example:
+        >>> from plough_opt.expressions import where
+        >>> import plough_opt as po
+        >>> where(True, 1.0, 2.0)
+        1.0
+    """
     if isinstance(condition, bool) and isinstance(yes, float) and isinstance(no, float):
         return yes if condition else no
     if is_casadi(condition) or is_casadi(yes) or is_casadi(no):

@@ -359,6 +359,15 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
 
     Raises:
         InputError: the ending is not a known format, or the file cannot be written.
+
+    Example:
+        >>> import tempfile
+        >>> from matplotlib.figure import Figure
+        >>> import plough_opt as po
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = po.plots.save(Figure(), f"{folder}/empty.svg")
+        >>> path.name
+        'empty.svg'
     """
     ending = check_format(path).suffix[1:].lower()
     return write_file(path, "plot", lambda file: draw(figure, file, dpi=130, format=ending))

@@ -38,6 +38,11 @@ def law_of(medium: str | ResistanceLaw) -> ResistanceLaw:
 
     Raises:
         InputError: the name is unknown, or the argument is neither a name nor a law.
+
+    Example:
+        >>> import plough_opt as po
+        >>> type(po.laws.law_of("mckyes_ali")).__name__
+        'McKyesAli'
     """
     if isinstance(medium, str):
         check_named("no resistance law is named {}", medium, LAWS)

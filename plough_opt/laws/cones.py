@@ -22,6 +22,16 @@ class ElasticMedium(ResistanceLaw):
     """Linear elastic soil around the equivalent cone: `po.elastic.cone_force`, an order of magnitude.
 
     It holds below the shear wave speed, for soil with Young's modulus and Poisson's ratio.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "35 deg", "25 cm")
+        >>> still = po.Effects(motion=False)
+        >>> law = po.laws.ElasticMedium()
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", still, medium=law)
+        >>> bool(scene.steady_resistance > 0.0)
+        True
     """
 
     label = "the elastic medium"
@@ -53,7 +63,16 @@ class ElasticMedium(ResistanceLaw):
 
 @dataclass(frozen=True)
 class SphericalCavity(ResistanceLaw):
-    """`spherical_cavity_draft` as a law: F0 and Fd of the equivalent cone, without added mass and loosened radius."""
+    """`spherical_cavity_draft` as a law: F0 and Fd of the equivalent cone, without added mass and loosened radius.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", medium=po.laws.SphericalCavity())
+        >>> bool(scene.steady_resistance > 0.0)
+        True
+    """
 
     label = _LABEL
     source = "M. J. Forrestal and V. K. Luk, Int. J. Impact Engineering 12 (1992) 427-444"
@@ -133,6 +152,13 @@ def spherical_cavity_draft(cone: Cone, soil: Soil, speed: Expression) -> Express
         InputError: the cone is not a Cone.
         DomainError: the speed is negative, elastic strains are large, or the front is as fast as elastic waves,
             sqrt(E/rho0).
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> cone = po.Cone('10 deg', '25 cm')
+        >>> round(float(po.crosscheck.spherical_cavity_draft(cone, soil, 2.0)) / 1e3, 2)
+        7.47
     """
     return _reaction(cone, soil, speed).at(speed)
 

@@ -226,6 +226,14 @@ class PlasticGas(ResistanceLaw):
 
     It holds for a slender cone (half angle up to some 20 degrees, hypothesis of plane sections) entirely in the soil,
     and ignores working depth, the free surface and the shank.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", medium=po.laws.PlasticGas())
+        >>> bool(scene.steady_resistance > 0.0)
+        True
     """
 
     label = "the plastic gas"

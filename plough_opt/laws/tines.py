@@ -44,6 +44,14 @@ class AsabeD497(ResistanceLaw):
         point: ``"narrow"`` or ``"winged"``.
         shanks: number of shanks.
         depth: tillage depth [m]; default: the share's height.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", medium=po.laws.AsabeD497())
+        >>> bool(scene.steady_resistance > 0.0)
+        True
     """
 
     texture: str = "medium"
@@ -86,6 +94,12 @@ def asabe_draft(
     Raises:
         InputError: the texture or the point is unknown.
         DomainError: depth, speed or number of shanks lies outside its domain.
+
+    Example:
+        >>> import plough_opt as po
+        >>> draft = po.crosscheck.asabe_draft(texture="medium", point="narrow", depth=0.3, speed=2.0)
+        >>> round(float(draft) / 1e3, 2)
+        6.71
     """
     check_named("no soil texture of D497 is named {}", texture, TEXTURES)
     check_named("no subsoiler point of D497 is named {}", point, POINTS)
@@ -114,7 +128,16 @@ def draft_of_row(
 
 @dataclass(frozen=True)
 class McKyesAli(TineLaw):
-    """`mckyes_ali_draft` as a law: F0 and Fd of a narrow tine, without added mass and loosened radius."""
+    """`mckyes_ali_draft` as a law: F0 and Fd of a narrow tine, without added mass and loosened radius.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "35 deg", "25 cm")
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", medium=po.laws.McKyesAli(depth=0.35))
+        >>> bool(scene.steady_resistance > 0.0)
+        True
+    """
 
     label = "McKyes-Ali"
     source = "E. McKyes and O. S. Ali, J. Terramechanics 14 (1977) 43-51; E. McKyes, Soil Cutting and Tillage, 1985"
@@ -143,6 +166,13 @@ def mckyes_ali_draft(soil: Soil, tine: Tine, speed: Expression) -> Expression:
         DomainError: an argument is outside the domain of a wedge, or the rake angle is so flat and the tine so narrow
             that the factor of the weight is least at the end of the possible angles. For MX symbols a `Design` enforces
             this limit.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> tine = po.crosscheck.Tine(width=0.06, depth=0.3, rake_angle=po.deg(45))
+        >>> round(float(po.crosscheck.mckyes_ali_draft(soil, tine, 2.0)) / 1e3, 2)
+        7.59
     """
     return _mckyes_ali(soil, tine, speed).at(speed)
 
@@ -192,6 +222,14 @@ class UniversalEarthmoving(TineLaw):
         surcharge: see `TineLaw`.
         adhesion: see `TineLaw`.
         rupture_ratio: ratio m of the rupture distance on the surface to the depth; default: that of the plane wedge.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", medium=po.laws.UniversalEarthmoving(depth=0.35))
+        >>> bool(scene.steady_resistance > 0.0)
+        True
     """
 
     rupture_ratio: Expression | None = field(default=None, metadata={"unit": ""})
@@ -227,6 +265,13 @@ def godwin_draft(soil: Soil, tine: Tine, speed: Expression, *, rupture_ratio: Ex
 
     Raises:
         DomainError: an argument is outside the domain of a wedge, or the depth exceeds six widths.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> tine = po.crosscheck.Tine(width=0.06, depth=0.3, rake_angle=po.deg(45))
+        >>> round(float(po.crosscheck.godwin_draft(soil, tine, 2.0)) / 1e3, 2)
+        10.64
     """
     return _godwin(soil, tine, speed, rupture_ratio).at(speed)
 
@@ -253,7 +298,18 @@ def _godwin(soil: Soil, tine: Tine, speed: Expression, rupture_ratio: Expression
 
 @dataclass(frozen=True)
 class SwickPerumpral(TineLaw):
-    """`swick_perumpral_draft` as a law for steady sliding, because the rupture angle depends on the speed."""
+    """`swick_perumpral_draft` as a law for steady sliding, because the rupture angle depends on the speed.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "35 deg", "25 cm")
+        >>> still = po.Effects(motion=False)
+        >>> law = po.laws.SwickPerumpral(depth=0.35)
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", still, medium=law)
+        >>> bool(scene.steady_resistance > 0.0)
+        True
+    """
 
     label = "Swick-Perumpral"
     source = "W. C. Swick and J. V. Perumpral, J. Terramechanics 25 (1988) 43-56"
@@ -282,6 +338,13 @@ def swick_perumpral_draft(soil: Soil, tine: Tine, speed: Expression) -> Expressi
     Raises:
         DomainError: an argument is outside the domain of a wedge, or the force is least at the end of the possible
             angles. For MX symbols a `Design` enforces this limit.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> tine = po.crosscheck.Tine(width=0.06, depth=0.3, rake_angle=po.deg(45))
+        >>> round(float(po.crosscheck.swick_perumpral_draft(soil, tine, 2.0)) / 1e3, 2)
+        0.92
     """
     angles = wedge_angles(soil, tine, speed)
     loads = (soil.density * GRAVITY * tine.depth, soil.cohesion, tine.surcharge, tine.adhesion, soil.density * speed**2)

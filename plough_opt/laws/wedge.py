@@ -50,6 +50,12 @@ class Tine:
 
     Raises:
         DomainError: a number lies outside its domain.
+
+    Example:
+        >>> import plough_opt as po
+        >>> tine = po.crosscheck.Tine(width=0.06, depth=0.3, rake_angle=po.deg(45))
+        >>> tine.width
+        0.06
     """
 
     width: Expression

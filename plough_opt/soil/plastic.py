@@ -64,14 +64,28 @@ _MOST_RATIO_SQUARED = 1e13
 
 
 def ratio(r: Expression, soil: Soil) -> Expression:
-    """Return b = rho0/rho(r) of compacted soil [-] at a Lagrangian radius [m]."""
+    """Return b = rho0/rho(r) of compacted soil [-] at a Lagrangian radius [m].
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> round(float(po.plastic.ratio(0.02, soil)), 6)
+        0.794
+    """
     check_soil(soil)
     profile = soil.density_profile
     return soil.density_ratio if profile is None else soil.density / profile.at(r)
 
 
 def mean_ratio(r: Expression, soil: Soil) -> Expression:
-    """Return 2 psi(r)/r^2, the mean of b over the section inside a Lagrangian radius [-]."""
+    """Return 2 psi(r)/r^2, the mean of b over the section inside a Lagrangian radius [-].
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> round(float(po.plastic.mean_ratio(0.02, soil)), 6)
+        0.794
+    """
     check_soil(soil)
     profile = soil.density_profile
     if profile is None:
@@ -88,6 +102,12 @@ def front(radius: Expression, soil: Soil) -> Expression:
     Raises:
         DomainError: no front can hold all the soil displaced from the cavity with this density profile, or the profile
             falls below the undisturbed density somewhere behind the front.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> round(float(po.plastic.front(0.04, soil)), 4)
+        0.0881
     """
     check_soil(soil)
     radius = check_domain("cavity radius", radius, "m", at_least=0.0)
@@ -152,6 +172,11 @@ class Cavity:
 
     Raises:
         DomainError: a number lies outside its domain.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.plastic.Cavity(radius=0.04, rate=0.5, acceleration=0.0).radius
+        0.04
     """
 
     radius: Expression
@@ -174,6 +199,13 @@ class WallPressure:
         inertia: phi/b1 [-].
 
     For a density profile they are the corresponding terms and depend on the cavity's radius.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> pressure = po.plastic.wall_pressure(soil)
+        >>> bool(pressure.around(po.plastic.Cavity(0.04, 0.5, 0.0), soil) > 0.0)
+        True
     """
 
     strength: Expression
@@ -206,6 +238,13 @@ def wall_pressure(soil: Soil, radius: Expression | None = None) -> WallPressure:
 
     Raises:
         InputError: the soil has a density profile, but no radius is given.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> pressure = po.plastic.wall_pressure(soil)
+        >>> type(pressure).__name__
+        'WallPressure'
     """
     check_soil(soil)
     yielding = soil.yielding
@@ -238,6 +277,13 @@ def surface_pressure(cavity: Cavity, soil: Soil) -> Expression:
 
     Raises:
         DomainError: the soil has a density profile, and the cavity's radius is 0 or there is no front.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> cavity = po.plastic.Cavity(radius=0.04, rate=0.5, acceleration=0.0)
+        >>> round(float(po.plastic.surface_pressure(cavity, soil)) / 1e3, 1)
+        92.0
     """
     _check_cavity(cavity)
     return wall_pressure(soil, cavity.radius).around(cavity, soil)
@@ -251,6 +297,13 @@ def front_radius(cavity: Cavity, soil: Soil) -> Expression:
 
     Raises:
         DomainError: no front can hold all the soil displaced from the cavity with this density profile.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> cavity = po.plastic.Cavity(radius=0.04, rate=0.5, acceleration=0.0)
+        >>> round(float(po.plastic.front_radius(cavity, soil)), 4)
+        0.0881
     """
     _check_cavity(cavity)
     return front(cavity.radius, soil)
@@ -264,6 +317,13 @@ def front_speed(cavity: Cavity, soil: Soil) -> Expression:
 
     Raises:
         DomainError: the soil has a density profile, and the cavity's radius is 0 or there is no front.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> cavity = po.plastic.Cavity(radius=0.04, rate=0.5, acceleration=0.0)
+        >>> round(float(po.plastic.front_speed(cavity, soil)), 3)
+        1.102
     """
     check_soil(soil)
     _check_cavity(cavity)
@@ -280,6 +340,13 @@ def density(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
 
     Raises:
         DomainError: the radius is negative, or ahead of the front, where the soil has its undisturbed density.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> cavity = po.plastic.Cavity(radius=0.04, rate=0.5, acceleration=0.0)
+        >>> round(float(po.plastic.density(0.02, cavity, soil)), 1)
+        1700.3
     """
     _check_behind(r, front_radius(cavity, soil))
     return soil.density / ratio(r, soil) + 0.0 * r
@@ -299,6 +366,13 @@ def current_radius(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
 
     Raises:
         DomainError: the radius is negative, or ahead of the front, where the soil is undisturbed.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> cavity = po.plastic.Cavity(radius=0.04, rate=0.5, acceleration=0.0)
+        >>> round(float(po.plastic.current_radius(0.0, cavity, soil)), 4)
+        0.04
     """
     _check_behind(r, front_radius(cavity, soil))
     return sqrt(mean_ratio(r, soil) * r**2 + cavity.radius**2)
@@ -309,6 +383,13 @@ def particle_velocity(r: Expression, cavity: Cavity, soil: Soil) -> Expression:
     """Return the radial velocity R R'/y of the particle at Lagrangian radius r [m/s], equation (17).
 
     Arguments and errors are those of `current_radius`.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> cavity = po.plastic.Cavity(radius=0.04, rate=0.5, acceleration=0.0)
+        >>> round(float(po.plastic.particle_velocity(0.0, cavity, soil)), 4)
+        0.5
     """
     y = current_radius(r, cavity, soil)
     return cavity.radius * cavity.rate / y
@@ -320,6 +401,13 @@ def particle_acceleration(r: Expression, cavity: Cavity, soil: Soil) -> Expressi
 
     With y^2 - R^2 = 2 psi it is (R R'' + 2 psi R'^2/y^2)/y, which does not cancel for soil that locks at once.
     Arguments and errors are those of `current_radius`.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> cavity = po.plastic.Cavity(radius=0.04, rate=0.5, acceleration=0.0)
+        >>> round(float(po.plastic.particle_acceleration(0.0, cavity, soil)), 3)
+        0.0
     """
     y = current_radius(r, cavity, soil)
     return (cavity.radius * cavity.acceleration + cavity.rate**2 * mean_ratio(r, soil) * (r / y) ** 2) / y
@@ -332,6 +420,13 @@ class Stress:
     Attributes:
         radial: sigma_r [Pa].
         tangential: sigma_theta [Pa].
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> cavity = po.plastic.Cavity(radius=0.04, rate=0.5, acceleration=0.0)
+        >>> bool(po.plastic.stress(0.02, cavity, soil).radial < 0.0)
+        True
     """
 
     radial: Expression
@@ -358,6 +453,13 @@ def stress(r: Expression, cavity: Cavity, soil: Soil) -> Stress:
 
     Raises:
         DomainError: the radius is negative or ahead of the front, or the cavity's radius is 0.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> cavity = po.plastic.Cavity(radius=0.04, rate=0.5, acceleration=0.0)
+        >>> round(float(po.plastic.stress(0.0, cavity, soil).radial) / 1e3, 1)
+        -193.3
     """
     _check_cavity(cavity)
     check_domain("cavity radius", cavity.radius, "m", above=0.0, why="at the tip the stress is not unique")
@@ -381,6 +483,13 @@ def quadrature_error(r: Expression, cavity: Cavity, soil: Soil) -> float:
     Raises:
         DomainError: as `stress`.
         InputError: an argument holds symbols.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> cavity = po.plastic.Cavity(radius=0.04, rate=0.5, acceleration=0.0)
+        >>> po.plastic.quadrature_error(0.02, cavity, soil) < 1e-9
+        True
     """
     check_soil(soil)
     profile = soil.density_profile

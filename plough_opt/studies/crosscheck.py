@@ -67,6 +67,14 @@ class ModelDraft:
         source: source of its equations.
         standing: clause that says which parts are not verified.
         band: fraction of a draft by which it may be wrong in either direction according to its source.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s")
+        >>> po.crosscheck.compare(scene).own.model
+        'this model'
     """
 
     model: str
@@ -95,6 +103,14 @@ class Comparison:
         own: quasi-static mean draft of the scene by this toolkit's model.
         others: the other models; those with a working depth occur once for each depth.
         estimates: sentences that say which values the scene does not give, and how they were estimated.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s")
+        >>> len(po.crosscheck.compare(scene).others) > 3
+        True
     """
 
     scene: str
@@ -201,6 +217,15 @@ def compare(
     Raises:
         InputError: the scene holds symbols, or texture or point is unknown.
         DomainError: an argument is outside every model's domain.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s")
+        >>> found = po.crosscheck.compare(scene, depth=0.3, speeds=[1.0, 2.0])
+        >>> found.speeds
+        (1.0, 2.0)
     """
     check_kind("the scene", scene, Scene, "a numeric Scene")
     if holds_casadi((scene, depth, width, rake_angle, speeds, rupture_ratio, surcharge, adhesion)):

@@ -37,6 +37,18 @@ def write_c(component: Component, path: str | Path) -> Path:
 
     Raises:
         InputError: the folder exists or cannot be written, or CasADi cannot write the component as C.
+
+    Example:
+        >>> import tempfile
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s")
+        >>> component = po.component(scene, 0.5, inputs=["scene.stiffness"], outputs=["mean_draft"])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = po.export.write_c(component, f"{folder}/share")
+        >>> path.name
+        'share'
     """
     target = check_new_folder(path, "C source")
     name, functions = component.name(), _functions(component)

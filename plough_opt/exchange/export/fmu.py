@@ -283,6 +283,17 @@ def write_fmu(
         InputError: a scene that is not an initial value problem, or that holds symbols or arrays; the strut's position
             as input where its speed is needed; a name that is not a C identifier; a missing compiler; or a path that
             cannot be written.
+
+    Example:
+        >>> import tempfile
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = po.export.write_fmu(scene, f"{folder}/share.fmu", binary=False)
+        >>> path.name
+        'share.fmu'
     """
     target, scene, by_speed = check_file(path, "FMU", ".fmu"), _numeric(scene), strut == "speed"
     _check(scene, strut, duration, name)

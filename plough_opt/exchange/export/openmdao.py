@@ -127,6 +127,15 @@ class PloughComponent(FunctionComponent):
     Args:
         component: a component made by `plough_opt.component` or `Problem.component`.
         options: options of OpenMDAO's class.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s")
+        >>> component = po.component(scene, 0.5, inputs=["scene.stiffness"], outputs=["mean_draft"])
+        >>> type(po.export.PloughComponent(component=component)).__name__
+        'PloughComponent'
     """
 
     def __init__(self, component: Component, **options: Any) -> None:
@@ -150,6 +159,18 @@ def write_openmdao(component: Component, path: str | Path) -> Path:
 
     Raises:
         InputError: the folder exists or cannot be written, or the component's name cannot be a module's.
+
+    Example:
+        >>> import tempfile
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s")
+        >>> component = po.component(scene, 0.5, inputs=["scene.stiffness"], outputs=["mean_draft"])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = po.export.write_openmdao(component, f"{folder}/share.py")
+        >>> path.name
+        'share.py'
     """
     target = check_new_folder(path, "OpenMDAO component")
     name = component.name()

@@ -55,6 +55,15 @@ def write_part(
         InputError: another ending, a symbolic share, a library that is not installed, an option that a cone does not
             have, or a path that cannot be written.
         DomainError: as `Wedge.mesh`.
+
+    Example:
+        >>> import tempfile
+        >>> import plough_opt as po
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = po.export.write_part(share, f"{folder}/share.stl")
+        >>> path.name
+        'share.stl'
     """
     check_kind("the share", share, Wedge | Cone, "a Wedge or a Cone")
     needs, write = _WRITERS[check_file(path_of("the part", path), "part", *_WRITERS).suffix.lower()]

@@ -33,6 +33,18 @@ def write_casadi(component: Component, path: str | Path, description: str | Path
 
     Raises:
         InputError: a path with another ending, or one that cannot be written.
+
+    Example:
+        >>> import tempfile
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s")
+        >>> component = po.component(scene, 0.5, inputs=["scene.stiffness"], outputs=["mean_draft"])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = po.export.write_casadi(component, f"{folder}/share.casadi")
+        >>> path.name
+        'share.casadi'
     """
     target = check_file(path, "serialised Function", ".casadi")
     files: dict[Path, Content] = {target: serialised(component)}

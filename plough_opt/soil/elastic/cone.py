@@ -42,7 +42,15 @@ SECTION_FACTOR = 0.5
 
 @dataclass(frozen=True)
 class ConeDisplacement:
-    """Displacement of the soil around a cone [m]: along the axis, in the direction of the stream, and radial."""
+    """Displacement of the soil around a cone [m]: along the axis, in the direction of the stream, and radial.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> profile = [(0.0, 0.0), (0.25, 0.05)]
+        >>> type(po.elastic.cone_displacement(0.1, 0.1, profile, soil, 2.0)).__name__
+        'ConeDisplacement'
+    """
 
     axial: Expression
     radial: Expression
@@ -50,7 +58,15 @@ class ConeDisplacement:
 
 @dataclass(frozen=True)
 class ConeStress:
-    """Stresses around a cone [Pa], tension positive: along x, radial, circumferential, and shear."""
+    """Stresses around a cone [Pa], tension positive: along x, radial, circumferential, and shear.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> profile = [(0.0, 0.0), (0.25, 0.05)]
+        >>> type(po.elastic.cone_stress(0.1, 0.1, profile, soil, 2.0)).__name__
+        'ConeStress'
+    """
 
     xx: Expression
     rr: Expression
@@ -105,6 +121,14 @@ def cone_displacement(
         DomainError: the speed is not below the shear wave speed, a point lies on the axis, or a number is outside its
             domain.
         InputError: the profile is invalid, or the soil lacks elastic constants.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> profile = [(0.0, 0.0), (0.25, 0.05)]
+        >>> found = po.elastic.cone_displacement(0.1, 0.1, profile, soil, 2.0)
+        >>> bool(found.radial > 0.0)
+        True
     """
     return _around(displacement_of, x, r, profile, soil, speed, section_factor)
 
@@ -117,7 +141,16 @@ def cone_stress(
     speed: Expression,
     section_factor: Expression = SECTION_FACTOR,
 ) -> ConeStress:
-    """Return the stresses around a slender cone; arguments, errors and limits are those of `cone_displacement`."""
+    """Return the stresses around a slender cone; arguments, errors and limits are those of `cone_displacement`.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> profile = [(0.0, 0.0), (0.25, 0.05)]
+        >>> found = po.elastic.cone_stress(0.1, 0.1, profile, soil, 2.0)
+        >>> type(found).__name__
+        'ConeStress'
+    """
     return _around(stress_of, x, r, profile, soil, speed, section_factor)
 
 
@@ -140,6 +173,13 @@ def cone_pressure(
     Raises:
         DomainError: as `cone_displacement`, or x is not on the body.
         InputError: as `cone_displacement`.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> profile = [(0.0, 0.0), (0.25, 0.05)]
+        >>> round(float(po.elastic.cone_pressure(0.1, profile, soil, 2.0)) / 1e3, 1)
+        3490.8
     """
     check_domain("section factor", section_factor, above=0.0)
     state, cone = state_of(soil, speed), body(profile)

@@ -60,6 +60,12 @@ def shear_modulus(soil: Soil) -> Expression:
 
     Raises:
         InputError: the soil's Young's modulus or Poisson's ratio is not given.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> round(float(po.elastic.shear_modulus(soil)) / 1e6, 3)
+        3.759
     """
     modulus, ratio = _constants(soil)
     return modulus / (2.0 * (1.0 + ratio))
@@ -71,6 +77,12 @@ def shear_wave_speed(soil: Soil) -> Expression:
 
     Raises:
         InputError: the soil's Young's modulus or Poisson's ratio is not given.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> round(float(po.elastic.shear_wave_speed(soil)), 2)
+        52.77
     """
     return sqrt(shear_modulus(soil) / soil.density)
 
@@ -81,6 +93,12 @@ def longitudinal_wave_speed(soil: Soil) -> Expression:
 
     Raises:
         InputError: the soil's Young's modulus or Poisson's ratio is not given.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> round(float(po.elastic.longitudinal_wave_speed(soil)), 2)
+        104.76
     """
     return shear_wave_speed(soil) / sqrt(_kappa(_constants(soil)[1]))
 
@@ -94,6 +112,12 @@ def rayleigh_speed(soil: Soil) -> Expression:
 
     Raises:
         InputError: the soil's Young's modulus or Poisson's ratio is not given.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> round(float(po.elastic.rayleigh_speed(soil)), 2)
+        49.18
     """
     speed = shear_wave_speed(soil)
     _, ratio = _constants(soil)
@@ -322,6 +346,12 @@ def knots(profile: Callable[[float], float], length: float, count: int) -> list[
     Raises:
         InputError: the number of pieces is invalid, or the profile is not a function of one number.
         DomainError: the length is not positive, or a height is not finite.
+
+    Example:
+        >>> import plough_opt as po
+        >>> nodes = po.elastic.knots(lambda x: 0.2 * x, length=0.25, count=5)
+        >>> len(nodes), nodes[0]
+        (6, (0.0, 0.0))
     """
     length = plain_number("length of the profile", length)
     check_domain("length of the profile", length, "m", above=0.0)

@@ -66,7 +66,15 @@ Curve = Callable[[Expression], Expression]
 
 @dataclass(frozen=True)
 class WedgeStress:
-    """Stresses around a thin wedge [Pa], tension positive: x along the motion, y across, z along the edge."""
+    """Stresses around a thin wedge [Pa], tension positive: x along the motion, y across, z along the edge.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> profile = [(0.0, 0.0), (0.25, 0.05)]
+        >>> bool(po.elastic.wedge_stress(0.1, 0.1, profile, soil, 2.0).yy < 0.0)
+        False
+    """
 
     xx: Expression
     yy: Expression
@@ -76,7 +84,15 @@ class WedgeStress:
 
 @dataclass(frozen=True)
 class WedgeGradient:
-    """Gradient of the displacement (ux, uy) around a thin wedge [-]."""
+    """Gradient of the displacement (ux, uy) around a thin wedge [-].
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> profile = [(0.0, 0.0), (0.25, 0.05)]
+        >>> type(po.elastic.wedge_gradient(0.1, 0.1, profile, soil, 2.0)).__name__
+        'WedgeGradient'
+    """
 
     ux_x: Expression
     ux_y: Expression
@@ -165,6 +181,13 @@ def wedge_stress(x: Expression, y: Expression, profile: Profile, soil: Soil, spe
     Raises:
         DomainError: the speed exceeds the shear wave speed, a point lies on a node, or a number is outside its domain.
         InputError: the profile is invalid, or the soil lacks elastic constants.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> profile = [(0.0, 0.0), (0.25, 0.05)]
+        >>> round(float(po.elastic.wedge_stress(0.1, 0.1, profile, soil, 2.0).yy) / 1e3, 1)
+        155.3
     """
     state = medium(soil, speed)
     found, side = _potentials_at(x, y, profile, state)
@@ -177,6 +200,14 @@ def wedge_gradient(x: Expression, y: Expression, profile: Profile, soil: Soil, s
     """Return the displacement gradient around a thin wedge; arguments and errors are those of `wedge_stress`.
 
     The displacement ux itself is determined only up to a constant, which has no natural value for an open body.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> profile = [(0.0, 0.0), (0.25, 0.05)]
+        >>> gradient = po.elastic.wedge_gradient(0.1, 0.1, profile, soil, 2.0)
+        >>> type(gradient).__name__
+        'WedgeGradient'
     """
     state = medium(soil, speed)
     found, side = _potentials_at(x, y, profile, state)
@@ -195,6 +226,13 @@ def wedge_displacement(x: Expression, y: Expression, profile: Profile, soil: Soi
     """Return the displacement uy around a thin wedge [m]; arguments and errors are those of `wedge_stress`.
 
     On the face it equals the half thickness; far ahead it vanishes.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> profile = [(0.0, 0.0), (0.25, 0.05)]
+        >>> bool(po.elastic.wedge_displacement(0.1, 0.1, profile, soil, 2.0) > 0.0)
+        True
     """
     state = medium(soil, speed)
     offsets, y, side, wedge = _place(x, y, profile, state)
@@ -222,6 +260,13 @@ def wedge_pressure(x: Expression, profile: Profile, soil: Soil, speed: Expressio
     Raises:
         DomainError: as `wedge_stress`, or x is not on the body.
         InputError: as `wedge_stress`.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> profile = [(0.0, 0.0), (0.25, 0.05)]
+        >>> round(float(po.elastic.wedge_pressure(0.1, profile, soil, 2.0)) / 1e3, 1)
+        -144.7
     """
     state, wedge = medium(soil, speed), body(profile)
     x, _ = points(x, 0.0, wedge, state)
@@ -420,6 +465,13 @@ def wedge_force(profile: Profile, soil: Soil, speed: Expression, *, separation: 
     Raises:
         DomainError: as `wedge_stress`.
         InputError: as `wedge_stress`.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> profile = [(0.0, 0.0), (0.25, 0.05)]
+        >>> round(float(po.elastic.wedge_force(profile, soil, 2.0)) / 1e3, 1)
+        70.1
     """
     check_switch("separation", separation)
     state, face = medium(soil, speed), body(profile)
@@ -482,6 +534,12 @@ def cone_force(
     Raises:
         DomainError: as `cone_displacement`, or the body has radius 0.
         InputError: as `cone_displacement`.
+
+    Example:
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> bool(po.elastic.cone_force(po.Cone('10 deg', '25 cm'), soil, 2.0) > 0.0)
+        True
     """
     check_switch("separation", separation)
     check_domain("section factor", section_factor, above=0.0)

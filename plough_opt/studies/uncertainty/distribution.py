@@ -52,6 +52,14 @@ class SoilSamples(ByValue):
         soil: the soil with the properties that all samples share.
         names: names of the properties that differ.
         values: their values, a row for each sample and a column for each property; SI units.
+
+    Example:
+        >>> from scipy import stats
+        >>> import plough_opt as po
+        >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+        >>> samples = field.sample(8)
+        >>> len(samples), samples.names
+        (8, ('cohesion',))
     """
 
     soil: Soil
@@ -201,6 +209,13 @@ class Marginal:
 
     Raises:
         InputError: the distribution is not one, or there is hardly any probability between the bounds.
+
+    Example:
+        >>> from scipy import stats
+        >>> import plough_opt as po
+        >>> marginal = po.uncertainty.Marginal(stats.norm(2e4, 5e3), lower=0.0)
+        >>> round(float(marginal.quantile(0.5)))
+        20000
     """
 
     distribution: Any

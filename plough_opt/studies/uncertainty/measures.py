@@ -67,7 +67,15 @@ def _clipped(u: Column) -> Column:
 
 
 def expected(values: Column) -> Column:
-    """Return the mean."""
+    """Return the mean.
+
+    Example:
+        >>> import numpy as np
+        >>> import plough_opt as po
+        >>> values = np.array([1.0, 2.0, 3.0, 10.0])
+        >>> round(float(po.uncertainty.expected(values)), 3)
+        4.0
+    """
     column = _column(values)
     return total(column) / _count(column)
 
@@ -76,6 +84,13 @@ def standard_deviation(values: Column) -> Column:
     """Return the standard deviation about the mean, with 1/n.
 
     In a design it is larger by up to 1e-10 of the mean, so that it has a derivative if all samples are equal.
+
+    Example:
+        >>> import numpy as np
+        >>> import plough_opt as po
+        >>> values = np.array([1.0, 2.0, 3.0, 10.0])
+        >>> round(float(po.uncertainty.standard_deviation(values)), 3)
+        3.536
     """
     column = _column(values)
     mean = expected(column)
@@ -86,7 +101,15 @@ def standard_deviation(values: Column) -> Column:
 
 
 def mean_plus(values: Column, kappa: float) -> Column:
-    """Return mean + kappa * standard deviation; kappa is negative if small values are bad."""
+    """Return mean + kappa * standard deviation; kappa is negative if small values are bad.
+
+    Example:
+        >>> import numpy as np
+        >>> import plough_opt as po
+        >>> values = np.array([1.0, 2.0, 3.0, 10.0])
+        >>> round(float(po.uncertainty.mean_plus(values, 1.0)), 3)
+        7.536
+    """
     return expected(values) + plain_number("kappa", kappa) * standard_deviation(values)
 
 
@@ -105,6 +128,13 @@ def cvar(values: Column, level: float, *, width: float = 0.0) -> Column:
 
     Raises:
         InputError: an invalid level or width.
+
+    Example:
+        >>> import numpy as np
+        >>> import plough_opt as po
+        >>> values = np.array([1.0, 2.0, 3.0, 10.0])
+        >>> round(float(po.uncertainty.cvar(values, 0.5)), 3)
+        6.5
     """
     level = plain_number("the level of a CVaR", level)
     if not 0.0 <= level < 1.0:
@@ -132,6 +162,13 @@ def worst(values: Column, *, width: float = 0.0) -> Column:
 
     Raises:
         InputError: an invalid width.
+
+    Example:
+        >>> import numpy as np
+        >>> import plough_opt as po
+        >>> values = np.array([1.0, 2.0, 3.0, 10.0])
+        >>> round(float(po.uncertainty.worst(values)), 3)
+        10.0
     """
     column = _column(values)
     if not _is_smoothed("worst case", column, width):
@@ -155,6 +192,13 @@ def probability(
 
     Raises:
         InputError: no limit, limits that contradict each other, or an invalid width.
+
+    Example:
+        >>> import numpy as np
+        >>> import plough_opt as po
+        >>> values = np.array([1.0, 2.0, 3.0, 10.0])
+        >>> float(po.uncertainty.probability(values, at_most=5.0))
+        0.75
     """
     if at_least is None and at_most is None:
         raise InputError("a probability needs a limit: give at_least, at_most or both")
@@ -185,6 +229,13 @@ def quantile(values: Column, level: float, *, width: float = 0.0) -> Column:
 
     Raises:
         InputError: an invalid level or width.
+
+    Example:
+        >>> import numpy as np
+        >>> import plough_opt as po
+        >>> values = np.array([1.0, 2.0, 3.0, 10.0])
+        >>> round(float(po.uncertainty.quantile(values, 0.5)), 3)
+        2.0
     """
     level = plain_number("the level of a quantile", level)
     if not 0.0 < level < 1.0:

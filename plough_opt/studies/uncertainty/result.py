@@ -50,6 +50,19 @@ class SobolIndices(ByValue):
         total_low: lower ends of the confidence intervals of `total`.
         total_high: upper ends of these intervals.
         note: a warning, or "".
+
+    Example:
+        >>> from scipy import stats
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> field = po.SoilDistribution(soil, cohesion=stats.uniform(1e4, 1e4), tool_friction=stats.uniform(0.3, 0.2))
+        >>> design = po.Design()
+        >>> height = design.variable("height", guess="25 cm", lower="10 cm", upper="50 cm")
+        >>> cone = po.Cone("10 deg", height)
+        >>> robust = po.Robust(field, lambda soil: {"draft": po.resistance(cone, soil, 2.0, 0.0)}, samples=64)
+        >>> found = po.uncertainty.sobol_indices(robust, {"height": 0.3}, samples=64)
+        >>> found["draft"].names
+        ('cohesion', 'tool_friction')
     """
 
     result: str
@@ -93,6 +106,19 @@ def sobol_indices(
 
     Raises:
         InputError: the properties are correlated, the number of samples is not a power of two, or a soil has no result.
+
+    Example:
+        >>> from scipy import stats
+        >>> import plough_opt as po
+        >>> soil = po.named_soil("serozem")
+        >>> field = po.SoilDistribution(soil, cohesion=stats.uniform(1e4, 1e4), tool_friction=stats.uniform(0.3, 0.2))
+        >>> design = po.Design()
+        >>> height = design.variable("height", guess="25 cm", lower="10 cm", upper="50 cm")
+        >>> cone = po.Cone("10 deg", height)
+        >>> robust = po.Robust(field, lambda soil: {"draft": po.resistance(cone, soil, 2.0, 0.0)}, samples=64)
+        >>> found = po.uncertainty.sobol_indices(robust, {"height": 0.3}, samples=64)
+        >>> [*found]
+        ['draft']
     """
     check_kind("the results", robust, Robust, "a Robust")
     field = robust.field

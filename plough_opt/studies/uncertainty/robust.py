@@ -392,6 +392,19 @@ class Check:
         rounding: change of the value by smoothing, over the fresh samples.
         note: method of the interval, or a text instead of one.
         worse: for a worst case, the number of worse fresh samples; otherwise None.
+
+    Example:
+        >>> from scipy import stats
+        >>> import plough_opt as po
+        >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+        >>> design = po.Design()
+        >>> height = design.variable("height", guess="25 cm", lower="10 cm", upper="50 cm")
+        >>> cone = po.Cone("10 deg", height)
+        >>> robust = po.Robust(field, lambda soil: {"draft": po.resistance(cone, soil, 2.0, 0.0)}, samples=64)
+        >>> objective = robust.expected("draft")
+        >>> found = po.uncertainty.verify(robust, {"height": 0.3}, samples=256)
+        >>> found.checks[0].result
+        'draft'
     """
 
     result: str
@@ -452,6 +465,19 @@ class Verification(ByValue):
         values: name of a result -> its values over the fresh samples.
         seed: seed of the fresh samples.
         seconds: time taken [s].
+
+    Example:
+        >>> from scipy import stats
+        >>> import plough_opt as po
+        >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+        >>> design = po.Design()
+        >>> height = design.variable("height", guess="25 cm", lower="10 cm", upper="50 cm")
+        >>> cone = po.Cone("10 deg", height)
+        >>> robust = po.Robust(field, lambda soil: {"draft": po.resistance(cone, soil, 2.0, 0.0)}, samples=64)
+        >>> objective = robust.expected("draft")
+        >>> found = po.uncertainty.verify(robust, {"height": 0.3}, samples=256)
+        >>> [check.result for check in found.checks]
+        ['draft']
     """
 
     checks: tuple[Check, ...]
@@ -496,6 +522,18 @@ def verify(
 
     Raises:
         InputError: too few samples, or too many soils without results.
+
+    Example:
+        >>> from scipy import stats
+        >>> import plough_opt as po
+        >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+        >>> design = po.Design()
+        >>> height = design.variable("height", guess="25 cm", lower="10 cm", upper="50 cm")
+        >>> cone = po.Cone("10 deg", height)
+        >>> robust = po.Robust(field, lambda soil: {"draft": po.resistance(cone, soil, 2.0, 0.0)}, samples=64)
+        >>> objective = robust.expected("draft")
+        >>> len(po.uncertainty.verify(robust, {"height": 0.3}, samples=256).checks)
+        1
     """
     check_kind("the results", robust, Robust, "a Robust")
     started = time.perf_counter()

@@ -617,10 +617,33 @@ def code_of(path):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_runs(path):
+def test_notebook_runs_and_prints_what_it_is_stored_with(path):
     notebook = nbformat.read(path, as_version=4)
+    stored = [printed_by(cell) for cell in notebook.cells]
     NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(path.parent)}}).execute()
     assert any(cell.get("outputs") for cell in notebook.cells if cell.cell_type == "code")
+    for (words, numbers), cell in zip(stored, notebook.cells, strict=True):
+        now, values = printed_by(cell)
+        assert now == words
+        assert values == pytest.approx(numbers, rel=1e-2, abs=1e-9)  # other machines round otherwise
+
+
+NUMBER = re.compile(r"[-+]?[0-9]+(?:\.[0-9]+)?(?:e[-+]?[0-9]+)?")
+# Of text with times, whose rows may be ordered by them, only the words are compared.
+TIMES = re.compile(r"[0-9] (?:s|ms)\b|\btimes?\b")
+
+
+def printed_by(cell):
+    """Return the words that a cell prints, and its numbers unless it prints times; both sorted."""
+    outputs = cell.get("outputs", [])
+    text = "".join(one.get("text", "") or one.get("data", {}).get("text/plain", "") + "\n" for one in outputs)
+    text = re.sub("<Figure size.*>", "<Figure>", text)
+    numbers = [] if TIMES.search(text) else sorted(map(float, NUMBER.findall(text)))
+    return sorted(NUMBER.sub("", text).split()), numbers
+
+
+def test_no_notebook_is_stored_with_notices_of_libraries():
+    assert [path.name for path in NOTEBOOKS if "xperimental" in path.read_text(encoding="utf-8")] == []
 
 
 def test_the_quickest_notebook_runs_without_a_kernel(monkeypatch, capsys):

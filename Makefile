@@ -7,9 +7,9 @@ PEERS  := $(VENV)/.peers-installed
 LOWEST := .venv-lowest
 
 # At least one test file for every dependency, and quick ones otherwise.
-FAST   := $(addprefix tests/,problem_file cli export study calibration/test_linear.py design/test_declarations.py \
-          motion/test_simulate.py uncertainty/test_distribution.py test_layout.py test_forces.py \
-          test_scene.py test_component.py test_plots.py test_results.py test_source_equations.py)
+FAST   := $(addprefix tests/,problem_file cli export study calibration/test_linear.py design/test_design_solve.py \
+          motion/test_simulate.py uncertainty/test_verification.py test_layout.py test_forces.py \
+          test_component.py test_plots.py test_results.py test_source_equations.py)
 
 .PHONY: run test thorough slow bench lowest lines mutants clean
 

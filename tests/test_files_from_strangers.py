@@ -1,13 +1,12 @@
 """Files from strangers: they run no code, write nowhere else and do not command a terminal."""
 
-import dataclasses
 import functools
 import hashlib
 import json
 import os
 import sys
 import types
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 from helpers.commands import call, printed
@@ -192,7 +191,7 @@ def test_an_installed_package_counts_if_it_is_an_addition(tmp_path, monkeypatch,
 def run_with_origin():
     """Return a run with an origin, as JSON data."""
     problem = po.read_problem(SUBSOILER, ["scene.outputs=4"])
-    return dataclasses.replace(run_of(), origin=problem.origin).to_json()
+    return replace(run_of(), origin=problem.origin).to_json()
 
 
 def with_origin(path, **changes):

@@ -1,6 +1,5 @@
 """Results of every kind: printed, drawn, compared, as frames; saved with their origin as JSON that reads back equal."""
 
-import dataclasses
 import functools
 import hashlib
 import json
@@ -10,7 +9,7 @@ import re
 import shutil
 import subprocess
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import fields, replace
 from importlib.metadata import version
 
 import casadi as ca
@@ -95,7 +94,7 @@ def test_an_optimum_prints_and_saves_its_design_and_limits(tmp_path):
     assert re.search(r"loosened radius +at least 0.12 m +0.12 m +0 m +decides\n", text)
     # Nor has one that is met to rounding but does not decide.
     (limit,) = (one for one in best.limits if one.name == "loosened radius")
-    assert dataclasses.replace(limit, active=False, margin=1e-13).margin_text() == "0 m"
+    assert replace(limit, active=False, margin=1e-13).margin_text() == "0 m"
     assert str(best.local_optima[0]).count("\n") >= 4
     assert saved["local_optima"][0] == saved["best"]
     assert saved["best"]["variables"] == best.variables
@@ -105,7 +104,7 @@ def test_an_optimum_prints_and_saves_its_design_and_limits(tmp_path):
 
 
 def test_a_symbolic_run_shows_no_numbers():
-    symbolic = po.simulate(dataclasses.replace(STILL, mass=ca.MX.sym("mass")), 0.1)
+    symbolic = po.simulate(replace(STILL, mass=ca.MX.sym("mass")), 0.1)
     assert str(symbolic) == "<Run: expressions of a scene's symbols>"
     assert "expressions" in symbolic._repr_html_()
     for refused in (symbolic.plot, symbolic.to_dataframe):
@@ -134,7 +133,7 @@ def test_designs_are_drawn_between_their_limits():
     assert labels == ["loosened radius [m]", "half height [mm]", "height [mm]", "stiffness [kN/m]"]
     places = {line.get_marker(): line.get_xdata()[0] for line in figure.axes[0].lines if len(line.get_xdata())}
     assert places == {"o": optimum().limits[0].value, "None": 0.12}
-    without = dataclasses.replace(optimum(), limits=optimum().limits[1:])
+    without = replace(optimum(), limits=optimum().limits[1:])
     figure = plot_designs({"one": optimum(), "without its first limit": without})
     drawn = [sum(len(line.get_xdata()) and line.get_marker() == "o" for line in axes.lines) for axes in figure.axes]
     assert drawn == [1, 2, 2, 2]
@@ -293,7 +292,7 @@ HOLDERS = (
 def test_results_that_hold_arrays_can_be_compared(kind):
     def made(*values):
         one = object.__new__(kind)
-        for each in dataclasses.fields(kind):
+        for each in fields(kind):
             object.__setattr__(one, each.name, {"a": np.array(values)} if each.name == "values" else np.array(values))
         return one
 

@@ -3,9 +3,8 @@
 Nothing is rearranged against cancellation and integrals are computed by quadrature, so that a reader with the source
 in hand finds every line again."""
 
-import itertools
 import math
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import casadi as ca
 import numpy as np
@@ -459,7 +458,7 @@ def only(*errors):
     return po.Printed(**(NONE | dict.fromkeys(errors, True)))
 
 
-ALL_SETS = [errors for count in range(4) for errors in itertools.combinations(FACTORS, count)]
+ALL_SETS = [errors for count in range(4) for errors in combinations(FACTORS, count)]
 
 
 @pytest.mark.parametrize("errors", ALL_SETS, ids="+".join)

@@ -1,7 +1,6 @@
 """The reference of the accuracy study: closed forms, 28-digit integration, another solver, and an honest estimate."""
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import casadi as ca
@@ -27,7 +26,7 @@ mp = precise_motion.mp
 WAVE = po.StrengthWave(amplitude=0.3, wavelength=0.2)
 STRONG = po.StrengthWave(amplitude=0.9, wavelength=0.1)
 SMALL = po.Wedge(po.deg(30), po.deg(15), 0.05)
-LIGHT = dataclasses.replace(SEROZEM, ambient_pressure=5e3)
+LIGHT = replace(SEROZEM, ambient_pressure=5e3)
 
 
 def off(found, wanted):
@@ -109,7 +108,7 @@ PRECISE = {
     "stick and slip": (scene_of(soil=LIGHT, tow_speed=0.5, start="rest", damping=50.0, contact=po.StickSlip(1.1)), 0.1),
 }
 ENTERS = scene_of(tow_speed=1.0, start="rest", entry=True, damping=50.0, strength_wave=STRONG)
-STICKS = dataclasses.replace(ENTERS, effects=dataclasses.replace(ENTERS.effects, contact=po.StickSlip(1.1)))
+STICKS = replace(ENTERS, effects=replace(ENTERS.effects, contact=po.StickSlip(1.1)))
 SLOWER = {"stick, slip and gap while it enters": (STICKS, 0.5), "retreat while it enters, resisting": (ENTERS, 0.4)}
 
 
@@ -276,7 +275,7 @@ def test_a_gradient_through_events_is_that_of_the_run():
     share = scene_of(stiffness=2e4, tow_speed=0.2, soil=LIGHT, start="rest", damping=30.0, contact=po.StickSlip(1.2))
     found = reference_gradient(share, 0.4)
     x = ca.MX.sym("x", 3)
-    varied = dataclasses.replace(share, **dict(zip(QUANTITIES, ca.vertsplit(x), strict=True)))
+    varied = replace(share, **dict(zip(QUANTITIES, ca.vertsplit(x), strict=True)))
     run = po.simulate(varied, 0.4, accuracy=po.Accuracy("erk", tolerance=1e-12))
     slopes = ca.Function("slopes", [x], [ca.jacobian(ca.vertcat(run.mean_draft, run.force_rms), x)])
     at = [float(getattr(share, name)) for name in QUANTITIES]

@@ -1,22 +1,32 @@
-"""The command `plough-opt`: what it prints and writes, its exit status, and never a traceback."""
+"""The command `plough-opt`: what it prints, writes and imports, its exit status, and never a traceback."""
 
 import contextlib
+import io
 import json
+import logging
 import math
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 import xml.etree.ElementTree as ET
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 from helpers.commands import call, cells, printed
 from helpers.problem_files import REFERENCE, SUBSOILER, changed
+from rich.console import Console
 
 import plough_opt as po
+from plough_opt.app import commands, terminal
 from plough_opt.app.main import main
+from plough_opt.core import process
+from plough_opt.core.process import heartbeat
 from plough_opt.problem_file import template
+from plough_opt.studies.sweep.engine import bar
 
 # --- the command `plough-opt`: what it prints and writes, its exit status, and never a traceback ---
 
@@ -241,3 +251,234 @@ def test_without_options_it_says_what_it_estimated_of_which_design_and_what_it_c
     fixed = ("--set=share.wedge_angle=39.1 deg", "--set=share.height=0.254 m", "--set=scene.stiffness=50.8 kN/m")
     assert "guess" not in printed("check", SUBSOILER, "--against", *fixed)
     assert "ASABE" not in printed("check", SUBSOILER)
+
+
+# --- files that commands may not write to, and files that are left when they are interrupted ---
+
+
+def test_a_closed_output_is_no_traceback():
+    line = f'"{sys.executable}" -m plough_opt check "{SUBSOILER}" >&-'
+    done = subprocess.run(["sh", "-c", line], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.usefixtures("ctrl_c")
+class TestInterruptions:
+    @pytest.mark.parametrize("goes_on", [True, False])
+    def test_one_that_casadi_took_for_a_failed_evaluation_stops_the_command_all_the_same(self, monkeypatch, goes_on):
+        def swallowing(_):
+            with terminal.progress() as told:
+                try:
+                    os.kill(os.getpid(), signal.SIGINT)
+                    time.sleep(60.0)
+                except KeyboardInterrupt:
+                    pass
+                if goes_on:
+                    told("the next stage", 0.5)
+                    raise AssertionError("it went on")
+            raise AssertionError("it was done")
+
+        before = signal.getsignal(signal.SIGINT)
+        with monkeypatch.context() as patched:
+            patched.setattr(commands, "soils", swallowing)
+            done = call("soils")
+        assert (done.status, done.err) == (130, "stopped: no file was written\n")
+        assert signal.getsignal(signal.SIGINT) is before
+        assert call("soils").status == 0  # the next command knows nothing of it
+        with ThreadPoolExecutor(1) as other:  # in which Python can set no handler
+            assert other.submit(call, "soils").result().status == 0
+
+    def test_files_that_are_written_already_are_not_denied(self, monkeypatch, tmp_path):
+        def interrupted(_):
+            terminal.wrote(tmp_path / "a.csv")
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(commands, "soils", interrupted)
+        done = call("soils")
+        assert done.status == 130
+        assert done.err.endswith("a.csv\nstopped: no other file was written\n")
+
+    def test_one_during_the_imports_is_no_traceback(self, tmp_path):
+        code = """
+import sys
+class Interrupt:
+    def find_spec(self, name, path=None, target=None):
+        if name == "casadi":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupt())
+from plough_opt.__main__ import main
+sys.exit(main())
+"""
+        line = [sys.executable, "-c", code, "init", str(tmp_path / "a.toml")]
+        done = subprocess.run(line, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout, done.stderr) == (130, "", "stopped: no file was written\n")
+
+
+def test_an_output_that_may_not_be_written_is_refused(monkeypatch, tmp_path):
+    monkeypatch.setattr(os, "access", lambda *_: False)  # a superuser may write anywhere
+    done = call("simulate", SUBSOILER, "--plot", tmp_path / "a.png")
+    assert (done.status, done.err.endswith("a.png' cannot be written: permission denied\n")) == (2, True)
+
+
+def test_environments_that_cannot_be_are_bad_input(command, tmp_path):
+    for variable, value, line, told in (
+        ("MPLBACKEND", "bogus", ("simulate", "--plot", "a.png"), "--plot: matplotlib cannot start: "),
+        ("CC", "'", ("export", "--to", "fmu", "--output", "a.fmu"), '$CC = "\'" is not a command: No closing'),
+    ):
+        done = command(line[0], SUBSOILER, *line[1:], environment={variable: value}, cwd=tmp_path)
+        assert done.status == 2
+        assert done.err.startswith(f"bad input: {told}")
+        assert list(tmp_path.iterdir()) == []
+
+
+# --- what a command says beside its results, that it is under way, and what editors and shells complete by ---
+
+
+def test_quiet_leaves_results_alone_and_the_error_stream_empty(tmp_path):
+    options = ("simulate", SUBSOILER, "--set", "share.height=0.3 m", "--json", *BRIEF)
+    loud = call(*options, "--plot", tmp_path / "new" / "a.pdf")
+    silent = call(*options, "--plot", tmp_path / "b.png", "--quiet")
+    assert "note: " in loud.err
+    assert loud.err.endswith(f"wrote {tmp_path / 'new' / 'a.pdf'}\n")
+    assert (tmp_path / "new" / "a.pdf").read_bytes().startswith(b"%PDF-")
+    assert silent.err == ""
+    assert json.loads(silent.out)["averages"] == json.loads(loud.out)["averages"]
+    wrong = call("simulate", "-q", SUBSOILER, "--set", "share.hight=0.3 m")
+    assert wrong.status == 2
+    assert "share.hight" in wrong.err
+
+
+def test_verbose_says_each_step_and_twice_each_run_and_leaves_logging_as_it_was():
+    library, own = logging.getLogger("plough_opt"), logging.getLogger("plough_opt.app.terminal")
+    before = library.level, list(library.handlers), own.level
+    once, twice = (call("simulate", SUBSOILER, how, *BRIEF).err for how in ("-v", "-vv"))
+    assert "simulating" in once
+    assert "estimated error" not in once
+    assert "estimated error" in twice
+    assert (library.level, library.handlers, own.level) == before
+
+
+def test_bash_completes_commands_and_options(tmp_path):
+    script = tmp_path / "completion.sh"
+    script.write_text(printed("completion", "bash"), encoding="utf-8")
+    for words, last, expected in (("opt", 1, "optimise optimize"), ("optimise --sen", 2, "--sensitivity")):
+        line = f"source {script}; COMP_WORDS=(plough-opt {words}); COMP_CWORD={last}; _shtab_plough_opt"
+        shell = ["bash", "-c", f'{line}; echo "${{COMPREPLY[@]}}"']
+        assert subprocess.check_output(shell, text=True).split() == expected.split()
+
+
+@pytest.fixture
+def soon(monkeypatch):
+    """Write lines of progress after hundredths of a second."""
+    monkeypatch.setattr(process, "INTERVAL", 0.01)
+
+
+def until(true):
+    """Wait for what another thread does."""
+    while not true():
+        time.sleep(0.01)
+
+
+@pytest.mark.usefixtures("soon")
+def test_it_says_what_is_being_done_until_it_is_done():
+    lines = []
+    with heartbeat(lines.append) as told:
+        until(lambda: len(lines) >= 2)
+        told("calibrating")
+        until(lambda: lines[-1].startswith("calibrating: "))
+    count = len(lines)
+    assert lines[0] == "working: 0 s so far"
+    time.sleep(0.05)
+    assert len(lines) == count
+
+
+@pytest.mark.usefixtures("soon")
+@pytest.mark.parametrize("error", [BrokenPipeError, ValueError("closed file")])
+def test_a_reader_that_went_away_is_no_matter(error):
+    tried = []
+
+    def gone(line):
+        tried.append(line)
+        raise error
+
+    with heartbeat(gone):
+        until(lambda: tried)
+    assert len(tried) == 1
+
+
+@pytest.mark.usefixtures("soon")
+def test_commands_and_sweeps_say_it(monkeypatch):
+    def long(_):
+        with commands.progress() as told:
+            told("calibrating", 0.5)
+            time.sleep(0.1)
+
+    monkeypatch.setattr(commands, "soils", long)
+    done = call("soils")
+    assert done.status == 0
+    assert "calibrating: 0 s so far\n" in done.err
+    stream = io.StringIO()
+    with bar(Console(file=stream)) as told:
+        told(3, 10, 1)
+        until(lambda: "3 of 10" in stream.getvalue())
+    assert "sweep: 3 of 10 points, 1 failed: 0 s so far\n" in stream.getvalue()
+
+
+# --- what each command imports before it begins: counted in modules, by a process of its own ---
+
+NUMERICAL = {"casadi", "matplotlib", "numpy", "pint", "pydantic", "scipy"}
+ROOMS = ("soil", "laws", "motion", "design", "studies", "problem_file")
+SCRIPT = """
+import contextlib, io, json, sys
+sys.argv[0] = "plough-opt"
+from plough_opt.__main__ import main
+with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.suppress(SystemExit):
+    main()
+print(json.dumps([out.getvalue(), sorted(sys.modules)]))
+"""
+
+
+def started(*arguments):
+    """Return what a command prints, and the modules that it imported."""
+    line = [sys.executable, "-c", SCRIPT, *map(str, arguments)]
+    done = subprocess.run(line, capture_output=True, text=True, check=True, timeout=60)
+    out, modules = json.loads(done.stdout)
+    return out, set(modules)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "shown"),
+    [
+        (["--help"], "calibrate"), (["--version"], "plough-opt"), (["completion", "bash"], "--judge"),
+        (["optimise", "--help"], "--judge"), (["sweep", "--help"], "--scheduler"), (["export", "--help"], "FMU"),
+    ],
+    ids=lambda value: "-".join(value) if isinstance(value, list) else "",
+)  # fmt: skip
+def test_help_and_completion_import_no_numerical_library_and_no_room(arguments, shown):
+    out, modules = started(*arguments)
+    assert shown in out
+    assert not modules & NUMERICAL
+    assert not [name for name in modules if name.startswith(tuple(f"plough_opt.{room}" for room in ROOMS))]
+
+
+@pytest.mark.parametrize("command", ["check", "simulate"])
+def test_a_command_imports_only_what_it_uses(command):
+    out, modules = started(command, SUBSOILER)
+    assert "mean draft" in out if command == "simulate" else "3 requirements" in out
+    # All units of the file are common ones, which need no registry; nothing is optimised, drawn or studied.
+    assert not modules & {"matplotlib", "pint", "scipy"}
+    assert not [name for name in modules if name.startswith("plough_opt.design")]
+    assert not {"plough_opt.studies.tradeoff", "plough_opt.studies.uncertainty", "plough_opt.app.plots"} & modules
+
+
+def test_an_optimisation_needs_no_registry_of_units_and_draws_nothing():
+    _, modules = started("optimise", SUBSOILER, "--search", "near", "--set", "scene.duration=0.2 s")
+    assert "plough_opt.design" in modules
+    assert not modules & {"matplotlib", "pint"}
+
+
+def test_a_report_draws_with_its_own_scripts(tmp_path):
+    guess = ("--set=share.wedge_angle=25 deg", "--set=share.height=0.25 m", "--set=scene.stiffness=50 kN/m")
+    _, modules = started("report", SUBSOILER, *guess, "--no-accuracy", "--output", tmp_path / "a.html")
+    assert (tmp_path / "a.html").stat().st_size > 10_000
+    assert not modules & {"matplotlib", "pint"}

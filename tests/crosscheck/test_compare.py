@@ -1,4 +1,4 @@
-"""Comparison of draft models: arguments, estimates, table and picture; and the numbers in docs/crosscheck.md."""
+"""Other draft models, each against its formulas as printed, and their comparison with a scene."""
 
 import dataclasses
 import io
@@ -7,15 +7,22 @@ import re
 from pathlib import Path
 
 import casadi as ca
+import mpmath as mp
 import numpy as np
 import pytest
+from helpers import high_precision as hp
+from helpers.differences import differences
 from rich.console import Console
+from scipy.integrate import quad, solve_ivp
 
 import plough_opt as po
 from plough_opt.laws import LAWS
-from plough_opt.laws.cones import spherical_cavity_draft
-from plough_opt.laws.tines import POINTS, TEXTURES, asabe_draft, godwin_draft, mckyes_ali_draft
-from plough_opt.studies.crosscheck import Tine, compare
+from plough_opt.laws.cones import spherical_cavity, spherical_cavity_draft
+from plough_opt.laws.tines import POINTS, TEXTURES, draft_of_row, godwin_draft, rupture_angle
+from plough_opt.laws.wedge import GRAVITY, wedge_angles
+from plough_opt.studies.crosscheck import Tine, asabe_draft, compare, mckyes_ali_draft, swick_perumpral_draft
+
+# --- comparison of draft models: arguments, estimates, table and picture; and the numbers in docs/crosscheck.md ---
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
 PAGE = (Path(__file__).parents[2] / "docs" / "crosscheck.md").read_text(encoding="utf-8")
@@ -239,3 +246,312 @@ def test_the_rows_of_the_standard_match_the_code():
     assert {name: tuple(map(float, found[:3])) for name, *found in rows} == POINTS
     for *_, factors in rows:
         assert tuple(map(float, factors.split(", "))) == tuple(TEXTURES.values())
+
+
+# --- ASABE D497: the form against a published example, the subsoiler's rows by hand, refusals, symbols ---
+
+KM_PER_H = 1 / 3.6
+
+
+def test_the_form_is_that_of_a_published_example():
+    """A chisel plough: 0.7 [91 + 5.4 x 10 + 0] 45 tools x 15 cm = 68 512.5 N at 10 km/h."""
+    assert draft_of_row((91.0, 5.4, 0.0), 0.7, 0.15, 10 * KM_PER_H, 45) == pytest.approx(68512.5, rel=1e-14)
+
+
+BY_HAND = [
+    ("narrow", "fine", (9.69, 10.84, 12.57, 14.87)),
+    ("narrow", "medium", (6.78, 7.59, 8.80, 10.41)),
+    ("winged", "coarse", (5.68, 6.37, 7.41, 8.79)),
+]
+
+
+@pytest.mark.parametrize(("point", "texture", "kilonewtons"), BY_HAND)
+def test_the_subsoilers_rows_by_hand(point, texture, kilonewtons):
+    """At 40 cm and 3, 5, 7 and 9 km/h, worked by hand to two decimals."""
+    speeds = np.array([3.0, 5.0, 7.0, 9.0]) * KM_PER_H
+    found = asabe_draft(0.4, speeds, texture, point=point) / 1e3
+    assert found == pytest.approx(kilonewtons, abs=0.0051)
+    assert asabe_draft(0.4, speeds[0], texture, point=point, shanks=3) == pytest.approx(3e3 * found[0], rel=1e-15)
+
+
+def test_symbols_give_the_numbers():
+    x = ca.SX.sym("x", 2)
+    symbolic = ca.Function("f", [x], [asabe_draft(*ca.vertsplit(x), "medium")])
+    assert float(symbolic([0.35, 1.7])) == pytest.approx(asabe_draft(0.35, 1.7, "medium"), rel=1e-15)
+
+
+NO_ROWS = [
+    ((0.4, 1.0, "fin"), {}, po.InputError, "did you mean 'fine'"),
+    ((0.4, 1.0, "fine"), {"point": "wing"}, po.InputError, "did you mean 'winged'"),
+    ((0.0, 1.0, "fine"), {}, po.DomainError, "working depth"),
+    ((0.4, -1.0, "fine"), {}, po.DomainError, "speed"),
+    ((0.4, 1.0, "fine"), {"shanks": 0}, po.DomainError, "shanks"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "options", "error", "words"), NO_ROWS)
+def test_what_the_standard_has_no_row_for_is_refused(arguments, options, error, words):
+    with pytest.raises(error, match=words):
+        asabe_draft(*arguments, **options)
+
+
+# --- the spherical cavity: its closed form against the differential equation, the published form and known limits ---
+
+NAMED = [po.named_soil(name) for name in po.soil_names()]
+CONE = po.Cone(po.deg(15.0), 0.25)
+RIGID = dataclasses.replace(NAMED[2], youngs_modulus=None)
+
+
+def yield_line(soil):
+    """Return lambda and tau0 of sigma_r - sigma_t = lambda p + tau0, Mohr and Coulomb's, in gauge pressures."""
+    s, c = math.sin(soil.friction_angle), math.cos(soil.friction_angle)
+    slope = 6 * s / (3 - s)
+    return slope, 6 * soil.cohesion * c / (3 - s) + slope * soil.ambient_pressure
+
+
+def integrated(soil, speed):
+    """Return the gauge pressure on the wall [Pa] at a cavity radius of 1 m, by integrating the equation of motion."""
+    slope, tau = yield_line(soil)
+    rho0, rho1 = soil.density, soil.density / soil.density_ratio
+    strain = tau / (2 * soil.youngs_modulus) if soil.youngs_modulus else 0.0
+    # Volume: soil that filled the front's sphere r0 now lies, locked, between the cavity and r0 (1 + strain).
+    r0 = float(mp.findroot(lambda r: rho0 * r**3 - rho1 * ((r * (1 + strain)) ** 3 - 1), 2.0))
+    r1 = r0 * (1 + strain)
+    front = speed * r0
+    # Ahead: displacement strain r0^3/r^2, whose acceleration is 6 strain front^2 r0/r^2 and deviator tau (r0/r)^3.
+    ahead = 0.0
+    if strain:
+        ahead = quad(lambda q: 2 * tau * q**2 + 6 * strain * rho0 * front**2, 0.0, 1.0, epsabs=0.0, epsrel=1e-13)[0]
+    start = ahead + rho0 * front * (speed / r1**2 - 3 * strain * front)
+
+    def slope_of(r, sigma):
+        # p = sigma_r - (2/3) D, so that D = (lambda sigma_r + tau)/(1 + 2 lambda/3); v = V/r^2 at a cavity radius of 1.
+        deviator = (slope * sigma + tau) / (1 + 2 * slope / 3)
+        acceleration = 2 * speed**2 * (1 / r**2 - 1 / r**5)
+        return -2 * deviator / r - rho1 * acceleration
+
+    done = solve_ivp(slope_of, (r1, 1.0), [start], method="DOP853", rtol=1e-12, atol=1e-6)
+    return done.y[0, -1]
+
+
+@pytest.mark.parametrize("speed", [0.0, 2.0, 20.0])
+@pytest.mark.parametrize("soil", [*NAMED, RIGID], ids=lambda s: s.name)
+def test_the_closed_form_solves_the_equation_of_motion(soil, speed):
+    cavity = spherical_cavity(soil)
+    found = cavity.static + cavity.inertia * soil.density * speed**2
+    # The integrator's tolerance is 1e-12 per step.
+    assert found == pytest.approx(integrated(soil, speed), rel=1e-10)
+
+
+def test_elastic_soil_ahead_is_the_published_form():
+    """A equals the published one; B differs by terms of the order of the strain 1.6e-8 over eta = 0.05.
+
+    The soil is that of a published port: lambda = 1.47, tau0 = 31 549 Pa, rho0/rho1 = 1834/1930.
+    """
+    eta, alpha, slope, tau = 96 / 1930, 3 * 1.47 / (3 + 2 * 1.47), 1.47, 31549.0
+    s = 3 * slope / (6 + slope)
+    cohesion = tau * (3 - s) / (6 * math.sqrt(1 - s * s))
+    soil = po.Soil(1834.0, 1 - eta, cohesion, math.asin(s), 0.3, ambient_pressure=0.0, youngs_modulus=1e12)
+    strain = tau / 2e12
+    g = ((1 + strain) ** 3 - (1 - eta)) ** (1 / 3)
+    x = ((1 + strain) / g) ** (2 * alpha)
+    c1 = 6 * strain + eta * (1 - 3 * strain) ** 2
+    k = (1 - eta) * (1 - 2 * alpha) * (2 - alpha)
+    c2 = -(g**3) * (2 * (1 - eta) * (2 - alpha) + 3 * g**3) / (k * (1 + strain) ** 4)
+    cavity = spherical_cavity(soil)
+    assert cavity.static == pytest.approx(tau * (x / alpha - 1 / slope), rel=1e-12)
+    assert cavity.inertia == pytest.approx(3 / k + x / g**2 * (c1 + c2), rel=3e-6)
+
+
+def test_without_friction_and_compaction_it_is_the_cavity_of_bishop_hill_and_mott_and_of_rayleigh():
+    """(2Y/3)(1 + ln(2E/3Y)) with Y = 2k, less the order of strain Y/2E = 1e-6; Rayleigh's cavity in a fluid has 3/2."""
+    solid = po.Soil(1500.0, 1 - 1e-13, 10e3, 0.0, 0.0, ambient_pressure=0.0, youngs_modulus=1e10)
+    expected = 2 * 20e3 / 3 * (1 + math.log(2 * 1e10 / (3 * 20e3)))
+    assert spherical_cavity(solid).static == pytest.approx(expected, rel=1e-6)
+    fluid = dataclasses.replace(solid, cohesion=0.0, youngs_modulus=None)
+    # The front at x = 2e4 leaves terms of 1/x.
+    assert spherical_cavity(fluid).inertia == pytest.approx(1.5, rel=1e-3)
+
+
+@pytest.mark.parametrize("soil", [NAMED[2], RIGID])
+def test_the_draft_is_the_pressure_over_the_face(soil):
+    speed, b = 2.0, CONE.half_angle
+    cavity = spherical_cavity(soil)
+    pressure = cavity.static + cavity.inertia * soil.density * (speed * math.sin(b)) ** 2
+    expected = pressure * CONE.area * (math.sin(b) + soil.tool_friction * math.cos(b))
+    assert spherical_cavity_draft(CONE, soil, speed) == pytest.approx(expected, rel=1e-14)
+
+
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+def test_symbols_and_arrays_give_the_numbers(kind):
+    """At lambda = 0.75, 2 alpha = 1 and the quotient of powers has a removable singularity."""
+    s = 3 * 0.75 / (6 + 0.75)
+    theta = kind.sym("theta")
+
+    def at(angle):
+        return spherical_cavity_draft(CONE, dataclasses.replace(NAMED[2], friction_angle=angle), 2.0)
+
+    value = at(theta)
+    f = ca.Function("f", [theta], [value, ca.gradient(value, theta)])
+    for angle in (math.asin(s), 0.0, 0.5):
+        found, slope = map(float, f(angle))
+        assert found == pytest.approx(at(angle), rel=1e-14)
+        if angle:
+            # Central differences with a step of 1e-5: truncation 1e-10, rounding 1e-11.
+            assert slope == pytest.approx((at(angle + 1e-5) - at(angle - 1e-5)) / 2e-5, rel=1e-8)
+    angles = np.array([0.3, 0.5])
+    assert at(angles) == pytest.approx([at(a) for a in angles], rel=1e-14)
+
+
+def test_soils_and_speeds_without_a_cavity_are_refused():
+    soft = dataclasses.replace(NAMED[2], youngs_modulus=1e6)
+    for soil, speed, words in ((NAMED[2], -1.0, "speed"), (soft, 1.0, "strain"), (NAMED[2], 300.0, "compaction front")):
+        with pytest.raises(po.DomainError, match=words):
+            spherical_cavity_draft(CONE, soil, speed)
+
+
+# --- McKyes-Ali, Swick-Perumpral and the universal earthmoving equation: factors, limits, worked figures, refusals ---
+# Expected values come from the formulas as printed, with 30 digits of mpmath, or were worked beforehand.
+
+# Unit weight 15 kN/m^3, cohesion 15 kPa, internal friction 32 deg, tool friction 22 deg.
+TILLED = po.Soil(15e3 / GRAVITY, 0.8, 15e3, po.deg(32.0), math.tan(po.deg(22.0)))
+TINE = Tine(width=0.06, depth=0.20, rake_angle=po.deg(45.0))
+LOADED = Tine(width=0.10, depth=0.25, rake_angle=po.deg(50.0), surcharge=2e3, adhesion=3e3)
+DRAFTS = (mckyes_ali_draft, godwin_draft, swick_perumpral_draft)
+
+
+def printed_factors(alpha, delta, phi, beta):
+    """Return McKyes's factors of a plane wedge as they are printed."""
+    q = mp.cos(alpha + delta) + mp.sin(alpha + delta) * mp.cot(beta + phi)
+    return {
+        "weight": (mp.cot(alpha) + mp.cot(beta)) / (2 * q),
+        "cohesion": (1 + mp.cot(beta) * mp.cot(beta + phi)) / q,
+        "surcharge": (mp.cot(alpha) + mp.cot(beta)) / q,
+        "adhesion": (1 - mp.cot(alpha) * mp.cot(beta + phi)) / q,
+        "inertia": (mp.tan(beta) + mp.cot(beta + phi)) / (q * (1 + mp.tan(beta) * mp.cot(alpha))),
+    }
+
+
+def precise(soil, tine):
+    """Return alpha, delta, phi, w, d, unit weight, cohesion, adhesion and surcharge with 30 digits."""
+    angles = tine.rake_angle, math.atan(soil.tool_friction), soil.friction_angle
+    loads = soil.density * GRAVITY, soil.cohesion, tine.adhesion, tine.surcharge
+    return [mp.mpf(x) for x in (*angles, tine.width, tine.depth, *loads)]
+
+
+def least(function, start):
+    """Return the angle at which an mpmath function is least, by its derivative's root."""
+    return mp.findroot(lambda x: mp.diff(function, x), start)
+
+
+@pytest.fixture(autouse=True)
+def _digits():
+    with mp.workdps(30):
+        yield
+
+
+# The factor of the weight has its minimum at 66 degrees for this tine, and falls again towards 90 degrees.
+FALLS_AGAIN = Tine(width=0.08, depth=0.30, rake_angle=po.deg(32.0))
+
+
+@pytest.mark.parametrize("tine", [TINE, FALLS_AGAIN, LOADED])
+def test_mckyes_ali_is_the_printed_formula_at_its_least_angle(tine):
+    alpha, delta, phi, w, d, gamma, c, c_a, q = precise(TILLED, tine)
+
+    def side(beta):
+        r = d * (mp.cot(alpha) + mp.cot(beta))
+        return mp.sqrt(r**2 - (d * mp.cot(alpha)) ** 2)
+
+    beta = least(lambda b: printed_factors(alpha, delta, phi, b)["weight"] * (1 + 2 * side(b) / (3 * w)), 0.9)
+    angles = wedge_angles(TILLED, tine, 0.0)
+    assert rupture_angle(angles, tine.depth / tine.width) == pytest.approx(float(beta), rel=1e-12)
+    n, v = printed_factors(alpha, delta, phi, beta), 1.5
+    s = side(beta)
+    force = gamma * d**2 * n["weight"] * (1 + 2 * s / (3 * w))
+    force += d * (c * n["cohesion"] + q * n["surcharge"]) * (1 + s / w)
+    force += d * (c_a * n["adhesion"] + TILLED.density * v**2 * n["inertia"])
+    expected = w * force * mp.sin(alpha + delta) + c_a * w * d * mp.cot(alpha)
+    assert mckyes_ali_draft(TILLED, tine, v) == pytest.approx(float(expected), rel=1e-12)
+
+
+def test_swick_perumpral_is_the_printed_formula_at_its_least_angle():
+    b, delta, f, w, d, gamma, c, c_a, q = precise(TILLED, LOADED)
+
+    def force(r):
+        weight = (gamma * d / 2 + q) * (mp.cot(b) + mp.cot(r)) * mp.sin(f + r)
+        strength = c * mp.cos(f) / mp.sin(r) - c_a * mp.cos(b + f + r) / mp.sin(b)
+        inertia = gamma / GRAVITY * 2**2 * mp.sin(b) * mp.cos(f) / mp.sin(b + r)
+        return w * d / mp.sin(b + f + r + delta) * (weight + strength + inertia)
+
+    expected = force(least(force, 0.5)) * mp.sin(b + delta) + c_a * w * d * mp.cot(b)
+    assert swick_perumpral_draft(TILLED, LOADED, 2.0) == pytest.approx(float(expected), rel=1e-13)
+
+
+def test_godwin_is_the_printed_formula():
+    alpha, delta, phi, w, d, gamma, c, c_a, q = precise(TILLED, LOADED)
+    beta = least(lambda b: printed_factors(alpha, delta, phi, b)["weight"], 0.5)
+    n = printed_factors(alpha, delta, phi, beta)
+    v, m = 2, mp.mpf("2.25")
+    still = gamma * d**2 * n["weight"] + d * (c * n["cohesion"] + c_a * n["adhesion"] + q * n["surcharge"])
+    total = still * (w + d * (m - (m - 1) / 3)) + gamma * v**2 / GRAVITY * n["inertia"] * d * (w + d * mp.mpf("0.6"))
+    expected = total * mp.sin(alpha + delta) + c_a * w * d * mp.cot(alpha)
+    assert godwin_draft(TILLED, LOADED, 2.0, rupture_ratio=2.25) == pytest.approx(float(expected), rel=1e-12)
+    plane = godwin_draft(TILLED, LOADED, 2.0, rupture_ratio=float(mp.cot(alpha) + mp.cot(beta)))
+    assert godwin_draft(TILLED, LOADED, 2.0) == pytest.approx(plane, rel=1e-12)
+
+
+@pytest.mark.parametrize("draft", DRAFTS)
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+def test_symbols_and_arrays_give_numbers_and_exact_derivatives(draft, kind):
+    """Gradient and Hessian against central differences of order 8, whose error is 1e-16 over a step of 2e-4."""
+    point = np.array([0.10, 0.25, po.deg(50.0), 15e3, po.deg(32.0), 0.4, 1.5])
+
+    def at(width, depth, rake, cohesion, friction, tool, speed):
+        soil = dataclasses.replace(TILLED, cohesion=cohesion, friction_angle=friction, tool_friction=tool)
+        return draft(soil, Tine(width, depth, rake, 2e3, 3e3), speed)
+
+    function = hp.differentiated(at, kind, len(point))
+    value, gradient, hessian = function(point)
+    assert value == pytest.approx(at(*point), rel=1e-13)
+    depths = np.array([0.1, 0.2, 0.3])
+    arrays = at(point[0], depths, *point[2:])
+    assert arrays == pytest.approx([at(point[0], depth, *point[2:]) for depth in depths.tolist()], rel=1e-14)
+    at_rest = np.zeros(len(point))
+    slopes = differences(lambda y: at(*(point * (1.0 + y))), at_rest)[0]
+    assert gradient * point == pytest.approx(slopes, rel=1e-10, abs=1e-10 * value)
+    bends = differences(lambda y: function(point * (1.0 + y))[1] * point, at_rest)
+    np.testing.assert_allclose(hessian * np.outer(point, point), bends, atol=1e-9 * value)
+
+
+def test_a_design_keeps_the_rupture_angle_inside_its_range():
+    """A flatter rake reduces the draft until the factor at the end of the angles equals its minimum inside."""
+    design = po.Design()
+    rake = design.variable("rake", guess=po.deg(50.0), lower=po.deg(10.0), upper=po.deg(80.0), unit="rad")
+    draft = mckyes_ali_draft(TILLED, Tine(0.08, 0.3, rake), 1.5)
+    design.minimise(draft / 1e3)
+    best = design.solve()
+    (name,) = best.active
+    assert name.startswith("McKyes and Ali: least force of a wedge")
+    tine = Tine(0.08, 0.3, best.variables["rake"])
+    assert mckyes_ali_draft(TILLED, tine, 1.5) == pytest.approx(best(draft), rel=1e-10)
+    with pytest.raises(po.DomainError, match="end of the possible angles"):
+        mckyes_ali_draft(TILLED, dataclasses.replace(tine, rake_angle=tine.rake_angle - po.deg(0.1)), 1.5)
+
+
+ROUGH = {"friction_angle": po.deg(80.0), "tool_friction": 2.0}
+FLUID = {"friction_angle": 0.0}
+OUTSIDE = [(FLUID, 1.0, "friction angle"), ({}, -1.0, "speed"), ({}, 5.1, "speed"), (ROUGH, 1.0, "together")]
+
+
+@pytest.mark.parametrize("draft", DRAFTS)
+@pytest.mark.parametrize(("soil", "speed", "word"), OUTSIDE)
+def test_soils_and_speeds_outside_their_domain_are_refused(draft, soil, speed, word):
+    with pytest.raises(po.DomainError, match=word):
+        draft(dataclasses.replace(TILLED, **soil), TINE, speed)
+
+
+def test_godwin_refuses_depths_below_the_critical_one_and_short_ruptures():
+    with pytest.raises(po.DomainError, match="critical depth"):
+        godwin_draft(TILLED, dataclasses.replace(TINE, depth=0.37), 1.0)
+    with pytest.raises(po.DomainError, match="rupture distance ratio"):
+        godwin_draft(TILLED, TINE, 1.0, rupture_ratio=0.9)

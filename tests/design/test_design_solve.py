@@ -1,21 +1,172 @@
-"""Solves of designs: optima known without a run, problem R1 against its truth, threads and interruptions."""
+"""Designs: what is declared, solved and refused, and what is odd but legal."""
 
+import contextlib
 import math
+import random
 import subprocess
 import sys
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
+import pint
 import pytest
-from helpers.small_designs import design
+from helpers.scenes import Shank, scene_of
+from helpers.small_designs import design, sticking
 from helpers.three_modes import follow
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 import plough_opt as po
+from plough_opt.design.declarations import Variable
 from plough_opt.design.model import ipopt
+from plough_opt.design.search.effort import effort_of, searched
+
+# --- declarations of a design: invalid ones and their messages, and the scaling of variables ---
+
+VALID = {"guess": 0.25, "lower": 0.1, "upper": 0.5, "unit": "m"}
+
+
+def variable(**changes):
+    return lambda d, _: d.variable("new", **VALID | changes)
+
+
+def limited(**limits):
+    return lambda d, x: d.require("new", x, unit="m", **limits)
+
+
+# Declarations that are refused at once, with the message.
+AT_ONCE = [
+    (variable(guess=0.6), r"^variable 'new': .*guess 0.6( m)? .*outside its bounds 0.1( m)? to 0.5 m"),
+    (variable(lower=0.5, guess=0.5), r"^variable 'new': .*lower 0.5( m)? is not below upper 0.5 m"),
+    (variable(guess=math.nan), "^variable 'new': .*finite number"),
+    (variable(lower=0.0, log=True), "^variable 'new': .*lower bound above 0, not 0"),
+    (variable(guess="0.25"), "^variable 'new': .*= \"0.25\" has no unit"),
+    (variable(upper=np.array([0.5])), r"^variable 'new': .*array\(\[0.5\]\) is not a number"),
+    *((variable(tolerance=wrong), "^variable 'new': tolerance = .* must be a half") for wrong in (-1.0, "-1 %", True)),
+    (limited(), "^requirement 'new' has no limit: give at_least, at_most or both"),
+    (limited(at_least=2.0, at_most=1.0), r"^requirement 'new': .*at least 2( m)? is above at most 1 m"),
+    (limited(at_most=math.inf), "^requirement 'new': at_most: inf must be a finite number"),
+    (limited(at_most="0.12 kg"), "^requirement 'new': at_most = \"0.12 kg\" has the wrong unit: expected .* in m"),
+    (limited(at_most=np.array([0.1, 0.2])), "^requirement 'new': at_most: .* is not a number"),
+    (limited(at_least=ca.MX.sym("limit")), "^requirement 'new': at_least: .* is not a number"),
+    (lambda d, _: d.require("new", ca.MX(0, 1), at_least=0.0), "'new' has no value to limit"),
+    (lambda d, _: d.require("new", ca.SX.sym("x"), at_least=0.0), "'new' is an SX expression"),
+    (lambda d, x: d.minimise(ca.vertcat(x, x**2)), "objective must be one number, not 2"),
+    (lambda d, _: d.minimise("mean draft"), "the objective: 'mean draft' is neither an expression nor a number"),
+    (lambda d, _: d.minimise(ca.SX.sym("x") ** 2), "the objective is an SX expression"),
+]
+
+
+@pytest.mark.parametrize(("declare", "message"), AT_ONCE)
+def test_an_invalid_declaration_is_refused_and_leaves_no_trace(declare, message):
+    d, x = design(x=(0.5, 0.0, 1.0))
+    with pytest.raises(po.InputError, match=message):
+        declare(d, x)
+    with pytest.raises(po.InputError, match="nothing to minimise"):
+        d.solve()
+    d.minimise((x - d.variable("new", **VALID)) ** 2)
+    best = d.solve(search="near")
+    assert (list(best.variables), best.margins) == (["x", "new"], {})
+
+
+@pytest.mark.parametrize("name", ["", "  ", 3, None, "x", "p", "r"])
+def test_every_declaration_needs_a_new_name(name):
+    d, x = design(x=(0.5, 0.0, 1.0))
+    d.parameter("p", 1.0)
+    d.require("r", x, at_most=1.0)
+    message = f"'{name}' is declared already" if name in ("x", "p", "r") else r"name = .* must be a text"
+    for declare in (
+        lambda: d.variable(name, **VALID),
+        lambda: d.parameter(name, 1.0),
+        lambda: d.require(name, x, at_most=0.9),
+    ):
+        with pytest.raises(po.InputError, match=message):
+            declare()
+
+
+def _pushed(x):
+    """Return the draft of a share that runs away if x is negative."""
+    return po.simulate(scene_of(own=(Shank(viscous=1e7 * x),), strength_wave=po.StrengthWave(0.3, 0.2)), 0.2).mean_draft
+
+
+# Symbols that the design did not declare, one of them with the name of its variable.
+STRANGER, NAMESAKE = ca.MX.sym("stranger"), ca.MX.sym("x")
+# Objective, what is to be at least 0.1, and the message.
+AT_THE_START = [
+    (lambda x: x * STRANGER, lambda x: x, r"'objective' holds symbols .* \(stranger\)"),
+    (lambda _: NAMESAKE**2, lambda x: x, r"'objective' holds symbols .* \(x\)"),
+    (lambda x: x, lambda x: x + STRANGER, r"'radius' holds symbols .* \(stranger\)"),
+    (ca.log, lambda x: x, r"the objective is not a finite number at the start \(x = -0.5 m\)"),
+    (lambda x: x, ca.log, r"requirement 'radius' is not a finite number at the start \(x = -0.5 m\)"),
+    (lambda x: ca.log(x - 2.0), lambda x: x, "the objective is not a finite number"),
+    (_pushed, lambda x: x, r"cannot be evaluated at the start \(x = -0.5 m\): the motion of a .* has no finite result"),
+]
+
+
+@pytest.mark.parametrize(("objective", "required", "message"), AT_THE_START)
+def test_expressions_without_a_value_at_the_start_are_refused(objective, required, message):
+    d, x = design(x=(-0.5, -1.0, 1.0, "m"))
+    d.minimise(objective(x))
+    d.require("radius", required(x), at_least=0.1)
+    with pytest.raises(po.InputError, match=message):
+        # A search needs a value anywhere.
+        d.solve(search="auto" if message.endswith("number") else "near")
+
+
+def test_a_design_without_variables_is_refused():
+    d = po.Design()
+    d.minimise(3.0)
+    with pytest.raises(po.InputError, match="nothing to choose"):
+        d.solve()
+
+
+@pytest.mark.parametrize("where", ["objective", "requirement"])
+def test_a_search_needs_no_value_at_the_guess(where):
+    d, x, _ = design(x=(-0.5, -1.0, 1.0, "m"), idle=(0.0, -1.0, 1.0))
+    bad = ca.log(x)
+    d.minimise(bad if where == "objective" else x**2)
+    d.require("radius", bad if where == "requirement" else x, at_least=-3.0)
+    assert d.solve().status in ("solved", "unconfirmed", "not unique")
+    with pytest.raises(po.NotConverged, match="designs between the bounds has a value"):
+        d.solve(search="idle")
+
+
+def test_an_invalid_parameter_is_refused():
+    d, x = design(x=(0.5, 0.0, 1.0))
+    for value in (math.nan, math.inf):
+        with pytest.raises(po.InputError, match=r"parameter 'p': .* must be a finite number"):
+            d.parameter("p", value)
+    for domain in ((1.0, 0.0), (0.0,), 3.0, ("0", "1"), (math.nan, 1.0)):
+        with pytest.raises(po.InputError, match="domain of 'p'"):
+            d.parameter("p", 0.5, domain=domain)
+    with pytest.raises(po.InputError, match=r"parameter 'p': 28\.6479 deg lies outside its domain 0 deg to 5\."):
+        d.parameter("p", 0.5, unit="rad", domain=(0.0, 0.1))
+    d.minimise((x - d.parameter("p", 0.3)) ** 2)
+    with pytest.raises(po.InputError, match="finite"):
+        d.solve(parameters={"p": math.nan})
+
+
+# --- scaling ------------------------------------------------------------------------------------------------
+
+BOUNDS = st.tuples(st.floats(1e-6, 1e6), st.floats(1e-3, 1e6)).map(lambda pair: (pair[0], pair[0] * (1.0 + pair[1])))
+
+
+@given(bounds=BOUNDS, y=st.floats(0.0, 1.0), log=st.booleans())
+def test_scaling_and_its_inverse_agree_and_meet_the_bounds_exactly(bounds, y, log):
+    lower, upper = bounds
+    variable = Variable(name="x", symbol=ca.MX.sym("x"), guess=lower, lower=lower, upper=upper, unit="", log=log)
+    assert lower <= variable.value(y) <= upper
+    assert [variable.value(end) for end in (-1e-9, 0.0, 1.0, 1.0 + 1e-9)] == [lower, lower, upper, upper]
+    # A position is known no better than the value's rounding allows over the range of the bounds.
+    accuracy = 4e-16 * (1.0 + upper / (upper - lower))
+    assert variable.scaled(variable.value(y)) == pytest.approx(y, rel=0, abs=4 * accuracy)
+    middle = math.sqrt(lower * upper) if log else (lower + upper) / 2.0
+    assert variable.value(0.5) == pytest.approx(middle, rel=1e-14)
+
+
+# --- solves of designs: optima known without a run, problem R1 against its truth, threads and interruptions ---
 
 # Optima of R1 to ten digits; half a unit of the last one is 6e-11 of the objective.
 TRUTH = [
@@ -280,3 +431,175 @@ def test_an_interruption_ends_a_solve_and_not_the_next(monkeypatch):
         with pytest.raises(KeyboardInterrupt):
             d.solve()
     assert d.solve().variables["x"] == pytest.approx(0.8, rel=1e-9)
+
+
+# --- inputs that are odd but legal, and odd ones that are refused in words: texts, NumPy's numbers, names, bounds ---
+
+UNITS = pint.UnitRegistry()
+
+
+def _declared(name="x", **more):
+    d = po.Design()
+    x = d.variable(name, **{"guess": 0.5, "lower": 0.0, "upper": 1.0, "unit": "m", **more})
+    d.minimise((x - 0.25) ** 2 + 1.0)
+    return d
+
+
+def _texts(count, unit):
+    """Return texts that look like numbers with a unit, most of them wrong."""
+    rng = random.Random(4)
+    pieces = ["1", "20", ".5", ".", "-", "+", "e", "e3", ",", " ", "%", "nan", "inf", "_", "\u00b2", "\u0663", "\n", ""]
+    return ["".join(rng.choices(pieces, k=rng.randint(1, 4))) + rng.choice(["", " "]) + unit for _ in range(count)]
+
+
+# What takes a text -> a function of it.
+PLACES = {
+    "search": lambda text: searched(text, _declared().declared.variables),
+    "tolerance": lambda text: _declared(tolerance=text),
+    "lower": lambda text: _declared(lower=text),
+    "duration": lambda text: po.simulate(SCENE, text),
+    "parameter": lambda text: _parameter(text),
+    "catalogue": lambda text: NEAR.rounded(x=text),
+    "catalogues": lambda text: NEAR.rounded(x=[text, 0.3]),
+}
+SCENE = po.Scene(po.named_soil("serozem"), po.Cone(0.2, 0.3), 5e4, 60.0, 1.5, po.Effects(motion=False))
+NEAR = _declared().solve(search="near")
+
+
+def _parameter(value, domain=(0.0, 1e4)):
+    d, x = design(x=(0.5, 0.0, 1.0))
+    pressure = d.parameter("pressure", 2e3, unit="Pa", domain=domain)
+    d.minimise((x - pressure / 1e4) ** 2 + 1.0)
+    return d.solve(search="near", parameters={"pressure": value}).variables["x"]
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_text_is_read_or_refused_in_words(place):
+    for unit in ("s", "%", "mm", "kPa", ""):
+        for text in _texts(8, unit):
+            with contextlib.suppress(po.PloughError):  # any other error fails
+                PLACES[place](text)
+
+
+@pytest.mark.parametrize(
+    ("search", "seconds"), [("20 s", 20.0), ("5 min", 300.0), ("1e3 ms", 1.0), ("0.5s", 0.5), (" .5 h", 1800.0)]
+)
+def test_a_search_takes_a_time_in_any_unit(search, seconds):
+    assert searched(search, _declared().declared.variables) == (0,)
+    assert effort_of(search, 1, 1, True).seconds == pytest.approx(seconds, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    "search", ["1.2.3 s", "-1 s", "inf s", "1 m", "8", "", "\n", 8.0, True, np.float64(8.0), 0, None]
+)
+def test_a_search_that_is_none_is_refused(search):
+    with pytest.raises(po.InputError, match="search"):
+        searched(search, _declared().declared.variables)
+
+
+@pytest.mark.parametrize(
+    "name", ["20 s", "5 min", "auto", "objective", "worst objective", "optimum", "position on the front", "Grösse µ"]
+)
+def test_a_variable_may_have_any_printable_name(name):
+    best = _declared(name).solve(search=[name])
+    assert best.variables == pytest.approx({name: 0.25}, abs=1e-6)
+    assert best.search.variables == (name,)
+    assert "optimum" in best.to_json()
+
+
+@pytest.mark.parametrize("name", ["", " ", "a\nb", "worst objective\n", 3, None])
+def test_other_names_are_refused(name):
+    with pytest.raises(po.InputError, match="name"):
+        _declared(name)
+
+
+INTEGERS = [np.int64(3), np.uint8(3), np.int32(3)]
+
+
+@pytest.mark.parametrize("number", INTEGERS)
+def test_integers_of_numpy_are_integers(number):
+    d, x = design(x=(0.3, 0.0, 1.0))
+    d.minimise((x - 0.25) ** 2 + 1.0)
+    plain, given = d.solve(seed=3, search=64), d.solve(seed=number, search=type(number)(64))
+    assert np.array_equal(plain.search.values, given.search.values)
+    assert given.search.seed == 3
+    assert po.trade_off(d, x, 1.0 - x, points=type(number)(5), seed=number, search="near").points
+
+
+VALUES = [
+    (3e3, 0.3),
+    ("3 kPa", 0.3),
+    ("0.03 bar", 0.3),
+    (UNITS("3 kPa"), 0.3),
+    (np.float32(3000), 0.3),
+    (np.int64(3000), 0.3),
+]
+
+
+@pytest.mark.parametrize(("value", "wanted"), VALUES)
+def test_a_parameter_of_a_solve_takes_a_unit(value, wanted):
+    assert _parameter(value) == pytest.approx(wanted, abs=1e-7)
+
+
+@pytest.mark.parametrize("value", [2e4, "20 kPa", -1.0, "3 m", "3", True, None, float("nan"), UNITS("1 m")])
+def test_a_parameter_of_a_solve_keeps_its_unit_and_its_domain(value):
+    with pytest.raises(po.InputError, match="'pressure'"):
+        _parameter(value)
+
+
+def test_a_catalogue_takes_units():
+    assert NEAR.rounded(x="200 mm").variables == NEAR.rounded(x=0.2).variables
+    assert NEAR.rounded(x=["10 cm", UNITS("300 mm")]).variables == {"x": 0.3}
+
+
+def test_equal_bounds_say_what_does_it():
+    with pytest.raises(po.InputError, match="the number itself"):
+        _declared(lower=0.5, upper=0.5)
+
+
+@pytest.mark.parametrize("number", [8, 16, 64])
+def test_a_number_of_designs_is_that_of_the_sample(number):
+    for objective in (lambda x: x**2, lambda x: x**2 + 1e-9 * sticking(x)):
+        d, x = design(x=(0.3, 0.0, 1.0))
+        d.minimise(objective(x) + 1.0)
+        sampled = len(d.solve(search=number).search.values)
+        # The sample has a power of two, and further designs around the guess.
+        assert sampled <= number + 2
+
+
+def test_a_flat_variable_at_its_bound_is_named():
+    d, x, _ = design(x=(0.3, 0.0, 1.0), y=(1.0, 0.0, 1.0))
+    d.minimise((x - 0.25) ** 2 + 1.0)
+    best = d.solve(search="near")
+    assert best.status == "not unique"
+    assert [{name for name, change in way.items() if change} for way in best.flat_directions] == [{"y"}]
+    assert "along y" in str(best)
+
+
+def test_the_variable_that_bounds_the_worst_objective_is_hidden():
+    d, x = design(x=(0.3, 0.0, 1.0, "", False, 0.05))
+    worst = d.variable("worst objective", guess=0.3, lower=0.0, upper=1.0)
+    d.minimise((x - 0.25) ** 2 + (worst - 0.5) ** 2 + 1.0, over="worst")
+    best = d.solve()
+    assert best.search.variables == ("x", "worst objective")
+    assert best.variables == pytest.approx({"x": 0.25, "worst objective": 0.5}, abs=1e-2)
+    with pytest.raises(po.InputError, match="valid names: auto, local, near, thorough, worst objective, x"):
+        d.solve(search="z")
+
+
+# Objectives with a needle or without one, and the half width of the tolerance of x.
+NEEDLES = [
+    (lambda x: (x - 0.25) ** 2, 0.003, False),
+    (lambda x: (x - 0.25) ** 2 - 1e-9, 0.003, False),
+    (lambda x: 1e-6 * (x - 0.25) ** 2, 0.003, False),
+    (lambda x: 1.0 + (x - 0.25) ** 2, 0.003, False),
+    (lambda x: 1e6 * (x - 0.25) ** 2 / ((x - 0.25) ** 2 * 1e6 + 1.0), 0.1, True),
+    (lambda x: 1e6 * (x - 0.25) ** 2 / ((x - 0.25) ** 2 * 1e6 + 1.0) - 1.0, 0.1, True),
+]
+
+
+@pytest.mark.parametrize(("objective", "tolerance", "needle"), NEEDLES)
+def test_an_optimum_of_zero_is_a_needle_only_on_the_scale_of_its_objective(objective, tolerance, needle):
+    d, x = design(x=(0.25, 0.0, 1.0, "", False, tolerance))
+    d.minimise(objective(x))
+    assert d.solve(search="near").spread.needle == needle

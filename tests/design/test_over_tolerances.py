@@ -1,7 +1,10 @@
-"""The mean and the worst objective within tolerances, variables solved for in closed form, and tolerances in files."""
+"""Designs as they are made: over the tolerances of their variables, and rounded to catalogue values."""
 
+import functools
+import itertools
 import json
 import math
+import pickle
 import re
 
 import casadi as ca
@@ -13,8 +16,10 @@ from helpers.scenes import scene_of
 from helpers.small_designs import design
 
 import plough_opt as po
-from plough_opt.design import solving
+from plough_opt.design import Rounded, solving
 from plough_opt.design.certify.tolerance import BOX_DESIGNS, boxes, corners
+
+# --- the mean and the worst objective within tolerances, variables solved for in closed form, and tolerances in files
 
 T = 0.1
 
@@ -352,3 +357,189 @@ def test_the_command_line_takes_over(tmp_path):
     assert "corners" in over
     assert "more of the objective" not in over
     assert json.loads(printed("optimise", path, "--over", "mean", "--json"))["over"]
+
+
+# --- optima in catalogue values, compared with closed forms and with all combinations by hand ---
+
+# The optimiser's tolerance for objectives of order 1.
+SOLVED = 1e-9
+
+
+@functools.cache
+def _solved(*, most=10.0, log=False):
+    """Minimise 2 x + y with x y >= 3: x = sqrt(3/2), y = sqrt(6), J = 2 sqrt(6); with x held J = 2 x + 3/x."""
+    d, x, y = design(**{"share.tip width": (1.0, 0.1, 10.0, "m", log), "y": (2.0, 0.1, most, "", log)})
+    d.minimise(2.0 * x + y)
+    d.require("yield", x * y, at_least=3.0, unit="m")
+    best = d.solve()
+    return best, x, y
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_the_best_of_a_catalogue_with_the_rest_solved_again(log):
+    best, x, y = _solved(log=log)
+    found = best.rounded({"share.tip width": [90.0, 10.0, 1.5, 0.5, 1.1, 0.02, 1.5]})
+    assert isinstance(found, Rounded)
+    assert found.variables["share.tip width"] == 1.1
+    assert found.variables["y"] == pytest.approx(3.0 / 1.1, rel=SOLVED)
+    assert found.objective == pytest.approx(2.2 + 3.0 / 1.1, rel=SOLVED)
+    assert found.cost == pytest.approx(2.2 + 3.0 / 1.1 - 2.0 * math.sqrt(6.0), rel=1e-6)
+    assert found.cost_percent == pytest.approx(100.0 * found.cost / (2.0 * math.sqrt(6.0)), rel=1e-6)
+    assert [choice.values["share.tip width"] for choice in found.tried] == [1.1, 1.5, 0.5, 10.0]
+    by_hand = [2.0 * x + 3.0 / x for x in (1.1, 1.5, 0.5, 10.0)]
+    assert [choice.objective for choice in found.tried] == pytest.approx(by_hand, rel=SOLVED)
+    assert (found.combinations, found.screened) == (4, 4)
+    assert (found(x), found(x * y)) == (1.1, pytest.approx(3.0, rel=SOLVED))
+    assert found.active == ("yield",)
+    assert found.fixed == ("share.tip width",)
+
+
+def test_every_choice_has_its_own_spread():
+    d, x = design(x=(0.5, 0.0, 1.0, "", False, 0.01))
+    d.minimise(1.0 + 100.0 * (x - 0.3) ** 2)
+    found = d.solve().rounded(x=[0.25, 0.31])
+    first, second = found.tried
+    # The sample comes within about a hundredth of the ends of the box.
+    assert first.values == {"x": 0.31}
+    assert first.spread.worst == pytest.approx(1.0 + 100.0 * 0.02**2, rel=1e-3)
+    assert second.spread.worst == pytest.approx(1.0 + 100.0 * 0.06**2, rel=1e-2)
+    assert found.spread == first.spread
+
+
+@pytest.mark.parametrize(("x_step", "y_step"), [(0.5, 0.25), (0.2, 0.7), (1.0, 2.0)])
+def test_steps_for_all_variables_give_the_best_combination(x_step, y_step):
+    best, _, _ = _solved()
+    found = best.rounded({"share.tip width": x_step}, y=y_step)
+    sides = [[step * k for k in range(1, 100) if 0.1 <= step * k <= 10.0 * (1.0 + 1e-12)] for step in (x_step, y_step)]
+    by_hand = {(x, y): 2.0 * x + y for x, y in itertools.product(*sides) if x * y >= 3.0}
+    x, y = min(by_hand, key=by_hand.get)
+    assert found.variables == pytest.approx({"share.tip width": x, "y": y}, rel=1e-14)
+    assert found.objective == pytest.approx(by_hand[x, y], rel=1e-14)
+    assert found.combinations == found.screened == math.prod(map(len, sides))
+    assert len(found.tried) == 20
+    for choice in found.infeasible:
+        x, y = choice.values.values()
+        assert choice.conflicts == {"yield": pytest.approx(3.0 - x * y, rel=1e-6)}
+    # The first combination misses the limit by 1e-8 of it.
+    assert best.rounded(tip_width=[1.0, 2.0], y=[3.0 - 3e-8]).variables["share.tip width"] == 2.0
+
+
+def test_an_optimum_on_its_bound_is_a_multiple_of_the_step():
+    d, x = design(x=(0.5, 0.3, 1.0))
+    d.minimise(x)
+    found = d.solve().rounded(x=0.1)
+    assert found.variables == pytest.approx({"x": 0.3}, rel=1e-15)
+    assert found.combinations == 8
+
+
+def test_an_infeasible_value_is_named():
+    best, _, _ = _solved(most=2.5)
+    found = best.rounded(tip_width=[1.0, 1.5])
+    assert found.variables["share.tip width"] == 1.5
+    (failed,) = found.infeasible
+    # At x = 1 the bound y <= 2.5 leaves a shortfall of 0.5.
+    assert failed.conflicts == {"yield": pytest.approx(0.5, rel=1e-6)}
+    assert "share.tip width = 1 m is infeasible: 'yield' fails by 0.5 m" in str(found)
+    assert "2.06 % above that of the optimum" in str(found)
+
+
+@pytest.mark.parametrize(
+    ("worse", "seed"),
+    [*((0, k) for k in range(5)), (4000, 0), *(pytest.param(4000, k, marks=pytest.mark.slow) for k in range(1, 5))],
+)
+def test_the_lowest_of_many_basins_of_several_free_variables_is_found(worse, seed):
+    """A parabola with ripples in each direction; every variable counts by itself, so the answer is known by hand."""
+
+    def rippled(x, middle):
+        return (x - middle) ** 2 + 0.1 * (1.0 - ca.cos(40.0 * (x - middle)))
+
+    bottom = (0.309, 0.339, 0.751)
+    d, *variables = design(**dict.fromkeys("xyz", (0.3, 0.0, 1.0)))
+    d.minimise(1.0 + sum(map(rippled, variables, bottom)))
+    values = [0.05, 0.25, 0.5, 0.75, 0.95, *np.linspace(0.9, 1.0, worse)]
+    found = d.solve(search="near", seed=seed).rounded(x=values)
+    assert found.objective == pytest.approx(1.0 + min(float(rippled(x, bottom[0])) for x in values), rel=1e-9)
+
+
+def test_a_variable_that_searches_solve_for_keeps_its_catalogue_value():
+    d, x, y, z = design(**dict.fromkeys("xyz", (0.5, 0.0, 1.0)))
+    d.minimise(10.0 + x + 50.0 * y + z)
+    d.require("least", x, at_least=0.2)
+    # The first part has lower designs that nearly meet it, the second one lies around (0.9, 0.9).
+    lower = (y - 0.2) ** 2 + (z - 0.2) ** 2 + 1e-3
+    d.require("either", ca.fmin(lower, (y - 0.9) ** 2 + (z - 0.9) ** 2 - 1e-3), at_most=0.0)
+    found = d.solve().rounded(x=[0.1, 0.3])
+    assert [choice.values for choice in found.tried] == [{"x": 0.3}, {"x": 0.1}]
+    assert found.objective == pytest.approx(10.3 + 51.0 * 0.9 - math.sqrt(2501.0 * 1e-3), rel=SOLVED)
+
+
+def test_of_very_many_combinations_only_the_neighbours_are_tried():
+    best, _, _ = _solved()
+    found = best.rounded(tip_width=0.01, y=1e-3)
+    assert found.combinations == 991 * 9901
+    assert found.screened == len(found.tried) == 4
+    assert f"of {991 * 9901} combinations only the 4 next to the optimum were tried" in str(found)
+    # A millionth above the optimum: a multiple within that part of the range is taken for it.
+    step = 1.000001e-3
+    assert best.rounded(tip_width=step * math.sqrt(1.5), y=step * math.sqrt(6.0)).screened == 1
+
+
+def test_too_many_combinations_of_neighbours_are_refused():
+    d, *x = design(**{f"x{k}": (0.5, 0.0, 1.0) for k in range(13)})
+    d.minimise(ca.sumsqr(ca.vertcat(*x) - 0.33))
+    with pytest.raises(po.InputError, match="13 variables have too many combinations of neighbours"):
+        d.solve(search="near").rounded({f"x{k}": 0.1 for k in range(13)})
+
+
+def test_values_without_an_optimum_that_derivatives_confirm():
+    d, x, y = design(x=(0.9, 0.0, 1.0), y=(0.9, 0.0, 1.0))
+    d.minimise((ca.log(x - 0.5) + 1.0) ** 2 + ca.fabs(y - 0.3))
+    found = d.solve().rounded(x=[0.4, 0.8])
+    assert found.objective == pytest.approx((math.log(0.3) + 1.0) ** 2, abs=1e-6)
+    assert found.status == "unconfirmed"
+    assert "x = 0.4 is infeasible: not solved" in str(found)
+
+
+def test_every_infeasible_combination_is_named():
+    best, _, _ = _solved(most=2.5)
+    with pytest.raises(po.InfeasibleDesign) as refusal:
+        best.rounded(tip_width=[0.8, 1.0])
+    assert refusal.value.conflicts == {"yield": pytest.approx(0.5, rel=1e-6)}
+    assert refusal.value.blockers == ["catalogue of 'share.tip width'"]
+    assert "share.tip width = 1 m: 'yield' (at least 3 m) fails by 0.5 m" in str(refusal.value)
+
+
+def test_sensitivities_keep_the_rounded_variables_held():
+    found = _solved()[0].rounded(tip_width=[1.1])
+    by_yield = found.sensitivity("yield", check=True)
+    assert by_yield.objective == pytest.approx(1.0 / 1.1, rel=1e-10)
+    assert by_yield.variables == pytest.approx({"share.tip width": 0.0, "y": 1.0 / 1.1}, rel=1e-10, abs=1e-12)
+    assert by_yield.difference < 1e-5
+    assert [item.name for item in found.every_sensitivity()] == ["yield at_least"]
+    with pytest.raises(po.InputError, match="neither a parameter nor a limit"):
+        found.sensitivity("share.tip width upper")
+
+
+REFUSED = [
+    ({"share.tip wdth": 0.1}, "did you mean 'share.tip width'"),
+    ({}, "nothing to round"),
+    ({"share.tip width": [1.0, math.nan]}, "must hold finite numbers"),
+    ({"share.tip width": 0.0}, "must be above 0"),
+    ({"share.tip width": 1e-16}, "too small for its bounds"),
+    ({"share.tip width": [20.0, 30.0]}, "lies between its bounds 0.1 m and 10 m"),
+    ({"share.tip width": 0.1, "tip_width": 0.2}, "two catalogues"),
+]
+
+
+@pytest.mark.parametrize(("catalogues", "message"), REFUSED)
+def test_refusals(catalogues, message):
+    with pytest.raises(po.InputError, match=message):
+        _solved()[0].rounded(catalogues)
+
+
+def test_a_rounded_optimum_cannot_be_rounded_again_but_pickled():
+    found = _solved()[0].rounded(tip_width=[1.1])
+    with pytest.raises(po.InputError, match="rounded already"):
+        found.rounded(y=0.1)
+    again = pickle.loads(pickle.dumps(found))
+    assert (again.variables, again.cost, again.tried) == (found.variables, found.cost, found.tried)

@@ -1,1 +1,1 @@
-"""Tools that several tests share: references that are computed apart from the package, scenes, mutations."""
+"""Tools that several tests share: references that are computed apart from the package, scenes."""

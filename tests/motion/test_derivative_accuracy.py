@@ -1,11 +1,20 @@
-"""Derivatives through events and ramps: their forms, the methods that find a ramp's end, and ramps of no time."""
+"""Accuracy of derivatives, compiled steps, and tableaus added by name."""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 import pytest
-from helpers.scenes import scene_of
+from helpers.differences import order_4
+from helpers.scenes import assert_alike, results_of, scene_of
 
 import plough_opt as po
+from plough_opt.motion.compiled_steps import compiled_steps
+from plough_opt.motion.methods import METHODS, Tableau
+
+# --- derivatives through events and ramps: their forms, the methods that find a ramp's end, and ramps of no time ---
 
 WAVE = po.StrengthWave(0.5, 0.4)
 SUDDEN = {
@@ -61,3 +70,135 @@ def test_a_symbolic_ramp_of_no_time_has_the_limit_of_short_ones(case):
     # slope for so short a ramp.
     assert there[0] == pytest.approx(beside[0], rel=2e-7)
     assert there[1] == pytest.approx(beside[1], rel=0.2 if "contact" in SUDDEN[case] or case == "entry" else 1e-3)
+
+
+# --- runs in machine code give the results of interpreted ones, for every combination of effects ---
+
+
+def test_every_combination_of_effects(r1_scene, effects):
+    scene = r1_scene(**effects)
+    found, expected = (po.simulate(scene, 0.7, outputs=60, compiled=compiled) for compiled in (True, False))
+    # The operations are the same, in the same order and not fused, so on most machines every bit agrees. A compiler's
+    # own sine may round its last digit differently, over a few hundred steps.
+    assert_alike(results_of(found), expected, 1e-12)
+    # The difference of two runs that agree to eight digits has about eight digits left.
+    assert found.error_estimate == pytest.approx(expected.error_estimate, rel=1e-3, abs=1e-12)
+    assert (found.accuracy, found.warnings) == (expected.accuracy, expected.warnings)
+
+
+def test_a_failure_is_the_same(r1_scene):
+    scene, accuracy = r1_scene(stiffness=5e5, start="rest"), po.Accuracy("dop853", steps=4)
+    messages = []
+    for compiled in (False, True):
+        with pytest.raises(po.IntegrationError, match="beyond t = ") as caught:
+            po.simulate(scene, 200.0, accuracy=accuracy, outputs=2, compiled=compiled)
+        messages.append(str(caught.value))
+    assert messages[0] == messages[1]
+
+
+def test_threads_do_not_share_states(r1_scene, r1_wave):
+    scenes = [r1_scene(stiffness=k0, strength_wave=r1_wave) for k0 in np.linspace(3e4, 6e4, 12)]
+    with ThreadPoolExecutor(4) as pool:
+        runs = list(pool.map(lambda scene: po.simulate(scene, 1.0, compiled=True), scenes))
+    for run, scene in zip(runs, scenes, strict=True):
+        assert np.array_equal(run.mount_force, po.simulate(scene, 1.0, compiled=True).mount_force)
+
+
+@pytest.mark.usefixtures("no_compiler")
+def test_without_a_compiler_a_run_is_interpreted_with_a_warning(r1_scene, r1_wave):
+    scene = r1_scene(strength_wave=r1_wave)
+    expected = po.simulate(scene, 1.0)
+    compiled_steps.cache_clear()
+    try:
+        found = po.simulate(scene, 1.0, compiled=True)
+    finally:
+        compiled_steps.cache_clear()
+    assert np.array_equal(found.mount_force, expected.mount_force)
+    assert any("no C compiler was found" in warning for warning in found.warnings)
+
+
+@dataclass(frozen=True)
+class Tabled:
+    """Own resistance that looks a force up in a table, which has no form for a vector register."""
+
+    def force(self, travel, speed):
+        return ca.interpolant("table", "linear", [[-1.0, 3.0]], [10.0, 50.0])(travel) + 0.0 * speed
+
+
+@pytest.mark.parametrize(
+    ("effects", "what"),
+    [
+        ({"own": (Tabled(),)}, "own effects"),
+        ({"motion": False}, "a quasi-static run"),
+        ({"contact": po.StickSlip(1.2)}, "a run by 'erk'"),
+        ({"strength_wave": po.StrengthWave(0.3, 0.6), "orbit": "periodic"}, "a periodic orbit"),
+    ],
+)
+def test_runs_that_cannot_be_compiled_carry_a_note(r1_scene, effects, what):
+    scene, duration = r1_scene(**effects), None if "orbit" in effects else 0.2
+    found, expected = (po.simulate(scene, duration, outputs=20, compiled=compiled) for compiled in (True, False))
+    (note,) = set(found.warnings) - set(expected.warnings)
+    assert note.startswith(f"compiled=True has no effect on {what}")
+    assert found.mean_draft == expected.mean_draft
+
+
+# --- a Butcher tableau added by name: its order, derivatives, default steps, and refusals ---
+
+THREE_EIGHTHS = Tableau(
+    4, nodes=(0.0, 1 / 3, 2 / 3, 1.0), weights=(1 / 8, 3 / 8, 3 / 8, 1 / 8),
+    stages=((), (1 / 3,), (-1 / 3, 1.0), (1.0, -1.0, 1.0)),
+)  # fmt: skip
+HEUN = Tableau(3, nodes=(0.0, 1 / 3, 2 / 3), weights=(0.25, 0.0, 0.75), stages=((), (1 / 3,), (0.0, 2 / 3)))
+OWN = {"three_eighths": THREE_EIGHTHS, "heun_3": HEUN}
+
+
+@pytest.fixture(autouse=True)
+def _added(monkeypatch):
+    for name, tableau in OWN.items():
+        monkeypatch.setitem(METHODS, name, tableau)
+
+
+def simulated(accuracy, **changes):
+    effects = {"strength_wave": po.StrengthWave(0.3, 0.2), "damping": 400.0}
+    return po.simulate(scene_of(mass=25.0, **effects | changes), 0.5, accuracy=accuracy, outputs=4)
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_error_falls_by_the_order(name):
+    exact = simulated(po.Accuracy(error=1e-11)).mean_draft
+    errors = [abs(simulated(po.Accuracy(name, steps=n)).mean_draft - exact) for n in (160, 320)]
+    # The next term of the error changes the order by about an eighth at these steps.
+    assert math.log2(errors[0] / errors[1]) == pytest.approx(OWN[name].order, abs=0.25)
+
+
+@pytest.mark.parametrize("name", ["three_eighths", "rk", "collocation"])
+def test_default_steps_suit_the_order_and_the_estimate_is_honest(name):
+    exact, run = simulated(po.Accuracy(error=1e-11)).mean_draft, simulated(po.Accuracy(name))
+    assert abs(run.mean_draft - exact) <= run.error_estimate * exact < 1e-7 * exact
+
+
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+def test_symbolic_run_has_the_derivatives_of_its_steps(kind):
+    x = kind.sym("k")
+    accuracy = po.Accuracy("three_eighths", steps=400)
+    run = simulated(accuracy, stiffness=x)
+    both = ca.Function("f", [x], [run.force_rms, ca.jacobian(run.force_rms, x)])
+    value, slope = map(float, both(5e4))
+    # Up to rounding of a mean square of deviations.
+    assert value == pytest.approx(simulated(accuracy).force_rms, rel=1e-10)
+    assert slope == pytest.approx(order_4(lambda k: float(both(k)[0]), 5e4, 5.0), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"weights": (0.25, 0.75)}, "must be explicit"),
+        ({"stages": ((), (1 / 3,), (0.0, 2 / 3, 0.0))}, "must be explicit"),
+        ({"order": 0}, "must be explicit"),
+        ({"weights": (0.5, 0.0, 0.5)}, r"integrate t\^1 with an error of -1.7e-01"),
+        ({"stages": ((), (1 / 3,), (0.1, 2 / 3))}, "row .* adds up to .* node 0.66"),
+    ],
+)
+def test_invalid_tableaus_are_refused(change, message):
+    with pytest.raises(po.InputError, match=message):
+        replace(HEUN, **change)

@@ -1,16 +1,21 @@
-"""The periodic orbit under a strength wave against SciPy's integration, and its approximations against formulas."""
+"""Periodic orbits under a strength wave, their approximations and derivatives, and whether a share comes to them."""
 
-import functools
 import itertools
 import math
+from functools import cache
 
+import casadi as ca
 import numpy as np
 import pytest
-from helpers.orbit_oracle import monodromy, orbit
-from helpers.scenes import Shank, Waves
+from helpers.differences import differences
+from helpers.orbit_oracle import follow, monodromy, orbit, period
+from helpers.scenes import R1_SOIL, SHARP, Shank, Waves, scene_of
 
 import plough_opt as po
 from plough_opt.motion.checks import difference
+from plough_opt.motion.orbit import MOST_STEPS
+
+# --- the periodic orbit under a strength wave against SciPy's integration, and its approximations against formulas ---
 
 OUTPUTS = 96
 ORBITS = ["periodic", "linearised", po.HarmonicBalance(2)]
@@ -39,7 +44,7 @@ SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in STIFFEST]
 
 
 @pytest.fixture(scope="module")
-def scene_of(r1_scene):
+def case_of(r1_scene):
     def build(name, **changes):
         own = {"strength_wave": WAVE, "orbit": "periodic"} | (CASES | STIFFEST)[name] | changes
         return r1_scene(**own)
@@ -48,8 +53,8 @@ def scene_of(r1_scene):
 
 
 @pytest.mark.parametrize("name", [*CASES, *SLOW])
-def test_orbit_and_multipliers_are_those_that_scipy_finds_by_shooting(scene_of, name):
-    run = po.simulate(scene_of(name), accuracy=po.Accuracy(error=1e-11), outputs=OUTPUTS)
+def test_orbit_and_multipliers_are_those_that_scipy_finds_by_shooting(case_of, name):
+    run = po.simulate(case_of(name), accuracy=po.Accuracy(error=1e-11), outputs=OUTPUTS)
     true = orbit(run.scene, (run.deflection[0], run.scene.tow_speed - run.speed[0]), OUTPUTS)
     assert run.error_estimate <= 1e-8
     # SciPy's relative tolerance of 1e-12 and the root of the shooting leave about 3e-11.
@@ -67,9 +72,9 @@ def test_orbit_and_multipliers_are_those_that_scipy_finds_by_shooting(scene_of, 
 
 
 @pytest.mark.parametrize(("damping", "unstable"), [(35.2, True), (35.3, False)])
-def test_an_unstable_orbit_carries_a_warning(scene_of, damping, unstable):
+def test_an_unstable_orbit_carries_a_warning(case_of, damping, unstable):
     # Between these two the largest multiplier passes through 1, from which it differs by 4e-4 at both.
-    run = po.simulate(scene_of("soft", damping=damping), outputs=1)
+    run = po.simulate(case_of("soft", damping=damping), outputs=1)
     first = np.array([run.deflection[0], run.scene.tow_speed - run.speed[0]])
     excess = max(abs(np.linalg.eigvals(monodromy(run.scene, first)))) - 1.0
     assert max(map(abs, run.floquet)) - 1.0 == pytest.approx(excess, abs=1e-9)
@@ -140,7 +145,7 @@ NOT_THE_STIFFEST = [pytest.param(name, marks=pytest.mark.slow if name == "stiffe
 def simulated(r1_scene):
     """Simulate the periodic motion of a case, each kind of orbit once."""
 
-    @functools.cache
+    @cache
     def simulated(name, choice, amplitude=0.3, outputs=48):
         scene = r1_scene(strength_wave=po.StrengthWave(amplitude, 0.6), orbit=choice, **APPROXIMATED[name])
         return po.simulate(scene, outputs=outputs, accuracy=po.Accuracy(error=1e-11))
@@ -212,3 +217,169 @@ def test_error_estimate_is_the_difference_from_the_orbit(simulated, name, choice
     run, exact = simulated(name, choice), simulated(name, "periodic")
     assert run.error_estimate == pytest.approx(difference(run, exact), rel=1e-6, abs=1e-12)
     assert run.error_estimate > 0.0
+
+
+# --- derivatives of the periodic orbit and its approximations, against differences of order 8 ---
+
+CHOICES = ["periodic", "linearised", po.HarmonicBalance(3)]
+# Stiffness, mass, tow speed, wavelength, amplitude and damping.
+PLACES = {
+    "between": (3e4, 25.0, 2.0, 0.6, 0.5, 300.0),
+    "soft": (4e3, 25.0, 2.0, 0.6, 0.3, 150.0),
+    "stiff, strongest": (1.5e5, 25.0, 1.5, 0.4, 0.97, 1e3),
+    "beside resonance": (1.3e4, 25.0, 2.0, 0.6, 0.3, 250.0),
+}
+# The others are slow, and of the same kind.
+FEW = [pytest.param(name, marks=() if name == "stiff, strongest" else pytest.mark.slow) for name in PLACES]
+
+
+def results(values, choice):
+    stiffness, mass, speed, wavelength, amplitude, damping = values
+    effects = {"strength_wave": po.StrengthWave(amplitude, wavelength), "damping": damping, "orbit": choice}
+    scene = scene_of(R1_SOIL, SHARP, stiffness, mass, speed, **effects)
+    # At most 0.2 rad per step of order 8, which leaves rounding.
+    run = po.simulate(scene, accuracy=po.Accuracy("dop853", steps=120), outputs=48)
+    averages = [run.mean_draft, run.force_rms, run.mean_deflection, run.displacement_rms, run.tow_power]
+    at_times = [run.deflection[16], run.mount_force[24], run.soil_resistance[7], run.speed[12], run.duration]
+    return averages + at_times
+
+
+@cache
+def functions(choice):
+    """Return the Functions of values and Jacobian, and of the Hessian of a weighted sum, for a kind of orbit."""
+    x, weights = ca.MX.sym("x", 6), ca.MX.sym("weights", 10)
+    found = ca.vertcat(*results(ca.vertsplit(x), choice))
+    first = ca.Function("first", [x], [found, ca.jacobian(found, x)])
+    return first, ca.Function("second", [x, weights], [ca.hessian(ca.dot(weights, found), x)[0]])
+
+
+@pytest.mark.parametrize("place", FEW)
+@pytest.mark.parametrize("choice", CHOICES)
+def test_gradients_and_hessians_are_those_of_differences(choice, place):
+    first, second = functions(choice)
+    at = np.array(PLACES[place])
+    value, slopes = (np.asarray(result) for result in first(at))
+    value = value.ravel()
+    assert value == pytest.approx([float(one) for one in results(PLACES[place], choice)], rel=1e-9)
+    weights = np.cos(np.arange(10)) / np.abs(value)  # so that no result hides behind a larger one
+    bends = np.asarray(second(at, weights)) * np.outer(at, at)
+    assert bends == pytest.approx(bends.T, rel=1e-9, abs=1e-9)
+    # Along a direction in which all quantities change.
+    along = np.array([1.0, -0.8, 0.6, 0.9, -0.7, 0.5])
+
+    def both(t):
+        values, gradients = (np.asarray(result) for result in first(at * (1.0 + t * along)))
+        return np.concatenate([values.ravel(), weights @ gradients])
+
+    slope, row = np.split(differences(both, np.zeros(1), 2e-3).ravel(), [10])
+    # Errors of 1e-14 over steps of 2e-3, and the truncation of order 8 near the resonance.
+    assert slopes @ (at * along) == pytest.approx(slope, rel=0, abs=3e-9 * np.max(np.abs(value)))
+    assert bends @ along == pytest.approx(row * at, rel=0, abs=1e-8 * np.max(np.abs(bends)))
+
+
+@pytest.mark.parametrize("choice", CHOICES)
+def test_derivatives_are_finite_and_right_without_amplitude(choice):
+    first, second = functions(choice)
+    at, some = np.array([3e4, 25.0, 2.0, 0.6, 0.0, 300.0]), np.array([3e4, 25.0, 2.0, 0.6, 1e-4, 300.0])
+    value, slopes = (np.asarray(result) for result in first(at))
+    for part in (value, slopes, np.asarray(second(at, np.ones(10)))):
+        assert np.all(np.isfinite(part))
+    change = (np.asarray(first(some)[0]) - value) / 1e-4
+    # The deflection changes in proportion to the amplitude, with a correction of first order in it ...
+    assert slopes[5, 4] == pytest.approx(change[5, 0], rel=1e-3)
+    # ... and the mean draft by its square.
+    assert slopes[0, 4] == pytest.approx(0.0, abs=1e-9 * value[0, 0])
+    # Derivatives by other quantities are those of steady sliding, on which c has no effect.
+    deflection = value[2, 0]
+    assert slopes[2, 0] == pytest.approx(-deflection / 3e4, rel=1e-9)
+    assert slopes[2, [1, 3, 5]] == pytest.approx(np.zeros(3), abs=1e-12 * deflection)
+
+
+# --- where a share that starts from equilibrium ends up, compared with the periodic orbit that was found ---
+
+# The orbit is stable (its larger multiplier is 0.73) and never retreats, but equilibrium leads to another motion.
+TWO_MOTIONS = scene_of(
+    po.Soil(1285.32, 0.829167, 41721.3, 0.472563, 0.689544, 0.0),
+    po.Wedge(0.859646, 0.30097, 0.332078),
+    *(8856.09, 18.1717, 1.13819),
+    strength_wave=po.StrengthWave(0.262576, 0.0633886),
+    damping=153.44,
+    orbit="periodic",
+)
+SHORT_WAVE = po.StrengthWave(0.3, 0.2)
+
+
+def settled_on(scene, after, over):
+    """Return, by SciPy, the states of a share from equilibrium at the ends of so many wavelengths.
+
+    Beside them stand the RMS of the mount force [N] over the last wavelengths, and whether the share then retreats.
+    """
+    each = 60
+    equilibrium = (scene.reaction.static + scene.reaction.drag * scene.tow_speed**2) / scene.stiffness
+    times = np.linspace(0.0, after * period(scene), after * each + 1)
+    z, rate = follow(scene, (equilibrium, 0.0), times[-1], times, rtol=1e-9)
+    force = (scene.stiffness * z + scene.effects.damping * rate)[-over * each :]
+    return np.array([z, rate])[:, ::each], float(np.std(force)), bool(np.max(rate[-over * each :]) > scene.tow_speed)
+
+
+def test_another_motion_than_the_stable_orbit_is_named():
+    run = po.simulate(TWO_MOTIONS)
+    assert max(map(abs, run.floquet)) < 0.8
+    assert run.speed.min() > 0.0
+    ends, rms, retreats = settled_on(TWO_MOTIONS, after=120, over=6)
+    np.testing.assert_allclose(ends[:, -1], ends[:, -7], rtol=1e-6, atol=1e-8)
+    assert min(np.max(np.abs(ends[:, -1] - ends[:, -1 - k])) for k in range(1, 6)) > 1e-2
+    found = run.settles
+    assert (found.orbit, found.period, found.averaged, found.retreats) == (False, 6, 6, retreats)
+    # The mean over 60 samples a wavelength is exact; the states are within 1e-6 of the limit.
+    assert found.force_rms == pytest.approx(rms, rel=1e-6)
+    (warning,) = [text for text in run.warnings if "equilibrium" in text]
+    assert warning.startswith("a share that starts from equilibrium comes to a period-6 motion of RMS 423.4 N")
+    assert "although the orbit is stable" in warning
+
+
+# Without drag in the soil the last one comes nearer by only 0.2 % in every wavelength.
+@pytest.mark.parametrize(("stiffness", "damping", "drag"), [(5e4, 20.0, True), (3e5, 400.0, True), (1e6, 1.0, False)])
+def test_a_share_that_comes_to_the_orbit(r1_scene, damping, stiffness, drag):
+    effects = {"strength_wave": SHORT_WAVE, "damping": damping, "inertial_drag": drag}
+    run = po.simulate(r1_scene(stiffness=stiffness, orbit="periodic", **effects))
+    assert run.settles.orbit is True
+    assert run.settles.force_rms == run.force_rms
+    assert not [text for text in run.warnings if "equilibrium" in text]
+    assert run.settles.text.startswith("comes to this orbit (after ")
+    # A run from the start, one wavelength longer, ends as near to the orbit as stated. Its own error is far smaller.
+    count = run.settles.wavelengths
+    followed = po.simulate(
+        r1_scene(stiffness=stiffness, **effects), (count + 1) * run.duration, outputs=40 * (count + 1)
+    )
+    away = np.max(np.abs(followed.deflection[-41:] - run.deflection[::10])) / (np.ptp(run.deflection) / 2.0)
+    assert away <= 1.5 * run.settles.distance + 1e-9
+
+
+def test_a_share_that_is_driven_away_from_the_start():
+    effects = {"strength_wave": po.StrengthWave(0.6, 1.0), "damping": 100.0}
+    given = {"share": po.Wedge(1.0, 0.3, 0.4), "stiffness": 3e4, "mass": 5.0, **effects}
+    run = po.simulate(scene_of(orbit="periodic", **given))
+    assert (run.settles.orbit, run.settles.period, run.settles.force_rms) == (False, None, np.inf)
+    assert any("equilibrium is driven away without bound" in text for text in run.warnings)
+    with pytest.raises(po.IntegrationError, match="without bound in finite time"):
+        po.simulate(scene_of(**given), run.duration)
+
+
+def test_an_undamped_share_never_settles(r1_scene):
+    run = po.simulate(r1_scene(strength_wave=SHORT_WAVE, inertial_drag=False, orbit="periodic"))
+    assert run.settles.orbit is None
+    (warning,) = [text for text in run.warnings if "equilibrium" in text]
+    assert "has not settled after 64 wavelengths" in warning
+    assert "nothing damps a deviation from the orbit" in warning
+
+
+def test_a_share_near_an_unstable_orbit_is_followed_for_the_stated_time():
+    run = po.simulate(scene_of(stiffness=2e4, strength_wave=SHORT_WAVE, damping=20.0, orbit="periodic"))
+    found = run.settles
+    assert max(map(abs, run.floquet)) > 1.5
+    assert found.orbit is not True
+    assert found.wavelengths * run.accuracy.steps <= MOST_STEPS + 32 * run.accuracy.steps
+    if found.orbit is None:
+        assert f"has not settled after {found.wavelengths} wavelengths" in found.text
+        assert found.averaged == 256

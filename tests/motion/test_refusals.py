@@ -3,7 +3,6 @@
 A motion that cannot be integrated is refused soon, and the message says when it ends and why.
 """
 
-import dataclasses
 import math
 from dataclasses import dataclass, replace
 
@@ -416,7 +415,7 @@ def test_where_no_orbit_is_found_the_message_names_a_remedy(r1_scene, damping, c
 @pytest.mark.parametrize("orbit", [*ORBITS, po.HarmonicBalance(1)])
 def test_at_the_resonance_of_a_conservative_mount_there_is_no_orbit(orbit, capfd):
     scene = scene_of(inertial_drag=False, strength_wave=WAVE, orbit=orbit)
-    scene = dataclasses.replace(scene, stiffness=scene.inertia * scene.wave_frequency**2)
+    scene = replace(scene, stiffness=scene.inertia * scene.wave_frequency**2)
     with pytest.raises(po.IntegrationError, match="damp the mount"):
         po.simulate(scene)
     assert capfd.readouterr() == ("", "")

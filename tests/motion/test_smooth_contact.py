@@ -1,17 +1,28 @@
-"""The smooth one-sided contact: its limit of zero width, an independent solver, and its warnings."""
+"""Special motions: smooth contact, grazing, no motion, the printed equation, and several strength waves."""
+
+import math
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
 from helpers import three_modes
+from helpers.differences import differences, order_4
+from helpers.linear_motion import oscillation, released
 from helpers.scenes import R1_SOIL, SHARP, Shank, scene_of
+from scipy.integrate import quad
+from scipy.interpolate import CubicHermiteSpline
+from scipy.optimize import brentq
 
 import plough_opt as po
+from plough_opt.motion import checks
+
+# --- the smooth one-sided contact: its limit of zero width, an independent solver, and its warnings ---
 
 WAVE = po.StrengthWave(0.6, 0.2)
 
 
-def scene(contact, stiffness=2e4, speed=1.0, **effects):
+def smooth_scene(contact, stiffness=2e4, speed=1.0, **effects):
     return scene_of(R1_SOIL, SHARP, stiffness, 24.0, speed, contact=contact, **effects)
 
 
@@ -29,9 +40,9 @@ MOTIONS = {
 
 @pytest.mark.parametrize("effects", WITHOUT_GAP.values(), ids=WITHOUT_GAP)
 def test_the_error_falls_with_the_width_where_no_gap_opens(effects):
-    exact = po.simulate(scene(po.StickSlip(), **effects), 1.0, outputs=100)
+    exact = po.simulate(smooth_scene(po.StickSlip(), **effects), 1.0, outputs=100)
     assert three_modes.follow(exact.scene, 1.0).count(0, 2) == 0
-    runs = [po.simulate(scene(po.Smooth(0.02 / 2.0**k), **effects), 1.0, outputs=100) for k in range(3)]
+    runs = [po.simulate(smooth_scene(po.Smooth(0.02 / 2.0**k), **effects), 1.0, outputs=100) for k in range(3)]
     errors = np.array([np.max(np.abs(run.mount_force - exact.mount_force)) for run in runs])
     # Instead of sticking the share creeps at a fraction of the width, an error of first order.
     assert errors[-1] < 2e-2 * np.max(np.abs(exact.mount_force))
@@ -42,7 +53,7 @@ def test_the_error_falls_with_the_width_where_no_gap_opens(effects):
 @pytest.mark.parametrize("effects", MOTIONS.values(), ids=MOTIONS)
 def test_an_independent_solver_agrees(width, effects):
     # A narrow step makes the equation stiff in both programs.
-    three_modes.agreed(scene(po.Smooth(width), **effects), 1.0, allowed=5e-8, resistance=20.0)
+    three_modes.agreed(smooth_scene(po.Smooth(width), **effects), 1.0, allowed=5e-8, resistance=20.0)
 
 
 def test_a_symbolic_run_ends_steps_at_the_ends_of_the_contacts_step():
@@ -50,7 +61,7 @@ def test_a_symbolic_run_ends_steps_at_the_ends_of_the_contacts_step():
 
     def run_of(stiffness, accuracy):
         effects = {"start": "rest", "strength_wave": po.StrengthWave(0.3, 0.4), "damping": 100.0}
-        return po.simulate(scene(po.Smooth(0.2), stiffness, **effects), 1.0, accuracy=accuracy, outputs=1)
+        return po.simulate(smooth_scene(po.Smooth(0.2), stiffness, **effects), 1.0, accuracy=accuracy, outputs=1)
 
     x = ca.MX.sym("x")
     found = ca.Function("draft", [x], [run_of(x, po.Accuracy("dop853", steps=400)).mean_draft])(2e4)
@@ -58,7 +69,9 @@ def test_a_symbolic_run_ends_steps_at_the_ends_of_the_contacts_step():
 
 
 def test_a_share_that_retreats_carries_a_warning():
-    run = po.simulate(scene(po.Smooth(0.05), 1e4, 2.0, start="rest", strength_wave=po.StrengthWave(1.0, 0.6)), 3.0)
+    run = po.simulate(
+        smooth_scene(po.Smooth(0.05), 1e4, 2.0, start="rest", strength_wave=po.StrengthWave(1.0, 0.6)), 3.0
+    )
     (warning,) = [text for text in run.warnings if "retreats" in text]
     assert f"{-min(run.speed):.3g} m/s" in warning
     assert "the smooth contact ignores the gap" in warning
@@ -72,7 +85,7 @@ def test_a_share_that_retreats_carries_a_warning():
 @pytest.mark.parametrize("width", [2.0, 0.1, 1e-3])
 def test_a_narrow_step_takes_far_fewer_equal_steps_than_would_resolve_its_slope(width):
     """Equal steps that resolve the step's slope everywhere would be 300,000 at the narrowest width."""
-    run = po.simulate(scene(po.Smooth(width), start="rest", strength_wave=WAVE), 1.0)
+    run = po.simulate(smooth_scene(po.Smooth(width), start="rest", strength_wave=WAVE), 1.0)
     assert run.error_estimate <= 1e-8
     assert (run.accuracy.steps or 0) <= 20_000
 
@@ -81,12 +94,329 @@ def test_a_narrow_step_takes_far_fewer_equal_steps_than_would_resolve_its_slope(
 def test_a_settled_share_has_the_steady_resistance(contact):
     own = () if isinstance(contact, po.StickSlip) else (Shank(100.0, 50.0),)
     settles = {"start": "towed", "damping": 3000.0, "rate_term": 0.05, "own": own}
-    run = po.simulate(scene(contact, speed=2.0, **settles), 6.0)
+    run = po.simulate(smooth_scene(contact, speed=2.0, **settles), 6.0)
     assert run.mount_force[-1] == pytest.approx(run.scene.steady_resistance, rel=1e-9)
 
 
 @pytest.mark.parametrize("width", [1e-4, 1e-7])
 def test_a_very_small_width_terminates_with_an_honest_error(width):
-    run, exact = (po.simulate(scene(c, start="rest", speed=0.2), 1.0) for c in (po.Smooth(width), po.StickSlip()))
+    run, exact = (
+        po.simulate(smooth_scene(c, start="rest", speed=0.2), 1.0) for c in (po.Smooth(width), po.StickSlip())
+    )
     assert run.error_estimate <= 1e-8 or any("was not reached" in text for text in run.warnings)
     assert run.mean_draft == pytest.approx(exact.mean_draft, rel=10.0 * width + 10.0 * run.error_estimate)
+
+
+# --- grazing: a share under `StickSlip` whose speed just touches zero ---
+# From rest without drag, wave and damper the speed is L' = V0 (1 - cos(omega t)) once the share has broken loose: it
+# touches zero in every cycle, whatever the stiffness and the tow speed. A slight damper keeps the share moving, and a
+# slight wave keeps it moving or stops it. Derivatives there are those of slipping on.
+
+STIFFNESS, SPEED = 5e4, 2.0
+TIGHT = po.Accuracy("erk", tolerance=1e-13)
+
+
+def grazing_scene(stiffness=STIFFNESS, speed=SPEED, damping=0.0, breakaway=1.0, inertial_drag=False, **effects):
+    sticky = {"start": "rest", "contact": po.StickSlip(breakaway), "inertial_drag": inertial_drag}
+    return scene_of(stiffness=stiffness, tow_speed=speed, damping=damping, **sticky, **effects)
+
+
+def waved(amplitude, wavelength):
+    return grazing_scene(strength_wave=po.StrengthWave(amplitude, wavelength))
+
+
+def duration(cycles=3.3):
+    """Return the time in which the share breaks loose and swings so many times [s]."""
+    own = grazing_scene()
+    return own.reaction.static / (STIFFNESS * SPEED) + cycles * 2.0 * math.pi / own.natural_frequency
+
+
+def results_of(own, cycles=3.3, accuracy=TIGHT):
+    run = po.simulate(own, duration(cycles), accuracy=accuracy, outputs=1)
+    return [run.mount_force[-1], run.travel[-1], run.mean_draft, run.force_rms]
+
+
+def slopes(build, at, cycles=3.3, accuracy=TIGHT):
+    """Return the derivatives of the results by the arguments of a scene, a row for each result."""
+    x = ca.MX.sym("x", len(at))
+    results = ca.vertcat(*results_of(build(*ca.vertsplit(x)), cycles, accuracy))
+    return ca.Function("slopes", [x], [ca.jacobian(results, x)])(at).full()
+
+
+def exact(stiffness, speed, damping, cycles):
+    """Return mount force and travel of a share that breaks loose once and slips on, in closed form."""
+    static, inertia = grazing_scene().reaction.static, grazing_scene().inertia
+    # It sticks while k0 V0 t + c V0 is below F0.
+    loose = (static - damping * speed) / (stiffness * speed)
+    first = speed * loose - static / stiffness, speed
+    z, rate = released(inertia, damping, stiffness, first, duration(cycles) - loose)
+    return np.array([static + stiffness * z + damping * rate, speed * duration(cycles) - z - static / stiffness])
+
+
+@pytest.mark.parametrize(
+    ("cycles", "accuracy", "allowed"),
+    [(0.5, TIGHT, 1e-11), (1.5, TIGHT, 1e-11), (3.3, TIGHT, 1e-11), (3.3, None, 1e-8)],
+    ids=["no touch", "one touch", "three touches", "three touches by the default"],
+)
+def test_value_and_derivatives_are_those_of_the_exact_motion(cycles, accuracy, allowed):
+    at = np.array([STIFFNESS, SPEED, 0.0])
+    # Relative changes of stiffness and speed, and of critical damping.
+    scales = np.array([STIFFNESS, SPEED, 2.0 * math.sqrt(STIFFNESS * grazing_scene().inertia)])
+    value = exact(*at, cycles)
+    expected = differences(lambda part: exact(*(at + part * scales), cycles), np.zeros(3))
+    # Rounding decides whether a touch of zero counts as a stop, whose duration is then zero.
+    assert np.array(results_of(grazing_scene(), cycles))[:2] == pytest.approx(value, rel=1e-11)
+    found = slopes(grazing_scene, at, cycles, accuracy)
+    assert np.all(np.isfinite(found))
+    # Differences err by about 1e-12.
+    assert np.max(np.abs(found[:2] * scales - expected) / value[:, None]) < allowed
+
+
+def test_a_wave_that_keeps_it_moving_has_that_derivative():
+    wavelength = 0.3
+    here = np.array(results_of(grazing_scene()))
+    derivatives = slopes(lambda amplitude: waved(amplitude, wavelength), [0.0])[:, 0]
+    assert three_modes.follow(waved(1e-4, wavelength), duration()).count(0, 1) == 0
+    size = np.max(np.abs(derivatives / here)) * np.abs(here)
+    left = [(np.array(results_of(waved(h, wavelength))) - here) / h - derivatives for h in (2e-4, 1e-4)]
+    # A forward difference is of first order.
+    assert np.max(np.abs(left[1]) / size) < 2e-3
+    assert np.linalg.norm(left[0] / size) / np.linalg.norm(left[1] / size) == pytest.approx(2.0, rel=0.05)
+
+
+def test_a_wave_that_makes_it_stop_has_another():
+    wavelength = 0.1
+    # On the side that stops there is a slope too, but another one: the share waits until the mount pulls enough.
+    here = results_of(grazing_scene())[0]
+    derivative = slopes(lambda amplitude: waved(amplitude, wavelength), [0.0])[0, 0]
+    assert math.isfinite(derivative)
+    books = [three_modes.follow(waved(h, wavelength), duration()) for h in (1e-3, 1e-4)]
+    assert all(book.count(0, 1) > 0 for book in books)
+    differences = [(results_of(waved(h, wavelength))[0] - here) / h for h in (1e-3, 1e-4)]
+    assert differences == pytest.approx(
+        [(book.mount_force[-1] - here) / h for book, h in zip(books, (1e-3, 1e-4), strict=True)], rel=1e-6
+    )
+    assert differences[0] == pytest.approx(differences[1], rel=0.02)
+    assert abs(differences[1] - derivative) > 0.2 * abs(derivative)
+
+
+def grazes(run):
+    return [text for text in run.warnings if "nearly stops" in text]
+
+
+def test_a_warning_names_the_first_touch():
+    run = po.simulate(grazing_scene(), 2.0)
+    (text,) = grazes(run)
+    # The mount stretches to the static force, then the share swings about the tow speed: L' = V0 (1 - cos(omega t)).
+    assert f"t = {duration(1.0):.2g}" in text
+    assert "has no derivative, and derivatives are those of slipping on" in text
+    # A stop that was not noticed there changes the speed by as much as its error; outputs add 5e-11 to that.
+    assert checks.unnoticed_stops(run, run.scene.natural_frequency, 1e-5) == pytest.approx(1e-5, rel=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_speed_is_least_where_its_cubic_between_two_outputs_is(seed):
+    """The minimum agrees with the root of the derivative of SciPy's cubic."""
+    rng = np.random.default_rng(seed)
+    speed, slope = rng.uniform(-1.0, 1.0, 2), rng.uniform(0.1, 2.0, 2) * (-1.0, 1.0)
+    cubic = CubicHermiteSpline([0.0, 1.0], speed, slope)
+    turns = [x for x in cubic.derivative().roots(extrapolate=False) if cubic(x, 2) > 0.0]
+    assert checks._minimum(speed, slope) == pytest.approx(turns[0], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"damping": 300.0}, {"breakaway": 1.2}, {"breakaway": 2.0, "damping": 50.0}], ids=str
+)
+def test_a_motion_that_stops_or_keeps_going_has_no_warning(changes):
+    assert not grazes(po.simulate(grazing_scene(inertial_drag=True, **changes), 2.0))
+
+
+def test_a_share_that_begins_to_move_behind_a_ramp_has_no_warning():
+    # At the start the speed is rounding, and below zero here.
+    soil = po.Soil(1500.0, 0.6, 3.0, 0.3, 0.5, 0.0)
+    effects = {"contact": po.StickSlip(), "tow_ramp": 0.0068, "inertial_drag": False, "added_mass": False}
+    for speed in np.linspace(0.6, 0.8, 9).tolist():
+        own = scene_of(soil, stiffness=2930.0, mass=59.2, tow_speed=speed, **effects)
+        assert not grazes(po.simulate(own, 0.00473))
+
+
+# --- the quasi-static limit against adaptive quadrature ---
+
+
+@pytest.mark.parametrize(
+    ("ramp", "wavelength", "duration"),
+    [(None, 0.02, 0.5), (None, 50.0, 0.07), (0.3, 0.6, 1.0), (0.371234, 0.6, 1.0), (1.0, 0.6, 1.0), (2.5, 0.6, 1.0)],
+)
+@pytest.mark.parametrize("rate_term", [None, 0.05])
+def test_runs_are_those_of_adaptive_quadrature(r1_scene, ramp, wavelength, duration, rate_term):
+    scene = r1_scene(motion=False, strength_wave=po.StrengthWave(0.3, wavelength), tow_ramp=ramp, rate_term=rate_term)
+    run = po.simulate(scene, duration)
+    smoothstep = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
+    path = smoothstep.integ()
+    v, reaction = scene.tow_speed, scene.reaction
+
+    def speed(t):
+        return v * smoothstep(min(t / ramp, 1.0)) if ramp else v
+
+    def travel(t):
+        return v * (ramp * path(min(t / ramp, 1.0)) + max(t - ramp, 0.0)) if ramp else v * t
+
+    def force(t):
+        static = reaction.static * (1 + (rate_term or 0.0) * speed(t) ** 2)
+        return static * (1 + 0.3 * math.sin(2 * math.pi * travel(t) / wavelength)) + reaction.drag * speed(t) ** 2
+
+    def average(function):
+        # Ends of waves at full speed, and of the ramp.
+        points = (
+            np.arange(wavelength / v, duration, wavelength / v) if not ramp else [ramp] if ramp < duration else None
+        )
+        return quad(function, 0.0, duration, points=points, epsrel=1e-13, epsabs=0.0, limit=400)[0] / duration
+
+    mean = average(force)
+    rms = math.sqrt(average(lambda t: (force(t) - mean) ** 2))
+    # Gauss-Legendre of degree 19 on panels of at most half a radian is exact up to rounding.
+    assert run.mean_draft == pytest.approx(mean, rel=1e-12)
+    assert run.force_rms == pytest.approx(rms, rel=1e-12, abs=1e-13 * mean)
+    assert run.tow_power == pytest.approx(average(lambda t: force(t) * speed(t)), rel=1e-12)
+    assert run.mount_force == pytest.approx([force(t) for t in run.time], rel=1e-12)
+    assert run.speed == pytest.approx([speed(t) for t in run.time], rel=1e-12, abs=1e-15)
+    assert run.travel == pytest.approx([travel(t) for t in run.time], rel=1e-12, abs=1e-15)
+    assert run.mean_deflection == pytest.approx(run.mean_draft / scene.stiffness, rel=1e-15)
+    assert run.displacement_rms == pytest.approx(run.force_rms / scene.stiffness, rel=1e-15)
+    assert run.deflection == pytest.approx(run.mount_force / scene.stiffness, rel=1e-15)
+    assert list(run.soil_resistance) == list(run.mount_force)
+    assert run.error_estimate < 1e-11
+
+
+def test_smallest_wave_keeps_its_digits(r1_scene):
+    # Whole waves: RMS eps F0/sqrt(2). It is 1e-9 of the mean draft.
+    run = po.simulate(r1_scene(motion=False, strength_wave=po.StrengthWave(1e-9, 0.5)), 2.0)
+    assert run.force_rms == pytest.approx(1e-9 * run.scene.reaction.static / math.sqrt(2), rel=1e-8)
+
+
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+def test_averages_over_three_hundred_waves_do_not_depend_on_the_outputs(r1_scene, kind):
+    def averages(height, outputs):
+        scene = r1_scene(height=height, motion=False, strength_wave=po.StrengthWave(0.5, 0.013), tow_ramp=0.1)
+        run = po.simulate(scene, 2.0, outputs=outputs)
+        return [run.mean_draft, run.force_rms]
+
+    x = kind.sym("height")
+    found = ca.Function("averages", [x], [*averages(x, 1), *averages(x, 37)])(0.25)
+    # Panels of half a radian with 4 Gauss points leave about 1e-12.
+    assert [float(part) for part in found] == pytest.approx(averages(0.25, 400) * 2, rel=1e-9)
+
+
+# --- equation (27) as printed: a spring that repels, from equilibrium, to overflow, and in a design ---
+
+
+def test_its_unstable_equilibrium_is_exact_and_grows_at_the_natural_frequency(r1_scene):
+    scene = r1_scene(formulation="printed")
+    run = po.simulate(scene, 1.0, outputs=10)
+    assert run.mean_deflection == pytest.approx(-scene.steady_resistance / scene.stiffness, rel=1e-15)
+    assert run.mean_draft == pytest.approx(scene.steady_resistance, rel=1e-15)
+    assert run.force_rms == np.ptp(run.deflection) == 0.0
+    # A disturbance of 1e-12 of the soil's strength grows like exp(omega t), here by 1e9 in 0.45 s.
+    wave = po.StrengthWave(1e-12, 0.6)
+    disturbed = po.simulate(r1_scene(formulation="printed", strength_wave=wave, inertial_drag=False), 0.45, outputs=9)
+    deviation = np.abs(disturbed.deflection + scene.reaction.static / scene.stiffness)
+    growth = math.log(deviation[-1] / deviation[-2]) / (0.45 / 9)
+    assert growth == pytest.approx(float(disturbed.scene.natural_frequency), rel=1e-3)
+
+
+# --- overflow ---
+
+
+@pytest.mark.parametrize("accuracy", [None, po.Accuracy("dop853"), po.Accuracy("erk")], ids=str)
+@pytest.mark.parametrize(
+    ("drag", "duration"),
+    # Growth by exp(3e4); by exp(600), whose square overflows; and by drag of constant sign, which drives a retreating
+    # share away in finite time.
+    [(False, 2e3), (False, 39.0), (True, 1.0)],
+)
+def test_overflow_names_the_repelling_spring(r1_scene, drag, duration, accuracy):
+    scene = r1_scene(stiffness=5e3, start="rest", inertial_drag=drag, formulation="printed")
+    with pytest.raises(po.IntegrationError) as refusal:
+        po.simulate(scene, duration, accuracy=accuracy, outputs=10)
+    message = str(refusal.value)
+    assert "the print's repelling spring drives the share away like exp(" in message
+    assert f"exp({scene.natural_frequency:.3g} t)" in message
+    assert "use a shorter duration, or formulation = 'derived'" in message
+    assert "on 5 kN/m of a repelling spring, as printed, with" in message
+
+
+def test_a_design_finds_the_stiffness_of_a_wanted_deflection(r1_scene):
+    def scene(stiffness):
+        return r1_scene(stiffness=stiffness, start="rest", inertial_drag=False, formulation="printed")
+
+    wanted, duration = 1.5, 0.1
+    truth = brentq(lambda k: float(oscillation(scene(k), duration)[0]) - wanted, 1e3, 1e5, xtol=1e-9)
+    design = po.Design()
+    stiffness = design.variable("stiffness", guess=2e4, lower=1e3, upper=1e5, unit="N/m", log=True)
+    run = po.simulate(scene(stiffness), duration, outputs=4)
+    design.minimise((run.deflection[-1] / wanted - 1.0) ** 2 + 1.0)
+    best = design.solve()
+    # The objective is quadratic about its minimum of 1, so IPOPT's 1e-8 leaves about 1e-5 of the variable.
+    assert best(stiffness) == pytest.approx(truth, rel=1e-4)
+    assert any("not physics" in text for text in best.warnings)
+
+
+# --- several strength waves: their sum in every kind of run, against an independent solver and linear series ---
+
+WAVES = (po.StrengthWave(0.2, 0.2), po.StrengthWave(0.1, 0.3, 0.7), po.StrengthWave(0.05, 0.12, -2.0))
+
+
+def waved_scene(waves=WAVES, **effects):
+    """Return a scene of a damped share in serozem under strength waves."""
+    return scene_of(**{"strength_wave": waves, "damping": 400.0} | effects)
+
+
+@pytest.mark.parametrize("effects", [{}, {"contact": po.StickSlip(1.1)}, {"entry": True, "start": "rest"}], ids=str)
+def test_an_independent_solver_agrees_under_several_waves(effects):
+    three_modes.agreed(waved_scene(**effects), 1.0, outputs=50)
+
+
+def test_a_phase_is_a_shift_of_the_path():
+    """Soil of phase phi is that of phase 0, shifted by phi/(2 pi) wavelengths."""
+    later = po.simulate(waved_scene(po.StrengthWave(0.3, 0.2, 1.0), motion=False, damping=None), 1.0, outputs=400)
+    shift = 1.0 / (2 * math.pi) * 0.2
+    force = waved_scene().reaction.static * (1 + 0.3 * np.sin(2 * math.pi * (later.travel + shift) / 0.2))
+    drag = waved_scene().reaction.drag * 4.0
+    assert later.soil_resistance == pytest.approx(force + drag, rel=1e-13)
+
+
+def test_the_periodic_orbit_is_the_end_of_a_long_run():
+    orbit = po.simulate(waved_scene(orbit="periodic"))
+    # The common length of 0.2, 0.3 and 0.12 m is 0.6 m.
+    assert orbit.duration == pytest.approx(0.3, rel=1e-15)
+    long = po.simulate(waved_scene(), 6.0, outputs=2400)
+    last = long.mount_force[-121:-1]  # one period
+    assert np.std(last) == pytest.approx(orbit.force_rms, rel=1e-5)  # error of 120 samples
+    balanced = po.simulate(waved_scene(orbit=po.HarmonicBalance(20)))
+    assert balanced.force_rms == pytest.approx(orbit.force_rms, rel=1e-6)
+
+
+def test_small_waves_add_up_in_the_linear_response():
+    small = tuple(po.StrengthWave(1e-5 * w.amplitude, w.wavelength, w.phase) for w in WAVES)
+    together = po.simulate(waved_scene(small, orbit="linearised"))
+    alone = [po.simulate(waved_scene(w, orbit="linearised")) for w in small]
+    squares = sum(run.force_rms**2 for run in alone)
+    assert together.force_rms == pytest.approx(math.sqrt(squares), rel=1e-12)
+    orbit = po.simulate(waved_scene(small, orbit="periodic"))
+    # The difference is of second order in the amplitude.
+    assert orbit.force_rms == pytest.approx(together.force_rms, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["amplitude", "wavelength", "phase"])
+def test_derivatives_by_each_number(name):
+    x = ca.MX.sym("x")
+    value = getattr(WAVES[1], name)
+
+    def changed(new):
+        return waved_scene((WAVES[0], replace(WAVES[1], **{name: new}), WAVES[2]))
+
+    rms = po.simulate(changed(x), 1.0).force_rms
+    slope = float(ca.Function("slope", [x], [ca.jacobian(rms, x)])(value))
+    # Steps of 1e-3 have an error of about 1e-9.
+    expected = order_4(lambda new: float(po.simulate(changed(new), 1.0).force_rms), value, 1e-3 * value)
+    assert slope == pytest.approx(expected, rel=1e-6)

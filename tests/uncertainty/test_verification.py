@@ -1,14 +1,267 @@
-"""Verification on fresh samples, and Sobol indices over the soil's distribution."""
+"""Distributions of a soil, measures of samples, their verification on fresh samples, and Sobol indices."""
 
 import math
+from dataclasses import replace
 
+import casadi as ca
+import mpmath
 import numpy as np
 import pytest
-from scipy import stats
+from helpers.differences import WEIGHTS
+from scipy import optimize, stats
 
 import plough_opt as po
 from plough_opt.core.expressions import sin, sqrt
-from plough_opt.studies.uncertainty import sobol_indices, verify
+from plough_opt.studies.uncertainty import Marginal, measures, sobol_indices, verify
+
+# --- distributions of a soil: moments, truncation, correlation, repeatable samples, messages about mistakes ---
+
+SEROZEM = po.named_soil("serozem")
+
+
+def _field(**changes):
+    given = {
+        "soil": SEROZEM,
+        "cohesion": stats.lognorm(0.3, scale=20e3),
+        "friction_angle": stats.norm(po.deg(28), po.deg(3)),
+        "within": {"friction_angle": (po.deg(20), po.deg(34))},
+        "correlation": {("cohesion", "friction_angle"): -0.4},
+    }
+    return po.SoilDistribution(**(given | changes))
+
+
+MARGINALS = {
+    "truncated normal": (Marginal(stats.norm(3.0, 2.0), 1.0, 4.5), stats.truncnorm(-1.0, 0.75, 3.0, 2.0)),
+    "new normal of SciPy": (Marginal(stats.Normal(mu=3.0, sigma=2.0), 1.0, 4.5), stats.truncnorm(-1.0, 0.75, 3.0, 2.0)),
+    "cut uniform": (Marginal(stats.uniform(2.0, 5.0), 3.0, 6.0), stats.uniform(3.0, 3.0)),
+    "lognormal": (Marginal(stats.lognorm(0.3, scale=20.0)), stats.lognorm(0.3, scale=20.0)),
+}
+
+
+@pytest.mark.parametrize("name", MARGINALS)
+def test_marginals(name):
+    marginal, wanted = MARGINALS[name]
+    p = np.linspace(0.01, 0.99, 23)
+    assert marginal.quantile(p) == pytest.approx(wanted.ppf(p), rel=1e-12)
+    assert marginal.cdf(wanted.ppf(p)) == pytest.approx(p, rel=1e-12)
+    # A double exponential rule: rounding of a few hundred terms, and of SciPy's own quantiles.
+    assert marginal.moments == pytest.approx((wanted.mean(), wanted.std()), rel=1e-12)
+
+
+def test_samples_have_the_moments_and_rank_correlations_of_the_distribution():
+    field = _field()
+    samples = field.sample(4096, seed=1)
+    for name, (mean, spread) in field.moments.items():
+        own = samples.property(name)
+        # A scrambled Sobol sequence of n points: errors of the order of 1/n, times a few standard deviations.
+        assert np.mean(own) == pytest.approx(mean, abs=4 * spread / 4096)
+        assert np.std(own) == pytest.approx(spread, rel=5e-3)
+    ends = np.rad2deg([samples.property("friction_angle").min(), samples.property("friction_angle").max()])
+    assert ends == pytest.approx([20.5, 33.5], abs=0.5)
+    found = stats.spearmanr(samples.values).statistic
+    assert found == pytest.approx(6 / math.pi * math.asin(-0.4 / 2), abs=2e-3)
+    found = stats.kendalltau(*samples.values.T).statistic
+    assert found == pytest.approx(2 / math.pi * math.asin(-0.4), abs=2e-3)
+
+
+def test_independent_draws_follow_the_distribution():
+    field = _field()
+    samples = field.draw(20_000, seed=7)
+    mean, spread = field.moments["cohesion"]
+    # Four standard errors.
+    assert np.mean(samples.property("cohesion")) == pytest.approx(mean, abs=4 * spread / math.sqrt(20_000))
+    assert stats.kstest(samples.property("friction_angle"), field.marginals["friction_angle"].cdf).pvalue > 1e-3
+
+
+def test_samples_repeat_and_grow():
+    field = _field()
+    first, more = field.sample(32, seed=5), field.sample(64, seed=5)
+    assert np.array_equal(first.values, more.values[:32])
+    assert not np.array_equal(first.values, field.sample(32, seed=6).values)
+    assert len(field.sample(20, seed=5)) == 20
+    assert [soil.cohesion for soil in first] == first.property("cohesion").tolist()
+    assert first.soils[3].density == SEROZEM.density
+
+
+def test_corners_are_the_ends_of_each_marginal():
+    field = _field()
+    found = np.sort(field.corners(0.9).property("cohesion"))
+    assert found == pytest.approx(stats.lognorm(0.3, scale=20e3).ppf([0.05, 0.05, 0.95, 0.95]), rel=1e-12)
+
+
+PAIRS = {("cohesion", "friction_angle"): 0.9, ("cohesion", "density"): 0.9, ("friction_angle", "density"): -0.9}
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"cohesoin": stats.norm(1, 1)}, "'cohesion'"),
+        ({"within": {"tool_friction": (0.1, 0.9)}}, "tool_friction"),
+        ({"cohesion": 20e3}, "not a distribution"),
+        ({"soil": replace(SEROZEM, cohesion=po.Design().parameter("c", 2e4))}, "is an expression in the soil"),
+        ({"cohesion": stats.norm(20e3, 6e3)}, "truncate it"),
+        ({"cohesion": stats.norm(20e3, np.nan)}, "cohesion: its distribution has no median"),
+        ({"cohesion": stats.norm(20e3, 0.0)}, "such as a scale of 0"),
+        ({"within": {"cohesion": 30e3}}, "the bounds of cohesion are 30000.0: give two numbers"),
+        ({"within": {"friction_angle": (po.deg(34), po.deg(34))}}, "contradict"),
+        ({"correlation": {("cohesion", "friction_angle"): -1.0}}, "between -1 and 1"),
+        ({"correlation": {("cohesion", "density"): 0.1}}, "no distribution"),
+        ({"correlation": {("cohesion", "cohesion"): 0.1}}, "pair of properties"),
+        ({"correlation": {("cohesion", "friction_angle"): 0.1, ("friction_angle", "cohesion"): 0.2}}, "given twice"),
+        ({"density": stats.uniform(1300, 100), "correlation": PAIRS}, "not positive definite"),
+    ],
+)
+def test_distributions_that_cannot_be(changes, words):
+    with pytest.raises((po.InputError, po.DomainError), match=words):
+        _field(**changes)
+
+
+# --- measures of samples: values, derivatives, and the bias of smoothing ---
+
+SAMPLES = stats.lognorm(0.3, scale=4.0).ppf((np.arange(64) + 0.5) / 64)[np.random.default_rng(3).permutation(64)]
+
+SMOOTHED = {
+    "expected": lambda v: measures.expected(v),
+    "standard deviation": lambda v: measures.standard_deviation(v),
+    "mean + 2 std": lambda v: measures.mean_plus(v, 2.0),
+    "cvar": lambda v: measures.cvar(v, 0.9, width=0.8),
+    "cvar at a whole number of samples": lambda v: measures.cvar(v, 0.75, width=0.5),
+    "worst": lambda v: measures.worst(v, width=3.0),
+    "probability": lambda v: measures.probability(v, at_least=3.0, at_most=5.0, width=0.7),
+    "quantile": lambda v: measures.quantile(v, 0.9, width=0.9),
+}
+
+
+# --- step and ramp ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("u", [-1.5, -1.0, -0.99, -0.3, 0.0, 0.45, 1.0, 1.7])
+def test_step_and_ramp_are_integrals_of_the_kernel(u):
+    with mpmath.workdps(30):
+        kernel = lambda x: mpmath.mpf(35) / 32 * (1 - x * x) ** 3  # noqa: E731
+        end = min(max(mpmath.mpf(u), -1), 1)
+        step = mpmath.quad(kernel, [-1, end])
+        ramp = mpmath.quad(lambda x: kernel(x) * max(mpmath.mpf(u) - x, 0), [-1, end])
+    # Sums of terms of order one.
+    assert measures.step(u) == pytest.approx(float(step), abs=1e-15)
+    assert measures.ramp(u) == pytest.approx(float(ramp), abs=1e-15)
+
+
+# --- values ----------------------------------------------------------------------------------------------
+
+
+def test_exact_values():
+    values = np.array([3.0, 1.0, 4.0, 1.5, 9.0, 2.0, 6.0, 5.0, 3.5, 8.0])
+    assert measures.expected(values) == pytest.approx(values.mean(), rel=1e-15)
+    assert measures.standard_deviation(values) == pytest.approx(values.std(), rel=1e-15)
+    assert measures.mean_plus(values, -1.5) == pytest.approx(values.mean() - 1.5 * values.std(), rel=1e-14)
+    assert measures.worst(values) == 9.0
+    assert measures.cvar(values, 0.8) == pytest.approx((9.0 + 8.0) / 2, rel=1e-15)
+    assert measures.cvar(values, 0.75) == pytest.approx((9.0 + 8.0 + 0.5 * 6.0) / 2.5, rel=1e-15)
+    assert measures.cvar(values, 0.0) == pytest.approx(values.mean(), rel=1e-15)
+    assert measures.probability(values, at_least=2.0, at_most=6.0) == 0.6
+    assert measures.quantile(values, 0.8) == 6.0
+
+
+@pytest.mark.parametrize("level", [0.5, 0.75, 0.9, 0.97])
+@pytest.mark.parametrize("width", [0.01, 0.5, 3.0])
+def test_cvar_is_the_minimum_over_the_threshold(level, width):
+    def at(t):
+        return t + width * np.mean(measures.ramp((SAMPLES - t) / width)) / (1.0 - level)
+
+    # Golden section on a convex function; beside its flat bottom the value has all its digits.
+    found = optimize.minimize_scalar(at, bracket=(SAMPLES.min(), SAMPLES.max()), tol=1e-10)
+    assert measures.cvar(SAMPLES, level, width=width) == pytest.approx(found.fun, rel=1e-13)
+
+
+def test_worst_is_exact_if_the_next_is_two_widths_below():
+    values = np.r_[SAMPLES, SAMPLES.max() + 1.0]
+    assert measures.worst(values, width=0.4) == pytest.approx(values.max(), rel=1e-14)
+    assert measures.worst(values, width=2.0) > values.max()
+
+
+# --- bias of the rounding-off ----------------------------------------------------------------------------
+
+# So many evenly spaced quantiles that sums over them are integrals over the normal distribution to some 1e-8.
+NORMAL = stats.norm().ppf((np.arange(200_000) + 0.5) / 200_000)
+
+
+@pytest.mark.parametrize("limit", [-1.0, 0.5, 1.6])
+def test_bias_of_the_probability_is_of_second_order(limit):
+    slope = -limit * stats.norm.pdf(limit)  # of the density
+    biases = []
+    for width in (0.4, 0.2):
+        biases.append(measures.probability(NORMAL, at_most=limit, width=width) - stats.norm.cdf(limit))
+        # The next term is of the order of width^4.
+        assert biases[-1] == pytest.approx(slope * width**2 / 18.0, rel=width**2, abs=2e-7)
+    assert np.log2(biases[0] / biases[1]) == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize("level", [0.8, 0.95])
+def test_bias_of_cvar_is_of_second_order(level):
+    density = stats.norm.pdf(stats.norm.ppf(level))
+    sharp = density / (1.0 - level)
+    for width in (0.4, 0.2):
+        bias = measures.cvar(NORMAL, level, width=width) - sharp
+        assert bias == pytest.approx(density * width**2 / 18.0 / (1.0 - level), rel=width**2, abs=1e-5)
+
+
+# --- derivatives -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SMOOTHED)
+def test_gradient_and_hessian_against_differences_of_order_8(name):
+    x, s = ca.SX.sym("x", 64), ca.SX.sym("s", 64)  # with MX: test_known_optima.py
+    value = SMOOTHED[name](x)
+    gradient = ca.gradient(value, x)
+    function = ca.Function("f", [x], [value])
+    slopes = ca.Function("g", [x], [gradient])
+    bent = ca.Function("h", [x, s], [ca.jtimes(gradient, x, s)])
+    along, step = np.random.default_rng(1).standard_normal(64), 3e-3
+
+    def differences(of):
+        moves = [m * step * along for m in (1, 2, 3, 4)]
+        pairs = [np.ravel(of(SAMPLES + move)) - np.ravel(of(SAMPLES - move)) for move in moves]
+        return sum(w * pair for w, pair in zip(WEIGHTS, pairs, strict=True)) / step
+
+    own = np.asarray(slopes(SAMPLES)).ravel()
+    assert float(function(SAMPLES)) == pytest.approx(SMOOTHED[name](SAMPLES), rel=1e-13)
+    # The third derivative of the kernel's step jumps at its ends: where a sample is near one, differences lose digits.
+    assert own @ along == pytest.approx(differences(lambda v: np.asarray(function(v))).item(), rel=1e-7, abs=1e-9)
+    wanted = differences(lambda v: np.asarray(slopes(v)))
+    found = np.asarray(bent(SAMPLES, along)).ravel()
+    assert np.max(np.abs(found - wanted)) <= 2e-5 * np.max(np.abs(wanted)) + 1e-9
+
+
+def test_a_standard_deviation_of_zero_has_finite_derivatives():
+    x = ca.MX.sym("x", 8)
+    gradient = ca.Function("g", [x], [ca.gradient(measures.standard_deviation(x), x)])
+    assert np.all(np.isfinite(np.asarray(gradient(np.full(8, 3.0)))))
+
+
+# --- refusals --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda v: measures.cvar(v, 1.0), "level"),
+        (lambda v: measures.cvar(v, 0.9, width=-1.0), "width"),
+        (lambda v: measures.quantile(v, 0.0), "between 0 and 1"),
+        (lambda v: measures.probability(v), "needs a limit"),
+        (lambda v: measures.probability(v, at_least=2.0, at_most=1.0), "contradict"),
+        (lambda v: measures.expected(np.r_[v, np.nan]), "1 of 65 samples are not finite"),
+        (lambda _: measures.worst([]), "no samples"),
+        (lambda _: measures.cvar(ca.MX.sym("v", 4), 0.9), "needs a width"),
+        (lambda _: measures.worst(ca.MX(0, 1), width=1.0), "no samples"),
+    ],
+)
+def test_measures_that_cannot_be(call, words):
+    with pytest.raises(po.InputError, match=words):
+        call(SAMPLES)
+
+
+# --- verification on fresh samples, and Sobol indices over the soil's distribution ---
 
 FIELD = po.SoilDistribution(
     po.named_soil("serozem"),
@@ -150,9 +403,6 @@ def test_refusals():
     ):
         with pytest.raises(po.InputError, match=words):
             call()
-
-
-SEROZEM = po.named_soil("serozem")
 
 
 @pytest.fixture(scope="module")

@@ -47,16 +47,15 @@ def test_combinations_of_effects(batch_of, errors, effects):
     assert np.all(result.error_estimate < 1e-9)
 
 
+SMOOTH = [
+    {"start": "rest", "rate_term": 0.05, "speed_term": 0.2},
+    {"start": "towed", "tow_ramp": 0.2, "damping": 200.0},
+    {"tow_ramp": 0.2},
+]
+
+
 @pytest.mark.usefixtures("no_compiler")
-@pytest.mark.parametrize(
-    "more",
-    [
-        {"start": "rest", "rate_term": 0.05, "speed_term": 0.2},
-        {"start": "towed", "tow_ramp": 0.2, "damping": 200.0},
-        {"tow_ramp": 0.2},
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize("more", SMOOTH, ids=str)
 def test_smooth_contact(batch_of, errors, more):
     effects = {"contact": po.Smooth(0.2), "strength_wave": po.StrengthWave(0.9, 0.3), "tow_speed": 0.8, **more}
     # These shares stop and go, and each stop changes the formula.
@@ -159,15 +158,16 @@ def test_motions_without_an_end(batch_of, r1_wave):
     assert "takes more than 200000 steps" in ringing.reasons[3]
 
 
+OTHER_SCENES = [
+    ({"own": (Own(lambda travel, speed: 3.0 * ca.floor(travel) * speed),)}, "operation .floor."),
+    ({"motion": False}, "quasi-static"),
+    ({"contact": po.StickSlip()}, "events of StickSlip"),
+    ({"entry": True, "start": "rest"}, "events of the entry"),
+]
+
+
 @pytest.mark.parametrize(
-    ("effects", "match"),
-    [
-        ({"own": (Own(lambda travel, speed: 3.0 * ca.floor(travel) * speed),)}, "operation .floor."),
-        ({"motion": False}, "quasi-static"),
-        ({"contact": po.StickSlip()}, "events of StickSlip"),
-        ({"entry": True, "start": "rest"}, "events of the entry"),
-    ],
-    ids=lambda value: value if isinstance(value, str) else next(iter(value)),
+    ("effects", "match"), OTHER_SCENES, ids=lambda value: value if isinstance(value, str) else next(iter(value))
 )
 def test_other_scenes_are_refused(batch_of, effects, match):
     with pytest.raises(po.InputError, match=match):

@@ -94,14 +94,14 @@ def test_a_damaged_library_is_compiled_again(cache, damaged):
     assert list(cache.iterdir()) == [path]
 
 
-@pytest.mark.parametrize(
-    ("before", "found"),
-    [
-        ("", "temporary"),
-        ("import os; del os.environ['HOME']; os.getuid = lambda: 2**31 - 3", "temporary"),  # nobody's home
-        ("import tempfile; tempfile.tempdir = 'file'", "None"),
-    ],
-)
+WITHOUT_CACHE = [
+    ("", "temporary"),
+    ("import os; del os.environ['HOME']; os.getuid = lambda: 2**31 - 3", "temporary"),  # nobody's home
+    ("import tempfile; tempfile.tempdir = 'file'", "None"),
+]
+
+
+@pytest.mark.parametrize(("before", "found"), WITHOUT_CACHE)
 def test_without_a_cache_a_temporary_folder_serves_until_the_process_ends(tmp_path, before, found):
     (tmp_path / "file").write_text("not a folder")
     (tmp_path / "temporary").mkdir()
@@ -142,18 +142,18 @@ def test_a_library_that_others_own_or_may_write_is_compiled_again(cache, harm):
     assert cache.stat().st_mode & 0o777 == 0o700
 
 
-@pytest.mark.parametrize(
-    ("harm", "safe"),
-    [
-        (lambda folder: folder.chmod(0o720), False),
-        (lambda folder: folder.chmod(0o702), False),
-        (lambda folder: folder.chmod(0o1777), True),
-        (lambda folder: folder.parent.chmod(0o777), False),
-        (lambda folder: folder.parent.chmod(0o1777), True),
-        pytest.param(given_away, False, marks=by_root),
-        pytest.param(lambda folder: given_away(folder.parent), False, marks=by_root),
-    ],
-)
+HARMS = [
+    (lambda folder: folder.chmod(0o720), False),
+    (lambda folder: folder.chmod(0o702), False),
+    (lambda folder: folder.chmod(0o1777), True),
+    (lambda folder: folder.parent.chmod(0o777), False),
+    (lambda folder: folder.parent.chmod(0o1777), True),
+    pytest.param(given_away, False, marks=by_root),
+    pytest.param(lambda folder: given_away(folder.parent), False, marks=by_root),
+]
+
+
+@pytest.mark.parametrize(("harm", "safe"), HARMS)
 def test_a_cache_that_others_may_write_is_not_used(cache, harm, safe):
     path = compiled()
     harm(cache)
@@ -186,19 +186,20 @@ def of_another(path):
     path.write_bytes(content + hashlib.sha256(content).digest())
 
 
+REPLACED = [
+    (os.mkfifo, False),
+    pytest.param(bound, False, marks=pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="no /proc")),
+    (lambda path: path.symlink_to("nowhere"), False),
+    (lambda path: path.symlink_to("/dev/zero"), False),
+    (lambda path: path.symlink_to(compiled(SOURCE + "/* other */")), False),
+    (of_another, False),
+    (Path.mkdir, True),
+]
+
+
 @pytest.mark.usefixtures("cache")
 @pytest.mark.parametrize(
-    ("make", "stays"),
-    [
-        (os.mkfifo, False),
-        pytest.param(bound, False, marks=pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="no /proc")),
-        (lambda path: path.symlink_to("nowhere"), False),
-        (lambda path: path.symlink_to("/dev/zero"), False),
-        (lambda path: path.symlink_to(compiled(SOURCE + "/* other */")), False),
-        (of_another, False),
-        (Path.mkdir, True),
-    ],
-    ids=["fifo", "socket", "dangling", "device", "link", "another", "folder"],
+    ("make", "stays"), REPLACED, ids=["fifo", "socket", "dangling", "device", "link", "another", "folder"]
 )
 def test_anything_else_in_the_place_of_a_library_is_replaced_or_left(make, stays):
     path = compiled()
@@ -232,17 +233,17 @@ HALF = """last=; for one; do [ "$last" = -o ] && out=$one; last=$one; done
 cc "${@}" && dd if="$out" of="$out.half" bs=1000 count=4 2>/dev/null && mv "$out.half" "$out" """
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("echo first >&2; echo second >&2; exit 3", r"my-cc failed \(first\)"),
-        ("exit 3", "exit status 3"),
-        ("kill -9 $$", "ended by signal 9"),
-        ("exit 0", "wrote no library"),
-        ("sleep 60 & echo $! > PIDS; sleep 60", r"did not end within 1.5 s"),
-        (HALF, "cannot be loaded"),
-    ],
-)
+FAILING = [
+    ("echo first >&2; echo second >&2; exit 3", r"my-cc failed \(first\)"),
+    ("exit 3", "exit status 3"),
+    ("kill -9 $$", "ended by signal 9"),
+    ("exit 0", "wrote no library"),
+    ("sleep 60 & echo $! > PIDS; sleep 60", r"did not end within 1.5 s"),
+    (HALF, "cannot be loaded"),
+]
+
+
+@pytest.mark.parametrize(("text", "words"), FAILING)
 def test_a_failing_compiler_is_named_and_leaves_nothing_behind(cache, compiler, monkeypatch, tmp_path, text, words):
     monkeypatch.setattr(compilers, "_TIMEOUT", 1.5 if "sleep" in text else 60.0)
     compiler(text.replace("PIDS", str(tmp_path / "pids")))

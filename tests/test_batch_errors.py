@@ -209,15 +209,14 @@ def test_motions_that_forget_their_start(batch_of, r1_wave):
     assert np.all(np.isfinite(result.mean_draft))
 
 
-@pytest.mark.parametrize(
-    ("compiled", "count", "effects"),
-    [
-        (True, 1003, {}),
-        (False, 61, {}),
-        pytest.param(True, 1003, {"contact": po.Smooth(0.2), "tow_ramp": 0.3, "start": "rest"}, marks=pytest.mark.slow),
-    ],
-    ids=["compiled", "plain", "smooth contact"],
-)
+APART = [
+    (True, 1003, {}),
+    (False, 61, {}),
+    pytest.param(True, 1003, {"contact": po.Smooth(0.2), "tow_ramp": 0.3, "start": "rest"}, marks=pytest.mark.slow),
+]
+
+
+@pytest.mark.parametrize(("compiled", "count", "effects"), APART, ids=["compiled", "plain", "smooth contact"])
 def test_designs_do_not_depend_on_each_other(batch_of, r1_wave, request, compiled, count, effects):
     if not compiled:
         request.getfixturevalue("no_compiler")

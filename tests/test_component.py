@@ -181,21 +181,20 @@ WAVE = po.StrengthWave(0.3, 0.6)
 STRENGTHLESS = po.Soil(1350.0, 0.8, 0.0, 0.0, 0.5)
 
 
-@pytest.mark.parametrize(
-    "effects",
-    [
-        {"damping": 250.0, "start": "rest", "strength_wave": WAVE},
-        {"tow_ramp": 0.5, "strength_wave": WAVE},
-        {"contact": po.Smooth(0.4), "rate_term": 0.05},
-        {"motion": False, "strength_wave": WAVE, "tow_ramp": 0.5},
-        {"orbit": "linearised", "strength_wave": WAVE, "damping": 400.0},
-        {"orbit": po.HarmonicBalance(8), "strength_wave": WAVE, "damping": 400.0},
-        {"orbit": "periodic", "strength_wave": WAVE, "damping": 400.0},
-        {"own": (), "inertial_drag": False, "added_mass": False, "ambient_pressure": False},
-        {"soil": STRENGTHLESS, "tow_speed": 0.0},
-    ],
-    ids=lambda effects: "+".join(effects),
-)
+KINDS = [
+    {"damping": 250.0, "start": "rest", "strength_wave": WAVE},
+    {"tow_ramp": 0.5, "strength_wave": WAVE},
+    {"contact": po.Smooth(0.4), "rate_term": 0.05},
+    {"motion": False, "strength_wave": WAVE, "tow_ramp": 0.5},
+    {"orbit": "linearised", "strength_wave": WAVE, "damping": 400.0},
+    {"orbit": po.HarmonicBalance(8), "strength_wave": WAVE, "damping": 400.0},
+    {"orbit": "periodic", "strength_wave": WAVE, "damping": 400.0},
+    {"own": (), "inertial_drag": False, "added_mass": False, "ambient_pressure": False},
+    {"soil": STRENGTHLESS, "tow_speed": 0.0},
+]
+
+
+@pytest.mark.parametrize("effects", KINDS, ids=lambda effects: "+".join(effects))
 def test_every_result_agrees_with_the_numeric_scene(r1_scene, effects):
     scene = r1_scene(**effects)
     duration = None if "orbit" in effects else 2.0
@@ -305,46 +304,46 @@ def _stiffness(lower, upper):
     return {"inputs": [po.Input("scene.stiffness", lower, upper)]}
 
 
-@pytest.mark.parametrize(
-    ("effects", "requested", "words"),
-    [
-        ({"contact": po.StickSlip()}, {}, "stick and slip cannot be a component: its events"),
-        ({"entry": True, "start": "rest"}, {}, "enters the soil cannot be a component"),
-        ({}, {"outputs": ["mean_drft"]}, "did you mean 'mean_draft'"),
-        ({}, {"outputs": ["peak_force"]}, "use 'mount_force'"),
-        ({}, {"inputs": ["effects.damping"]}, "the scene has no 'effects.damping'"),
-        ({}, {"duration": None}, "the duration is missing"),
-        ({}, {"inputs": ["scene.frame_mass"]}, "needs a steel_density"),
-        ({}, {"inputs": ["scene.mass"], "steel_density": 7850.0}, "follows from steel_density"),
-        ({}, {"steel_density": 78500.0}, "more than the whole moving mass of 23.1724 kg"),
-        ({}, {"inputs": ["scene.stiffness", "scene.stiffness"]}, "twice"),
-        ({}, {"outputs": [OWN]}, "'scene.stiffness' and 'scene_stiffness' clash"),
-        ({}, {"inputs": [po.Input("2k")]}, "'2k' must be a name that begins with a letter"),
-        ({}, {"inputs": [po.Input("scene.stiffness", 4e4, 6e4, unit="N")]}, "is in N/m, not in N"),
-        ({"own": (Shank(per_metre=-1e8),)}, {}, "the motion has no finite value at scene.stiffness = 50000 N/m"),
-        ({"height": FREE}, {"inputs": [HEIGHT], "steel_density": 7850.0}, "needs a numeric scene"),
-        ({}, {"inputs": [po.Input("k", 1.0, 2.0, symbol=2 * FREE)]}, "must be a scalar CasADi symbol"),
-        ({}, {"inputs": [FREE]}, "input MX(k) must be a name, or po.Input(name, ...)"),
-        ({}, {"outputs": [NOTHING]}, "'nothing' has no finite value"),
-        ({}, {"inputs": []}, "name at least one"),
-        ({}, {"accuracy": po.Accuracy("cvodes")}, "'cvodes' cannot be part of a component"),
-        ({"orbit": "periodic", "strength_wave": WAVE}, {}, "leave the duration out"),
-        ({}, {"inputs": [ALONE]}, "does not hold the symbol of input 'k'"),
-        ({}, {"inputs": [po.Input("k", symbol=FREE)]}, "needs lower and upper"),
-        ({"stiffness": FREE}, {"inputs": ["share.height"]}, "not inputs (k)"),
-        ({"stiffness": FREE}, {"inputs": [po.Input("k", 4e4, 6e4, symbol=FREE), "scene.stiffness"]}, "make its symbol"),
-        # Bounds, and where they lead out of the domain.
-        ({}, _stiffness(6e4, 5e4), "lower 60000 is not below upper 50000"),
-        ({}, _stiffness(6e4, 7e4), "= 50000 lies outside its bounds 60000 to 70000"),
-        ({}, _stiffness(-1.0, 7e4), "at scene.stiffness = -1 N/m: stiffness = -1 N/m must be above 0"),
-        ({}, _stiffness(-1.0, 7e4) | {"accuracy": po.Accuracy("dop853", steps=100)}, "must be above 0"),
-        ({}, _stiffness(1.0, 1e14), "so fast that the run would take"),
-        ({}, _stiffness(1.0, np.inf), "upper of 'scene.stiffness' = inf N/m must be finite"),
-        ({}, {"inputs": [po.Input("share.wedge_angle", 0.1, 1.0), po.Input("soil.density_ratio", 0.5, 1.5)]},
-         "at share.wedge_angle = 0.1 rad, soil.density_ratio = 1.5: density ratio b1"),
-        ({"strength_wave": po.StrengthWave(0.0, 0.6)}, {"inputs": ["effects.strength_wave.amplitude"]}, "give bounds"),
-    ],
-)  # fmt: skip
+INVALID = [
+    ({"contact": po.StickSlip()}, {}, "stick and slip cannot be a component: its events"),
+    ({"entry": True, "start": "rest"}, {}, "enters the soil cannot be a component"),
+    ({}, {"outputs": ["mean_drft"]}, "did you mean 'mean_draft'"),
+    ({}, {"outputs": ["peak_force"]}, "use 'mount_force'"),
+    ({}, {"inputs": ["effects.damping"]}, "the scene has no 'effects.damping'"),
+    ({}, {"duration": None}, "the duration is missing"),
+    ({}, {"inputs": ["scene.frame_mass"]}, "needs a steel_density"),
+    ({}, {"inputs": ["scene.mass"], "steel_density": 7850.0}, "follows from steel_density"),
+    ({}, {"steel_density": 78500.0}, "more than the whole moving mass of 23.1724 kg"),
+    ({}, {"inputs": ["scene.stiffness", "scene.stiffness"]}, "twice"),
+    ({}, {"outputs": [OWN]}, "'scene.stiffness' and 'scene_stiffness' clash"),
+    ({}, {"inputs": [po.Input("2k")]}, "'2k' must be a name that begins with a letter"),
+    ({}, {"inputs": [po.Input("scene.stiffness", 4e4, 6e4, unit="N")]}, "is in N/m, not in N"),
+    ({"own": (Shank(per_metre=-1e8),)}, {}, "the motion has no finite value at scene.stiffness = 50000 N/m"),
+    ({"height": FREE}, {"inputs": [HEIGHT], "steel_density": 7850.0}, "needs a numeric scene"),
+    ({}, {"inputs": [po.Input("k", 1.0, 2.0, symbol=2 * FREE)]}, "must be a scalar CasADi symbol"),
+    ({}, {"inputs": [FREE]}, "input MX(k) must be a name, or po.Input(name, ...)"),
+    ({}, {"outputs": [NOTHING]}, "'nothing' has no finite value"),
+    ({}, {"inputs": []}, "name at least one"),
+    ({}, {"accuracy": po.Accuracy("cvodes")}, "'cvodes' cannot be part of a component"),
+    ({"orbit": "periodic", "strength_wave": WAVE}, {}, "leave the duration out"),
+    ({}, {"inputs": [ALONE]}, "does not hold the symbol of input 'k'"),
+    ({}, {"inputs": [po.Input("k", symbol=FREE)]}, "needs lower and upper"),
+    ({"stiffness": FREE}, {"inputs": ["share.height"]}, "not inputs (k)"),
+    ({"stiffness": FREE}, {"inputs": [po.Input("k", 4e4, 6e4, symbol=FREE), "scene.stiffness"]}, "make its symbol"),
+    # Bounds, and where they lead out of the domain.
+    ({}, _stiffness(6e4, 5e4), "lower 60000 is not below upper 50000"),
+    ({}, _stiffness(6e4, 7e4), "= 50000 lies outside its bounds 60000 to 70000"),
+    ({}, _stiffness(-1.0, 7e4), "at scene.stiffness = -1 N/m: stiffness = -1 N/m must be above 0"),
+    ({}, _stiffness(-1.0, 7e4) | {"accuracy": po.Accuracy("dop853", steps=100)}, "must be above 0"),
+    ({}, _stiffness(1.0, 1e14), "so fast that the run would take"),
+    ({}, _stiffness(1.0, np.inf), "upper of 'scene.stiffness' = inf N/m must be finite"),
+    ({}, {"inputs": [po.Input("share.wedge_angle", 0.1, 1.0), po.Input("soil.density_ratio", 0.5, 1.5)]},
+     "at share.wedge_angle = 0.1 rad, soil.density_ratio = 1.5: density ratio b1"),
+    ({"strength_wave": po.StrengthWave(0.0, 0.6)}, {"inputs": ["effects.strength_wave.amplitude"]}, "give bounds"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("effects", "requested", "words"), INVALID)
 def test_an_invalid_component_is_refused_with_the_reason(r1_scene, effects, requested, words):
     requested = {"duration": 1.0, "inputs": ["scene.stiffness"], "outputs": ["mean_draft"]} | requested
     with pytest.raises((po.InputError, po.DomainError), match=re.escape(words)):
@@ -370,21 +369,21 @@ def two_inputs(r1_scene):
     return po.component(r1_scene(), 1.0, inputs=inputs, outputs=["mean_draft"])
 
 
-@pytest.mark.parametrize(
-    ("values", "named", "words"),
-    [
-        ((1e6, 0.25), {}, r"scene.stiffness = 1e\+06 N/m must lie between 40000 and 60000 N/m"),
-        ((5e4, float("nan")), {}, "share.height = nan"),
-        # Conversions of units and optimisers leave a billionth of the width; twice that is outside.
-        ((6e4 + 4e-5, 0.25), {}, "must lie between"),
-        ((5e4,), {}, "takes 2 inputs"),
-        ((5e4, "high"), {}, "must be a number"),
-        ((np.array([4e4, 5e4]), 0.25), {}, "component.map takes many"),
-        ((5e4,), {"share_height": 0.25}, "in order or by name"),
-        ((), {"share_hight": 0.25}, "did you mean 'share.height'"),
-        ((), {"share.height": 0.2, "share_height": 0.3}, "'share.height' is given twice, also as 'share_height'"),
-    ],
-)
+INVALID_CALLS = [
+    ((1e6, 0.25), {}, r"scene.stiffness = 1e\+06 N/m must lie between 40000 and 60000 N/m"),
+    ((5e4, float("nan")), {}, "share.height = nan"),
+    # Conversions of units and optimisers leave a billionth of the width; twice that is outside.
+    ((6e4 + 4e-5, 0.25), {}, "must lie between"),
+    ((5e4,), {}, "takes 2 inputs"),
+    ((5e4, "high"), {}, "must be a number"),
+    ((np.array([4e4, 5e4]), 0.25), {}, "component.map takes many"),
+    ((5e4,), {"share_height": 0.25}, "in order or by name"),
+    ((), {"share_hight": 0.25}, "did you mean 'share.height'"),
+    ((), {"share.height": 0.2, "share_height": 0.3}, "'share.height' is given twice, also as 'share_height'"),
+]
+
+
+@pytest.mark.parametrize(("values", "named", "words"), INVALID_CALLS)
 def test_invalid_calls_are_refused(two_inputs, values, named, words):
     with pytest.raises((po.InputError, po.DomainError), match=words):
         two_inputs(*values, **named)

@@ -497,22 +497,22 @@ def test_density_ratio_follows_a_compression_test():
     np.testing.assert_allclose([float(of_pressure(p)) for p in at], expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("pressure", "lost", "soil", "words"),
-    [
-        (PRESSURES, LOST, SEROZEM, None),
-        (PRESSURES, LOST, replace(SEROZEM, ambient_pressure=5e3), "outside the compression test, 25 to 200 kPa"),
-        (PRESSURES, LOST[:3], SEROZEM, "has 4 pressures and 3 compactions"),
-        ([5e4], [0.1], SEROZEM, "two or more"),
-        ([5e4, 4e4], [0.1, 0.2], SEROZEM, "must rise from above 0"),
-        ([5e4, 2e5], [0.1, 1.0], SEROZEM, "must rise from above 0 to below 1"),
-        ([5e4, np.nan], [0.1, 0.2], SEROZEM, "must rise"),
-        (["5 m", "6 m"], [0.1, 0.2], SEROZEM, "wrong unit"),
-        ("5 kPa", [0.1, 0.2], SEROZEM, "must be a list of pressures"),
-        (PRESSURES, LOST, "serozem", "must be the Soil"),
-        (PRESSURES, LOST, SEROZEM.with_density_profile(abs), "no density ratio"),
-    ],
-)
+WRONG_TESTS = [
+    (PRESSURES, LOST, SEROZEM, None),
+    (PRESSURES, LOST, replace(SEROZEM, ambient_pressure=5e3), "outside the compression test, 25 to 200 kPa"),
+    (PRESSURES, LOST[:3], SEROZEM, "has 4 pressures and 3 compactions"),
+    ([5e4], [0.1], SEROZEM, "two or more"),
+    ([5e4, 4e4], [0.1, 0.2], SEROZEM, "must rise from above 0"),
+    ([5e4, 2e5], [0.1, 1.0], SEROZEM, "must rise from above 0 to below 1"),
+    ([5e4, np.nan], [0.1, 0.2], SEROZEM, "must rise"),
+    (["5 m", "6 m"], [0.1, 0.2], SEROZEM, "wrong unit"),
+    ("5 kPa", [0.1, 0.2], SEROZEM, "must be a list of pressures"),
+    (PRESSURES, LOST, "serozem", "must be the Soil"),
+    (PRESSURES, LOST, SEROZEM.with_density_profile(abs), "no density ratio"),
+]
+
+
+@pytest.mark.parametrize(("pressure", "lost", "soil", "words"), WRONG_TESTS)
 def test_compression_tests_that_do_not_fit_are_refused(pressure, lost, soil, words):
     if words is None:
         assert po.Soil.from_compaction(pressure, lost, soil).density_ratio < 1.0 - LOST[2]

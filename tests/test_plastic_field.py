@@ -243,15 +243,15 @@ def cavity_of(filled):
     return 0.1 * math.sqrt(math.log(2.0) * filled)
 
 
+WITHOUT_FRONT = [
+    (lambda _r: 1349.0, 0.05),
+    (lambda r: 1500.0 - 4000.0 * r, 0.05),
+    *((falling, cavity_of(filled)) for filled in (1.0001, 1.1, 10.0)),
+]
+
+
 @pytest.mark.parametrize("order", [8, 40])
-@pytest.mark.parametrize(
-    ("density", "radius"),
-    [
-        (lambda _r: 1349.0, 0.05),
-        (lambda r: 1500.0 - 4000.0 * r, 0.05),
-        *((falling, cavity_of(filled)) for filled in (1.0001, 1.1, 10.0)),
-    ],
-)
+@pytest.mark.parametrize(("density", "radius"), WITHOUT_FRONT)
 def test_a_profile_that_cannot_hold_the_soil_of_a_cavity_has_no_front(density, radius, order):
     words = f"cavity of {radius:.4g} m was not found.*make the profile denser or wider"
     for quantity in OF_CAVITY:
@@ -286,13 +286,13 @@ def test_the_front_is_found_up_to_the_largest_cavity(filled):
     assert found == pytest.approx(wanted, rel=1e-15 / (1.0 - filled) + 1e-14)
 
 
-@pytest.mark.parametrize(
-    ("density", "order", "words"),
-    [
-        *((falling, order, f"order = {order!r} .*positive integer") for order in (0, 2.5, "16", None)),
-        *((density, 16, f"{density!r}.* a function of the radius, in kg/m") for density in (1700.0, "rho")),
-    ],
-)
+INVALID_PROFILES = [
+    *((falling, order, f"order = {order!r} .*positive integer") for order in (0, 2.5, "16", None)),
+    *((density, 16, f"{density!r}.* a function of the radius, in kg/m") for density in (1700.0, "rho")),
+]
+
+
+@pytest.mark.parametrize(("density", "order", "words"), INVALID_PROFILES)
 def test_invalid_profiles_are_refused(density, order, words):
     with pytest.raises(po.InputError, match=words):
         PLAIN.with_density_profile(density, order=order)

@@ -235,27 +235,27 @@ def test_missing_effects_and_functions_are_named_and_not_run(tmp_path):
 WRONG = "is not a result of this version (schema 2)"
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        *((text, WRONG) for text in ("", "[]", '{"kind": "run"}')),
-        *((part, "Invalid JSON") for part in (0.1, 0.999)),
-        *(({"schema": schema}, "schema") for schema in (1, True, "2", None)),
-        ({"kind": "sweep"}, "'sweep'"),
-        ({"seconds": math.nan}, "NaN is not a finite number"),
-        ({"mount_force": [1.0]}, "mount_force must have a number for each output time"),
-        ({"averages": {name: [1.0] for name in AVERAGES}}, "averages.mean_draft must be a number"),
-        ({"checks": None}, "a numeric run has its checks"),
-        ({"checks": {"floquet": [[1.0]]}}, "at checks"),
-        ({"shown": {"parts": [{"columns": [], "rows": [["a"]]}]}}, "1 cells, but the table has 0 columns"),
-        ({"shown": {"parts": [{"columns": [{}], "rows": [[]]}]}}, "0 cells, but the table has 1 columns"),
-        ({"duration": []}, "at duration: holds no number"),
-        ({"duration": [[]]}, "at duration: holds no number"),
-        ({"duration": [[1.0, 2.0], [3.0]]}, "at duration"),
-        *((without, without) for without in ("title", "versions", "averages", "time")),
-        (b"\x89PNG\r\n\x1a\n", "cannot be read"),
-    ],
-)
+INVALID_FILES = [
+    *((text, WRONG) for text in ("", "[]", '{"kind": "run"}')),
+    *((part, "Invalid JSON") for part in (0.1, 0.999)),
+    *(({"schema": schema}, "schema") for schema in (1, True, "2", None)),
+    ({"kind": "sweep"}, "'sweep'"),
+    ({"seconds": math.nan}, "NaN is not a finite number"),
+    ({"mount_force": [1.0]}, "mount_force must have a number for each output time"),
+    ({"averages": {name: [1.0] for name in AVERAGES}}, "averages.mean_draft must be a number"),
+    ({"checks": None}, "a numeric run has its checks"),
+    ({"checks": {"floquet": [[1.0]]}}, "at checks"),
+    ({"shown": {"parts": [{"columns": [], "rows": [["a"]]}]}}, "1 cells, but the table has 0 columns"),
+    ({"shown": {"parts": [{"columns": [{}], "rows": [[]]}]}}, "0 cells, but the table has 1 columns"),
+    ({"duration": []}, "at duration: holds no number"),
+    ({"duration": [[]]}, "at duration: holds no number"),
+    ({"duration": [[1.0, 2.0], [3.0]]}, "at duration"),
+    *((without, without) for without in ("title", "versions", "averages", "time")),
+    (b"\x89PNG\r\n\x1a\n", "cannot be read"),
+]
+
+
+@pytest.mark.parametrize(("text", "words"), INVALID_FILES)
 def test_an_invalid_file_is_refused(tmp_path, text, words):
     path = tmp_path / "result.json"
     whole = run().to_json()

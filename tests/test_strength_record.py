@@ -149,25 +149,25 @@ def waves_command(tmp_path):
     return run
 
 
-@pytest.mark.parametrize(
-    ("text", "options", "words"),
-    [
-        ("", (), "there are no readings"),
-        ("position [m], cone_index [kPa]\n1, 2, 3\n", (), "line 2: the row has 3 cells"),
-        ("position [m], strength [kPa]\n1, 2\n", (), "column 'strength .kPa.': this column is unknown"),
-        ("position [m], time [s]\n1, 2\n", (), "one column of positions or times and one of strengths are needed"),
-        ("position [m], cone_index [kPa]\n1, 2\n2, 3\n", (), "2 points"),
-        ("position [m], cone_index [kPa]\n1, 2\n\n3, 3\n3, 4\n", (), "line 5: position must increase, but 3 follows 3"),
-        pytest.param(f"{HEADINGS}\n" + "1, 2\n" * 2_000_000, (), "at most 10 MB can be read", id="huge"),
-        ("position [m], force [kN]\n1, 2\n", (), "a measured force contains the rig.s own oscillation"),
-        ("time [s], cone_index [kPa]\n1, 2\n", (), "need the tow speed"),
-        (TIMES, ("--tow-speed", "0 m/s"), "positions must increase, but 0 m follows 0 m"),
-        (None, ("--mass", "9 kg", "--stiffness", "9 kN/m", "--tow-speed", "0 m/s"), "tow speed of a rig = 0 m/s"),
-        (None, ("--mass", "20 kg"), "a rig also needs --stiffness, --tow-speed"),
-        (None, ("--part", "2"), "part = 2.0"),
-        (None, ("--plot", "x.bmp"), "it must end in .png"),
-    ],
-)
+WRONG_RECORDS = [
+    ("", (), "there are no readings"),
+    ("position [m], cone_index [kPa]\n1, 2, 3\n", (), "line 2: the row has 3 cells"),
+    ("position [m], strength [kPa]\n1, 2\n", (), "column 'strength .kPa.': this column is unknown"),
+    ("position [m], time [s]\n1, 2\n", (), "one column of positions or times and one of strengths are needed"),
+    ("position [m], cone_index [kPa]\n1, 2\n2, 3\n", (), "2 points"),
+    ("position [m], cone_index [kPa]\n1, 2\n\n3, 3\n3, 4\n", (), "line 5: position must increase, but 3 follows 3"),
+    pytest.param(f"{HEADINGS}\n" + "1, 2\n" * 2_000_000, (), "at most 10 MB can be read", id="huge"),
+    ("position [m], force [kN]\n1, 2\n", (), "a measured force contains the rig.s own oscillation"),
+    ("time [s], cone_index [kPa]\n1, 2\n", (), "need the tow speed"),
+    (TIMES, ("--tow-speed", "0 m/s"), "positions must increase, but 0 m follows 0 m"),
+    (None, ("--mass", "9 kg", "--stiffness", "9 kN/m", "--tow-speed", "0 m/s"), "tow speed of a rig = 0 m/s"),
+    (None, ("--mass", "20 kg"), "a rig also needs --stiffness, --tow-speed"),
+    (None, ("--part", "2"), "part = 2.0"),
+    (None, ("--plot", "x.bmp"), "it must end in .png"),
+]
+
+
+@pytest.mark.parametrize(("text", "options", "words"), WRONG_RECORDS)
 def test_errors_give_file_and_line(waves_command, text, options, words):
     done = waves_command(text, *options)
     assert (done.status, done.out) == (2, "")
@@ -419,15 +419,18 @@ def integrated(own, density, ends):
     return total(lambda q: complex(k, q * v * c) * h(q)), total(h), total(lambda q: q * v * h(q))
 
 
+STATIONARY = [
+    {"damping": 30.0, "rate_term": 0.05},
+    {"damping": 2e4, "inertial_drag": False},
+    {"rate_term": 0.02},
+    {"speed_term": 0.3},
+    {"damping": 30.0, "rate_term": 0.05, "speed_term": 0.2},
+]
+
+
 @pytest.mark.parametrize(
     "effects",
-    [
-        {"damping": 30.0, "rate_term": 0.05},
-        {"damping": 2e4, "inertial_drag": False},
-        {"rate_term": 0.02},
-        {"speed_term": 0.3},
-        {"damping": 30.0, "rate_term": 0.05, "speed_term": 0.2},
-    ],
+    STATIONARY,
     ids=["damped", "overdamped", "by the soil alone", "by its growth with speed", "by everything"],
 )
 @pytest.mark.parametrize("length", [0.01, 20.0])

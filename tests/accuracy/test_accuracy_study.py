@@ -195,18 +195,18 @@ def test_without_a_reference_a_note_says_why():
     assert study.advice == ""
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"duration": None}, "duration is missing"),
-        ({"duration": 0.0}, "duration"),
-        ({"wanted": 0.5}, "wanted error"),
-        ({"outputs": 0}, "outputs = 0"),
-        ({"allowance": 0.0}, "time allowed"),
-        ({"scene": scene_of(strength_wave=WAVE, orbit="periodic")}, "duration must be omitted"),
-        ({"scene": scene_of(stiffness=ca.MX.sym("k"))}, "holds symbols"),
-    ],
-)
+WRONG = [
+    ({"duration": None}, "duration is missing"),
+    ({"duration": 0.0}, "duration"),
+    ({"wanted": 0.5}, "wanted error"),
+    ({"outputs": 0}, "outputs = 0"),
+    ({"allowance": 0.0}, "time allowed"),
+    ({"scene": scene_of(strength_wave=WAVE, orbit="periodic")}, "duration must be omitted"),
+    ({"scene": scene_of(stiffness=ca.MX.sym("k"))}, "holds symbols"),
+]
+
+
+@pytest.mark.parametrize(("change", "said"), WRONG)
 def test_wrong_inputs(change, said):
     given = {"scene": scene_of(), "duration": 0.1} | change
     with pytest.raises((po.InputError, po.DomainError), match=said):
@@ -225,32 +225,32 @@ A, TIGHT, B = ("a", "loose", 1e-3, 1e-3), ("a", "tight", 2e-3, 1e-7), ("b", "", 
 # --- a sentence on the cheapest method that reaches the wanted error, the next method, and the default ---
 
 
-@pytest.mark.parametrize(
-    ("rows", "wanted", "facts"),
-    [
-        pytest.param(
-            (A, TIGHT, ("a", "tighter", 3e-3, 1e-9), B, ("auto", "error 1e-08", 0.1, 1e-10)), 1e-6,
-            ("1e-06", "a, tight: 2 ms, error 1e-07", "3.0 times cheaper", "b", "default", "100 ms", "50 times"),
-            id="the next is another method"),
-        pytest.param(
-            (("auto", "error 1e-08", 1e-3, 1e-9), ("b", "", 1.05e-3, 1e-8)), 1e-8,
-            ("auto, error 1e-08: 1 ms", "about as cheap", "b; that is the default."), id="the default is best"),
-        pytest.param(
-            (("auto", "error 1e-06", 1e-3, 1e-7), ("auto", "error 1e-08", 2e-3, 1e-9)), 1e-6,
-            ("auto, error 1e-06: 1 ms, error 1e-07; that is Accuracy(error=1e-06); the default",), id="auto"),
-        pytest.param((TIGHT, ("b", "", 1e-3, 1e-2)), 1e-6, ("a, tight: 2 ms", "only method"), id="the only method"),
-        pytest.param(
-            (A, ("b", "", 2.0, 1e-5), ("auto", "error 1e-08", 3.0, 1e-4)), 1e-6,
-            ("nothing", "1e-06", "b", "1e-05", "2 s", "the default, auto, error 1e-08, takes 3 s"), id="none"),
-        pytest.param(
-            (("dop853", "80 steps", 1e-3, 1e-7, None, 3e-3), ("auto", "error 1e-06", 2e-3, 1e-9),
-             ("auto", "error 1e-08", 6e-3, 1e-10), ("rk", "900 steps", 9e-3, 1e-8)), 1e-6,
-            ("dop853, 80 steps: 1 ms", "9.0 times cheaper", "rk, 900 steps", "3 ms", "Accuracy(error=1e-06)", "2 ms",
-             "1.5 times faster", "default", "6 ms", "2.0 times as long"),
-            id="a named method is compared with its like, and its check with checked runs"),
-        pytest.param((B,), 1.25e-3, ("1.25e-03", "b: 6 ms, error 1e-08."), id="three digits"),
-    ],
-)  # fmt: skip
+ADVICE = [
+    pytest.param(
+        (A, TIGHT, ("a", "tighter", 3e-3, 1e-9), B, ("auto", "error 1e-08", 0.1, 1e-10)), 1e-6,
+        ("1e-06", "a, tight: 2 ms, error 1e-07", "3.0 times cheaper", "b", "default", "100 ms", "50 times"),
+        id="the next is another method"),
+    pytest.param(
+        (("auto", "error 1e-08", 1e-3, 1e-9), ("b", "", 1.05e-3, 1e-8)), 1e-8,
+        ("auto, error 1e-08: 1 ms", "about as cheap", "b; that is the default."), id="the default is best"),
+    pytest.param(
+        (("auto", "error 1e-06", 1e-3, 1e-7), ("auto", "error 1e-08", 2e-3, 1e-9)), 1e-6,
+        ("auto, error 1e-06: 1 ms, error 1e-07; that is Accuracy(error=1e-06); the default",), id="auto"),
+    pytest.param((TIGHT, ("b", "", 1e-3, 1e-2)), 1e-6, ("a, tight: 2 ms", "only method"), id="the only method"),
+    pytest.param(
+        (A, ("b", "", 2.0, 1e-5), ("auto", "error 1e-08", 3.0, 1e-4)), 1e-6,
+        ("nothing", "1e-06", "b", "1e-05", "2 s", "the default, auto, error 1e-08, takes 3 s"), id="none"),
+    pytest.param(
+        (("dop853", "80 steps", 1e-3, 1e-7, None, 3e-3), ("auto", "error 1e-06", 2e-3, 1e-9),
+         ("auto", "error 1e-08", 6e-3, 1e-10), ("rk", "900 steps", 9e-3, 1e-8)), 1e-6,
+        ("dop853, 80 steps: 1 ms", "9.0 times cheaper", "rk, 900 steps", "3 ms", "Accuracy(error=1e-06)", "2 ms",
+         "1.5 times faster", "default", "6 ms", "2.0 times as long"),
+        id="a named method is compared with its like, and its check with checked runs"),
+    pytest.param((B,), 1.25e-3, ("1.25e-03", "b: 6 ms, error 1e-08."), id="three digits"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("rows", "wanted", "facts"), ADVICE)
 def test_the_cheapest_good_setting_is_advised(rows, wanted, facts):
     assert re.search(".*".join(map(re.escape, facts)), made(*rows, wanted=wanted).advice)
 
@@ -352,19 +352,19 @@ FAST, MORE_EXACT, MOST_EXACT = entry(1, 1e-2), entry(2, 1e-5), entry(4, 1e-9)
 TINY = [entry(1, 3e-16), entry(2, 1e-17)]
 
 
-@pytest.mark.parametrize(
-    ("entries", "floor", "front"),
-    [
-        pytest.param([entry(5, 1e-8), MOST_EXACT, entry(3, 1e-4), FAST, entry(1, 1e-1), MORE_EXACT], 0.0,
-                     [FAST, MORE_EXACT, MOST_EXACT], id="from the fastest to the most exact"),
-        pytest.param([entry(1, 0.0, failure="no"), MethodResult("model", "q", "", 0.1, errors={"other": 0.0}), FAST],
-                     0.0, [FAST], id="failures and other errors do not count"),
-        pytest.param(TINY, 1e-15, TINY[:1], id="errors below the floor are one"),
-        pytest.param(TINY, 0.0, TINY, id="without a floor they are two"),
-        pytest.param([entry(1, 1e-9), entry(2, 0.95e-9), entry(3, 0.85e-9)], 0.0, [entry(1, 1e-9), entry(3, 0.85e-9)],
-                     id="a little more exact is no gain"),
-    ],
-)  # fmt: skip
+FRONTS = [
+    pytest.param([entry(5, 1e-8), MOST_EXACT, entry(3, 1e-4), FAST, entry(1, 1e-1), MORE_EXACT], 0.0,
+                 [FAST, MORE_EXACT, MOST_EXACT], id="from the fastest to the most exact"),
+    pytest.param([entry(1, 0.0, failure="no"), MethodResult("model", "q", "", 0.1, errors={"other": 0.0}), FAST],
+                 0.0, [FAST], id="failures and other errors do not count"),
+    pytest.param(TINY, 1e-15, TINY[:1], id="errors below the floor are one"),
+    pytest.param(TINY, 0.0, TINY, id="without a floor they are two"),
+    pytest.param([entry(1, 1e-9), entry(2, 0.95e-9), entry(3, 0.85e-9)], 0.0, [entry(1, 1e-9), entry(3, 0.85e-9)],
+                 id="a little more exact is no gain"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("entries", "floor", "front"), FRONTS)
 def test_the_front_holds_what_no_other_beats_in_both(entries, floor, front):
     assert efficient(entries, "e", floor) == front
 

@@ -69,15 +69,14 @@ def test_the_reference_is_an_interior_optimum_by_two_integrators(r1_soil, r1_wav
     assert found.variables == pytest.approx(best.variables, rel=1e-6)
 
 
+HARD = [
+    ((2e4, 1e4, 6e4), None, {"damping": 400.0, "orbit": "periodic"}),
+    ((7e4, 6e4, 1.2e5), 0.1, {"contact": po.StickSlip()}),
+]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("stiffness", "duration", "effects"),
-    [
-        ((2e4, 1e4, 6e4), None, {"damping": 400.0, "orbit": "periodic"}),
-        ((7e4, 6e4, 1.2e5), 0.1, {"contact": po.StickSlip()}),
-    ],
-    ids=["orbit", "sticks"],
-)
+@pytest.mark.parametrize(("stiffness", "duration", "effects"), HARD, ids=["orbit", "sticks"])
 def test_the_reference_of_an_orbit_and_of_a_share_that_sticks(r1_soil, r1_wave, stiffness, duration, effects):
     d = softest(r1_soil, r1_wave, stiffness, duration, **effects)
     best = d.solve(search="near")

@@ -37,20 +37,20 @@ def off(found, wanted):
 # --- numerics ---
 
 
-@pytest.mark.parametrize(
-    ("function", "end", "rounding"),
-    [
-        pytest.param(lambda t: 2 * np.cos(2 * t) - 1, PI / 6, 4, id="all digits"),
-        pytest.param(lambda t: (t - W(0.25)) * (t - W(0.5)) * (W(0.75) - t), 0.25, 4, id="the first of several"),
-        pytest.param(lambda t: t**2 * (W(0.5) - t), 0.5, 4, id="touching zero at the start"),
-        pytest.param(lambda t: -t, 0.0, 0, id="falling from zero"),
-        # 1e-4 below zero over 2 % of the step.
-        pytest.param(lambda t: (t - W(0.4)) ** 2 - W(1e-4), W(0.4) - W("0.01"), 4, id="a short dip"),
-        pytest.param(lambda t: (t - W(0.4)) ** 2 - W(2e-16), W(0.4) - np.sqrt(W(2e-16)), 4, id="below doubles' digits"),
-        # In this form rounding makes it negative.
-        pytest.param(lambda t: t * t - W("0.8") * t + W("0.16"), None, 0, id="touching zero"),
-    ],
-)
+FUNCTIONS = [
+    pytest.param(lambda t: 2 * np.cos(2 * t) - 1, PI / 6, 4, id="all digits"),
+    pytest.param(lambda t: (t - W(0.25)) * (t - W(0.5)) * (W(0.75) - t), 0.25, 4, id="the first of several"),
+    pytest.param(lambda t: t**2 * (W(0.5) - t), 0.5, 4, id="touching zero at the start"),
+    pytest.param(lambda t: -t, 0.0, 0, id="falling from zero"),
+    # 1e-4 below zero over 2 % of the step.
+    pytest.param(lambda t: (t - W(0.4)) ** 2 - W(1e-4), W(0.4) - W("0.01"), 4, id="a short dip"),
+    pytest.param(lambda t: (t - W(0.4)) ** 2 - W(2e-16), W(0.4) - np.sqrt(W(2e-16)), 4, id="below doubles' digits"),
+    # In this form rounding makes it negative.
+    pytest.param(lambda t: t * t - W("0.8") * t + W("0.16"), None, 0, id="touching zero"),
+]
+
+
+@pytest.mark.parametrize(("function", "end", "rounding"), FUNCTIONS)
 def test_the_first_end_of_a_function_that_is_positive_at_the_start_of_a_step(function, end, rounding):
     found = first_end(function, W(0), W(1))
     assert found is None if end is None else abs(found - end) <= rounding * EPS
@@ -232,19 +232,19 @@ class Held:
         return np.inf + travel
 
 
-@pytest.mark.parametrize(
-    ("effects", "duration", "patches", "said"),
-    [
-        ({"motion": False}, 1.0, {}, "quasi-static"),
-        ({"strength_wave": WAVE, "orbit": "linearised"}, None, {}, "approximation"),
-        ({}, None, {}, "duration"),
-        ({"own": (Tabled(3.0),)}, 0.1, {}, "wide floats"),
-        ({"own": (Held(),), "contact": po.StickSlip(), "start": "rest"}, 0.1, {}, "a force is not finite"),
-        ({"contact": po.StickSlip()}, 0.1, {"Motion.next_event": lambda *at: (at[2].start, 0)}, "hangs at t = 0 s"),
-        ({}, 0.1, {"_MOST_STEPS": 1, "_CHECKED_EVERY": 1}, "would take more than 1 steps at t = 0 s"),
-        ({"damping": 50.0, "strength_wave": WAVE, "orbit": "periodic"}, None, {"_MOST_NEWTON": 1}, "no periodic"),
-    ],
-)
+WITHOUT_REFERENCE = [
+    ({"motion": False}, 1.0, {}, "quasi-static"),
+    ({"strength_wave": WAVE, "orbit": "linearised"}, None, {}, "approximation"),
+    ({}, None, {}, "duration"),
+    ({"own": (Tabled(3.0),)}, 0.1, {}, "wide floats"),
+    ({"own": (Held(),), "contact": po.StickSlip(), "start": "rest"}, 0.1, {}, "a force is not finite"),
+    ({"contact": po.StickSlip()}, 0.1, {"Motion.next_event": lambda *at: (at[2].start, 0)}, "hangs at t = 0 s"),
+    ({}, 0.1, {"_MOST_STEPS": 1, "_CHECKED_EVERY": 1}, "would take more than 1 steps at t = 0 s"),
+    ({"damping": 50.0, "strength_wave": WAVE, "orbit": "periodic"}, None, {"_MOST_NEWTON": 1}, "no periodic"),
+]
+
+
+@pytest.mark.parametrize(("effects", "duration", "patches", "said"), WITHOUT_REFERENCE)
 def test_what_has_no_reference_says_why(monkeypatch, effects, duration, patches, said):
     for name, value in patches.items():
         monkeypatch.setattr(f"plough_opt.studies.accuracy.reference.{name}", value)

@@ -231,15 +231,16 @@ def force_on_a_rig(rng, path):
     return answered("waves", path, *rng.choice((RIG, RIG, [], ["--tow-speed=5 km/h", "--base-diameter=120 mm"])))
 
 
+READINGS = [
+    (TABLES, po.read_measurements),
+    ([INSERTIONS], lambda file: po.read_penetrometer(file, (0.25, 0.45)).mean),
+    ([TRANSECT], lambda file: po.strength_waves(po.read_strength_record(file), 0.1, base_diameter=0.13)),
+    (RECORDS, None),
+]
+
+
 @pytest.mark.parametrize(
-    ("texts", "read"),
-    [
-        (TABLES, po.read_measurements),
-        ([INSERTIONS], lambda file: po.read_penetrometer(file, (0.25, 0.45)).mean),
-        ([TRANSECT], lambda file: po.strength_waves(po.read_strength_record(file), 0.1, base_diameter=0.13)),
-        (RECORDS, None),
-    ],
-    ids=["measurements", "penetrometer", "strength along a path", "force on a rig"],
+    ("texts", "read"), READINGS, ids=["measurements", "penetrometer", "strength along a path", "force on a rig"]
 )
 @thinned(30, 300)
 def test_tables_of_readings(count, texts, read, tmp_path):

@@ -492,16 +492,15 @@ def test_batch_over_its_horizon(contest, batch_of, r1_wave, where, damping):
     _add(contest, what, horizons, lambda t: lambda: batches[t](values))
 
 
+GROWING = [
+    ("Batch.stream, most memory, chunks of 16384 designs", MEMORY, (4, 16, 64)),
+    # The caches are full after about 150 designs.
+    ("Designs solved and dropped, memory at the end, designs", GROWN_DESIGNS, (250, 500, 1000, 2000)),
+]
+
+
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads the memory of a process in /proc")
-@pytest.mark.parametrize(
-    ("what", "code", "sizes"),
-    [
-        ("Batch.stream, most memory, chunks of 16384 designs", MEMORY, (4, 16, 64)),
-        # The caches are full after about 150 designs.
-        ("Designs solved and dropped, memory at the end, designs", GROWN_DESIGNS, (250, 500, 1000, 2000)),
-    ],
-    ids=["stream", "designs"],
-)
+@pytest.mark.parametrize(("what", "code", "sizes"), GROWING, ids=["stream", "designs"])
 def test_memory_does_not_grow(contest, what, code, sizes):
     commands = [[sys.executable, "-c", code.format(problem=r1.PROBLEM, count=size)] for size in sizes]
     done = [subprocess.run(command, check=True, capture_output=True, text=True) for command in commands]

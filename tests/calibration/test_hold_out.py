@@ -106,16 +106,16 @@ def test_the_command_prints_draws_and_writes_them(tmp_path):
     assert (written["fitted"], written["finite"], len(written["rows"])) == (8, 16, 16)
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--hold-out", "some"), "--hold-out some: expected a part of the rows, like 1/3"),
-        (("--hold-out", "1/0"), "--hold-out 1/0: expected a part"),
-        (("--hold-out", "1.5"), "hold out 1.5: give a part of the rows between 0 and 1"),
-        (("--hold-out", "0.95"), "leaves fewer than the 3"),
-        (("--hold-out", "0.3", "--hold-out-by", "scene.towspeed"), "did you mean 'scene.tow_speed'"),
-    ],
-)
+WRONG_PARTS = [
+    (("--hold-out", "some"), "--hold-out some: expected a part of the rows, like 1/3"),
+    (("--hold-out", "1/0"), "--hold-out 1/0: expected a part"),
+    (("--hold-out", "1.5"), "hold out 1.5: give a part of the rows between 0 and 1"),
+    (("--hold-out", "0.95"), "leaves fewer than the 3"),
+    (("--hold-out", "0.3", "--hold-out-by", "scene.towspeed"), "did you mean 'scene.tow_speed'"),
+]
+
+
+@pytest.mark.parametrize(("options", "words"), WRONG_PARTS)
 def test_parts_that_cannot_be_held_out_are_refused(options, words):
     done = call("calibrate", FILE, "--data", DATA, *options)
     assert (done.status, done.out) == (2, "")

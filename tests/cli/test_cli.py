@@ -173,18 +173,18 @@ def test_an_impossible_requirement_is_no_solution_and_the_conflict_is_named(tmp_
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("arguments", "status", "words"),
-    [
-        ([], 2, ["usage: plough-opt"]),
-        (["check"], 2, ["usage: plough-opt"]),
-        (["simulate", "a.toml", "-q", "-v"], 2, ["not allowed"]),
-        (["completion", "cmd"], 2, ["bash"]),
-        (["--help"], 0, ["\n    init ", "\n    check ", "\n    simulate ", "\n    optimise ", "\n    soils "]),
-        (["check", "--help"], 0, ['--set KEY="VALUE"']),
-        (["--version"], 0, [f"plough-opt {po.__version__}\n"]),
-    ],
-)
+USAGE = [
+    ([], 2, ["usage: plough-opt"]),
+    (["check"], 2, ["usage: plough-opt"]),
+    (["simulate", "a.toml", "-q", "-v"], 2, ["not allowed"]),
+    (["completion", "cmd"], 2, ["bash"]),
+    (["--help"], 0, ["\n    init ", "\n    check ", "\n    simulate ", "\n    optimise ", "\n    soils "]),
+    (["check", "--help"], 0, ['--set KEY="VALUE"']),
+    (["--version"], 0, [f"plough-opt {po.__version__}\n"]),
+]
+
+
+@pytest.mark.parametrize(("arguments", "status", "words"), USAGE)
 def test_usage_is_explained_and_help_goes_to_the_standard_stream(capsys, arguments, status, words):
     with pytest.raises(SystemExit, match=str(status)):
         main(arguments)
@@ -446,14 +446,15 @@ def started(*arguments):
     return out, set(modules)
 
 
+HELP = [
+    (["--help"], "calibrate"), (["--version"], "plough-opt"), (["completion", "bash"], "--judge"),
+    (["optimise", "--help"], "--judge"), (["sweep", "--help"], "--scheduler"), (["export", "--help"], "FMU"),
+]  # fmt: skip
+
+
 @pytest.mark.parametrize(
-    ("arguments", "shown"),
-    [
-        (["--help"], "calibrate"), (["--version"], "plough-opt"), (["completion", "bash"], "--judge"),
-        (["optimise", "--help"], "--judge"), (["sweep", "--help"], "--scheduler"), (["export", "--help"], "FMU"),
-    ],
-    ids=lambda value: "-".join(value) if isinstance(value, list) else "",
-)  # fmt: skip
+    ("arguments", "shown"), HELP, ids=lambda value: "-".join(value) if isinstance(value, list) else ""
+)
 def test_help_and_completion_import_no_numerical_library_and_no_room(arguments, shown):
     out, modules = started(*arguments)
     assert shown in out

@@ -101,14 +101,14 @@ def saved(file):
     return po.load(path)
 
 
-@pytest.mark.parametrize(
-    ("name", "key", "value"),
-    [
-        ("soil.cohesion", "soil.cohesion", "{} Pa"),
-        ("soil.ambient_pressure", "soil.ambient_pressure", "{} Pa"),  # of the named soil, not in the file
-        ("half_angle at_most", "require.half_angle.at_most", "{} rad"),
-    ],
-)
+VARIED = [
+    ("soil.cohesion", "soil.cohesion", "{} Pa"),
+    ("soil.ambient_pressure", "soil.ambient_pressure", "{} Pa"),  # of the named soil, not in the file
+    ("half_angle at_most", "require.half_angle.at_most", "{} rad"),
+]
+
+
+@pytest.mark.parametrize(("name", "key", "value"), VARIED)
 def test_it_is_the_file_solved_again_with_another_value(file, saved, name, key, value):
     (found,) = [item for item in saved.sensitivities if item.name == name]
     assert saved.run.scene.soil.name == "serozem, changed"  # as in the file

@@ -33,13 +33,13 @@ def exact_medium(speed=0.3, nu=0.3):
 # --- pressure on a wedge ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("kind", "body", "speed", "nu"),
-    [
-        *cases.thinned(["wedge"], BODIES, SPEEDS, [0.0, 0.3, 0.49], keep=5),
-        *cases.thinned(["cone"], BODIES, SPEEDS, [0.0, 0.3, 0.49], keep=7),
-    ],
-)
+FACES = [
+    *cases.thinned(["wedge"], BODIES, SPEEDS, [0.0, 0.3, 0.49], keep=5),
+    *cases.thinned(["cone"], BODIES, SPEEDS, [0.0, 0.3, 0.49], keep=7),
+]
+
+
+@pytest.mark.parametrize(("kind", "body", "speed", "nu"), FACES)
 def test_pressure(kind, body, speed, nu):
     soil, V0 = ground(speed, nu)
     nodes, is_cone = nodes_of(inputs(0, 0, body)), kind == "cone"

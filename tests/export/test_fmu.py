@@ -145,14 +145,14 @@ EDGES = {
 }
 
 
-@pytest.mark.parametrize(
-    ("effects", "changes"),
-    [
-        *(pytest.param(effects, {}, id=name) for name, effects in CASES.items()),
-        *(pytest.param(effects, {}, id=name, marks=pytest.mark.slow) for name, effects in MORE_CASES.items()),
-        *(pytest.param(*changed, id=name, marks=pytest.mark.slow) for name, changed in EDGES.items()),
-    ],
-)
+SIMULATED = [
+    *(pytest.param(effects, {}, id=name) for name, effects in CASES.items()),
+    *(pytest.param(effects, {}, id=name, marks=pytest.mark.slow) for name, effects in MORE_CASES.items()),
+    *(pytest.param(*changed, id=name, marks=pytest.mark.slow) for name, changed in EDGES.items()),
+]
+
+
+@pytest.mark.parametrize(("effects", "changes"), SIMULATED)
 def test_simulates_to_the_same_motion(effects, changes, tmp_path):
     scene = fmu_scene(**effects, **changes)
     effects = scene.effects
@@ -434,16 +434,16 @@ def logged(fmu):
     return *instance_of(fmu, log=lambda *arguments: messages.append(arguments[-1].decode())), messages
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
-        ("soil.density_ratio", 1.0, "soil.density_ratio = 1 must be below 1"),
-        ("effects.strength_wave.amplitude", 1.5, "effects.strength_wave.amplitude = 1.5 must be at most 1"),
-        ("soil.cohesion", -1.0, "soil.cohesion = -1 must be at least 0"),
-        ("strut_speed", -0.5, "strut_speed = -0.5 must be at least 0 at the start"),
-        ("strut_speed", np.inf, "must be finite"),
-    ],
-)
+OUTSIDE = [
+    ("soil.density_ratio", 1.0, "soil.density_ratio = 1 must be below 1"),
+    ("effects.strength_wave.amplitude", 1.5, "effects.strength_wave.amplitude = 1.5 must be at most 1"),
+    ("soil.cohesion", -1.0, "soil.cohesion = -1 must be at least 0"),
+    ("strut_speed", -0.5, "strut_speed = -0.5 must be at least 0 at the start"),
+    ("strut_speed", np.inf, "must be finite"),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "words"), OUTSIDE)
 def test_parameters_outside_their_domain_are_refused(fmu, name, value, words):
     made, _, messages = logged(fmu)
     with pytest.raises(FMICallException):
@@ -523,22 +523,22 @@ def test_the_same_scene_gives_the_same_file(scene, tmp_path):
     assert "half angle" in "".join(read.itertext())
 
 
-@pytest.mark.parametrize(
-    ("changes", "options", "words"),
-    [
-        ({"motion": False}, {}, "has nothing to integrate"),
-        ({"orbit": "periodic"}, {}, "has no start"),
-        ({"stiffness": ca.MX.sym("k")}, {}, "evaluate it with best"),
-        ({"stiffness": np.array([1e4, 2e4])}, {}, "an array of 2 values"),
-        ({}, {"strut": "acceleration"}, "must be 'speed' or 'position'"),
-        ({"damping": 3.0}, {"strut": "position"}, "a damper in the mount needs the strut's speed"),
-        ({"tow_ramp": 0.3}, {"strut": "position"}, "leave tow_ramp out"),
-        ({"mass": 1.0}, {"steel_density": 7850.0}, "more than the whole moving mass of 1 kg"),
-        ({}, {"steel_density": -1.0}, "density of the share's material = -1 kg/m^3 must be at least 0"),
-        ({}, {"duration": 0.0}, "duration = 0 s must be above 0"),
-        ({}, {"name": "two words"}, "must be a C identifier"),
-    ],
-)
+BAD_EXPORTS = [
+    ({"motion": False}, {}, "has nothing to integrate"),
+    ({"orbit": "periodic"}, {}, "has no start"),
+    ({"stiffness": ca.MX.sym("k")}, {}, "evaluate it with best"),
+    ({"stiffness": np.array([1e4, 2e4])}, {}, "an array of 2 values"),
+    ({}, {"strut": "acceleration"}, "must be 'speed' or 'position'"),
+    ({"damping": 3.0}, {"strut": "position"}, "a damper in the mount needs the strut's speed"),
+    ({"tow_ramp": 0.3}, {"strut": "position"}, "leave tow_ramp out"),
+    ({"mass": 1.0}, {"steel_density": 7850.0}, "more than the whole moving mass of 1 kg"),
+    ({}, {"steel_density": -1.0}, "density of the share's material = -1 kg/m^3 must be at least 0"),
+    ({}, {"duration": 0.0}, "duration = 0 s must be above 0"),
+    ({}, {"name": "two words"}, "must be a C identifier"),
+]
+
+
+@pytest.mark.parametrize(("changes", "options", "words"), BAD_EXPORTS)
 def test_bad_exports_are_refused_and_change_no_file(changes, options, words, tmp_path):
     path = tmp_path / "share.fmu"
     path.write_text("as it was")

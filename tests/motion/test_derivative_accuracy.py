@@ -125,15 +125,15 @@ class Tabled:
         return ca.interpolant("table", "linear", [[-1.0, 3.0]], [10.0, 50.0])(travel) + 0.0 * speed
 
 
-@pytest.mark.parametrize(
-    ("effects", "what"),
-    [
-        ({"own": (Tabled(),)}, "own effects"),
-        ({"motion": False}, "a quasi-static run"),
-        ({"contact": po.StickSlip(1.2)}, "a run by 'erk'"),
-        ({"strength_wave": po.StrengthWave(0.3, 0.6), "orbit": "periodic"}, "a periodic orbit"),
-    ],
-)
+NOT_COMPILED = [
+    ({"own": (Tabled(),)}, "own effects"),
+    ({"motion": False}, "a quasi-static run"),
+    ({"contact": po.StickSlip(1.2)}, "a run by 'erk'"),
+    ({"strength_wave": po.StrengthWave(0.3, 0.6), "orbit": "periodic"}, "a periodic orbit"),
+]
+
+
+@pytest.mark.parametrize(("effects", "what"), NOT_COMPILED)
 def test_runs_that_cannot_be_compiled_carry_a_note(r1_scene, effects, what):
     scene, duration = r1_scene(**effects), None if "orbit" in effects else 0.2
     found, expected = (po.simulate(scene, duration, outputs=20, compiled=compiled) for compiled in (True, False))
@@ -189,16 +189,16 @@ def test_symbolic_run_has_the_derivatives_of_its_steps(kind):
     assert slope == pytest.approx(order_4(lambda k: float(both(k)[0]), 5e4, 5.0), rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"weights": (0.25, 0.75)}, "must be explicit"),
-        ({"stages": ((), (1 / 3,), (0.0, 2 / 3, 0.0))}, "must be explicit"),
-        ({"order": 0}, "must be explicit"),
-        ({"weights": (0.5, 0.0, 0.5)}, r"integrate t\^1 with an error of -1.7e-01"),
-        ({"stages": ((), (1 / 3,), (0.1, 2 / 3))}, "row .* adds up to .* node 0.66"),
-    ],
-)
+INVALID_TABLEAUS = [
+    ({"weights": (0.25, 0.75)}, "must be explicit"),
+    ({"stages": ((), (1 / 3,), (0.0, 2 / 3, 0.0))}, "must be explicit"),
+    ({"order": 0}, "must be explicit"),
+    ({"weights": (0.5, 0.0, 0.5)}, r"integrate t\^1 with an error of -1.7e-01"),
+    ({"stages": ((), (1 / 3,), (0.1, 2 / 3))}, "row .* adds up to .* node 0.66"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), INVALID_TABLEAUS)
 def test_invalid_tableaus_are_refused(change, message):
     with pytest.raises(po.InputError, match=message):
         replace(HEUN, **change)

@@ -176,13 +176,13 @@ def test_few_outputs_let_no_event_pass(gapped):
     assert len(few.time) == len(few.mode) == len(few.opening) == 4
 
 
-@pytest.mark.parametrize(
-    ("contact", "duration"),
-    [
-        pytest.param("resisting", 4.0, id="resisting"),
-        pytest.param(po.StickSlip(2.0), 12.0, id="stick_slip", marks=pytest.mark.slow),
-    ],
-)
+SENSITIVE = [
+    pytest.param("resisting", 4.0, id="resisting"),
+    pytest.param(po.StickSlip(2.0), 12.0, id="stick_slip", marks=pytest.mark.slow),
+]
+
+
+@pytest.mark.parametrize(("contact", "duration"), SENSITIVE)
 def test_a_motion_too_sensitive_to_be_predicted_carries_a_warning(contact, duration):
     # Each wave stops the undamped share, and deviations grow about tenfold from one to the next.
     effects = {"strength_wave": po.StrengthWave(0.95, 0.1), "inertial_drag": False, "contact": contact}

@@ -66,18 +66,17 @@ def derivatives(r1_scene, name, accuracy):
     return [result.full() for result in results]
 
 
+DERIVATIVES = [
+    *((po.Accuracy(method, tolerance=1e-11), 1e-8) for method in ("cvodes", "idas")),
+    *((po.Accuracy(method, tolerance=1e-11), 1e-9) for method in ("erk", "rosenbrock")),
+    # The kink at the ramp's end reduces collocation to order 3.
+    (po.Accuracy("collocation", steps=800), 1e-7),
+    (po.Accuracy("rk", steps=3200), 1e-7),
+]
+
+
 @pytest.mark.parametrize("name", ["damped from rest", "everything"])
-@pytest.mark.parametrize(
-    ("accuracy", "allowed"),
-    [
-        *((po.Accuracy(method, tolerance=1e-11), 1e-8) for method in ("cvodes", "idas")),
-        *((po.Accuracy(method, tolerance=1e-11), 1e-9) for method in ("erk", "rosenbrock")),
-        # The kink at the ramp's end reduces collocation to order 3.
-        (po.Accuracy("collocation", steps=800), 1e-7),
-        (po.Accuracy("rk", steps=3200), 1e-7),
-    ],
-    ids=method,
-)
+@pytest.mark.parametrize(("accuracy", "allowed"), DERIVATIVES, ids=method)
 def test_all_methods_have_the_same_derivatives(r1_scene, name, accuracy, allowed):
     expected = derivatives(r1_scene, name, po.Accuracy("dop853", steps=400))
     for found, truth in zip(derivatives(r1_scene, name, accuracy), expected, strict=False):

@@ -380,17 +380,18 @@ NEVER = Own(lambda travel, speed: float("nan") * speed + 0.0 * travel)
 STUCK = Holds(steady, math.inf)
 
 
+NOT_FINITE = [
+    (ROOTED, "0.3", {}),
+    (ROOTED, "0.3", {"start": "towed", "entry": True}),
+    (ROOTED, "0.3", {"contact": po.Smooth(0.2), "start": "rest"}),
+    (ROOTED, "0.3", {"motion": False}),
+    (NEVER, "0 m", {}),
+    (STUCK, "0 m and at rest", {"contact": po.StickSlip(), "start": "rest"}),
+]
+
+
 @pytest.mark.parametrize(
-    ("own", "at", "effects"),
-    [
-        (ROOTED, "0.3", {}),
-        (ROOTED, "0.3", {"start": "towed", "entry": True}),
-        (ROOTED, "0.3", {"contact": po.Smooth(0.2), "start": "rest"}),
-        (ROOTED, "0.3", {"motion": False}),
-        (NEVER, "0 m", {}),
-        (STUCK, "0 m and at rest", {"contact": po.StickSlip(), "start": "rest"}),
-    ],
-    ids=["resisting", "entry", "smooth", "quasi-static", "always", "at rest"],
+    ("own", "at", "effects"), NOT_FINITE, ids=["resisting", "entry", "smooth", "quasi-static", "always", "at rest"]
 )
 def test_an_own_effect_that_returns_no_finite_number_is_named(own, at, effects):
     message = refusal(scene_of(mass=45.0, tow_speed=1.5, own=(own,), **effects), 1.0)

@@ -81,15 +81,15 @@ def test_problem_file_names_a_law_with_its_own_quantities():
     assert own.law == McKyesAli(width=0.1, depth=0.3, rake_angle=po.deg(35))
 
 
-@pytest.mark.parametrize(
-    ("medium", "message"),
-    [
-        ("{law='mckyes'}", "no resistance law is named 'mckyes'.*mckyes_ali"),
-        ("{law='mckyes_ali', dept='30 cm'}", "'dept' is not a quantity of McKyesAli.*depth"),
-        ("{law='mckyes_ali', depth='30 kg'}", "'depth' = \"30 kg\" has the wrong unit"),
-        ("3", "must be a resistance law, such as"),
-    ],
-)
+WRONG_MEDIA = [
+    ("{law='mckyes'}", "no resistance law is named 'mckyes'.*mckyes_ali"),
+    ("{law='mckyes_ali', dept='30 cm'}", "'dept' is not a quantity of McKyesAli.*depth"),
+    ("{law='mckyes_ali', depth='30 kg'}", "'depth' = \"30 kg\" has the wrong unit"),
+    ("3", "must be a resistance law, such as"),
+]
+
+
+@pytest.mark.parametrize(("medium", "message"), WRONG_MEDIA)
 def test_problem_file_refuses_anything_else(medium, message):
     with pytest.raises(po.InputError, match=message):
         read(medium)

@@ -86,13 +86,13 @@ def test_a_problem_file_names_contact_and_entry():
 # --- designs ---
 
 
-@pytest.mark.parametrize(
-    "contact",
-    [
-        pytest.param(po.StickSlip(1.2), marks=pytest.mark.slow, id="stick_slip"),
-        pytest.param(po.Smooth(0.2), id="smooth"),
-    ],
-)
+CONTACTS = [
+    pytest.param(po.StickSlip(1.2), marks=pytest.mark.slow, id="stick_slip"),
+    pytest.param(po.Smooth(0.2), id="smooth"),
+]
+
+
+@pytest.mark.parametrize("contact", CONTACTS)
 def test_a_design_finds_what_brute_force_finds(contact):
     effects = {"contact": contact, "start": "rest", "strength_wave": wave(0.6, 0.3), "damping": 200.0}
 

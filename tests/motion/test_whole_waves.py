@@ -49,15 +49,15 @@ def test_what_has_no_whole_wave_warns_of_none():
     )
 
 
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        (("scene.tow_speed=7.8 km/h",), 21 * 0.2 / (7.8 / 3.6)),
-        (("scene.tow_speed=7.2 km/h",), 2.0),
-        (("scene.duration=0.05 s",), 0.1),  # at least one wave
-        (("scene.tow_speed=2.1 m/s", TWO), 21 * 0.2 / 2.1),  # the longest wave counts
-    ],
-)
+AVERAGED = [
+    (("scene.tow_speed=7.8 km/h",), 21 * 0.2 / (7.8 / 3.6)),
+    (("scene.tow_speed=7.2 km/h",), 2.0),
+    (("scene.duration=0.05 s",), 0.1),  # at least one wave
+    (("scene.tow_speed=2.1 m/s", TWO), 21 * 0.2 / 2.1),  # the longest wave counts
+]
+
+
+@pytest.mark.parametrize(("changes", "expected"), AVERAGED)
 def test_files_average_over_whole_waves(changes, expected):
     plain, whole = (po.read_problem(SUBSOILER, (*changes, *more)) for more in ((), (WHOLE,)))
     run = whole.simulate()

@@ -87,19 +87,19 @@ def test_a_catalogue_in_which_nothing_will_do_leaves_the_best_with_a_warning(tmp
     assert "loosened_radius" in done.out.partition("nothing in the catalogue")[2]
 
 
-@pytest.mark.parametrize(
-    ("more", "pieces"),
-    [
-        (', catalogue = ["0.7 m"]', ("catalogue", "between its bounds", "0.1 m to 0.5 m")),
-        (', catalogue = ["200 kg"]', ("catalogue", "wrong unit")),
-        (', catalogue = ["0.2"]', ("catalogue", "no unit")),
-        (", catalogue = []", ("catalogue", "at least 1")),
-        (', catalogue = ["0.2 m"], step = "1 cm"', ("catalogue", "step", "remove one")),
-        (', step = "0 cm"', ("step", "above 0")),
-        (', step = "0.7 m"', ("step", "0.1 m to 0.5 m")),
-        (", step = true", ("step",)),
-    ],
-)
+WRONG_CATALOGUES = [
+    (', catalogue = ["0.7 m"]', ("catalogue", "between its bounds", "0.1 m to 0.5 m")),
+    (', catalogue = ["200 kg"]', ("catalogue", "wrong unit")),
+    (', catalogue = ["0.2"]', ("catalogue", "no unit")),
+    (", catalogue = []", ("catalogue", "at least 1")),
+    (', catalogue = ["0.2 m"], step = "1 cm"', ("catalogue", "step", "remove one")),
+    (', step = "0 cm"', ("step", "above 0")),
+    (', step = "0.7 m"', ("step", "0.1 m to 0.5 m")),
+    (", step = true", ("step",)),
+]
+
+
+@pytest.mark.parametrize(("more", "pieces"), WRONG_CATALOGUES)
 def test_a_wrong_catalogue_is_refused_with_its_line(blames, more, pieces):
     blames(offering(more), "share.height", *pieces)
 

@@ -103,19 +103,19 @@ def test_the_insertions_spread_makes_the_design_robust(write):
     assert [mean, spread] == pytest.approx([np.mean(MEANS) * per, np.std(MEANS, ddof=1) * per], rel=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "there are no readings"),
-        ("depth [cm]\n1\n", "line 1: one column depth and at least one column cone_index"),
-        ("depth [cm], cone_index [kPa]\n0, 1\n10, x\n", "line 3, column 'cone_index': 'x' is not a number"),
-        ("depth [cm], cone_index [kPa]\n0, 1\n10, -5\n", "-5 must be at least 0"),
-        ("depth [cm], cone_index [kPa]\n0, 1\n20, 5\n", "insertion 1: its readings cover 0 to 20 cm"),
-        ("depth [cm], cone_index [kPa]\n0, 1\n60, 5\n30, 5\n", r"line 4: .* must increase, but 0\.3 follows 0\.6"),
-        ("depth [cm], cone_index [kPa]\n0, 0\n60, 0\n", "its mean cone index is 0"),
-        ("insertion, depth [cm], cone_index [kPa], cone_index [kPa]\n1, 0, 1, 2\n", "single column cone_index"),
-    ],
-)
+WRONG_READINGS = [
+    ("", "there are no readings"),
+    ("depth [cm]\n1\n", "line 1: one column depth and at least one column cone_index"),
+    ("depth [cm], cone_index [kPa]\n0, 1\n10, x\n", "line 3, column 'cone_index': 'x' is not a number"),
+    ("depth [cm], cone_index [kPa]\n0, 1\n10, -5\n", "-5 must be at least 0"),
+    ("depth [cm], cone_index [kPa]\n0, 1\n20, 5\n", "insertion 1: its readings cover 0 to 20 cm"),
+    ("depth [cm], cone_index [kPa]\n0, 1\n60, 5\n30, 5\n", r"line 4: .* must increase, but 0\.3 follows 0\.6"),
+    ("depth [cm], cone_index [kPa]\n0, 0\n60, 0\n", "its mean cone index is 0"),
+    ("insertion, depth [cm], cone_index [kPa], cone_index [kPa]\n1, 0, 1, 2\n", "single column cone_index"),
+]
+
+
+@pytest.mark.parametrize(("text", "words"), WRONG_READINGS)
 def test_what_is_wrong_with_a_file_has_its_place(write, text, words):
     path = write(text)
     with pytest.raises(po.InputError, match=words):
@@ -124,18 +124,18 @@ def test_what_is_wrong_with_a_file_has_its_place(write, text, words):
         po.read_problem(path)
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"depth": '"45..25 cm"'}, "45"),
-        ({"depth": '"25 cm"'}, "not a range"),
-        ({"depth": "3"}, "belong together"),
-        ({"file": '"none.csv"'}, "there is no file"),
-        ({"more": 'cone_index = "1 MPa"'}, "both a cone index and a penetrometer"),
-        ({"more": "strength_factor = 2.0"}, "follows from the cone index"),
-        ({"more": 'adjust = "cohesian"'}, "'cohesion'"),
-    ],
-)
+CONTRADICTIONS = [
+    ({"depth": '"45..25 cm"'}, "45"),
+    ({"depth": '"25 cm"'}, "not a range"),
+    ({"depth": "3"}, "belong together"),
+    ({"file": '"none.csv"'}, "there is no file"),
+    ({"more": 'cone_index = "1 MPa"'}, "both a cone index and a penetrometer"),
+    ({"more": "strength_factor = 2.0"}, "follows from the cone index"),
+    ({"more": 'adjust = "cohesian"'}, "'cohesion'"),
+]
+
+
+@pytest.mark.parametrize(("changes", "words"), CONTRADICTIONS)
 def test_what_contradicts_itself_is_refused(write, changes, words):
     with pytest.raises(po.InputError, match=words):
         po.read_problem(write(**changes))
@@ -205,15 +205,15 @@ FACTOR = '"soil.strength_factor" = { distribution = "uniform", lower = 1.0, uppe
 READING = '"soil.cone_index" = { distribution = "uniform", lower = "1 MPa", upper = "2 MPa" }'
 
 
-@pytest.mark.parametrize(
-    ("adjust", "entries", "words"),
-    [
-        ("cohesion", COHESION, "'soil.cohesion' follows from the cone index in every sample: make soil.cone_index"),
-        ("strength factor", FACTOR, "'soil.strength_factor' follows from the cone index"),
-        ("cohesion", READING, 'only with adjust = "strength factor"'),
-        ("strength factor", f"{COHESION}\n{READING}", "cannot both be uncertain"),
-    ],
-)
+DECIDED = [
+    ("cohesion", COHESION, "'soil.cohesion' follows from the cone index in every sample: make soil.cone_index"),
+    ("strength factor", FACTOR, "'soil.strength_factor' follows from the cone index"),
+    ("cohesion", READING, 'only with adjust = "strength factor"'),
+    ("strength factor", f"{COHESION}\n{READING}", "cannot both be uncertain"),
+]
+
+
+@pytest.mark.parametrize(("adjust", "entries", "words"), DECIDED)
 def test_what_the_reading_decides_is_not_uncertain_by_itself(refusal, adjust, entries, words):
     said = refusal(adjusting(adjust) + f"[uncertain]\n{entries}\n")
     assert words in said
@@ -239,16 +239,16 @@ def test_the_density_ratio_follows_the_ambient_pressure_of_the_file(tmp_path):
     assert problem.scene({"soil.density_ratio": 0.8}).soil.density_ratio == 0.8
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ("soil.ambient_pressure=10 kPa", "outside the compression test, 25 to 200 kPa"),
-        ("soil.density_ratio=0.8", "'soil.density_ratio' follows from the compaction"),
-        ("soil.compaction.volume_lost=[0.1, 0.2]", "3 pressures and 2 compactions"),
-        ("soil.compaction.pressure=['1 m', '2 m', '3 m']", "wrong unit"),
-        ("soil.compaction.volume_loss=[0.1]", "did you mean 'volume_lost'"),
-    ],
-)
+WRONG_TESTS = [
+    ("soil.ambient_pressure=10 kPa", "outside the compression test, 25 to 200 kPa"),
+    ("soil.density_ratio=0.8", "'soil.density_ratio' follows from the compaction"),
+    ("soil.compaction.volume_lost=[0.1, 0.2]", "3 pressures and 2 compactions"),
+    ("soil.compaction.pressure=['1 m', '2 m', '3 m']", "wrong unit"),
+    ("soil.compaction.volume_loss=[0.1]", "did you mean 'volume_lost'"),
+]
+
+
+@pytest.mark.parametrize(("change", "words"), WRONG_TESTS)
 def test_compression_tests_that_contradict_the_file_are_refused(tmp_path, change, words):
     path = tmp_path / "tested.toml"
     path.write_text(TESTED, encoding="utf-8")
@@ -333,19 +333,19 @@ def test_it_is_a_measure_of_an_uncertain_soil(read):
 LIKE = "effects.random_strength"
 
 
-@pytest.mark.parametrize(
-    ("given", "words", "places"),
-    [
-        ("random_strength = { rms = 0.2 }", f"'correlation_length' is missing: give it in [{LIKE}]", []),
-        ('random_strength = { record = "none.csv" }', "there is no file", []),
-        ('random_strength = { record = "record.csv", rms = 0.2 }', f"'{LIKE}.rms' and a record", []),
-        ('random_strength = { record = "record.csv", base_diameter = "3" }', "'base_diameter' = \"3\" has no unit", []),
-        ('random_strength = { record = "record.csv", base_diameter = "50 m" }', "no waves longer than 50 m", []),
-        ("", "'stationary_force_rms': the stationary RMS needs strength that varies", []),
-        ("", "which is missing", [("[variables]", f"[variables]\n'{LIKE}.rms' = {{ lower = 0.1, upper = 0.2 }}")]),
-        (GIVEN, "the stationary RMS needs some damping", [('damping = "400 N*s/m"', "inertial_drag = false")]),
-    ],
-)
+WRONG_STRENGTH = [
+    ("random_strength = { rms = 0.2 }", f"'correlation_length' is missing: give it in [{LIKE}]", []),
+    ('random_strength = { record = "none.csv" }', "there is no file", []),
+    ('random_strength = { record = "record.csv", rms = 0.2 }', f"'{LIKE}.rms' and a record", []),
+    ('random_strength = { record = "record.csv", base_diameter = "3" }', "'base_diameter' = \"3\" has no unit", []),
+    ('random_strength = { record = "record.csv", base_diameter = "50 m" }', "no waves longer than 50 m", []),
+    ("", "'stationary_force_rms': the stationary RMS needs strength that varies", []),
+    ("", "which is missing", [("[variables]", f"[variables]\n'{LIKE}.rms' = {{ lower = 0.1, upper = 0.2 }}")]),
+    (GIVEN, "the stationary RMS needs some damping", [('damping = "400 N*s/m"', "inertial_drag = false")]),
+]
+
+
+@pytest.mark.parametrize(("given", "words", "places"), WRONG_STRENGTH)
 def test_what_is_wrong_has_its_line(refusal, given, words, places):
     said = refusal(written(given, *places))
     assert said.startswith("share.toml, line ")
@@ -396,17 +396,20 @@ def test_optimise_saves_and_draws_an_orbit_asked_for_from_outside(read, tmp_path
 WAVE_LINE = 'strength_wave = { amplitude = 0.3, wavelength = "0.2 m" }\n'
 
 
+WRONG_ORBITS = [
+    (orbit('"periodic"\nharmonics = 5'), "harmonics", "'effects.harmonics' belongs to orbit = \"harmonic_"),
+    (orbit('"harmonic_balance"\nharmonics = 65'), "harmonics", "'effects.harmonics'"),
+    (orbit('"harmonic_balance"\nharmonic = 3'), "harmonic = 3", "did you mean 'harmonics'?"),
+    (orbit('"steady"'), "orbit", "'effects.orbit'"),
+    (changed(("[effects]\n", '[effects]\norbit = "periodic"\n')), "duration =", "whose duration is one wave"),
+    (orbit('"periodic"\nstart = "towed"\nentry = true'), "[effects]", "an orbit has no start"),
+    (orbit('"periodic"', (WAVE_LINE, "")), "[effects]", "an orbit needs a strength_wave"),
+]
+
+
 @pytest.mark.parametrize(
     ("text", "fragment", "piece"),
-    [
-        (orbit('"periodic"\nharmonics = 5'), "harmonics", "'effects.harmonics' belongs to orbit = \"harmonic_"),
-        (orbit('"harmonic_balance"\nharmonics = 65'), "harmonics", "'effects.harmonics'"),
-        (orbit('"harmonic_balance"\nharmonic = 3'), "harmonic = 3", "did you mean 'harmonics'?"),
-        (orbit('"steady"'), "orbit", "'effects.orbit'"),
-        (changed(("[effects]\n", '[effects]\norbit = "periodic"\n')), "duration =", "whose duration is one wave"),
-        (orbit('"periodic"\nstart = "towed"\nentry = true'), "[effects]", "an orbit has no start"),
-        (orbit('"periodic"', (WAVE_LINE, "")), "[effects]", "an orbit needs a strength_wave"),
-    ],
+    WRONG_ORBITS,
     ids=["harmonics", "too many", "misspelt", "unknown", "duration", "start", "no wave"],
 )
 def test_what_no_orbit_has_is_refused_at_its_line(blames, text, fragment, piece):

@@ -112,35 +112,37 @@ def test_a_variable_whose_dots_are_not_quoted_is_read_all_the_same(read):
 
 
 # The line is right wherever TOML lets a key stand.
+FORMS = [
+    ([(f"[soil]\n{SOIL}", "soil = { name = 'serozem', cohesoin = 1 }")], "cohesoin", "mean 'cohesion'"),
+    ([(f"[soil]\n{SOIL}", "soil.name = 'serozem'\nsoil.cohesoin = 1")], "cohesoin", "mean 'cohesion'"),
+    ([(f"[soil]\n{SOIL}", '["soil"]\nname = """\\\n   serozem"""\n"cohesoin" = 1')], "cohesoin", "'cohesion'"),
+    ([(WAVE, ""), ("[effects]", "[effects.strength_wave]\namplitude = 0.3\n\nwavelength = '2 s'\n[effects]")],
+     "'2 s'", "strength_wave.wavelength' = \"2 s\" has the wrong unit"),
+    ([(f"tow_speed = {SPEED}\n", ""),
+      ("[minimise]", "[variables.'scene.tow_speed']\nlower = '1 m/s'\n# bound\nupper = '50 N'\n[minimise]")],
+     "50 N'", "'scene.tow_speed' upper = \"50 N\" has the wrong unit"),
+    ([('duration = "2 s"', "duration = '2 s' # tow_sped\ntow_sped = 2")], "tow_sped = 2", "'scene.tow_sped'"),
+]  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("places", "fragment", "piece"),
-    [
-        ([(f"[soil]\n{SOIL}", "soil = { name = 'serozem', cohesoin = 1 }")], "cohesoin", "mean 'cohesion'"),
-        ([(f"[soil]\n{SOIL}", "soil.name = 'serozem'\nsoil.cohesoin = 1")], "cohesoin", "mean 'cohesion'"),
-        ([(f"[soil]\n{SOIL}", '["soil"]\nname = """\\\n   serozem"""\n"cohesoin" = 1')], "cohesoin", "'cohesion'"),
-        ([(WAVE, ""), ("[effects]", "[effects.strength_wave]\namplitude = 0.3\n\nwavelength = '2 s'\n[effects]")],
-         "'2 s'", "strength_wave.wavelength' = \"2 s\" has the wrong unit"),
-        ([(f"tow_speed = {SPEED}\n", ""),
-          ("[minimise]", "[variables.'scene.tow_speed']\nlower = '1 m/s'\n# bound\nupper = '50 N'\n[minimise]")],
-         "50 N'", "'scene.tow_speed' upper = \"50 N\" has the wrong unit"),
-        ([('duration = "2 s"', "duration = '2 s' # tow_sped\ntow_sped = 2")], "tow_sped = 2", "'scene.tow_sped'"),
-    ],
+    FORMS,
     ids=["inline table", "dotted", "quoted, over two lines", "table of its own", "variable", "named before"],
-)  # fmt: skip
+)
 def test_a_key_is_found_in_any_form(blames, places, fragment, piece):
     blames("# a\u0085comment\u2028\n\n# = [not] a key\n" + changed(*places), fragment, piece)
 
 
-@pytest.mark.parametrize(
-    ("places", "blamed"),
-    [
-        ([("tow_speed", "tow_sped"), ("damping", "dampin"), ('"20 kg"', '"20 m"')], ["tow_sped", "20 m", "dampin"]),
-        ([('lower = "5 deg"', 'lower = "65 deg"'), ('lower = "0.1 m"', 'lower = "0.9 m"'),
-          ("half_angle", "half_angel"), ("force_rms  =", "force_rsm =")],
-         ["65 deg", "0.9 m", "force_rsm", "half_angel"]),
-    ],
-    ids=["keys and units", "names, bounds and limits"],
-)  # fmt: skip
+SEVERAL = [
+    ([("tow_speed", "tow_sped"), ("damping", "dampin"), ('"20 kg"', '"20 m"')], ["tow_sped", "20 m", "dampin"]),
+    ([('lower = "5 deg"', 'lower = "65 deg"'), ('lower = "0.1 m"', 'lower = "0.9 m"'),
+      ("half_angle", "half_angel"), ("force_rms  =", "force_rsm =")],
+     ["65 deg", "0.9 m", "force_rsm", "half_angel"]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("places", "blamed"), SEVERAL, ids=["keys and units", "names, bounds and limits"])
 def test_all_mistakes_are_listed_in_the_order_of_the_file(refusal, places, blamed):
     text = changed(*places)
     lines = [int(number) for number in re.findall(r"^share\.toml, line (\d+): ", refusal(text), flags=re.MULTILINE)]
@@ -161,21 +163,22 @@ def test_a_text_that_ends_too_early(refusal):
 JSON = "file.json' is JSON, not a problem file: print a saved result by plough-opt show"
 
 
+UNREADABLE = [
+    ("subsoler.toml", None, "there is no file '{}/subsoler.toml': did you mean '{}/subsoiler.toml'"),
+    ("rotavator.toml", None, "that folder contains subsoiler.toml"),
+    ("empty/subsoiler.toml", None, "plough-opt init"),
+    (".", None, "is a folder: name a problem file in it"),
+    ("subsoiler.toml/x.toml", None, "subsoiler.toml/x.toml"),
+    ("file.toml", b"title = '\xe9'", "'{}/file.toml' cannot be read as text"),
+    ("file.toml", b"# comment\n" * 10_001, "too long for a problem file: at most 100 kB can be read"),
+    ("/dev/zero", None, "at most 100 kB"),
+    ("file.json", b'{"a": 1}', JSON),
+    ("file.json", b'\xef\xbb\xbf\n{"a": [' + b"1, " * 40_000 + b"1]}", JSON),
+]
+
+
 @pytest.mark.parametrize(
-    ("name", "content", "expected"),
-    [
-        ("subsoler.toml", None, "there is no file '{}/subsoler.toml': did you mean '{}/subsoiler.toml'"),
-        ("rotavator.toml", None, "that folder contains subsoiler.toml"),
-        ("empty/subsoiler.toml", None, "plough-opt init"),
-        (".", None, "is a folder: name a problem file in it"),
-        ("subsoiler.toml/x.toml", None, "subsoiler.toml/x.toml"),
-        ("file.toml", b"title = '\xe9'", "'{}/file.toml' cannot be read as text"),
-        ("file.toml", b"# comment\n" * 10_001, "too long for a problem file: at most 100 kB can be read"),
-        ("/dev/zero", None, "at most 100 kB"),
-        ("file.json", b'{"a": 1}', JSON),
-        ("file.json", b'\xef\xbb\xbf\n{"a": [' + b"1, " * 40_000 + b"1]}", JSON),
-    ],
-    ids=lambda value: None if isinstance(value, str) else "",
+    ("name", "content", "expected"), UNREADABLE, ids=lambda value: None if isinstance(value, str) else ""
 )
 def test_a_file_that_cannot_be_read_is_refused_with_the_nearest_name(tmp_path, name, content, expected):
     (tmp_path / "subsoiler.toml").touch()

@@ -125,14 +125,14 @@ def test_a_guess_left_out_is_the_middle_of_its_bounds_geometric_on_a_log_scale(r
     assert scene.stiffness == pytest.approx(100e3)
 
 
-@pytest.mark.parametrize(
-    ("key", "fixed", "ends", "value"),
-    [
-        ("effects.strength_wave.amplitude", "amplitude = 0.3, ", ("0.1", "0.5"),
-         lambda scene: scene.effects.strength_wave.amplitude / 0.3),
-        ("scene.duration", 'duration = "2 s"\n', ("1 s", "3 s"), lambda _: 1.0),
-    ],
-)  # fmt: skip
+VARIED = [
+    ("effects.strength_wave.amplitude", "amplitude = 0.3, ", ("0.1", "0.5"),
+     lambda scene: scene.effects.strength_wave.amplitude / 0.3),
+    ("scene.duration", 'duration = "2 s"\n', ("1 s", "3 s"), lambda _: 1.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("key", "fixed", "ends", "value"), VARIED)
 def test_any_quantity_may_be_a_variable(read, key, fixed, ends, value):
     added = f"[variables]\n'{key}' = {{ lower = '{ends[0]}', upper = '{ends[1]}' }}"
     problem = read(changed(("[variables]", added), (fixed, "")))
@@ -199,21 +199,21 @@ RELIANCE = {
 }
 
 
-@pytest.mark.parametrize(
-    ("changes", "relied_on"),
-    [
-        ([], ["level", "front"]),
-        (["soil.cone_index=1 MPa"], ["front"]),
-        (["soil.strength_factor=3"], ["front"]),
-        (["soil.density_ratio=0.794"], ["level"]),
-        (["require={half_angle={at_most='20 deg'}}"], ["level"]),
-        (["require={half_angle={at_most='21 deg'}}"], ["level", "blunt"]),
-        (["require={half_angle={at_most='21 deg'}}", "share.wedge_angle=30 deg"], ["level"]),
-        ([SPEED], ["level", "speed", "front"]),
-        ([SPEED, "effects.rate_term=0.02 s^2/m^2"], ["level", "front"]),
-        (["scene.medium={law='mckyes_ali', depth='30 cm'}", "require={}"], []),
-    ],
-)  # fmt: skip
+RELIED_ON = [
+    ([], ["level", "front"]),
+    (["soil.cone_index=1 MPa"], ["front"]),
+    (["soil.strength_factor=3"], ["front"]),
+    (["soil.density_ratio=0.794"], ["level"]),
+    (["require={half_angle={at_most='20 deg'}}"], ["level"]),
+    (["require={half_angle={at_most='21 deg'}}"], ["level", "blunt"]),
+    (["require={half_angle={at_most='21 deg'}}", "share.wedge_angle=30 deg"], ["level"]),
+    ([SPEED], ["level", "speed", "front"]),
+    ([SPEED, "effects.rate_term=0.02 s^2/m^2"], ["level", "front"]),
+    (["scene.medium={law='mckyes_ali', depth='30 cm'}", "require={}"], []),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("changes", "relied_on"), RELIED_ON)
 def test_a_design_is_told_what_it_relies_on(tmp_path, changes, relied_on):
     path = tmp_path / "cotton.toml"
     text = COTTON.replace('tow_speed = "7.2 km/h"', "") if "tow_speed" in str(changes) else COTTON
@@ -298,27 +298,27 @@ def test_what_has_no_finite_value_is_refused_when_it_is_computed(read, value):
         measures_of(problem.table)["mine"].of(problem.simulate())
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "unit", "words"),
-    [
-        ("mean_draft", "force_rms", "N", "another"),
-        ("2nd", "force_rms", "N", "cannot be a name: use letters, digits and _"),
-        ("mine", "force_rsm", "N", "force_rms"),
-        ("mine", "deflection", "m", "mean_deflection"),
-        ("mine", "force_rms + tow_power", "N", "unlike"),
-        ("mine", "force_rms / mean_draft", "N", "has the unit 'N', but its expression has no unit"),
-        ("mine", "force_rms", "florin", "florin"),
-        ("mine", "force_rms +", "N", "expression"),
-        ("mine", "force_rms ** tow_power", "N", "power"),
-        ("mine", "force_rms ** 99", "N", "99"),
-        ("mine", "exp(0) + force_rms", "N", "unlike"),
-        ("mine", "0x1" + 256 * "0" + " * force_rms", "N", "too large"),
-        ("mine", "__import__('os')", "", "cannot be computed"),
-        ("mine", "sqrt(force_rms, 2)", "N", "arguments"),
-        ("mine", "-" * 60 + "force_rms", "N", "deep"),
-        ("mine", "force_rms" + " + force_rms" * 40, "N", "characters"),
-    ],
-)
+WRONG_MEASURES = [
+    ("mean_draft", "force_rms", "N", "another"),
+    ("2nd", "force_rms", "N", "cannot be a name: use letters, digits and _"),
+    ("mine", "force_rsm", "N", "force_rms"),
+    ("mine", "deflection", "m", "mean_deflection"),
+    ("mine", "force_rms + tow_power", "N", "unlike"),
+    ("mine", "force_rms / mean_draft", "N", "has the unit 'N', but its expression has no unit"),
+    ("mine", "force_rms", "florin", "florin"),
+    ("mine", "force_rms +", "N", "expression"),
+    ("mine", "force_rms ** tow_power", "N", "power"),
+    ("mine", "force_rms ** 99", "N", "99"),
+    ("mine", "exp(0) + force_rms", "N", "unlike"),
+    ("mine", "0x1" + 256 * "0" + " * force_rms", "N", "too large"),
+    ("mine", "__import__('os')", "", "cannot be computed"),
+    ("mine", "sqrt(force_rms, 2)", "N", "arguments"),
+    ("mine", "-" * 60 + "force_rms", "N", "deep"),
+    ("mine", "force_rms" + " + force_rms" * 40, "N", "characters"),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "unit", "words"), WRONG_MEASURES)
 def test_wrong_ones_are_refused_with_their_line(blames, name, value, unit, words):
     blames(written({name: (value, unit)}), f"{name} = {{ value", words)
 
@@ -439,19 +439,19 @@ def test_a_front_trades_sums_over_the_shares(read):
     assert min(drafts) == pytest.approx(1e3 * near(read(TWO)).objective, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("[shares.rear]", "[shares.scene]", "line 22: 'scene' cannot be the name of a share"),
-        ("soil.cohesion =", "soill.cohesion =", "line 23: 'soill' is not a table of a share: did you mean 'soil'"),
-        ("soil.cohesion =", "soil.cohesio =", "line 23: 'soil.cohesio' is not a known key: did you mean 'cohesion'"),
-        ("soil.cohesion =", "scene.tow_speed =", "line 23: 'scene.tow_speed' belongs to the frame"),
-        ("soil.cohesion =", "accuracy.error =", "line 23: 'accuracy' cannot differ between shares"),
-        ('upper = "0.45 m"', 'upper = "0.05 m"', "line 25: the bounds of 'share.height' contradict each other"),
-        ("[shares.front]", "[uncertain]\n[shares.front]", "a design for an uncertain soil can have only one share"),
-        (TWO[TWO.index("[shares") :], "[[shares]]", "'shares' must hold a table for each share"),
-    ],
-)
+WRONG_SHARES = [
+    ("[shares.rear]", "[shares.scene]", "line 22: 'scene' cannot be the name of a share"),
+    ("soil.cohesion =", "soill.cohesion =", "line 23: 'soill' is not a table of a share: did you mean 'soil'"),
+    ("soil.cohesion =", "soil.cohesio =", "line 23: 'soil.cohesio' is not a known key: did you mean 'cohesion'"),
+    ("soil.cohesion =", "scene.tow_speed =", "line 23: 'scene.tow_speed' belongs to the frame"),
+    ("soil.cohesion =", "accuracy.error =", "line 23: 'accuracy' cannot differ between shares"),
+    ('upper = "0.45 m"', 'upper = "0.05 m"', "line 25: the bounds of 'share.height' contradict each other"),
+    ("[shares.front]", "[uncertain]\n[shares.front]", "a design for an uncertain soil can have only one share"),
+    (TWO[TWO.index("[shares") :], "[[shares]]", "'shares' must hold a table for each share"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "said"), WRONG_SHARES)
 def test_a_mistake_is_named_with_its_line(refusal, old, new, said):
     assert said in refusal(changed((old, new), text=TWO))
 

@@ -104,15 +104,15 @@ def test_what_is_no_quantity_of_the_kind_is_refused(unit, written, pieces):
     assert [piece for piece in pieces if piece not in str(caught.value)] == []
 
 
-@pytest.mark.parametrize(
-    ("unit", "written", "symbol", "factor", "value", "text"),
-    [
-        ("m/s", "7.2 km/h", "km/h", 1 / 3.6, 2.5, "9 km/h"),
-        ("N/m", "50 kN/m", "kN/m", 1e3, 123456.0, "123.46 kN/m"),
-        ("", "30 %", "%", 0.01, 0.125, "12.5 %"),
-        ("", 0.3, "", 1.0, 0.25, "0.25"),
-    ],
-)
+DISPLAYED = [
+    ("m/s", "7.2 km/h", "km/h", 1 / 3.6, 2.5, "9 km/h"),
+    ("N/m", "50 kN/m", "kN/m", 1e3, 123456.0, "123.46 kN/m"),
+    ("", "30 %", "%", 0.01, 0.125, "12.5 %"),
+    ("", 0.3, "", 1.0, 0.25, "0.25"),
+]
+
+
+@pytest.mark.parametrize(("unit", "written", "symbol", "factor", "value", "text"), DISPLAYED)
 def test_results_are_given_in_the_unit_of_the_user(unit, written, symbol, factor, value, text):
     display = display_of(written, Unit(unit))
     assert display.symbol == symbol
@@ -248,17 +248,17 @@ def test_it_is_a_schema_whose_parts_all_exist():
         VALIDATOR.validate(tomllib.loads(text))
 
 
-@pytest.mark.parametrize(
-    ("right", "wrong"),
-    [
-        ('tow_speed = "7.2 km/h"', "tow_speed = 7.2"),
-        ('tow_speed = "7.2 km/h"', 'tow_sped = "7.2 km/h"'),
-        ('"share.height"      = {', '"share.hight"      = {'),
-        ("log = true", 'log = "yes"'),
-        ("amplitude = 0.3,", "amplitude = 0.3, height = 2,"),
-        ("half_angle      = { at_most", "half_angle      = { at_mots"),
-    ],
-)
+MISTAKES = [
+    ('tow_speed = "7.2 km/h"', "tow_speed = 7.2"),
+    ('tow_speed = "7.2 km/h"', 'tow_sped = "7.2 km/h"'),
+    ('"share.height"      = {', '"share.hight"      = {'),
+    ("log = true", 'log = "yes"'),
+    ("amplitude = 0.3,", "amplitude = 0.3, height = 2,"),
+    ("half_angle      = { at_most", "half_angle      = { at_mots"),
+]
+
+
+@pytest.mark.parametrize(("right", "wrong"), MISTAKES)
 def test_a_mistake_is_marked_that_reading_refuses_too(refusal, right, wrong):
     text = changed((right, wrong))
     assert refusal(text)

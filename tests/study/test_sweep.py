@@ -437,16 +437,16 @@ AT_HEAD = "import top_own\ndef f(values):\n    return {'x': top_own.of(1.0)}\n"
 INSIDE = "def f(values):\n    import top_own\n    return {'x': top_own.of(1.0)}\n"
 
 
+MODULES = [
+    ("deep_own", "import deep_own\ndef of(a):\n    return a + deep_own.VALUE\n"),
+    ("deep_own", "from deep_own import VALUE\ndef of(a):\n    return a + VALUE\n"),
+    ("deep_own", "def of(a):\n    from deep_own import VALUE\n    return a + VALUE\n"),
+    ("this", "from this import VALUE\ndef of(a):\n    return a + VALUE\n"),
+]
+
+
 @pytest.mark.parametrize("user", [AT_HEAD, INSIDE])
-@pytest.mark.parametrize(
-    ("deep", "top"),
-    [
-        ("deep_own", "import deep_own\ndef of(a):\n    return a + deep_own.VALUE\n"),
-        ("deep_own", "from deep_own import VALUE\ndef of(a):\n    return a + VALUE\n"),
-        ("deep_own", "def of(a):\n    from deep_own import VALUE\n    return a + VALUE\n"),
-        ("this", "from this import VALUE\ndef of(a):\n    return a + VALUE\n"),
-    ],
-)
+@pytest.mark.parametrize(("deep", "top"), MODULES)
 def test_a_module_of_the_users_own_is_read_as_a_whole(tmp_path, monkeypatch, user, deep, top):
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)

@@ -219,26 +219,26 @@ def test_no_design_meets_all_digits_of_a_requirement(plane):
         po.trade_off(d, x, y, x + y, points=5, search="near")
 
 
-@pytest.mark.parametrize(
-    ("objectives", "options", "said"),
-    [
-        pytest.param(lambda x, y: (x, y, x + y, x - y), {}, "4 objectives", id="four"),
-        pytest.param(lambda x, y: (x, ca.vertcat(x, y)), {}, "must be one number, not 2", id="vector"),
-        pytest.param(lambda x, _: (x, 3.0), {}, "must be an expression", id="number"),
-        pytest.param(lambda x, _: (ca.MX.sym("z"), x), {}, "'first objective' holds symbols", id="stranger"),
-        pytest.param(lambda x, y: (po.Goal("a", x), po.Goal("a", y)), {}, "the same name 'a'", id="names"),
-        pytest.param(lambda x, y: (po.Goal(" ", x), y), {}, "an objective's name = ' ' must be a text", id="no name"),
-        pytest.param(lambda x, y: (x, y), {"search": ["X"]}, "search = 'X' is not a variable", id="search"),
-        pytest.param(lambda x, y: (y, po.simulate(scene_of(mass=-x), 0.1).mean_draft), {}, "mass = -0.3 kg", id="mass"),
-        pytest.param(lambda x, _: (ca.fabs(x) + x / 9, ca.fabs(x) - x / 9), {"points": 5, "search": "near"},
-                     "no point of the front could be certified: the first-order conditions", id="kink",
-                     marks=pytest.mark.slow),
-        *(
-            pytest.param(lambda x, y: (x, y), {"points": n}, "a whole number from 5 to 1000", id=f"{n} points")
-            for n in (4, 1001, 7.5)
-        ),
-    ],
-)  # fmt: skip
+WRONG_QUESTIONS = [
+    pytest.param(lambda x, y: (x, y, x + y, x - y), {}, "4 objectives", id="four"),
+    pytest.param(lambda x, y: (x, ca.vertcat(x, y)), {}, "must be one number, not 2", id="vector"),
+    pytest.param(lambda x, _: (x, 3.0), {}, "must be an expression", id="number"),
+    pytest.param(lambda x, _: (ca.MX.sym("z"), x), {}, "'first objective' holds symbols", id="stranger"),
+    pytest.param(lambda x, y: (po.Goal("a", x), po.Goal("a", y)), {}, "the same name 'a'", id="names"),
+    pytest.param(lambda x, y: (po.Goal(" ", x), y), {}, "an objective's name = ' ' must be a text", id="no name"),
+    pytest.param(lambda x, y: (x, y), {"search": ["X"]}, "search = 'X' is not a variable", id="search"),
+    pytest.param(lambda x, y: (y, po.simulate(scene_of(mass=-x), 0.1).mean_draft), {}, "mass = -0.3 kg", id="mass"),
+    pytest.param(lambda x, _: (ca.fabs(x) + x / 9, ca.fabs(x) - x / 9), {"points": 5, "search": "near"},
+                 "no point of the front could be certified: the first-order conditions", id="kink",
+                 marks=pytest.mark.slow),
+    *(
+        pytest.param(lambda x, y: (x, y), {"points": n}, "a whole number from 5 to 1000", id=f"{n} points")
+        for n in (4, 1001, 7.5)
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("objectives", "options", "said"), WRONG_QUESTIONS)
 def test_questions_that_cannot_be(plane, objectives, options, said):
     d, x, y = plane
     with pytest.raises(po.PloughError, match=said):

@@ -92,25 +92,25 @@ def test_corners_are_the_ends_of_each_marginal():
 PAIRS = {("cohesion", "friction_angle"): 0.9, ("cohesion", "density"): 0.9, ("friction_angle", "density"): -0.9}
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"cohesoin": stats.norm(1, 1)}, "'cohesion'"),
-        ({"within": {"tool_friction": (0.1, 0.9)}}, "tool_friction"),
-        ({"cohesion": 20e3}, "not a distribution"),
-        ({"soil": replace(SEROZEM, cohesion=po.Design().parameter("c", 2e4))}, "is an expression in the soil"),
-        ({"cohesion": stats.norm(20e3, 6e3)}, "truncate it"),
-        ({"cohesion": stats.norm(20e3, np.nan)}, "cohesion: its distribution has no median"),
-        ({"cohesion": stats.norm(20e3, 0.0)}, "such as a scale of 0"),
-        ({"within": {"cohesion": 30e3}}, "the bounds of cohesion are 30000.0: give two numbers"),
-        ({"within": {"friction_angle": (po.deg(34), po.deg(34))}}, "contradict"),
-        ({"correlation": {("cohesion", "friction_angle"): -1.0}}, "between -1 and 1"),
-        ({"correlation": {("cohesion", "density"): 0.1}}, "no distribution"),
-        ({"correlation": {("cohesion", "cohesion"): 0.1}}, "pair of properties"),
-        ({"correlation": {("cohesion", "friction_angle"): 0.1, ("friction_angle", "cohesion"): 0.2}}, "given twice"),
-        ({"density": stats.uniform(1300, 100), "correlation": PAIRS}, "not positive definite"),
-    ],
-)
+WRONG_DISTRIBUTIONS = [
+    ({"cohesoin": stats.norm(1, 1)}, "'cohesion'"),
+    ({"within": {"tool_friction": (0.1, 0.9)}}, "tool_friction"),
+    ({"cohesion": 20e3}, "not a distribution"),
+    ({"soil": replace(SEROZEM, cohesion=po.Design().parameter("c", 2e4))}, "is an expression in the soil"),
+    ({"cohesion": stats.norm(20e3, 6e3)}, "truncate it"),
+    ({"cohesion": stats.norm(20e3, np.nan)}, "cohesion: its distribution has no median"),
+    ({"cohesion": stats.norm(20e3, 0.0)}, "such as a scale of 0"),
+    ({"within": {"cohesion": 30e3}}, "the bounds of cohesion are 30000.0: give two numbers"),
+    ({"within": {"friction_angle": (po.deg(34), po.deg(34))}}, "contradict"),
+    ({"correlation": {("cohesion", "friction_angle"): -1.0}}, "between -1 and 1"),
+    ({"correlation": {("cohesion", "density"): 0.1}}, "no distribution"),
+    ({"correlation": {("cohesion", "cohesion"): 0.1}}, "pair of properties"),
+    ({"correlation": {("cohesion", "friction_angle"): 0.1, ("friction_angle", "cohesion"): 0.2}}, "given twice"),
+    ({"density": stats.uniform(1300, 100), "correlation": PAIRS}, "not positive definite"),
+]
+
+
+@pytest.mark.parametrize(("changes", "words"), WRONG_DISTRIBUTIONS)
 def test_distributions_that_cannot_be(changes, words):
     with pytest.raises((po.InputError, po.DomainError), match=words):
         _field(**changes)
@@ -242,20 +242,20 @@ def test_a_standard_deviation_of_zero_has_finite_derivatives():
 # --- refusals --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda v: measures.cvar(v, 1.0), "level"),
-        (lambda v: measures.cvar(v, 0.9, width=-1.0), "width"),
-        (lambda v: measures.quantile(v, 0.0), "between 0 and 1"),
-        (lambda v: measures.probability(v), "needs a limit"),
-        (lambda v: measures.probability(v, at_least=2.0, at_most=1.0), "contradict"),
-        (lambda v: measures.expected(np.r_[v, np.nan]), "1 of 65 samples are not finite"),
-        (lambda _: measures.worst([]), "no samples"),
-        (lambda _: measures.cvar(ca.MX.sym("v", 4), 0.9), "needs a width"),
-        (lambda _: measures.worst(ca.MX(0, 1), width=1.0), "no samples"),
-    ],
-)
+WRONG_MEASURES = [
+    (lambda v: measures.cvar(v, 1.0), "level"),
+    (lambda v: measures.cvar(v, 0.9, width=-1.0), "width"),
+    (lambda v: measures.quantile(v, 0.0), "between 0 and 1"),
+    (lambda v: measures.probability(v), "needs a limit"),
+    (lambda v: measures.probability(v, at_least=2.0, at_most=1.0), "contradict"),
+    (lambda v: measures.expected(np.r_[v, np.nan]), "1 of 65 samples are not finite"),
+    (lambda _: measures.worst([]), "no samples"),
+    (lambda _: measures.cvar(ca.MX.sym("v", 4), 0.9), "needs a width"),
+    (lambda _: measures.worst(ca.MX(0, 1), width=1.0), "no samples"),
+]
+
+
+@pytest.mark.parametrize(("call", "words"), WRONG_MEASURES)
 def test_measures_that_cannot_be(call, words):
     with pytest.raises(po.InputError, match=words):
         call(SAMPLES)

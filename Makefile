@@ -8,7 +8,7 @@ LOWEST := .venv-lowest
 
 # At least one test file for every dependency, and quick ones otherwise.
 FAST   := $(addprefix tests/,problem_file cli export study calibration/test_linear.py design/test_design_solve.py \
-          motion/test_simulate.py uncertainty/test_verification.py test_layout.py test_forces.py \
+          motion/test_simulate.py uncertainty/test_measures.py test_layout.py test_forces.py \
           test_component.py test_plots.py test_results.py test_source_equations.py)
 
 .PHONY: run test thorough slow bench lowest lines mutants clean

@@ -45,10 +45,10 @@ LONG = """
     design/test_results_are_values design/test_search design/test_sensitivity elastic/test_contact elastic/test_field
     export/test_c export/test_fmu hard_cases/test_derivatives_at_the_ends hard_cases/test_hard_designs
     motion/test_combination_derivatives motion/test_estimates motion/test_integrators motion/test_orbit
-    motion/test_resistance_laws motion/test_stick_slip report/test_report study/test_deaths study/test_problem_sweep
-    test_batch test_batch_compiler test_batch_errors test_component test_files test_pages test_plastic_field
-    test_results test_scripts test_strength_record tradeoff/test_fronts tradeoff/test_surfaces
-    uncertainty/test_known_optima
+    motion/test_resistance_laws motion/test_stick_slip report/test_report study/test_problem_sweep study/test_workers
+    tradeoff/test_fronts tradeoff/test_surfaces uncertainty/test_known_optima test_batch test_batch_compiler
+    test_batch_errors test_component test_files test_pages test_plastic_field test_results test_scripts
+    test_strength_record
 """
 
 # File or test -> n: by default only every n-th case of a parametrised test runs, and of 0 none; the slow tests run all.
@@ -108,9 +108,6 @@ ONE_OF = {
     "hard_cases/test_singular_designs": 2,
     "hard_cases/test_sticking_entry": 3,
     "motion/test_combination_derivatives": 6,
-    "motion/test_derivative_accuracy::test_a_symbolic_ramp_of_no_time_has_the_limit_of_short_ones": 2,
-    "motion/test_derivative_accuracy::test_named_adaptive_methods_find_the_end_of_a_ramp": 2,
-    "motion/test_derivative_accuracy::test_second_derivatives_through_events_are_those_of_a_gradient": 2,
     "motion/test_effect_combinations": 2,
     "motion/test_estimates::test_a_looser_error_takes_no_more_steps": 3,
     "motion/test_integrators": 5,
@@ -125,19 +122,22 @@ ONE_OF = {
     "motion/test_orbit::test_the_linear_response_to_a_slight_wave_is_the_orbit": 5,
     "motion/test_orbit::test_without_amplitude_the_share_slides_steadily": 5,
     "motion/test_simulate::test_linear_motion_from_rest": 5,
-    "motion/test_smooth_contact::test_a_narrow_step_takes_far_fewer_equal_steps_than_would_resolve_its_slope": 3,
-    "motion/test_smooth_contact::test_a_settled_share_has_the_steady_resistance": 3,
-    "motion/test_smooth_contact::test_a_very_small_width_terminates_with_an_honest_error": 3,
-    "motion/test_smooth_contact::test_an_independent_solver_agrees": 3,
-    "motion/test_smooth_contact::test_overflow_names_the_repelling_spring": 3,
-    "motion/test_smooth_contact::test_the_error_falls_with_the_width_where_no_gap_opens": 3,
+    "motion/test_special_motions::test_a_narrow_step_takes_far_fewer_equal_steps_than_would_resolve_its_slope": 3,
+    "motion/test_special_motions::test_a_settled_share_has_the_steady_resistance": 3,
+    "motion/test_special_motions::test_a_very_small_width_terminates_with_an_honest_error": 3,
+    "motion/test_special_motions::test_an_independent_solver_agrees": 3,
+    "motion/test_special_motions::test_overflow_names_the_repelling_spring": 3,
+    "motion/test_special_motions::test_the_error_falls_with_the_width_where_no_gap_opens": 3,
+    "motion/test_steps::test_a_symbolic_ramp_of_no_time_has_the_limit_of_short_ones": 2,
+    "motion/test_steps::test_named_adaptive_methods_find_the_end_of_a_ramp": 2,
+    "motion/test_steps::test_second_derivatives_through_events_are_those_of_a_gradient": 2,
     "motion/test_stick_slip": 3,
     "problem_file/test_penetrometer::test_it_is_a_measure_of_an_uncertain_soil": 0,
     "problem_file/test_penetrometer::test_of_a_least_value_the_smallest_samples_are_the_worst": 0,
     "report/test_report::test_the_page_prints_on_paper": 0,
-    "study/test_deaths::test_a_cluster_that_loses_a_worker_midway_gives_the_same_bits": 0,
-    "study/test_deaths::test_a_point_that_kills_three_workers_is_undetermined_until_a_retry": 0,
     "study/test_problem_sweep::test_memory_does_not_grow_with_the_points": 0,
+    "study/test_workers::test_a_cluster_that_loses_a_worker_midway_gives_the_same_bits": 0,
+    "study/test_workers::test_a_point_that_kills_three_workers_is_undetermined_until_a_retry": 0,
     "test_batch": 3,
     "test_batch::test_designs_are_refused_as_a_single_scene_is": 1,
     "test_component::test_every_result_agrees_with_the_numeric_scene": 3,
@@ -153,7 +153,7 @@ ONE_OF = {
     "test_scripts::test_the_script_writes_every_picture_and_the_table": 0,
     "tradeoff/test_following::test_fronts_of_several_parameters_share_a_build": 0,
     "tradeoff/test_fronts::test_positions_without_a_design_are_named": 0,
-    "uncertainty/test_verification::test_bias_of_cvar_is_of_second_order": 2,
+    "uncertainty/test_measures::test_bias_of_cvar_is_of_second_order": 2,
 }
 
 

@@ -300,16 +300,8 @@ def test_a_fuzz_of_environments(tmp_path, monkeypatch, compiler):
     monkeypatch.chdir(tmp_path)
     copying = f'last=; for one; do [ "$last" = -o ] && cp {made} "$one"; last=$one; done; true'
     folders = [
-        "",
-        "relative",
-        str(tmp_path / "file"),
-        "/proc",
-        "/dev/full",
-        str(tmp_path / "open"),
-        "\udcff",
-        "new",
-        None,
-    ]
+        "", "relative", str(tmp_path / "file"), "/proc", "/dev/full", str(tmp_path / "open"), "\udcff", "new", None,
+    ]  # fmt: skip
     programs, found = os.environ["PATH"], []
     for number in range(24):
         monkeypatch.setattr(compilers, "_hanging", {})

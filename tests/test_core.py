@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from helpers import small_designs
 from helpers.high_precision import assert_close, derivatives, mp
+from helpers.refusals import refusals
 
 import plough_opt as po
 from plough_opt.core import expressions as ex
@@ -351,15 +352,12 @@ def test_size_for_an_error_is_the_smallest_that_reaches_it(error, size):
     assert STUDY.size_for(error) == size
 
 
-@pytest.mark.parametrize("error", [9e-17, 0.0])
-def test_an_error_out_of_reach_is_refused_with_the_largest_size_tried(error):
-    with pytest.raises(po.InputError, match=f"no size up to 16 reaches a relative error of {error:g}: try larger"):
-        STUDY.size_for(error)
-
-
-def test_an_error_below_0_is_refused():
-    with pytest.raises(po.InputError, match=r"error = -0\.01 must be at least 0"):
-        STUDY.size_for(-0.01)
+test_an_error_out_of_reach_or_below_0_is_refused = refusals(
+    po.InputError,
+    (lambda: STUDY.size_for(9e-17), "no size up to 16 reaches a relative error of 9e-17: try larger"),
+    (lambda: STUDY.size_for(0.0), "no size up to 16 reaches a relative error of 0: try larger"),
+    (lambda: STUDY.size_for(-0.01), r"error = -0\.01 must be at least 0"),
+)
 
 
 def test_the_table_shows_size_error_and_cost():

@@ -422,22 +422,9 @@ def test_a_report_holds_hostile_texts_as_text(tmp_path, place):
 def test_cells_of_a_table_are_shown_as_they_are(tmp_path):
     """Beginnings that a spreadsheet computes get an apostrophe, numbers do not, and both are read back."""
     texts = [
-        "=1+1",
-        "+1 (x)",
-        "-a",
-        "@SUM(A1)",
-        "\tx",
-        "\uff1d1",
-        "'=1",
-        "''-x",
-        "'",
-        "plain",
-        "a=b",
-        "-1.5",
-        "-1e-05",
-        "+3",
-        "",
-    ]
+        "=1+1", "+1 (x)", "-a", "@SUM(A1)", "\tx", "\uff1d1", "'=1", "''-x", "'", "plain", "a=b", "-1.5", "-1e-05",
+        "+3", "",
+    ]  # fmt: skip
     out = io.StringIO()
     write_rows(out, [[f"name {k}" for k in range(len(texts))], texts, [-1.5] * len(texts)])
     (_, *rows) = csv.reader(out.getvalue().splitlines())
@@ -490,7 +477,6 @@ def test_a_dollar_sign_in_a_picture_is_one(tmp_path):
     data["origin"]["title"], data["scene"]["soil"]["name"] = "$\\frac$", "5 $ or $ 6"
     (tmp_path / "a.json").write_text(json.dumps(data), encoding="utf-8")
     run = po.load(tmp_path / "a.json")
-    figure = run.plot(tmp_path / "a.svg")
-    assert figure.get_suptitle().startswith("$\\frac$")
+    assert run.plot(tmp_path / "a.svg").get_suptitle().startswith("$\\frac$")
     assert "<img" in run._repr_html_()
     assert call("compare", tmp_path / "a.json", tmp_path / "a.json", "--plot", tmp_path / "b.png").status == 0

@@ -234,8 +234,7 @@ def test_the_tables_of_embedding_hold_every_name_and_no_other():
 
 def most_outputs():
     """Return the schema's bound of a file's output intervals."""
-    field = schema.SceneTable.model_json_schema()["properties"]["outputs"]
-    return field["maximum"]
+    return schema.SceneTable.model_json_schema()["properties"]["outputs"]["maximum"]
 
 
 LIMITS = {
@@ -498,8 +497,7 @@ def test_resistance_law(workshop, capsys):
     assert "a fit per width and depth: fitted from 1 to 3 m/s" in script
     assert "does not include soil that moves with the share" in script
     assert "law of resistance" in command or "share.height" in command
-    table = "scene.medium={law='per_width', width='12 cm'}"
-    own = po.read_problem("tine.toml", [table])
+    own = po.read_problem("tine.toml", ["scene.medium={law='per_width', width='12 cm'}"])
     # 250 kPa on 12 cm by 25 cm, and a twentieth of that per (m/s)^2.
     assert own.simulate().mean_draft == pytest.approx(250e3 * 0.12 * 0.25 * 1.2, rel=1e-9)
     refused("check tine.toml --set scene.medium='per_with'", "did you mean 'per_width'")

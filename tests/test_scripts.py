@@ -465,14 +465,11 @@ def particles():
         yield module
 
 
-def test_the_page_holds_the_tables_of_measurements(measured):
-    for headings, table in measured.TABLES.values():
-        assert measured.markdown(headings, table()) in PAGE
-
-
-def test_the_page_holds_the_tables_of_the_particles(particles):
-    for headings, table in particles.TABLES.values():
-        assert particles.markdown(headings, table()) in PAGE
+@pytest.mark.parametrize("of", ["measured", "particles"])
+def test_the_page_holds_the_tables_of_measurements_and_particles(request, of):
+    script = request.getfixturevalue(of)
+    for headings, table in script.TABLES.values():
+        assert script.markdown(headings, table()) in PAGE
 
 
 def test_thirty_measured_rows_with_sources(measured):
@@ -494,8 +491,7 @@ def test_the_published_sand_against_the_plane_wedge_by_hand(measured):
 
 
 def test_mean_and_error(particles):
-    values = np.random.default_rng(4).normal(3.0, 0.5, 400).tolist()
-    mean, error = particles.mean_and_error(values)
+    mean, error = particles.mean_and_error(np.random.default_rng(4).normal(3.0, 0.5, 400).tolist())
     assert mean == pytest.approx(3.0, abs=4.0 * error)
     # The standard deviation of 400 normal values is known to 3.5 %.
     assert error == pytest.approx(0.5 / 20.0, rel=0.15)

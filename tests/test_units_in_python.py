@@ -140,8 +140,7 @@ def test_a_unit_outside_physics_only_labels_reports():
 def test_an_implausible_value_in_a_file_is_noted(capsys, tmp_path):
     path = tmp_path / "slip.toml"
     path.write_text(template().replace('tow_speed = "7.2 km/h"', 'tow_speed = "7.2 m/s"'), encoding="utf-8")
-    problem = po.read_problem(path)
-    (caution,) = problem.cautions
+    (caution,) = po.read_problem(path).cautions
     assert caution == "scene.tow_speed = 7.2 m/s: did you mean 7.2 km/h?"
     assert main(["check", str(path)]) == 0
     said = capsys.readouterr().err

@@ -39,8 +39,7 @@ def test_the_reference_is_the_true_optimum_of_r1():
 
 def test_the_reference_of_a_design_with_every_result_of_a_run(r1_soil, r1_wave):
     """Outputs that are used and others that are not, two signals with an RMS, the tow power and a parameter."""
-    d = po.Design()
-    k0 = d.variable("stiffness", guess=2e4, lower=1e4, upper=4e4, unit="N/m", log=True)
+    d, k0 = design(stiffness=(2e4, 1e4, 4e4, "N/m", True))
     damping = d.parameter("damping", 250.0, unit="N s/m")
     effects = po.Effects(strength_wave=r1_wave, damping=damping, tow_ramp=0.13, start="rest")
     scene = po.Scene(r1_soil, po.Wedge(po.deg(30.0), po.deg(15.0), 0.2), k0, 25.0, 2.0, effects)
@@ -140,8 +139,7 @@ def test_the_largest_error_of_any_seed_is_that_of_the_basin_it_ended_in(monkeypa
     assert not any("take interpreted, near" in study.advise(question) for question in study.questions)
     assert compiled.failure == compiler.interpretation_warning()
     # Rounding of the roots, and of f'/f'' with f'' of about 1.
-    found = reference_optimum(d.declared, d.solve())
-    assert found.variables["x"] == pytest.approx(high, abs=1e-14)
+    assert reference_optimum(d.declared, d.solve()).variables["x"] == pytest.approx(high, abs=1e-14)
 
 
 @pytest.fixture

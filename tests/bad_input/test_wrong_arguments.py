@@ -8,12 +8,12 @@ import math
 import random
 import warnings
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from helpers.problem_files import PROBLEMS
 from scipy import stats
 
 import plough_opt as po
@@ -21,7 +21,6 @@ from plough_opt.studies import uncertainty
 
 # --- a valid call of every public function: the function, and its arguments, each of which tests replace by wrong ones
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 SOIL = po.named_soil("serozem")
 FIRM = po.Soil(1600.0, 0.8, 2e4, 0.5, 0.5, 0.0, youngs_modulus=2e7, poisson_ratio=0.3)
 WEDGE = po.Wedge(0.5, 0.26, 0.25)

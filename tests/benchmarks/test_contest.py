@@ -392,12 +392,9 @@ def test_disconnected_front(contest, peer):
 # --- times of reading, building, solving and simulating, and how they and memory grow. No test asserts a time ---
 
 EFFECTS = {
-    "strength_wave": po.StrengthWave(0.3, 0.6),
-    "inertial_drag": True,
-    "damping": 250.0,
-    "rate_term": 0.05,
+    "strength_wave": po.StrengthWave(0.3, 0.6), "inertial_drag": True, "damping": 250.0, "rate_term": 0.05,
     "tow_ramp": 0.137,
-}
+}  # fmt: skip
 COUNTS = (1, 2, 3, 4, 5)
 MEMORY = """
 import casadi as ca, numpy as np, plough_opt as po

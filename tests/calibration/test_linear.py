@@ -4,7 +4,6 @@ import dataclasses
 import json
 import math
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -134,9 +133,6 @@ def test_a_row_of_weight_zero_equals_no_row(regression, loss):
     assert fit.standard_errors == pytest.approx(without.standard_errors, rel=1e-6 if loss == "squares" else 1e-4)
 
 
-ROOT = Path(__file__).resolve().parents[2]
-
-
 @pytest.fixture(scope="session")
 def script():
     """Yield problems/calibration_coverage.py as a module."""
@@ -173,7 +169,7 @@ def test_coverage_of_500_trials_is_95_per_cent_within_3(script, number):
 
 def test_the_page_has_the_table_of_the_script(script):
     """A row for each case and unknown, with rates of 95 % within 3, and every parameter identifiable in some case."""
-    page = (ROOT / "docs" / "calibration.md").read_text(encoding="utf-8")
+    page = (PROBLEMS.parent / "docs" / "calibration.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\|(.*)\| `([\w.]+)` \| in (\d+) \| (.*) \|$", page, flags=re.MULTILINE)
     found = [(own.name, own.identifiable) for case in script.CASES for own in case.run(1)]
     assert [(name, int(count) / 500) for _, name, count, _ in rows] == found
@@ -206,7 +202,7 @@ WRITTEN = {
 
 
 def test_the_page_names_the_constants_of_the_code():
-    text = (Path(__file__).resolve().parents[2] / "docs" / "calibration.md").read_text(encoding="utf-8")
+    text = (PROBLEMS.parent / "docs" / "calibration.md").read_text(encoding="utf-8")
     assert [float(c) for c in re.findall(r"\$c=([\d.]+)\$", text)] == [HUBER, SOFT_L1, CAUCHY]
 
 

@@ -4,7 +4,6 @@ import dataclasses
 import io
 import math
 import re
-from pathlib import Path
 
 import casadi as ca
 import mpmath as mp
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 from helpers import high_precision as hp
 from helpers.differences import differences
+from helpers.problem_files import PROBLEMS
 from rich.console import Console
 from scipy.integrate import quad, solve_ivp
 
@@ -24,8 +24,7 @@ from plough_opt.studies.crosscheck import Tine, asabe_draft, compare, mckyes_ali
 
 # --- comparison of draft models: arguments, estimates, table and picture; and the numbers in docs/crosscheck.md ---
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
-PAGE = (Path(__file__).parents[2] / "docs" / "crosscheck.md").read_text(encoding="utf-8")
+PAGE = (PROBLEMS.parent / "docs" / "crosscheck.md").read_text(encoding="utf-8")
 SPEEDS = [3.0 / 3.6, 9.0 / 3.6]
 SOIL = po.named_soil("serozem")
 SHARE = po.Wedge(angle=po.deg(39.1), chisel_angle=po.deg(15.0), height=0.254)
@@ -164,8 +163,7 @@ def test_the_table_has_drafts_in_kilonewtons_ratios_and_rises(full):
 
 
 def test_the_picture_has_a_panel_for_each_depth(full, tmp_path):
-    figure = full.plot(tmp_path / "drafts.svg")
-    left, right = figure.axes
+    left, right = full.plot(tmp_path / "drafts.svg").axes
     assert [left.get_title(), right.get_title()] == ["working depth 0.25 m", "working depth 0.4 m"]
     assert (left.get_xlabel(), left.get_ylabel()) == ("speed [km/h]", "mean draft [kN]")
     assert (left.get_yscale(), left.get_ylim()) == (right.get_yscale(), right.get_ylim())
@@ -330,8 +328,7 @@ def integrated(soil, speed):
         acceleration = 2 * speed**2 * (1 / r**2 - 1 / r**5)
         return -2 * deviator / r - rho1 * acceleration
 
-    done = solve_ivp(slope_of, (r1, 1.0), [start], method="DOP853", rtol=1e-12, atol=1e-6)
-    return done.y[0, -1]
+    return solve_ivp(slope_of, (r1, 1.0), [start], method="DOP853", rtol=1e-12, atol=1e-6).y[0, -1]
 
 
 @pytest.mark.parametrize("speed", [0.0, 2.0, 20.0])

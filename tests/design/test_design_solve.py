@@ -5,12 +5,13 @@ import math
 import random
 import subprocess
 import sys
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pint
 import pytest
+from helpers.problem_files import PROBLEMS
+from helpers.refusals import refusals
 from helpers.scenes import Shank, scene_of
 from helpers.small_designs import design, sticking
 from helpers.three_modes import follow
@@ -393,7 +394,6 @@ def test_r1_expression_with_a_foreign_symbol_is_refused(r1):
 # --- in threads, and interrupted ----------------------------------------------------------------------------
 
 
-ROOT = Path(__file__).parents[2]
 # Runs in a separate process, because an error in a thread must end it.
 SCRIPT = """
 from concurrent.futures import ThreadPoolExecutor
@@ -412,7 +412,8 @@ print("all solved")
 
 
 def test_designs_in_threads_are_those_one_after_the_other():
-    done = subprocess.run([sys.executable, "-c", SCRIPT], cwd=ROOT, capture_output=True, text=True, check=False)
+    line = [sys.executable, "-c", SCRIPT]
+    done = subprocess.run(line, cwd=PROBLEMS.parent, capture_output=True, text=True, check=False)
     assert done.stdout.split("\n")[0] == "all solved", done.stderr
 
 
@@ -490,14 +491,6 @@ def test_a_search_takes_a_time_in_any_unit(search, seconds):
 
 
 @pytest.mark.parametrize(
-    "search", ["1.2.3 s", "-1 s", "inf s", "1 m", "8", "", "\n", 8.0, True, np.float64(8.0), 0, None]
-)
-def test_a_search_that_is_none_is_refused(search):
-    with pytest.raises(po.InputError, match="search"):
-        searched(search, _declared().declared.variables)
-
-
-@pytest.mark.parametrize(
     "name", ["20 s", "5 min", "auto", "objective", "worst objective", "optimum", "position on the front", "Grösse µ"]
 )
 def test_a_variable_may_have_any_printable_name(name):
@@ -505,12 +498,6 @@ def test_a_variable_may_have_any_printable_name(name):
     assert best.variables == pytest.approx({name: 0.25}, abs=1e-6)
     assert best.search.variables == (name,)
     assert "optimum" in best.to_json()
-
-
-@pytest.mark.parametrize("name", ["", " ", "a\nb", "worst objective\n", 3, None])
-def test_other_names_are_refused(name):
-    with pytest.raises(po.InputError, match="name"):
-        _declared(name)
 
 
 INTEGERS = [np.int64(3), np.uint8(3), np.int32(3)]
@@ -541,20 +528,21 @@ def test_a_parameter_of_a_solve_takes_a_unit(value, wanted):
     assert _parameter(value) == pytest.approx(wanted, abs=1e-7)
 
 
-@pytest.mark.parametrize("value", [2e4, "20 kPa", -1.0, "3 m", "3", True, None, float("nan"), UNITS("1 m")])
-def test_a_parameter_of_a_solve_keeps_its_unit_and_its_domain(value):
-    with pytest.raises(po.InputError, match="'pressure'"):
-        _parameter(value)
-
-
 def test_a_catalogue_takes_units():
     assert NEAR.rounded(x="200 mm").variables == NEAR.rounded(x=0.2).variables
     assert NEAR.rounded(x=["10 cm", UNITS("300 mm")]).variables == {"x": 0.3}
 
 
-def test_equal_bounds_say_what_does_it():
-    with pytest.raises(po.InputError, match="the number itself"):
-        _declared(lower=0.5, upper=0.5)
+NOT_SEARCHES = ["1.2.3 s", "-1 s", "inf s", "1 m", "8", "", "\n", 8.0, True, np.float64(8.0), 0, None]
+# A parameter of a solve keeps its unit and its domain.
+NOT_PRESSURES = [2e4, "20 kPa", -1.0, "3 m", "3", True, None, float("nan"), UNITS("1 m")]
+test_other_names_searches_parameters_and_equal_bounds_are_refused = refusals(
+    po.InputError,
+    *((lambda x=x: _declared(x), "name") for x in ("", " ", "a\nb", "worst objective\n", 3, None)),
+    *((lambda x=x: searched(x, _declared().declared.variables), "search") for x in NOT_SEARCHES),
+    *((lambda x=x: _parameter(x), "'pressure'") for x in NOT_PRESSURES),
+    (lambda: _declared(lower=0.5, upper=0.5), "the number itself"),
+)
 
 
 @pytest.mark.parametrize("number", [8, 16, 64])

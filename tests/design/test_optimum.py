@@ -28,8 +28,7 @@ def test_multiplier_of_a_path_is_the_slope_of_the_best_objective(r1_scene, r1_wa
         d.require("deflection", run.deflection, at_most=deflection, unit="m")
         return d.solve(search="local")
 
-    best = solve(0.02)
-    limit = _limit(best, "deflection")
+    limit = _limit(solve(0.02), "deflection")
     assert limit.active
     assert limit.value == pytest.approx(0.02, rel=1e-8)
     assert limit.multiplier == pytest.approx(-order_4(lambda z: solve(z).objective, 0.02, 1e-5), rel=1e-6)

@@ -195,8 +195,7 @@ def test_a_scene_of_a_profile_moves_with_the_reaction_of_its_soil(r1_soil, r1_wa
 def sized(r1_soil):
     """Return a design of the smallest draft that loosens 0.1 m, in soil whose profile is a parameter."""
     d, height = design(height=(0.2, 0.1, 0.4, "m"))
-    width = d.parameter("width", 0.1, unit="m")
-    soil = soil_of(r1_soil, width=width)
+    soil = soil_of(r1_soil, width=d.parameter("width", 0.1, unit="m"))
     cone = po.Cone(po.deg(12.0), height)
     d.minimise(po.soil_reaction(cone, soil).static / 1e3)
     d.require("loosened radius", po.loosened_radius(cone, soil), at_least=0.1, unit="m")

@@ -76,8 +76,7 @@ def test_variables_on_their_limits_follow_them(log):
 
 @pytest.mark.parametrize("log", [False, True])
 def test_an_inactive_limit_changes_nothing_until_it_is_met(log):
-    best = _cost_against_yield(log=log).solve()
-    found = best.sensitivity("x upper")
+    found = _cost_against_yield(log=log).solve().sensitivity("x upper")
     assert (found.objective, found.variables) == (0.0, {"x": 0.0, "y": 0.0})
     assert found.valid_from == pytest.approx(math.sqrt(1.5), rel=EXACT)  # x itself, whatever its scale
     assert (found.valid_to, found.then) == (None, ("x upper begins to decide", ""))
@@ -192,15 +191,13 @@ def test_r1_solved_again_with_other_parameters(r1_parameters, name, value, step)
 
 
 def test_sensitivities_are_at_the_parameters_of_the_solve():
-    best = _cost_against_yield().solve(parameters={"weight": 8.0})
-    found = best.sensitivity("weight")
+    found = _cost_against_yield().solve(parameters={"weight": 8.0}).sensitivity("weight")
     assert found.value == 8.0
     assert found.objective == pytest.approx(math.sqrt(3.0 / 8.0), rel=EXACT)
 
 
 def test_every_quantity_of_a_problem_file_has_a_sensitivity():
-    problem = po.read_problem(SUBSOILER)
-    best = problem.design(parameters=True)[0].solve(search="local")
+    best = po.read_problem(SUBSOILER).design(parameters=True)[0].solve(search="local")
     assert len(best.every_sensitivity()) == 17  # the strength factor among them
     # A relative step of 2e-4 leaves its square times third derivatives of order one, the optimiser's 1e-10 over it.
     assert best.sensitivity("soil.density_ratio", check=True).difference < 5e-6

@@ -20,20 +20,11 @@ import plough_opt as po
 # Ordinary numbers, and those to differentiate by, each with the size of a typical change.
 FIXED = {"chisel_angle": 0.2, "density": 1400.0, "duration": 0.3, "wavelength": 0.5}
 VARIED = {
-    "wedge_angle": (0.5, 0.5),
-    "height": (0.25, 0.25),
-    "density_ratio": (0.8, 0.2),
-    "friction_angle": (0.5, 0.5),
-    "cohesion": (15e3, 1e4),
-    "tool_friction": (0.45, 0.5),
-    "ambient_pressure": (1e4, 1e4),
-    "speed": (2.0, 2.0),
-    "stiffness": (5e4, 5e4),
-    "mass": (24.0, 24.0),
-    "damping": (100.0, 100.0),
-    "rate_term": (0.05, 0.05),
+    "wedge_angle": (0.5, 0.5), "height": (0.25, 0.25), "density_ratio": (0.8, 0.2), "friction_angle": (0.5, 0.5),
+    "cohesion": (15e3, 1e4), "tool_friction": (0.45, 0.5), "ambient_pressure": (1e4, 1e4), "speed": (2.0, 2.0),
+    "stiffness": (5e4, 5e4), "mass": (24.0, 24.0), "damping": (100.0, 100.0), "rate_term": (0.05, 0.05),
     "amplitude": (0.5, 0.5),
-}
+}  # fmt: skip
 ORDINARY = FIXED | {name: value for name, (value, _) in VARIED.items()}
 SIZES = {name: size for name, (_, size) in VARIED.items()}
 RIGHT = math.pi / 2.0

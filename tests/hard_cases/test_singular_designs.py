@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers.scenes import R1_SOIL, SHARP
+from helpers.small_designs import design
 from scipy.optimize import minimize_scalar
 
 import plough_opt as po
@@ -70,8 +71,7 @@ def test_derivatives_where_the_amplitude_vanishes(motion, duration):
 @motions
 def test_an_amplitude_is_driven_to_zero_or_away_from_it(motion, duration, gain, guess):
     slope = rms(1e-7, motion, duration) / 1e-7 / 1e3
-    d = po.Design()
-    amplitude = d.variable("amplitude", guess=guess, lower=0.0, upper=1.0)
+    d, amplitude = design(amplitude=(guess, 0.0, 1.0))
     run = po.simulate(scene_of(amplitude, motion=motion), duration)
     d.minimise(1.0 + run.force_rms / 1e3 - gain * slope * amplitude)
     best = d.solve(search="local")
@@ -116,8 +116,7 @@ def test_a_start_that_stays_steady_leaves_the_rest_of_the_objective_alone():
 
 @pytest.mark.parametrize("most", [0.0, pytest.param(1e-9, marks=pytest.mark.slow), 1e-3, 1.0])
 def test_almost_no_oscillation_may_be_required(most):
-    d = po.Design()
-    amplitude = d.variable("amplitude", guess=0.3, lower=0.0, upper=1.0)
+    d, amplitude = design(amplitude=(0.3, 0.0, 1.0))
     run = po.simulate(scene_of(amplitude, motion=False), 2.0)
     d.minimise(1.0 - amplitude)
     d.require("calm", run.force_rms, at_most=most, unit="N")
@@ -140,9 +139,7 @@ def test_almost_no_oscillation_may_be_required(most):
 
 
 def of_angle_and_height(objective):
-    d = po.Design()
-    angle = d.variable("wedge angle", guess=0.5, lower=0.1, upper=1.0, unit="rad")
-    height = d.variable("height", guess=0.25, lower=0.1, upper=0.5, unit="m")
+    d, angle, height = design(**{"wedge angle": (0.5, 0.1, 1.0, "rad"), "height": (0.25, 0.1, 0.5, "m")})
     run = po.simulate(scene_of(share=po.Wedge(angle, po.deg(15.0), height), motion=False), 1.0)
     d.minimise(objective(run.mean_draft / 1e3))
     return d.solve()
@@ -164,8 +161,7 @@ def test_a_plain_has_two_flat_directions():
 
 @pytest.mark.parametrize(("power", "within"), [(4, 1e-2), (6, 3e-2), (8, 6e-2)])
 def test_a_bottom_of_high_order_is_reached_to_rounding_of_the_objective(power, within):
-    d = po.Design()
-    x = d.variable("x", guess=0.9, lower=0.0, upper=1.0)
+    d, x = design(x=(0.9, 0.0, 1.0))
     d.minimise(1.0 + (x - 0.4) ** power)
     best = d.solve()
     assert best.objective == pytest.approx(1.0, abs=1e-10)
@@ -187,8 +183,7 @@ PARTLY = {
 @pytest.mark.parametrize("guess", [0.2001, 0.5])
 @pytest.mark.parametrize("objective", PARTLY.values(), ids=PARTLY)
 def test_designs_without_a_value_do_not_stop_a_solve(objective, guess, lower):
-    d = po.Design()
-    h = d.variable("h", guess=guess, lower=lower, upper=0.5)
+    d, h = design(h=(guess, lower, 0.5))
     d.minimise(objective(h, ca.sqrt, ca.log))
     best = d.solve()
     truth = by_scipy(lambda x: objective(x, math.sqrt, math.log), 0.2 + 1e-12, 0.5)
@@ -196,8 +191,7 @@ def test_designs_without_a_value_do_not_stop_a_solve(objective, guess, lower):
 
 
 def test_an_optimum_at_a_bound_with_an_infinite_slope_is_found():
-    d = po.Design()
-    h = d.variable("h", guess=0.3, lower=0.2, upper=0.5)
+    d, h = design(h=(0.3, 0.2, 0.5))
     d.minimise(1.0 + ca.sqrt(h - 0.2))
     best = d.solve()
     # The square root of the bound's rounding.
@@ -209,10 +203,8 @@ def test_an_optimum_at_a_bound_with_an_infinite_slope_is_found():
 @pytest.mark.parametrize("upper", [89.0, 89.99, 90.0 * (1.0 - 1e-12)])
 @pytest.mark.parametrize("guess", [10.0, 88.0])
 def test_a_share_between_bounds_that_reach_the_end_of_the_angles(upper, guess):
-    d = po.Design()
-    angle = d.variable("wedge angle", guess=po.deg(guess), lower=1e-8, upper=po.deg(upper), unit="rad")
-    share = po.Wedge(angle, po.deg(15.0), 0.25)
-    run = po.simulate(scene_of(share=share, motion=False), 1.0)
+    d, angle = design(**{"wedge angle": (po.deg(guess), 1e-8, po.deg(upper), "rad")})
+    run = po.simulate(scene_of(share=po.Wedge(angle, po.deg(15.0), 0.25), motion=False), 1.0)
     d.minimise(1.0 + (run.mean_draft / 2e3 - 1.0) ** 2)
     best = d.solve()
     # The start's objective of up to a thousand scales the tolerance.
@@ -228,8 +220,7 @@ SHEAR = math.sqrt(LOESS.youngs_modulus / (2.0 * (1.0 + LOESS.poisson_ratio)) / L
 @pytest.mark.parametrize("sign", [1.0, -1.0], ids=["least", "most"])
 @pytest.mark.parametrize("guess", [1.0, 20.0, 52.0])
 def test_a_pressure_between_bounds_far_beyond_the_shear_wave(sign, guess):
-    d = po.Design()
-    speed = d.variable("speed", guess=guess, lower=1.0, upper=300.0, unit="m/s")
+    d, speed = design(speed=(guess, 1.0, 300.0, "m/s"))
     d.minimise(1.0 + sign * elastic.wedge_pressure(0.1, NODES, LOESS, speed) / 1e6)
     best = d.solve()
     truth = by_scipy(lambda v: 1.0 + sign * elastic.wedge_pressure(0.1, NODES, LOESS, v) / 1e6, 1.0, 0.9999 * SHEAR)

@@ -9,6 +9,7 @@ import numpy as np
 import plough_opt as po
 from helpers.problem_files import PROBLEMS
 from helpers.scenes import scene_of
+from helpers.small_designs import design
 from plough_opt.problem_file.uncertain import optimise_robust
 
 SCENE = scene_of(share=po.Cone(po.deg(10), 0.25), damping=400.0, strength_wave=po.StrengthWave(0.3, 0.2))
@@ -23,9 +24,7 @@ def run():
 @functools.cache
 def optimum():
     """Return an optimum with two variables and two requirements, one of which decides, and with its run."""
-    d = po.Design()
-    height = d.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
-    stiffness = d.variable("stiffness", guess=1e5, lower=1e4, upper=1e6, unit="N/m", log=True)
+    d, height, stiffness = design(height=("250 mm", "100 mm", "500 mm"), stiffness=(1e5, 1e4, 1e6, "N/m", True))
     scene = dataclasses.replace(STILL, share=po.Cone(po.deg(10), height), stiffness=stiffness)
     moving = po.simulate(scene, 1.0)
     d.minimise(moving.mean_draft / 1e3 + 1e-9 * (stiffness - 5e4) ** 2)
@@ -49,8 +48,7 @@ def fit():
 
 @functools.cache
 def front():
-    d = po.Design()
-    x = d.variable("x", guess="500 mm", lower="0 mm", upper="1000 mm")
+    d, x = design(x=("500 mm", "0 mm", "1000 mm"))
     k = d.parameter("k", 2.0)
     d.require("sum", x * k, at_most=1.5)
     goals = po.Goal("draft", 5000.0 * (0.1 + x**2), "N"), po.Goal("radius", 0.1 + k * x, "m", maximise=True)

@@ -2,12 +2,12 @@
 
 import dataclasses
 import pickle
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 from helpers import three_modes
+from helpers.problem_files import SUBSOILER
 from helpers.scenes import SEROZEM, scene_of
 from scipy.optimize import minimize_scalar
 
@@ -72,8 +72,7 @@ def test_batch_agrees_with_single_runs():
 
 def read(medium):
     """Return a problem with a medium, without requirements that only the plastic gas meets."""
-    path = Path(__file__).parents[2] / "problems" / "cotton_subsoiler.toml"
-    return po.read_problem(path, ["require={}", f"scene.medium={medium}"])
+    return po.read_problem(SUBSOILER, ["require={}", f"scene.medium={medium}"])
 
 
 def test_problem_file_names_a_law_with_its_own_quantities():
@@ -287,7 +286,6 @@ def test_a_design_whose_guess_is_outside_finds_the_optimum_inside():
 
 
 def test_a_problem_file_whose_share_no_wedge_fits_names_law_and_ranges():
-    path = Path(__file__).parents[2] / "problems" / "cotton_subsoiler.toml"
-    problem = po.read_problem(path, ["require={}", "scene.medium=mckyes_ali"])
+    problem = po.read_problem(SUBSOILER, ["require={}", "scene.medium=mckyes_ali"])
     with pytest.raises(po.InputError, match=r"share.height from 0.1 m to 0.5 m.*McKyes-Ali.*least force of a wedge"):
         problem.optimise()

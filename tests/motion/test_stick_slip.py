@@ -1,11 +1,11 @@
 """Stick, slip, gap and entry: an independent event-driven solver, hard starts, both sides of kinks, and a design."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers import three_modes
+from helpers.problem_files import SUBSOILER
 from helpers.scenes import BLUNT, R1_SOIL, SHARP, scene_of
 
 import plough_opt as po
@@ -71,15 +71,12 @@ def test_a_share_that_hardly_moves_has_not_stopped():
         assert run.error_estimate < 1e-8
 
 
-COTTON = Path(__file__).parents[2] / "problems" / "cotton_subsoiler.toml"
-
-
 def test_a_problem_file_names_contact_and_entry():
     for changes, wanted in (
         ("{contact='stick_slip', breakaway=1.2, entry=true, start='towed'}", (po.StickSlip(1.2), True)),
         ("{contact='smooth', contact_width='5 cm/s'}", (po.Smooth(0.05), False)),
     ):
-        effects = po.read_problem(COTTON, [f"effects={changes}"]).scene().effects
+        effects = po.read_problem(SUBSOILER, [f"effects={changes}"]).scene().effects
         assert (effects.contact, effects.entry) == wanted
 
 

@@ -70,8 +70,7 @@ def test_what_the_template_comments_out_is_right_too(read):
     # Quasi-static scenes know no start, damper, contact law or entry, neither do the print and other laws; an orbit has
     # no duration.
     left = ("motion", "damping", "orbit", "formulation", "medium")
-    text = "\n".join(line for line in lines if not line.startswith(left))
-    problem = read(text)
+    problem = read("\n".join(line for line in lines if not line.startswith(left)))
     scene = problem.shares["front"].scene()
     assert scene.soil.cohesion == pytest.approx(25e3)
     assert problem.shares["rear"].scene().soil.cohesion == pytest.approx(15e3)

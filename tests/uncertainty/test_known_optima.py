@@ -208,8 +208,7 @@ def _path(count):
 
 def _events():
     """Return the program of averages over soils of runs that stick and slip."""
-    d = po.Design()
-    k0 = d.variable("stiffness", guess=5e4, lower=2e4, upper=9e4, log=True)
+    d, k0 = design(stiffness=(5e4, 2e4, 9e4, "", True))
     share = po.Wedge(po.deg(35.0), po.deg(15.0), 0.2)
     wave = po.StrengthWave(0.9, 0.2)
     effects = po.Effects(contact=po.StickSlip(1.2), strength_wave=wave, damping=200.0)

@@ -73,5 +73,4 @@ class Mount(Problem):
 
 def front(steps, generations=100, population=100, seed=1):
     """Return the objectives of the efficient designs in the last population."""
-    found = minimize(Mount(steps), NSGA2(pop_size=population), ("n_gen", generations), seed=seed)
-    return found.F
+    return minimize(Mount(steps), NSGA2(pop_size=population), ("n_gen", generations), seed=seed).F

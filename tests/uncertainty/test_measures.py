@@ -8,6 +8,7 @@ import mpmath
 import numpy as np
 import pytest
 from helpers.differences import WEIGHTS
+from helpers.small_designs import design
 from scipy import optimize, stats
 
 import plough_opt as po
@@ -84,8 +85,7 @@ def test_samples_repeat_and_grow():
 
 
 def test_corners_are_the_ends_of_each_marginal():
-    field = _field()
-    found = np.sort(field.corners(0.9).property("cohesion"))
+    found = np.sort(_field().corners(0.9).property("cohesion"))
     assert found == pytest.approx(stats.lognorm(0.3, scale=20e3).ppf([0.05, 0.05, 0.95, 0.95]), rel=1e-12)
 
 
@@ -288,9 +288,7 @@ def _run(soil, height, k0, effects, accuracy=None):
 
 
 def _robust(count=8, accuracy=None, path=False, **effects):
-    d = po.Design()
-    height = d.variable("height", guess=0.25, lower=0.1, upper=0.4)
-    k0 = d.variable("stiffness", guess=4e4, lower=1e4, upper=1e6, log=True)
+    d, height, k0 = design(height=(0.25, 0.1, 0.4), stiffness=(4e4, 1e4, 1e6, "", True))
 
     def response(soil):
         run = _run(soil, height, k0, effects, accuracy)
@@ -370,8 +368,7 @@ def test_a_claim_that_does_not_hold_is_not_confirmed():
     d, robust = _robust(8, motion=False)
     d.minimise(-d._variables[0].symbol)
     d.require("draft", robust.every("draft", at_most=LIMIT), at_most=LIMIT, unit="N")
-    best = d.solve()
-    found = verify(robust, best, samples=1000, seed=3)
+    found = verify(robust, d.solve(), samples=1000, seed=3)
     (check,) = found.checks
     assert check.seen == 1.0
     assert check.high < 0.99
@@ -410,8 +407,7 @@ def ishigami():
     """Ishigami and Homma (1990): sin x1 + 7 sin^2 x2 + 0.1 x3^4 sin x1 on [-pi, pi]^3, times a design's variable."""
     middles = {"cohesion": (20e3, 5e3), "friction_angle": (0.5, 0.1), "tool_friction": (0.5, 0.2)}
     uniform = {name: stats.uniform(mean - half, 2 * half) for name, (mean, half) in middles.items()}
-    d = po.Design()
-    factor = d.variable("x", guess=1.0, lower=0.0, upper=2.0)
+    _, factor = design(x=(1.0, 0.0, 2.0))
 
     def response(soil):
         x = [math.pi * (getattr(soil, name) - mean) / half for name, (mean, half) in middles.items()]

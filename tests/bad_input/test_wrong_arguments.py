@@ -194,6 +194,7 @@ def _classes():
         "SoilDistribution": (po.SoilDistribution, {
             "soil": SOIL, "within": {"cohesion": (1e4, 2e4)}, "correlation": {("cohesion", "density"): 0.1},
             "cohesion": stats.norm(15e3, 1e3), "density": stats.norm(1350.0, 20.0)}),
+        "SpeedProfile": (po.SpeedProfile, {"times": (0.0, 2.0), "pieces": ((0.5, 0.5),)}),
         "Spectrum": (po.Spectrum, {"wave_number": [1.0, 2.0], "density": [0.1, 0.2]}),
         "StrengthRecord": (po.StrengthRecord, {"position": PATH, "value": 1e6 + 2e5 * np.sin(9.0 * PATH)}),
     }  # fmt: skip
@@ -211,6 +212,7 @@ def _functions():
         "component": (po.component, {"scene": SCENE, "duration": 1.0, "inputs": ["share.height"],
                                      "outputs": ["mean_draft"], "samples": 40}),
         "deg": (po.deg, {"angle": 30.0}),
+        "explore": (po.explore, {"problem": "none.toml", "path": "none.html"}),
         "load": (po.load, {"path": "none.json"}),
         "named_soil": (po.named_soil, {"name": "serozem"}),
         "read_problem": (po.read_problem, {"path": PROBLEMS / "cotton_subsoiler.toml"}),
@@ -392,8 +394,8 @@ def test_every_public_name_has_a_recipe():
     """Errors, and results that only the package creates, need none."""
     results = {
         "AccuracyStudy", "BatchResult", "Component", "Design", "DomainError", "Fit", "ImplausibleValue",
-        "InfeasibleDesign", "InputError", "IntegrationError", "LocalOptimum", "NotConverged", "Optimum",
-        "OwnResistance", "PloughError", "Problem", "RecordWaves", "Refinement", "ResistanceLaw", "Run", "ShareInSoil",
+        "InfeasibleDesign", "InputError", "IntegrationError", "LocalOptimum", "MotionEquation", "NotConverged",
+        "Optimum", "OwnResistance", "PloughError", "Problem", "RecordWaves", "Refinement", "ResistanceLaw", "Run", "ShareInSoil",
         "SoilReaction", "Sweep", "TradeOff", "crosscheck", "elastic", "export", "expressions", "laws", "plastic",
         "plots", "soil_names", "uncertainty",
     }  # fmt: skip

@@ -75,10 +75,15 @@ def page_model(problem: Problem) -> PageModel:
         ramp = p.get("ramp_time", 0.0) / given["scene.duration"]
         rate = summed_rate(p) if moves else forced_rate(p)
         run = _at(scene, time, state)
+        # What does not change over time, such as the law of resistance, is computed once for a design.
+        rows, symbols, constants = ca.extract_parametric(
+            ca.densify(stacked(*(_last(getattr(run, name)) for name in ROWS))), x
+        )
         functions = {
             "setup": [x, stacked(rate, ramp, scene.stiffness, scene.inertia if moves else 0.0)],
             "limited": [x, stacked(kind(), *(value for _, value in limits))],
-            "at": [x, time, state, stacked(*(_last(getattr(run, name)) for name in ROWS))],
+            "constants": [x, stacked(kind(), *constants)],
+            "at": [x, stacked(kind(), *symbols), time, state, rows],
             "measures": [x, five, stacked(*_measured(problem, replace(run, averages=Averages(*ca.vertsplit(five)))))],
         }
         if moves:

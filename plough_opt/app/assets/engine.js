@@ -1,7 +1,7 @@
 "use strict";
 /**
  * The results of a scene for any values of its quantities. FUNCTIONS holds the functions written from the toolkit's own
- * graph: parameters, start, step, at, averages, measures. This file takes the steps, chooses their number, and estimates
+ * graph: parameters, start, step, constants, at, averages, measures. This file takes the steps, chooses their number, and estimates
  * their error. It runs in a worker, in node, and needs no page.
  * @param {any} model data about the functions
  * @param {any} f the functions
@@ -75,13 +75,13 @@ function engine(model, f) {
 
   /** The five averages and the results over time of a motion, by steps of order 8. */
   function motion(x, p, outputs, per, kink) {
-    const nodes = nodesOf(outputs, per, kink), duration = p[p.length - 1];
+    const nodes = nodesOf(outputs, per, kink), duration = p[p.length - 1], [constants] = f.constants(x);
     const mean = Array(model.count).fill(0), square = Array(model.squared).fill(0);
     let [state] = f.start(p.slice(0, -1)), next = 0;
     const rows = model.rows.map(() => new Float64Array(outputs + 1));
     for (let k = 0; k < nodes.length; k++) {
       if (next <= outputs && nodes[k] === next / outputs) {
-        const [found] = f.at(x, [nodes[k] * duration], state);
+        const [found] = f.at(x, constants, [nodes[k] * duration], state);
         rows.forEach((row, j) => { row[next] = found[j]; });
         next++;
       }
@@ -96,7 +96,7 @@ function engine(model, f) {
   /** The same of a share that follows the strut: quadratures of the force over panels. */
   function still(x, duration, outputs, per, kink, { nodes, weights }) {
     const ends = nodesOf(outputs, per, kink), rows = model.rows.map(() => new Float64Array(outputs + 1));
-    const at = (part) => f.at(x, [part * duration], [0, 0])[0];
+    const [constants] = f.constants(x), at = (part) => f.at(x, constants, [part * duration], [0, 0])[0];
     const force = model.rows.indexOf("mount_force"), speed = model.rows.indexOf("speed");
     for (let k = 0; k <= outputs; k++) at(k / outputs).forEach((value, j) => { rows[j][k] = value; });
     /* The average of the change since the first node: rounding of the weights gives a constant force no variance. */

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import Chebyshev
 
-from plough_opt.core.checks import array_of, check_domain, shown
+from plough_opt.core.checks import array_of, check_domain, check_kind, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import COUNT, Expression, where
 from plough_opt.motion.effects.terms import Parameters, Term, Towed
@@ -64,8 +64,10 @@ class SpeedProfile:
     pieces: tuple[tuple[float, ...], ...] = field(metadata=COUNT)
 
     def __post_init__(self) -> None:
+        for name in ("times", "pieces"):
+            check_kind(f"{name} of a speed profile", getattr(self, name), Sequence | np.ndarray, "a list")
         object.__setattr__(self, "times", tuple(self.times))
-        object.__setattr__(self, "pieces", tuple(map(tuple, self.pieces)))
+        object.__setattr__(self, "pieces", tuple(map(_numbers, self.pieces)))
         times = array_of(self.times, "the times of a speed profile, {}, must be numbers [s]")
         if not (times.ndim == 1 and len(times) > 1 and times[0] == 0.0 and np.all(np.diff(times) > 0.0)):
             raise InputError(f"the times of a speed profile, {shown(self.times)}, must rise from 0: at least two")
@@ -83,6 +85,15 @@ class SpeedProfile:
                 raise InputError(
                     f"the tow speed must be a number and at least 0 everywhere; after {begin:g} s it is not"
                 )
+
+
+def _numbers(piece: Any) -> tuple[float, ...]:
+    """Return the coefficients of a piece; raise InputError if they are not numbers."""
+    wrong = "a piece of a speed profile, {}, must be a list of numbers"
+    row = array_of(piece, wrong)
+    if row.ndim != 1 or not row.size:
+        raise InputError(wrong.format(shown(piece)))
+    return tuple(row.tolist())
 
 
 def profile_of(speed: Any, duration: float) -> tuple[float, SpeedProfile]:

@@ -232,6 +232,17 @@ def write_javascript(component: Component, path: str | Path) -> Path:
 
     Raises:
         InputError: another ending, a file that cannot be written, or a scene that JavaScript cannot represent.
+
+    Example:
+        >>> import tempfile
+        >>> import plough_opt as po
+        >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+        >>> scene = po.Scene(po.named_soil("serozem"), share, "50 kN/m", "30 kg", "2 m/s")
+        >>> component = po.component(scene, 0.5, inputs=["scene.stiffness"], outputs=["loosened_radius"])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = po.export.write_javascript(component, f"{folder}/share.mjs")
+        >>> path.name
+        'share.mjs'
     """
     target = check_file(path, "JavaScript module", ".mjs", ".js")
     source = Source("export to c or casadi instead, or leave out the effect that needs it")

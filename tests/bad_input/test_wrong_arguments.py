@@ -396,8 +396,8 @@ def test_every_public_name_has_a_recipe():
         "AccuracyStudy", "BatchResult", "Component", "Design", "DomainError", "Fit", "ImplausibleValue",
         "InfeasibleDesign", "InputError", "IntegrationError", "LocalOptimum", "MotionEquation", "NotConverged",
         "Optimum", "OwnResistance", "PloughError", "Problem", "RecordWaves", "Refinement", "ResistanceLaw", "Run",
-        "ShareInSoil", "SoilReaction", "Sweep", "TradeOff", "crosscheck", "elastic", "export", "expressions", "laws", "plastic",
-        "plots", "soil_names", "uncertainty",
+        "ShareInSoil", "SoilReaction", "Sweep", "TradeOff", "crosscheck", "elastic", "export", "expressions", "laws",
+        "plastic", "plots", "soil_names", "uncertainty",
     }  # fmt: skip
     covered = {name.partition(".")[0].rstrip("[]()") for name in recipes()}
     assert set(po.__all__) - results <= covered

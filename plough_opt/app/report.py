@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from plough_opt.app.page import Report, page
 from plough_opt.app.terminal import progress, read, wrote
-from plough_opt.core.checks import path_of
+from plough_opt.core.checks import path_of, whole_number
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.core.files import check_file, write_file
 from plough_opt.core.process import optional
@@ -63,6 +63,7 @@ def explore(problem: Problem | str | Path, path: str | Path, *, seed: int = 0) -
         >>> po.explore("problems/cotton_subsoiler.toml", "out/cotton.html")  # doctest: +SKIP
     """
     target = check_file(path_of("the page", path), "page", ".html")
+    whole_number("seed", seed)
     known = problem if isinstance(problem, Problem) else read_problem(problem)
     return explored_file(known, target, lambda *_: None, seed=seed)
 

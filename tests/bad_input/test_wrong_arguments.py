@@ -380,7 +380,8 @@ def test_wrong_arguments_are_refused(count, tmp_path, monkeypatch):
 
 
 def test_valid_arguments_are_accepted():
-    missing = ("load", "read_measurements", "read_penetrometer", "read_strength_record", "Sweep.load")  # files
+    # They read files.
+    missing = ("explore", "load", "read_measurements", "read_penetrometer", "read_strength_record", "Sweep.load")
     elsewhere = ("trade_off", "calibrate", "sweep", "study_accuracy", "study_design", "uncertainty.verify")
     for name, (function, arguments) in recipes().items():
         if name in missing:

@@ -291,8 +291,8 @@ def trust(report: Report) -> str:
     level = "follows from a penetrometer's reading" if measured else "must be measured: give a cone index in [soil]"
     return (
         f"The model predicts how draft changes with geometry, speed and mount; its level {level}. Against pulls through"
-        " bonded particles its ratios of draft over half angle (up to 20°) and pressure hold within 10 to 25 %, and its"
-        " level is low by a factor of three; against measurements, draft grows too little with speed. Nothing has been"
+        " bonded particles its ratios of draft over half angle (up to 20°), height, speed and pressure hold within"
+        " 5 to 25 %, and its level is low by a factor of three; in soil, draft grows more with speed. Nothing has been"
         " validated in a field. The model ignores working depth, the free surface, the shank and moisture."
     )
 

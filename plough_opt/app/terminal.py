@@ -139,6 +139,8 @@ def check_outputs(options: argparse.Namespace) -> None:
 
 def _place(path: str) -> Path:
     """Return the absolute path with links resolved; unlike `Path.resolve`, do not fail on circular links."""
+    if "\0" in path:
+        raise InputError(f"{path!r} cannot be a path: it contains a null character")
     return Path(os.path.realpath(path))
 
 

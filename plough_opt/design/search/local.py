@@ -238,8 +238,9 @@ def polished_by_quadratic_programs(program: Program, p: Vector, start: Vector) -
     corrector = Corrector(program, margin)
     f, *at = corrector.slopes(start, p)
     exact = np.vstack(at[1:])
-    # A difference from a slope without a value is NaN.
-    if not np.max(np.abs(exact - derivatives[1])) <= _KINK * max(1.0, float(np.max(np.abs(exact)))):
+    largest = float(np.max(np.abs(exact)))
+    # A slope may be infinite, as that of a square root at a bound; a difference without a value is NaN.
+    if not largest < np.inf or not np.max(np.abs(exact - derivatives[1])) <= _KINK * max(1.0, largest):
         return None
     status, limits = "Search_Direction_Becomes_Too_Small", (program.low + margin, program.high - margin)
     point = Point(False, status, start, float(f[0]), np.zeros(len(margin)), np.zeros(len(start)), 0)

@@ -156,13 +156,15 @@ class _Descent:
         return self._landscape(np.array([start if self._best is None else self._best[2]]), finer=FINER)
 
     def _values(self, designs: Vector) -> tuple[Vector, Vector]:
-        """Return what to minimise, and the requirements, of designs with equal steps; the best of them is kept."""
+        """Return what to minimise, and the requirements, of designs with equal steps; the best in the box is kept."""
         with np.errstate(all="ignore"):
             f, g = self._landscape.rows(designs, finer=FINER, together=len(designs))
             f, violation = self._objective(designs, f), self._landscape.violations(g).sum(axis=1)
-            feasible = violation <= FEASIBLE
+            # A step of a difference quotient moves a variable that is held, too.
+            inside = np.all((designs >= self.box[0]) & (designs <= self.box[1]), axis=1)
+            feasible = inside & (violation <= FEASIBLE)
             merit = f + np.where(feasible, _WEIGHT_IF_FEASIBLE, PENALTY) * violation
-        merit[~np.isfinite(merit)] = np.inf
+        merit[~(inside & np.isfinite(merit))] = np.inf
         k = np.lexsort((merit, ~feasible))[0]
         if np.isfinite(merit[k]):
             key = not feasible[k], float(merit[k]), designs[k].tolist()

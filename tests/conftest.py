@@ -218,7 +218,8 @@ def _is_covering(drag, rate, wave, ramp, damper, rest):
     return ramp == (drag ^ rate) and damper == (drag ^ wave) and rest == (rate ^ wave)
 
 
-@pytest.fixture(scope="session")
+# For a module: in its thread playwright keeps an event loop running, so that asyncio could start no other.
+@pytest.fixture(scope="module")
 def browser():
     """Return a headless Chromium."""
     with chromium() as started:

@@ -359,7 +359,8 @@ class Batch:
         with np.errstate(all="ignore"):
             *results[: len(RESULTS)], results[-2] = start.results(self._layout, states[3:])
         results[-3], results[-1] = largest, steps
-        results[:-1, ~np.isfinite(states).all(axis=0)] = np.nan
+        # Of a finished run only the error may have left the range of floating point.
+        results[:-1, np.isnan(states[0])] = np.nan
         return results
 
     def _run(self, p: Array, states: Array, key: Array) -> Array:

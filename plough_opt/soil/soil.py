@@ -246,7 +246,7 @@ class Soil:
         Example:
             >>> import plough_opt as po
             >>> soil = po.Soil("1.35 g/cm^3", 0.8, "20 kPa", "28 deg", 0.5, "50 kPa")
-            >>> po.Soil.from_compaction([25e3, 100e3], [0.01, 0.04], soil).density_ratio
+            >>> float(po.Soil.from_compaction([25e3, 100e3], [0.01, 0.04], soil).density_ratio)
             0.98
         """
         check_kind("soil", soil, Soil, "the Soil whose density ratio is to follow")

@@ -5,6 +5,7 @@ import doctest
 import importlib
 import inspect
 import json
+import math
 import os
 import pkgutil
 import re
@@ -288,7 +289,7 @@ def test_the_table_of_cone_indices_matches_the_code():
 
 
 def test_its_problem_file_tables_are_valid(tmp_path):
-    tables, waves, random = re.findall(r"```toml\n(.*?)```", TEXTS["soils"], flags=re.DOTALL)
+    tables, tested, waves, random = re.findall(r"```toml\n(.*?)```", TEXTS["soils"], flags=re.DOTALL)
     soil, uncertain = tables.split("\n\n")
     file = (ROOT / "problems" / "cotton_subsoiler.toml").read_text(encoding="utf-8")
     start = file.index("[soil]")
@@ -302,6 +303,10 @@ def test_its_problem_file_tables_are_valid(tmp_path):
     readings = po.read_penetrometer(ROOT / "problems" / "insertions.csv", (0.25, 0.45))
     assert po.cone_index(problem.scene().soil) == pytest.approx(readings.mean, rel=1e-12)
     assert [wave.wavelength for wave in problem.scene().effects.waves] == [0.73, 2.1]
+    path.write_text(file[:start] + tested + file[file.index("\n[", start) :], encoding="utf-8")
+    # At 60 kPa, between 50 and 100 kPa, the logarithm of the lost volume is linear in that of the pressure.
+    lost = 0.021 * (60.0 / 50.0) ** (math.log(0.039 / 0.021) / math.log(2.0))
+    assert po.read_problem(path).scene().soil.density_ratio == pytest.approx(1.0 - lost, rel=1e-14)
     _, effects, minimise = re.split(r"\[\w+\]\n", random)
     given = effects.replace("# random", "random").splitlines()
     shutil.copy(ROOT / "problems" / "transect.csv", tmp_path)

@@ -212,8 +212,8 @@ def test_every_result_agrees_with_the_numeric_scene(r1_scene, effects):
 def test_every_quantity_can_be_an_input(r1_soil):
     """Each in turn, in a scene that has it: the output is that of the scene with the other number."""
     waves = tuple(po.StrengthWave(0.1, 0.2 + 0.05 * k, 0.3 * k - 1.0) for k in range(2))
-    effects = po.Effects(strength_wave=waves, tow_ramp=0.1, damping=250.0, rate_term=0.05, contact=po.Smooth(0.5),
-                         random_strength=po.RandomStrength(0.2, 0.3))  # fmt: skip
+    effects = po.Effects(strength_wave=waves, tow_ramp=0.1, damping=250.0, speed_term=0.1, rate_term=0.05,
+                         contact=po.Smooth(0.5), random_strength=po.RandomStrength(0.2, 0.3))  # fmt: skip
     scene = po.Scene(r1_soil, po.Wedge(0.5, 0.25, 0.25), 5e4, 25.0, 2.0, effects)
     absent = {"share.half_angle", "effects.breakaway", "soil.youngs_modulus", "soil.poisson_ratio"}
     # Two of eight strength waves; the others are named and reached alike.

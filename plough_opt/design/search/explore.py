@@ -220,7 +220,7 @@ class Explorer:
         if not (self._dense and self._few_basins_unseen()):
             for island in range(effort.islands if len(self.variables) > 1 else 0):
                 if self.stop() or self.limit.passed("evolution"):
-                    return
+                    break
                 self._end_from(self._evolved(points, sampled, island, rng))
         self._descend_from_dips()
         self._zoom_in(rng)

@@ -138,38 +138,56 @@ class _Descent:
         """Return the best design on the way of a descent from a start."""
         y, lam_g, rows, weight = start, np.zeros(len(self._program.low)), np.empty(0, dtype=int), 1.0
         for number in range(_MOST_DESCENT_STEPS):
-            derivatives = difference_quotients(self._values, y)
+            derivatives = difference_quotients(self._neighbours, y)
             if derivatives is None:
                 break
             rows = np.union1d(rows, self._worst_rows(derivatives[0][1:]))
             step, lam_g[rows] = self._step(y, derivatives, rows, lam_g[rows], 1 if number else _ROUNDS)
-            if np.max(np.abs(step)) < _SHORTEST:
-                break
-            line = np.clip(y + _FRACTIONS[:, None] * step, *self.box)
-            f, g = self._values(line)
             weight = max(0.5 * weight, _OVER_MULTIPLIERS * float(np.max(np.abs(lam_g), initial=0.0)))
-            merit = f + weight * self._landscape.violations(g).sum(axis=1)
-            lowest = int(np.nanargmin(merit))
-            if not merit[lowest] < merit[0] - _LEAST_GAIN * abs(merit[0]):
+            lower = self._lowest_along(y, step, weight)
+            if lower is None:
                 break
-            y = line[lowest]
+            y = lower
         return self._landscape(np.array([start if self._best is None else self._best[2]]), finer=FINER)
 
-    def _values(self, designs: Vector) -> tuple[Vector, Vector]:
-        """Return what to minimise, and the requirements, of designs with equal steps; the best in the box is kept."""
+    def _lowest_along(self, y: Vector, step: Vector, weight: float) -> Vector | None:
+        """Return the design with the lowest merit along a step, or None if it is hardly lower than where it starts.
+
+        At a kink, where slopes say nothing of how far to go, only a fraction of the shortest fraction may lead down.
+        """
+        for longest in (step, _FRACTIONS[-1] * step):
+            if np.max(np.abs(longest)) < _SHORTEST:
+                break
+            line = np.clip(y + _FRACTIONS[:, None] * longest, *self.box)
+            f, g = self._neighbours(line)
+            violation = self._landscape.violations(g).sum(axis=1)
+            self._keep_best(line, f, violation)
+            merit = f + weight * violation
+            lowest = int(np.nanargmin(merit))
+            if merit[lowest] < merit[0] - _LEAST_GAIN * abs(merit[0]):
+                return np.asarray(line[lowest])
+        return None
+
+    def _neighbours(self, designs: Vector) -> tuple[Vector, Vector]:
+        """Return what to minimise, and the requirements, of designs that are integrated with equal steps."""
         with np.errstate(all="ignore"):
             f, g = self._landscape.rows(designs, finer=FINER, together=len(designs))
-            f, violation = self._objective(designs, f), self._landscape.violations(g).sum(axis=1)
-            # A step of a difference quotient moves a variable that is held, too.
-            inside = np.all((designs >= self.box[0]) & (designs <= self.box[1]), axis=1)
-            feasible = inside & (violation <= FEASIBLE)
+            return self._objective(designs, f), g
+
+    def _keep_best(self, designs: Vector, f: Vector, violation: Vector) -> None:
+        """Keep the best of some designs if it is better than all before.
+
+        Designs at which only quotients are formed do not count: the best of them would move a start off a hilltop, to
+        the side on which they happen to lie.
+        """
+        with np.errstate(all="ignore"):
+            feasible = violation <= FEASIBLE
             merit = f + np.where(feasible, _WEIGHT_IF_FEASIBLE, PENALTY) * violation
-        merit[~(inside & np.isfinite(merit))] = np.inf
+        merit[~np.isfinite(merit)] = np.inf
         k = np.lexsort((merit, ~feasible))[0]
         if np.isfinite(merit[k]):
             key = not feasible[k], float(merit[k]), designs[k].tolist()
             self._best = key if self._best is None else min(self._best, key)
-        return f, g
 
     def _step(
         self, y: Vector, derivatives: tuple[Vector, Vector, Vector], rows: np.ndarray, lam_g: Vector, rounds: int

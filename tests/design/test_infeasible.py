@@ -4,11 +4,13 @@ import math
 import re
 
 import casadi as ca
+import numpy as np
 import pytest
 from helpers.small_designs import design, sticking
 
 import plough_opt as po
 from plough_opt.design.model import ipopt
+from plough_opt.design.search import local
 
 
 def test_the_shortfall_of_an_impossible_radius(build_r1):
@@ -75,6 +77,19 @@ def test_conflicts_known_by_hand(case):
     assert blockers or "no variable of this design makes it smaller" in str(caught.value)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_the_least_shortfall_lies_on_a_kink(seed):
+    rng = np.random.default_rng(seed)
+    at, other, guess = rng.uniform(0.05, 0.95, 3)
+    falls, rises = 10.0 ** rng.uniform(-1.0, 1.0, 2)
+    d, x, y = design(x=(guess, 0.0, 1.0), y=(guess, 0.0, 1.0))
+    d.minimise(1.0 + x**2)
+    d.require("low", 1.0 + ca.fmax(rises * (x - at), falls * (at - x)) + ca.fabs(y - other), at_most=0.9)
+    with pytest.raises(po.InfeasibleDesign) as caught:
+        d.solve()
+    assert caught.value.conflicts == {"low": pytest.approx(0.1, rel=1e-6)}
+
+
 def test_a_path_that_cannot_be_kept(r1_scene):
     d, k0 = design(stiffness=(5e4, 5e3, 5e5, "N/m", True))
     run = po.simulate(r1_scene(stiffness=k0), 0.5, outputs=50)
@@ -113,20 +128,29 @@ def test_feasible_designs_behind_a_bend_are_found():
 # --- unconfirmed --------------------------------------------------------------------------------------------
 
 
-LITTLE = [("ipopt.max_iter", 1, "unconfirmed"), ("ipopt.max_cpu_time", 1e-9, "solved")]
+# Most quadratic programs, an option of IPOPT nearby, and the status. Without any time for iterations nearby, it is
+# solved from afar; a few quadratic programs confirm the optimum by its exact slopes without IPOPT.
+LITTLE = [
+    (0, "ipopt.max_iter", 0, "unconfirmed"),
+    (0, "ipopt.max_cpu_time", 1e-9, "solved"),
+    (5, "ipopt.max_iter", 0, "solved"),
+]
 
 
 @pytest.mark.parametrize("required", [False, True])
-@pytest.mark.parametrize(("option", "value", "status"), LITTLE)
-def test_near_an_optimum_too_little_is_done_to_confirm_it(monkeypatch, required, option, value, status):
-    # Without any time for iterations nearby, it is solved from afar.
+@pytest.mark.parametrize(("programs", "option", "value", "status"), LITTLE)
+def test_near_an_optimum_too_little_is_done_to_confirm_it(monkeypatch, required, programs, option, value, status):
+    monkeypatch.setattr(local, "_MOST_QUADRATIC_PROGRAMS", programs)
     for options in (ipopt.NEAR, ipopt.FROM_BOTTOM):
         monkeypatch.setitem(options, option, value)
     d, x, y = design(x=(-1.2, -2.0, 2.0), y=(1.0, -2.0, 2.0))
     d.minimise((1.0 - x) ** 2 + 100.0 * (y - x**2) ** 2)
     if required:
         d.require("sum", x + y, at_least=1.0)
-    assert d.solve().status == status
+    best = d.solve()
+    assert best.status == status
+    if status == "solved":
+        assert best.variables == {"x": pytest.approx(1.0, abs=1e-7), "y": pytest.approx(1.0, abs=1e-7)}
 
 
 # Objective, values that x and x + 1 must have, and the best x with its tolerance.

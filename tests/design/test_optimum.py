@@ -225,7 +225,7 @@ def test_flat_directions_known_by_hand(objective, limits, least, basis):
 
 
 @pytest.mark.parametrize("search", ["auto", "near"])
-@pytest.mark.parametrize(("others", "lean"), [(0, 0.8), (0, -0.8), (1, 0.8)])
+@pytest.mark.parametrize(("others", "lean"), [(0, 0.8), (0, -0.8), (1, 0.8), (1, -0.8)])
 def test_a_start_on_a_hilltop_or_a_saddle_is_left_on_the_lower_side(others, lean, search):
     d, x = design(x=(0.5, 0.0, 1.0))
     hill = 2.0 - (x - 0.5) ** 2 - lean * (x - 0.5) ** 3

@@ -140,15 +140,16 @@ _DIFFERENCE = 5e-5
 
 
 def difference_quotients(
-    evaluate: Callable[[Vector], tuple[Vector, Vector]], y: Vector
+    evaluate: Callable[[Vector], tuple[Vector, Vector]], y: Vector, reach: float = 1.0
 ) -> tuple[Vector, Vector, Vector] | None:
     """Return values, gradients and Hessians of the objective and of each row of the requirements; None without a value.
 
     Args:
         evaluate: scaled designs, a row each -> objective and rows of each.
         y: scaled variables; all steps point to the middle of a range.
+        reach: factor on the steps.
     """
-    signed = np.where(y > 0.5, -_DIFFERENCE, _DIFFERENCE)
+    signed = reach * np.where(y > 0.5, -_DIFFERENCE, _DIFFERENCE)
     one, other = np.triu_indices(len(y))
     steps = np.diag(signed)
     values = np.column_stack(evaluate(np.vstack([y, y + steps, y + steps[one] + steps[other]])))

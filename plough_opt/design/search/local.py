@@ -42,6 +42,11 @@ _SHORTEST: Final = 1e-7
 _LEAST_GAIN: Final = 1e-7
 # Fractions of a step that are tried side by side. Steps where curvatures are negative are too short.
 _FRACTIONS: Final = np.array([0.0, 1.0, 4.0, 2.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01, 0.003, 0.0005])
+_WHOLE: Final = 1  # position of the whole step among them
+# If even the whole step leads up and no fraction down, there is a kink nearby, across which quotients show no slope:
+# they are formed over this part of the distance, and so is the longest step, until it is this part of the first.
+_SHORTER: Final = 0.03
+_SHORTEST_REACH: Final = 1e-4
 # A violation weighs this many times the largest multiplier; above 1 no optimum breaks a limit.
 _OVER_MULTIPLIERS: Final = 2.0
 # A requirement with many rows, such as a deflection at every output, enters a descent with its worst rows only.
@@ -136,37 +141,26 @@ class _Descent:
 
     def end_from(self, start: Vector) -> Evaluations:
         """Return the best design on the way of a descent from a start."""
-        y, lam_g, rows, weight = start, np.zeros(len(self._program.low)), np.empty(0, dtype=int), 1.0
+        y, lam_g, rows, weight, reach = start, np.zeros(len(self._program.low)), np.empty(0, dtype=int), 1.0, 1.0
         for number in range(_MOST_DESCENT_STEPS):
-            derivatives = difference_quotients(self._neighbours, y)
+            derivatives = difference_quotients(self._neighbours, y, reach)
             if derivatives is None:
                 break
             rows = np.union1d(rows, self._worst_rows(derivatives[0][1:]))
-            step, lam_g[rows] = self._step(y, derivatives, rows, lam_g[rows], 1 if number else _ROUNDS)
+            step, lam_g[rows] = self._step(y, derivatives, rows, lam_g[rows], 1 if number else _ROUNDS, reach)
+            if np.max(np.abs(step)) < reach * _SHORTEST:
+                break
             weight = max(0.5 * weight, _OVER_MULTIPLIERS * float(np.max(np.abs(lam_g), initial=0.0)))
-            lower = self._lowest_along(y, step, weight)
-            if lower is None:
+            line = np.clip(y + _FRACTIONS[:, None] * step, *self.box)
+            merit = self._merits(line, weight)
+            lowest, least_gain = int(np.nanargmin(merit)), _LEAST_GAIN * abs(merit[0])
+            if merit[lowest] < merit[0] - least_gain:
+                y = line[lowest]
+            elif merit[_WHOLE] <= merit[0] + least_gain or reach < _SHORTEST_REACH:
                 break
-            y = lower
+            else:
+                reach *= _SHORTER
         return self._landscape(np.array([start if self._best is None else self._best[2]]), finer=FINER)
-
-    def _lowest_along(self, y: Vector, step: Vector, weight: float) -> Vector | None:
-        """Return the design with the lowest merit along a step, or None if it is hardly lower than where it starts.
-
-        At a kink, where slopes say nothing of how far to go, only a fraction of the shortest fraction may lead down.
-        """
-        for longest in (step, _FRACTIONS[-1] * step):
-            if np.max(np.abs(longest)) < _SHORTEST:
-                break
-            line = np.clip(y + _FRACTIONS[:, None] * longest, *self.box)
-            f, g = self._neighbours(line)
-            violation = self._landscape.violations(g).sum(axis=1)
-            self._keep_best(line, f, violation)
-            merit = f + weight * violation
-            lowest = int(np.nanargmin(merit))
-            if merit[lowest] < merit[0] - _LEAST_GAIN * abs(merit[0]):
-                return np.asarray(line[lowest])
-        return None
 
     def _neighbours(self, designs: Vector) -> tuple[Vector, Vector]:
         """Return what to minimise, and the requirements, of designs that are integrated with equal steps."""
@@ -174,13 +168,15 @@ class _Descent:
             f, g = self._landscape.rows(designs, finer=FINER, together=len(designs))
             return self._objective(designs, f), g
 
-    def _keep_best(self, designs: Vector, f: Vector, violation: Vector) -> None:
-        """Keep the best of some designs if it is better than all before.
+    def _merits(self, designs: Vector, weight: float) -> Vector:
+        """Return what to minimise plus weighted violations, of designs with equal steps; the best of them is kept.
 
-        Designs at which only quotients are formed do not count: the best of them would move a start off a hilltop, to
-        the side on which they happen to lie.
+        The neighbours that only yield quotients are not kept: the best of them would move a start off a hilltop, to the
+        side on which they happen to lie.
         """
+        f, g = self._neighbours(designs)
         with np.errstate(all="ignore"):
+            violation = self._landscape.violations(g).sum(axis=1)
             feasible = violation <= FEASIBLE
             merit = f + np.where(feasible, _WEIGHT_IF_FEASIBLE, PENALTY) * violation
         merit[~np.isfinite(merit)] = np.inf
@@ -188,9 +184,16 @@ class _Descent:
         if np.isfinite(merit[k]):
             key = not feasible[k], float(merit[k]), designs[k].tolist()
             self._best = key if self._best is None else min(self._best, key)
+        return np.asarray(f + weight * violation)
 
     def _step(
-        self, y: Vector, derivatives: tuple[Vector, Vector, Vector], rows: np.ndarray, lam_g: Vector, rounds: int
+        self,
+        y: Vector,
+        derivatives: tuple[Vector, Vector, Vector],
+        rows: np.ndarray,
+        lam_g: Vector,
+        rounds: int,
+        reach: float,
     ) -> tuple[Vector, Vector]:
         """Return the step of a quadratic program, subject to some rows of the requirements, and their multipliers."""
         (_, *g), (gradient, *jacobian), hessians = (part[np.r_[0, 1 + rows]] for part in derivatives)
@@ -199,7 +202,8 @@ class _Descent:
         hessians[0] /= size
         at = np.array(g), gradient / size, np.reshape(jacobian, (len(rows), len(y)))
         limits = self._program.low[rows], self._program.high[rows]
-        box = np.maximum(self.box[0], y - _LONGEST_DESCENT), np.minimum(self.box[1], y + _LONGEST_DESCENT)
+        longest = reach * _LONGEST_DESCENT
+        box = np.maximum(self.box[0], y - longest), np.minimum(self.box[1], y + longest)
         step, lam_g = np.zeros(len(y)), lam_g / size
         for _ in range(rounds):
             curvature = curvature_of(hessians, lam_g)

@@ -35,6 +35,8 @@ def calibrate(options: argparse.Namespace) -> None:
     from plough_opt.studies.calibration.estimate import check_level
 
     check_level(options.level)
+    if options.hold_out_by is not None and options.hold_out is None:
+        raise InputError("--hold-out-by belongs to --hold-out: add a part of the rows, such as --hold-out 1/3")
     _check_distinct(options.data)
     data = [read_measurements(path) for path in options.data]
     unknown = _unknowns(options.unknown)
@@ -52,7 +54,7 @@ def calibrate(options: argparse.Namespace) -> None:
         fit.intervals(options.level)
         notify("what to measure next", 0.8)
         fit = fit.complete(options.level)
-        held = None if options.hold_out is None else _held_out(fit, options)
+        held = _held_out(fit, options) if options.hold_out is not None else None
         text = fit.to_json() if options.json or options.output is not None else ""
         if held is not None and text:
             text = json.dumps(json.loads(text) | {"held_out": held.plain()}, indent=2, allow_nan=False)

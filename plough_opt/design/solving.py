@@ -118,7 +118,12 @@ class _Solve:
             local_optima=optima,
             search=self._record(vary, explored, len(points)),
             seconds=time.perf_counter() - self._request.started,
-            warnings=(*limit.warnings(), *accuracy_warnings, *remarks(explored, best, optima[0]), *warnings),
+            warnings=(
+                *limit.warnings(),
+                *accuracy_warnings,
+                *remarks(explored, best, optima[0], program.ipopt),
+                *warnings,
+            ),
             solved=Solved(program, p, best, rounder=rounder),
         )
 

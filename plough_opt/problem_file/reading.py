@@ -22,7 +22,7 @@ from plough_opt.core.checks import check_kind, path_of
 from plough_opt.core.errors import DomainError, InputError, nearest, short
 from plough_opt.core.expressions import as_number, is_count
 from plough_opt.core.quantities import IN_FILES, READINGS, quantities
-from plough_opt.core.units import Display, display_of, in_words
+from plough_opt.core.units import Display, Unit, display_of, in_words
 from plough_opt.laws.law import ResistanceLaw
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.vocabulary import Measure
@@ -42,7 +42,7 @@ from plough_opt.problem_file.schema import (
 )
 from plough_opt.problem_file.source import TOO_DEEP, Keys, Source, entry_at, nested_line, unreadable
 from plough_opt.problem_file.uncertain import check_joint, check_uncertain, join_dotted
-from plough_opt.soil.soil import compression_test, named_soil
+from plough_opt.soil.soil import STANDARD_ATMOSPHERE, Soil, compression_test, named_soil
 
 if TYPE_CHECKING:
     from plough_opt.design import Over
@@ -480,6 +480,21 @@ def _merge(data: dict[str, Any], own: Mapping[str, Any]) -> None:
             data[key] = value
 
 
+def _check_compaction(table: ProblemTable, known: set[str]) -> None:
+    """Raise InputError if a compression test is invalid, or does not reach an ambient pressure that is fixed."""
+    test, key = table.soil.compaction, "soil.ambient_pressure"
+    assert test is not None
+    try:
+        pressure = [Unit("Pa").parse(written) for written in test.pressure]
+    except InputError as error:
+        raise InputError(f"'pressure' {error}") from None
+    compression_test(pressure, test.volume_lost)
+    if key not in table.variables:
+        fixed = float(at(table, key)) if key in known else STANDARD_ATMOSPHERE  # that of the named soils, too
+        soil = dataclasses.replace(named_soil("serozem"), ambient_pressure=fixed)
+        Soil.from_compaction(pressure, test.volume_lost, soil)
+
+
 def check_complete(source: Source, table: ProblemTable, known: set[str]) -> None:
     """Note every missing quantity, and every quantity that nothing in the file uses.
 
@@ -493,7 +508,7 @@ def check_complete(source: Source, table: ProblemTable, known: set[str]) -> None
     decided = dict.fromkeys([table.soil.adjusted] if known & {*READINGS} else [], _BY_READING)
     if table.soil.compaction is not None:
         with source.noting(("soil", "compaction")):
-            compression_test(table.soil.compaction.pressure, table.soil.compaction.volume_lost)
+            _check_compaction(table, known)
         if "soil.density_ratio" in decided:
             source.note(("soil", "adjust"), "both the cone index and the compaction decide the density ratio: adjust"
                         " another property, or remove the compaction")  # fmt: skip

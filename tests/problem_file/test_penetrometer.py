@@ -244,6 +244,7 @@ WRONG_TESTS = [
     ("soil.density_ratio=0.8", "'soil.density_ratio' follows from the compaction"),
     ("soil.compaction.volume_lost=[0.1, 0.2]", "3 pressures and 2 compactions"),
     ("soil.compaction.pressure=['1 m', '2 m', '3 m']", "wrong unit"),
+    ("soil.compaction.pressure=[25, 50, 200]", "'pressure' = 25.0 has no unit"),
     ("soil.compaction.volume_loss=[0.1]", "did you mean 'volume_lost'"),
 ]
 
@@ -252,8 +253,9 @@ WRONG_TESTS = [
 def test_compression_tests_that_contradict_the_file_are_refused(tmp_path, change, words):
     path = tmp_path / "tested.toml"
     path.write_text(TESTED, encoding="utf-8")
-    with pytest.raises(po.InputError, match=words):
+    with pytest.raises(po.InputError, match=words) as refusal:
         po.read_problem(path, [change])
+    assert str(refusal.value).count("\n") <= 1  # the mistake, and not everything that follows from it
 
 
 def test_a_cone_index_cannot_decide_the_density_ratio_too(tmp_path):

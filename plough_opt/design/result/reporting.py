@@ -1,6 +1,6 @@
 """Reports on local optima: their limits, names and warnings."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 
@@ -27,8 +27,15 @@ _NEARLY_MET = 0.05
 _MOST_MOUNTS = 4
 
 
-def remarks(explored: Explored | None, point: Point, best: LocalOptimum) -> Iterator[str]:
-    """Yield warnings about designs that could not be evaluated, an unconfirmed optimum, and a needle."""
+def remarks(explored: Explored | None, point: Point, best: LocalOptimum, options: Collection[str]) -> Iterator[str]:
+    """Yield warnings about designs that could not be evaluated, an unconfirmed optimum, and a needle.
+
+    Args:
+        explored: the search, or None.
+        point: the best point.
+        best: its report.
+        options: names of the options of IPOPT that the user gave.
+    """
     if explored is not None and (part := np.mean(np.isnan(explored.sample.f))):
         yield (
             f"{100.0 * part:.2g} % of the designs tried between the bounds could not be evaluated and were skipped:"
@@ -36,9 +43,11 @@ def remarks(explored: Explored | None, point: Point, best: LocalOptimum) -> Iter
             " the duration, or use the quasi-static scene"
         )
     if point.status == AS_FOUND:
+        names = ", ".join(name.removeprefix("ipopt.") for name in options)
         yield (
             "the design is the best one found, but the optimiser did not confirm it as an optimum: objective or"
             " requirements are not smooth there (a kink, noise, a needle), or leave no room to move"
+            + (f"; or the options given to it stop it ({names}): solve without them" if names else "")
         )
     if best.spread is not None and best.spread.needle:
         yield (

@@ -44,7 +44,8 @@ _LEAST_GAIN: Final = 1e-7
 _FRACTIONS: Final = np.array([0.0, 1.0, 4.0, 2.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01, 0.003, 0.0005])
 _WHOLE: Final = 1  # position of the whole step among them
 # If even the whole step leads up and no fraction down, there is a kink nearby, across which quotients show no slope:
-# they are formed over this part of the distance, and so is the longest step, until it is this part of the first.
+# they are formed over this part of the distance, and so is the longest step, until it is this part of the first. Over
+# much less a run's rounding (about 1e-13) would drown the slopes.
 _SHORTER: Final = 0.03
 _SHORTEST_REACH: Final = 1e-4
 # A violation weighs this many times the largest multiplier; above 1 no optimum breaks a limit.

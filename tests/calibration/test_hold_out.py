@@ -109,6 +109,7 @@ def test_the_command_prints_draws_and_writes_them(tmp_path):
 WRONG_PARTS = [
     (("--hold-out", "some"), "--hold-out some: expected a part of the rows, like 1/3"),
     (("--hold-out", "1/0"), "--hold-out 1/0: expected a part"),
+    (("--hold-out-by", "scene.tow_speed"), "--hold-out-by belongs to --hold-out"),
     (("--hold-out", "1.5"), "hold out 1.5: give a part of the rows between 0 and 1"),
     (("--hold-out", "0.95"), "leaves fewer than the 3"),
     (("--hold-out", "0.3", "--hold-out-by", "scene.towspeed"), "did you mean 'scene.tow_speed'"),

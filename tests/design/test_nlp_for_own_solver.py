@@ -95,3 +95,14 @@ def test_options_reach_ipopt(over, capfd):
     assert "Number of Iterations" in capfd.readouterr().out
     assert told.objective == pytest.approx(quiet.objective, rel=1e-6)
     assert np.isfinite(told.objective)
+
+
+def test_an_unconfirmed_design_names_the_options_that_may_have_stopped_ipopt():
+    """Two kinks close to each other, which no derivative confirms."""
+    d = po.Design()
+    x = d.variable("x", guess=0.3, lower=0.0, upper=1.0)
+    d.minimise(1.0 + ca.fabs(x - 0.37) + 0.1 * ca.fabs(x - 0.371))
+    plain, stopped = (" ".join(d.solve(**options).warnings) for options in ({}, {"ipopt": {"max_iter": 1}}))
+    assert "did not confirm" in plain
+    assert "options" not in plain
+    assert "options given to it stop it (max_iter)" in stopped

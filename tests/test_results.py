@@ -372,6 +372,7 @@ def test_compare_sets_designs_side_by_side(saved, tmp_path):
     text = printed("compare", *saved, "--plot", picture)
     assert cells(text, "tow speed") == ["7.2 km/h", "9 km/h", "+25 %"]
     assert cells(text, "mean draft") == beside([one.run.averages.mean_draft for one in (slow, fast)])
+    assert cells(text, "objective")[:2] == [f"{one.objective:.6g}" for one in (slow, fast)]
     # What all have alike is no row.
     assert "cohesion" not in text
     assert 'scene.tow_speed="9 km/h"' in text

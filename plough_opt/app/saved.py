@@ -14,7 +14,7 @@ from plough_opt.core.errors import InputError, printable
 from plough_opt.core.quantities import EVERY
 from plough_opt.core.saving import Origin
 from plough_opt.core.tables import Grid, Page, data_frame
-from plough_opt.core.units import Display
+from plough_opt.core.units import OBJECTIVE_DIGITS, RESULT_DIGITS, Display
 from plough_opt.design import LocalOptimum
 from plough_opt.exchange.results import is_store, load
 from plough_opt.motion import Run
@@ -164,8 +164,10 @@ def _table(saved: Mapping[str, Any], numbers: Mapping[str, Mapping[str, tuple[fl
             origin = next(run.origin for one in saved.values() for run in _runs(one).values())
             display = origin.display(quantity.name, quantity.unit, *(x for x in values if x is not None))
         decides = [(design := _design(one)) is not None and key in design.active for one in saved.values()]
+        digits = OBJECTIVE_DIGITS if key == "objective" else RESULT_DIGITS
         texts = [
-            "" if x is None else f"{display.result(x)}{' *' * own}" for x, own in zip(values, decides, strict=True)
+            "" if x is None else f"{display.text(x, digits)}{' *' * own}"
+            for x, own in zip(values, decides, strict=True)
         ]
         grid.row(called(key), *texts, _difference(values, display))
     grid.caption = "* this limit decides the design" if any("*" in cell for row in grid.rows for cell in row) else ""

@@ -17,6 +17,7 @@ from plough_opt.design.model import ipopt, population, tight_integration
 from plough_opt.design.model.program import Program
 from plough_opt.design.search import effort
 from plough_opt.design.search.landscape import Landscape, barriers, concatenated, end_straight_downhill
+from plough_opt.design.search.local import descend
 from plough_opt.design.search.points import MOST_DIMENSIONS, sobol_points
 
 
@@ -315,6 +316,18 @@ def at(x, y):
 def test_a_barrier_separates_valleys_only(two_valleys):
     left, right, beside = (two_valleys(at(*place)[None]) for place in ((-1.0, 0.0), (1.0, 0.0), (1.2, 0.3)))
     assert barriers(two_valleys, right, concatenated([left, beside])).tolist() == [True, False]
+
+
+@pytest.mark.parametrize("held", [0, 1])
+def test_a_descent_holds_a_variable_exactly(two_valleys, held):
+    for start in np.random.default_rng(4).random((20, 2)):
+        low, high = np.zeros(2), np.ones(2)
+        low[held] = high[held] = start[held]
+        (end,) = descend(two_valleys, start, (low, high)).points
+        assert end[held] == start[held]
+        # Along y the bottom lies at 0; along x the slope is 2 x (x^2 - 1) + 0.1.
+        bottoms = [0.0] if held == 0 else np.roots([2.0, 0.0, -2.0, 0.1]).real
+        assert np.min(np.abs(4.0 * end[1 - held] - 2.0 - bottoms)) < 1e-4
 
 
 def test_a_design_belongs_to_the_end_straight_downhill(two_valleys):

@@ -86,6 +86,31 @@ def test_a_run_is_that_of_scipy_within_its_error_estimate(effects, name):
     assert_alike(expected(scene, as_function(speed), knots, run), run, run.error_estimate + 1e-10)
 
 
+def test_a_function_keeps_smooth_dips_of_a_few_4096ths_of_the_duration():
+    rng = np.random.default_rng(4096)
+    scene = scene_of(damping=300.0, strength_wave=WAVE)
+    for steps in (0.5, 1.0, 2.0, 5.0, 30.0):
+        width, place, depth = steps * 1.2 / 4096, rng.uniform(0.1, 1.1), rng.uniform(0.2, 1.9)
+
+        def speed(t, width=width, place=place, depth=depth):
+            return 2.0 - depth * math.exp(-(((t - place) / width) ** 2))
+
+        run = po.simulate(scene, 1.2, tow_speed=speed, outputs=40)
+        knots = place + width * np.array([-6.0, -4.0, -2.0, -1.0, 0.0, 1.0, 2.0, 4.0, 6.0])
+        assert_alike(expected(scene, speed, knots, run), run, run.error_estimate + 1e-10)
+
+
+def test_a_function_keeps_sharp_dips_as_a_table_does():
+    rng = np.random.default_rng(4097)
+    scene = scene_of(damping=300.0, strength_wave=WAVE)
+    for steps in (1.1, 1.5, 2.0, 4.0, 9.0):
+        duration = rng.uniform(1.0, 6.0)
+        begin, width = rng.uniform(0.05, 0.9) * duration, steps * duration / 4096
+        table = [0.0, begin, begin + rng.uniform(0.3, 0.7) * width, begin + width], [2.0, 2.0, 0.4, 2.0]
+        run, exact = (po.simulate(scene, duration, tow_speed=speed) for speed in (speed_of(table), table))
+        assert_alike(results_of(exact), run, run.error_estimate + exact.error_estimate + 1e-10)
+
+
 def test_random_tables_and_effects():
     rng = np.random.default_rng(32)
     for _ in range(12):
@@ -193,6 +218,9 @@ test_refusals_name_the_cause = refusals(
     (simulated(([0.0, 1.0], [1.0, -0.1])), "at least 0"),
     (simulated((np.arange(300.0), np.ones(300))), "200"),
     (simulated(lambda t: 1.0 + (t > 0.4)), "jumps"),
+    (simulated(lambda t: 0.5 if 4.1 < t < 4.15 else 2.0, 20.0), "jumps at 4.1"),
+    (simulated(lambda t: 2.0 - (0.7 < t < 0.7 + 1.3 / 4096)), "jumps at 0.7"),
+    (simulated(lambda t: np.array([t, 1.0])), "must return a number"),
     (simulated(lambda _: math.inf), "finite"),
     (simulated(lambda _: "fast"), "number"),
     (simulated(lambda t: 1.0 + 0.5 * math.sin(3e3 * t)), "200"),

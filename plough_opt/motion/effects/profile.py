@@ -35,6 +35,9 @@ _SHIFT = 1e-13
 _SHORTEST = 2.0**-30
 # Places in a piece, besides the nodes of the polynomial, at which the approximation and the sign are checked.
 _PLACES = np.linspace(0.0, 1.0, 23)
+# A function is evaluated at the ends of so many equal intervals of the duration, which takes some milliseconds: a
+# change that lasts longer than one of them cannot hide. A power of 2, so that pieces, which are halved, end there.
+_INTERVALS = 4096
 # Relative difference of the speeds at the ends of two pieces from which on the speed jumps.
 _JUMP = 1e-9
 
@@ -101,7 +104,8 @@ def profile_of(speed: Any, duration: float) -> tuple[float, SpeedProfile]:
 
     Args:
         speed: times [s] from 0 on and speeds [m/s], linear between them; a function of the time [s] that returns the
-            speed [m/s]; or a `scipy.interpolate.PPoly`, such as a cubic spline.
+            speed [m/s], whose changes last longer than duration / 4096; or a `scipy.interpolate.PPoly`, such as a cubic
+            spline.
         duration: of the run [s].
 
     Raises:
@@ -131,15 +135,24 @@ def _approximated(speed: Callable[[float], Any], duration: float) -> tuple[list[
     """Return the ends of pieces, and the coefficients of the polynomials that approximate a function of the time."""
 
     def values(times: Any) -> Any:
-        return array_of([speed(float(t)) for t in times], "tow_speed(t) returned {}: it must return a number [m/s]")
+        wrong = "tow_speed(t) returned {}: it must return a number [m/s]"
+        found = array_of([speed(float(t)) for t in times], wrong)
+        if found.ndim != 1:
+            raise InputError(wrong.format(shown(found[0])))
+        return found
 
-    size = float(np.max(np.abs(values(duration * _PLACES)))) or 1.0
+    grid = np.linspace(0.0, 1.0, _INTERVALS + 1)
+    speeds = values(duration * grid)
+    size = float(np.max(np.abs(speeds))) or 1.0
     times, rows, waiting = [0.0], [], [(0.0, 1.0)]
     while waiting:
         begin, end = waiting.pop()
         width = end - begin
         fit = Chebyshev.fit(_NODES, values(duration * (begin + width * _NODES)), _DEGREE, (0.0, 1.0))
-        error = float(np.max(np.abs(fit(_PLACES) - values(duration * (begin + width * _PLACES))))) / size
+        inside = (begin <= grid) & (grid <= end)
+        places = np.concatenate([_PLACES, (grid[inside] - begin) / width])
+        wanted = np.concatenate([values(duration * (begin + width * _PLACES)), speeds[inside]])
+        error = float(np.max(np.abs(fit(places) - wanted))) / size
         if not math.isfinite(error):
             raise InputError(f"tow_speed(t) is not finite between {duration * begin:g} s and {duration * end:g} s")
         if error > _APPROXIMATION and error * width > _SHIFT:

@@ -14,7 +14,7 @@ from plough_opt.core.checks import LARGEST, DomainLimit
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, stacked
 from plough_opt.core.labels import limits_of_laws, unlabelled
-from plough_opt.core.quantities import EVERY
+from plough_opt.core.quantities import EVERY, Quantity
 from plough_opt.core.units import Display
 from plough_opt.exchange.export.javascript import Source
 from plough_opt.motion import Run
@@ -29,6 +29,7 @@ from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.measures import measures_of
 from plough_opt.problem_file.problem import FileVariable
+from plough_opt.soil.soil import compression_test
 
 ROWS: Final = ("travel", "speed", "deflection", "mount_force", "soil_resistance")
 """Results over time, in the order of the JavaScript function `at`."""
@@ -166,6 +167,20 @@ def _input(problem: Problem, key: str, value: float) -> dict[str, Any]:
     """Return name, unit, bounds and domain of a quantity."""
     quantity, variable = EVERY[key], problem.variables.get(key)
     display = problem.origin.display(key, quantity.unit, value)
+    limit = _domain(problem, quantity)
+    # A quantity without bounds of its own moves between half and twice its value, inside its domain.
+    size = abs(value) or 1.0
+    low = variable.lower if variable else max(quantity.low, limit.at_least, value - size / 2.0)
+    high = variable.upper if variable else min(quantity.high, limit.at_most, value + size)
+    return {
+        "name": key, "label": called(key), "group": "variables" if variable else quantity.owner, "unit": quantity.unit,
+        **shown_in(display), "lower": low, "upper": high, "log": bool(variable and variable.log), "value": value,
+        "variable": variable is not None, "steps": _steps(variable), "limit": _limit(limit),
+    }  # fmt: skip
+
+
+def _domain(problem: Problem, quantity: Quantity) -> DomainLimit:
+    """Return the domain of a quantity: an ambient pressure also lies in the range of the file's compression test."""
     limit = DomainLimit(
         quantity.called,
         quantity.unit,
@@ -175,15 +190,12 @@ def _input(problem: Problem, key: str, value: float) -> dict[str, Any]:
         at_most=LARGEST if quantity.below else min(quantity.high, LARGEST),
         why=quantity.why,
     )
-    # A quantity without bounds of its own moves between half and twice its value, inside its domain.
-    size = abs(value) or 1.0
-    low = variable.lower if variable else max(quantity.low, value - size / 2.0)
-    high = variable.upper if variable else min(quantity.high, value + size)
-    return {
-        "name": key, "label": called(key), "group": "variables" if variable else quantity.owner, "unit": quantity.unit,
-        **shown_in(display), "lower": low, "upper": high, "log": bool(variable and variable.log), "value": value,
-        "variable": variable is not None, "steps": _steps(variable), "limit": _limit(limit),
-    }  # fmt: skip
+    test = problem.table.soil.compaction
+    if test is None or quantity is not EVERY["soil.ambient_pressure"]:
+        return limit
+    pressure, _ = compression_test(test.pressure, test.volume_lost)
+    return replace(limit, at_least=float(pressure[0]), at_most=float(pressure[-1]),
+                   why="the compression test goes no further")  # fmt: skip
 
 
 def _steps(variable: FileVariable | None) -> list[float] | None:

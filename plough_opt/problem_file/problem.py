@@ -403,7 +403,10 @@ class Problem:
         )
 
     def numbers(self) -> dict[str, float]:
-        """Return key -> value of every quantity that is not a variable, including the properties of a named soil."""
+        """Return key -> value of every quantity that is not a variable, including the properties of a named soil.
+
+        A property that follows from another entry of the file, a cone index or a compression test, is left out.
+        """
         if self.shares:
             given = {share: {key for key in part.fixed if f"{share}.{key}" in self.fixed}
                      for share, part in self.shares.items()}  # fmt: skip
@@ -413,6 +416,8 @@ class Problem:
         every = {**own, **self.fixed}
         if _READING in self.values():
             del every[self.table.soil.adjusted]
+        if self.table.soil.compaction is not None:
+            del every["soil.density_ratio"]
         return {key: float(x) for key, x in every.items() if x is not None and key not in self.variables}
 
     def optimise(

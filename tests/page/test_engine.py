@@ -17,6 +17,7 @@ from plough_opt.problem_file.measures import measures_of
 NODE = shutil.which("node")
 needs_node = pytest.mark.skipif(NODE is None, reason="needs node: apt-get install nodejs")
 WAVES = 'strength_wave={amplitude=0.3,wavelength="0.2 m"}'
+COMPACTION = 'soil.compaction={pressure=["25 kPa","50 kPa","100 kPa"],volume_lost=[0.010,0.021,0.039]}'
 # Scene -> changes of the file.
 SCENES = {
     "as in the file": [],
@@ -36,6 +37,7 @@ SCENES = {
         'measures.fuel={value="tow_power / (2 * loosened_radius)",unit="W/m"}', "scene.outputs=150",
         "effects.ambient_pressure=false",
     ],
+    "a compression test": ["soil.ambient_pressure=60 kPa", COMPACTION],
 }  # fmt: skip
 DESIGNS = 17
 # A symbolic RMS is never 0, so that it has derivatives: by that a small one differs from a number's.
@@ -188,3 +190,21 @@ def test_values_outside_the_domain_are_refused_in_the_command_lines_words(tmp_pa
         # The command line also asks for a likely slip of the unit.
         assert found
         assert str(refused.value).startswith(found)
+
+
+@needs_node
+def test_the_density_ratio_follows_the_compression_test_in_its_range(tmp_path):
+    problem = po.read_problem(SUBSOILER, SCENES["a compression test"])
+    model = page_model(problem)
+    names = [one["name"] for one in model.data["inputs"]]
+    assert "soil.density_ratio" not in names
+    at = names.index("soil.ambient_pressure")
+    one = model.data["inputs"][at]
+    assert (one["lower"], one["upper"]) == (pytest.approx(30e3), pytest.approx(100e3))
+    good = [one["value"] for one in model.data["inputs"]]
+    rows = [[*good[:at], pressure, *good[at + 1 :]] for pressure in (90e3, 24e3, 101e3)]
+    inside, *outside = in_node(model, rows, tmp_path)
+    run = problem.simulate({"soil.ambient_pressure": 90e3})
+    assert inside["mean_draft"] == pytest.approx(run.mean_draft, rel=1e-8)
+    assert outside == [f"ambient pressure = {value} Pa must be {rule} Pa: the compression test goes no further"
+                       for value, rule in ((24000, "at least 25000"), (101000, "at most 100000"))]  # fmt: skip

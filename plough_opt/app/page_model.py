@@ -73,7 +73,8 @@ def page_model(problem: Problem) -> PageModel:
     wanted = _wanted(problem, scene)
     with unlabelled():
         p = parameters(scene)
-        ramp = p.get("ramp_time", 0.0) / given["scene.duration"]
+        duration = problem.values(given)["scene.duration"]
+        ramp = p.get("ramp_time", 0.0) / duration
         rate = summed_rate(p) if moves else forced_rate(p)
         run = _at(scene, time, state)
         # What does not change over time, such as the law of resistance, is computed once for a design.
@@ -81,7 +82,7 @@ def page_model(problem: Problem) -> PageModel:
             ca.densify(stacked(*(_last(getattr(run, name)) for name in ROWS))), x
         )
         functions = {
-            "setup": [x, stacked(rate, ramp, scene.stiffness, scene.inertia if moves else 0.0)],
+            "setup": [x, stacked(rate, ramp, scene.stiffness, scene.inertia if moves else 0.0, duration)],
             "limited": [x, stacked(kind(), *(value for _, value in limits))],
             "constants": [x, stacked(kind(), *constants)],
             "at": [x, stacked(kind(), *symbols), time, state, rows],
@@ -91,7 +92,7 @@ def page_model(problem: Problem) -> PageModel:
             equation = equation_of(structure)
             means, variances = kind.sym("means", equation.count), kind.sym("variances", equation.squared)
             found = assemble(scene, time, np.ones(1), state.T, means, variances, Accuracy()).averages
-            column = stacked(*(p[name] for name in equation.names), given["scene.duration"])
+            column = stacked(*(p[name] for name in equation.names), duration)
             functions["parameters"] = [x, column]
             functions["averages"] = [x, means, variances, stacked(*(getattr(found, name) for name in AVERAGES))]
     source = Source("the page shows the report only")

@@ -37,6 +37,11 @@ SCENES = {
         'measures.fuel={value="tow_power / (2 * loosened_radius)",unit="W/m"}', "scene.outputs=150",
         "effects.ambient_pressure=false",
     ],
+    "whole waves": ["scene.average=whole waves", "scene.duration=1.03 s"],
+    "whole waves of two, quasi-static": [
+        'effects={motion=false,tow_ramp="0.1 s",strength_wave={amplitude=0.3,wavelength="0.2 m"},'
+        'strength_wave_2={amplitude=0.1,wavelength="0.5 m"}}', "scene.average=whole waves", "scene.duration=1.03 s",
+    ],
     "a compression test": ["soil.ambient_pressure=60 kPa", COMPACTION],
 }  # fmt: skip
 DESIGNS = 17

@@ -137,18 +137,16 @@ function engine(model, f) {
 
   /** A single run for a picture of many designs, with as many steps as outputs. */
   function rough(x) {
-    const [[rate, kink]] = f.setup(x), duration = durationOf(x), phase = Math.ceil(rate * duration / ROUGH_PHASE);
+    const [[rate, kink, , , duration]] = f.setup(x), phase = Math.ceil(rate * duration / ROUGH_PHASE);
     const outputs = Math.min(model.outputs, Math.max(FEWEST, phase)), per = Math.ceil(Math.max(1, phase) / outputs);
     if (outputs * per > MOST_STEPS) throw new RangeError("the share oscillates too fast");
     const run = model.moves ? motion(x, f.parameters(x)[0], outputs, per, kink) : still(x, duration, outputs, per, kink, model.gauss[0]);
     return { ...run, error: run.five.every(Number.isFinite) ? NaN : Infinity };
   }
 
-  const durationOf = (x) => x[model.inputs.findIndex((one) => one.name === "scene.duration")];
-
   /** A run and its error, estimated by a second one with fewer steps, or by a quadrature with more nodes. */
   function checked(x, outputs, wanted) {
-    const [[rate, kink, stiffness, inertia]] = f.setup(x), duration = durationOf(x);
+    const [[rate, kink, stiffness, inertia, duration]] = f.setup(x);
     if (!model.moves) {
       const per = Math.max(1, Math.round(Math.max(FEWEST, Math.ceil(rate * duration / PANEL)) / outputs));
       const [run, check] = model.gauss.map((points) => still(x, duration, outputs, per, kink, points));
@@ -195,7 +193,7 @@ function engine(model, f) {
       const margins = [one.low === null ? Infinity : low - one.low, one.high === null ? Infinity : one.high - high];
       return { value: margins[0] < margins[1] ? low : high, margin: Math.min(...margins) };
     });
-    const duration = durationOf(x), count = rows.travel.length;
+    const duration = f.setup(x)[0][4], count = rows.travel.length;
     const time = Float64Array.from({ length: count }, (_, k) => k * duration / (count - 1));
     return { ...results, rows: { time, ...rows }, requirements, error_estimate: found.error, steps: found.steps,
       seconds: (performance.now() - began) / 1000 };

@@ -239,6 +239,18 @@ def test_the_density_ratio_follows_the_ambient_pressure_of_the_file(tmp_path):
     assert problem.scene({"soil.density_ratio": 0.8}).soil.density_ratio == 0.8
 
 
+def test_the_sensitivity_to_the_ambient_pressure_holds_the_density_ratios_part(tmp_path):
+    """It is the difference of two optima; the density ratio itself is no quantity of the file."""
+    path = tmp_path / "tested.toml"
+    path.write_text(TESTED, encoding="utf-8")
+    problem, step = po.read_problem(path, ["soil.ambient_pressure=70 kPa"]), 100.0
+    apart = [po.read_problem(path, [f"soil.ambient_pressure={p} Pa"]).optimise()[0] for p in (7e4 - step, 7e4 + step)]
+    slope = (apart[1].objective - apart[0].objective) / (2.0 * step)
+    best, _ = problem.optimise(parameters=True)
+    assert best.sensitivity("soil.ambient_pressure").objective == pytest.approx(slope, rel=1e-4)
+    assert "soil.density_ratio" not in problem.numbers()
+
+
 WRONG_TESTS = [
     ("soil.ambient_pressure=10 kPa", "outside the compression test, 25 to 200 kPa"),
     ("soil.density_ratio=0.8", "'soil.density_ratio' follows from the compaction"),

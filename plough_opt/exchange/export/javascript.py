@@ -221,7 +221,8 @@ def write_javascript(component: Component, path: str | Path) -> Path:
 
     It exports ``inputs`` and ``outputs`` with names, units, bounds and values, and ``evaluate(values)``, from values by
     name to results by name in SI units, with JSDoc types. Inputs that the caller omits have their values. It throws a
-    RangeError if a value lies outside its bounds by more than a millionth of their distance, or a result is not finite.
+    TypeError if a value is not a finite number, such as a text, and a RangeError if an input is unknown, a value lies
+    outside its bounds by more than a millionth of their distance, or a result is not finite.
 
     Args:
         component: the component.
@@ -314,15 +315,25 @@ export const outputs = {outputs};
  * Return the results at values of the inputs.
  * @param {{Values}} [values]
  * @returns {{Results}}
+ * @throws {{TypeError}} a value that is not a finite number
  * @throws {{RangeError}} an unknown input, a value outside its bounds, or a result that is not finite
  */
 export function evaluate(values = {{}}) {{
+  const text = (/** @type {{any}} */ value) =>
+    typeof value === "string" || typeof value === "object" ? JSON.stringify(value) : String(value);
+  if (typeof values !== "object" || values === null || Array.isArray(values)) {{
+    throw new TypeError(`the values are ${{text(values)}}: give an object from names of inputs to numbers`);
+  }}
   const known = new Set(inputs.map((input) => input.name));
   for (const name of Object.keys(values)) {{
     if (!known.has(name)) throw new RangeError(`there is no input "${{name}}": use ${{[...known].join(", ")}}`);
   }}
   const x = inputs.map((input) => {{
-    const value = /** @type {{Record<string, number>}} */ (values)[input.name] ?? input.value;
+    const {{ [input.name]: value = input.value }} = /** @type {{Record<string, number>}} */ (values);
+    if (typeof value !== "number" || !Number.isFinite(value)) {{
+      const unit = input.unit ? ` in ${{input.unit}}` : "";
+      throw new TypeError(`${{input.name}} = ${{text(value)}} is not a finite number: give one${{unit}}`);
+    }}
     const slack = {relaxation} * (input.upper - input.lower);
     if (!(value >= input.lower - slack && value <= input.upper + slack)) {{
       const bounds = `between ${{input.lower}} and ${{input.upper}}`;

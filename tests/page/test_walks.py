@@ -91,11 +91,46 @@ def test_values_are_typed_with_a_decimal_comma_and_wrong_ones_refused_at_their_f
     assert (walk.locator(".wrong:not(:empty)").count(), field.get_attribute("aria-invalid")) == (0, "false")
 
 
+NO_NUMBERS = ["abc", "300 mm", "", "0.3.1"]
+
+
+def test_what_is_not_a_number_is_named_and_nothing_leaves_the_page(walk):
+    field = walk.get_by_label(f"{HEIGHT} in m", exact=True)
+    command, draft = walk.locator("#command").input_value(), cell(walk, "mean draft")
+    for text in [*NO_NUMBERS, "-0.31"]:
+        field.fill(text)
+        words = f"'{text}' is not a number: write one in m" if text in NO_NUMBERS else f"= {text} m must be above"
+        walk.locator(".wrong", has_text=words).wait_for()
+        assert walk.locator("#table thead").inner_text().split("\t")[1].strip() == "last valid"
+        assert (walk.locator("#command").input_value(), cell(walk, "mean draft")) == (command, draft)
+        for name in ("Problem file", "CSV", "SVG", "STL", "Copy the command", "Pin this design"):
+            assert walk.get_by_role("button", name=name, exact=True).is_disabled()
+    field.fill("0.3")
+    settled(walk)
+    assert walk.locator("#table thead").inner_text().split("\t")[1].strip() == "now"
+    assert walk.get_by_role("button", name="CSV", exact=True).is_enabled()
+
+
+@pytest.mark.parametrize("function", ["evaluate", "set"])
+def test_scripts_are_told_what_is_wrong(walk, function):
+    ask = f"v => ploughOpt.{function}(v).then(() => '', (error) => `${{error.name}}: ${{error.message}}`)"
+    before = state(walk)
+    assert walk.evaluate(ask, {"share.hight": 0.3}).startswith('RangeError: there is no quantity "share.hight"')
+    for value, text in (("2", '"2"'), ([2], "2"), (None, "null"), (True, "true")):
+        assert walk.evaluate(ask, {"share.height": value}).startswith(
+            f"TypeError: share.height = {text} is not a finite"
+        )
+    assert state(walk) == before
+    assert "share height = -1 m must be above 0 m" in walk.evaluate(ask, {"share.height": -1})
+    assert walk.evaluate(ask, {"share.height": 0.3}) == ""
+
+
 def test_a_design_of_the_landscape_is_taken_by_a_click_and_left_by_going_back(walk):
     before = state(walk)
     cloud = walk.locator("#now_cloud")
     cloud.scroll_into_view_if_needed()
     walk.locator("#sample", has_text="of 2000").wait_for(timeout=60_000)
+    assert "better half" in walk.locator("#sample").inner_text()
     box = cloud.locator(".u-over").bounding_box()
     walk.mouse.click(box["x"] + 0.3 * box["width"], box["y"] + 0.93 * box["height"])
     settled(walk)
@@ -104,6 +139,7 @@ def test_a_design_of_the_landscape_is_taken_by_a_click_and_left_by_going_back(wa
     walk.wait_for_function("before => JSON.stringify(ploughOpt.state()) === JSON.stringify(before)", arg=before)
     walk.locator("#across").select_option(label="stiffness")
     walk.locator("#up").select_option(label="mean deflection")
+    assert "half" not in walk.locator("#sample").inner_text()
     assert cloud.locator("canvas").count() == 1
 
 

@@ -14,7 +14,7 @@
   const columns = [...inputs.filter((one) => one.variable), ...model.results,
     { ...model.panels.force, name: "peak_force", label: "peak mount force" }, { ...model.panels.deflection, name: "peak_deflection", label: "peak deflection" }];
   const DESIGNS = 2000, CHUNK = 50, CURVE = 61, MOST_PINS = 4, COLOURS = ["#d55e00", "#009e73", "#cc79a7", "#e69f00"];
-  let x = [...initial], now = null, best = null, error = model.error, pins = [], cloud = [], curve = [], computedFor = "";
+  let x = [...initial], now = null, best = null, error = model.error, pins = [], cloud = [], curve = [], computedFor = "", refused = "";
 
   /* Workers: one answers the controls, the other samples, so that a move never waits. */
   const text = `const MODEL = ${JSON.stringify(model)};\n${place("engine").textContent}`;
@@ -41,6 +41,14 @@
   const part = (one, v) => one.steps?.length > 1 ? nearest(one.steps, v) / (one.steps.length - 1) : one.log ? Math.log(v / one.lower) / Math.log(one.upper / one.lower) : (v - one.lower) / (one.upper - one.lower);
   const keyed = (values) => Object.fromEntries(inputs.map((one, k) => [one.name, values[k]]));
   const inOrder = (given) => inputs.map((one, k) => given[one.name] ?? x[k]);
+  /* Values that a script gives; an error names the one that is no quantity or no number. */
+  function requested(given) {
+    for (const [name, value] of Object.entries(given)) {
+      if (!inputs.some((one) => one.name === name)) throw new RangeError(`there is no quantity "${name}": use ${inputs.map((one) => one.name).join(", ")}`);
+      if (value !== undefined && !Number.isFinite(value)) throw new TypeError(`${name} = ${typeof value === "string" ? JSON.stringify(value) : value} is not a finite number: give one in SI units`);
+    }
+    return inOrder(given);
+  }
 
   /* The design in the address: the values that differ from the start. */
   const address = (values) => ["explore", ...inputs.flatMap((one, k) => values[k] === initial[k] ? [] : [`${one.name}=${values[k]}`])].join("&");
@@ -111,13 +119,23 @@
       while (again) {
         again = false;
         const asked = x;
-        try { show(asked, await quick("evaluate", asked, { error })); } catch (why) { refuse(why.message); }
+        try { show(asked, await computed(asked)); } catch (why) { refuse(why.message, why.control); }
       }
       busy = null;
     })();
   }
-  function refuse(why) {
-    const k = why ? inputs.findIndex((one) => why.startsWith(`${one.limit.name} = `)) : -1;
+  async function computed(values) {
+    const control = values.findIndex(Number.isNaN);
+    if (control < 0) return quick("evaluate", values, { error });
+    const one = inputs[control], unit = one.symbol ? ` in ${pretty(one.symbol)}, without the unit` : "";
+    const example = Number((initial[control] / one.factor).toPrecision(6));
+    throw Object.assign(new RangeError(`'${controls[control].field.value}' is not a number: write one${unit}, such as ${example}`), { control });
+  }
+  /* While a value is refused, the results are those of the last valid design, and nothing leaves the page. */
+  function refuse(why, k = why ? inputs.findIndex((one) => why.startsWith(`${one.limit.name} = `)) : -1) {
+    refused = why;
+    for (const each of section.querySelectorAll("[data-leaves]")) each.disabled = why !== "";
+    if (now) table();
     controls.forEach(({ wrong, field }, i) => { wrong.textContent = i === k ? why : ""; field.ariaInvalid = String(i === k); });
     place("status").textContent = why;
     section.classList.toggle("refused", why !== "");
@@ -127,7 +145,6 @@
     now = { x: values, ...found };
     refuse("");
     place("accuracy-now").textContent = `estimated error ${found.error_estimate.toExponential(0)}, ${found.steps} steps, ${number(1000 * found.seconds)} ms`;
-    table();
     place("lights").replaceChildren(...model.requirements.map((one, k) => {
       const { value: v, margin } = found.requirements[k], rounding = 1e-8 * Math.abs(v), met = margin >= -rounding;
       return make("li", {}, make("span", { className: `tag ${met ? "good" : "bad"}`, textContent: met ? "✓ met" : "✗ fails" }), ` ${one.label} ${shown(one, v)}, ${pretty(one.words)}, margin ${shown(one, Math.abs(margin) <= rounding ? 0 : margin)}`);
@@ -143,7 +160,7 @@
   const bestName = () => !model.optimised || fixed(now.x) === fixed(initial) ? known : "best, computed for the file’s question";
   const of = (design, one) => design[one.name] ?? design.x[inputs.findIndex((each) => each.name === one.name)];
   function table() {
-    const designs = [["now", now], ...(best ? [[bestName(), best]] : []), ...pins.map((pin, k) => [`pin ${k + 1}`, pin])];
+    const designs = [[refused ? "last valid" : "now", now], ...(best ? [[bestName(), best]] : []), ...pins.map((pin, k) => [`pin ${k + 1}`, pin])];
     const head = designs.map(([name, design], k) => make("th", { scope: "col" }, name, ...(pins.includes(design) ? [make("button", { type: "button", textContent: "×", ariaLabel: `remove ${name}`, onclick: () => { pins = pins.filter((pin) => pin !== design); rebuild(); table(); } })] : [])));
     if (best) head.splice(1, 0, make("th", { scope: "col", textContent: `from ${known}` }));
     place("table").tHead.replaceChildren(make("tr", {}, make("th", { scope: "col" }), ...head));
@@ -230,7 +247,7 @@
     /* Designs of a very bad objective would press the others to the axis: the better half is drawn. */
     const found = cloud.filter(Boolean), half = up.name === "objective" ? [...found].sort((a, b) => a.objective - b.objective)[found.length >> 1] : null;
     const every = half ? found.filter((one) => one.objective <= half.objective || one.violation <= 1e-6) : found;
-    place("sample").textContent = `${every.length} of ${found.length} designs`;
+    place("sample").textContent = `${every.length} of ${found.length} designs${half ? "; of those that fail a requirement only those in the better half of the objective are drawn" : ""}`;
     if (charts.cloud) charts.cloud.u.destroy();
     charts.cloud = build({ id: "now_cloud", x: { label: across.label, unit: pretty(across.symbol), log: across.log }, y: { label: up.label, unit: pretty(up.symbol) }, groups: [
       group("fails a requirement", "#b5bcc2", 3, every.filter((one) => one.violation > 1e-6)), group("meets all requirements", "#56b4e9", 4, every.filter((one) => one.violation <= 1e-6)),
@@ -249,16 +266,16 @@
   new IntersectionObserver((entries) => { if (entries.some((one) => one.isIntersecting) && !seen) { seen = true; if (now) later(); } }).observe(place("now_cloud"));
 
   /* What leaves the page: the command, the problem file, tables, the solid. */
-  const written = (k) => `${Number((x[k] / inputs[k].factor).toPrecision(15))}${inputs[k].symbol ? ` ${inputs[k].symbol}` : ""}`;
+  const written = (k) => `${Number((now.x[k] / inputs[k].factor).toPrecision(15))}${inputs[k].symbol ? ` ${inputs[k].symbol}` : ""}`;
   const quoted = (word) => `'${word.replaceAll("'", "'\\''")}'`;
   const command = () => [`plough-opt ${model.optimised ? "optimise" : "simulate"} ${quoted(model.file)}`, ...model.overrides.map((one) => `--set ${quoted(one)}`),
-    ...inputs.flatMap((one, k) => !(one.variable && model.optimised) && x[k] !== initial[k] ? [`--set ${quoted(`${one.name}="${written(k)}"`)}`] : [])].join(" ");
+    ...inputs.flatMap((one, k) => !(one.variable && model.optimised) && now.x[k] !== initial[k] ? [`--set ${quoted(`${one.name}="${written(k)}"`)}`] : [])].join(" ");
   const toml = (v) => Array.isArray(v) ? `[${v.map(toml).join(", ")}]` : v !== null && typeof v === "object" ? `{ ${Object.entries(v).map(([key, each]) => `${JSON.stringify(key)} = ${toml(each)}`).join(", ")} }` : JSON.stringify(v);
   function problem() {
     const tables = structuredClone(model.tables);
     inputs.forEach((one, k) => {
       if (one.variable) tables.variables[one.name].guess = written(k);
-      else if (x[k] !== initial[k]) { const path = one.name.split("."); path.slice(0, -1).reduce((table, key) => table[key] ??= {}, tables)[path[path.length - 1]] = one.symbol ? written(k) : x[k]; }
+      else if (now.x[k] !== initial[k]) { const path = one.name.split("."); path.slice(0, -1).reduce((table, key) => table[key] ??= {}, tables)[path[path.length - 1]] = one.symbol ? written(k) : now.x[k]; }
     });
     const plain = (v) => v === null || typeof v !== "object" || Array.isArray(v), entries = Object.entries(tables);
     return [...entries.filter(([, v]) => plain(v)).map(([key, v]) => `${key} = ${toml(v)}`), ...entries.filter(([, v]) => !plain(v)).flatMap(([key, v]) => ["", `[${key}]`, ...Object.entries(v).map(([name, each]) => `${JSON.stringify(name)} = ${toml(each)}`)])].join("\n") + "\n";
@@ -308,9 +325,13 @@
   const plain = ({ rows, requirements, ...rest }) => ({ ...rest, ...rows, requirements });
   window.ploughOpt = {
     inputs, outputs: columns.slice(variables.length),
-    evaluate: (given = {}) => quick("evaluate", inOrder(given), { error }).then(plain),
+    evaluate: async (given = {}) => plain(await quick("evaluate", requested(given), { error })),
     state: () => keyed(x),
-    set: (given) => take(inOrder(given)),
+    set: async (given) => {
+      await take(requested(given), false);
+      if (refused) throw new RangeError(refused);
+      commit();
+    },
   };
   x = addressed();
   if (location.hash.startsWith("#explore")) section.scrollIntoView();

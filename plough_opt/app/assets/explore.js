@@ -186,7 +186,7 @@
   }
   function draw() {
     if (!charts.now_force) { rebuild(); return; }
-    for (const { u, name, panel } of Object.values(charts)) {
+    for (const { u, name, panel } of Object.values(charts).filter((one) => one.panel)) {
       const { time } = now.rows, last = time.length - 1;
       const along = (design) => Array.from(time, (t) => { const k = Math.round(t / design.rows.time[last] * last); return k <= last ? design.rows[name][k] / panel.factor : null; });
       u.setData([[...time], ...listed().map(along)]);

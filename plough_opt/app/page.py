@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from plough_opt.app.page_model import PageModel, page_model, shown_in
+from plough_opt.app.page_model import PageModel, page_model, shown_in, without_random
 from plough_opt.app.panels import Panel, changing, deflection_of, force_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import COLOURS
@@ -576,6 +576,7 @@ def explored(report: Report, model: PageModel) -> dict[str, Any]:
         "objective": bool(problem.table.minimise),
         "optimised": best is not None,
         "panels": panels,
+        "without": without_random(problem),
         "units": ARRAYS,
         "file": problem.origin.file,
         "overrides": problem.overrides,

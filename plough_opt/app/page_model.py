@@ -21,7 +21,7 @@ from plough_opt.motion import Run
 from plough_opt.motion.equation import Structure, equation_of, parameters
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.plan import forced_rate, summed_rate
-from plough_opt.motion.run import Averages, assemble
+from plough_opt.motion.run import WITHOUT_RANDOM, Averages, assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import GAUSS_POINTS, MORE_POINTS, quasi_static
 from plough_opt.motion.steps import Timeline, step
@@ -217,7 +217,13 @@ def _limit(limit: DomainLimit) -> dict[str, Any]:
 
 def _result(problem: Problem, name: str, unit: str) -> dict[str, Any]:
     display = problem.origin.display(name, unit)
-    return {"name": name, "label": called(name), "unit": unit, **shown_in(display)}
+    label = called(name) + (without_random(problem) if name in ("force_rms", "displacement_rms") else "")
+    return {"name": name, "label": label, "unit": unit, **shown_in(display)}
+
+
+def without_random(problem: Problem) -> str:
+    """Return what the labels of a motion's RMS and peaks must add, "" if the soil has no random strength."""
+    return WITHOUT_RANDOM if problem.scene().effects.random_strength is not None else ""
 
 
 def shown_in(display: Display) -> dict[str, Any]:

@@ -295,6 +295,10 @@ class Run(Saveable):
         return float(np.max(values))
 
 
+WITHOUT_RANDOM: Final = " without random strength"
+"""What follows the names of RMS and peaks of a motion in a soil of random strength, which no motion includes."""
+
+
 def response_table(runs: Mapping[str, Any], origin: Origin) -> Grid:
     """Return the table of results of numeric runs side by side; a row has one unit.
 
@@ -325,7 +329,7 @@ def response_table(runs: Mapping[str, Any], origin: Origin) -> Grid:
     row("mean draft", "mean_draft", "N", adds=True)
     # Simulated motions do not include random strength.
     random = all(scene.effects.random_strength is not None for scene in scenes)
-    without = " without random strength" if random else ""
+    without = WITHOUT_RANDOM if random else ""
     row(f"RMS of the mount force{without}", "force_rms", "N")
     row("mean deflection", "mean_deflection", "m")
     row(f"RMS of the deflection{without}", "displacement_rms", "m")

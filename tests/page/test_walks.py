@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from helpers.browser import open_page
 from helpers.commands import printed
-from helpers.problem_files import COTTON, STATIC, SUBSOILER, changed
+from helpers.problem_files import COTTON, PROBLEMS, STATIC, SUBSOILER, changed
 
 import plough_opt as po
+from plough_opt.app import page_model
+
+FIELD = PROBLEMS / "field.toml"
 
 HOSTILE = "</script><script>document.title='broken'</script> <img src=x onerror=alert(1)>"
 SPRINGS = 'catalogue = ["40 kN/m", "50 kN/m", "63 kN/m", "80 kN/m"]'
@@ -205,6 +208,11 @@ def test_what_is_downloaded_can_be_read(walk, tmp_path):
     mesh = run.scene.share.mesh()
     corners = [line.split()[1:] for line in files["STL"].read_text().splitlines() if line.startswith("vertex")]
     assert np.array(corners, dtype=float) == pytest.approx(1e3 * mesh.vertices[mesh.triangles.ravel()], rel=1e-5)
+
+
+def test_labels_of_the_motion_say_that_it_has_no_random_strength():
+    assert page_model.without_random(po.read_problem(FIELD)).strip() == "without random strength"
+    assert page_model.without_random(po.read_problem(SUBSOILER)) == ""
 
 
 def test_hostile_names_are_texts(walk):

@@ -12,7 +12,7 @@
   const variables = inputs.flatMap((one, k) => one.variable ? [k] : []);
   const initial = inputs.map((one) => model.best[one.name] ?? one.value);
   const columns = [...inputs.filter((one) => one.variable), ...model.results,
-    { ...model.panels.force, name: "peak_force", label: "peak mount force" }, { ...model.panels.deflection, name: "peak_deflection", label: "peak deflection" }];
+    { ...model.panels.force, name: "peak_force", label: `peak mount force${model.without}` }, { ...model.panels.deflection, name: "peak_deflection", label: `peak deflection${model.without}` }];
   const DESIGNS = 2000, CHUNK = 50, CURVE = 61, MOST_PINS = 4, COLOURS = ["#d55e00", "#009e73", "#cc79a7", "#e69f00"];
   let x = [...initial], now = null, best = null, error = model.error, pins = [], cloud = [], curve = [], computedFor = "", refused = "";
 

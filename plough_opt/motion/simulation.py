@@ -86,13 +86,13 @@ def simulate(
             by the system's C compiler takes about a second, once per machine for all scenes with the same effects; a
             run then takes about a quarter of the time, with the same result up to rounding. A warning reports if there
             is no compiler, if another method or model takes the run, or if an own effect looks up a table.
-        tow_speed: speed of the strut over time instead of the scene's constant one: a table of times [s], from 0 on,
-            and speeds [m/s], with straight lines between them and the last speed afterwards; a function of the time [s]
-            that returns the speed [m/s], smooth but for a few kinks; or a `scipy.interpolate.PPoly`, such as a
-            `CubicSpline`. Steps end at its knots. A change of a function is certain to be seen if it lasts longer than
-            duration / 4096, the distance of the times at which it is evaluated: give shorter ones as a table. In the
-            run's scene ``tow_speed`` is the largest speed, at which laws of resistance are evaluated, and
-            ``effects.tow_profile`` the course.
+        tow_speed: speed of the strut over time instead of the scene's constant one: a table, which is a tuple of times
+            [s], from 0 on, and of speeds [m/s], as numbers or texts such as "9 km/h", with straight lines between them
+            and the last speed afterwards; a function of the time [s] that returns the speed [m/s], smooth but for a few
+            kinks; or a `scipy.interpolate.PPoly`, such as a `CubicSpline`. Steps end at its knots. A change of a
+            function is certain to be seen if it lasts longer than duration / 4096, the distance of the times at which
+            it is evaluated: give shorter ones as a table. In the run's scene ``tow_speed`` is the largest speed, at
+            which laws of resistance are evaluated, and ``effects.tow_profile`` the course.
 
     Returns:
         A numeric or symbolic `Run`.

@@ -7,17 +7,21 @@ the true strut is ahead of that, so its acceleration, which jumps at the knots o
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from numbers import Real
 from typing import Any
 
 import numpy as np
 from numpy.polynomial import Chebyshev
+from numpy.typing import NDArray
 
-from plough_opt.core.checks import array_of, check_domain, check_kind, shown
+from plough_opt.core.checks import NOT_NUMBERS, array_of, check_domain, check_kind, plain_number, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import COUNT, Expression, where
+from plough_opt.core.units import has_unit, in_si
 from plough_opt.motion.effects.terms import Parameters, Term, Towed
 
 # Each piece adds steps to a run, and operations to each of them: a run with so many takes some seconds.
@@ -40,6 +44,7 @@ _PLACES = np.linspace(0.0, 1.0, 23)
 _INTERVALS = 4096
 # Relative difference of the speeds at the ends of two pieces from which on the speed jumps.
 _JUMP = 1e-9
+_TABLE = "a tuple of times [s] and speeds [m/s], such as ([0, 5, 10], [2.0, 1.5, 2.5])"
 
 
 @dataclass(frozen=True)
@@ -83,11 +88,22 @@ class SpeedProfile:
         for time, before, after in zip(times[1:], rows, rows[1:], strict=False):
             if abs(before[-1] - after[0]) > _JUMP * max(1.0, abs(before[-1])):
                 raise InputError(f"the tow speed jumps at {time:g} s: let it rise or fall over a short time")
-        for begin, row in zip(times, rows, strict=False):
-            if not np.all(row >= -_APPROXIMATION):  # NaN too
-                raise InputError(
-                    f"the tow speed must be a number and at least 0 everywhere; after {begin:g} s it is not"
-                )
+        _check_sign(np.concatenate([a + (b - a) * _PLACES for a, b in pairwise(times)]), np.concatenate(rows))
+
+
+def _check_sign(times: NDArray[np.float64], speeds: NDArray[np.float64]) -> None:
+    """Raise InputError if the speed at one of the times [s], which rise, is below 0 or not finite."""
+    finite = np.isfinite(speeds)
+    size = np.max(np.abs(speeds), initial=0.0, where=finite)
+    wrong = ~finite | (speeds < -_APPROXIMATION * size)
+    if not wrong.any():
+        return
+    at = int(np.argmax(wrong))
+    if not finite[at]:
+        raise InputError(f"the tow speed is not finite at {times[at]:g} s")
+    before = max(at - 1, 0)
+    since = np.interp(0.0, (speeds[at], max(speeds[before], 0.0)), (times[at], times[before]))
+    raise InputError(f"the tow speed must be at least 0 everywhere; from {since:.4g} s on it is negative")
 
 
 def _numbers(piece: Any) -> tuple[float, ...]:
@@ -103,32 +119,63 @@ def profile_of(speed: Any, duration: float) -> tuple[float, SpeedProfile]:
     """Return the largest tow speed [m/s] and the profile of a table or a function.
 
     Args:
-        speed: times [s] from 0 on and speeds [m/s], linear between them; a function of the time [s] that returns the
-            speed [m/s], whose changes last longer than duration / 4096; or a `scipy.interpolate.PPoly`, such as a cubic
-            spline.
+        speed: a tuple of times [s] from 0 on and of speeds [m/s], linear between them; a function of the time [s] that
+            returns the speed [m/s], whose changes last longer than duration / 4096; or a `scipy.interpolate.PPoly`,
+            such as a cubic spline.
         duration: of the run [s].
 
     Raises:
         InputError: the argument is none of these, or as for `SpeedProfile`.
         DomainError: the speed is nowhere above 0.
     """
-    if hasattr(speed, "c") and hasattr(speed, "x"):  # SciPy's class itself is slow to import
+    interpolate: Any = sys.modules.get("scipy.interpolate")  # slow to import, and loaded if the speed is a spline
+    if interpolate is not None and isinstance(speed, interpolate.PPoly):
+        if speed.c.ndim != 2:
+            raise InputError(f"tow_speed is a spline of values with the shape {speed.c.shape[2:]}: give one of numbers")
         sizes = np.diff(speed.x)
         rows = [(c[::-1] * size ** np.arange(len(c))).tolist() for c, size in zip(speed.c.T, sizes, strict=True)]
         times = speed.x.tolist()
     elif callable(speed):
         times, rows = _approximated(speed, duration)
     else:
-        table = array_of(speed, "tow_speed = {} must be a table of times [s] and speeds [m/s], or a function of time")
-        if table.ndim != 2 or len(table) != 2 or table.shape[1] < 2:
-            raise InputError(
-                f"tow_speed has the shape {table.shape}: it needs as many times [s] as speeds [m/s], at least two, such"
-                " as ([0, 5, 10], [2.0, 1.5, 2.5])"
-            )
-        times, rows = table[0].tolist(), [[a, b - a] for a, b in pairwise(table[1].tolist())]
+        times, speeds = _table(speed)
+        rows = [[a, b - a] for a, b in pairwise(speeds)]
     largest = max(float(np.max(np.polyval(row[::-1], _PLACES))) for row in rows)
     check_domain("largest tow speed", largest, "m/s", above=0.0, why="the strut must move at some time")
     return largest, SpeedProfile(tuple(times), tuple(tuple(c / largest for c in row) for row in rows))
+
+
+def _table(given: Any) -> tuple[list[float], list[float]]:
+    """Return the times [s] and the speeds [m/s] of a table; raise InputError if there are none."""
+    if has_unit(given) or isinstance(given, Real):
+        raise InputError(
+            f"tow_speed = {shown(given)} is not a course over time: give a constant speed to the scene, such as"
+            f' Scene(..., tow_speed="9 km/h"), or here {_TABLE}'
+        )
+    wrong = f"tow_speed = {shown(given)} must be {_TABLE}, a function of the time or a spline"
+    try:
+        rows = [list(row) for row in (given if isinstance(given, Sequence) else array_of(given, wrong).tolist())]
+    except NOT_NUMBERS:
+        raise InputError(wrong) from None
+    sizes = [len(row) for row in rows]
+    if set(sizes) == {2} and len(rows) != 2:
+        raise InputError(
+            f"tow_speed has the shape ({len(rows)}, 2), so each row seems to be a time and a speed: transpose it with"
+            f" tuple(zip(*table)), since it must be {_TABLE}"
+        )
+    if sizes == [2, 2] and not isinstance(given, tuple):
+        raise InputError(
+            f"tow_speed = {shown(given)} may be two pairs or two columns: give a tuple of times [s] and speeds [m/s],"
+            " such as ([0, 4], [1, 2]) for 1 m/s at 0 s and 2 m/s at 4 s"
+        )
+    if len(rows) != 2 or sizes[0] != sizes[1] or sizes[0] < 2:
+        raise InputError(f"tow_speed has rows of {sizes} values: it must be {_TABLE}, at least two of each")
+
+    def numbers(name: str, unit: str, column: list[Any]) -> list[float]:
+        whats = [f"the {name} in row {row} of tow_speed" for row in range(1, len(column) + 1)]
+        return [plain_number(what, in_si(what, value, unit)) for what, value in zip(whats, column, strict=True)]
+
+    return numbers("time", "s", rows[0]), numbers("speed", "m/s", rows[1])
 
 
 def _approximated(speed: Callable[[float], Any], duration: float) -> tuple[list[float], list[list[float]]]:
@@ -143,6 +190,7 @@ def _approximated(speed: Callable[[float], Any], duration: float) -> tuple[list[
 
     grid = np.linspace(0.0, 1.0, _INTERVALS + 1)
     speeds = values(duration * grid)
+    _check_sign(duration * grid, speeds)
     size = float(np.max(np.abs(speeds))) or 1.0
     times, rows, waiting = [0.0], [], [(0.0, 1.0)]
     while waiting:

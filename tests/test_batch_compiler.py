@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import time
 import warnings
 from pathlib import Path
 
@@ -252,7 +253,9 @@ def test_a_failing_compiler_is_named_and_leaves_nothing_behind(cache, compiler, 
         assert re.search(words, compiler_problem())
     assert list(cache.iterdir()) == []
     if "sleep" in text:
-        assert swept.process_of(int((tmp_path / "pids").read_text()))[0] in "XZ"
+        # A killed process may still be running for a moment on a busy machine.
+        states = (time.sleep(0.05) or swept.process_of(int((tmp_path / "pids").read_text()))[0] for _ in range(200))
+        assert any(state in "XZ" for state in states)
 
 
 @pytest.mark.parametrize("who", ["compiler", "package"])

@@ -39,16 +39,18 @@ def no_lines_that_depend_on_time():
 
 # Of the tests of these files, `make test` runs every third one, and `.ci/run` all.
 LONG = """
-    accuracy/test_accuracy_study accuracy/test_motion_reference bad_input/test_fuzz calibration/test_linear
-    cli/test_cli cli/test_cli_studies design/test_design_nlp design/test_global_search_study design/test_holes_in_laws
-    design/test_independent_problems design/test_infeasible design/test_optimum design/test_over_tolerances
-    design/test_results_are_values design/test_search design/test_sensitivity elastic/test_contact elastic/test_field
-    export/test_c export/test_fmu hard_cases/test_derivatives_at_the_ends hard_cases/test_hard_designs
-    motion/test_combination_derivatives motion/test_estimates motion/test_integrators motion/test_orbit
-    motion/test_resistance_laws motion/test_stick_slip report/test_report study/test_problem_sweep study/test_workers
-    tradeoff/test_fronts tradeoff/test_surfaces uncertainty/test_known_optima test_batch test_batch_compiler
-    test_batch_errors test_component test_files test_pages test_plastic_field test_results test_scripts
-    test_strength_record
+    accuracy/test_accuracy_study accuracy/test_motion_reference bad_input/test_fuzz calibration/test_hold_out
+    calibration/test_linear cli/test_cli cli/test_cli_outputs cli/test_cli_studies design/test_design_nlp
+    design/test_global_search_study design/test_holes_in_laws design/test_independent_problems
+    design/test_infeasible design/test_optimum design/test_over_tolerances design/test_results_are_values
+    design/test_search design/test_sensitivity elastic/test_contact elastic/test_field export/test_c export/test_fmu
+    export/test_javascript hard_cases/test_derivatives_at_the_ends hard_cases/test_hard_designs
+    motion/test_combination_derivatives motion/test_estimates motion/test_integrators motion/test_many_orbits
+    motion/test_orbit motion/test_resistance_laws motion/test_stick_slip motion/test_varying_tow_speed
+    page/test_engine page/test_walks problem_file/test_catalogues report/test_report study/test_problem_sweep
+    study/test_workers tradeoff/test_fronts tradeoff/test_surfaces uncertainty/test_known_optima test_batch
+    test_batch_compiler test_batch_errors test_component test_files test_pages test_plastic_field test_results
+    test_scripts test_strength_record
 """
 
 # File or test -> n: by default only every n-th case of a parametrised test runs, and of 0 none; the slow tests run all.

@@ -105,21 +105,10 @@ class NonlinearProgram:
 
 # Beginnings of the names of options that a solve sets itself, and why.
 _KEPT = {
-    (
-        "tol",
-        "dual_inf_tol",
-        "constr_viol_tol",
-        "compl_inf_tol",
-        "acceptable_",
-    ): "optima are certified by them",
+    ("tol", "dual_inf_tol", "constr_viol_tol", "compl_inf_tol", "acceptable_"): "optima are certified by them",
     ("bound_relax_factor", "honor_original_bounds"): "bounds and limits are kept exactly",
     ("nlp_scaling_", "obj_scaling_factor", "user_scaling"): "multipliers are in the scales of the design",
-    (
-        "hessian_",
-        "limited_memory_",
-        "jacobian_",
-        "gradient_",
-    ): "each solve chooses its derivatives",
+    ("hessian_", "limited_memory_", "jacobian_", "gradient_"): "each solve chooses its derivatives",
     ("fixed_variable_treatment",): "some solves hold variables",
 }
 
@@ -143,6 +132,7 @@ def ipopt_options(given: Mapping[str, Any] | None) -> dict[str, Any]:
         x = ca.MX.sym("x")
         try:
             ca.nlpsol("check", "ipopt", {"x": x, "f": x**2}, {name: value})
+        # CasADi's errors: an unknown option or value, a type without a conversion, no overload for it.
         except (RuntimeError, NotImplementedError, TypeError):
             raise InputError(
                 f"ipopt: '{name}' = {shown(value)} is no option of IPOPT, or has no valid value: see IPOPT's list"

@@ -30,8 +30,8 @@ class ElasticMedium(ResistanceLaw):
         >>> still = po.Effects(motion=False)
         >>> law = po.laws.ElasticMedium()
         >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", still, medium=law)
-        >>> bool(scene.steady_resistance > 0.0)
-        True
+        >>> round(float(scene.steady_resistance) / 1e3, 2)
+        146.32
     """
 
     label = "the elastic medium"
@@ -70,8 +70,8 @@ class SphericalCavity(ResistanceLaw):
         >>> soil = po.named_soil("serozem")
         >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
         >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", medium=po.laws.SphericalCavity())
-        >>> bool(scene.steady_resistance > 0.0)
-        True
+        >>> round(float(scene.steady_resistance) / 1e3, 2)
+        8.4
     """
 
     label = _LABEL

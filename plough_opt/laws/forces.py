@@ -57,8 +57,8 @@ def resistance_coefficients(cone: Cone, soil: Soil) -> ResistanceCoefficients:
     Example:
         >>> import plough_opt as po
         >>> soil, cone = po.named_soil("serozem"), po.Cone("10 deg", "25 cm")
-        >>> bool(po.resistance_coefficients(cone, soil).A > 0.0)
-        True
+        >>> round(float(po.resistance_coefficients(cone, soil).A) / 1e3, 1)
+        2.8
     """
     check_cone(cone)
     check_soil(soil)
@@ -232,8 +232,8 @@ class PlasticGas(ResistanceLaw):
         >>> soil = po.named_soil("serozem")
         >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
         >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", medium=po.laws.PlasticGas())
-        >>> bool(scene.steady_resistance > 0.0)
-        True
+        >>> round(float(scene.steady_resistance) / 1e3, 2)
+        2.41
     """
 
     label = "the plastic gas"

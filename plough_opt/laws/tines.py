@@ -50,8 +50,8 @@ class AsabeD497(ResistanceLaw):
         >>> soil = po.named_soil("serozem")
         >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
         >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", medium=po.laws.AsabeD497())
-        >>> bool(scene.steady_resistance > 0.0)
-        True
+        >>> round(float(scene.steady_resistance) / 1e3, 2)
+        5.59
     """
 
     texture: str = "medium"
@@ -135,8 +135,8 @@ class McKyesAli(TineLaw):
         >>> soil = po.named_soil("serozem")
         >>> share = po.Wedge("30 deg", "35 deg", "25 cm")
         >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", medium=po.laws.McKyesAli(depth=0.35))
-        >>> bool(scene.steady_resistance > 0.0)
-        True
+        >>> round(float(scene.steady_resistance) / 1e3, 2)
+        9.26
     """
 
     label = "McKyes-Ali"
@@ -228,8 +228,8 @@ class UniversalEarthmoving(TineLaw):
         >>> soil = po.named_soil("serozem")
         >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
         >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", medium=po.laws.UniversalEarthmoving(depth=0.35))
-        >>> bool(scene.steady_resistance > 0.0)
-        True
+        >>> round(float(scene.steady_resistance) / 1e3, 2)
+        17.38
     """
 
     rupture_ratio: Expression | None = field(default=None, metadata={"unit": ""})
@@ -307,8 +307,8 @@ class SwickPerumpral(TineLaw):
         >>> still = po.Effects(motion=False)
         >>> law = po.laws.SwickPerumpral(depth=0.35)
         >>> scene = po.Scene(soil, share, "50 kN/m", "30 kg", "2 m/s", still, medium=law)
-        >>> bool(scene.steady_resistance > 0.0)
-        True
+        >>> round(float(scene.steady_resistance) / 1e3, 2)
+        1.89
     """
 
     label = "Swick-Perumpral"

@@ -204,8 +204,8 @@ class WallPressure:
         >>> import plough_opt as po
         >>> soil = po.named_soil("serozem")
         >>> pressure = po.plastic.wall_pressure(soil)
-        >>> bool(pressure.around(po.plastic.Cavity(0.04, 0.5, 0.0), soil) > 0.0)
-        True
+        >>> round(float(pressure.around(po.plastic.Cavity(0.04, 0.5, 0.0), soil)) / 1e3, 1)
+        92.0
     """
 
     strength: Expression
@@ -243,8 +243,8 @@ def wall_pressure(soil: Soil, radius: Expression | None = None) -> WallPressure:
         >>> import plough_opt as po
         >>> soil = po.named_soil("serozem")
         >>> pressure = po.plastic.wall_pressure(soil)
-        >>> type(pressure).__name__
-        'WallPressure'
+        >>> round(float(pressure.around(po.plastic.Cavity(0.04, 0.5, 0.0), soil)) / 1e3, 1)
+        92.0
     """
     check_soil(soil)
     yielding = soil.yielding
@@ -425,8 +425,8 @@ class Stress:
         >>> import plough_opt as po
         >>> soil = po.named_soil("serozem")
         >>> cavity = po.plastic.Cavity(radius=0.04, rate=0.5, acceleration=0.0)
-        >>> bool(po.plastic.stress(0.02, cavity, soil).radial < 0.0)
-        True
+        >>> round(float(po.plastic.stress(0.02, cavity, soil).radial) / 1e3, 1)
+        -180.4
     """
 
     radial: Expression

@@ -48,8 +48,8 @@ class ConeDisplacement:
         >>> import plough_opt as po
         >>> soil = po.named_soil("serozem")
         >>> profile = [(0.0, 0.0), (0.25, 0.05)]
-        >>> type(po.elastic.cone_displacement(0.1, 0.1, profile, soil, 2.0)).__name__
-        'ConeDisplacement'
+        >>> round(1e3 * float(po.elastic.cone_displacement(0.1, 0.1, profile, soil, 2.0).axial), 2)
+        2.41
     """
 
     axial: Expression
@@ -64,8 +64,8 @@ class ConeStress:
         >>> import plough_opt as po
         >>> soil = po.named_soil("serozem")
         >>> profile = [(0.0, 0.0), (0.25, 0.05)]
-        >>> type(po.elastic.cone_stress(0.1, 0.1, profile, soil, 2.0)).__name__
-        'ConeStress'
+        >>> round(float(po.elastic.cone_stress(0.1, 0.1, profile, soil, 2.0).rr) / 1e3, 1)
+        -55.7
     """
 
     xx: Expression
@@ -127,8 +127,8 @@ def cone_displacement(
         >>> soil = po.named_soil("serozem")
         >>> profile = [(0.0, 0.0), (0.25, 0.05)]
         >>> found = po.elastic.cone_displacement(0.1, 0.1, profile, soil, 2.0)
-        >>> bool(found.radial > 0.0)
-        True
+        >>> round(1e3 * float(found.radial), 2)
+        2.4
     """
     return _around(displacement_of, x, r, profile, soil, speed, section_factor)
 
@@ -148,8 +148,8 @@ def cone_stress(
         >>> soil = po.named_soil("serozem")
         >>> profile = [(0.0, 0.0), (0.25, 0.05)]
         >>> found = po.elastic.cone_stress(0.1, 0.1, profile, soil, 2.0)
-        >>> type(found).__name__
-        'ConeStress'
+        >>> round(float(found.rr) / 1e3, 1)
+        -55.7
     """
     return _around(stress_of, x, r, profile, soil, speed, section_factor)
 

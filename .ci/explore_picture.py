@@ -1,4 +1,4 @@
-"""Write docs/explore.png: the page of `plough-opt explore` after a move and a pin, in headless Chromium.
+"""Write docs/images/explore.png: the page of `plough-opt explore` after a move and a pin, in headless Chromium.
 
 python .ci/explore_picture.py
 """
@@ -24,7 +24,7 @@ def main() -> None:
         page.evaluate("ploughOpt.set({ 'share.height': 0.3, 'scene.stiffness': 8e4 })")
         page.locator("#now_cloud").scroll_into_view_if_needed()
         page.locator("#sample", has_text="of 2000").wait_for(timeout=120_000)
-        page.locator("#explore").screenshot(path=ROOT / "docs" / "explore.png")
+        page.locator("#explore").screenshot(path=ROOT / "docs" / "images" / "explore.png")
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "plough_opt").rglob("*.py"))
-PAGES = [*ROOT.glob("[RCA]*.md"), *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [*ROOT.glob("[RCA]*.md"), *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def test_imports_go_one_way_only():

@@ -42,7 +42,7 @@ from plough_opt.studies.tradeoff import assembly
 from plough_opt.studies.uncertainty import distribution
 
 ROOT = Path(__file__).parents[1]
-TEXTS = {path.stem: path.read_text(encoding="utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
+TEXTS = {path.stem: path.read_text(encoding="utf-8") for path in sorted((ROOT / "docs").rglob("*.md"))}
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ def test_formulas_survive_markdown(name):
 
 # --- theory.md: every equation has its function and its test ---
 
-ROW = r"^\| \((\d+)\) \| (.+) \| `([\w.]+)` \| \[.+\]\(\.\./(.+)\) \| `(tests/[\w/.]+)` \|$"
+ROW = r"^\| \((\d+)\) \| (.+) \| `([\w.]+)` \| \[.+\]\(\.\./\.\./(.+)\) \| `(tests/[\w/.]+)` \|$"
 EQUATIONS = re.findall(ROW, TEXTS["theory"], flags=re.MULTILINE)
 LETTER = (ROOT / "tests" / "test_source_equations.py").read_text(encoding="utf-8")
 
@@ -606,7 +606,7 @@ def test_examples_run_as_shown(name, monkeypatch):
 # --- the notebooks run from top to bottom ---
 
 
-NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+NOTEBOOKS = sorted((ROOT / "docs" / "tutorial").glob("*.ipynb"))
 QUICKEST = next(path for path in NOTEBOOKS if path.stem == "02_from_paper_to_code")
 
 

@@ -450,7 +450,7 @@ def test_the_page_states_the_effect_of_the_box(script):
 # --- comparisons with particles and measurements: arithmetic, and the tables of the page from the rows on file ---
 
 
-PAGE = (PROBLEMS.parent / "docs" / "validation.md").read_text(encoding="utf-8")
+PAGE = (PROBLEMS.parent / "docs" / "explanation" / "validation.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -523,7 +523,7 @@ def test_the_page_states_what_one_density_ratio_gives(particles):
     fixed = [draft(dataclasses.replace(soil, density_ratio=soils[1].density_ratio)) for soil in soils]
     one = [force / fixed[1] for force in fixed]
     assert f"{one[0]:.2f}, {one[2]:.2f} and {one[3]:.2f} times that at 50 kPa" in PAGE
-    soils_page = (PROBLEMS.parent / "docs" / "soils.md").read_text(encoding="utf-8")
+    soils_page = (PROBLEMS.parent / "docs" / "howto" / "soils.md").read_text(encoding="utf-8")
     (deepest,) = (r.mean for q in particles.QUESTIONS for r in particles.ratios(q) if r.case.pressure == 200e3)
     assert f"from {one[3]:.2f} to {following[3] / following[1]:.2f} times" in soils_page
     assert f"the particles' is {deepest:.2f} times" in soils_page

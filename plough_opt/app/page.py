@@ -283,10 +283,10 @@ def precision(report: Report) -> str:
 
 
 def trust(report: Report) -> str:
-    """Return how far the model can be trusted, as measured in docs/validation.md."""
+    """Return how far the model can be trusted, as measured in docs/explanation/validation.md."""
     scene = report.run.scene
     if scene.law.lacks("cone_index"):
-        return "This law of resistance is another author's; see docs/crosscheck.md for where it was compared."
+        return "This law of resistance is of another author; docs/explanation/crosscheck.md compares it."
     measured = float(scene.soil.strength_factor) != 1.0 or report.problem.readings
     level = "follows from a penetrometer's reading" if measured else "must be measured: give a cone index in [soil]"
     return (

@@ -167,7 +167,7 @@ def print_comparison(screen: Screen, comparison: Comparison) -> None:
             screen.print(title, style="bold")
         for sentence in sentences:
             screen.print(f"* {sentence}", soft_wrap=True)
-    screen.print("Agreement of two models validates neither. docs/crosscheck.md says why they differ.", soft_wrap=True)
+    screen.print("Two models that agree may both be wrong: docs/explanation/crosscheck.md.", soft_wrap=True)
 
 
 def _scene_table(problem: Problem, scene: Scene, share: str = "") -> Grid:

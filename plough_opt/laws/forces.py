@@ -202,7 +202,7 @@ def cone_index(soil: Soil) -> Expression:
     size; with a density profile it is that of a base of 323 mm^2.
 
     Laboratory values of cohesion, friction and density ratio often give far too low a level, by up to two orders of
-    magnitude in sand; see docs/soils.md, and `Soil.from_cone_index` for adjusting a soil to a reading.
+    magnitude in sand; see docs/howto/soils.md, and `Soil.from_cone_index` for adjusting a soil to a reading.
 
     Args:
         soil: the soil; its properties may be floats, NumPy arrays or CasADi expressions, and the result has their type.

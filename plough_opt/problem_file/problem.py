@@ -131,7 +131,7 @@ class Problem:
 
     @property
     def reliance(self) -> tuple[str, ...]:
-        """Warnings that this design relies on what did not hold when the model was tried: docs/validation.md."""
+        """Warnings that this design relies on what did not hold when tried; see docs/explanation/validation.md."""
         if self.shares:
             return tuple(dict.fromkeys(text for part in self.shares.values() for text in part.reliance))
         if not self.table.scene.law.slender:

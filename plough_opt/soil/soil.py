@@ -40,7 +40,7 @@ CONE_HALF_ANGLE = math.radians(15.0)
 Adjust: TypeAlias = Literal["strength factor", "cohesion", "density ratio"]
 """Property of a soil that a cone index can determine."""
 
-# No source in docs/soils.md has a larger value. At this density ratio the front is at 4.5 cone radii.
+# No source in docs/howto/soils.md has a larger value. At this density ratio the front is at 4.5 cone radii.
 _MOST_COHESION = 100e3
 _MOST_DENSITY_RATIO = 0.95
 

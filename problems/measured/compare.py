@@ -1,4 +1,4 @@
-"""Compare the toolkit's models with measurements of others, and print the tables of docs/validation.md.
+"""Compare the toolkit's models with measurements of others, and print the tables of docs/explanation/validation.md.
 
 python problems/measured/compare.py [--plot FILE]
 """

@@ -404,7 +404,7 @@ TABLES = {
 
 
 def main() -> None:
-    """Print the tables of docs/validation.md and, on demand, draw the picture."""
+    """Print the tables of docs/explanation/validation.md and, on demand, draw the picture."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plot", type=Path, metavar="FILE", help="picture of the ratios")
     chosen = parser.parse_args()

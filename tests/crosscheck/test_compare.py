@@ -22,9 +22,9 @@ from plough_opt.laws.tines import POINTS, TEXTURES, draft_of_row, godwin_draft, 
 from plough_opt.laws.wedge import GRAVITY, wedge_angles
 from plough_opt.studies.crosscheck import Tine, asabe_draft, compare, mckyes_ali_draft, swick_perumpral_draft
 
-# --- comparison of draft models: arguments, estimates, table and picture; and the numbers in docs/crosscheck.md ---
+# --- comparison of draft models: arguments, estimates, table, picture; numbers in docs/explanation/crosscheck.md ---
 
-PAGE = (PROBLEMS.parent / "docs" / "crosscheck.md").read_text(encoding="utf-8")
+PAGE = (PROBLEMS.parent / "docs" / "explanation" / "crosscheck.md").read_text(encoding="utf-8")
 SPEEDS = [3.0 / 3.6, 9.0 / 3.6]
 SOIL = po.named_soil("serozem")
 SHARE = po.Wedge(angle=po.deg(39.1), chisel_angle=po.deg(15.0), height=0.254)
@@ -209,7 +209,7 @@ def test_a_scene_with_another_law_is_named_after_it():
     assert "speed = 6" in fast.refusal
 
 
-# --- docs/crosscheck.md ---
+# --- docs/explanation/crosscheck.md ---
 
 
 def test_the_page_states_the_effect_of_speed():

@@ -266,7 +266,7 @@ def test_variables_in_products_are_searched():
 
 
 def test_a_file_takes_the_variables_of_the_page_and_the_worst_within_tolerances(tmp_path):
-    page = (PROBLEMS.parent / "docs" / "tolerances.md").read_text(encoding="utf-8")
+    page = (PROBLEMS.parent / "docs" / "howto" / "tolerances.md").read_text(encoding="utf-8")
     variables, catalogues = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
     path = tmp_path / "share.toml"
 

@@ -100,7 +100,7 @@ def test_a_point_that_kills_three_workers_is_undetermined_until_a_retry(tmp_path
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_sweep_whose_workers_all_die_or_cannot_begin_ends_with_the_reason(monkeypatch):
-    assert pools._PATIENCE == 40.0  # as docs/sweeps.md says
+    assert pools._PATIENCE == 40.0  # as docs/howto/sweeps.md says
     monkeypatch.setattr(pools, "_PATIENCE", 0.5)
     for evaluation, command, words in (
         (swept.Unreadable(), pools._command, "the worker processes could not begin: RuntimeError: not here"),

@@ -439,7 +439,7 @@ def test_questions_that_cannot_be_answered(written, change, arguments, status, w
 
 
 def test_the_tables_of_the_page_are_those_of_the_file():
-    page = (FILE.parents[1] / "docs" / "uncertain_soil.md").read_text(encoding="utf-8")
+    page = (FILE.parents[1] / "docs" / "howto" / "uncertain_soil.md").read_text(encoding="utf-8")
     given = tomllib.loads("".join(re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)))
     file, table = tomllib.loads(TEXT), given["uncertain"]
     assert {key: table[key] for key in file["uncertain"]} == file["uncertain"]

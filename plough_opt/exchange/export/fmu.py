@@ -262,7 +262,7 @@ def write_fmu(
 
     The input is the strut's speed or position. The outputs are travel, speed, deflection, mount force and soil
     resistance. Every number of soil, share, mount and effects is a parameter, which may change at events ("tunable");
-    see docs/fmu.md. The importing tool integrates the FMU; event indicators mark stick, slip and entry. The FMU
+    see docs/howto/fmu.md. The importing tool integrates the FMU; event indicators mark stick, slip and entry. The FMU
     computes its start from the parameters and from the input at that time.
 
     Args:

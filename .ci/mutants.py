@@ -156,7 +156,7 @@ def _mutant(path: Path, source: str, k: int) -> Mutant:
 
 def copied(source: Path, to: Path) -> Path:
     """Copy everything the tests read, with compiled bytecode."""
-    for name in ("plough_opt", "tests", "problems", "docs", ".ci"):
+    for name in ("plough_opt", "tests", "problems", "docs", "notebooks", ".ci"):
         shutil.copytree(source / name, to / name)
     for name in ("pyproject.toml", "README.md", "CONTRIBUTING.md", "ARCHITECTURE.md"):
         shutil.copy(source / name, to / name)

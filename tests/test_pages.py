@@ -606,7 +606,7 @@ def test_examples_run_as_shown(name, monkeypatch):
 # --- the notebooks run from top to bottom ---
 
 
-NOTEBOOKS = sorted((ROOT / "docs" / "tutorial").glob("*.ipynb"))
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 QUICKEST = next(path for path in NOTEBOOKS if path.stem == "02_from_paper_to_code")
 
 

@@ -2,11 +2,11 @@
 
 from plough_opt.design.certify.tolerance import Spread
 from plough_opt.design.embedding import NonlinearProgram
+from plough_opt.design.over_tolerances import Over
 from plough_opt.design.question import Design
 from plough_opt.design.result.optimum import Choice, Limit, LocalOptimum, Optimum, Rounded, Search
 from plough_opt.design.result.sensitivity import Sensitivity
 from plough_opt.design.search.explore import Progress
-from plough_opt.design.solving import Over
 
 __all__ = [
     "Choice",

@@ -30,10 +30,11 @@ from plough_opt.design.certify.tolerance import Judge
 from plough_opt.design.declarations import EVERYWHERE, Declarations, Parameter, Requirement, Variable
 from plough_opt.design.embedding import NonlinearProgram, ipopt_options
 from plough_opt.design.model.program import Program
+from plough_opt.design.over_tolerances import Over, ToleranceBoxSolver
 from plough_opt.design.result.optimum import Optimum
 from plough_opt.design.search.effort import Search, TimeLimit
 from plough_opt.design.search.explore import Progress, silent
-from plough_opt.design.solving import Over, Request, ToleranceBoxSolver, solve_program
+from plough_opt.design.solving import Request, solve_program
 
 Written: TypeAlias = Any
 """A number, a text such as "50 kN/m", or a pint quantity."""

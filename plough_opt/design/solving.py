@@ -1,23 +1,19 @@
-"""The solve of a program, or of one over its tolerance box: search, refinement, certificate and report."""
+"""The solve of a program: search, refinement, certificate and report."""
 
-import math
+from __future__ import annotations
+
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from typing import Final, Literal
 
-import casadi as ca
 import numpy as np
 
 from plough_opt.core.compiler import compiler_problem
-from plough_opt.core.errors import InfeasibleDesign, NotConverged
-from plough_opt.core.expressions import Column
+from plough_opt.core.errors import NotConverged
 from plough_opt.design.certify.confirmation import converged_tightly, flat_directions, minimum_from, with_enough_steps
-from plough_opt.design.certify.tolerance import BOX_DESIGNS, Judge, boxes, corners, ranked, ranking_criterion, unit_box
-from plough_opt.design.declarations import Declarations, Requirement, Variable
+from plough_opt.design.certify.tolerance import Judge, ranked, ranking_criterion
 from plough_opt.design.model.ipopt import Point, Vector
 from plough_opt.design.model.program import Program, with_sure_steps
-from plough_opt.design.model.split import split
 from plough_opt.design.result.catalogue import rounded
 from plough_opt.design.result.optimum import Optimum
 from plough_opt.design.result.optimum import Search as SearchRecord
@@ -25,10 +21,9 @@ from plough_opt.design.result.reporting import remarks, reports
 from plough_opt.design.result.sensitivity import Solved
 from plough_opt.design.search.effort import CAN_WIN, FEW_VARIABLES, Search, TimeLimit, effort_of, searched
 from plough_opt.design.search.explore import Explored, Explorer, Progress
-from plough_opt.design.search.landscape import FEASIBLE, Evaluations, Landscape
+from plough_opt.design.search.landscape import Evaluations, Landscape
 from plough_opt.design.search.local import AS_FOUND, descend, point_as_found, polished
 from plough_opt.design.search.near import feasible_from, near_optimum
-from plough_opt.design.search.points import evaluated_sample
 
 # Basins that IPOPT optimises in each round of the search: with few variables, and with more.
 _MOST_POLISHED_OF_FEW = 8
@@ -37,6 +32,14 @@ _MOST_POLISHED_OF_MANY = 3
 _LEAST_SCALE = 1e-4
 # Optima count as the same if no scaled variable differs by this much.
 _SAME_OPTIMUM = 1e-4
+
+
+@dataclass(frozen=True)
+class Known:
+    """Results of an earlier search: scaled designs that are nearly optimal, a row each, and its record."""
+
+    points: Vector
+    search: SearchRecord
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,7 @@ class Request:
         progress: called with what is being done and the fraction done.
         started: time at which the solve began [s].
         limit: of the processor time of the search.
+        known: results of an earlier search, from which to optimise instead of searching; None to search.
     """
 
     p: Vector
@@ -60,6 +64,7 @@ class Request:
     progress: Progress
     started: float
     limit: TimeLimit
+    known: Known | None = None
 
 
 def solve_program(program: Program, request: Request) -> Optimum:
@@ -93,7 +98,9 @@ class _Solve:
         given = {variable.number for variable in landscape.eliminated}
         vary = tuple(k for k in vary if k not in given) or vary
         explored: Explored | None = None
-        if vary:
+        if (known := self._request.known) is not None:
+            points = self._from_known(known.points)
+        elif vary:
             explored, points = self._search(vary)
         else:
             self._progress("solving from the guess", 0.0)
@@ -108,6 +115,7 @@ class _Solve:
         best = minimum_from(program, p, best)
         optima, warnings = reports(program, landscape, [best, *points[1:]])
         confirmed = best.status != AS_FOUND
+        record = known.search if known else self._record(vary, explored, len(points))
         directions = flat_directions(program, p, best) if confirmed else []
         rounder = partial(rounded, self._request.judge, self._request.seed, optima[0].objective)
         return Optimum(
@@ -116,12 +124,12 @@ class _Solve:
             over=program.over,
             flat_directions=tuple(_in_units(program, best, d) for d in directions),
             local_optima=optima,
-            search=self._record(vary, explored, len(points)),
+            search=record,
             seconds=time.perf_counter() - self._request.started,
             warnings=(
                 *limit.warnings(),
                 *accuracy_warnings,
-                *remarks(explored, best, optima[0], program.ipopt),
+                *remarks(record.objective, best, optima[0], program.ipopt),
                 *warnings,
             ),
             solved=Solved(program, p, best, rounder=rounder),
@@ -159,6 +167,14 @@ class _Solve:
                 "no optimum",
             )
         return explored, points
+
+    def _from_known(self, known: Vector) -> list[Point]:
+        """Return the local optima near designs that are known to be nearly optimal."""
+        minima = self._landscape(known)
+        points = self._optima(minima, 0, len(known), _LEAST_SCALE * float(np.nanmedian(np.abs(minima.f))))
+        if not points:
+            raise NotConverged("no optimum lies near the designs that are known to be nearly optimal", "no optimum")
+        return points
 
     def _optima(self, minima: Evaluations, variables: int, rounds: int, least_scale: float) -> list[Point]:
         """Return the local optima of those basins that can be best.
@@ -230,147 +246,3 @@ def _in_units(program: Program, point: Point, direction: Vector) -> dict[str, fl
     ends = [np.clip(point.y + sign * step, 0.0, 1.0) for sign in (1.0, -1.0)]
     change = program.values(max(ends, key=lambda end: float(np.sum(np.abs(end - point.y))))) - program.values(point.y)
     return {v.name: float(x) for v, x in zip(program.declared.variables, change, strict=True) if not v.auxiliary}
-
-
-Over = Literal["mean", "worst"]
-"""Which value of the objective over the tolerance box is minimised: its mean, or the worst."""
-
-WORST = "worst objective\n"
-"""Name of the auxiliary variable that bounds the objective of every design in the box; users' names have no line."""
-
-# The requirement that does so; sensitivities call its sides by this name.
-_BELOW_WORST: Final = "one of the worst designs within the tolerances\n"
-# Most runs of all designs in a box together: they take seconds for a whole solve.
-_MOST_RUNS_IN_BOX = 64
-# Fewest designs in a box.
-_FEWEST_IN_BOX = 8
-# Designs whose boxes are sampled to find bounds on the worst objective.
-_BOUNDING_SAMPLE = 256
-# The lower bound lies below the lowest sampled objective by this many times the sampled range. Bounds that prove too
-# narrow are extended by as much.
-_BELOW = 2.0
-# An optimum within this fraction of the range from the lower bound calls for a lower one.
-_AT_THE_BOUND = 1e-6
-
-
-class ToleranceBoxSolver:
-    """Solves a design over its tolerance box; it keeps the last program for further solves."""
-
-    def __init__(self, bare: Program, over: Over) -> None:
-        """Take the program of the bare design, and which value of its objective to minimise."""
-        self._bare, self._over = bare, over
-        # The last program, with the parameters and the bounds of the worst objective it was built for.
-        self._built: tuple[tuple[bytes, tuple[float, float]] | None, Program] | None = None
-
-    def solve(self, request: Request) -> Optimum:
-        """Return the best optimum."""
-        bounds, p = None, request.p
-        if self._over == "worst":
-            request.progress("sampling tolerances", 0.0)
-            bounds = bounds_on_worst(self._bare, p)
-        raised = False
-        while True:
-            try:
-                best = solve_program(self._program(p, bounds), request)
-            except InfeasibleDesign as error:
-                if bounds is None or list(error.conflicts) != [_BELOW_WORST]:
-                    raise
-                if raised:
-                    raise NotConverged(
-                        f"every design that was tried has an objective above {bounds[1]:.6g} somewhere within its"
-                        " tolerances: narrow the tolerances, or tighten the bounds",
-                        "no optimum",
-                    ) from None
-                # The optimum is higher than the sample suggested.
-                reach = max(bounds[1] - bounds[0], error.conflicts[_BELOW_WORST])
-                bounds, raised = (bounds[0], bounds[1] + _BELOW * reach), True
-                continue
-            if bounds is None or best.objective > bounds[0] + _AT_THE_BOUND * (bounds[1] - bounds[0]):
-                return best
-            # The optimum is lower than the sample suggested: extend the range downwards and solve again.
-            bounds = bounds[0] - _BELOW * (bounds[1] - bounds[0]), bounds[1]
-
-    def _program(self, p: Vector, bounds: tuple[float, float] | None) -> Program:
-        key = None if bounds is None else (p.tobytes(), bounds)
-        if self._built is None or self._built[0] != key:
-            # Requirements implied by theories are derived again, from the expressions of every design in the box.
-            own = replace(self._bare.declared, requirements=self._bare.own_requirements)
-            count = designs_per_box(own)
-            over = (
-                f"the objective is the {self._over} of {count} designs within the tolerances, all of which meet the"
-                " requirements"
-            )
-            if own.requirements:
-                over += f", as do {len(corners(len(own.variables), count))} corners of the box"
-            declared = over_box(own, count, bounds)
-            self._built = (
-                key,
-                Program.of(declared, compiled=self._bare.compiled, bare=self._bare, over=over, ipopt=self._bare.ipopt),
-            )
-        return self._built[1]
-
-
-def over_box(declared: Declarations, count: int, bounds: tuple[float, float] | None) -> Declarations:
-    """Return a design problem over a sample of the tolerance box around the chosen design.
-
-    The sampled designs have their variables within the tolerances, clipped at the bounds. All of them must meet the
-    requirements, and so must the corners of the box, or with many variables some of them.
-
-    Args:
-        declared: the problem of the bare design.
-        count: number of sampled designs, a power of two.
-        bounds: of their worst objective, which is minimised; None to minimise their mean.
-    """
-    symbols = [v.symbol for v in declared.variables]
-    expressions = [declared.objective, *(r.expression for r in declared.requirements)]
-    found = []
-    for position in np.vstack([unit_box(len(symbols))[:count], corners(len(symbols), count)]):
-        within: list[Column] = [
-            v.within_tolerance(v.symbol, float(part)) for v, part in zip(declared.variables, position, strict=True)
-        ]
-        found.append(ca.graph_substitute(expressions, symbols, within))
-    objectives = ca.vertcat(*(objective for objective, *_ in found[:count]))
-    columns = [ca.vertcat(*column) for column in [*zip(*found, strict=True)][1:]]
-    everywhere = [replace(r, expression=column) for r, column in zip(declared.requirements, columns, strict=True)]
-    if bounds is None:
-        mean = ca.sum1(objectives) / objectives.numel()
-        return replace(declared, objective=mean, requirements=tuple(everywhere))
-    worst = Variable(WORST, ca.MX.sym(WORST), bounds[1], *bounds, "", False, 0.0, auxiliary=True)
-    below = Requirement(_BELOW_WORST, objectives - worst.symbol, None, 0.0, "", auxiliary=True)
-    return replace(
-        declared, variables=(*declared.variables, worst), objective=worst.symbol, requirements=(*everywhere, below)
-    )
-
-
-def designs_per_box(declared: Declarations) -> int:
-    """Return the number of designs sampled in a box: fewer if a design has several runs, or runs that take long."""
-    parts = split([declared.objective, *(r.expression for r in declared.requirements)], declared.symbols())
-    runs = max(1, len(parts.runs))
-    if not all(run.integration.structure.stepped for run in parts.runs):
-        return _FEWEST_IN_BOX
-    return max(_FEWEST_IN_BOX, min(BOX_DESIGNS, 1 << int(math.log2(max(1, _MOST_RUNS_IN_BOX // runs)))))
-
-
-def bounds_on_worst(program: Program, p: Vector) -> tuple[float, float]:
-    """Return bounds on the lowest possible worst objective over a tolerance box, estimated from a sample.
-
-    Args:
-        program: of the bare design.
-        p: parameters.
-    """
-    landscape = Landscape(program.at(p, any_guess=True), p)
-    sampled = evaluated_sample(landscape, _BOUNDING_SAMPLE if landscape.vectorised else _FEWEST_IN_BOX)
-    valid = np.flatnonzero(np.isfinite(sampled.f))
-    # All designs in a box are made as they are: no variable is solved for again.
-    made = Landscape(landscape.program, p, range(landscape.dimensions))
-    inside = made(boxes(program.declared.variables, sampled.points[valid]))
-    worst, violation = (part.reshape(-1, BOX_DESIGNS).max(axis=1) for part in (inside.f, inside.violation))
-    feasible = np.isfinite(worst) & (violation <= FEASIBLE)
-    if np.any(feasible):
-        high = float(worst[feasible].min())
-    else:
-        high = float(np.max(worst[np.isfinite(worst)], initial=float(np.max(sampled.f[valid], initial=1.0))))
-    low = float(np.min(sampled.f[valid], initial=high))
-    # The range must not be empty, even for a constant objective.
-    reach = max(high - low, abs(high), 1e-6)
-    return (low - _BELOW * reach) * landscape.objective_scale, (high + reach) * landscape.objective_scale

@@ -16,7 +16,7 @@ from helpers.scenes import scene_of
 from helpers.small_designs import design
 
 import plough_opt as po
-from plough_opt.design import Rounded, solving
+from plough_opt.design import Rounded, over_tolerances
 from plough_opt.design.certify.tolerance import BOX_DESIGNS, boxes, corners
 
 # --- the mean and the worst objective within tolerances, variables solved for in closed form, and tolerances in files
@@ -85,9 +85,32 @@ def test_neither_the_guess_nor_a_sample_needs_a_value(over, guess, objective, wa
 
 @pytest.mark.parametrize("bounds", [(4.0, 5.0), (0.1, 0.2)], ids=["below", "above"])
 def test_a_worst_objective_beyond_the_first_bounds_is_found(monkeypatch, bounds):
-    monkeypatch.setattr(solving, "bounds_on_worst", lambda *_: bounds)
+    monkeypatch.setattr(over_tolerances, "bounds_on_worst", lambda *_: bounds)
     worst = 1.0 + (np.ptp(_offsets(_parabola(None), 0.7)) / 2.0) ** 2
     assert _parabola("worst").solve().objective == pytest.approx(worst, rel=1e-9)
+
+
+@pytest.mark.parametrize("first", [(0,), (5, 66)])
+def test_positions_that_turn_out_worse_than_the_first_join_them(monkeypatch, first):
+    def solved():
+        d, x, y = design(**BOXED)
+        d.minimise(2.0 * x + y + 0.3 * (y - 3.0) ** 2, over="worst")
+        d.require("yield", x * y, at_least=3.0)
+        return d.solve()
+
+    every = tuple(range(BOX_DESIGNS + 4))
+    answers = []
+    for positions in (first, every):
+        monkeypatch.setattr(over_tolerances.ToleranceBoxSolver, "_first_positions", lambda *_, chosen=positions: chosen)
+        answers.append(solved())
+    some, all_at_once = answers
+    assert some.objective == pytest.approx(all_at_once.objective, rel=1e-9)
+    assert some.variables == pytest.approx(all_at_once.variables, rel=1e-6)
+    assert some.margins["yield"] == pytest.approx(all_at_once.margins["yield"], abs=1e-8)
+    assert some.spread.kept == 1.0
+    assert some.search.designs > 0
+    by_yield = [best.sensitivity("yield") for best in answers]
+    assert by_yield[0].objective == pytest.approx(by_yield[1].objective, rel=1e-6)
 
 
 def test_a_linear_variable_is_made_within_its_tolerance_too():
@@ -138,8 +161,8 @@ def test_what_the_program_adds_is_not_named_if_a_requirement_fails():
 
 
 def test_what_the_program_adds_is_not_named_if_no_bound_suffices(monkeypatch):
-    monkeypatch.setattr(solving, "bounds_on_worst", lambda *_: (0.1, 0.2))
-    monkeypatch.setattr(solving, "_BELOW", 0.0)
+    monkeypatch.setattr(over_tolerances, "bounds_on_worst", lambda *_: (0.1, 0.2))
+    monkeypatch.setattr(over_tolerances, "_BELOW", 0.0)
     with pytest.raises(po.NotConverged, match=r"objective above 0[.]2 somewhere within its tolerances") as error:
         _parabola("worst").solve()
     assert "worst" not in str(error.value)
@@ -164,7 +187,7 @@ RUNS = [(1, {}, BOX_DESIGNS), (3, {}, 16), (40, {}, 8), (1, {"contact": po.Stick
 def test_a_box_holds_fewer_designs_if_these_take_long(runs, effects, count):
     d, k0 = design(stiffness=(5e4, 2e4, 1e5))
     d.minimise(sum(po.simulate(scene_of(stiffness=k0 + k, **effects), 0.1).mean_draft for k in range(runs)))
-    assert solving.designs_per_box(d.declared) == count
+    assert over_tolerances.designs_per_box(d.declared) == count
 
 
 BOXED = {"x": (1.0, 0.1, 10.0, "", False, 0.2), "y": (2.0, 0.1, 10.0, "", False, "5 %")}

@@ -102,7 +102,8 @@ def ranked(landscape: Landscape, judge: Judge, points: Vector) -> list[int]:
     if len(points) == 1:
         return [0]
     own = landscape(points, finer=FINER).f
-    if judge == "bare" or not landscape.vectorised:
+    # A program over a whole tolerance box accounts for the tolerances already.
+    if judge == "bare" or not landscape.vectorised or landscape.program.bare is not None:
         return [int(k) for k in np.argsort(own, kind="stable")]
     low, median, high = np.quantile(_objectives(landscape, points, FINER), (0.25, 0.5, 0.75), axis=1, method="higher")
     error = _MEDIAN_ERROR * np.where(np.isfinite(high), high - low, np.inf)

@@ -258,7 +258,9 @@ class Program:
         """
         key, cache = p.tobytes(), self._caches.values_at_guess
         if key not in cache:
-            check_bounds(self.declared, self.exact, p)
+            # Designs in a tolerance box lie between the bounds as well.
+            own = self.bare or self
+            check_bounds(own.declared, own.exact, p)
         try:
             implied = self.declared.requirements[len(self.own_requirements) :]
             values = _cached(cache, key, 1, lambda: values_at_guess(self.declared, self.exact, implied, p))

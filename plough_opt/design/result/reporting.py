@@ -11,7 +11,6 @@ from plough_opt.design.model.ipopt import Point, Vector
 from plough_opt.design.model.optimality import decides
 from plough_opt.design.model.program import Program
 from plough_opt.design.result.optimum import Limit, LocalOptimum
-from plough_opt.design.search.explore import Explored
 from plough_opt.design.search.landscape import Landscape
 from plough_opt.design.search.local import AS_FOUND
 from plough_opt.motion.checks import remarks as remarks_on_run
@@ -27,16 +26,16 @@ _NEARLY_MET = 0.05
 _MOST_MOUNTS = 4
 
 
-def remarks(explored: Explored | None, point: Point, best: LocalOptimum, options: Collection[str]) -> Iterator[str]:
+def remarks(sampled: Vector, point: Point, best: LocalOptimum, options: Collection[str]) -> Iterator[str]:
     """Yield warnings about designs that could not be evaluated, an unconfirmed optimum, and a needle.
 
     Args:
-        explored: the search, or None.
+        sampled: objectives of a search's sample, NaN where there is none; empty without a search.
         point: the best point.
         best: its report.
         options: names of the options of IPOPT that the user gave.
     """
-    if explored is not None and (part := np.mean(np.isnan(explored.sample.f))):
+    if part := np.mean(np.isnan(sampled)) if len(sampled) else 0.0:
         yield (
             f"{100.0 * part:.2g} % of the designs tried between the bounds could not be evaluated and were skipped:"
             " they leave the model's domain, or the share runs away or oscillates too fast; tighten the bounds, shorten"

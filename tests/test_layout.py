@@ -22,7 +22,9 @@ def test_imports_go_one_way_only():
 
 
 def test_files_are_about_one_story():
-    assert [path for path in SOURCES if len(path.read_text(encoding="utf-8").splitlines()) > 700] == []
+    for path in SOURCES:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        assert len([line for line in lines if not line.lstrip().startswith((">>> ", "... "))]) <= 700, path
 
 
 def test_constants_of_designs_have_names_of_their_own():

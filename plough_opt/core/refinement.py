@@ -49,6 +49,12 @@ class Refinement:
 
         Raises:
             InputError: the error is invalid, or not reached at any size.
+
+        Example:
+            >>> import plough_opt as po
+            >>> found = po.refine(lambda n: 1.0 + 1.0 / n**2, [8, 16, 32, 64])
+            >>> found.size_for(0.005)
+            16
         """
         error = plain_number("error", error)
         if error < 0.0:

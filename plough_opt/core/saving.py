@@ -206,6 +206,13 @@ class Saveable(ByValue, Readable):
 
         Raises:
             InputError: the result contains something that cannot be saved.
+
+        Example:
+            >>> import json
+            >>> import plough_opt as po
+            >>> run = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"]).simulate()
+            >>> json.loads(run.to_json())["kind"]
+            'run'
         """
         origin: Origin = getattr(self, "origin", Origin())
         head = to_plain(_Head(SCHEMA, self.kind, origin.title, self.made_by, page or self.shown_page()), _Head)
@@ -219,6 +226,15 @@ class Saveable(ByValue, Readable):
 
         Raises:
             InputError: the result contains something that cannot be saved, or the file cannot be written.
+
+        Example:
+            >>> import tempfile
+            >>> import plough_opt as po
+            >>> run = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"]).simulate()
+            >>> with tempfile.TemporaryDirectory() as folder:
+            ...     path = run.save(f"{folder}/run.json")
+            >>> path.name
+            'run.json'
         """
         return write_file(path, "result", f"{self.to_json()}\n")
 
@@ -228,6 +244,15 @@ class Saveable(ByValue, Readable):
 
         Raises:
             InputError: the file does not exist, or does not hold a result of this kind and layout.
+
+        Example:
+            >>> import tempfile
+            >>> import plough_opt as po
+            >>> run = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"]).simulate()
+            >>> with tempfile.TemporaryDirectory() as folder:
+            ...     again = po.Run.load(run.save(f"{folder}/run.json"))
+            >>> bool(again.mean_draft == run.mean_draft)
+            True
         """
         return read_result(path, {cls.kind: cls})
 

@@ -105,6 +105,13 @@ class Design:
             InputError: the name is missing or was declared before, a value is not a number, ``unit`` is not an SI unit
                 although numbers are plain, the bounds contradict each other, the guess or ``log``, or tolerance or
                 domain is not valid.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> stiffness = design.variable("stiffness", guess="50 kN/m", lower="5 kN/m", upper="500 kN/m", log=True)
+            >>> stiffness.shape
+            (1, 1)
         """
         self._refuse_again(name)
         what = f"variable '{name}'"
@@ -132,6 +139,16 @@ class Design:
         Raises:
             InputError: the value is not finite or lies outside the domain, ``unit`` is not an SI unit although the
                 value is a plain number, or the name was declared before.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> least = design.parameter("least", "60 mm", unit="m")
+            >>> design.require("half of it above the least", height / 2.0 - least, at_least="0 mm")
+            >>> design.minimise(height**2)
+            >>> [round(design.solve(parameters={"least": size}).variables["height"], 6) for size in ("60 mm", "80 mm")]
+            [0.12, 0.16]
         """
         self._refuse_again(name)
         (at,), unit, _ = _read(f"parameter '{name}'", name, unit, (value,), None)
@@ -153,6 +170,14 @@ class Design:
 
         Raises:
             InputError: the objective is not a scalar CasADi expression or number, or ``over`` is another word.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm", tolerance="5 mm")
+            >>> design.minimise(height**2, over="worst")
+            >>> round(design.solve(search="near").objective, 6)  # 105 mm squared
+            0.011021
         """
         if over is not None:
             check_choice("over", over, ("worst", "mean"), ", within the tolerances, or None")
@@ -184,6 +209,15 @@ class Design:
         Raises:
             InputError: there is no limit, a limit is not a number, ``unit`` is not an SI unit although limits are plain
                 numbers, the limits contradict each other, or the name is missing or was declared before.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> design.require("half of it", height / 2.0, at_least="60 mm")
+            >>> design.minimise(height**2)
+            >>> design.solve(search="near").active
+            ('half of it',)
         """
         self._refuse_again(name)
         (least, most), unit, display = _read(f"requirement '{name}'", name, unit, (at_least, at_most), display, _SIDES)
@@ -244,6 +278,14 @@ class Design:
             InfeasibleDesign: no design meets the requirements; the error names the conflicting ones and their
                 violations.
             NotConverged: the optimiser stopped without an optimum; the error says why and what to do.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> design.minimise((height - 0.3) ** 2)
+            >>> round(design.solve().variables["height"], 6)
+            0.3
         """
         started, limit = time.perf_counter(), TimeLimit(search)
         check_choice("judge", judge, ("tolerance", "bare"))
@@ -281,7 +323,17 @@ class Design:
                 unknown, a parameter's value is not valid, or the model has no value at the guess.
             DomainError: the bounds exceed the model's domain, or a motion is too fast to integrate.
 
-        Example: see `NonlinearProgram`.
+        Example:
+            >>> import casadi as ca
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> design.minimise((height - 0.3) ** 2)
+            >>> nlp = design.nlp()
+            >>> silent = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
+            >>> solver = ca.nlpsol("solver", "ipopt", nlp.problem, silent)
+            >>> round(nlp.variables(solver(**nlp.arguments)["x"])["height"], 6)
+            0.3
         """
         if self._over is not None:
             raise InputError("nlp() returns the program of one design: call minimise without over first")

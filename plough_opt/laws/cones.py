@@ -21,7 +21,13 @@ _LABEL = "the spherical cavity (Forrestal-Luk)"
 class ElasticMedium(ResistanceLaw):
     """Linear elastic soil around the equivalent cone: `po.elastic.cone_force`, an order of magnitude.
 
-    It holds below the shear wave speed, for soil with Young's modulus and Poisson's ratio.
+    It holds below the shear wave speed, for soil with Young's modulus and Poisson's ratio, and gives the contact force
+    of steady sliding: a scene must have ``Effects(motion=False)``. Strains on the face of a cone are of order one, so
+    neither the force nor its dependence on the speed is reliable. Its equations are those of a slender body in a
+    linear elastic medium. It has no arguments.
+
+    Raises:
+        DomainError: by `reaction`: the soil has no elastic constants, or the speed reaches that of shear waves.
 
     Example:
         >>> import plough_opt as po
@@ -49,11 +55,30 @@ class ElasticMedium(ResistanceLaw):
     slender = True
 
     def reaction(self, at: ShareInSoil) -> SoilReaction:
-        """Return the contact force at the tow speed as F0."""
+        """Return the contact force at the tow speed as F0 [N].
+
+        Raises:
+            DomainError: as `po.elastic.cone_force`.
+
+        Example:
+            >>> import plough_opt as po
+            >>> share = po.Wedge("30 deg", "35 deg", "25 cm")
+            >>> at = po.ShareInSoil(share, share.equivalent_cone(), po.named_soil("serozem"), 2.0)
+            >>> round(float(po.laws.ElasticMedium().reaction(at).static) / 1e3, 1)
+            146.3
+        """
         return SoilReaction(static=cone_force(at.cone, at.soil, at.speed))
 
     def warnings(self, at: ShareInSoil) -> tuple[str, ...]:
-        """Return a warning that the force is an order of magnitude, and those of the base class."""
+        """Return a warning that the force is an order of magnitude, and those of the base class.
+
+        Example:
+            >>> import plough_opt as po
+            >>> share = po.Wedge("30 deg", "35 deg", "25 cm")
+            >>> at = po.ShareInSoil(share, share.equivalent_cone(), po.named_soil("serozem"), 2.0)
+            >>> len(po.laws.ElasticMedium().warnings(at))
+            1
+        """
         return (
             "the elastic medium's force on a cone is an order of magnitude: strains on its face are of order one,"
             " and its dependence on speed is not reliable",
@@ -64,6 +89,14 @@ class ElasticMedium(ResistanceLaw):
 @dataclass(frozen=True)
 class SphericalCavity(ResistanceLaw):
     """`spherical_cavity_draft` as a law: F0 and Fd of the equivalent cone, without added mass and loosened radius.
+
+    The pressure on a spherical cavity that grows behind a compaction front, after Forrestal and Luk, Int. J. Impact
+    Engineering 12 (1992) 427-444, derived anew in that form. It was made for projectiles; no test against tillage is
+    known. It holds while elastic strains at the front stay below 5 % and the front is slower than elastic waves, and
+    ignores working depth, the free surface and the shank. It has no arguments.
+
+    Raises:
+        DomainError: by `reaction`: see `spherical_cavity_draft`.
 
     Example:
         >>> import plough_opt as po
@@ -82,7 +115,18 @@ class SphericalCavity(ResistanceLaw):
     }
 
     def reaction(self, at: ShareInSoil) -> SoilReaction:
-        """Return F0 [N] and Fd [N s^2/m^2]: see `spherical_cavity_draft`."""
+        """Return F0 [N] and Fd [N s^2/m^2]: see `spherical_cavity_draft`.
+
+        Raises:
+            InputError, DomainError: as `spherical_cavity_draft`.
+
+        Example:
+            >>> import plough_opt as po
+            >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+            >>> at = po.ShareInSoil(share, share.equivalent_cone(), po.named_soil("serozem"), 2.0)
+            >>> round(float(po.laws.SphericalCavity().reaction(at).static) / 1e3, 2)
+            8.39
+        """
         return _reaction(at.cone, at.soil, at.speed)
 
 

@@ -224,8 +224,12 @@ def cone_index(soil: Soil) -> Expression:
 class PlasticGas(ResistanceLaw):
     """Soil that yields and is compacted behind a front: F0, Fd, added mass and loosened radius, for any motion.
 
-    It holds for a slender cone (half angle up to some 20 degrees, hypothesis of plane sections) entirely in the soil,
-    and ignores working depth, the free surface and the shank.
+    Equations (25) to (27) of the source: a resistance F0 + Fd L'^2 + m_a L'' of `soil_reaction`. It holds for a slender
+    cone (half angle up to some 20 degrees, hypothesis of plane sections) entirely in the soil, and ignores working
+    depth, the free surface and the shank; the level of its draft should be measured. It has no arguments.
+
+    Raises:
+        DomainError: by `reaction`: see `soil_reaction`.
 
     Example:
         >>> import plough_opt as po
@@ -241,13 +245,43 @@ class PlasticGas(ResistanceLaw):
     slender = True
 
     def reaction(self, at: ShareInSoil) -> SoilReaction:
-        """Return `soil_reaction` of the equivalent cone."""
+        """Return F0 [N], Fd [N s^2/m^2] and added mass [kg]: `soil_reaction` of the equivalent cone.
+
+        Raises:
+            InputError, DomainError: as `soil_reaction`.
+
+        Example:
+            >>> import plough_opt as po
+            >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+            >>> at = po.ShareInSoil(share, share.equivalent_cone(), po.named_soil("serozem"), 2.0)
+            >>> round(float(po.laws.PlasticGas().reaction(at).at(2.0)) / 1e3, 2)
+            2.41
+        """
         return soil_reaction(at.cone, at.soil)
 
     def loosened_radius(self, at: ShareInSoil) -> Expression:
-        """Return the radius of the compaction front at the base [m]."""
+        """Return the radius of the compaction front at the base [m]: h tan(beta) sqrt(a), `plough_opt.loosened_radius`.
+
+        Raises:
+            InputError, DomainError: as that function.
+
+        Example:
+            >>> import plough_opt as po
+            >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+            >>> at = po.ShareInSoil(share, share.equivalent_cone(), po.named_soil("serozem"), 2.0)
+            >>> round(float(po.laws.PlasticGas().loosened_radius(at)), 3)
+            0.107
+        """
         return loosened_radius(at.cone, at.soil)
 
     def warnings(self, at: ShareInSoil) -> tuple[str, ...]:
-        """Return warnings about the soil's properties, and about a blunt share."""
+        """Return warnings about the soil's properties, and about a blunt share.
+
+        Example:
+            >>> import plough_opt as po
+            >>> share = po.Wedge("60 deg", "45 deg", "25 cm")
+            >>> at = po.ShareInSoil(share, share.equivalent_cone(), po.named_soil("serozem"), 2.0)
+            >>> [warning.partition(":")[0] for warning in po.laws.PlasticGas().warnings(at)]
+            ["the equivalent cone's half angle is 40.1 deg"]
+        """
         return (*at.soil.warnings(), *super().warnings(at))

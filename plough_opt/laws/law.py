@@ -32,7 +32,13 @@ class SoilReaction:
     added_mass: Expression = 0.0
 
     def at(self, speed: Expression, acceleration: Expression = 0.0) -> Expression:
-        """Return the resistance [N] at a speed [m/s] and an acceleration [m/s^2]."""
+        """Return the resistance [N] at a speed [m/s] and an acceleration [m/s^2].
+
+        Example:
+            >>> import plough_opt as po
+            >>> po.SoilReaction(static=2e3, drag=50.0, added_mass=4.0).at(speed=2.0, acceleration=1.0)
+            2204.0
+        """
         return self.static + self.drag * speed**2 + self.added_mass * acceleration
 
 
@@ -124,20 +130,51 @@ class ResistanceLaw(Protocol):
     def reaction(self, at: ShareInSoil) -> SoilReaction:
         """Return F0 [N], Fd [N s^2/m^2] and the added mass [kg]; a law that lacks "motion" returns F0 at the tow speed.
 
+        Args:
+            at: share, soil and speed: numbers or CasADi scalars, and arrays where the law's functions take them.
+
         Raises:
             DomainError: a number lies outside the law's domain.
+
+        Example:
+            >>> import plough_opt as po
+            >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+            >>> at = po.ShareInSoil(share, share.equivalent_cone(), po.named_soil("serozem"), 2.0)
+            >>> round(float(po.laws.PlasticGas().reaction(at).static))
+            2402
         """
 
     def loosened_radius(self, at: ShareInSoil) -> Expression:  # noqa: ARG002 - overriding methods use the argument
         """Return the radius to which the soil is loosened at the share's base [m].
 
+        Args:
+            at: share, soil and speed.
+
         Raises:
             InputError: the law does not give it.
+
+        Example:
+            >>> import plough_opt as po
+            >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+            >>> at = po.ShareInSoil(share, share.equivalent_cone(), po.named_soil("serozem"), 2.0)
+            >>> try:
+            ...     po.laws.AsabeD497().loosened_radius(at)
+            ... except po.InputError as error:
+            ...     print(str(error).partition(",")[0])
+            loosened_radius has no meaning in ASABE D497
         """
         raise InputError(self.refusal("loosened_radius"))
 
     def warnings(self, at: ShareInSoil) -> tuple[str, ...]:
-        """Return sentences on the law's limitations for readers of numeric results."""
+        """Return sentences on the law's limitations for readers of numeric results.
+
+        Example:
+            >>> import plough_opt as po
+            >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+            >>> at = po.ShareInSoil(share, share.equivalent_cone(), po.named_soil("serozem"), 2.0)
+            >>> len(po.laws.AsabeD497().warnings(at))
+            2
+        """
         found = [f"{self.label}: {self.standing}"] if self.standing else []
         if self.lacks("added_mass") and not self.lacks("motion"):
             found.append(f"{self.label} {self.lacking['added_mass']}: the share moves with its own mass alone")
@@ -150,13 +187,25 @@ class ResistanceLaw(Protocol):
         return tuple(found)
 
     def without_value(self, what: str) -> str:
-        """Return a clause that says what the law does not give for some share, soil and speed, and where it holds."""
+        """Return a clause that says what the law does not give for some share, soil and speed, and where it holds.
+
+        Example:
+            >>> import plough_opt as po
+            >>> po.laws.AsabeD497().without_value("draft").partition(" (")[0]
+            'ASABE D497 gives no draft for this share, soil and speed'
+        """
         return f"{self.label} gives no {what} for this share, soil and speed" + (
             f" ({self.standing})" * bool(self.standing)
         )
 
     def lacks(self, what: str) -> bool:
-        """Return whether the law lacks something; see ``lacking``."""
+        """Return whether the law lacks something; see ``lacking``.
+
+        Example:
+            >>> import plough_opt as po
+            >>> po.laws.AsabeD497().lacks("loosened_radius"), po.laws.PlasticGas().lacks("loosened_radius")
+            (True, False)
+        """
         return what in self.lacking
 
     def refusal(self, what: str, name: str = "") -> str:
@@ -165,6 +214,11 @@ class ResistanceLaw(Protocol):
         Args:
             what: key of ``lacking``.
             name: name of a result that depends on it; default: the key itself.
+
+        Example:
+            >>> import plough_opt as po
+            >>> po.laws.AsabeD497().refusal("loosened_radius").partition(",")[0]
+            'loosened_radius has no meaning in ASABE D497'
         """
         remedy = "use effects = Effects(motion=False), or" if what == "motion" else "leave it out, or use"
         name = f"'{name}'" if name else what

@@ -55,7 +55,14 @@ class Printed:
         return tuple(text for name, text in _IN_WORDS.items() if getattr(self, name))
 
     def reaction(self, derived: SoilReaction) -> SoilReaction:
-        """Return F0 [N], Fd [N s^2/m^2] and added mass [kg] with the selected errors, given the derived values."""
+        """Return F0 [N], Fd [N s^2/m^2] and added mass [kg] with the selected errors, given the derived values.
+
+        Example:
+            >>> import plough_opt as po
+            >>> derived = po.SoilReaction(static=2e3, drag=50.0, added_mass=4.0)
+            >>> round(po.Printed(pi_twice=True).reaction(derived).static / derived.static, 6)
+            3.141593
+        """
         if not (self.pi_twice or self.one_third):
             return derived
         twice = math.pi if self.pi_twice else 1.0

@@ -39,11 +39,19 @@ _REACH = 0.6
 class AsabeD497(ResistanceLaw):
     """`asabe_draft` as a law: F0 and Fd depend on depth and texture, but not on soil properties or the share's angles.
 
+    F = F (A + C S^2) N T for S in km/h and T in cm, the subsoiler's rows of ASABE D497.7, not verified against the
+    standard's text, which is said to allow +-50 %. It moves with the share's own mass alone, and has no ambient
+    pressure, added mass, loosened radius or cone index.
+
     Args:
         texture: ``"fine"`` (clay), ``"medium"`` (loam) or ``"coarse"`` (sand).
         point: ``"narrow"`` or ``"winged"``.
-        shanks: number of shanks.
-        depth: tillage depth [m]; default: the share's height.
+        shanks: number of shanks [-], above 0: a number, an array or a CasADi scalar.
+        depth: tillage depth [m], above 0, likewise; default: the share's height.
+
+    Raises:
+        InputError: an unknown texture or point; raised by `reaction`, as the next.
+        DomainError: a depth, a number of shanks or a speed outside its domain.
 
     Example:
         >>> import plough_opt as po
@@ -65,7 +73,18 @@ class AsabeD497(ResistanceLaw):
     band = 0.5
 
     def reaction(self, at: ShareInSoil) -> SoilReaction:
-        """Return F0 [N] and Fd [N s^2/m^2]; the subsoiler's rows do not have a term linear in the speed."""
+        """Return F0 [N] and Fd [N s^2/m^2]; the subsoiler's rows do not have a term linear in the speed.
+
+        Raises:
+            InputError, DomainError: as `asabe_draft`.
+
+        Example:
+            >>> import plough_opt as po
+            >>> share = po.Wedge("30 deg", "15 deg", "30 cm")
+            >>> at = po.ShareInSoil(share, share.equivalent_cone(), po.named_soil("serozem"), 2.0)
+            >>> round(float(po.laws.AsabeD497().reaction(at).at(2.0)))
+            6706
+        """
         depth = at.share.height if self.depth is None else self.depth
         static = asabe_draft(depth, 0.0, self.texture, point=self.point, shanks=self.shanks)
         check_domain("speed", at.speed, "m/s", at_least=0.0)
@@ -130,6 +149,20 @@ def draft_of_row(
 class McKyesAli(TineLaw):
     """`mckyes_ali_draft` as a law: F0 and Fd of a narrow tine, without added mass and loosened radius.
 
+    A wedge of soil with a crescent at each side, cut along the plane of least weight: McKyes and Ali, J. Terramechanics
+    14 (1977) 43-51. It holds from 0 to 5 m/s for a rake angle below a right angle, and ignores ambient pressure.
+    Arguments, each a number or a CasADi scalar: see `TineLaw`.
+
+    Args:
+        depth: working depth [m], above 0; default: the share's height.
+        width: width of the tine [m], above 0; default: base diameter of the equivalent cone.
+        rake_angle: rake angle [rad], above 0 and at most 90 degrees; default: the share's chisel angle.
+        surcharge: pressure on the soil's surface [Pa], at least 0.
+        adhesion: adhesion of soil on the tine [Pa], at least 0.
+
+    Raises:
+        DomainError: by `reaction`: see `mckyes_ali_draft`.
+
     Example:
         >>> import plough_opt as po
         >>> soil = po.named_soil("serozem")
@@ -144,7 +177,18 @@ class McKyesAli(TineLaw):
     standing = "factors of the plane wedge as published; the crescents' factors not verified against the paper"
 
     def reaction(self, at: ShareInSoil) -> SoilReaction:
-        """Return F0 [N] and Fd [N s^2/m^2]; see `mckyes_ali_draft`."""
+        """Return F0 [N] and Fd [N s^2/m^2]; see `mckyes_ali_draft`.
+
+        Raises:
+            DomainError: as `mckyes_ali_draft`, or the share is a cone and there is no rake angle.
+
+        Example:
+            >>> import plough_opt as po
+            >>> share = po.Wedge("30 deg", "35 deg", "25 cm")
+            >>> at = po.ShareInSoil(share, share.equivalent_cone(), po.named_soil("serozem"), 2.0)
+            >>> round(float(po.laws.McKyesAli(depth=0.35).reaction(at).static) / 1e3, 2)
+            9.05
+        """
         return _mckyes_ali(at.soil, self.tine(at), at.speed)
 
 
@@ -215,13 +259,20 @@ def _side(alpha: Expression, beta: Expression, ratio: Expression) -> Expression:
 class UniversalEarthmoving(TineLaw):
     """`godwin_draft` as a law: F0 and Fd of a narrow tine, without added mass and loosened radius.
 
+    The universal earthmoving equation after Godwin and O'Dogherty 2003, with factors of a plane wedge. It holds from 0
+    to 5 m/s down to six widths, where soil begins to fail sideways, and ignores ambient pressure.
+
     Args:
-        depth: see `TineLaw`.
-        width: see `TineLaw`.
-        rake_angle: see `TineLaw`.
-        surcharge: see `TineLaw`.
-        adhesion: see `TineLaw`.
-        rupture_ratio: ratio m of the rupture distance on the surface to the depth; default: that of the plane wedge.
+        depth: working depth [m], above 0: a number, an array or a CasADi expression; default: the share's height.
+        width: width of the tine [m], above 0; default: base diameter of the equivalent cone.
+        rake_angle: rake angle [rad], above 0 and at most 90 degrees; default: the share's chisel angle.
+        surcharge: pressure on the soil's surface [Pa], at least 0.
+        adhesion: adhesion of soil on the tine [Pa], at least 0.
+        rupture_ratio: ratio m of the rupture distance on the surface to the depth [-], at least 1; default: that of the
+            plane wedge.
+
+    Raises:
+        DomainError: by `reaction`: see `godwin_draft`.
 
     Example:
         >>> import plough_opt as po
@@ -243,7 +294,18 @@ class UniversalEarthmoving(TineLaw):
     scalar = True
 
     def reaction(self, at: ShareInSoil) -> SoilReaction:
-        """Return F0 [N] and Fd [N s^2/m^2]; see `godwin_draft`."""
+        """Return F0 [N] and Fd [N s^2/m^2]; see `godwin_draft`.
+
+        Raises:
+            DomainError: as `godwin_draft`, or the share is a cone and there is no rake angle.
+
+        Example:
+            >>> import plough_opt as po
+            >>> share = po.Wedge("30 deg", "35 deg", "25 cm")
+            >>> at = po.ShareInSoil(share, share.equivalent_cone(), po.named_soil("serozem"), 2.0)
+            >>> round(float(po.laws.UniversalEarthmoving(depth=0.35).reaction(at).static) / 1e3, 2)
+            13.75
+        """
         return _godwin(at.soil, self.tine(at), at.speed, self.rupture_ratio)
 
 
@@ -300,6 +362,19 @@ def _godwin(soil: Soil, tine: Tine, speed: Expression, rupture_ratio: Expression
 class SwickPerumpral(TineLaw):
     """`swick_perumpral_draft` as a law for steady sliding, because the rupture angle depends on the speed.
 
+    A plane wedge of accelerated soil without forces at its sides, so low for narrow tines: Swick and Perumpral, J.
+    Terramechanics 25 (1988) 43-56. It holds from 0 to 5 m/s; a scene must have ``Effects(motion=False)``.
+
+    Args:
+        depth: working depth [m], above 0: a number or a CasADi scalar; default: the share's height.
+        width: width of the tine [m], above 0; default: base diameter of the equivalent cone.
+        rake_angle: rake angle [rad], above 0 and at most 90 degrees; default: the share's chisel angle.
+        surcharge: pressure on the soil's surface [Pa], at least 0.
+        adhesion: adhesion of soil on the tine [Pa], at least 0.
+
+    Raises:
+        DomainError: by `reaction`: see `swick_perumpral_draft`.
+
     Example:
         >>> import plough_opt as po
         >>> soil = po.named_soil("serozem")
@@ -317,7 +392,18 @@ class SwickPerumpral(TineLaw):
     lacking: ClassVar[Mapping[str, str]] = {**ResistanceLaw.lacking, **STEADY}
 
     def reaction(self, at: ShareInSoil) -> SoilReaction:
-        """Return the draft at the tow speed as F0 [N]."""
+        """Return the draft at the tow speed as F0 [N].
+
+        Raises:
+            DomainError: as `swick_perumpral_draft`, or the share is a cone and there is no rake angle.
+
+        Example:
+            >>> import plough_opt as po
+            >>> share = po.Wedge("30 deg", "35 deg", "25 cm")
+            >>> at = po.ShareInSoil(share, share.equivalent_cone(), po.named_soil("serozem"), 2.0)
+            >>> round(float(po.laws.SwickPerumpral(depth=0.35).reaction(at).static) / 1e3, 2)
+            1.89
+        """
         return SoilReaction(static=swick_perumpral_draft(at.soil, self.tine(at), at.speed))
 
 

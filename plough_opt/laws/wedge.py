@@ -101,6 +101,13 @@ class TineLaw(ResistanceLaw):
 
         Raises:
             DomainError: a number lies outside its domain, or the share is a cone and there is no rake angle.
+
+        Example:
+            >>> import plough_opt as po
+            >>> share = po.Wedge("30 deg", "35 deg", "25 cm")
+            >>> at = po.ShareInSoil(share, share.equivalent_cone(), po.named_soil("serozem"), 2.0)
+            >>> po.laws.McKyesAli(width=0.08, depth=0.35).tine(at).width
+            0.08
         """
         rake = self.rake_angle
         if rake is None:

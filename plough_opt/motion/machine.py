@@ -89,14 +89,28 @@ class Machine(Saveable):
         return tuple(without_repetition([text for run in self.runs.values() for text in run.warnings]))
 
     def page(self) -> Page:
-        """Return the results of all shares side by side, and those of the frame."""
+        """Return the results of all shares side by side, and those of the frame.
+
+        Example:
+            >>> import plough_opt as po
+            >>> machine = po.read_problem("problems/two_shares.toml", ["scene.duration=0.2 s"]).machine()
+            >>> [part.title for part in machine.page().parts if hasattr(part, "title")]
+            ['Response']
+        """
         trust = f"relative error about {self.error_estimate:.0e}, {self.seconds:.2f} s"
         return Page(
             f"{len(self.runs)} shares in one frame", (self.response(),), self.warnings, trust, self.origin.title
         )
 
     def response(self) -> Grid:
-        """Return the table of results: a column for each share, and one for the sums; a row has one unit."""
+        """Return the table of results: a column for each share, and one for the sums; a row has one unit.
+
+        Example:
+            >>> import plough_opt as po
+            >>> machine = po.read_problem("problems/two_shares.toml", ["scene.duration=0.2 s"]).machine()
+            >>> machine.response().rows[0]
+            ('mean draft', '1.993 kN', '1.845 kN', '3.839 kN')
+        """
         return response_table(self.runs, self.origin)
 
     def to_dataframe(self) -> pandas.DataFrame:
@@ -104,6 +118,12 @@ class Machine(Saveable):
 
         Raises:
             InputError: the runs are symbolic, or pandas is not installed.
+
+        Example:
+            >>> import plough_opt as po
+            >>> machine = po.read_problem("problems/two_shares.toml", ["scene.duration=0.2 s"]).machine()
+            >>> sorted(set(machine.to_dataframe()["share"]))
+            ['front', 'rear']
         """
         frames = {name: run.to_dataframe() for name, run in self.runs.items()}
         import pandas
@@ -120,5 +140,11 @@ class Machine(Saveable):
 
         Raises:
             InputError: the file name has no known ending, or the file cannot be written.
+
+        Example:
+            >>> import plough_opt as po
+            >>> machine = po.read_problem("problems/two_shares.toml", ["scene.duration=0.2 s"]).machine()
+            >>> len(machine.plot().axes)
+            2
         """
         return drawn("plot_machine", self, target=target)

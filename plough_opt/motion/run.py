@@ -101,7 +101,14 @@ class Run(Saveable):
         )
 
     def page(self) -> Page:
-        """Return the results of a numeric run as a table, with its warnings and error estimate."""
+        """Return the results of a numeric run as a table, with its warnings and error estimate.
+
+        Example:
+            >>> import plough_opt as po
+            >>> run = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"]).simulate()
+            >>> run.page().parts[0].rows[0][0]
+            'mean draft'
+        """
         if self.checks is None:
             return Page(repr(self))
         head = f"{self.duration:g} s of a {self.scene.describe()}, by {self.accuracy.method}"
@@ -109,7 +116,14 @@ class Run(Saveable):
         return Page(head, (self.response(),), self.warnings, trust, self.origin.title)
 
     def response(self) -> Grid:
-        """Return the table of results of a numeric run; a row has one unit, that of the question if it has one."""
+        """Return the table of results of a numeric run; a row has one unit, that of the question if it has one.
+
+        Example:
+            >>> import plough_opt as po
+            >>> run = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"]).simulate()
+            >>> run.response().rows[0]
+            ('mean draft', '1.993 kN')
+        """
         return response_table({"": self}, self.origin)
 
     def to_dataframe(self) -> pandas.DataFrame:
@@ -117,6 +131,13 @@ class Run(Saveable):
 
         Raises:
             InputError: the run is symbolic, or pandas is not installed.
+
+        Example:
+            >>> import plough_opt as po
+            >>> run = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"]).simulate()
+            >>> table = run.to_dataframe()
+            >>> len(table), table.attrs["units"]["mount_force"]
+            (401, 'N')
         """
         self._numeric("data frame")
         return data_frame({name: getattr(self, name) for name in ARRAYS}, ARRAYS)
@@ -129,6 +150,12 @@ class Run(Saveable):
 
         Raises:
             InputError: the run is symbolic, the file name has no known ending, or the file cannot be written.
+
+        Example:
+            >>> import plough_opt as po
+            >>> run = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"]).simulate()
+            >>> [axes.get_ylabel() for axes in run.plot().axes]
+            ['force [kN]', 'deflection [m]', 'speed [km/h]']
         """
         self._numeric("picture")
         return drawn("plot_run", self, target=target)
@@ -160,6 +187,13 @@ class Run(Saveable):
 
         Raises:
             InputError: the run is symbolic.
+
+        Example:
+            >>> import json
+            >>> import plough_opt as po
+            >>> run = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"]).simulate()
+            >>> json.loads(run.to_json())["kind"]
+            'run'
         """
         self._numeric("file")
         return super().to_json(page)

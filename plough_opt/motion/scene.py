@@ -129,6 +129,17 @@ class Scene:
             DomainError: for instance a density profile without a compaction front, or strength waves whose amplitudes
                 add up to more than 1.
             InputError: by a law of the user.
+
+        Example:
+            >>> import plough_opt as po
+            >>> waves = (po.StrengthWave(0.6, "0.2 m"), po.StrengthWave(0.6, "0.5 m"))
+            >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+            >>> scene = po.Scene(po.named_soil("serozem"), share, 5e4, 30.0, 2.0, po.Effects(strength_wave=waves))
+            >>> try:
+            ...     scene.check_reaction()
+            ... except po.DomainError as error:
+            ...     print(str(error).partition(" if ")[0])
+            the sum of the strength waves' amplitudes is 1.2 and must be at most 1
         """
         check_strength(self.effects.waves)
         self._reaction_at(self._at)
@@ -299,6 +310,16 @@ class Scene:
 
         Raises:
             InputError: see `stationary_force_rms`.
+
+        Example:
+            >>> import plough_opt as po
+            >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+            >>> scene = po.Scene(po.named_soil("serozem"), share, 5e4, 30.0, 2.0)
+            >>> try:
+            ...     scene.check_stationary()
+            ... except po.InputError as error:
+            ...     print(str(error).partition(":")[0])
+            the stationary RMS needs strength that varies
         """
         effects, what = self.effects, "the stationary RMS"
         if self.law.lacks("motion"):
@@ -397,7 +418,13 @@ class Scene:
         return driven_equation(self, with_quantities(self, symbols), symbols, values, controls)
 
     def describe(self) -> str:
-        """Return a noun phrase that identifies a numeric scene in messages."""
+        """Return a noun phrase that identifies a numeric scene in messages.
+
+        Example:
+            >>> import plough_opt as po
+            >>> po.read_problem("problems/cotton_subsoiler.toml").scene().describe()
+            'share of half angle 8.93 deg and height 0.25 m in serozem, on 50 kN/m with 23.3 kg at 2 m/s'
+        """
         at = "at" if self.effects.tow_profile is None else "at up to"
         spring = " of a repelling spring, as printed," if self.effects.printed.repelling_spring else ""
         angle, height, stiffness, inertia, speed = (
@@ -410,7 +437,14 @@ class Scene:
         )
 
     def warnings(self) -> tuple[str, ...]:
-        """Return warnings about the limits of the theory that affect the results of a numeric scene."""
+        """Return warnings about the limits of the theory that affect the results of a numeric scene.
+
+        Example:
+            >>> import plough_opt as po
+            >>> scene = po.read_problem("problems/cotton_subsoiler.toml").scene()
+            >>> scene.warnings()[0].partition(" (")[0]
+            'ambient pressure'
+        """
         found = []
         if errors := self.effects.printed.errors:
             found.append(

@@ -85,6 +85,12 @@ class Penetrometer:
 
         Raises:
             InputError: there are fewer than three insertions, or all are equal.
+
+        Example:
+            >>> import plough_opt as po
+            >>> readings = po.read_penetrometer("problems/insertions.csv", (0.25, 0.45))
+            >>> bool(abs(readings.distribution().mean() / readings.mean - 1.0) < 1e-9)
+            True
         """
         if self.spread == 0.0:
             raise InputError(f"{self.name}: all insertions have the same mean, so nothing is uncertain")

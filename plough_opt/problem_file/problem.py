@@ -181,6 +181,11 @@ class Problem:
 
         Args:
             seed: seed of the random samples, if any.
+
+        Example:
+            >>> import plough_opt as po
+            >>> po.read_problem("problems/cotton_subsoiler.toml").made(seed=3).file
+            'cotton_subsoiler.toml'
         """
         limits = {name: limit.ends(self._measure(name).unit) for name, limit in self.table.require.items()}
         name = Path(self.name).name.encode(errors="replace").decode()  # names of files need not be text
@@ -201,6 +206,12 @@ class Problem:
 
         With ``average = "whole waves"`` the duration is that of the whole waves that the file's duration holds. A
         change of the property that the cone index decides replaces the cone index.
+
+        Example:
+            >>> import plough_opt as po
+            >>> problem = po.read_problem("problems/cotton_subsoiler.toml")
+            >>> problem.values({"scene.tow_speed": 2.5})["scene.tow_speed"]
+            2.5
         """
         changed = mapping_of("changes", changes, "a quantity's key -> its value")
         found = {**self.fixed, **{key: v.guess for key, v in self.variables.items()}, **changed}
@@ -218,6 +229,12 @@ class Problem:
 
         Raises:
             InputError: the file has several shares.
+
+        Example:
+            >>> import plough_opt as po
+            >>> problem = po.read_problem("problems/cotton_subsoiler.toml")
+            >>> problem.scene({"share.height": 0.3}).share.height
+            0.3
         """
         if self.shares:
             raise InputError(
@@ -270,7 +287,14 @@ class Problem:
         return Soil(**(properties | note))
 
     def machine(self, changes: Mapping[str, float] | None = None) -> Machine:
-        """Return the runs of all shares of a file that has several; ``changes`` as in `scene`."""
+        """Return the runs of all shares of a file that has several; ``changes`` as in `scene`.
+
+        Example:
+            >>> import plough_opt as po
+            >>> machine = po.read_problem("problems/two_shares.toml", ["scene.duration=0.2 s"]).machine()
+            >>> [*machine.runs]
+            ['front', 'rear']
+        """
         values: dict[str, Column] = self.values(changes)
         runs = {name: part.simulate(self._of_share(name, values)) for name, part in self.shares.items()}
         return Machine(runs, self.origin)
@@ -291,11 +315,26 @@ class Problem:
         return (share, key) if share in self.shares else ("", name)
 
     def simulate(self, changes: Mapping[str, float] | None = None) -> Run:
-        """Return the numeric run of `scene`."""
+        """Return the numeric run of `scene`.
+
+        Example:
+            >>> import plough_opt as po
+            >>> problem = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"])
+            >>> slow, fast = (problem.simulate({"scene.tow_speed": speed}).tow_power for speed in (1.0, 3.0))
+            >>> bool(fast > 2.0 * slow)
+            True
+        """
         return replace(self.run_of(self.scene(changes), self.values(changes)), origin=self.origin)
 
     def run_of(self, scene: Scene, values: Mapping[str, Expression]) -> Run:
-        """Return the run of a scene with the file's accuracy and outputs; the duration is taken from ``values``."""
+        """Return the run of a scene with the file's accuracy and outputs; the duration is taken from ``values``.
+
+        Example:
+            >>> import plough_opt as po
+            >>> problem = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"])
+            >>> len(problem.run_of(problem.scene(), problem.values()).time)
+            401
+        """
         duration, outputs = values.get("scene.duration"), self.table.scene.outputs
         return simulate(scene, duration, accuracy=self.accuracy, outputs=outputs)
 
@@ -308,6 +347,14 @@ class Problem:
 
         Raises:
             InputError: the file has no variables or nothing to minimise.
+
+        Example:
+            >>> import plough_opt as po
+            >>> problem = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"])
+            >>> design, run = problem.design()
+            >>> best = design.solve(search="near")
+            >>> bool(abs(best(run.mean_draft) / best(run).mean_draft - 1.0) < 1e-6)
+            True
         """
         check_switch("parameters", parameters)
         self._check_variables()
@@ -318,7 +365,15 @@ class Problem:
         return design, Machine(runs) if self.shares else runs[""]
 
     def objective(self, *runs: Run) -> Expression:
-        """Return the sum of the terms in [minimise] over all shares."""
+        """Return the sum of the terms in [minimise] over all shares.
+
+        Example:
+            >>> import plough_opt as po
+            >>> problem = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"])
+            >>> run = problem.simulate()
+            >>> bool(abs(problem.objective(run) - (run.mean_draft + run.force_rms) / 1e3) < 1e-9)
+            True
+        """
         objective: Expression = 0.0
         measures = measures_of(self.table)
         for name, term in self.table.minimise.items():
@@ -386,6 +441,13 @@ class Problem:
         Raises:
             InputError: no inputs or outputs, an unknown name, or a scene that such a Function cannot represent.
             DomainError: bounds outside the model's domain.
+
+        Example:
+            >>> import plough_opt as po
+            >>> problem = po.read_problem("problems/reference.toml", ["effects.motion=false"])
+            >>> component = problem.component(outputs=["mean_draft", "loosened_radius"])
+            >>> [port.name for port in component.inputs]
+            ['share.wedge_angle', 'share.height', 'scene.stiffness']
         """
         values = {**self.numbers(), **{key: v.guess for key, v in self.variables.items()}}
         bounds = {key: Input(key, v.lower, v.upper) for key, v in self.variables.items()}
@@ -406,6 +468,12 @@ class Problem:
         """Return key -> value of every quantity that is not a variable, including the properties of a named soil.
 
         A property that follows from another entry of the file, a cone index or a compression test, is left out.
+
+        Example:
+            >>> import plough_opt as po
+            >>> problem = po.read_problem("problems/cotton_subsoiler.toml")
+            >>> problem.numbers()["soil.cohesion"]
+            20000.0
         """
         if self.shares:
             given = {share: {key for key in part.fixed if f"{share}.{key}" in self.fixed}
@@ -432,6 +500,13 @@ class Problem:
         """Return the optimum and its numeric run, or the runs of all shares as a `Machine`.
 
         See `design` for ``parameters``, and `Design.solve` for the other arguments.
+
+        Example:
+            >>> import plough_opt as po
+            >>> problem = po.read_problem("problems/cotton_subsoiler.toml", ["scene.duration=0.2 s"])
+            >>> best, run = problem.optimise(search="near")
+            >>> [*best.variables]
+            ['share.wedge_angle', 'share.height', 'scene.stiffness']
         """
         design, run = self.design(parameters=parameters)
         best = design.solve(search=search, judge=judge, seed=seed, progress=progress)
@@ -453,6 +528,13 @@ class Problem:
 
         Raises:
             InputError: the file has no variables or no [trade_off], or the number of points is out of range.
+
+        Example:
+            >>> import plough_opt as po
+            >>> problem = po.read_problem("problems/draft_against_loosening.toml", ["scene.duration=0.1 s"])
+            >>> front = problem.trade_off(points=5)
+            >>> [goal.name for goal in front.goals]
+            ['mean_draft', 'loosened_radius']
         """
         from plough_opt.studies.tradeoff import Goal, trade_off
 

@@ -187,7 +187,13 @@ class Cone:
 
     @checked_in_designs
     def solid_mass(self, density: Expression) -> Expression:
-        """Return the mass [kg] of a solid cone with the given density [kg/m^3], about 7850 for steel."""
+        """Return the mass [kg] of a solid cone with the given density [kg/m^3], about 7850 for steel.
+
+        Example:
+            >>> import plough_opt as po
+            >>> round(float(po.Cone("10 deg", "25 cm").solid_mass(7850.0)), 2)
+            3.99
+        """
         return BESIDE["scene.steel_density"].read(density, stacklevel=3) * self.volume
 
     def mesh(self, *, segments: int = SEGMENTS) -> Solid:
@@ -250,6 +256,13 @@ class Wedge:
         The source's sin(beta) = sqrt(p^2 + 1) - p cancels for a slender share, and its arcsine is inaccurate for a
         blunt one. With q = 1/p the same angle is given by tan(beta) = q / sqrt(2 (1 + sqrt(1 + q^2))), accurate to
         rounding at every wedge angle. Wedge angle and chisel angle affect draft and motion only through this one angle.
+
+        Example:
+            >>> import math
+            >>> import plough_opt as po
+            >>> cone = po.Wedge("30 deg", "15 deg", "25 cm").equivalent_cone()
+            >>> round(math.degrees(cone.half_angle), 3)
+            10.945
         """
         q = 2.0 * tan(self.angle) / (math.pi * cos(self.chisel_angle) ** 2)
         slope = q / sqrt(2.0 * (1.0 + sqrt(1.0 + q**2)))

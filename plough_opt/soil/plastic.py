@@ -213,7 +213,15 @@ class WallPressure:
     inertia: Expression
 
     def around(self, cavity: Cavity, soil: Soil) -> Expression:
-        """Return the gauge pressure [Pa] for a state of the cavity."""
+        """Return the gauge pressure [Pa] for a state of the cavity.
+
+        Example:
+            >>> import plough_opt as po
+            >>> soil = po.named_soil("serozem")
+            >>> pressure = po.plastic.wall_pressure(soil)
+            >>> round(float(pressure.around(po.plastic.Cavity(0.04, 0.5, 0.0), soil)) / 1e3, 1)
+            92.0
+        """
         motion = self.rate * cavity.rate**2 + self.inertia * cavity.radius * cavity.acceleration
         return self.strength + soil.density * motion
 

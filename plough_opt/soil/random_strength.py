@@ -191,7 +191,13 @@ class RandomStrength:
         return self.rms**2
 
     def density(self, wave_number: Expression) -> Expression:
-        """Return the spectrum S [m/rad] at a wave number q [rad/m]."""
+        """Return the spectrum S [m/rad] at a wave number q [rad/m].
+
+        Example:
+            >>> import plough_opt as po
+            >>> round(po.RandomStrength(rms=0.2, correlation_length="0.3 m").density(5.0), 6)
+            0.002351
+        """
         check_domain("wave number", wave_number, "rad/m", at_least=0.0)
         length = self.correlation_length
         return 2.0 * self.rms**2 * length / (math.pi * (1.0 + (wave_number * length) ** 2))
@@ -201,6 +207,14 @@ class RandomStrength:
 
         The closed form is that of white noise through a filter with three poles: two of the mount, and that of
         1/(1 + i omega lambda/V).
+
+        Example:
+            >>> import plough_opt as po
+            >>> from plough_opt.soil.random_strength import Sliding
+            >>> mount = Sliding(force=2000.0, stiffness=5e4, inertia=30.0, damping=400.0, speed=2.0)
+            >>> deflection, rate = po.RandomStrength(rms=0.2, correlation_length="0.3 m").response(mount)
+            >>> round(1e3 * deflection**0.5, 2)  # mm
+            9.43
         """
         time = self.correlation_length / to.speed
         carried = to.inertia + to.damping * time
@@ -257,6 +271,14 @@ class Spectrum:
 
         They are computed by Gauss-Legendre quadrature in every panel, with nodes clustered about the mount's resonance:
         the rule is applied in u, where the frequency is omega0 + (d/2M) sinh(u).
+
+        Example:
+            >>> import plough_opt as po
+            >>> from plough_opt.soil.random_strength import Sliding
+            >>> mount = Sliding(force=2000.0, stiffness=5e4, inertia=30.0, damping=400.0, speed=2.0)
+            >>> deflection, rate = po.Spectrum([0.0, 10.0, 20.0], [0.0, 0.005, 0.0]).response(mount)
+            >>> round(1e3 * deflection**0.5, 2)  # mm
+            13.35
         """
         q, density = self._panels()
         known = (q[:-1], q[1:], density[:-1], np.diff(density) / np.diff(q))

@@ -248,6 +248,14 @@ class RecordWaves:
 
         Raises:
             InputError: the ending is not a picture format, or the file cannot be written.
+
+        Example:
+            >>> import numpy as np
+            >>> import plough_opt as po
+            >>> x = np.linspace(0.0, 8.0, 161)
+            >>> found = po.strength_waves(po.StrengthRecord(x, 1e6 + 2e5 * np.sin(9.0 * x)))
+            >>> found.plot().axes[0].get_xlabel()
+            'wavelength [m]'
         """
         from matplotlib.figure import Figure
 

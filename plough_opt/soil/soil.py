@@ -182,6 +182,14 @@ class Soil:
 
         Raises:
             InputError: the density is not a function, or the order is below 1.
+
+        Example:
+            >>> import plough_opt as po
+            >>> from plough_opt.expressions import exp
+            >>> profile = lambda r, width: 1350.0 + 350.0 * exp(-((r / width) ** 2))
+            >>> soil = po.named_soil("serozem").with_density_profile(profile, 0.2)
+            >>> round(float(po.plastic.front_radius(po.plastic.Cavity(0.04, 0.5, 0.0), soil)), 4)
+            0.0919
         """
         return replace(self, density_profile=DensityProfile(density, parameters, order))
 
@@ -268,7 +276,14 @@ class Soil:
         return replace(soil, density_ratio=1.0 - exp(log_e), name=f"{soil.name}, by compaction", source=source)
 
     def warnings(self) -> tuple[str, ...]:
-        """Return warnings about unusual properties of a numeric soil."""
+        """Return warnings about unusual properties of a numeric soil.
+
+        Example:
+            >>> import plough_opt as po
+            >>> measured = po.Soil.from_cone_index("1.5 MPa", po.named_soil("serozem"))
+            >>> [warning.rpartition(" by ")[2] for warning in measured.warnings()]
+            ['5.737']
+        """
         warned = []
         cohesion, ratio, factor = (
             np.max(as_number(value)) for value in (self.cohesion, self.density_ratio, self.strength_factor)

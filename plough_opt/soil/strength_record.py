@@ -62,7 +62,14 @@ class Rig:
         check_domain("tow speed of a rig", self.tow_speed, "m/s", above=0.0)
 
     def response(self, wave_number: Vector) -> NDArray[np.complex128]:
-        """Return mount force over soil resistance [-] at wave numbers [rad/m]: (k + i w c)/(k - m w^2 + i w c)."""
+        """Return mount force over soil resistance [-] at wave numbers [rad/m]: (k + i w c)/(k - m w^2 + i w c).
+
+        Example:
+            >>> import plough_opt as po
+            >>> rig = po.Rig(mass=40.0, stiffness=2e5, damping=400.0, tow_speed=1.5)
+            >>> round(float(abs(rig.response(40.0))), 4)
+            3.3062
+        """
         turn = wave_number * self.tow_speed
         damped = 1j * turn * self.damping
         return (self.stiffness + damped) / (self.stiffness - self.mass * turn**2 + damped)
@@ -145,6 +152,14 @@ class StrengthRecord:
 
         Raises:
             InputError: the trend falls to 0.
+
+        Example:
+            >>> import numpy as np
+            >>> import plough_opt as po
+            >>> x = np.linspace(0.0, 8.0, 161)
+            >>> record = po.StrengthRecord(x, 1e6 + 2e5 * np.sin(9.0 * x))
+            >>> round(float(np.std(record.relative())), 3)
+            0.14
         """
         x = self.position - self.position[0]
         trend = np.polyval(np.polyfit(x, self.value, 1), x)

@@ -136,12 +136,27 @@ class Comparison:
         return tuple(dict.fromkeys(f"{_family(row)}: {row.standing} ({row.source})" for row in self.others))
 
     def ratios(self, row: ModelDraft) -> tuple[float, ...]:
-        """Return the ratios of a model's drafts to this toolkit's at the same speeds [-]; NaN if either is NaN."""
+        """Return the ratios of a model's drafts to this toolkit's at the same speeds [-]; NaN if either is NaN.
+
+        Example:
+            >>> import plough_opt as po
+            >>> scene = po.read_problem("problems/cotton_subsoiler.toml").scene()
+            >>> found = po.crosscheck.compare(scene, speeds=[1.0, 2.0])
+            >>> found.ratios(found.own)
+            (1.0, 1.0)
+        """
         pairs = zip(row.drafts, self.own.drafts, strict=True)
         return tuple(theirs / ours if ours else math.nan for theirs, ours in pairs)
 
     def table(self) -> Grid:
-        """Return a table of drafts in kN, in brackets their ratios to this model's, and their rise with the speed."""
+        """Return a table of drafts in kN, in brackets their ratios to this model's, and their rise with the speed.
+
+        Example:
+            >>> import plough_opt as po
+            >>> scene = po.read_problem("problems/cotton_subsoiler.toml").scene()
+            >>> po.crosscheck.compare(scene, speeds=[1.0, 2.0]).table().columns[0].heading
+            'model'
+        """
         speeds = [f"{KM_PER_H * speed:.3g} km/h" for speed in self.speeds]
         title = "Mean draft in kN, ratio to this model's: calculated, not measured"
         table = Grid.of(title, "model", "depth", *speeds, "rise")
@@ -162,6 +177,12 @@ class Comparison:
 
         Raises:
             InputError: the file's ending is not a picture format, or the file cannot be written.
+
+        Example:
+            >>> import plough_opt as po
+            >>> scene = po.read_problem("problems/cotton_subsoiler.toml").scene()
+            >>> po.crosscheck.compare(scene, speeds=[1.0, 2.0]).plot().axes[0].get_xlabel()
+            'speed [km/h]'
         """
         return written(_figure_of(self), path)
 

@@ -195,11 +195,33 @@ class LocalOptimum(Saveable):
     kind = "local optimum"
 
     def page(self) -> Page:
-        """Return the design as tables: variables with their bounds, and requirements with their margins."""
+        """Return the design as tables: variables with their bounds, and requirements with their margins.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> design.require("half of it", height / 2.0, at_least="60 mm")
+            >>> design.minimise(height**2)
+            >>> best = design.solve(search="near")
+            >>> [part.title for part in best.local_optima[0].page().parts]
+            ['', 'Requirements']
+        """
         return Page(f"{self.name}: objective {self.objective:.{OBJECTIVE_DIGITS}g}", self.design_tables())
 
     def design_tables(self) -> tuple[Grid, ...]:
-        """Return a table of the variables and, if there are requirements, a table of these."""
+        """Return a table of the variables and, if there are requirements, a table of these.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> design.require("half of it", height / 2.0, at_least="60 mm")
+            >>> design.minimise(height**2)
+            >>> best = design.solve(search="near")
+            >>> best.local_optima[0].design_tables()[0].rows[0]
+            ('height', '120 mm', '100 mm to 500 mm', '')
+        """
         bounds = Grid.of("", "variable", "best", "bounds", "", mark="")
         required = Grid.of("Requirements", "requirement", "limits", "value", "margin", "", mark="")
         for one in self.limits:
@@ -211,7 +233,17 @@ class LocalOptimum(Saveable):
         return (bounds, required) if required.rows else (bounds,)
 
     def display(self, name: str) -> Display:
-        """Return the unit of a variable in reports."""
+        """Return the unit of a variable in reports.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> design.minimise(height**2)
+            >>> best = design.solve(search="near")
+            >>> best.local_optima[0].display("height").text(0.12)
+            '120 mm'
+        """
         own = (one.shown for one in self.limits if one.kind == "bound" and one.name == name)
         return next(own, Display("", 1.0))
 
@@ -220,6 +252,16 @@ class LocalOptimum(Saveable):
 
         Raises:
             InputError: pandas is not installed.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> design.require("half of it", height / 2.0, at_least="60 mm")
+            >>> design.minimise(height**2)
+            >>> best = design.solve(search="near")
+            >>> best.local_optima[0].to_dataframe()["value"].round(6).tolist()
+            [0.06, 0.12]
         """
         names = ("name", "kind", "value", "limits", "margin", "multiplier", "active", "unit")
         frame = data_frame({name: [getattr(one, name) for one in self.limits] for name in names}, {})
@@ -234,6 +276,15 @@ class LocalOptimum(Saveable):
 
         Raises:
             InputError: the file name has no known ending, or the file cannot be written.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> design.minimise(height**2)
+            >>> best = design.solve(search="near")
+            >>> len(best.local_optima[0].plot().axes)
+            1
         """
         return drawn("plot_designs", {self.name: self}, target=target)
 
@@ -313,7 +364,16 @@ class Optimum(LocalOptimum):
         return map_expressions(item, self._with_numbers, _is_run_or_expression)
 
     def page(self) -> Page:
-        """Return the best design as tables, with its response, the other optima, the search and the warnings."""
+        """Return the best design as tables, with its response, the other optima, the search and the warnings.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> design.minimise(height**2)
+            >>> design.solve(search="near").page().heading
+            'Best design: objective 0.01 (solved)'
+        """
         parts: list[Part] = [*self.design_tables()]
         if self.run is not None:
             parts.insert(1, self.run.response())
@@ -349,7 +409,16 @@ class Optimum(LocalOptimum):
         return self.spread.worst - self.objective + sum(price * max(0.0, loss) for price, loss in lost)
 
     def keeping(self) -> str:
-        """Return a sentence on requirements that few designs as made meet, without its full stop, or ""."""
+        """Return a sentence on requirements that few designs as made meet, without its full stop, or "".
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> design.minimise((height - 0.3) ** 2)
+            >>> design.solve(search="near").keeping()  # all designs as made meet all requirements
+            ''
+        """
         cost = self.cost_of_keeping
         if cost is None or self.spread is None or not self.spread.margins or self.spread.kept >= _FEW_KEPT:
             return ""
@@ -387,6 +456,14 @@ class Optimum(LocalOptimum):
 
         Raises:
             InputError: pandas is not installed.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> design.minimise((height - 0.3) ** 2)
+            >>> design.solve(search="near").to_dataframe().columns.tolist()
+            ['optimum', 'objective', 'height']
         """
         found = self.local_optima or (self,)
         columns: dict[str, Any] = {
@@ -409,6 +486,14 @@ class Optimum(LocalOptimum):
 
         Raises:
             InputError: the file name has no known ending, or the file cannot be written.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> design.minimise((height - 0.3) ** 2)
+            >>> len(design.solve(search="near").plot().axes)
+            1
         """
         if self.run is None:
             return super().plot(target)
@@ -430,6 +515,16 @@ class Optimum(LocalOptimum):
             InputError: there is no such parameter or limit, or the optimum has no derivative: it is not unique, it does
                 not curve, or its active limits are not independent.
             NotConverged: the active limits cannot be determined, or the check could not solve the design again.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> design.require("half of it", height / 2.0, at_least="60 mm")
+            >>> design.minimise(height**2)
+            >>> best = design.solve(search="near")
+            >>> round(best.sensitivity("half of it").elasticity, 6)  # of (2 x)^2
+            2.0
         """
         if self.solved is None and not check:
             for one in self.sensitivities:
@@ -442,6 +537,15 @@ class Optimum(LocalOptimum):
 
         Raises:
             InputError, NotConverged: as `sensitivity`.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> design.require("half of it", height / 2.0, at_least="60 mm")
+            >>> design.minimise(height**2)
+            >>> [found.name for found in design.solve(search="near").every_sensitivity()]
+            ['half of it at_least']
         """
         return self.sensitivities or self._unique().every()
 
@@ -466,6 +570,16 @@ class Optimum(LocalOptimum):
         Raises:
             InputError: there is no such variable, or a catalogue has no value between the variable's bounds.
             InfeasibleDesign: no combination meets the requirements; the error lists the violations of each.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> design.require("half of it", height / 2.0, at_least="62 mm")
+            >>> design.minimise(height**2)
+            >>> made = design.solve(search="near").rounded(height="10 mm")
+            >>> made.variables
+            {'height': 0.13}
         """
         if isinstance(self, Rounded):
             raise InputError("this optimum is rounded already")
@@ -479,6 +593,16 @@ class Optimum(LocalOptimum):
         """Return the optimum with the best design in catalogue values beside it: see `rounded`.
 
         If none meets the requirements, a warning says so.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> design.require("half of it", height / 2.0, at_least="62 mm")
+            >>> design.minimise(height**2)
+            >>> best = design.solve(search="near").with_catalogues({"height": "10 mm"})
+            >>> best.bought.variables
+            {'height': 0.13}
         """
         try:
             return replace(self, bought=self.rounded(catalogues))

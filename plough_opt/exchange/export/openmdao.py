@@ -99,6 +99,19 @@ class FunctionComponent(om.ExplicitComponent):  # type: ignore[misc]
             model: the group whose driver chooses.
             objective: name of the output to minimise.
             prefix: path of this component in the model, with a dot at its end; "" if its names are promoted.
+
+        Example:
+            >>> import openmdao.api as om
+            >>> import plough_opt as po
+            >>> problem = po.read_problem("problems/reference.toml", ["effects.motion=false"])
+            >>> share = po.export.PloughComponent(component=problem.component(outputs=["mean_draft"]))
+            >>> driven = om.Problem(reports=False)
+            >>> driven.model = om.Group()
+            >>> _ = driven.model.add_subsystem("share", share, promotes=["*"])
+            >>> share.add_design(driven.model, "mean_draft")
+            >>> _ = driven.setup()
+            >>> len(driven.model.get_design_vars())
+            3
         """
         names = [port["argument"] for port in self._results]
         if objective not in names:

@@ -285,6 +285,16 @@ class Batch:
 
         Raises:
             InputError: chunks does not yield arrays, or a call would raise.
+
+        Example:
+            >>> import casadi as ca
+            >>> import plough_opt as po
+            >>> mass = ca.MX.sym("mass")
+            >>> cone = po.Cone("10 deg", "25 cm")
+            >>> scene = po.Scene(po.named_soil("serozem"), cone, 5e4, mass, 2.0, po.Effects(damping=400.0))
+            >>> batch = po.Batch(scene, 0.1, [mass])
+            >>> [len(found.mean_draft) for found in batch.stream([[[20.0], [25.0]], [[30.0]]])]
+            [2, 1]
         """
         if is_casadi(chunks) or not isinstance(chunks, Iterable):
             raise InputError(f"chunks = {shown(chunks)} must be a list or a generator of arrays")

@@ -92,7 +92,18 @@ class BatchResult(Saveable):
         )
 
     def page(self) -> Page:
-        """Return the range of every result, and why designs failed."""
+        """Return the range of every result, and why designs failed.
+
+        Example:
+            >>> import casadi as ca
+            >>> import plough_opt as po
+            >>> mass = ca.MX.sym("mass")
+            >>> cone = po.Cone("10 deg", "25 cm")
+            >>> scene = po.Scene(po.named_soil("serozem"), cone, 5e4, mass, 2.0, po.Effects(damping=400.0))
+            >>> found = po.Batch(scene, 0.1, [mass])([[20.0], [-1.0]])
+            >>> found.page().parts[0].rows[0]
+            ('mean draft', '2.1452 kN', '2.1452 kN', '2.1452 kN')
+        """
         table = Grid.of("", "result", "least", "median", "largest")
         for name, unit in _UNITS.items():
             values = getattr(self, name)[~self.failed]
@@ -112,6 +123,16 @@ class BatchResult(Saveable):
 
         Raises:
             InputError: a file name with an unknown ending, or a path that cannot be written.
+
+        Example:
+            >>> import casadi as ca
+            >>> import plough_opt as po
+            >>> stiffness = ca.MX.sym("stiffness")
+            >>> cone, wave = po.Cone("10 deg", "25 cm"), po.StrengthWave(0.3, "0.2 m")
+            >>> scene = po.Scene(po.named_soil("serozem"), cone, stiffness, 30.0, 2.0, po.Effects(strength_wave=wave))
+            >>> found = po.Batch(scene, 0.1, [stiffness])([[4e4], [5e4], [6e4]])
+            >>> found.plot().axes[0].get_ylabel()
+            'RMS of the mount force [kN]'
         """
         return drawn("plot_batch", self, target=target)
 
@@ -120,6 +141,16 @@ class BatchResult(Saveable):
 
         Raises:
             InputError: pandas is not installed.
+
+        Example:
+            >>> import casadi as ca
+            >>> import plough_opt as po
+            >>> mass = ca.MX.sym("mass")
+            >>> cone = po.Cone("10 deg", "25 cm")
+            >>> scene = po.Scene(po.named_soil("serozem"), cone, 5e4, mass, 2.0, po.Effects(damping=400.0))
+            >>> table = po.Batch(scene, 0.1, [mass])([[20.0], [-1.0]]).to_dataframe()
+            >>> [bool(failed) for failed in table["mean_draft"].isna()]
+            [False, True]
         """
         units = _UNITS | ({} if np.isnan(self.largest_multiplier).all() else {"largest_multiplier": ""})
         return data_frame({name: getattr(self, name) for name in units}, units)

@@ -56,6 +56,18 @@ class OwnResistance(Protocol):
         Under `StickSlip` it acts while the share slips, and is zero in a gap, like the soil.
 
         Use arithmetic and the functions of `plough_opt.core.expressions` only, so that symbols work too.
+
+        Example:
+            >>> from dataclasses import dataclass
+            >>> import plough_opt as po
+            >>> @dataclass(frozen=True)
+            ... class Shank:
+            ...     static: float
+            ...     viscous: float
+            ...     def force(self, travel, speed):
+            ...         return self.static + self.viscous * speed
+            >>> Shank(150.0, 80.0).force(travel=0.0, speed=2.0)
+            310.0
         """
 
 

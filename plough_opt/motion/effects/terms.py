@@ -362,7 +362,14 @@ class Smooth:
         check_domain("width of the smooth contact", self.width, "m/s", at_least=LEAST)
 
     def step(self, speed: Expression) -> tuple[Expression, Expression]:
-        """Return the step at a speed of the share [m/s], from 0 to 1, and its derivative [s/m]."""
+        """Return the step at a speed of the share [m/s], from 0 to 1, and its derivative [s/m].
+
+        Example:
+            >>> import plough_opt as po
+            >>> step, slope = po.Smooth("0.05 m/s").step(0.025)
+            >>> round(float(step), 6), round(float(slope), 6)
+            (0.5, 49.21875)
+        """
         u = minimum(maximum(speed / self.width, 0.0), 1.0)
         # Four derivatives vanish at each end, so integration steps across an end keep the digits of second derivatives.
         step = u**5 * (126.0 + u * (u * (540.0 + u * (70.0 * u - 315.0)) - 420.0))

@@ -176,7 +176,16 @@ class AccuracyStudy(Saveable):
         return tuple(question for question in every if question.reference in self.floors and self.of(question))
 
     def of(self, question: Question) -> list[MethodResult]:
-        """Return the entries ranked by an error."""
+        """Return the entries ranked by an error.
+
+        Example:
+            >>> import plough_opt as po
+            >>> scene = po.read_problem("problems/cotton_subsoiler.toml").scene()
+            >>> study = po.study_accuracy(scene, "0.1 s", thin=True, allowance=0.01, derivatives=False)
+            >>> entries = study.of(study.questions[0])
+            >>> all(entry.failure is None for entry in entries)
+            True
+        """
         return [e for e in self.entries if e.family in question.families and question.error in e.errors]
 
     @property
@@ -193,11 +202,27 @@ class AccuracyStudy(Saveable):
         return tuple(f"no result of {'; '.join(who)}: {reason}" for reason, who in labels.items())
 
     def front(self, question: Question) -> list[MethodResult]:
-        """Return the entries that no other beats in both time and error; errors below the reference's own are equal."""
+        """Return the entries that no other beats in both time and error; errors below the reference's own are equal.
+
+        Example:
+            >>> import plough_opt as po
+            >>> scene = po.read_problem("problems/cotton_subsoiler.toml").scene()
+            >>> study = po.study_accuracy(scene, "0.1 s", thin=True, allowance=0.01, derivatives=False)
+            >>> 0 < len(study.front(study.questions[0])) <= len(study.of(study.questions[0]))
+            True
+        """
         return efficient(self.of(question), question.error, self.floors[question.reference])
 
     def advise(self, question: Question) -> str:
-        """Return a sentence on what to choose for the wanted error, and how the default compares."""
+        """Return a sentence on what to choose for the wanted error, and how the default compares.
+
+        Example:
+            >>> import plough_opt as po
+            >>> scene = po.read_problem("problems/cotton_subsoiler.toml").scene()
+            >>> study = po.study_accuracy(scene, "0.1 s", thin=True, allowance=0.01, derivatives=False)
+            >>> study.advise(study.questions[0]) == study.advice.splitlines()[0]
+            True
+        """
         entries, key, wanted = self.of(question), question.error, error_text(self.wanted)
         best = cheapest(entries, key, self.wanted)
         if best is None:
@@ -235,7 +260,15 @@ class AccuracyStudy(Saveable):
         return "\n".join(self.advise(question) for question in self.questions)
 
     def page(self) -> Page:
-        """Return a report: a table for each question, entries without a result, notes and advice."""
+        """Return a report: a table for each question, entries without a result, notes and advice.
+
+        Example:
+            >>> import plough_opt as po
+            >>> scene = po.read_problem("problems/cotton_subsoiler.toml").scene()
+            >>> study = po.study_accuracy(scene, "0.1 s", thin=True, allowance=0.01, derivatives=False)
+            >>> len(study.page().parts) >= len(study.questions)
+            True
+        """
         timed = "medians over the seeds, errors the largest of any seed"
         if self.duration is not None:
             timed = "the least of several: a named method integrates once, auto is all of simulate with its check"
@@ -256,6 +289,13 @@ class AccuracyStudy(Saveable):
 
         Raises:
             InputError: pandas is not installed.
+
+        Example:
+            >>> import plough_opt as po
+            >>> scene = po.read_problem("problems/cotton_subsoiler.toml").scene()
+            >>> study = po.study_accuracy(scene, "0.1 s", thin=True, allowance=0.01, derivatives=False)
+            >>> len(study.to_dataframe()) == len(study.entries)
+            True
         """
         names = ("family", "method", "setting", "seconds", "setup", "failure")
         columns: dict[str, Any] = {name: [getattr(entry, name) for entry in self.entries] for name in names}
@@ -264,7 +304,15 @@ class AccuracyStudy(Saveable):
         return data_frame(columns, {name: "s" if name in ("seconds", "setup") else "" for name in columns})
 
     def table(self, question: Question) -> Grid:
-        """Return a table of a question's entries, fastest first, efficient ones marked; it fits 80 characters."""
+        """Return a table of a question's entries, fastest first, efficient ones marked; it fits 80 characters.
+
+        Example:
+            >>> import plough_opt as po
+            >>> scene = po.read_problem("problems/cotton_subsoiler.toml").scene()
+            >>> study = po.study_accuracy(scene, "0.1 s", thin=True, allowance=0.01, derivatives=False)
+            >>> len(study.table(study.questions[0]).rows) == len(study.of(study.questions[0]))
+            True
+        """
         reference = f"reference: {self.floors[question.reference]:.0e}"
         for name, floor in self.floors.items():
             if name.startswith(f"{question.reference}, "):
@@ -301,6 +349,13 @@ class AccuracyStudy(Saveable):
 
         Raises:
             InputError: no entry has an error, or the file has no known picture format or cannot be written.
+
+        Example:
+            >>> import plough_opt as po
+            >>> scene = po.read_problem("problems/cotton_subsoiler.toml").scene()
+            >>> study = po.study_accuracy(scene, "0.1 s", thin=True, allowance=0.01, derivatives=False)
+            >>> len(study.plot().axes) >= len(study.questions)
+            True
         """
         from matplotlib.axes import Axes
         from matplotlib.figure import Figure

@@ -75,6 +75,16 @@ class Calibration:
         Raises:
             InputError: the values are not those of all unknowns.
             DomainError: a value is not finite.
+
+        Example:
+            >>> import plough_opt as po
+            >>> still = po.Effects(motion=False)
+            >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+            >>> scene = po.Scene(po.named_soil("serozem"), share, "50 kN/m", "30 kg", "2 m/s", still)
+            >>> data = po.Measurements("mean_draft", [2000.0, 2300.0], {"scene.tow_speed": [1.0, 3.0]})
+            >>> question = po.Calibration(scene, data, {"soil.cohesion": ("1 kPa", "80 kPa")})
+            >>> question.predict({"soil.cohesion": "20 kPa"}).round().tolist()
+            [2405.0, 2430.0]
         """
         unknowns = {unknown.name: unknown for unknown in self.setup.model.unknowns}
         given = mapping_of("the values", values, f"{{'{next(iter(unknowns))}': value}} for every unknown")
@@ -94,6 +104,16 @@ class Calibration:
         Raises:
             InputError: the observed values are not finite numbers, one for each row.
             NotConverged: no start led to an optimum.
+
+        Example:
+            >>> import plough_opt as po
+            >>> still = po.Effects(motion=False)
+            >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+            >>> scene = po.Scene(po.named_soil("serozem"), share, "50 kN/m", "30 kg", "2 m/s", still)
+            >>> data = po.Measurements("mean_draft", [2000.0, 2300.0], {"scene.tow_speed": [1.0, 3.0]})
+            >>> question = po.Calibration(scene, data, {"soil.cohesion": ("1 kPa", "80 kPa")})
+            >>> round(question.fit(question.predict({"soil.cohesion": 25e3})).values["soil.cohesion"])
+            25000
         """
         started = time.perf_counter()
         data = self.setup.data

@@ -463,7 +463,13 @@ class Candidate:
     why: str = ""
 
     def describe(self) -> str:
-        """Return the measurement as text."""
+        """Return the measurement as text.
+
+        Example:
+            >>> import plough_opt as po
+            >>> po.Candidate("mean_draft", {"scene.tow_speed": 3.0}).describe()
+            'mean_draft at scene.tow_speed = 3 m/s'
+        """
         if self.why:
             return self.why
         if not self.conditions:

@@ -358,6 +358,14 @@ class Fit(Saveable):
 
         Raises:
             InputError: an invalid level or kind, or intervals that a loaded fit does not contain.
+
+        Example:
+            >>> import plough_opt as po
+            >>> data = po.read_measurements("problems/synthetic_draft.csv")
+            >>> fit = po.calibrate(po.read_problem("problems/calibration.toml"), data)
+            >>> wide, narrow = (fit.intervals(level)["soil.cohesion"] for level in (0.95, 0.5))
+            >>> bool(wide.lower < narrow.lower < fit.values["soil.cohesion"] < narrow.upper < wide.upper)
+            True
         """
         level = check_level(level)
         check_choice("kind", kind, ("profile", "linearised"))
@@ -376,6 +384,14 @@ class Fit(Saveable):
 
         Raises:
             InputError: a candidate of another type, or candidates for a loaded fit, which only has a saved ranking.
+
+        Example:
+            >>> import plough_opt as po
+            >>> data = po.read_measurements("problems/synthetic_draft.csv")
+            >>> fit = po.calibrate(po.read_problem("problems/calibration.toml"), data)
+            >>> fast = po.Candidate("mean_draft", {"scene.tow_speed": 4.0})
+            >>> [found.candidate == fast for found in fit.next_measurements([fast])]
+            [True]
         """
         if candidates is not None:
             return next_measurements(self._source_to("rank other candidates for"), candidates)
@@ -399,6 +415,14 @@ class Fit(Saveable):
         Raises:
             InputError: an invalid number of folds, or a loaded fit.
             NotConverged: a fit without some of the rows did not converge.
+
+        Example:
+            >>> import plough_opt as po
+            >>> data = po.read_measurements("problems/synthetic_draft.csv")
+            >>> fit = po.calibrate(po.read_problem("problems/calibration.toml"), data)
+            >>> found = fit.cross_validation(folds=4)
+            >>> found.rms["mean_draft"] > found.rms_fitted["mean_draft"]
+            True
         """
         return cross_validate(self._source_to("cross-validate"), folds, seed)
 
@@ -453,6 +477,13 @@ class Fit(Saveable):
 
         Intervals and the ranking of further measurements are costly, and are shown only if the fit holds them: as one
         that `complete` returned or a file holds.
+
+        Example:
+            >>> import plough_opt as po
+            >>> data = po.read_measurements("problems/synthetic_draft.csv")
+            >>> fit = po.calibrate(po.read_problem("problems/calibration.toml"), data)
+            >>> [row[0] for row in fit.page().parts[0].rows]
+            ['soil.cohesion', 'soil.tool_friction', 'effects.rate_term']
         """
         profiles = [item for item in self.saved_intervals if item.asked == "profile"]
         level = profiles[-1].level if profiles else 0.0
@@ -477,6 +508,13 @@ class Fit(Saveable):
 
         Raises:
             InputError: pandas is not installed.
+
+        Example:
+            >>> import plough_opt as po
+            >>> data = po.read_measurements("problems/synthetic_draft.csv")
+            >>> fit = po.calibrate(po.read_problem("problems/calibration.toml"), data)
+            >>> len(fit.to_dataframe())
+            24
         """
         names = ("place", "result", "unit", "observed", "predicted", "residual", "sigma", "standard_error")
         frame = data_frame({name: [getattr(row, name) for row in self.rows] for name in names}, {})
@@ -491,11 +529,27 @@ class Fit(Saveable):
 
         Raises:
             InputError: a file name without a known ending, or a path that cannot be written.
+
+        Example:
+            >>> import plough_opt as po
+            >>> data = po.read_measurements("problems/synthetic_draft.csv")
+            >>> fit = po.calibrate(po.read_problem("problems/calibration.toml"), data)
+            >>> len(fit.plot().axes)
+            4
         """
         return written(figure_of(self.title, self.rows, self.origin), target)
 
     def to_json(self, page: Page | None = None) -> str:
-        """Return the fit as JSON, with its intervals and the ranking of measurements: see `Saveable.to_json`."""
+        """Return the fit as JSON, with its intervals and the ranking of measurements: see `Saveable.to_json`.
+
+        Example:
+            >>> import json
+            >>> import plough_opt as po
+            >>> data = po.read_measurements("problems/synthetic_draft.csv")
+            >>> fit = po.calibrate(po.read_problem("problems/calibration.toml"), data)
+            >>> json.loads(fit.to_json())["kind"]
+            'calibration'
+        """
         complete = self if self.source is None else self.complete()
         return super(Fit, complete).to_json(page)
 
@@ -507,6 +561,13 @@ class Fit(Saveable):
 
         Raises:
             InputError: an invalid level, or a loaded fit that does not contain it.
+
+        Example:
+            >>> import plough_opt as po
+            >>> data = po.read_measurements("problems/synthetic_draft.csv")
+            >>> fit = po.calibrate(po.read_problem("problems/calibration.toml"), data)
+            >>> len(fit.complete().page().parts) > len(fit.page().parts)
+            True
         """
         for kind in ("linearised", "profile"):
             self.intervals(0.95, kind)

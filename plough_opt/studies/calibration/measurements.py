@@ -114,6 +114,12 @@ class Measurements(ByValue):
 
         Raises:
             InputError: an invalid row number.
+
+        Example:
+            >>> import plough_opt as po
+            >>> data = po.Measurements("mean_draft", [3.9e3, 4.1e3], {"scene.tow_speed": [1.0, 2.0]}, name="field 3")
+            >>> data.row(1)
+            'field 3, row 2'
         """
         self._check_row(number)
         return self._place(number)
@@ -123,6 +129,12 @@ class Measurements(ByValue):
 
         Raises:
             InputError: an invalid row number.
+
+        Example:
+            >>> import plough_opt as po
+            >>> data = po.Measurements("mean_draft", [3.9e3, 4.1e3], {"scene.tow_speed": [1.0, 2.0]})
+            >>> data.at(1)
+            {'scene.tow_speed': 2.0}
         """
         self._check_row(number)
         return {key: float(column[number]) for key, column in self.conditions.items()}

@@ -65,7 +65,13 @@ class Range:
             raise InputError(f"the number of values is {given}: it can be at most {MOST_VALUES}; use a sample instead")
 
     def values(self) -> tuple[float, ...]:
-        """Return the values for a grid, with both ends exact."""
+        """Return the values for a grid, with both ends exact.
+
+        Example:
+            >>> import plough_opt as po
+            >>> po.Range(1.0, 3.0, 5).values()
+            (1.0, 1.5, 2.0, 2.5, 3.0)
+        """
         if self.count is None:
             raise InputError(
                 f"the range from {self.lower:g} to {self.upper:g} has no number of values, which a grid needs: add"
@@ -79,6 +85,11 @@ class Range:
 
         Raises:
             InputError: the fraction is not a number.
+
+        Example:
+            >>> import plough_opt as po
+            >>> po.Range(10.0, 1000.0, 3, log=True).at(0.5)
+            100.0
         """
         fraction = plain_number("the fraction of a range", fraction)
         if self.log:

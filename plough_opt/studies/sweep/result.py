@@ -115,6 +115,17 @@ class Sweep(Readable):
 
         Raises:
             InputError: there is no such file, or it is damaged or not a store of this layout.
+
+        Example:
+            >>> import tempfile
+            >>> from concurrent.futures import ThreadPoolExecutor
+            >>> import plough_opt as po
+            >>> with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(1) as pool:
+            ...     path = f"{folder}/squares.db"
+            ...     po.sweep(lambda at: {"y": at["x"] ** 2}, {"x": [1.0, 3.0]}, store=path, executor=pool).close()
+            ...     with po.Sweep.load(path) as swept:
+            ...         print(swept.column("y").tolist())
+            [1.0, 9.0]
         """
         path = path_of("the store", path)
         if not path.is_file():
@@ -129,7 +140,16 @@ class Sweep(Readable):
             raise
 
     def close(self) -> None:
-        """Close the store; the results are lost if it is a temporary file."""
+        """Close the store; the results are lost if it is a temporary file.
+
+        Example:
+            >>> from concurrent.futures import ThreadPoolExecutor
+            >>> import plough_opt as po
+            >>> with ThreadPoolExecutor(1) as pool:
+            ...     swept = po.sweep(lambda at: {"y": at["x"] ** 2}, {"x": [1.0, 3.0]}, executor=pool)
+            >>> largest = swept.extreme("y", largest=True).value
+            >>> swept.close()
+        """
         self._store.close()
 
     def __enter__(self) -> Sweep:
@@ -159,7 +179,16 @@ class Sweep(Readable):
         return np.fromiter(self._store.rows("point", *self._store.about.columns), dtype=kind)
 
     def column(self, name: str) -> Array:
-        """Return a quantity or a result at every point, SI; NaN at points without results."""
+        """Return a quantity or a result at every point, SI; NaN at points without results.
+
+        Example:
+            >>> from concurrent.futures import ThreadPoolExecutor
+            >>> import plough_opt as po
+            >>> with ThreadPoolExecutor(1) as pool:
+            ...     swept = po.sweep(lambda at: {"y": at["x"] ** 2}, {"x": [1.0, 3.0]}, executor=pool)
+            >>> swept.column("y").tolist()
+            [1.0, 9.0]
+        """
         if name not in self._store.about.columns:
             raise InputError(f"'{name}' is not a column: there are {', '.join(self._store.about.columns)}")
         return np.array([row[0] for row in self._store.rows(name)], dtype=float)
@@ -182,7 +211,16 @@ class Sweep(Readable):
         return counted(((text, min(points, count)) for text, points in self._store.notes()), count, "points")
 
     def extreme(self, name: str, *, largest: bool = False) -> Extreme | None:
-        """Return the least or the largest value of a result, or None if no point has results."""
+        """Return the least or the largest value of a result, or None if no point has results.
+
+        Example:
+            >>> from concurrent.futures import ThreadPoolExecutor
+            >>> import plough_opt as po
+            >>> with ThreadPoolExecutor(1) as pool:
+            ...     swept = po.sweep(lambda at: {"y": at["x"] ** 2}, {"x": [1.0, 3.0]}, executor=pool)
+            >>> swept.extreme("y", largest=True).value
+            9.0
+        """
         if name not in self.results:
             raise InputError(f"'{name}' is not a result: there are {', '.join(self.results)}")
         row: tuple[Any, ...] | None = self._store.extreme(name, largest)
@@ -192,7 +230,16 @@ class Sweep(Readable):
         return Extreme(value, point, dict(zip(self.names, values, strict=True)))
 
     def page(self) -> Page:
-        """Return the range of every result with its points, the first failures, and the warnings."""
+        """Return the range of every result with its points, the first failures, and the warnings.
+
+        Example:
+            >>> from concurrent.futures import ThreadPoolExecutor
+            >>> import plough_opt as po
+            >>> with ThreadPoolExecutor(1) as pool:
+            ...     swept = po.sweep(lambda at: {"y": at["x"] ** 2}, {"x": [1.0, 3.0]}, executor=pool)
+            >>> swept.page().heading
+            '2 points, 0 failed'
+        """
         stored, failed, undetermined = self._store.counts()
         also = f", {undetermined} undetermined" if undetermined else ""
         table = Grid.of("", "result", "least", "at", "largest", "at ", left=("at", "at "))
@@ -234,11 +281,28 @@ class Sweep(Readable):
 
         Raises:
             InputError: the file name has an unknown ending, or the path cannot be written.
+
+        Example:
+            >>> from concurrent.futures import ThreadPoolExecutor
+            >>> import plough_opt as po
+            >>> with ThreadPoolExecutor(1) as pool:
+            ...     swept = po.sweep(lambda at: {"y": at["x"] ** 2}, {"x": [1.0, 3.0]}, executor=pool)
+            >>> swept.plot().axes[0].get_ylabel()
+            'y'
         """
         return written(_figure_of(self), target)
 
     def shown(self, name: str) -> tuple[Array, str]:
-        """Return a column in its display unit, and its heading."""
+        """Return a column in its display unit, and its heading.
+
+        Example:
+            >>> from concurrent.futures import ThreadPoolExecutor
+            >>> import plough_opt as po
+            >>> with ThreadPoolExecutor(1) as pool:
+            ...     swept = po.sweep(lambda at: {"y": at["x"] ** 2}, {"x": [0.1, 0.3]}, executor=pool, units={"x": "m"})
+            >>> swept.shown("x")[1]
+            'x [m]'
+        """
         values = self.column(name)
         display = self.origin.display(name, self.units.get(name, ""), *values[np.isfinite(values)].tolist())
         return values / display.factor, display.heading(called(name))
@@ -247,6 +311,15 @@ class Sweep(Readable):
         """Return a summary as JSON text: the range of every result in SI units, and the points at its ends.
 
         The first thousand failed and the first thousand undetermined points are listed with their reasons.
+
+        Example:
+            >>> import json
+            >>> from concurrent.futures import ThreadPoolExecutor
+            >>> import plough_opt as po
+            >>> with ThreadPoolExecutor(1) as pool:
+            ...     swept = po.sweep(lambda at: {"y": at["x"] ** 2}, {"x": [1.0, 3.0]}, executor=pool)
+            >>> json.loads(swept.to_json())["points"]
+            2
         """
         ranges = {
             name: {"least": vars(least), "largest": vars(largest)}
@@ -269,6 +342,14 @@ class Sweep(Readable):
 
         Raises:
             InputError: pandas is not installed.
+
+        Example:
+            >>> from concurrent.futures import ThreadPoolExecutor
+            >>> import plough_opt as po
+            >>> with ThreadPoolExecutor(1) as pool:
+            ...     swept = po.sweep(lambda at: {"y": at["x"] ** 2}, {"x": [1.0, 3.0]}, executor=pool)
+            >>> swept.to_dataframe()["y"].tolist()
+            [1.0, 9.0]
         """
         optional("pandas")  # before all points are read
         table = self.table
@@ -279,6 +360,17 @@ class Sweep(Readable):
 
         Raises:
             InputError: the path cannot be written.
+
+        Example:
+            >>> import tempfile
+            >>> from concurrent.futures import ThreadPoolExecutor
+            >>> import plough_opt as po
+            >>> with ThreadPoolExecutor(1) as pool:
+            ...     swept = po.sweep(lambda at: {"y": at["x"] ** 2}, {"x": [1.0, 3.0]}, executor=pool)
+            >>> with tempfile.TemporaryDirectory() as folder:
+            ...     lines = swept.to_csv(f"{folder}/swept.csv").read_text().splitlines()
+            >>> lines[0], lines[2]
+            ('point,x,y,reason', '1,3.0,9.0,')
         """
         columns = self._store.about.columns
         headings = (f"{name} [{self.units[name]}]" if self.units.get(name) else name for name in columns)
@@ -302,6 +394,17 @@ class Sweep(Readable):
 
         Raises:
             InputError: the path cannot be written.
+
+        Example:
+            >>> import tempfile
+            >>> from concurrent.futures import ThreadPoolExecutor
+            >>> import numpy as np
+            >>> import plough_opt as po
+            >>> with ThreadPoolExecutor(1) as pool:
+            ...     swept = po.sweep(lambda at: {"y": at["x"] ** 2}, {"x": [1.0, 3.0]}, executor=pool)
+            >>> with tempfile.TemporaryDirectory() as folder, np.load(swept.to_npz(f"{folder}/swept.npz")) as arrays:
+            ...     print(arrays["y"])
+            [1. 9.]
         """
         stored, failed, undetermined = self._store.counts()
         longest = max((len(failure.reason) for failure in self.failures), default=1)

@@ -417,11 +417,33 @@ class Front:
     origin: Origin = field(default=Origin())
 
     def cells(self, values: Sequence[float]) -> list[str]:
-        """Return objectives as text, each in the unit of the design question."""
+        """Return objectives as text, each in the unit of the design question.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
+            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
+            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
+            >>> front.cells([2500.0, 0.1])
+            ['2.5 kN', '100 mm']
+        """
         return [self.display(goal).text(x) for goal, x in zip(self.goals, values, strict=True)]
 
     def display(self, axis: Axis) -> Display:
-        """Return the unit in which an objective or a variable is shown; all that share an SI unit share it."""
+        """Return the unit in which an objective or a variable is shown; all that share an SI unit share it.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
+            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
+            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
+            >>> front.display(front.goals[0]).text(2500.0)
+            '2.5 kN'
+        """
         columns = zip((*self.goals, *self.variables), (*self.objectives.T, *self.designs.T), strict=True)
         alike = {other.name: float(np.max(np.abs(values))) for other, values in columns if other.unit == axis.unit}
         return self.origin.displays.get(axis.name) or self.origin.common(axis.unit, alike)
@@ -469,6 +491,17 @@ class Front:
 
         Raises:
             InputError: `number` is not a point, or `of` and `by` are not two different objectives.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
+            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
+            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
+            >>> f, r = front.objectives[2]
+            >>> round(float(front.rate(2) * 2.0 * f / r), 6)  # of the root
+            1.0
         """
         whole = all(isinstance(k, int | np.integer) and not isinstance(k, bool) for k in (number, of, by))
         if not (whole and -len(self.points) <= number < len(self.points)):
@@ -496,6 +529,16 @@ class Front:
 
         Raises:
             InputError: as for `rate`.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
+            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
+            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
+            >>> round(front.cost(2), 6)  # the radius is proportional to the root of the draft
+            0.5
         """
         rate, objectives = self.rate(number, of, by), self.points[number].objectives
         if rate is None or not (objectives[of] and objectives[by]) or self._change(by) < _ONE_PER_CENT:
@@ -512,6 +555,16 @@ class Front:
 
         Raises:
             InputError: as for `rate`.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
+            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
+            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
+            >>> front.in_words(2)
+            'at draft 5.5263 kN and radius 166.23 mm: 1 % less draft costs 0.5 % less radius'
         """
         cost, at = self.cost(number, of, by), self.points[number].objectives
         gains, gives = self.goals[by], self.goals[of]
@@ -538,6 +591,16 @@ class Front:
 
         Raises:
             InputError: `reference` is not one finite number for each objective.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
+            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
+            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
+            >>> 0.0 < front.hypervolume() < (12500.0 - 500.0) * (0.25 - 0.05)
+            True
         """
         front = self.objectives * self._signs
         if reference is None:

@@ -41,7 +41,18 @@ class TradeOff(Saveable, Front):
     kind = "trade-off"
 
     def page(self) -> Page:
-        """Return the front as a report: a table by parts, holes, costs at the knee, and positions without a design."""
+        """Return the front as a report: a table by parts, holes, costs at the knee, and positions without a design.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
+            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
+            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
+            >>> len(front.page().parts[0].rows)
+            5
+        """
         everywhere = [name for name in self.points[0].active if all(name in point.active for point in self.points)]
         parts: list[Grid | str] = [_table(self, everywhere)]
         for hole in self.holes:
@@ -76,6 +87,16 @@ class TradeOff(Saveable, Front):
 
         Raises:
             InputError: pandas is not installed.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
+            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
+            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
+            >>> front.to_dataframe()["radius"].round(6).tolist()
+            [0.05, 0.114575, 0.166228, 0.210555, 0.25]
         """
         axes = (*self.goals, *self.variables)
         columns: dict[str, Any] = {"part": self.part_of}
@@ -96,6 +117,16 @@ class TradeOff(Saveable, Front):
 
         Raises:
             InputError: the file has no known picture format, or cannot be written.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
+            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
+            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
+            >>> front.plot().axes[0].get_xlabel()
+            'draft [kN]'
         """
         from plough_opt.studies.tradeoff.picture import draw_front, front_figure
 
@@ -109,6 +140,18 @@ class TradeOff(Saveable, Front):
 
         Raises:
             InputError: the file cannot be written.
+
+        Example:
+            >>> import tempfile
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
+            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
+            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
+            >>> with tempfile.TemporaryDirectory() as folder:
+            ...     print(len(front.to_csv(f"{folder}/front.csv").read_text().splitlines()))
+            6
         """
         margins = list(self.points[0].margins)
         names = [goal.name for goal in self.goals]

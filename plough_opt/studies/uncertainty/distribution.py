@@ -83,6 +83,13 @@ class SoilSamples(ByValue):
 
         Raises:
             InputError: the name is not that of an uncertain property.
+
+        Example:
+            >>> from scipy import stats
+            >>> import plough_opt as po
+            >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+            >>> field.corners(part=0.8).property("cohesion").round(6).tolist()
+            [11000.0, 19000.0]
         """
         check_named("{} is not an uncertain property", name, self.names)
         column: Array = self.values[:, self.names.index(name)]
@@ -96,6 +103,15 @@ class SoilSamples(ByValue):
 
         Raises:
             InputError: the results are not given by name, or are not scalars.
+
+        Example:
+            >>> from scipy import stats
+            >>> import plough_opt as po
+            >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+            >>> cone = po.Cone("10 deg", "25 cm")
+            >>> found = field.sample(8).each(lambda soil: {"draft": po.resistance(cone, soil, 2.0, 0.0)})
+            >>> found["draft"].shape
+            (8,)
         """
         check_callable("the response", response, "of a soil that returns results by name")
         rows = [response(soil) for soil in self.soils]
@@ -272,6 +288,12 @@ class Marginal:
 
         Raises:
             InputError: a value that is not a number from 0 to 1.
+
+        Example:
+            >>> from scipy import stats
+            >>> import plough_opt as po
+            >>> po.uncertainty.Marginal(stats.uniform(1e4, 1e4)).quantile([0.0, 0.25]).tolist()
+            [10000.0, 12500.0]
         """
         numbers = _numbers("a probability", probability)
         if not np.all((numbers >= 0.0) & (numbers <= 1.0)):
@@ -288,6 +310,12 @@ class Marginal:
 
         Raises:
             InputError: a value that is not a number.
+
+        Example:
+            >>> from scipy import stats
+            >>> import plough_opt as po
+            >>> float(po.uncertainty.Marginal(stats.uniform(1e4, 1e4)).cdf(12.5e3))
+            0.25
         """
         below: Array = np.asarray(self.distribution.cdf(_numbers("a value", value)), dtype=float)
         probability: Array = np.clip((below - self._below) / self._mass, 0.0, 1.0)
@@ -428,6 +456,14 @@ class SoilDistribution:
 
         Raises:
             InputError: an invalid count or seed.
+
+        Example:
+            >>> from scipy import stats
+            >>> import plough_opt as po
+            >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+            >>> samples = field.sample(64)
+            >>> round(float(samples.property("cohesion").mean()), -2)
+            15000.0
         """
         _check_draw(count, seed)
         sequence = qmc.Sobol(len(self.names), scramble=True, rng=np.random.default_rng(seed))
@@ -438,6 +474,13 @@ class SoilDistribution:
 
         Raises:
             InputError: an invalid count or seed.
+
+        Example:
+            >>> from scipy import stats
+            >>> import plough_opt as po
+            >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+            >>> len(field.draw(100, seed=1))
+            100
         """
         _check_draw(count, seed)
         return self.at(np.random.default_rng(seed).random((count, len(self.names))))
@@ -450,6 +493,13 @@ class SoilDistribution:
 
         Raises:
             InputError: a part that is not between 0 and 1.
+
+        Example:
+            >>> from scipy import stats
+            >>> import plough_opt as po
+            >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+            >>> field.corners(part=0.8).property("cohesion").round(6).tolist()
+            [11000.0, 19000.0]
         """
         if not 0.0 < plain_number("the part of each distribution", part) < 1.0:
             raise InputError(f"the part {shown(part)} of each distribution within the box must lie between 0 and 1")
@@ -461,6 +511,13 @@ class SoilDistribution:
         """Return the samples at points of the unit cube, one per row, by the inverse Rosenblatt transform.
 
         The first property depends on the first coordinate; each further one also on the coordinates before its own.
+
+        Example:
+            >>> from scipy import stats
+            >>> import plough_opt as po
+            >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+            >>> field.at([[0.25], [0.5]]).property("cohesion").tolist()
+            [12500.0, 15000.0]
         """
         given = _numbers("points of the unit cube", uniforms)
         points: NDArray[Any] = np.clip(given, _LEAST_COORDINATE, 1.0 - 2.0 * _LEAST_COORDINATE)
@@ -474,7 +531,15 @@ class SoilDistribution:
         return SoilSamples(self.soil, self.names, np.stack(columns, axis=1))
 
     def in_words(self) -> str:
-        """Return mean and standard deviation of every property as text, SI units."""
+        """Return mean and standard deviation of every property as text, SI units.
+
+        Example:
+            >>> from scipy import stats
+            >>> import plough_opt as po
+            >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+            >>> field.in_words()
+            'cohesion 1.5e+04 +- 2.9e+03'
+        """
         return ", ".join(f"{name} {mean:.4g} +- {spread:.2g}" for name, (mean, spread) in self.moments.items())
 
     @property

@@ -110,7 +110,17 @@ class Robust(Readable):
         self.requested: list[RequestedMeasure] = []
 
     def page(self) -> Page:
-        """Return the results, the uncertain soil, and the requested measures."""
+        """Return the results, the uncertain soil, and the requested measures.
+
+        Example:
+            >>> from scipy import stats
+            >>> import plough_opt as po
+            >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+            >>> cone = po.Cone("10 deg", "25 cm")
+            >>> robust = po.Robust(field, lambda soil: {"draft": po.resistance(cone, soil, 2.0, 0.0)}, samples=8)
+            >>> robust.page().heading
+            'draft over 8 samples of cohesion 1.5e+04 +- 2.9e+03'
+        """
         table = Grid.of("", "result", "measure", left=("measure",))
         for measure in self.requested:
             table.row(measure.result, measure.text)
@@ -123,11 +133,31 @@ class Robust(Readable):
         return self.columns[name]
 
     def expected(self, name: str) -> Expression:
-        """Return the mean of a result."""
+        """Return the mean of a result.
+
+        Example:
+            >>> from scipy import stats
+            >>> import plough_opt as po
+            >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+            >>> cone = po.Cone("10 deg", "25 cm")
+            >>> robust = po.Robust(field, lambda soil: {"draft": po.resistance(cone, soil, 2.0, 0.0)}, samples=8)
+            >>> round(float(robust.expected("draft")), -2)
+            2000.0
+        """
         return self._request(name, "mean", "mean", measures.expected)
 
     def mean_plus(self, name: str, kappa: float) -> Expression:
-        """Return mean + kappa * standard deviation of a result."""
+        """Return mean + kappa * standard deviation of a result.
+
+        Example:
+            >>> from scipy import stats
+            >>> import plough_opt as po
+            >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+            >>> cone = po.Cone("10 deg", "25 cm")
+            >>> robust = po.Robust(field, lambda soil: {"draft": po.resistance(cone, soil, 2.0, 0.0)}, samples=8)
+            >>> bool(robust.mean_plus("draft", 2.0) > robust.expected("draft"))
+            True
+        """
         kappa = plain_number("kappa", kappa)
         sign = "+" if kappa >= 0.0 else "-"
         text = f"mean {sign} {abs(kappa):g} standard deviations"
@@ -137,6 +167,15 @@ class Robust(Readable):
         """Return the mean of a result over its worst samples, a fraction 1 - level of all: see `measures.cvar`.
 
         The worst are the largest, or with ``tail="lower"`` the smallest.
+
+        Example:
+            >>> from scipy import stats
+            >>> import plough_opt as po
+            >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+            >>> cone = po.Cone("10 deg", "25 cm")
+            >>> robust = po.Robust(field, lambda soil: {"draft": po.resistance(cone, soil, 2.0, 0.0)}, samples=8)
+            >>> bool(robust.cvar("draft", 0.75, width=10.0) > robust.expected("draft"))
+            True
         """
         check_choice("tail", tail, tuple(_WORST))
         level = plain_number("the level of a CVaR", level)
@@ -144,13 +183,37 @@ class Robust(Readable):
         return self._request(name, text, "mean", _in_tail(partial(measures.cvar, level=level), tail), width)
 
     def worst(self, name: str, *, width: float, tail: Tail = "upper") -> Expression:
-        """Return the largest value of a result over the samples, or the smallest: see `measures.worst`."""
+        """Return the largest value of a result over the samples, or the smallest: see `measures.worst`.
+
+        Example:
+            >>> from scipy import stats
+            >>> import plough_opt as po
+            >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+            >>> cone = po.Cone("10 deg", "25 cm")
+            >>> robust = po.Robust(field, lambda soil: {"draft": po.resistance(cone, soil, 2.0, 0.0)}, samples=8)
+            >>> bool(robust.worst("draft", width=10.0) > robust.expected("draft"))
+            True
+        """
         check_choice("tail", tail, tuple(_WORST))
         kind = _WORST[tail]
         return self._request(name, f"{kind} of the samples", kind, _in_tail(measures.worst, tail), width)
 
     def every(self, name: str, *, at_least: float | None = None, at_most: float | None = None) -> Expression:
-        """Return a result as a column, to be required within limits; `verify` then estimates their probability."""
+        """Return a result as a column, to be required within limits; `verify` then estimates their probability.
+
+        Example:
+            >>> from scipy import stats
+            >>> import plough_opt as po
+            >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="25 cm", lower="10 cm", upper="50 cm")
+            >>> cone = po.Cone("10 deg", height)
+            >>> robust = po.Robust(field, lambda soil: {"draft": po.resistance(cone, soil, 2.0, 0.0)}, samples=8)
+            >>> design.require("every draft", robust.every("draft", at_most=3e3), at_most=3e3, unit="N")
+            >>> design.minimise(-height)
+            >>> round(design.solve(search="near").variables["height"], 2)
+            0.3
+        """
         values = self[name]
         self.requested.append(_within(name, at_least, at_most, 0.0))
         return values
@@ -158,7 +221,17 @@ class Robust(Readable):
     def probability(
         self, name: str, *, at_least: float | None = None, at_most: float | None = None, width: float
     ) -> Expression:
-        """Return the probability that a result is within limits: see `measures.probability`."""
+        """Return the probability that a result is within limits: see `measures.probability`.
+
+        Example:
+            >>> from scipy import stats
+            >>> import plough_opt as po
+            >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+            >>> cone = po.Cone("10 deg", "25 cm")
+            >>> robust = po.Robust(field, lambda soil: {"draft": po.resistance(cone, soil, 2.0, 0.0)}, samples=8)
+            >>> 0.0 < float(robust.probability("draft", at_most=float(robust.expected("draft")), width=10.0)) < 1.0
+            True
+        """
         values, requested = self[name], _within(name, at_least, at_most, width)
         probability: Expression = measures.probability(values, at_least=at_least, at_most=at_most, width=width)
         self.requested.append(requested)
@@ -190,6 +263,19 @@ class Robust(Readable):
 
         Raises:
             InputError: no limit, two limits, or an invalid probability.
+
+        Example:
+            >>> from scipy import stats
+            >>> import plough_opt as po
+            >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="25 cm", lower="10 cm", upper="50 cm")
+            >>> cone = po.Cone("10 deg", height)
+            >>> robust = po.Robust(field, lambda soil: {"draft": po.resistance(cone, soil, 2.0, 0.0)}, samples=8)
+            >>> robust.require_probability(design, "draft", "draft", 0.9, at_most=3e3, width=20.0, unit="N")
+            >>> design.minimise(-height)
+            >>> round(design.solve(search="near").variables["height"], 2)
+            0.3
         """
         check_kind("the design", design, Design, "a Design")
         if (at_least is None) == (at_most is None):
@@ -215,6 +301,19 @@ class Robust(Readable):
             upper: upper bound of the variable.
             guess: guess of the variable; default: its upper bound.
             unit: unit of the result, for reports.
+
+        Example:
+            >>> from scipy import stats
+            >>> import plough_opt as po
+            >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="25 cm", lower="10 cm", upper="50 cm")
+            >>> cone = po.Cone("10 deg", height)
+            >>> robust = po.Robust(field, lambda soil: {"draft": po.resistance(cone, soil, 2.0, 0.0)}, samples=8)
+            >>> worst = robust.bound_from_above(design, "draft", lower=0.0, upper=2e4, unit="N")
+            >>> design.minimise(worst / 1e3)
+            >>> round(design.solve(search="near").variables["height"], 6)
+            0.1
         """
         check_kind("the design", design, Design, "a Design")
         values, start = self[name], upper if guess is None else guess
@@ -239,6 +338,17 @@ class Robust(Readable):
 
         Raises:
             InputError: a soil has no result.
+
+        Example:
+            >>> from scipy import stats
+            >>> import plough_opt as po
+            >>> field = po.SoilDistribution(po.named_soil("serozem"), cohesion=stats.uniform(1e4, 1e4))
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="25 cm", lower="10 cm", upper="50 cm")
+            >>> cone = po.Cone("10 deg", height)
+            >>> robust = po.Robust(field, lambda soil: {"draft": po.resistance(cone, soil, 2.0, 0.0)}, samples=8)
+            >>> robust.values({"height": 0.3})["draft"].shape
+            (8,)
         """
         if samples is not None:
             check_kind("samples", samples, SoilSamples, "SoilSamples, which a SoilDistribution makes")

@@ -286,7 +286,7 @@ def _calibrate(verb: _Parser) -> None:
     verb.choice("errors", ("constant", "relative"), errors, "constant")
     verb.option("level", "P", "confidence level of the intervals (default: 0.95)", type=float, default=0.95)
     verb.option("folds", "N", "number of folds in cross-validation (default: leave one row out)", type=int)
-    part = "also fit to the other rows, and predict this part of them: 1/3, 0.3 or 30 %"
+    part = "also fit to the other rows, and predict this part of them: 1/3, 0.3 or 30 %%"
     verb.option("hold-out", "PART", part)
     by = "hold out rows together that have one value in this column: share.wedge_angle (default: single rows)"
     verb.option("hold-out-by", "KEY", by)

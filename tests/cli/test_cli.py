@@ -180,6 +180,7 @@ USAGE = [
     (["completion", "cmd"], 2, ["bash"]),
     (["--help"], 0, ["\n    init ", "\n    check ", "\n    simulate ", "\n    optimise ", "\n    soils "]),
     (["check", "--help"], 0, ['--set KEY="VALUE"']),
+    (["calibrate", "--help"], 0, ["30 %"]),
     (["--version"], 0, [f"plough-opt {po.__version__}\n"]),
 ]
 

@@ -1,6 +1,7 @@
 """Layout of the project: imports go downwards, files are short, links are valid."""
 
 import ast
+import csv
 import importlib.metadata
 import re
 import subprocess
@@ -95,24 +96,47 @@ def test_folders_of_tests_run_alone_and_together():
             assert places[name] in source.parents, (source, name)
 
 
-LICENCES = {
-    name: row.split("|")[2]
-    for row in (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").partition("## Licences")[2].splitlines()
-    if row.startswith("| ")
-    for name in row.split("|")[1].strip().split(", ")
-}
+def test_the_version_and_its_date_are_everywhere_those_of_the_project():
+    version = PROJECT["version"]
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    (released,) = re.findall(rf"^## \[{re.escape(version)}\] - ([0-9-]+)$", changes, re.MULTILINE)
+    cited = dict(re.findall(r"^([\w-]+): (.+)$", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), re.MULTILINE))
+    assert (cited["version"], cited["date-released"]) == (version, released)
+    assert re.findall(r"^## \[([^]]+)", changes, re.MULTILINE)[0] in (version, "Unreleased")
+
+
+LICENCES = [*csv.DictReader((ROOT / "recipe" / "licences.csv").read_text(encoding="utf-8").splitlines())]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 FAMILIES = ("MIT", "BSD", "Apache", "MPL", "LGPL", "PSF")
 # Libraries whose metadata do not contain a machine-readable licence.
-SILENT = {"fmpy": "BSD", "matplotlib": "PSF"}
+SILENT = {"fmpy": "BSD", "matplotlib": "PSF", "casadi": "LGPL"}
 
 
 def test_the_licence_of_every_library_is_listed():
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    extras = {k: v for k, v in project["optional-dependencies"].items() if k not in ("test", "bench")}
-    needed = {re.match(r"[\w-]+", line)[0] for line in sum(extras.values(), project["dependencies"])}
-    assert needed <= set(LICENCES)
-    for name in needed - {"build123d"}:  # which tests do without
-        about = importlib.metadata.metadata(name)
+    libraries = [row for row in LICENCES if not row["part of"]]
+    extras = {k: v for k, v in PROJECT["optional-dependencies"].items() if k not in ("test", "full", "bench", "docs")}
+    needed = [(extra, line) for extra, lines in {"": PROJECT["dependencies"], **extras}.items() for line in lines]
+    named = sorted((extra, re.match(r"[\w-]+", line)[0]) for extra, line in needed)
+    assert sorted((row["extra"], row["library"]) for row in libraries) == named
+    for name, licence in {row["library"]: row["licence"] for row in libraries}.items():
+        try:
+            about = importlib.metadata.metadata(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue  # an extra that is not installed here
         fields = ("License-Expression", "License", "Classifier")
         said = SILENT.get(name) or " ".join(text for field in fields for text in about.get_all(field, []))
-        assert any(family in said and family in LICENCES[name] for family in FAMILIES), (name, said[:200])
+        assert any(family in said and family in licence for family in FAMILIES), (name, said[:200])
+    bundled = {row["library"]: row["licence"] for row in LICENCES if row["part of"] == "plough_opt"}
+    texts = (ROOT / "plough_opt" / "app" / "assets" / "LICENSES.txt").read_text(encoding="utf-8")
+    assert all(name in texts for name in bundled)
+    assert set(PROJECT["license"].split(" AND ")) == {"MIT", *bundled.values()}
+
+
+def test_the_recipe_needs_what_the_project_needs():
+    recipe = (ROOT / "recipe" / "recipe.yaml").read_text(encoding="utf-8")
+    run = re.findall(r"^    - ([\w-]+) >=([\d.]+)$", recipe.partition("  run:")[2].partition("tests:")[0], re.MULTILINE)
+    names = {"matplotlib-base": "matplotlib", "lazy-loader": "lazy_loader"}  # conda-forge's
+    assert [f"{names.get(name, name)}>={version}" for name, version in run] == PROJECT["dependencies"]
+    assert f'python_min: "{PROJECT["requires-python"].removeprefix(">=")}"' in recipe
+    assert f'version: "{PROJECT["version"]}"' in recipe
+    assert all(f"license: {PROJECT['license']}" in recipe and file in recipe for file in PROJECT["license-files"])

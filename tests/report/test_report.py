@@ -119,6 +119,20 @@ def test_scripts_by_others_are_small_and_licensed():
     assert f"{size / 1000:.0f} kB compressed" in page.read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(("packed", "source"), [("uplot", "uPlot.iife.js"), ("ogl", "ogl")])
+def test_scripts_by_others_come_with_their_readable_sources(packed, source):
+    """Packing keeps texts and names of properties: each of the packed script is one of the source."""
+    place = ASSETS / "sources" / source
+    sources = place.rglob("*.js") if place.is_dir() else [place]
+    written = " ".join(path.read_text(encoding="utf-8") for path in sources)
+    words = {*re.findall(r"[a-zA-Z_]{7,}", (ASSETS / f"{packed}.min.js").read_text(encoding="utf-8"))}
+    # Words of the packer, which binds the exports of a module to a global name.
+    own = "__esModule getOwnPropertyDescriptor getOwnPropertyNames hasOwnProperty enumerable defineProperty"
+    assert len(words) > 100
+    assert [word for word in words if word not in written and word not in own.split()] == []
+    assert max(map(len, written.splitlines())) < 600  # not packed
+
+
 def test_a_share_without_variables_that_does_not_move_has_no_empty_pictures():
     fixed = (*FIXED, "scene.stiffness=50 kN/m", "effects={motion=false}", "require={}")
     text = page(reported(po.read_problem(SUBSOILER, fixed), lambda *_: None, accuracy=False))

@@ -62,8 +62,8 @@ class _Share(Forces):
         return rate
 
     def slows(self, t, x):
-        """Return the force that speeds a slipping share up."""
-        return self.pull(t, x[0], x[1]) - self.soil(x[0], x[1])
+        """Return the force that speeds a slipping share up, less its rounding, which changes sign without end."""
+        return self.pull(t, x[0], x[1]) - self.soil(x[0], x[1]) - 1e-11 * self.static
 
     def ends(self, mode, furthest, entered):
         """Return, by name, what crosses 0 upwards when a mode, or the entry, ends."""

@@ -11,12 +11,16 @@ from plough_opt.app.page import Report, page
 from plough_opt.app.terminal import progress, read, wrote
 from plough_opt.core.checks import path_of, whole_number
 from plough_opt.core.errors import InputError, NotConverged
+from plough_opt.core.expressions import as_number
 from plough_opt.core.files import check_file, write_file
 from plough_opt.core.process import optional
+from plough_opt.core.quantities import BESIDE
 from plough_opt.design import Progress, Sensitivity
 from plough_opt.motion import Run
 from plough_opt.motion.machine import Machine
+from plough_opt.motion.scene import Scene
 from plough_opt.problem_file import Problem, read_problem
+from plough_opt.problem_file.written import problem_of
 from plough_opt.studies.accuracy.study import study_accuracy
 
 # Time limit [s] of one use of an integration method: every efficient one needs less than a tenth of it.
@@ -43,20 +47,24 @@ def report(options: argparse.Namespace) -> None:
     wrote(path)
 
 
-def explore(problem: Problem | str | Path, path: str | Path, *, seed: int = 0) -> Path:
-    """Write the page of a problem file: its report, and controls that compute any other design in the browser.
+def explore(
+    question: Problem | str | Path | Scene, path: str | Path, *, duration: float | str | None = None, seed: int = 0
+) -> Path:
+    """Write the page of a question: its report, and controls that compute any other design in the browser.
 
     Args:
-        problem: a problem, or the path of its file.
+        question: a problem, the path of its file, or a numeric scene.
         path: path of the page, ending in .html; an existing file is replaced.
+        duration: simulated time of a scene [s], or a text such as "2 s"; omit it for a periodic orbit and for a
+            problem, which has its own.
         seed: seed of the search's samples.
 
     Returns:
         The path.
 
     Raises:
-        InputError: the file has a mistake, several shares, traded results or an uncertain soil, or the page cannot be
-            written.
+        InputError: the file has a mistake, several shares or an uncertain soil, the scene holds symbols or something
+            that no problem file can say, the duration is missing or given for a problem, or the page cannot be written.
 
     Example:
         >>> import plough_opt as po
@@ -64,7 +72,13 @@ def explore(problem: Problem | str | Path, path: str | Path, *, seed: int = 0) -
     """
     target = check_file(path_of("the page", path), "page", ".html")
     whole_number("seed", seed)
-    known = problem if isinstance(problem, Problem) else read_problem(problem)
+    if isinstance(question, Scene):
+        time = None if duration is None else float(as_number(BESIDE["scene.duration"].read(duration)))
+        known = problem_of(question, time, "A scene of Python")
+    elif duration is not None:
+        raise InputError("a problem has its own scene.duration: leave duration out, or change the problem")
+    else:
+        known = question if isinstance(question, Problem) else read_problem(question)
     return explored_file(known, target, lambda *_: None, seed=seed)
 
 

@@ -84,13 +84,13 @@ def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
     notes = tuple(note for text in overrides if (note := apply_override(source, text)))
     names = names_of_shares(source)
     if not names:
-        found = _read(source, Path(path).parent, notes, overrides)
+        found = read_source(source, Path(path).parent, notes, overrides)
         return dataclasses.replace(found, notes=(*found.notes, *_soil_notes(found, path, overrides)))
     parts, own = {}, {}
     for name in names:
         view = copy.copy(source)
         own[name] = choose_share(view, name)
-        parts[name] = _read(view, Path(path).parent, notes, (*overrides, f"{_SHARES}={name}"))
+        parts[name] = read_source(view, Path(path).parent, notes, (*overrides, f"{_SHARES}={name}"))
     return _joined(parts, own, overrides)
 
 
@@ -120,7 +120,7 @@ def _joined(parts: Mapping[str, Problem], own: Mapping[str, set[str]], overrides
     )  # fmt: skip
 
 
-def _read(source: Source, folder: Path, notes: tuple[str, ...], overrides: tuple[str, ...]) -> Problem:
+def read_source(source: Source, folder: Path, notes: tuple[str, ...] = (), overrides: tuple[str, ...] = ()) -> Problem:
     """Return the problem of one share; ``folder`` is the one that paths of data files start from."""
     join_dotted_variables(source.data)
     join_dotted(source.data)

@@ -1,0 +1,125 @@
+"""A scene of Python written as a problem file, and read back as one."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from plough_opt.core.checks import shown
+from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import as_number, holds_casadi
+from plough_opt.core.quantities import EVERY
+from plough_opt.laws import LAWS
+from plough_opt.motion.effects import OWN_EFFECTS, Effects, HarmonicBalance, Smooth, StickSlip
+from plough_opt.motion.scene import Scene, quantities_of
+from plough_opt.problem_file.problem import Problem
+from plough_opt.problem_file.reading import read_source
+from plough_opt.problem_file.source import Source
+from plough_opt.soil.geometry import Wedge
+from plough_opt.soil.soil import named_soil, soil_names
+
+_NAME = "design.toml"  # as the page that computes calls what it writes
+# Relative difference that conversions of units leave.
+_ROUNDING = 1e-14
+
+
+def problem_of(scene: Scene, duration: float | None, title: str) -> Problem:
+    """Return a numeric scene as the problem of a file without variables.
+
+    Args:
+        scene: the scene.
+        duration: simulated time [s]; None for a periodic orbit.
+        title: the file's title.
+
+    Raises:
+        InputError: the scene holds symbols, or something that a problem file cannot say; the message names it.
+    """
+    if holds_casadi(scene):
+        raise InputError("the scene holds symbols: give one of numbers, such as best(scene) of an optimum")
+    if not isinstance(scene.share, Wedge):
+        raise InputError("no problem file can say a share that is a Cone: give the Wedge")
+    given = {name: float(as_number(value)) for name, value in quantities_of(scene).items() if value is not None}
+    frame = {"scene.frame_mass": given.pop("scene.mass"), "scene.steel_density": 0.0}
+    given |= frame | ({} if duration is None else {"scene.duration": duration})
+    name = next((name for name in soil_names() if named_soil(name) == scene.soil), None)
+    if name is not None:
+        given = {key: value for key, value in given.items() if EVERY[key].owner != "soil"}
+    lines = [f"title = {json.dumps(title)}", *([] if name is None else [f"soil.name = {json.dumps(name)}"])]
+    lines += [f"{key} = {_with_unit(value, EVERY[key].unit)}" for key, value in given.items() if EVERY[key].in_files]
+    lines += [f"effects.{key} = {_toml(value)}" for key, value in _choices(scene)]
+    lines += [] if scene.medium == Scene.medium else [f"scene.medium = {_medium(scene.medium)}"]
+    try:
+        problem = read_source(Source("\n".join(lines) + "\n", _NAME), Path())
+    except InputError as error:
+        raise InputError(f"no problem file can say this scene: {error}") from None
+    found = problem.scene()
+    soil = replace(found.soil, name=scene.soil.name, source=scene.soil.source)
+    if different := next(_differences("scene", scene, replace(found, soil=soil)), None):
+        raise InputError(f"no problem file can say {different}")
+    # Units follow the size of the values, as in all results of Python.
+    return replace(problem, displays={})
+
+
+def _choices(scene: Scene) -> Iterator[tuple[str, Any]]:
+    """Yield key and value of the choices among effects that are no quantities."""
+    effects = scene.effects
+    for name in ("motion", "inertial_drag", "added_mass", "ambient_pressure", "start", "entry", "formulation"):
+        if getattr(effects, name) != getattr(Effects, name):
+            yield name, getattr(effects, name)
+    if isinstance(effects.contact, Smooth | StickSlip):
+        yield "contact", "smooth" if isinstance(effects.contact, Smooth) else "stick_slip"
+    if isinstance(effects.orbit, HarmonicBalance):
+        yield from {"orbit": "harmonic_balance", "harmonics": effects.orbit.harmonics}.items()
+    elif effects.orbit != Effects.orbit:
+        yield "orbit", effects.orbit
+    names = {kind: name for name, kind in OWN_EFFECTS.items()}
+    if effects.own:
+        yield "own", [_fields("effect", names.get(type(one), type(one).__name__), one) for one in effects.own]
+
+
+def _medium(medium: Any) -> str:
+    if isinstance(medium, str):
+        return _toml(medium)
+    names = {kind: name for name, kind in LAWS.items()}
+    return _toml(_fields("law", names.get(type(medium), type(medium).__name__), medium))
+
+
+def _fields(key: str, name: str, one: Any) -> dict[str, Any]:
+    """Return the fields of an effect or a law as a table that names its class."""
+    given = {each.name: getattr(one, each.name) for each in fields(one)}
+    units = {each.name: each.metadata.get("unit") for each in fields(one)}
+    said = {k: v if units[k] is None else f"{float(v)!r} {units[k]}".strip() for k, v in given.items() if v is not None}
+    return {key: name, **said}
+
+
+def _with_unit(value: float, unit: str) -> str:
+    return f'"{value!r} {unit}"' if unit else repr(value)
+
+
+def _toml(value: Any) -> str:
+    """Return a value as TOML in one line."""
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{key} = {_toml(each)}' for key, each in value.items())} }}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_toml, value))}]"
+    return json.dumps(value if isinstance(value, bool | int | float | str) else shown(value))
+
+
+def _differences(name: str, one: Any, other: Any) -> Iterator[str]:
+    """Yield where two scenes differ by more than rounding."""
+    if is_dataclass(one) and type(one) is type(other):
+        for each in fields(one):
+            yield from _differences(f"{name}.{each.name}", getattr(one, each.name), getattr(other, each.name))
+    elif isinstance(one, tuple) and isinstance(other, tuple) and len(one) == len(other):
+        for k, pair in enumerate(zip(one, other, strict=True)):
+            yield from _differences(f"{name}[{k}]", *pair)
+    elif isinstance(one, float) and isinstance(other, float):
+        if not np.isclose(one, other, rtol=_ROUNDING, atol=0.0):
+            yield f"{name} = {one!r}"
+    elif one != other:
+        yield f"{name} = {shown(one)}"

@@ -20,7 +20,7 @@ from plough_opt.exchange.export.javascript import Source
 from plough_opt.motion import Run
 from plough_opt.motion.equation import Structure, equation_of, parameters
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
-from plough_opt.motion.plan import forced_rate, summed_rate
+from plough_opt.motion.plan import forced_rate, rates
 from plough_opt.motion.run import WITHOUT_RANDOM, Averages, assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import GAUSS_POINTS, MORE_POINTS, quasi_static
@@ -75,7 +75,7 @@ def page_model(problem: Problem) -> PageModel:
         p = parameters(scene)
         duration = problem.values(given)["scene.duration"]
         ramp = p.get("ramp_time", 0.0) / duration
-        rate = summed_rate(p) if moves else forced_rate(p)
+        rate = rates(p).summed if moves else forced_rate(p)
         run = _at(scene, time, state)
         # What does not change over time, such as the law of resistance, is computed once for a design.
         rows, symbols, constants = ca.extract_parametric(

@@ -192,6 +192,9 @@ class DomainLimit:
 Recorded: TypeAlias = list[tuple[DomainLimit, Any]]
 """Limits, each with the value that it limits."""
 
+# What `check_domain` returns as it is.
+_FLOATS: Final = (float, np.float64)
+
 _OF_SYMBOLS: ContextVar[Recorded | None] = ContextVar("of_symbols", default=None)
 _OF_NUMBERS: ContextVar[Recorded | None] = ContextVar("of_numbers", default=None)
 
@@ -249,7 +252,7 @@ def check_domain(
         DomainError: the value is not a finite number or lies outside; the message gives name, value and limit.
     """
     at_least, at_most = max(at_least, -LARGEST), min(at_most, LARGEST)
-    if type(value) is float and above < value < below and at_least <= value <= at_most:
+    if type(value) in _FLOATS and above < value < below and at_least <= value <= at_most:
         return value
     symbolic = is_symbolic(value)
     record = (_OF_SYMBOLS if symbolic else _OF_NUMBERS).get()

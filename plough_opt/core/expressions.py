@@ -312,8 +312,8 @@ def where(condition: Expression, yes: Expression, no: Expression) -> Expression:
         >>> where(True, 1.0, 2.0)
         1.0
     """
-    if isinstance(condition, bool) and isinstance(yes, float) and isinstance(no, float):
-        return yes if condition else no
+    if isinstance(condition, bool | np.bool_) and isinstance(yes, float) and isinstance(no, float):
+        return float(yes if condition else no)
     if is_casadi(condition) or is_casadi(yes) or is_casadi(no):
         return _if_else(condition, yes, no)
     chosen = _choose(condition, yes, no)

@@ -165,14 +165,14 @@ def labels_in(function: ca.Function) -> list[ca.MX]:
 _INSIDE: ContextVar[bool] = ContextVar("inside", default=False)
 
 
-@contextmanager
-def unlabelled() -> Iterator[None]:
+class unlabelled:  # noqa: N801 (a context, entered too often for a generator)
     """Return laws' values without labels inside this context, because the calling law is labelled itself."""
-    before = _INSIDE.set(True)
-    try:
-        yield
-    finally:
-        _INSIDE.reset(before)
+
+    def __enter__(self) -> None:
+        self._before = _INSIDE.set(True)
+
+    def __exit__(self, *error: object) -> None:
+        _INSIDE.reset(self._before)
 
 
 def checked_in_designs(

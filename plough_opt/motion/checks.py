@@ -19,7 +19,7 @@ from plough_opt.motion import plan
 from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.equation import SLIP, STICK, Structure, parameters
 from plough_opt.motion.methods import METHODS, Accuracy
-from plough_opt.motion.run import Run
+from plough_opt.motion.run import Averages, Run
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.steps import hermite
 
@@ -164,7 +164,7 @@ def _driven_away(scene: Scene, last: Run) -> str | None:
 
 def _too_difficult(scene: Scene, duration: float, accuracy: Accuracy, outputs: int) -> str:
     """Return why an integration failed that neither an own effect nor an escape explains."""
-    total = plan.phase(plan.numbers_of(scene), duration)
+    total = plan.rates_of(scene).fastest * duration
     turns = total / (2.0 * math.pi)
     if METHODS[accuracy.method].order is not None:
         enough = plan.with_setting(replace(accuracy, steps=None), plan.steps_for(total), outputs).steps or 0
@@ -219,7 +219,7 @@ def refuse_endless(scene: Scene, p: Mapping[str, float], duration: float) -> Non
             " softer mount, a shorter duration or the quasi-static scene, or name a method, such as Accuracy('erk'), to"
             " integrate it anyway"
         )
-    total = plan.forced_rate(p) * duration + waves_in_flight(scene, p, duration)
+    total = plan.rates_of(scene).forced * duration + waves_in_flight(scene, p, duration)
     motion = scene.effects.motion
     if total > (plan.MOST_FORCED if motion else plan.MOST_PANELLED):
         by_name = ", or name a method, such as Accuracy('erk'), to integrate it anyway" if motion else ""
@@ -239,7 +239,7 @@ def refuse_stiff_orbit(scene: Scene) -> None:
     Raises:
         IntegrationError: the motion is stiffer than `plough_opt.motion.plan.MOST_SHOT` allows by default.
     """
-    total = plan.phase(plan.numbers_of(scene), float(as_number(scene.wave_period))) if scene.effects.waves else 0.0
+    total = plan.rates_of(scene).fastest * float(as_number(scene.wave_period)) if scene.effects.waves else 0.0
     if total <= plan.MOST_SHOT:
         return
     purpose = "" if scene.effects.orbit == "periodic" else ", which the error of this approximation needs,"
@@ -339,10 +339,15 @@ def broken_wave(run: Run) -> tuple[str, ...]:
     count = math.floor(duration / period + _WHOLE_WAVES)
     if count < 1:
         return ()
-    times = np.append(run.time[run.time < count * period], count * period)
-    forces = np.interp(times, run.time, run.mount_force)
-    whole, every = np.trapezoid(forces, times) / times[-1], np.trapezoid(run.mount_force, run.time) / duration
-    percent = 100.0 * float(every / whole - 1.0)
+    # Integrals of the mount force, by the trapezoidal rule with the output interval as the unit of time.
+    force, intervals = run.mount_force, len(run.time) - 1
+    until = min(count * period / duration, 1.0) * intervals
+    last = min(int(until), intervals - 1)
+    part, begin, end = until - last, float(force[last]), float(force[last + 1])
+    before = float(np.sum(force[: last + 1])) - 0.5 * float(force[0] + begin)
+    whole = before + part * (begin + 0.5 * part * (end - begin))
+    every = float(np.sum(force)) - 0.5 * float(force[0] + force[-1])
+    percent = 100.0 * (every / intervals / (whole / until) - 1.0)
     if abs(percent) <= _BROKEN_WAVE:
         return ()
     return (
@@ -411,32 +416,41 @@ def difference(run: Run, other: Run) -> float:
     apart -= ours
     if run.scene.effects.events:
         apart[[1, 3]] *= run.mode == other.mode
-    differences: list[float] = np.abs(apart).max(axis=1).tolist()
-    largest: list[float] = np.abs(ours).max(axis=1).tolist()
-    # The travel of a share that sticks is rounding.
-    largest[4] = max(largest[4], largest[2])
+    largest, differences = (np.abs(rows).max(axis=1).tolist() for rows in (ours, apart))
+    opening = float(np.abs(run.opening - other.opening).max()) if run.scene.effects.events else 0.0
+    return relative_difference(run, largest, differences, other.averages, opening)
+
+
+def relative_difference(
+    run: Run, largest: list[float], differences: list[float], averages: Averages, opening: float = 0.0
+) -> float:
+    """Return the `difference` of a run from another one.
+
+    Args:
+        run: the run.
+        largest: its largest values of mount force, soil resistance, deflection, speed and travel.
+        differences: largest differences of the same quantities.
+        averages: of the other run.
+        opening: largest difference of the opening [m].
+    """
     force, deflection, speed = _scales(run, largest)
-    found, check = ({name: float(value) for name, value in vars(one.averages).items()} for one in (run, other))
+    ours, theirs = ([float(value) for value in vars(one).values()] for one in (run.averages, averages))
+    draft, force_rms, mean_deflection, displacement_rms, power = ours
     least, least_z = _SMALLEST * force, _SMALLEST * deflection
-    leasts = (least, least, least_z, _SMALLEST * speed, least_z)
-    pairs = [(change, max(scale, low)) for change, scale, low in zip(differences, largest, leasts, strict=True)]
-    size = max(abs(found["mean_draft"]), found["force_rms"], least)
-    size_z = max(abs(found["mean_deflection"]), found["displacement_rms"], least_z)
-    sizes = {
-        "mean_draft": size,
-        "force_rms": max(found["force_rms"], least),
-        "mean_deflection": size_z,
-        "displacement_rms": max(found["displacement_rms"], least_z),
-    }
+    size, size_z = max(abs(draft), force_rms, least), max(abs(mean_deflection), displacement_rms, least_z)
+    apart = [*differences, opening, *(a - b for a, b in zip(ours, theirs, strict=True))]
+    scales = [
+        *(max(largest[0], least), max(largest[1], least), max(largest[2], least_z), max(largest[3], _SMALLEST * speed)),
+        # The travel of a share that sticks is rounding.
+        *(max(largest[4], largest[2], least_z), max(largest[2], least_z)),
+        *(size, max(force_rms, least), size_z, max(displacement_rms, least_z)),
+    ]
     if run.scene.effects.accelerates:
         towed = (run.travel[-1] + run.deflection[-1] - run.travel[0] - run.deflection[0]) / run.duration
-        sizes["tow_power"] = max(abs(found["tow_power"]), size * float(towed))
-    pairs += [(abs(found[name] - check[name]), scale) for name, scale in sizes.items()]
-    if run.scene.effects.events:
-        pairs.append((float(np.abs(run.opening - other.opening).max()), max(largest[2], least_z)))
-    if not all(math.isfinite(change) for change, _ in pairs):
-        return math.inf
-    return max((float(change / scale) for change, scale in pairs if change > 0.0), default=0.0)
+        scales.append(max(abs(power), size * float(towed)))
+    # Without an acceleration the tow power is the mean draft times the speed.
+    ratios = [abs(change) / scale for change, scale in zip(apart, scales, strict=False) if change]
+    return float(max(ratios, default=0.0)) if math.isfinite(sum(ratios)) else math.inf
 
 
 def _arrays(run: Run) -> NDArray[np.float64]:

@@ -22,13 +22,13 @@ from plough_opt.core.errors import InputError
 from plough_opt.motion.c_source import Statements, head, variants
 from plough_opt.motion.equation import Equation, Structure, equation_of
 from plough_opt.motion.orbit import DIFFERENCE, LAST_STEP, MOST_ITERATIONS, near_orbit, returning
-from plough_opt.motion.plan import summed_and_lasting_phase
+from plough_opt.motion.plan import rates
 from plough_opt.motion.steps import READ_FROM, Timeline, readings, run_from, step
 
 Array = NDArray[np.float64]
 
 COARSE_PHASE = 2.6
-"""Phase of a step by `summed_rate` [rad]; averages then have errors of about 1e-5 of the oscillation."""
+"""Phase of a step by `Rates.summed` [rad]; averages then have errors of about 1e-5 of the oscillation."""
 
 COARSE_PHASE_READ = 1.6
 """The same if outputs are read within steps, by a polynomial of lower order than the method."""
@@ -56,37 +56,42 @@ _MAPS = 32
 
 _SOURCE = """
 /* Integrates n runs. `in` has a column for each: the state at time 0, the parameters, the number of steps, the number
-   of steps before the kink, and the time of the kink as a fraction of the duration. Of a single run `times` may hold
-   the ends of its steps. Its outputs are then read from the ends `from`, {ends} for each, with four weights: of w and
-   of its rate in w, of w and of its rate in the rate. Otherwise `times` is NULL. `memory` has room for 4 vectors at
-   each end of a step. `out` has a row for each run: the states at the outputs, if there are any, the means, and the
-   mean squares about these. For orbits the two last rows of `in` have the units of states, and the state at time 0 is
-   only near the orbit, which is found as by `plough_opt.motion.orbit.returning`; without one the results are NaN. */
-int steps(int64_t n, const double *in, const double *times, int64_t outputs, const int64_t *from, const double *weight,
-          V *memory, double *out) {{
+   of steps before the kink, and the time of the kink as a fraction of the duration. For runs of one scene `times` may
+   hold the ends of their steps, a row for each end; `in` then has one column, with the largest number of steps. Each
+   output is read from {ends} ends of steps, of which `from` is the first, with {ends} weights of w and of its rate in
+   w, and as many of w and of its rate in the rate. Otherwise `times` is NULL. `memory` has room for 4 vectors at each
+   end of a step and {ends} more. `out` has a row for each run: the states at the outputs, if there are any, the means,
+   and the mean squares about these. For orbits the two last rows of `in` have the units of states, and the state at
+   time 0 is only near the orbit, which is found as by `plough_opt.motion.orbit.returning`; without one the results are
+   NaN. */
+typedef double Ends __attribute__((vector_size(8 * {ends}), aligned(8)));
+void steps(int64_t n, const double *in, int64_t outputs, const double *times, const int64_t *from, const double *weight,
+           double *memory, double *out) {{
+  V *const room = (V *)(((uintptr_t)memory + sizeof(V) - 1) / sizeof(V) * sizeof(V));
   const int64_t size = (outputs ? 2 * (outputs + 1) : 0) + {count} + {squared};
   for (int64_t first = 0; first < n; first += LANES) {{
-    int64_t which[LANES], most = 0;
-    for (int l = 0; l < LANES; l++) which[l] = first + l < n ? first + l : n - 1;
-    const V total = gather(in + ({given} + 2) * n, which), early = gather(in + ({given} + 3) * n, which);
-    const V kink = gather(in + ({given} + 4) * n, which);
+    const int64_t columns = times ? 1 : n;
+    int64_t which[LANES], column[LANES], most = 0;
+    for (int l = 0; l < LANES; l++) which[l] = first + l < n ? first + l : n - 1, column[l] = times ? 0 : which[l];
+    const V total = gather(in + ({given} + 2) * columns, column), kink = gather(in + ({given} + 4) * columns, column);
+    const V early = gather(in + ({given} + 3) * columns, column);
     for (int l = 0; l < LANES; l++) if (total[l] > most) most = total[l];
-    V *node = memory, *ends = memory + most + 2;
+    V *node = room, *ends = room + most + 2;
     /* Sizes of the steps before and after the kink, as fractions of the duration. */
     const V before = kink / v_max(early, (V){{0}} + 1.0), after = (1.0 - kink) / (total - early);
     for (int64_t k = 0; k <= most + 1; k++) {{
       const V now = (V){{0}} + (double)k;
       node[k] = v_pick(now < early, now * before, v_pick(now < total, kink + (now - early) * after, (V){{0}} + 1.0));
-      if (times) node[k] = (V){{0}} + times[k < most ? k : most];
+      if (times) node[k] = gather(times + n * (k < most ? k : most), which);
     }}
     V p[{given}], x[2], mean[{count}], square[{squared}], time;
-    for (int j = 0; j < {given}; j++) p[j] = gather(in + (j + 2) * n, which);
+    for (int j = 0; j < {given}; j++) p[j] = gather(in + (j + 2) * columns, column);
 {once}
     /* Newton's method: the state tried, the nearest one so far with the step from there, and the state found. */
     V unit[2], tried[2], best[2], change[2] = {{0}}, found[2], reached[6], nearest = (V){{0}} + INFINITY;
     for (int j = 0; j < 2; j++) {{
-      best[j] = gather(in + j * n, which);
-      unit[j] = gather(in + ({given} + 5 + j) * n, which);
+      best[j] = gather(in + j * columns, column);
+      unit[j] = gather(in + ({given} + 5 + j) * columns, column);
       found[j] = (V){{0}} + NAN;
     }}
     M sought = best[0] == best[0];
@@ -146,13 +151,17 @@ int steps(int64_t n, const double *in, const double *times, int64_t outputs, con
     for (int l = 0; l < LANES && first + l < n; l++) {{
       double *to = out + size * which[l];
       const double duration = p[{given} - 1][l];
-      for (int64_t o = 0; o <= outputs && times; o++, to += 2) {{
+      double *w = (double *)(ends + 3 * (most + 1)), *rate = w + most + {ends};
+      for (int64_t k = 0; k < most + {ends} && times; k++) {{
+        w[k] = k <= most ? ends[3 * k][l] : 0.0;
+        rate[k] = k <= most ? duration * ends[3 * k + 1][l] : 0.0;
+      }}
+      for (int64_t o = 0; o <= outputs && times; o++, to += 2, from++, weight += 4 * {ends}) {{
+        const Ends *by = (const Ends *)weight, a = *(const Ends *)(w + *from), b = *(const Ends *)(rate + *from);
+        const Ends value = by[0] * a + by[1] * b, slope = by[2] * a + by[3] * b;
         to[0] = to[1] = 0.0;
-        for (int j = 0; j < {ends}; j++, weight += 4) {{
-          const V *end = ends + 3 * from[{ends} * o + j];
-          to[0] += weight[0] * end[0][l] + weight[1] * duration * end[1][l];
-          to[1] += weight[2] * end[0][l] / duration + weight[3] * end[1][l];
-        }}
+        for (int j = 0; j < {ends}; j++) to[0] += value[j], to[1] += slope[j];
+        to[1] /= duration;
       }}
       int64_t k = 0;
       /* Each output is read from the polynomial of degree 5 through w, w' and w'' at both ends of its step. */
@@ -171,9 +180,54 @@ int steps(int64_t n, const double *in, const double *times, int64_t outputs, con
       for (int j = 0; j < {squared}; j++) *to++ = square[j][l];
     }}
   }}
-  return 0;
+}}
+
+/* Integrates a run and its check: see `steps`. Behind `in` are the parameters of `Equation.outputs`. `found` gets
+   the rows of these for the run, and then a row for each of both: means, mean squares and, for the run, the largest
+   magnitude of each output, for the check the largest difference. It returns whether all are finite. */
+int pair(const double *in, int64_t outputs, const double *times, const int64_t *from, const double *weight,
+         double *memory, double *found) {{
+  double *rows = found, *ends = found + {rows} * (outputs + 1);
+  const int64_t averages = {count} + {squared}, size = 2 * (outputs + 1) + averages;
+  steps(2, in, outputs, times, from, weight, memory + 2 * size, memory);
+  V p[{known} + 1], sizes[2][{rows}] = {{0}};
+  M finite = ~(M){{0}};
+  for (int j = 0; j < {known}; j++) p[j] = (V){{0}} + in[{given} + 7 + j];
+{observed_once}
+  for (int64_t o = 0; o <= outputs; o += LANES) {{
+    V x[3], y[{rows}], check[{rows}];
+    for (int run = 1; run >= 0; run--) {{
+      for (int l = 0; l < LANES; l++) {{
+        const int64_t now = o + l < outputs ? o + l : outputs;
+        x[0][l] = (double)now / outputs * in[{given} + 1];
+        for (int j = 0; j < 2; j++) x[1 + j][l] = memory[run * size + 2 * now + j];
+      }}
+{observed_each}
+      for (int j = 0; j < {rows}; j++) {{
+        finite &= y[j] - y[j] == 0.0;
+        if (run) check[j] = y[j];
+      }}
+    }}
+    for (int j = 0; j < {rows}; j++) {{
+      sizes[0][j] = v_max(sizes[0][j], v_fabs(y[j]));
+      sizes[1][j] = v_max(sizes[1][j], v_fabs(y[j] - check[j]));
+      for (int l = 0; l < LANES && o + l <= outputs; l++) rows[j * (outputs + 1) + o + l] = y[j][l];
+    }}
+  }}
+  int sound = !any(~finite);
+  for (int run = 0; run < 2; run++, ends += averages + {rows}) {{
+    for (int j = 0; j < averages; j++) sound &= isfinite(ends[j] = memory[run * size + size - averages + j]) != 0;
+    for (int j = 0; j < {rows}; j++) {{
+      ends[averages + j] = 0.0;
+      for (int l = 0; l < LANES; l++) ends[averages + j] = fmax(ends[averages + j], sizes[run][j][l]);
+    }}
+  }}
+  return sound;
 }}
 """
+
+# Results of `Equation.outputs`.
+_ROWS = 5
 
 
 @dataclass(frozen=True)
@@ -183,38 +237,84 @@ class CompiledSteps:
     equation: Equation
     library: ctypes.CDLL
 
-    def __call__(self, timeline: Timeline, p: list[float]) -> tuple[Array, Array, Array] | None:
+    def __call__(self, timeline: Timeline, p: Sequence[float]) -> tuple[Array, Array, Array] | None:
         """Return the states at the outputs (a row each), means and mean squares; None if any is not finite.
 
         Args:
             timeline: steps and outputs, not aligned.
             p: the equation's parameters with the duration last.
         """
-        arrays = timeline.nodes, *readings(timeline)
-        rate = float(self.equation.structure.start_rate(dict(zip(self.equation.names, p, strict=False))))
-        given = np.array([0.0, rate, *p, len(timeline.nodes) - 1.0, *[0.0] * 4])
-        (found,) = self.integrate(given[:, None], timeline.outputs, [array.ctypes.data for array in arrays])
+        (found,) = self.integrate(np.array(self._given(p, timeline)), timeline.outputs, (timeline,))
         if not np.isfinite(found).all():
             return None
         states = 2 * timeline.outputs + 2
         averages = states + self.equation.count
         return found[:states].reshape(-1, 2), found[states:averages], found[averages:]
 
-    def integrate(self, given: Array, outputs: int, times: Sequence[int | None] = (None, None, None)) -> Array:
+    def both(
+        self, timelines: tuple[Timeline, Timeline], p: Sequence[float], known: Sequence[float]
+    ) -> tuple[Array, Array, Array] | None:
+        """Return the results of a run and of its check; None if any is not finite.
+
+        Args:
+            timelines: of the run and of its check, not aligned.
+            p: the equation's parameters with the duration last.
+            known: the parameters of `Equation.outputs`.
+
+        Returns:
+            The run's outputs, a row for each of `Equation.outputs`; the largest magnitudes and the largest differences
+            of these, a row each; means and mean squares of the run and of the check, a row each.
+        """
+        outputs, averages = timelines[0].outputs, self.equation.averages
+        given, (tables, _) = [*self._given(p, *timelines), *known], _tables(timelines)
+        work, count = (
+            np.empty(len(given) + _room(given[len(p) + 2]) + 4 * (outputs + 1) + 2 * averages),
+            _ROWS * (outputs + 1),
+        )
+        work[: len(given)] = given
+        found = np.empty(count + 2 * (averages + _ROWS))
+        at = work.ctypes.data
+        sound = self.library.pair(at, outputs, *tables, at + work.itemsize * len(given), found.ctypes.data)
+        rows, ends = found[:count].reshape(_ROWS, -1), found[count:].reshape(2, -1)
+        return (rows, ends[:, averages:], ends[:, :averages]) if sound else None
+
+    def integrate(self, given: Array, outputs: int, timelines: tuple[Timeline, ...] = ()) -> Array:
         """Return the results of runs, a row each.
 
         Args:
             given: the array `in` of `_SOURCE`.
             outputs: number of intervals between output times; 0 for averages only.
-            times: addresses of the arrays `times`, `from` and `weight` of a single run.
+            timelines: the steps of each run of one scene; if they are missing, the runs are those of ``given``.
         """
-        results = np.empty((given.shape[1], (2 * (outputs + 1) if outputs else 0) + self.equation.averages))
-        memory = np.empty((4 * (int(np.max(given[_STEPS])) + 2) + 1) * _WIDEST)
-        # Vectors must lie at addresses that are multiples of their size.
-        begin = -(-memory.ctypes.data // (8 * _WIDEST)) * (8 * _WIDEST)
-        nodes, *read = times
-        self.library.steps(given.shape[1], given.ctypes.data, nodes, outputs, *read, begin, results.ctypes.data)
+        count = len(timelines) or given.shape[1]
+        results = np.empty((count, (2 * (outputs + 1) if outputs else 0) + self.equation.averages))
+        memory, (tables, _) = np.empty(_room(np.max(given[_STEPS]))), _tables(timelines)
+        self.library.steps(count, given.ctypes.data, outputs, *tables, memory.ctypes.data, results.ctypes.data)
         return results
+
+    def _given(self, p: Sequence[float], *timelines: Timeline) -> list[float]:
+        """Return the array `in` of `_SOURCE` for runs of one scene from its start."""
+        rate = float(self.equation.structure.start_rate(dict(zip(self.equation.names, p, strict=False))))
+        most = max(len(timeline.nodes) for timeline in timelines) - 1.0
+        return [0.0, rate, *p, most, 0.0, 0.0, 0.0, 0.0]
+
+
+def _room(most: float) -> int:
+    """Return the number of doubles in the array `memory` of `_SOURCE`, from the largest number of steps."""
+    return (5 * int(most) + 2 * READ_FROM) * _WIDEST
+
+
+@lru_cache(maxsize=64)
+def _tables(timelines: tuple[Timeline, ...]) -> tuple[list[int | None], list[Array]]:
+    """Return the addresses of `times`, `from` and `weight` of `_SOURCE`, NULL without timelines, and these arrays."""
+    if not timelines:
+        return [None] * 3, []
+    times = np.ones((max(len(timeline.nodes) for timeline in timelines), len(timelines)))
+    for k, timeline in enumerate(timelines):
+        times[: len(timeline.nodes), k] = timeline.nodes
+    first, weights = zip(*((each.ends[:, 0], each.weights) for each in map(readings, timelines)), strict=True)
+    arrays = [times, np.array(first), np.ascontiguousarray(np.array(weights).transpose(0, 1, 3, 4, 2))]
+    return [array.ctypes.data for array in arrays], arrays
 
 
 @lru_cache(maxsize=64)
@@ -224,13 +324,14 @@ def compiled_steps(structure: Structure) -> CompiledSteps | None:
     Without a compiler, or if an own effect has an operation without a vector form, the result is None.
     """
     try:
-        path = library(source_of(structure), _VARIANTS, ("steps",))
+        path = library(source_of(structure), _VARIANTS, ("steps", "pair"))
     except InputError:
         return None
     if path is None:
         return None
     loaded, whole, address = ctypes.CDLL(str(path)), ctypes.c_int64, ctypes.c_void_p
-    loaded.steps.argtypes = [whole, address, address, whole, *[address] * 4]
+    loaded.steps.argtypes = [whole, address, whole, *[address] * 5]
+    loaded.pair.argtypes = [address, whole, *[address] * 5]
     return CompiledSteps(equation_of(structure), loaded)
 
 
@@ -246,6 +347,8 @@ def source_of(structure: Structure) -> str:
     acceleration = equation.rate(span[0] * p[-1], state, p[:-1])[1]
     result = ca.cse(ca.densify(ca.vertcat(following, acceleration, moments)))
     one = Statements(ca.Function("advance", [state, span, p], [result]), ("x", "s", "p"))
+    names, outputs = equation.outputs
+    observed = Statements(outputs, ("x", "p"))
     source = _SOURCE.format(
         given=p.numel(),
         width=result.numel(),
@@ -258,6 +361,10 @@ def source_of(structure: Structure) -> str:
         iterations=MOST_ITERATIONS,
         once="\n".join(one.once),
         each="\n".join(one.each),
+        known=len(names),
+        rows=_ROWS,
+        observed_once="\n".join(observed.once),
+        observed_each="\n".join(observed.each),
     )
     return "\n".join([head(), source])
 
@@ -328,7 +435,8 @@ class ManyRuns:
     def _steps(self, known: dict[str, Array], duration: Array, finer: float) -> Array:
         """Return the number of steps of each run; infinite if it is too large."""
         phase = COARSE_PHASE_READ if self._outputs else COARSE_PHASE
-        summed, lasting = summed_and_lasting_phase(known, duration)
+        found = rates(known)
+        summed, lasting = found.summed * duration, found.lasting_phase(duration)
         shorter = np.maximum((lasting / _LASTING_PHASE) ** (1.0 / _LOSS_ORDER) * phase / COARSE_PHASE, 1.0)
         steps: Array = np.maximum(np.ceil(finer * shorter * summed / phase), _FEWEST_STEPS)
         # Whether a run is integrated does not depend on `finer`.

@@ -256,7 +256,7 @@ def driven_equation(
         controls: names of the controls.
     """
     structure, count = Structure.of(scene), len(controls)
-    p = parameters(symbolic, structure) | {"added_mass": symbolic.reaction.added_mass}
+    p = parameters(symbolic, structure)
     if "tow_speed" in controls:
         p["tow_speed"] = symbols["scene.tow_speed"]
     share = DrivenShare(scene, structure, p)

@@ -114,7 +114,7 @@ def _operations(scene: Scene, duration: float | None) -> int:
         duration = 10.0 * float(as_number(scene.wave_period))
     if not scene.effects.motion:
         assert duration is not None  # only orbits have none, and they have motion
-        panels = plan.steps_for(plan.forced_rate(plan.numbers_of(scene)) * duration)
+        panels = plan.steps_for(plan.rates_of(scene).forced * duration)
         return panels * (2 * GAUSS_POINTS + MORE_POINTS) * _of_resistance(structure)
     accuracy = simulate(scene, duration).accuracy
     if accuracy.order_8:

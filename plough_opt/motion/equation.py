@@ -18,13 +18,16 @@ With a tow ramp whose end is an event, the last state is 0 until that end, and 1
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, Final, Literal, TypeVar
 
 import casadi as ca
+import numpy as np
 
-from plough_opt.core.expressions import Column, Expression, stacked, where
+from plough_opt.core.expressions import Column, Expression, is_casadi, stacked, where
+from plough_opt.core.keeping import kept
 from plough_opt.core.labels import unlabelled
 from plough_opt.motion.effects import (
     TERMS,
@@ -50,7 +53,7 @@ from plough_opt.motion.effects.terms import (
 
 _Kind = TypeVar("_Kind", bound=Term)
 
-# Parameters that do not belong to a single effect. The last two are used if events change the moving mass.
+# Parameters that do not belong to a single effect. Events change the moving mass; otherwise it is the inertia.
 _COMMON = ("inertia", "stiffness", "static", "tow_speed", "mass", "added_mass")
 
 
@@ -79,12 +82,7 @@ class Structure:
     @classmethod
     def of(cls, scene: Towed) -> Structure:
         """Return the structure of a scene."""
-        effects, orbit = scene.effects, scene.effects.orbit
-        terms = tuple(term for kind in TERMS for term in kind.of(scene))
-        carries = effects.added_mass and effects.events
-        if isinstance(orbit, HarmonicBalance):
-            return cls(terms, effects.start, carries, "harmonic_balance", orbit.harmonics)
-        return cls(terms, effects.start, carries, orbit)
+        return _structure(scene)
 
     def find(self, kind: type[_Kind]) -> _Kind | None:
         """Return the term of a class, or None if that effect is off."""
@@ -273,6 +271,16 @@ class Structure:
         return p["added_mass"] if entry is None else p["added_mass"] * entry.buried(p, travel) ** 3
 
 
+@kept
+def _structure(scene: Towed) -> Structure:
+    effects, orbit = scene.effects, scene.effects.orbit
+    terms = tuple(term for kind in TERMS for term in kind.of(scene))
+    carries = effects.added_mass and effects.events
+    if isinstance(orbit, HarmonicBalance):
+        return Structure(terms, effects.start, carries, "harmonic_balance", orbit.harmonics)
+    return Structure(terms, effects.start, carries, orbit)
+
+
 def parameters(scene: Towed, structure: Structure | None = None) -> dict[str, Expression]:
     """Return the parameters that the equation of motion may need, by name, in SI units."""
     structure = structure or Structure.of(scene)
@@ -283,11 +291,10 @@ def parameters(scene: Towed, structure: Structure | None = None) -> dict[str, Ex
             "stiffness": scene.restoring_stiffness,
             "static": reaction.static,
             "tow_speed": scene.tow_speed,
+            "added_mass": reaction.added_mass,
         }
         if structure.events:
             values["mass"] = scene.mass
-        if structure.carries:
-            values["added_mass"] = reaction.added_mass
         for term in structure.terms:
             values |= term.values(scene)
     return values
@@ -336,6 +343,17 @@ class Equation:
     signals: ca.Function
     count: int
     squared: int
+
+    @cached_property
+    def outputs(self) -> tuple[tuple[str, ...], ca.Function]:
+        """Names of parameters, and (column of time and state, those parameters) -> the first five of `outputs`."""
+        symbols = {name: ca.SX.sym(name) for name in self.structure.names}
+        given = ca.SX.sym("given", 1 + self.states)
+        time, *state = ca.vertsplit(given)
+        found = ca.vertcat(*outputs(self.structure, symbols, time, state)[:5])
+        used = {symbol.name() for symbol in ca.symvar(found)}
+        names = tuple(name for name in self.structure.names if name in used)
+        return names, ca.Function("outputs", [given, stacked(*(symbols[name] for name in names))], [ca.cse(found)])
 
     @property
     def states(self) -> int:
@@ -479,3 +497,41 @@ def equation_of(structure: Structure) -> Equation:
         count=len(values),
         squared=2 if structure.damper else 1,
     )
+
+
+def outputs(structure: Structure, p: Parameters, time: Column, state: Sequence[Column]) -> tuple[Column, ...]:
+    """Return what a run reports at its output times.
+
+    Args:
+        structure: the terms that are on.
+        p: parameters by name, with "added_mass".
+        time: output times [s].
+        state: a column of these times for each state of `Equation`.
+
+    Returns:
+        Mount force [N], soil resistance with the inertia of the soil carried along [N], deflection [m], speed [m/s] and
+        travel [m] of the share, opening [m], and mode.
+    """
+    if structure.entry:
+        p = {**p, "behind": state[2], "entered": state[4]}
+    w, rate = state[:2]
+    mount, initial_speed = structure.strut(p, time), structure.start_speed(p)
+    gain = mount.gain - rate
+    first = structure.start_force(p)
+    ahead, faster = structure.lead(p, time)
+    behind = first / p["stiffness"] + w
+    deflection, travel = behind + ahead, mount.path - behind
+    force = first + structure.pull(p, w + ahead, rate + faster)
+    soil = structure.resistance(p, travel, initial_speed + gain)
+    acceleration = (force - soil) / structure.inertia_at(p, travel)
+    soil = soil + (structure.carried_mass(p, travel) if structure.events else p["added_mass"]) * acceleration
+    speed, opening = initial_speed + gain, 0.0 * w + 0.0
+    mode = opening
+    if structure.sticks:
+        opening, mode = state[2:4]
+        if not is_casadi(mode):
+            # An implicit method solves for the mode too, which leaves rounding errors in it.
+            mode = np.round(mode)
+        speed = where((mode - STICK) ** 2 < (SLIP - STICK) ** 2 / 4.0, 0.0, speed)
+        soil = where(mode < (SLIP + STICK) / 2.0, soil, where(mode < (STICK + GAP) / 2.0, force, 0.0))
+    return force, soil, deflection, speed, travel, opening, mode

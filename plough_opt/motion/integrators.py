@@ -6,7 +6,7 @@ run is one call of the Function or, if the system has a compiler, the same opera
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, NoReturn
@@ -19,14 +19,20 @@ from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import Column, Expression, classes_in, is_symbolic, stacked, template_of
 from plough_opt.core.labels import Meanings, attach
 from plough_opt.core.process import without_notices
-from plough_opt.motion.checks import failed_by, refuse_missed_event, refuse_runaway, refuse_weak_rest
+from plough_opt.motion.checks import (
+    failed_by,
+    refuse_missed_event,
+    refuse_runaway,
+    refuse_weak_rest,
+    relative_difference,
+)
 from plough_opt.motion.compiled_steps import CompiledSteps, compiled_steps
 from plough_opt.motion.effects import StickSlip
-from plough_opt.motion.equation import Structure, equation_of, lightest_mass
+from plough_opt.motion.equation import Equation, Structure, equation_of, lightest_mass
 from plough_opt.motion.methods import METHODS, Accuracy, tableau_of
 from plough_opt.motion.orbit import orbit_map, without_orbit
-from plough_opt.motion.plan import OUTPUTS, STIFF_PHASE, fastest_rate, most_steps, numbers_of, timeline_of
-from plough_opt.motion.run import ARRAYS, Run, assemble
+from plough_opt.motion.plan import OUTPUTS, STIFF_PHASE, most_steps, numbers_of, rates_of, timeline_of
+from plough_opt.motion.run import ARRAYS, Run, assemble, averages_of
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.steps import Timeline, run_map
 
@@ -327,7 +333,7 @@ class Case:
     duration: float
     outputs: int
     structure: Structure
-    p: dict[str, float]
+    p: Mapping[str, float]
     code: CompiledSteps | None = None
     event_refinement: int = 1
     explained: bool = True
@@ -341,17 +347,36 @@ class Case:
         """
         structure = Structure.of(scene)
         code = compiled_steps(structure) if compiled and scene.effects.motion and structure.stepped else None
-        return cls(scene, duration, outputs, structure, numbers_of(scene, structure), code)
+        return cls(scene, duration, outputs, structure, numbers_of(scene), code)
 
     @property
     def output_factor(self) -> int:
         """Factor on the requested outputs that are computed, because events between distant outputs go unnoticed."""
         return self.event_refinement * -(-OUTPUTS // self.outputs) if self.structure.events else 1
 
-    @cached_property
+    @property
     def rate(self) -> float:
         """Angular frequency of the fastest oscillation, or rate of decay if that is faster [rad/s]."""
-        return fastest_rate(self.p)
+        return rates_of(self.scene).fastest
+
+    @cached_property
+    def equation(self) -> Equation:
+        """Equation of motion."""
+        return equation_of(self.structure)
+
+    @cached_property
+    def column(self) -> list[float]:
+        """Parameters of the equation, with the duration last."""
+        return self.equation.column(self.p, self.duration)
+
+    @cached_property
+    def first_force(self) -> Expression:
+        """Force of the spring at the start [N]."""
+        return self.structure.start_force(self.p)
+
+    def timeline(self, outputs: int, accuracy: Accuracy, steps: int = OUTPUTS) -> Timeline:
+        """Return the times of a run by a method, with its own number of steps if it has one."""
+        return timeline_of(self.scene, self.duration, outputs, accuracy.steps or steps, accuracy.method)
 
     @property
     def phase(self) -> float:
@@ -390,12 +415,8 @@ def integrate(case: Case, accuracy: Accuracy, sizes: Array | None = None, *, per
     scene, duration = case.scene, case.duration
     refuse_runaway(scene, duration)
     outputs = case.outputs * case.output_factor
-    steps = accuracy.steps or max(outputs, OUTPUTS)
-    if accuracy.adaptive:
-        steps = most_steps(case.phase)
-    timeline = timeline_of(scene, duration, outputs, steps, accuracy.method)
-    values = [case.p[name] for name in equation_of(case.structure).names]
-    p = [*(value * (1.0 + perturbation * (-1.0) ** k) for k, value in enumerate(values)), duration]
+    timeline = case.timeline(outputs, accuracy, most_steps(case.phase) if accuracy.adaptive else max(outputs, OUTPUTS))
+    p = [*(value * (1.0 + perturbation * (-1.0) ** k) for k, value in enumerate(case.column[:-1])), duration]
     if case.code is not None and accuracy.order_8 and (found := case.code(timeline, p)) is not None:
         return Integrated(_assembled(case, timeline, found, accuracy))
     solver = integration(case.structure, accuracy, timeline)
@@ -410,10 +431,33 @@ def integrate(case: Case, accuracy: Accuracy, sizes: Array | None = None, *, per
     return Integrated(run, sizes)
 
 
+def compared(case: Case, accuracy: Accuracy, check: Accuracy) -> tuple[Integrated, float] | None:
+    """Return a run by compiled steps and its `difference` from its check, which one call integrates side by side.
+
+    The result is None if the steps are not compiled or leave results that are not finite.
+    """
+    if case.code is None or not (accuracy.order_8 and check.order_8):
+        return None
+    scene, structure, p, equation = case.scene, case.structure, case.p, case.equation
+    refuse_runaway(scene, case.duration)
+    timelines = case.timeline(case.outputs, accuracy), case.timeline(case.outputs, check)
+    found = case.code.both(timelines, case.column, [p[name] for name in equation.outputs[0]])
+    if found is None:
+        return None
+    (force, soil, deflection, speed, travel), sizes, averages = found
+    ours, theirs = (
+        averages_of(scene, structure, p, case.first_force, row[: equation.count], row[equation.count :])
+        for row in averages.tolist()
+    )
+    time, none = timelines[0].output_fractions * case.duration, np.zeros(len(force))
+    run = Run(scene, case.duration, time, travel, speed, deflection, force, soil, none, none, ours, accuracy)
+    largest, differences = sizes.tolist()
+    return Integrated(run), relative_difference(run, largest, differences, theirs)
+
+
 def _assembled(case: Case, timeline: Timeline, found: tuple[Array, Array, Array], accuracy: Accuracy) -> Run:
     """Return the run of (states with a row for each output, means of the signals, mean squares about them)."""
-    fractions, known = timeline.output_fractions, (case.structure, case.p)
-    return assemble(case.scene, case.duration, fractions, *found, accuracy, known)
+    return assemble(case.scene, case.duration, timeline.output_fractions, *found, accuracy, case.p)
 
 
 def thinned(run: Run, outputs: int) -> Run:

@@ -4,13 +4,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache, reduce
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from plough_opt.core.checks import check_domain
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, as_number, is_symbolic, maximum, sqrt
+from plough_opt.core.keeping import kept
 from plough_opt.motion.effects import TERMS, Own, Smooth, slopes
 from plough_opt.motion.equation import Structure, lightest_mass, parameters
 from plough_opt.motion.methods import DEFAULT_DERIVATIVES, DEFAULT_TOLERANCE, METHODS, ORDER_8, Accuracy
@@ -34,11 +35,11 @@ STIFF_TOLERANCE = 1e-9
 
 # Steps of order 8. Their error is proportional to the eighth power of the phase per step, so one measured error gives
 # the step length for any other. A phase of 0.5 rad of the fastest oscillation leaves an error of about 1e-10. By
-# `summed_rate`, which scatters half as much, 0.475 rad usually do. If not, the check notices and the run is refined.
+# `Rates.summed`, which scatters half as much, 0.475 rad usually do. If not, the check notices and the run is refined.
 PHASE_PER_STEP = 0.5
 """Phase [rad] of the fastest oscillation per step of order 8 that leaves a relative error of about 1e-10."""
 _USUAL_PHASE = 0.475
-# A smooth motion is tried with long steps first. Up to 1.6 rad by `summed_rate` the error follows the order's law.
+# A smooth motion is tried with long steps first. Up to 1.6 rad by `Rates.summed` the error follows the order's law.
 _LONG_PHASE = 1.6
 # Largest error from which the necessary number of steps can be extrapolated.
 _LARGEST_KNOWN_ERROR = 1e-3
@@ -100,14 +101,15 @@ MOST_OUTPUTS = 10_000_000
 _DECAYED = 30.0
 
 
-def numbers_of(scene: Scene, structure: Structure | None = None) -> dict[str, float]:
+@kept
+def numbers_of(scene: Scene) -> Mapping[str, float]:
     """Return the parameters of a numeric scene by name, with the steepest slopes of its own resistances.
 
     Raises:
         InputError: a parameter is an array.
         DomainError: the mass that moves, with the soil that it carries along, is not above 0.
     """
-    p = {name: _number(name, value) for name, value in parameters(scene, structure).items()}
+    p = {name: _number(name, value) for name, value in parameters(scene).items()}
     why = scene.law.without_value("such added mass")
     check_domain("moving mass with the soil that it carries along", p.get("inertia", 1.0), "kg", above=0.0, why=why)
     return p | slopes(Own.of(scene), p) if scene.effects.own else p
@@ -131,47 +133,56 @@ def is_imposed(name: str) -> bool:
     return name in ("tow_speed", "ramp_time") or name.startswith("wavelength")
 
 
-def fastest_rate(p: Mapping[str, float]) -> float:
-    """Return the largest angular frequency [rad/s], or rate of decay or growth [1/s], of the motion."""
-    return float(max(_rates(p)))
+class Rates(NamedTuple):
+    """Rates of a motion, numbers or arrays.
 
-
-def summed_rate(p: Mapping[str, Any]) -> Any:
-    """Return the sum of the rates of mount, waves and decay [1/s], for numbers or arrays; steps are proportional to it.
-
-    In 23 sampled scenes under contact "resisting", steps of order 8 reached an error of 1e-8 with 0.84 to 1.2 rad per
-    step by this rate. By `fastest_rate` the phase scattered twice as much.
+    Attributes:
+        frequency: the mount's angular frequency [rad/s].
+        decay: rate of decay [1/s].
+        forced: see `forced_rate` [rad/s].
     """
-    frequency, decay, forced = _rates(p)
-    return frequency + decay + 0.5 * forced
+
+    frequency: Any
+    decay: Any
+    forced: Any
+
+    @property
+    def fastest(self) -> float:
+        """Largest angular frequency [rad/s], or rate of decay or growth [1/s], of the motion."""
+        return float(max(self))
+
+    @property
+    def summed(self) -> Any:
+        """Sum of the rates of mount, waves and decay [1/s]; steps are proportional to it.
+
+        In 23 sampled scenes under contact "resisting", steps of order 8 reached an error of 1e-8 with 0.84 to 1.2 rad
+        per step by this rate. By `fastest` the phase scattered twice as much.
+        """
+        return self.frequency + self.decay + 0.5 * self.forced
+
+    def lasting_phase(self, duration: Any) -> Any:
+        """Return the phase [rad] of the share's own oscillation while it lasts, along which errors accumulate."""
+        # The amplitude of an oscillation decays at half the rate d/M of the speed.
+        return self.frequency * duration / (1.0 + 0.5 * self.decay * duration)
 
 
-def summed_and_lasting_phase(p: Mapping[str, Any], duration: Any) -> tuple[Any, Any]:
-    """Return two phases of a run [rad], for numbers or arrays.
-
-    The first is that of `summed_rate`. The second is the phase of the share's own oscillation while it lasts; errors of
-    its amplitude accumulate along it.
-
-    Args:
-        p: the equation's parameters.
-        duration: simulated time [s].
-    """
-    frequency, decay, forced = _rates(p)
-    # The amplitude of an oscillation decays at half the rate d/M of the speed.
-    return (frequency + decay + 0.5 * forced) * duration, frequency * duration / (1.0 + 0.5 * decay * duration)
+def rates(p: Mapping[str, Any]) -> Rates:
+    """Return the rates of a motion from the equation's parameters, numbers or arrays."""
+    inertia, every = lightest_mass(p), [kind.rates(p) for kind in TERMS]
+    decay = sum(each.damping + each.steepest for each in every) / inertia
+    stiffness = abs(p["stiffness"]) + sum(each.stiffness for each in every)
+    return Rates(sqrt(stiffness / inertia), decay, forced_rate(p))
 
 
-def _rates(p: Mapping[str, Any]) -> tuple[Any, Any, Any]:
-    """Return the mount's angular frequency [rad/s], the rate of decay [1/s] and `forced_rate` [rad/s]."""
-    inertia, rates = lightest_mass(p), [kind.rates(p) for kind in TERMS]
-    decay = sum(each.damping + each.steepest for each in rates) / inertia
-    stiffness = abs(p["stiffness"]) + sum(each.stiffness for each in rates)
-    return sqrt(stiffness / inertia), decay, forced_rate(p)
+@kept
+def rates_of(scene: Scene) -> Rates:
+    """Return the rates of a numeric scene's motion."""
+    return rates(numbers_of(scene))
 
 
 def phase(p: Mapping[str, float], duration: float) -> float:
     """Return the phase of the fastest oscillation over a duration in s [rad]."""
-    return fastest_rate(p) * duration
+    return rates(p).fastest * duration
 
 
 def ringing(p: Mapping[str, float], duration: float) -> float:
@@ -282,13 +293,13 @@ def automatic(method: str, wanted: float, p: Mapping[str, float], duration: floa
         return Accuracy(method, tolerance=max(0.1 * wanted, STIFF_TOLERANCE))
     if method == "erk":
         return Accuracy(method, tolerance=max(0.01 * wanted, TIGHTEST))
-    enough = steps_for(summed_rate(p) * duration, _USUAL_PHASE * (max(wanted, TIGHTEST) / DEFAULT_TOLERANCE) ** 0.125)
+    enough = steps_for(rates(p).summed * duration, _USUAL_PHASE * (max(wanted, TIGHTEST) / DEFAULT_TOLERANCE) ** 0.125)
     return _order_8(_rounded(max(math.ceil(enough / _CHECK_STEPS), fewest_steps(p))))
 
 
-def first_steps(p: Mapping[str, float], duration: float) -> int:
+def first_steps(scene: Scene, duration: float) -> int:
     """Return the number of steps of order 8 at which the error just begins to follow the law of that order."""
-    return _rounded(max(steps_for(summed_rate(p) * duration, _LONG_PHASE), fewest_steps(p)))
+    return _rounded(max(steps_for(rates_of(scene).summed * duration, _LONG_PHASE), fewest_steps(numbers_of(scene))))
 
 
 def next_steps(steps: int, error: float, wanted: float) -> int:

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_domain
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Column, Expression, column, is_casadi, rms, where
+from plough_opt.core.expressions import Column, Expression, column, is_casadi, rms
 from plough_opt.core.files import drawn, from_above
 from plough_opt.core.labels import unlabelled
 from plough_opt.core.plain_data import Complex, MaybeInfinite
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.motion.effects.terms import Parameters
-from plough_opt.motion.equation import GAP, SLIP, STICK, Structure, parameters
+from plough_opt.motion.equation import Structure, outputs, parameters
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.scene import Scene, quantities_of
 
@@ -474,7 +474,7 @@ def assemble(
     means: Column,
     variances: Column,
     accuracy: Accuracy,
-    known: tuple[Structure, Parameters] | None = None,
+    p: Parameters | None = None,
 ) -> Run:
     """Return the run that belongs to integrated changes since the start.
 
@@ -486,56 +486,32 @@ def assemble(
         means: means of the signals of `plough_opt.motion.equation`.
         variances: mean squares about the mean of those signals that have an RMS.
         accuracy: method and setting used.
-        known: structure and parameters of the scene, if they have been computed before.
+        p: parameters of the scene, if they have been computed before.
     """
-    structure, p = known or (Structure.of(scene), parameters(scene))
-    if structure.entry:
-        p = {**p, "behind": states[:, 2], "entered": states[:, 4]}
+    structure, p = Structure.of(scene), p or parameters(scene)
     time = column(fractions, is_casadi(states)) * duration
-    w, rate = states[:, 0], states[:, 1]
-    mount, initial_speed = structure.strut(p, time), structure.start_speed(p)
-    gain = mount.gain - rate
-    first = structure.start_force(p)
-    ahead, faster = structure.lead(p, time)
-    behind = first / p["stiffness"] + w
-    deflection, travel = behind + ahead, mount.path - behind
-    force = first + structure.pull(p, w + ahead, rate + faster)
-    soil = structure.resistance(p, travel, initial_speed + gain)
-    acceleration = (force - soil) / structure.inertia_at(p, travel)
-    carried = structure.carried_mass(p, travel) if structure.events else _added_mass(scene)
-    soil = soil + carried * acceleration
-    speed, opening = initial_speed + gain, 0.0 * w + 0.0
-    mode = opening
-    if structure.sticks:
-        opening, mode = states[:, 2], states[:, 3]
-        if not is_casadi(mode):
-            # An implicit method solves for the mode too, which leaves rounding errors in it.
-            mode = np.round(mode)
-        speed = where((mode - STICK) ** 2 < (SLIP - STICK) ** 2 / 4.0, 0.0, speed)
-        soil = where(mode < (SLIP + STICK) / 2.0, soil, where(mode < (STICK + GAP) / 2.0, force, 0.0))
-    averages = averages_of(scene, structure, p, first, means, variances)
+    state = [states[:, k] for k in range(states.shape[1])]
+    force, soil, deflection, speed, travel, opening, mode = outputs(structure, p, time, state)
+    averages = averages_of(scene, structure, p, structure.start_force(p), means, variances)
     return Run(scene, duration, time, travel, speed, deflection, force, soil, opening, mode, averages, accuracy)
-
-
-def _added_mass(scene: Scene) -> Expression:
-    """Return the added mass [kg] without a label, for the run is checked together with its scene."""
-    with unlabelled():
-        return scene.reaction.added_mass
 
 
 def averages_of(
     scene: Scene, structure: Structure, p: Parameters, first: Expression, means: Column, variances: Column
 ) -> Averages:
     """Return the averages of a run from its first force [N] and those of its changes since then: see `assemble`."""
-    with unlabelled():
-        scale = scene.steady_resistance
+    stiffness = p["stiffness"]
+    scale: Expression = 0.0
+    if is_casadi(variances):  # only an expression is smoothed, on this scale
+        with unlabelled():
+            scale = scene.steady_resistance
     displacement_rms = rms(variances[0], scale / scene.stiffness)
     if structure.damper:
         mean_draft = first + structure.pull(p, 0.0, structure.start_rate(p)) + means[1]
         force_rms = rms(variances[1], scale)
     else:
-        mean_draft = first + p["stiffness"] * means[0]
+        mean_draft = first + stiffness * means[0]
         force_rms = scene.stiffness * displacement_rms
-    mean_deflection = first / p["stiffness"] + means[0]
+    mean_deflection = first / stiffness + means[0]
     tow_power = means[-1] if structure.accelerates else mean_draft * p["tow_speed"]
     return Averages(mean_draft, force_rms, mean_deflection, displacement_rms, tow_power)

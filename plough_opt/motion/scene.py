@@ -97,6 +97,10 @@ class Scene:
         if effects.random_strength is not None:
             self.check_stationary()
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields, without what follows from them."""
+        return {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
+
     @cached_property
     def law(self) -> ResistanceLaw:
         """Law of resistance that ``medium`` names."""

@@ -25,6 +25,7 @@ from plough_opt.core.expressions import (
     map_expressions,
     rms,
 )
+from plough_opt.core.keeping import kept
 from plough_opt.core.labels import unlabelled
 from plough_opt.core.quantities import BESIDE
 from plough_opt.motion import checks, plan
@@ -33,7 +34,17 @@ from plough_opt.motion.compiled_steps import source_of
 from plough_opt.motion.effects import Smooth, profile_of, ramp_time
 from plough_opt.motion.effects.terms import Parameters
 from plough_opt.motion.equation import Structure, parameters
-from plough_opt.motion.integrators import Array, Case, Integrated, embed, integrate, integration, labelled, thinned
+from plough_opt.motion.integrators import (
+    Array,
+    Case,
+    Integrated,
+    compared,
+    embed,
+    integrate,
+    integration,
+    labelled,
+    thinned,
+)
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy, locating
 from plough_opt.motion.orbit import which_motion
 from plough_opt.motion.run import Averages, Checks, Run, assemble
@@ -63,6 +74,10 @@ _PERTURBATION = 1e-12
 _SENSITIVE = 1e4
 # Relative difference from which on two motions have nothing in common.
 _UNRELATED = 0.1
+
+
+_DEFAULT = Accuracy()
+_holds_casadi = kept(holds_casadi)
 
 
 def simulate(
@@ -136,14 +151,14 @@ def simulate(
         >>> float(po.simulate(scene, "9 s", tow_speed=([0.0, 3.0, 9.0], [0.0, 2.0, 1.0])).speed[-1])
         1.0
     """
-    accuracy = Accuracy() if accuracy is None else accuracy
+    accuracy = accuracy or _DEFAULT
     duration = _checked_duration(scene, duration, accuracy, outputs, compiled)
     if tow_speed is not None:
         scene = _with_tow_speed(scene, duration, tow_speed)
     profile, steps = scene.effects.tow_profile, accuracy.steps
     if profile is not None and steps is not None and steps < (fewest := plan.STEPS_PER_PIECE * len(profile.pieces)):
         raise InputError(f"accuracy steps = {steps} are too few for the knots of the tow speed: give {fewest} or more")
-    if holds_casadi((scene, duration)):
+    if is_casadi(duration) or _holds_casadi(scene):
         check_single("simulate", (scene, duration))
         if any(map(is_symbolic, (*parameters(scene).values(), scene.mass, duration))):
             return _symbolic(scene, duration, accuracy, outputs, compiled)
@@ -278,7 +293,7 @@ def interpreted(case: Case, run: Run) -> tuple[str, ...]:
 def _quasi_static(case: Case, accuracy: Accuracy) -> tuple[Run, float, tuple[str, ...]]:
     scene, duration = case.scene, case.duration
     checks.refuse_endless(scene, case.p, duration)
-    timeline = plan.timeline_of(scene, duration, case.outputs, plan.steps_for(plan.forced_rate(case.p) * duration))
+    timeline = plan.timeline_of(scene, duration, case.outputs, plan.steps_for(plan.rates_of(scene).forced * duration))
     with np.errstate(all="ignore"):  # values that are not finite raise an error below
         run = quasi_static(scene, duration, timeline, accuracy)
         check = quasi_static(scene, duration, timeline, accuracy, GAUSS_POINTS + MORE_POINTS)
@@ -350,7 +365,7 @@ def _by_measured_steps(case: Case, wanted: float) -> tuple[tuple[Integrated, flo
     """
     best: tuple[Integrated, float] | None = None
     failure: IntegrationError | None = None
-    steps, before = plan.first_steps(case.p, case.duration), (1, math.inf)
+    steps, before = plan.first_steps(case.scene, case.duration), (1, math.inf)
     for _ in range(_STEP_ATTEMPTS):
         error = math.inf
         try:
@@ -392,14 +407,16 @@ def _stand_in(case: Case, wanted: float) -> tuple[Run, float, tuple[str, ...]]:
 
 def _checked(case: Case, accuracy: Accuracy, check: Accuracy) -> tuple[Integrated, float]:
     """Return the run by one setting, and its error as estimated from a run by another."""
-    if accuracy.adaptive and _is_coarser(check, accuracy):
+    if (pair := compared(case, accuracy, check)) is not None:
+        found, apart = pair
+    elif accuracy.adaptive and _is_coarser(check, accuracy):
         # The finer run relates its tolerance to the sizes that the coarser one found.
         other = integrate(case, check)
         found = integrate(case, accuracy, other.sizes)
+        apart = _difference(case, found, other)
     else:
         found = integrate(case, accuracy)
-        other = _check_run(case, accuracy, check, found.sizes)
-    apart = _difference(case, found, other)
+        apart = _difference(case, found, _check_run(case, accuracy, check, found.sizes))
     error = apart * (1.0 if _is_coarser(check, accuracy) and not case.structure.kinked else _MARGIN)
     return found, max(error, unnoticed_stops(found.run, case.rate, error))
 

@@ -21,7 +21,7 @@ from plough_opt.motion.effects import MOST_HARMONICS
 from plough_opt.motion.equation import equation_of
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.methods import Accuracy
-from plough_opt.motion.plan import checked, kinks_of, most_steps, phase, steps_for, suited, summed_rate
+from plough_opt.motion.plan import checked, kinks_of, most_steps, phase, rates, steps_for, suited
 from plough_opt.motion.run import Run, assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.steps import Timeline
@@ -279,7 +279,7 @@ def check_bounds(declared: Declarations, exact: TightEvaluation, p: Vector) -> N
             raise DomainError(f"{clause}: {error}") from None
 
 
-# Phase per step, with the rate by `summed_rate` [rad]. It leaves a relative error of about 3e-9 in averages; the check
+# Phase per step, with the rate by `Rates.summed` [rad]. It leaves a relative error of about 3e-9 in averages; the check
 # at the optimum demands finer steps if that is not enough.
 _PHASE_PER_STEP = 1.15
 _MOST_STEPS = 50_000
@@ -312,7 +312,7 @@ def steps_at(exact: TightEvaluation, designs: Sequence[Sequence[float]], refinem
         fastest = 0.0
         for numbers in designs:
             given, _ = exact.given(k, numbers)
-            rate = summed_rate(dict(zip(run.integration.names, given, strict=False)))
+            rate = rates(dict(zip(run.integration.names, given, strict=False))).summed
             fastest = max(fastest, rate * float(given[-1]))
         count = math.ceil(refinement * steps_for(fastest, _PHASE_PER_STEP))
         if count > _MOST_STEPS:

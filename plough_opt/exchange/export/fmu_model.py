@@ -121,7 +121,7 @@ def model_of(named: NamedScene, *, by_speed: bool) -> FmuModel:
     if not by_speed:
         _check_position_suffices(structure)
     symbols, symbolic = _with_parameters(named)
-    from_scene = parameters(symbolic) | {"added_mass": symbolic.reaction.added_mass}
+    from_scene = parameters(symbolic)
     numbers, given = {name: ca.SX.sym(name) for name in from_scene}, ca.SX.sym("input")
     if by_speed:
         share = DrivenShare(scene, structure, numbers | {"tow_speed": given})

@@ -35,7 +35,7 @@ from plough_opt.motion.batch.engine import Array
 from plough_opt.motion.batch.series import Graph, Series, Switch, series_of
 from plough_opt.motion.effects import StrengthWaves
 from plough_opt.motion.equation import Equation, Structure, equation_of, parameters
-from plough_opt.motion.plan import summed_rate
+from plough_opt.motion.plan import rates
 from plough_opt.motion.scene import Scene
 
 
@@ -292,7 +292,7 @@ def _phase_and_error_part(layout: Layout) -> ca.Function:
         decay = decay - damper / (2.0 * _MOMENTS)
     # An overdamped mount has two rates of decay; this is the slower one, times the duration.
     decay = duration * ca.fmax(decay - ca.sqrt(ca.fmax(decay**2 - frequency_squared, 0.0)), 0.0)
-    phase = duration * summed_rate(known)
+    phase = duration * rates(known).summed
     # Nearly the root of the mean square of (1 - exp(-g u))/g over u from 0 to 1, with g for the decay.
     remembered = 1.0 / ca.sqrt(3.0 + decay * (2.0 + decay))
     steps = _FEWEST_STEPS + phase / _PHASE_PER_STEP

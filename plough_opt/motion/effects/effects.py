@@ -1,6 +1,7 @@
 """Effects: the choice of effects in a scene, and checks of which exclude each other."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Annotated, Literal
 
 import casadi as ca
@@ -218,7 +219,7 @@ class Effects:
         """Number of periods of each strength wave in the period common to all: see `turns_of`."""
         return turns_of(self.waves)
 
-    @property
+    @cached_property
     def printed(self) -> Printed:
         """Errors of the print that the formulation keeps; none unless it says so."""
         return errors_of(self.formulation)
@@ -228,7 +229,7 @@ class Effects:
         """Whether the motion has events that an integrator must locate: stick and slip, or the end of entry."""
         return self.entry or isinstance(self.contact, StickSlip)
 
-    @property
+    @cached_property
     def ramps(self) -> bool:
         """Whether the strut's speed ramps up. A ramp of zero duration does not count."""
         return self.tow_ramp is not None and (is_symbolic(self.tow_ramp) or bool(np.any(as_number(self.tow_ramp) > 0)))

@@ -29,11 +29,10 @@ from plough_opt.motion.equation import Structure, equation_of
 from plough_opt.motion.integrators import integration
 from plough_opt.motion.methods import DEFAULT_ERROR, METHODS, ORDER_8, Accuracy, adaptive, fixed_step
 from plough_opt.motion.plan import (
-    fastest_rate,
-    forced_rate,
     most_steps,
     numbers_of,
     phase,
+    rates_of,
     steps_for,
     timeline_of,
     with_setting,
@@ -502,7 +501,7 @@ def _least_time(task: Task, accuracy: Accuracy, *, slower: float) -> float:
     steps: float = accuracy.steps or 0
     if accuracy.method == "erk":
         # The fastest oscillation limits the stable step of an explicit method, even where it has died away.
-        steps = fastest_rate(numbers_of(task.scene)) * task.duration / _STABLE_PHASE
+        steps = rates_of(task.scene).fastest * task.duration / _STABLE_PHASE
     return slower * steps * _ONE_STEP
 
 
@@ -609,7 +608,7 @@ def _quasi_static(task: Task) -> Callable[[], Run]:
         task.scene.effects, motion=False, start="equilibrium", damping=None, contact="resisting", orbit="transient"
     )
     scene = replace(task.scene, effects=effects)
-    steps = steps_for(forced_rate(numbers_of(scene)) * task.duration)
+    steps = steps_for(rates_of(scene).forced * task.duration)
     timeline = timeline_of(scene, task.duration, task.outputs, steps)
     return partial(quasi_static, scene, task.duration, timeline, Accuracy())
 

@@ -22,7 +22,7 @@ from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.equation import GAP, SLIP, STICK, Structure, equation_of, lightest_mass, parameters
 from plough_opt.motion.methods import Accuracy
-from plough_opt.motion.plan import fastest_rate, numbers_of
+from plough_opt.motion.plan import rates_of
 from plough_opt.motion.run import assemble
 from plough_opt.motion.scene import Scene
 
@@ -226,7 +226,7 @@ def reference_gradient(scene: Scene, duration: float | None) -> ReferenceGradien
 
     # The quantities shift the phase of oscillation and wave, so the step shrinks with the whole phase. An orbit has one
     # turn.
-    phase = 2.0 * math.pi if duration is None else fastest_rate(numbers_of(scene)) * duration
+    phase = 2.0 * math.pi if duration is None else rates_of(scene).fastest * duration
     h = LONGDOUBLE(2.0 ** -(7 + math.ceil(math.log2(1.0 + phase / 8.0))))
     coarse, fine = differences(h), differences(h / 4)
     size = np.max(np.abs(fine))
@@ -375,9 +375,8 @@ class IntegratedMotion:
     def run(self) -> Run:
         """Return the run of the scene that has these states and averages."""
         motion, duration = self.motion, self.times[-1]
-        terms = motion.structure, dict(motion.p)
         fractions = self.times / duration
-        return assemble(motion.scene, duration, fractions, self.states, *self.moments, Accuracy(), terms)
+        return assemble(motion.scene, duration, fractions, self.states, *self.moments, Accuracy(), motion.p)
 
 
 def integrate(

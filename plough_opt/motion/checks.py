@@ -37,7 +37,7 @@ _MISSED = 1e-5
 # Part of a wave that may be missing by rounding.
 _WHOLE_WAVES: Final = 1e-9
 # Change of the mean draft by a broken wave that deserves a warning [%].
-_BROKEN_WAVE: Final = 0.5
+BROKEN_WAVE: Final = 0.5
 # Places in a wavelength at which own resistances are compared with those one wavelength further on.
 _OWN_PLACES = 16
 # Relative difference of such resistances that is due to rounding of the travel.
@@ -348,11 +348,14 @@ def broken_wave(run: Run) -> tuple[str, ...]:
     whole = before + part * (begin + 0.5 * part * (end - begin))
     every = float(np.sum(force)) - 0.5 * float(force[0] + force[-1])
     percent = 100.0 * (every / intervals / (whole / until) - 1.0)
-    if abs(percent) <= _BROKEN_WAVE:
-        return ()
+    return (broken_wave_in_words(percent, count, count * period),) if abs(percent) > BROKEN_WAVE else ()
+
+
+def broken_wave_in_words(percent: float, count: int, seconds: float) -> str:
+    """Return the warning about a mean draft that differs by some per cent from that over whole waves."""
     return (
         f"the run ends within a strength wave, which changes its mean draft by {percent:+.2g} %: take the"
-        f' {count} whole waves of {count * period:.4g} s, in a file by average = "whole waves" in [scene]',
+        f' {count} whole waves of {seconds:.4g} s, in a file by average = "whole waves" in [scene]'
     )
 
 

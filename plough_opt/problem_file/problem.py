@@ -218,7 +218,7 @@ class Problem:
         if self.table.soil.adjusted in changed:
             found.pop(_READING, None)
         if self.table.scene.average == "whole waves":
-            found["scene.duration"] = _whole_waves(found)
+            found["scene.duration"] = whole_waves(found)
         return found
 
     def scene(self, changes: Mapping[str, Expression] | None = None) -> Scene:
@@ -619,12 +619,16 @@ def _output(name: str, table: ProblemTable, objective: Callable[[Run], Expressio
     )
 
 
-def _whole_waves(values: Mapping[str, Expression]) -> Expression:
-    """Return the time in which the share passes as many of the longest waves as fit into the duration, or one [s]."""
+def longest_period(values: Mapping[str, Expression]) -> Expression:
+    """Return the time in which the share passes the longest of the strength waves [s]."""
     lengths = [value for key, value in values.items() if key in {f"{name}.wavelength" for name in WAVES}]
-    period = reduce(maximum, lengths) / values["scene.tow_speed"]
-    count = floor(values["scene.duration"] / period + _WHOLE)
-    return maximum(count, 1.0) * period
+    return reduce(maximum, lengths) / values["scene.tow_speed"]
+
+
+def whole_waves(values: Mapping[str, Expression]) -> Expression:
+    """Return the time in which the share passes as many of the longest waves as fit into the duration, or one [s]."""
+    period = longest_period(values)
+    return maximum(floor(values["scene.duration"] / period + _WHOLE), 1.0) * period
 
 
 def by_share(parts: Mapping[str, Mapping[str, _T]], own: Mapping[str, set[str]]) -> dict[str, _T]:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_named, shown
 from plough_opt.core.errors import InputError, nearest
@@ -24,12 +24,15 @@ from plough_opt.core.units import Display
 from plough_opt.laws import LAWS
 from plough_opt.motion import Run
 from plough_opt.motion.batch import UNSTABLE, Batch
+from plough_opt.motion.batch.advance import RESULTS
+from plough_opt.motion.checks import BROKEN_WAVE, broken_wave_in_words
 from plough_opt.motion.effects import OWN_EFFECTS
 from plough_opt.motion.methods import DEFAULT_ERROR, METHODS
+from plough_opt.motion.run import Averages
 from plough_opt.motion.scene import Scene
-from plough_opt.motion.vocabulary import MEASURES
+from plough_opt.motion.vocabulary import MEASURES, Measure
 from plough_opt.problem_file.measures import measures_of
-from plough_opt.problem_file.problem import Problem
+from plough_opt.problem_file.problem import Problem, longest_period, whole_waves
 from plough_opt.problem_file.reading import check_changed
 from plough_opt.problem_file.source import read_axis
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
@@ -45,6 +48,9 @@ Method = Literal["auto", "each", "batch"]
 
 MANY: Final = 10_000
 """Number of points from which a sweep simulates by `Batch`, if `Batch` accepts the scene."""
+
+# Part of a duration by which whole waves may differ from it.
+_ROUNDING: Final = 1e-9
 
 
 @dataclass(frozen=True)
@@ -318,7 +324,7 @@ class SimulationOfMany:
 
     problem: Problem
     names: tuple[str, ...]
-    _built: tuple[Batch, ca.Function] | None = field(default=None, repr=False, compare=False)
+    _built: tuple[Batch, Batch | None, ca.Function] | None = field(default=None, repr=False, compare=False)
 
     def __getstate__(self) -> dict[str, object]:
         """Return the state without the compiled batch, which every process builds itself."""
@@ -327,70 +333,107 @@ class SimulationOfMany:
     @property
     def results(self) -> tuple[str, ...]:
         """Names of the results: those of `Simulation` except peaks, which a batch does not compute."""
-        specific = ("specific_draft",) if "loosened_radius" in self._of_scene else ()
-        return (*_AVERAGES, *self._of_scene, *specific, "error_estimate")
-
-    @property
-    def _of_scene(self) -> dict[str, Callable[[Scene], Expression]]:
-        """Results that need no motion and that the scene's law of resistance provides: name -> function of a scene."""
-        law, scene = self.problem.table.scene.law, self.problem.scene()
-        known = _OF_SCENE | (_OF_RANDOM if scene.effects.random_strength is not None else {})
-        return {name: of for name, of in known.items() if MEASURES[name].given_by(law)}
+        return (*_columns(self.problem, self.problem.scene()), "error_estimate")
 
     @property
     def units(self) -> dict[str, str]:
         """Result -> SI unit."""
-        return {name: MEASURES[name].unit.symbol for name in self.results if name in MEASURES}
+        units = _units(self.problem)
+        return {name: units[name] for name in self.results if name in units}
 
     @property
     def error(self) -> float:
         """Required relative error of mean draft and RMS force."""
         return self.problem.accuracy.error or DEFAULT_ERROR
 
-    def build(self) -> tuple[Batch, ca.Function]:
-        """Return the batch, and a function from the quantities to the results that need no motion.
+    def build(self) -> tuple[Batch, Batch | None, ca.Function]:
+        """Return the batch, one over whole strength waves, and a function from inputs and averages to other numbers.
+
+        The function returns the results, half angle, the part of the draft due to ambient pressure, duration and the
+        longest strength wave's period.
 
         Raises:
-            InputError: `Batch` cannot simulate the scene.
+            InputError: `Batch` cannot simulate the scene, or a result needs the whole motion.
         """
         with _building:
             if self._built is None:
                 symbols = {name: ca.MX.sym(name) for name in self.names}
-                scene = self.problem.scene(symbols)
-                duration = self.problem.values(symbols).get("scene.duration")
-                batch = Batch(scene, duration, list(symbols.values()), error=self.error)
-                of_scene = stacked(*(of(scene) for of in self._of_scene.values()), scene.ambient_share)
-                self._built = batch, ca.Function("of_scene", [ca.vertcat(*symbols.values())], [of_scene])
+                inputs, averages = list(symbols.values()), ca.MX.sym("averages", len(RESULTS))
+                scene, values = self.problem.scene(symbols), self.problem.values(symbols)
+                duration = values.get("scene.duration")
+                batch, whole = Batch(scene, duration, inputs, error=self.error), None
+                period: Expression = 1.0
+                if scene.effects.waves and scene.effects.orbit == "transient" and scene.effects.tow_profile is None:
+                    whole = Batch(scene, whole_waves(values), inputs, error=self.error)
+                    period = longest_period(values)
+                results = _of_averages(self.problem, scene, averages)
+                further = (scene.cone.half_angle, scene.ambient_share, 0.0 if whole is None else duration, period)
+                numbers = ca.Function("numbers", [ca.vertcat(*inputs), averages], [stacked(*results, *further)])
+                self._built = batch, whole, numbers
         return self._built
 
     def many(self, values: Array) -> tuple[Array, dict[int, str], list[tuple[int, int, tuple[str, ...]]]]:
         """Return results, failures and notes at many points: see `plough_opt.studies.sweep.pool.ManyPoints`."""
-        batch, of_scene = self.build()
+        batch, whole, numbers = self.build()
         found = batch(values)
-        *steady, ambient_share = np.asarray(of_scene(values.T))
-        of_name = dict(zip(self._of_scene, steady, strict=True))
-        columns = [*(getattr(found, name) for name in _AVERAGES), *steady]
-        if "loosened_radius" in of_name:
-            with np.errstate(all="ignore"):
-                columns.append(found.mean_draft / (np.pi * of_name["loosened_radius"] ** 2))
+        averages = np.stack([getattr(found, name) for name in RESULTS])
+        *columns, half_angle, ambient_share, duration, period = np.asarray(numbers(values.T, averages))
         results = np.column_stack([*columns, found.error_estimate])
         sound = np.isfinite(results).all(axis=1)
-        kinds = 2 * (of_name["half_angle"] > PLANE_SECTIONS_LIMIT) + (ambient_share > 0.0)
+        kinds = 2 * (half_angle > PLANE_SECTIONS_LIMIT) + (ambient_share > 0.0)
         notes = []
         for kind in np.unique(kinds[sound]):
             # Scenes of one kind have the same warnings, with numbers that are extreme where these columns are.
             which = np.flatnonzero(sound & (kinds == kind))
-            extreme = np.column_stack([values, ambient_share])[which]
-            ends = dict.fromkeys([0, *np.argmin(extreme, axis=0).tolist(), *np.argmax(extreme, axis=0).tolist()])
-            for k in which[list(ends)]:
+            for k, points in _extremes(which, np.column_stack([values, ambient_share])[which]):
                 scene = self.problem.scene(dict(zip(self.names, values[k].tolist(), strict=True)))
-                points = len(which) if k == which[0] else 0  # All points of a kind are counted with the first.
-                notes.append((int(k), points, (*batch.warnings, *scene.warnings())))
+                notes.append((k, points, (*batch.warnings, *scene.warnings())))
+        count = np.floor(duration / period * (1.0 + _ROUNDING))
+        broken = np.flatnonzero(sound & (count >= 1.0) & (count * period < duration * (1.0 - _ROUNDING)))
+        if whole is not None and broken.size:
+            change = 100.0 * (averages[0, broken] / whole(values[broken]).mean_draft - 1.0)
+            changed = np.abs(change) > BROKEN_WAVE
+            percent = dict(zip(broken[changed].tolist(), change[changed].tolist(), strict=True))
+            for k, points in _extremes(broken[changed], change[changed, None]):
+                words = broken_wave_in_words(percent[k], int(count[k]), float(count[k] * period[k]))
+                notes.append((k, points, (words,)))
         if missed := np.flatnonzero(found.missed).tolist():
             notes.append((missed[0], len(missed), (f"the wanted relative error {self.error:.1e} was not reached",)))
         if unstable := np.flatnonzero(found.unstable).tolist():
             notes.append((unstable[0], len(unstable), (UNSTABLE,)))
         return results, found.reasons, notes
+
+
+def _extremes(which: NDArray[np.int_], columns: Array) -> list[tuple[int, int]]:
+    """Return the first point and those with an extreme in a column, each with a number of points that it stands for.
+
+    The first stands for all.
+
+    Args:
+        which: numbers of the points.
+        columns: values at these points.
+    """
+    if not which.size:
+        return []
+    ends = dict.fromkeys([0, *np.argmin(columns, axis=0).tolist(), *np.argmax(columns, axis=0).tolist()])
+    return [(int(which[end]), len(which) if end == 0 else 0) for end in ends]
+
+
+def _of_averages(problem: Problem, scene: Scene, averages: ca.MX) -> list[Expression]:
+    """Return the results of a run of which only the averages are known.
+
+    Raises:
+        InputError: a result needs more.
+    """
+    over_time: dict[str, Any] = dict.fromkeys([*Run.__dataclass_fields__][1:10])
+    run = Run(scene, **over_time, averages=Averages(*ca.vertsplit(averages)), accuracy=problem.accuracy)
+    found = []
+    for name, one in _columns(problem, scene).items():
+        try:
+            found.append(one.of(run))
+        except (AttributeError, TypeError):
+            raise InputError(f"'{name}' needs the motion over time, which a batch does not keep") from None
+    return found
 
 
 def fixed_at(problem: Problem, values: Mapping[str, float]) -> Problem:
@@ -401,13 +444,17 @@ def fixed_at(problem: Problem, values: Mapping[str, float]) -> Problem:
     return dataclasses.replace(problem, fixed=fixed, variables=left, notes=(*problem.notes, *notes))
 
 
+def _columns(problem: Problem, scene: Scene) -> dict[str, Measure]:
+    """Return name -> measure of the results of a scene that become columns of a sweep."""
+    law, random = scene.law, scene.effects.random_strength is not None
+    known = {name: one for name, one in measures_of(problem.table).items() if not one.everywhere}
+    return {name: one for name, one in known.items() if (random or not one.random) and one.given_by(law)}
+
+
 def _of_run(problem: Problem, run: Run) -> dict[str, float]:
     """Return the results of a numeric run that become columns of a sweep."""
-    law, random = run.scene.law, run.scene.effects.random_strength is not None
-    known = {name: one for name, one in measures_of(problem.table).items() if not one.everywhere}
-    chosen = {name: one for name, one in known.items() if (random or not one.random) and one.given_by(law)}
     return {
-        **{name: float(one.of(run)) for name, one in chosen.items()},
+        **{name: float(one.of(run)) for name, one in _columns(problem, run.scene).items()},
         "peak_force": run.peak_force,
         "peak_deflection": run.peak_deflection,
         "error_estimate": run.error_estimate,
@@ -418,13 +465,3 @@ def _units(problem: Problem) -> dict[str, str]:
     """Return result -> SI unit."""
     own = {name: one.unit.symbol for name, one in measures_of(problem.table).items()}
     return own | {"peak_force": "N", "peak_deflection": "m"}
-
-
-_AVERAGES = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "tow_power")
-_OF_SCENE: dict[str, Callable[[Scene], Expression]] = {
-    "loosened_radius": lambda scene: scene.loosened_radius,
-    "half_angle": lambda scene: scene.cone.half_angle,
-    "moving_mass": lambda scene: scene.mass,
-    "added_mass": lambda scene: scene.carried_soil,
-}
-_OF_RANDOM = {name: attrgetter(name) for name, one in MEASURES.items() if one.random}

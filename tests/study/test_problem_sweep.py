@@ -20,6 +20,7 @@ from helpers.problem_files import PROBLEMS, REFERENCE, SUBSOILER
 
 import plough_opt as po
 from plough_opt.core.units import Unit
+from plough_opt.motion.vocabulary import MEASURES, Measure
 from plough_opt.problem_file.source import read_axis
 from plough_opt.problem_file.sweep import Optimisation, ProblemSweep, SimulationOfMany
 from plough_opt.studies.sweep import engine
@@ -112,10 +113,11 @@ class TestMany:
         options = {"samples": 16, "executor": inline}
         table, single = (po.sweep(problem, BOX, method=method, **options).table for method in ("batch", "each"))
         assert table.dtype.names[4:] == SimulationOfMany(problem, ()).results
+        assert list(table.dtype.names) == [name for name in single.dtype.names if not name.startswith("peak_")]
         for name in ("mean_draft", "force_rms"):
             # Both have errors up to 1e-8 of the larger of mean draft and RMS force.
             assert np.max(np.abs(table[name] - single[name]) / single["mean_draft"]) < 2e-8
-        for name in ("loosened_radius", "half_angle", "moving_mass", "added_mass", "specific_draft"):
+        for name in ("loosened_radius", "half_angle", "moving_mass", "added_mass", "specific_draft", "cone_index"):
             np.testing.assert_allclose(table[name], single[name], rtol=3e-8)
         assert np.max(table["error_estimate"]) < 1e-8
 
@@ -125,6 +127,23 @@ class TestMany:
             runs = [problem.simulate({"soil.cohesion": cohesion}) for cohesion in (1e4, 2e4)]
             assert found.column("force_rms") == pytest.approx([run.force_rms for run in runs], rel=1e-7)
             assert not {"loosened_radius", "specific_draft"} & {*found.results}
+
+    def test_results_of_the_files_own_and_broken_waves_are_those_of_single_simulations(self, inline):
+        own = ("measures.work={ value = 'tow_power / scene.tow_speed', unit = 'N' }", "scene.duration=0.5 s")
+        problem, axes = po.read_problem(SUBSOILER, own), {"scene.tow_speed": "1..3 m/s:30"}
+        many, each = (po.sweep(problem, axes, method=method, executor=inline) for method in ("batch", "each"))
+        with many, each:
+            np.testing.assert_allclose(many.column("work"), each.column("work"), rtol=1e-7)
+            counts = [[note.split()[1] for note in one.notes if "ends within a strength wave" in note]
+                      for one in (many, each)]  # fmt: skip
+        assert counts[0] == counts[1] != []
+
+    def test_a_result_over_time_keeps_a_batch_away(self, monkeypatch):
+        monkeypatch.setitem(MEASURES, "last", Measure(Unit("N"), lambda run: run.mount_force[-1]))
+        problem, axes = po.read_problem(SUBSOILER), {"scene.tow_speed": "1..3 m/s:10000"}
+        assert "po.simulate" in ProblemSweep.of(problem, axes).how
+        with pytest.raises(po.InputError, match="'last' needs the motion over time"):
+            ProblemSweep.of(problem, axes, method="batch")
 
     def test_a_chaotic_motion_that_misses_the_wanted_error_is_noted(self, inline):
         share = ("share.wedge_angle=0.639427778 rad", "share.height=0.482322562 m")

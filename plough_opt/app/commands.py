@@ -8,15 +8,20 @@ import hashlib
 import json
 import shlex
 import webbrowser
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from plough_opt.app import tables
 from plough_opt.app.options import MODELS, given_quantities
-from plough_opt.app.terminal import console, give, progress, read, wrote
+from plough_opt.app.terminal import check_outputs, console, give, progress, read, wrote
 from plough_opt.core.compiler import cache_folder
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import check_file, write_new
+from plough_opt.core.plain_data import to_plain
+from plough_opt.core.quantities import EVERY, QUANTITIES
+from plough_opt.core.tables import data_frame
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion.effect_costs import effect_costs
 from plough_opt.problem_file import Problem, template
@@ -24,6 +29,8 @@ from plough_opt.problem_file.schema import file_schema
 from plough_opt.soil.soil import named_soil, soil_names
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from plough_opt.design.search.effort import Search
 
 
@@ -33,7 +40,7 @@ def init(options: argparse.Namespace) -> None:
         raise InputError(f"'{options.file}' cannot be written: create its folder first, or choose another place")
     path = write_new(options.file, "problem file", template())
     if options.json:
-        print(json.dumps({"wrote": [str(path)]}))
+        print(_json({"wrote": [str(path)]}))
         return
     line = f"wrote {path}; next: plough-opt optimise {shlex.quote(str(path))}"
     console().print(line, soft_wrap=True)
@@ -41,54 +48,59 @@ def init(options: argparse.Namespace) -> None:
 
 def soils(options: argparse.Namespace) -> None:
     """List the named soils."""
+    check_outputs(options)
     found = [named_soil(name) for name in soil_names()]
-    if options.json:
-        properties = [{**dataclasses.asdict(soil), "cone_index": cone_index(soil)} for soil in found]
-        print(json.dumps(properties, indent=2, allow_nan=False))
-    else:
-        tables.print_soils(console(), found)
+    properties = [{**dataclasses.asdict(soil), "cone_index": cone_index(soil)} for soil in found]
+    units = {one.key: one.unit for one in QUANTITIES.values() if one.owner == "soil"} | {"cone_index": "Pa"}
+    columns = {key: [one[key] for one in properties] for key in properties[0]}
+    give(options, tables.soils_page(found), lambda: _json(properties), frame=lambda: data_frame(columns, units))
+
+
+def _json(plain: object) -> str:
+    return json.dumps(plain, indent=2, allow_nan=False)
 
 
 def schema(_options: argparse.Namespace) -> None:
     """Print the JSON schema of problem files."""
-    print(json.dumps(file_schema(), indent=2, allow_nan=False))
+    print(_json(file_schema()))
 
 
 def check(options: argparse.Namespace) -> None:
-    """Check a file, and print the contents of its scene at the guess."""
-    for name in (*MODELS, "plot"):
+    """Check a file, and print the contents of its scene at the guess, and what else the options ask for."""
+    for name in MODELS:
         if not options.against and getattr(options, name.replace("-", "_")) is not None:
             raise InputError(f"--{name} belongs to a comparison: add --against")
-    if options.json and (options.effects or options.against):
-        raise InputError("--json prints only the scene: remove --effects and --against")
     against = given_quantities(options, MODELS)
     problem = read(options)
-    comparison = None
+    values = {key: float(value) for key, value in problem.values().items()}
+    notes = (*problem.notes, *problem.cautions, *tables.warnings_of(problem), *problem.reliance)
+    plain: dict[str, Any] = {"title": problem.title, "quantities": values, "notes": notes}
+    page = tables.check_page(problem)
+    plot: Callable[[], Figure] | None = None if problem.shares else partial(_share_of, problem)
+    units = [EVERY[key if key in EVERY else key.partition(".")[2]].unit for key in values]
+    frame: Callable[[], Any] = partial(
+        data_frame, {"quantity": [*values], "value": [*values.values()], "unit": units}, {}
+    )
+    if options.effects:
+        with progress() as notify:
+            notify("measuring the effects", 0.0)
+            costs = effect_costs(problem.scene(), values.get("scene.duration"))
+        page = dataclasses.replace(page, parts=(*page.parts, *tables.effects_parts(costs)))
+        plain["effects"] = rows = [dataclasses.asdict(cost) for cost in costs]
+        frame = partial(data_frame, {key: [row[key] for row in rows] for key in rows[0]}, {})
     if options.against:
         from plough_opt.studies.crosscheck import compare
 
         comparison = compare(problem.scene(), **against)
-    if options.json:
-        quantities = {key: float(value) for key, value in problem.values().items()}
-        notes = (*problem.notes, *problem.cautions, *tables.warnings_of(problem), *problem.reliance)
-        print(json.dumps({"title": problem.title, "quantities": quantities, "notes": notes}, indent=2, allow_nan=False))
-        return
-    tables.print_check(console(), problem)
-    if options.effects:
-        with progress() as notify:
-            notify("measuring the effects", 0.0)
-            duration: Any = problem.values().get("scene.duration")
-            found = effect_costs(problem.scene(), duration)
-        tables.print_effects(console(), found)
-    if comparison is not None:
-        if problem.variables:
-            guess = ", ".join(f"{key} = {v.display.text(v.guess)}" for key, v in problem.variables.items())
-            line = f"Compared at the file's guess, {guess}; use --set to compare another design, such as the optimum."
-            console().print(line, soft_wrap=True)
-        tables.print_comparison(console(), comparison)
-        if options.plot is not None:
-            comparison.plot(options.plot)
-            wrote(Path(options.plot))
+        page = dataclasses.replace(page, parts=(*page.parts, *tables.comparison_parts(problem, comparison)))
+        plain["comparison"], plot, frame = to_plain(comparison), comparison.plot, comparison.to_dataframe
+    give(options, page, lambda: _json(plain), plot, frame)
+
+
+def _share_of(problem: Problem) -> Figure:
+    from plough_opt.app.plots import plot_share
+
+    return plot_share(problem.scene())
 
 
 def simulate(options: argparse.Namespace) -> None:
@@ -183,7 +195,7 @@ def explore(options: argparse.Namespace) -> None:
     with progress() as notify:
         path = explored_file(problem, target, notify, seed=options.seed)
     if options.json:
-        print(json.dumps({"wrote": [str(path)]}, indent=2, allow_nan=False))
+        print(_json({"wrote": [str(path)]}))
     elif options.output is None:
         webbrowser.open(f"{path.resolve().as_uri()}#explore")
     wrote(path)

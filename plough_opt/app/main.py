@@ -61,6 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _give_conflicts(options: argparse.Namespace, error: InfeasibleDesign) -> None:
     """Print the conflicts of an infeasible design as JSON under --json, and write them with --output."""
+    from plough_opt.app.terminal import messages, wrote
     from plough_opt.core.files import write_file
     from plough_opt.core.plain_data import to_plain
 
@@ -69,7 +70,8 @@ def _give_conflicts(options: argparse.Namespace, error: InfeasibleDesign) -> Non
     if options.json:
         print(text)
     if hasattr(options, "by_pandas") and options.output is not None:  # other commands write no JSON there
-        write_file(options.output, "output", f"{text}\n")
+        with messages(options):
+            wrote(write_file(options.output, "output", f"{text}\n"))
 
 
 def _drop_output() -> None:

@@ -144,14 +144,15 @@ class _Parser(argparse.ArgumentParser):
             flags = [*_SHORT.get(name, ()), f"--{name}"]
             self.add_argument(*flags, **(_SHARED[name] | ({"help": helps[name]} if name in helps else {})))
 
-    def results(self, *, by_pandas: bool = True, **helps: str) -> None:
+    def results(self, *, by_pandas: bool = True, **helps: str | None) -> None:
         """Add the options of every command that has a result.
 
         Args:
             by_pandas: whether its table needs pandas, also as CSV.
-            helps: option -> help text for this command.
+            helps: option -> help text for this command; None if the command does not have it.
         """
-        self.shared(**{name: helps.get(name, _SHARED[name]["help"]) for name in ("json", "csv", "output", "plot")})
+        texts = {name: helps.get(name, _SHARED[name]["help"]) for name in ("json", "csv", "output", "plot")}
+        self.shared(**{name: text for name, text in texts.items() if text is not None})
         self.set_defaults(by_pandas=by_pandas)
 
     def option(self, name: str, value: str, text: str, **more: Any) -> None:
@@ -186,7 +187,7 @@ def _init(verb: _Parser) -> None:
 
 
 def _soils(verb: _Parser) -> None:
-    verb.shared(json="print JSON instead of a table")
+    verb.results(plot=None)
 
 
 def _waves(verb: _Parser) -> None:
@@ -221,7 +222,10 @@ def _check(verb: _Parser) -> None:
     verb.switch("effects", "print which effects are on, and the cost of each")
     verb.switch("against", "compare with other draft models; the options below need this one")
     verb.quantities(MODELS)
-    verb.shared(plot="draw the comparison: .png, .svg or .pdf", json="print the scene's quantities as JSON (SI units)")
+    verb.results(
+        csv="write the quantities, with --effects the costs, with --against the drafts (SI units): .csv, or .xlsx",
+        plot="draw the share, or with --against the drafts: .png, .svg or .pdf",
+    )
 
 
 def _simulate(verb: _Parser) -> None:
@@ -313,8 +317,11 @@ def _export(verb: _Parser) -> None:
     verb.switch("sources", "for an FMU: only its C source, which needs no compiler")
     verb.quantities(PART)
     verb.choice("body", ("share", "cone"), "for a part: which body (default: share)")
-    at = "for a part: the best design, or the variables' guesses (default: best, if the file minimises)"
-    verb.choice("at", ("best", "guess"), at)
+    at = (
+        "for a part: the best design, that from the file's catalogue, or the variables' guesses (default: the first of"
+        " catalogue, best and guess that the file has)"
+    )
+    verb.choice("at", ("best", "catalogue", "guess"), at)
 
 
 def _report(verb: _Parser) -> None:

@@ -7,11 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from plough_opt.app.terminal import LOG, print_notes
+from plough_opt.app.terminal import LOG
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.core.quantities import quantities
-from plough_opt.core.screen import Screen
-from plough_opt.core.tables import Grid, Page
+from plough_opt.core.tables import Grid, Page, Part
 from plough_opt.core.units import customary
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion import Run
@@ -36,8 +35,8 @@ def shown(problem: Problem, key: str, value: float, unit: str) -> str:
     return problem.origin.display(key, unit, value).text(value)
 
 
-def print_soils(screen: Screen, soils: Sequence[Soil]) -> None:
-    """Print the named soils, then the sources of their values."""
+def soils_page(soils: Sequence[Soil]) -> Page:
+    """Return a table of the named soils, and the sources of their values."""
     table = Grid.of(
         "Named soils (engineering choices inside published brackets; none measured as a set)",
         "name", "density", "locked density", "ratio b1", "cohesion", "friction angle", "tool friction", "cone index",
@@ -53,10 +52,9 @@ def print_soils(screen: Screen, soils: Sequence[Soil]) -> None:
             f"{soil.tool_friction:.2f}",
             f"{cone_index(soil) / 1e3:.0f} kPa",
         )
-    screen.print(table)
-    for soil in soils:
-        screen.print_labelled(f"{soil.name}:", "bold", soil.source)
-    screen.print("All have an ambient pressure of 101.325 kPa. For soil with open pores set soil.ambient_pressure.")
+    sources = (f"{soil.name}: {soil.source}" for soil in soils)
+    pores = "All have an ambient pressure of 101.325 kPa. For soil with open pores set soil.ambient_pressure."
+    return Page("", (table, *sources), footer=pores)
 
 
 def run_page(problem: Problem, run: Run | Machine) -> Page:
@@ -86,25 +84,27 @@ def further_results(problem: Problem, run: Run | Machine) -> tuple[Grid, ...]:
     return (grid,) if rows else ()
 
 
-def print_check(screen: Screen, problem: Problem) -> None:
-    """Print the contents of a file's scenes, and the equation of motion that would be integrated."""
-    screen.print_labelled(f"{problem.title}:", "bold", f"{problem.name} is valid.")
+def check_page(problem: Problem) -> Page:
+    """Return the contents of a file's scenes, and the equation of motion that would be integrated."""
+    parts: list[Part] = []
     for name, part in problem.parts.items():
-        screen.print(_scene_table(part, part.scene(), name))
-        screen.print(_simulated(part, part.scene()))
+        parts += [_scene_table(part, part.scene(), name), _simulated(part, part.scene())]
     if problem.variables:
         verb = "optimise" if problem.table.minimise or problem.table.trade_off is None else "tradeoff"
-        screen.print(f"{len(problem.variables)} variables, {len(problem.table.require)} requirements: "
-                      f"plough-opt {verb} {problem.name}")  # fmt: skip
+        counts = f"{len(problem.variables)} variables, {len(problem.table.require)} requirements"
+        parts.append(f"{counts}: plough-opt {verb} {problem.name}")
     if problem.shares:
-        screen.print(f"{len(problem.shares)} shares, designed as one machine: limits on drafts, powers and masses"
-                      " apply to their sum, other limits to each share; the objective is the sum over the shares.",
-                      soft_wrap=True)  # fmt: skip
+        parts.append(
+            f"{len(problem.shares)} shares, designed as one machine: limits on drafts, powers and masses apply to their"
+            " sum, other limits to each share; the objective is the sum over the shares."
+        )
     if problem.table.uncertain is not None:
         names = ", ".join(key for key in problem.table.uncertain if key.startswith("soil."))
-        screen.print(f"Uncertain: {names}. plough-opt optimise allows for this; all other commands use the"
-                      " nominal soil.", soft_wrap=True)  # fmt: skip
-    print_notes(screen, (*warnings_of(problem), *problem.reliance))
+        parts.append(
+            f"Uncertain: {names}. plough-opt optimise allows for this; all other commands use the nominal soil."
+        )
+    notes = (*warnings_of(problem), *problem.reliance)
+    return Page("", tuple(parts), notes, title=f"{problem.title}: {problem.name} is valid.")
 
 
 def warnings_of(problem: Problem) -> tuple[str, ...]:
@@ -140,8 +140,8 @@ def _simulated(problem: Problem, scene: Scene) -> Grid:
     return Grid.pairs("What is simulated", *rows)
 
 
-def print_effects(screen: Screen, costs: Sequence[EffectCost]) -> None:
-    """Print what each effect adds to the equation of motion and to the operations of a run."""
+def effects_parts(costs: Sequence[EffectCost]) -> tuple[Part, ...]:
+    """Return what each effect adds to the equation of motion and to the operations of a run, and refusals."""
     headings = ("effect", "", "nodes", "states", "events", "operations, with it over without")
     table = Grid.of("What each effect adds to this scene", *headings)
     for cost in costs:
@@ -149,25 +149,25 @@ def print_effects(screen: Screen, costs: Sequence[EffectCost]) -> None:
         ratio = "an iteration" if cost.operations is None else f"{cost.operations:.3g}"
         cells = ("", "", "", "impossible, see below") if cost.refused else (*sizes, ratio)
         table.row(cost.name, "on" if cost.on else "off", *cells)
-    screen.print(table)
-    for cost in costs:
-        if cost.refused:
-            screen.print(f"{cost.name}: {cost.refused}.", soft_wrap=True)
+    return (table, *(f"{cost.name}: {cost.refused}." for cost in costs if cost.refused))
 
 
-def print_comparison(screen: Screen, comparison: Comparison) -> None:
-    """Print the drafts of other models, then refusals, assumptions and sources."""
-    screen.print(comparison.table())
+def comparison_parts(problem: Problem, comparison: Comparison) -> tuple[Part, ...]:
+    """Return the drafts of other models, then refusals, assumptions and sources."""
+    parts: list[Part] = [comparison.table()]
+    if problem.variables:
+        guess = ", ".join(f"{key} = {v.display.text(v.guess)}" for key, v in problem.variables.items())
+        parts.insert(
+            0, f"Compared at the file's guess, {guess}; use --set to compare another design, such as the optimum."
+        )
     for title, sentences in (
         ("Outside the domain", comparison.refusals),
         ("Assumed", comparison.estimates),
         ("Not verified, and sources", comparison.standings),
     ):
         if sentences:
-            screen.print(title, style="bold")
-        for sentence in sentences:
-            screen.print(f"* {sentence}", soft_wrap=True)
-    screen.print("Two models that agree may both be wrong: docs/explanation/crosscheck.md.", soft_wrap=True)
+            parts += [f"{title}:", *(f"* {sentence}" for sentence in sentences)]
+    return (*parts, "Agreement of two models validates neither. docs/explanation/crosscheck.md says why.")
 
 
 def _scene_table(problem: Problem, scene: Scene, share: str = "") -> Grid:

@@ -111,14 +111,15 @@ def check_outputs(options: argparse.Namespace) -> None:
     if (table := getattr(options, "csv", None)) is not None:
         for name in (["pandas"] if options.by_pandas else []) + (["pandas", "openpyxl"] if _is_workbook(table) else []):
             optional(name)
-    if isinstance(options.file, list):
-        taken = {_place(path): "an input file" for path in options.file}
-    else:
-        taken = {_place(options.file): "the problem file"}
+    file = getattr(options, "file", [])
+    inputs = dict.fromkeys(file, "an input file") if isinstance(file, list) else {file: "the problem file"}
+    taken = {_place(path): what for path, what in inputs.items()}
     taken |= {_place(data): "a data file" for data in getattr(options, "data", ())}
     for name in _OUTPUT_FILES:
         if (written := getattr(options, name, None)) is None:
             continue
+        if written == "-":
+            raise InputError(f"--{name} - would write a file of this name: name a file; --json prints the result")
         place = _place(written)
         if place.is_dir() and not hasattr(options, "to"):  # an export may be a folder
             raise InputError(f"--{name} '{written}' is a folder: name a file in it")

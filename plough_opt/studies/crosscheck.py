@@ -17,7 +17,7 @@ from plough_opt.core.checks import array_of, check_domain, check_kind, check_nam
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Expression, as_number, holds_casadi
 from plough_opt.core.files import COLOURS, written
-from plough_opt.core.tables import Grid
+from plough_opt.core.tables import Grid, data_frame
 from plough_opt.laws import (
     AsabeD497,
     McKyesAli,
@@ -34,6 +34,7 @@ from plough_opt.motion.scene import Scene
 from plough_opt.soil.geometry import Wedge
 
 if TYPE_CHECKING:
+    import pandas
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -171,6 +172,26 @@ class Comparison:
                 ends = ([_kilo(draft * (1.0 + sign * row.band)) for sign in (-1, 1)] for draft in row.drafts)
                 table.row(f"  its band of ±{100.0 * row.band:.0f} %", "", *map(" to ".join, ends), "")
         return table
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return a row for each model, depth and speed in SI units, NaN where a model has no draft.
+
+        Raises:
+            InputError: pandas is not installed.
+
+        Example:
+            >>> import plough_opt as po
+            >>> scene = po.read_problem("problems/cotton_subsoiler.toml").scene()
+            >>> po.crosscheck.compare(scene, speeds=[1.0, 2.0]).to_dataframe()["ratio"].tolist()[:2]
+            [1.0, 1.0]
+        """
+        rows = [
+            (row.model, math.nan if row.depth is None else row.depth, speed, draft, ratio)
+            for row in (self.own, *self.others)
+            for speed, draft, ratio in zip(self.speeds, row.drafts, self.ratios(row), strict=True)
+        ]
+        columns = dict(zip(("model", "depth", "speed", "draft", "ratio"), zip(*rows, strict=True), strict=True))
+        return data_frame(columns, {"depth": "m", "speed": "m/s", "draft": "N"})
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Draw draft over speed, one panel per depth, and write the picture to a file if a path is given.

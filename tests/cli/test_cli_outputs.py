@@ -3,7 +3,7 @@
 import csv
 import io
 import json
-from types import SimpleNamespace
+import sys
 
 import numpy as np
 import pandas
@@ -13,7 +13,6 @@ from helpers.problem_files import PROBLEMS, STATIC
 
 import plough_opt as po
 from plough_opt.app.options import parser
-from plough_opt.core import tables
 from plough_opt.core.tables import read_rows, write_frame
 
 TRADE = (
@@ -21,7 +20,7 @@ TRADE = (
     + "[trade_off]\nmean_draft = {}\nloosened_radius = { maximise = true }\npoints = 5\n"
 )
 MOVING = ("--set", "effects.motion=true", "--set", "scene.duration=0.1 s", "--seconds", "0.05")
-RESULTS = ("waves", "show", "compare", "simulate", "optimise", "tradeoff", "sweep", "calibrate", "accuracy")
+DRAFTS = ("--data", PROBLEMS / "synthetic_draft.csv")
 
 
 @pytest.fixture
@@ -46,25 +45,37 @@ def lines(static, folder):
         "tradeoff": ["tradeoff", front],
         "sweep": ["sweep", static, "--over", "scene.tow_speed=1..2 m/s:2", "--store", folder / "s.db"],
         "accuracy": ["accuracy", static, "--thin", *MOVING],
+        "calibrate": ["calibrate", PROBLEMS / "calibration.toml", *DRAFTS],
+        "check": ["check", static],
+        "check --effects": ["check", static, "--effects"],
+        "check --against": ["check", static, "--against"],
+        "soils": ["soils"],
     }
 
 
+# Options of every command with a result, and what others have: these write their own files, or print JSON or a text.
+ALL = {"--json", "--csv", "--output", "--plot"}
+OTHERS = {
+    "soils": ALL - {"--plot"}, "init": {"--json"}, "schema": set(), "completion": set(),
+    "export": {"--json", "--output"}, "report": {"--json", "--output"}, "explore": {"--json", "--output"},
+}  # fmt: skip
+
+
 def test_every_command_with_a_result_has_the_same_options():
-    every = parser(whole=True)._subparsers._group_actions[0].choices
-    for name in RESULTS:
-        flags = {flag for action in every[name]._actions for flag in action.option_strings}
-        assert {"--json", "--csv", "-o", "--output", "--plot"} <= flags, name
-    for name in ("report", "export"):
-        assert "-o" in {flag for action in every[name]._actions for flag in action.option_strings}
+    for name, command in parser(whole=True)._subparsers._group_actions[0].choices.items():
+        flags = {flag for action in command._actions for flag in action.option_strings}
+        assert flags & ALL == OTHERS.get(name, ALL), name
+        assert ("-o" in flags) == ("--output" in flags), name
 
 
 def test_every_command_writes_the_files(static, tmp_path):
     for name, line in lines(static, tmp_path).items():
         table, saved, picture = (tmp_path / f"{name}.{ending}" for ending in ("csv", "json", "svg"))
-        done = call(*line, "--json", "--csv", table, "-o", saved, "--plot", picture)
+        drawn = () if name == "soils" else ("--plot", picture)
+        done = call(*line, "--json", "--csv", table, "-o", saved, *drawn)
         assert done.status == 0, done.err
         assert json.loads(done.out) == json.loads(saved.read_text(encoding="utf-8")) or name == "accuracy", name
-        assert picture.read_text(encoding="utf-8").startswith("<?xml"), name
+        assert not drawn or picture.read_text(encoding="utf-8").startswith("<?xml"), name
         heading, *rows = csv.reader(io.StringIO(table.read_text(encoding="utf-8")))
         assert rows or name == "waves", name
         assert {len(row) for row in rows} <= {len(heading)}, name
@@ -78,16 +89,23 @@ def test_a_table_has_the_numbers_of_the_result_with_their_units(static, tmp_path
     assert [float(row[3]) for _, row in rows] == run.deflection.tolist()
 
 
-def test_workbooks_are_written_where_openpyxl_is_installed(static, tmp_path, monkeypatch):
-    done = call("simulate", static, "--csv", tmp_path / "a.xlsx")
-    assert done.status == 0 or (done.status == 2 and "pip install 'openpyxl'" in done.said)
-    rows = []
-    book = SimpleNamespace(active=rows, save=lambda file: file.write(b"saved"))
-    monkeypatch.setattr(tables, "optional", lambda _: SimpleNamespace(Workbook=lambda: book))
-    frame = pandas.DataFrame({"x": [1.5, np.nan], "text": ["=1+1", "a"]})
+def test_workbooks_hold_numbers_as_numbers_and_no_formulas(static, tmp_path, monkeypatch):
+    """pandas reads them by openpyxl."""
+    run, path = po.read_problem(static).simulate(), tmp_path / "a.xlsx"
+    printed("simulate", static, "--csv", path)
+    found = pandas.read_excel(path)
+    assert [*found.columns[:4]] == ["time [s]", "travel [m]", "speed [m/s]", "deflection [m]"]
+    assert found["deflection [m]"].tolist() == run.deflection.tolist()
+    frame = pandas.DataFrame({"x": [1.5, np.nan], "on": [True, False], "n": [1, 2], "text": ["=1+1", "a"]})
     frame.attrs["units"] = {"x": "m"}
-    assert write_frame(tmp_path / "b.xlsx", frame).read_bytes() == b"saved"
-    assert rows == [["x [m]", "text"], [1.5, "'=1+1"], [None, "a"]]
+    found = pandas.read_excel(write_frame(path, frame))
+    assert found.columns.tolist() == ["x [m]", "on", "n", "text"]
+    assert found.fillna(-1.0).to_numpy().tolist() == [[1.5, True, 1, "'=1+1"], [-1.0, False, 2, "a"]]
+    for name in ("tradeoff", "sweep", "check"):
+        printed(*lines(static, tmp_path)[name], "--csv", path)
+        assert len(pandas.read_excel(path)) > 1, name
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    assert "pip install 'openpyxl'" in call("simulate", static, "--csv", path).said
 
 
 def test_an_infeasible_problem_gives_its_conflicts(static, tmp_path):
@@ -101,6 +119,7 @@ def test_an_infeasible_problem_gives_its_conflicts(static, tmp_path):
     assert found["conflicts"] == pytest.approx(error.value.conflicts)
     assert found["blockers"] == error.value.blockers
     assert found["message"] in done.said
+    assert f"wrote {tmp_path / 'a.json'}" in done.err.splitlines()
 
 
 def test_compare_has_one_unit_a_row_and_differences(static, tmp_path):

@@ -34,6 +34,7 @@ REFUSED = [
     ("optimize FILE --set 'scene.tow_sped=1 m/s'", "'scene.tow_sped' is not a known key"),
     ("simulate FILE --plot run.jpg", "'run.jpg' is not a valid file name for the picture: it must end in .png"),
     ("optimise FILE --plot ''", "picture"),
+    ("optimise FILE --csv -", "--csv - would write a file of this name: name a file"),
     ("optimise FILE --plot insertions.csv/new/a.png", "insertions.csv' is not a folder"),
     # No output overwrites an input or another output; a link is what it leads to, even in a circle.
     ("tradeoff TRADE --csv TRADE", "--csv 'draft_against_loosening.toml' is the problem file, which it would overw"),
@@ -50,7 +51,6 @@ REFUSED = [
     ("check FILE --against --width '-8 cm'", "tool width = -0.08 m must be above 0 m"),
     ("check FILE --against --texture fin", "did you mean 'fine'?"),
     ("check FILE --against --rupture-ratio 0.5", "rupture distance ratio m = 0.5 must be at least 1"),
-    ("check FILE --effects --json", "--json prints only the scene: remove --effects and --against"),
     ("report TRADE -o a.html", "add a table [minimise]"),
     ("report uncertain_field.toml -o a.html", "remove the table [uncertain]"),
     ("report FILE -o a.txt", "end in .html"),

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from plough_opt.app.options import PART, given_quantities
 from plough_opt.app.terminal import console, progress, read, wrote
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.core.files import check_file
 from plough_opt.exchange.component import Component
 from plough_opt.exchange.export.formats import FORMATS, Request
@@ -15,6 +15,9 @@ from plough_opt.motion import Run
 from plough_opt.motion.scene import Scene
 from plough_opt.problem_file import Problem
 
+_DESIGNS: Final = {
+    "best": "the best design", "catalogue": "the best design from the catalogue", "guess": "the guesses",
+}  # fmt: skip
 _FORMAT_OPTIONS: Final = tuple(sorted({option for own in FORMATS.values() for option in own.options}))
 
 
@@ -25,16 +28,20 @@ def export(options: argparse.Namespace) -> None:
     problem = read(options)
     values: dict[str, Any] = problem.values()
     name = options.name or "share"
-    at = options.at or ("best" if problem.variables and problem.table.minimise else "guess")
+    bought = any(variable.catalogue is not None for variable in problem.variables.values())
+    if options.at == "catalogue" and not bought:
+        raise InputError(f"--at catalogue: no variable of {problem.name} has a catalogue or a step: add one")
+    usual = "guess" if not (problem.variables and problem.table.minimise) else "catalogue" if bought else "best"
+    at = options.at or usual
     request = Request(
         path=options.output,
         name=name,
         component=partial(_component, problem, options, name),
         scene=problem.scene(),
-        best=partial(_best, problem) if at == "best" else None,
+        best=None if at == "guess" else partial(_best, problem, bought=at == "catalogue"),
+        design=_DESIGNS[at] if problem.variables else "the file",
         steel_density=values["scene.steel_density"],
         duration=values.get("scene.duration"),
-        varies=bool(problem.variables),
         options=given,
     )
     written = chosen.write(request)
@@ -82,13 +89,17 @@ def _names(option: str, written: str | None) -> tuple[str, ...]:
     return names
 
 
-def _best(problem: Problem) -> Scene:
-    """Return the scene of the best design, or of the robust one if the soil is uncertain."""
+def _best(problem: Problem, *, bought: bool) -> Scene:
+    """Return the scene of the best design, from the catalogue or not, or of the robust one if the soil is uncertain."""
     with progress() as notify:
         if problem.table.uncertain is None:
-            run = problem.optimise(notify)[1]
+            best, run = problem.optimise(notify)
             assert isinstance(run, Run)  # `problem.scene()` in `export` refuses several shares
-            return run.scene
+            if not bought:
+                return run.scene
+            if best.bought is None:
+                raise NotConverged(f"{best.warnings[-1]}; --at best exports the best design without it", "catalogue")
+            return problem.scene(best.bought.variables)
         from plough_opt.problem_file.uncertain import optimise_robust  # scipy.stats is slow to import
 
         return optimise_robust(problem, notify).run.scene

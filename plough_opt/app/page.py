@@ -88,7 +88,12 @@ def answer(report: Report) -> str:
         return f"This share needs a mean draft of {report.results['mean draft']}."
     values = [f"{called(key)} {nice(v.display.text(best.variables[key], 4))}" for key, v in problem.variables.items()]
     state = {"solved": "Best design", "not unique": "A best design (not unique)"}
-    return f"{state.get(best.status, 'Best design found (not confirmed by derivatives)')}: {', '.join(values)}."
+    found = f"{state.get(best.status, 'Best design found (not confirmed by derivatives)')}: {', '.join(values)}."
+    if best.bought is None:
+        return found
+    chosen = best.bought.variables
+    made = (f"{called(key)} {nice(v.display.result(chosen[key]))}" for key, v in problem.variables.items())
+    return f"{found} From the catalogue: {', '.join(made)} (objective {best.bought.cost_in_words})."
 
 
 def cards(report: Report) -> list[tuple[str, str]]:

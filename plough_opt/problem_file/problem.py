@@ -118,7 +118,7 @@ class Problem:
 
     @property
     def cautions(self) -> tuple[str, ...]:
-        """Warnings about values so unusual that their unit in the file is probably wrong."""
+        """Warnings about values so unusual that their unit is probably wrong, and about catalogues beyond bounds."""
         if self.shares:
             return tuple(dict.fromkeys(text for part in self.shares.values() for text in part.cautions))
         every = [(key, key, value) for key, value in self.fixed.items()]
@@ -127,6 +127,10 @@ class Problem:
         for name, key, value in every:
             if slip := EVERY[key].slip(value):
                 found.append(f"{name} = {self.origin.display(key, EVERY[key].unit, value).text(value)}: {slip}")
+        for key, v in self.variables.items():
+            entries = v.catalogue if isinstance(v.catalogue, tuple) else ()
+            if outside := [v.display.text(x) for x in entries if not v.lower <= x <= v.upper]:
+                found.append(f"{key}: {', '.join(outside)} in its catalogue are left out: its bounds are {v.words}")
         return tuple(found)
 
     @property

@@ -51,6 +51,7 @@ def test_the_best_of_a_catalogue_is_given_beside_the_best(read, cheapest):
 
 def test_steps_and_catalogues_go_together(read, cheapest, tmp_path):
     text = offering(', step = "2 cm"', ', catalogue = ["24 deg", "30 deg", "36 deg", "70 deg"]')
+    assert [note for note in read(text).cautions if "70 deg" in note and "bounds are 20 deg to 40 deg" in note]
     best, _ = read(text).optimise()
     (angle, height), objective = cheapest(text, [24.0, 30.0, 36.0], [0.02 * k for k in range(5, 26)])
     assert best.bought.variables == pytest.approx({"share.height": height, "share.wedge_angle": po.deg(angle)})
@@ -69,13 +70,24 @@ def test_commands_print_and_save_it(tmp_path):
     assert "corners" in out
     saved = json.loads(printed("optimise", path, "--json"))
     height = saved["bought"]["variables"]["share.height"]
-    assert cells(printed("optimise", path).partition("from the catalogue")[2], "share.height")[1:] == [
+    assert cells(printed("optimise", path).partition("best from the catalogue")[2], "share.height")[1:] == [
         f"{height:.5g} m", "catalogue",
     ]  # fmt: skip
     printed("report", path, "--no-accuracy", "-o", tmp_path / "a.html")
     page = (tmp_path / "a.html").read_text(encoding="utf-8")
-    assert "from the catalogue" in page
-    assert f"{height:.5g}\N{NO-BREAK SPACE}m" in page
+    shown = f"{height:.5g}\N{NO-BREAK SPACE}m"
+    assert f"From the catalogue: share height {shown} (objective +" in page
+    table = tmp_path / "a.csv"
+    heading = next(line for line in printed("optimise", path, "--csv", table).splitlines() if "Best design" in line)
+    assert f"; from the catalogue {saved['bought']['objective']:.6g} (+" in heading
+    assert heading.endswith(f"with share.height {height:.4g} m")
+    assert table.read_text().splitlines()[-1] == f"from the catalogue,{saved['bought']['objective']!r},{height!r}"
+    for at, size in (("catalogue", height), ("best", saved["variables"]["share.height"])):
+        said = printed("export", path, "--to", "stl", "--at", at, "-o", tmp_path / f"{at}.stl")
+        assert f"height {1e3 * size:.4g} mm" in said
+    assert printed("export", path, "--to", "stl", "-o", tmp_path / "usual.stl").startswith(
+        "Share of the best design from"
+    )
 
 
 def test_a_catalogue_in_which_nothing_will_do_leaves_the_best_with_a_warning(tmp_path):
@@ -85,6 +97,10 @@ def test_a_catalogue_in_which_nothing_will_do_leaves_the_best_with_a_warning(tmp
     assert done.status == 0
     assert "nothing in the catalogue" in done.out
     assert "loosened_radius" in done.out.partition("nothing in the catalogue")[2]
+    done = call("export", path, "--to", "stl", "-o", tmp_path / "a.stl")
+    assert (done.status, "--at best" in done.said) == (1, True)
+    path.write_text(STATIC, encoding="utf-8")
+    assert "no variable" in call("export", path, "--to", "stl", "--at", "catalogue", "-o", tmp_path / "a.stl").said
 
 
 WRONG_CATALOGUES = [

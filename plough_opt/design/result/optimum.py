@@ -392,7 +392,8 @@ class Optimum(LocalOptimum):
         )
         kept = self.keeping()
         notes = (*([kept] if kept else []), *self.warnings, *(() if self.run is None else self.run.warnings))
-        heading = f"Best design: objective {self.objective:.{OBJECTIVE_DIGITS}g} ({self.status})"
+        bought = "" if self.bought is None else f"; from the catalogue {self.bought.in_words()}"
+        heading = f"Best design: objective {self.objective:.{OBJECTIVE_DIGITS}g} ({self.status}){bought}"
         return Page(heading, tuple(parts), notes, trust, self.origin.title)
 
     @property
@@ -452,7 +453,8 @@ class Optimum(LocalOptimum):
     def to_dataframe(self) -> pandas.DataFrame:
         """Return a table with a row for each local optimum, best first: objective and variables in SI units.
 
-        The column of a variable named as another column, such as "objective", is called "variable objective".
+        The best from a catalogue has the last row. The column of a variable named as another column, such as
+        "objective", is called "variable objective".
 
         Raises:
             InputError: pandas is not installed.
@@ -465,7 +467,8 @@ class Optimum(LocalOptimum):
             >>> design.solve(search="near").to_dataframe().columns.tolist()
             ['optimum', 'objective', 'height']
         """
-        found = self.local_optima or (self,)
+        bought = () if self.bought is None else (replace(self.bought, name="from the catalogue"),)
+        found: tuple[LocalOptimum, ...] = (*(self.local_optima or (self,)), *bought)
         columns: dict[str, Any] = {
             "optimum": [one.name for one in found],
             "objective": [one.objective for one in found],
@@ -674,14 +677,24 @@ class Rounded(Optimum):
         """Increase of the objective by the rounding, in per cent of the unrounded one; NaN if that is 0."""
         return 100.0 * self.cost / abs(self.unrounded) if self.unrounded else math.nan
 
+    def in_words(self) -> str:
+        """Return the objective with what the rounding costs, and the values from the catalogue."""
+        values = (f"{name} {self.display(name).text(self.variables[name])}" for name in self.fixed)
+        return f"{self.objective:.{OBJECTIVE_DIGITS}g} ({self.cost_in_words}) with {', '.join(values)}"
+
+    @property
+    def cost_in_words(self) -> str:
+        """Change of the objective by the rounding: in per cent, if the unrounded one is not 0."""
+        return f"{self.cost_percent:+.2g} %" if self.unrounded else f"{self.cost:+.2g}"
+
     def comparison(self, best: Optimum) -> tuple[Grid, str]:
         """Return a table of the values beside those of the unrounded optimum, and a sentence on the search."""
         grid = Grid.of("The best from the catalogue", "", "best", "from the catalogue", "")
         for name, value in self.variables.items():
             ends = (best.display(name).result(x) for x in (best.variables[name], value))
             grid.row(name, *ends, "catalogue" if name in self.fixed else "")
-        cost = f"{self.cost_percent:+.2g} %" if self.unrounded else f"{self.cost:+.2g}"
-        grid.row("objective", *(f"{x:.{OBJECTIVE_DIGITS}g}" for x in (self.unrounded, self.objective)), cost)
+        objectives = (f"{x:.{OBJECTIVE_DIGITS}g}" for x in (self.unrounded, self.objective))
+        grid.row("objective", *objectives, self.cost_in_words)
         infeasible = f"; {len(self.infeasible)} of them cannot meet the requirements" if self.infeasible else ""
         return grid, f"From the catalogue, {self._extent_of_search()}{infeasible}."
 

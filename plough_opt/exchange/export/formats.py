@@ -32,9 +32,9 @@ class Request:
         component: builds the component of the requested inputs and outputs.
         scene: the scene at the file's values, with variables at their guesses.
         best: searches for the best design and returns its scene; None to export the scene as it is.
+        design: which design this is, such as "the best design".
         steel_density: density of the share's material [kg/m^3].
         duration: duration of a run [s]; None for a periodic orbit.
-        varies: whether the file has variables.
         options: given options of the format by name; quantities in SI units.
     """
 
@@ -43,9 +43,9 @@ class Request:
     component: Callable[[], Component]
     scene: Scene
     best: Callable[[], Scene] | None
+    design: str
     steel_density: float
     duration: float | None
-    varies: bool
     options: Mapping[str, Any]
 
 
@@ -162,9 +162,7 @@ def _part(request: Request) -> Written:
     body: Wedge | Cone = scene.cone if given.get("body") == "cone" else scene.share
     opening, thickness = given.get("opening"), given.get("thickness")
     path = write_part(body, request.path, opening=opening, thickness=thickness)
-    at_values = "the guesses" if request.varies else "the file"
-    design = at_values if request.best is None else "the best design"
-    return Written((path,), _described(body, opening, thickness, design))
+    return Written((path,), _described(body, opening, thickness, request.design))
 
 
 def _described(body: Wedge | Cone, opening: float | None, thickness: float | None, design: str) -> str:

@@ -500,7 +500,7 @@ def test_density_ratio_follows_a_compression_test():
 WRONG_TESTS = [
     (PRESSURES, LOST, SEROZEM, None),
     (PRESSURES, LOST, replace(SEROZEM, ambient_pressure=5e3), "outside the compression test, 25 to 200 kPa"),
-    (PRESSURES, LOST[:3], SEROZEM, "has 4 pressures and 3 compactions"),
+    (PRESSURES, LOST[:3], SEROZEM, "not 4 and 3"),
     ([5e4], [0.1], SEROZEM, "two or more"),
     ([5e4, 4e4], [0.1, 0.2], SEROZEM, "must rise from above 0"),
     ([5e4, 2e5], [0.1, 1.0], SEROZEM, "must rise from above 0 to below 1"),

@@ -75,7 +75,7 @@ class Penetrometer:
         """
         if len(self.insertions) < _FEWEST:
             raise InputError(
-                f"{self.name} has {len(self.insertions)} insertions, but a spread needs {_FEWEST}: measure at more"
+                f"a spread needs {_FEWEST} insertions, but {self.name} has {len(self.insertions)}: measure at more"
                 " places, or give a distribution"
             )
         return float(np.std(self.insertions, ddof=1))
@@ -178,7 +178,8 @@ def average_readings(source: Source, folder: Path) -> str:
         source.read_files[written] = exact_text(folder / written)
         soil["cone_index"] = f"{found.mean / 1e6!r} MPa"
         _spread_in(source.data.get("uncertain"), found)
-        return f"{found.mean / 1e6:.4g} MPa, mean of {len(found.insertions)} insertions over {depth} in {written}"
+        count = len(found.insertions)
+        return f"{found.mean / 1e6:.4g} MPa, mean of {count} insertion{'s' * (count > 1)} over {depth} in {written}"
     return ""
 
 

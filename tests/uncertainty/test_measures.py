@@ -470,3 +470,9 @@ def test_correlated_properties_are_refused_or_taken_in_order():
 
 def test_two_samples_are_the_fewest():
     assert "y" in sobol_indices(_linear(), {}, samples=2)
+
+
+def test_a_single_property_explains_the_whole_variance():
+    field = po.SoilDistribution(SEROZEM, cohesion=stats.norm(20e3, 1e3))
+    own = sobol_indices(po.Robust(field, lambda soil: {"y": soil.cohesion**2}, samples=8), {})["y"]
+    assert (own.first, own.total, own.first_low, own.total_high) == ([1.0],) * 4

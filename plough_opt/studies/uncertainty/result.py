@@ -95,7 +95,8 @@ def sobol_indices(
     inputs. Correlated properties therefore raise an error, unless ``correlated`` accepts indices of the independent
     coordinates behind the copula (Mara and Tarantola 2012). The first property then includes all that it shares with
     the others, and each further one only the part that is independent of those before it. A result that does not vary
-    has no indices. Confidence intervals are percentile intervals of the bootstrap (Efron 1979).
+    has no indices, and a single property explains all of what varies. Confidence intervals are percentile intervals of
+    the bootstrap (Efron 1979).
 
     Args:
         robust: the results.
@@ -133,6 +134,9 @@ def sobol_indices(
     results = [name for name, values in robust.values(at).items() if varies(values)]
     if not results:
         return {}
+    if len(field.names) == 1:  # which explains all of it
+        whole = np.ones(1)
+        return {name: SobolIndices(name, field.names, whole, whole, whole, whole, whole, whole, "") for name in results}
 
     count, generator, answers = len(field.names), np.random.default_rng(seed), list[Array]()
 

@@ -217,9 +217,16 @@ class Program:
     def exact_values(self, y: Vector, p: Vector) -> tuple[list[Vector], list[Vector]]:
         """Return objective and requirements by tight integration, and again by the method that checks it."""
         numbers = [*self.values(y), *p]
-        evaluate = self.exact.values
         at = y.tobytes(), p.tobytes()
-        return _cached(self._caches.exact_values, at, 1, lambda: (evaluate(numbers), evaluate(numbers, check=True)))
+        return _cached(
+            self._caches.exact_values, at, 1, lambda: (self._exact(numbers), self._exact(numbers, check=True))
+        )
+
+    def _exact(self, numbers: list[float], *, check: bool = False) -> list[Vector]:
+        """Return objective and requirements; where a variable bounds the worst objectives, the worst itself."""
+        found = self.exact.values(numbers, check=check)
+        excess = [np.max(x) for r, x in zip(self.declared.requirements, found[1:], strict=True) if r.auxiliary]
+        return [found[0] + sum(excess), *found[1:]]
 
     @cached_property
     def first_rows(self) -> list[int]:

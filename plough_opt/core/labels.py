@@ -63,8 +63,11 @@ class Call:
 
     def check(self, numbers: Sequence[float]) -> None:
         """Raise DomainError if these values of the quantities lie outside the law's domain."""
-        arguments, named = with_numbers(self.template, numbers)
-        self.law(*arguments, **named)
+        self.run(with_numbers(self.template, numbers))
+
+    def run(self, given: tuple[tuple[Any, ...], dict[str, Any]]) -> object:
+        """Return what the law returns for arguments like those of the template."""
+        return self.law(*given[0], **given[1])
 
 
 class Meanings(Generic[Meaning]):

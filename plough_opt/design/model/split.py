@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -98,6 +99,9 @@ def _carried(calls: list[tuple[object, ca.MX]], symbols: list[ca.MX], runs: bool
         InputError: a label that is not a law's carries results of a run.
     """
     found = []
+    # Hardly any design has a label that carries results: all labels are looked through at once first.
+    every = [node.dep(1) for _, node in calls]
+    runs = runs and bool(_calls(ca.Function("carried", symbols, every, {"never_inline": True}))[0])
     for meaning, node in calls:
         if not runs or not _calls(ca.Function("carried", symbols, [node.dep(1)], {"never_inline": True}))[0]:
             found.append((meaning, node.dep(1)))
@@ -125,9 +129,14 @@ def _calls(whole: ca.Function) -> tuple[list[EmbeddedRun], list[tuple[object, ca
 Vector = NDArray[np.float64]
 
 
+def is_own(item: Any) -> bool:
+    """Return whether a class or a function is the user's, which may raise an error of any kind."""
+    return str(item.__module__).partition(".")[0] != __name__.partition(".")[0]
+
+
 def has_own_law(scene: Scene) -> bool:
-    """Return whether a user's class is the law of resistance, which may raise an error of any kind."""
-    return type(scene.law).__module__.partition(".")[0] != __name__.partition(".")[0]
+    """Return whether a user's class is the law of resistance."""
+    return is_own(type(scene.law))
 
 
 class SceneChecks:

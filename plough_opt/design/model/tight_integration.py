@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import casadi as ca
 import numpy as np
 
+from plough_opt.core.checks import limits_of_numbers
 from plough_opt.core.errors import DomainError, InputError, IntegrationError, PloughError
-from plough_opt.core.expressions import with_numbers
+from plough_opt.core.expressions import is_quantity, map_expressions, with_numbers
 from plough_opt.core.labels import Call, Domain
 from plough_opt.design.declarations import Declarations, Requirement
-from plough_opt.design.model.split import Vector, split
+from plough_opt.design.model.split import Vector, has_own_law, is_own, split
 from plough_opt.motion.checks import refuse_drifting_own, refuse_stiff_orbit
 from plough_opt.motion.compiled_steps import compiled_steps
 from plough_opt.motion.effects import MOST_HARMONICS
@@ -36,6 +38,32 @@ _Tight: TypeAlias = Callable[[Integration, tuple[float, ...], bool], Vector]
 
 # Most runs whose results an evaluation caches: enough for a design of some hundred soil samples at a few points.
 _MOST_CACHED: Final = 4096
+
+
+@dataclass(frozen=True)
+class _Alike:
+    """Scenes, or arguments of a law, that differ only in numbers, so that they can be checked at once as arrays.
+
+    Attributes:
+        template: a scene or arguments, with a placeholder for each quantity.
+        check: raises an error if such an object is not valid, and checks domains by `check_domain`.
+        quantities: values of the symbols -> the quantities, a column for each object.
+    """
+
+    template: Any
+    check: Callable[[Any], object]
+    quantities: ca.Function
+
+    def inside(self, numbers: Sequence[float]) -> bool:
+        """Return whether all keep every limit; False also if one of their classes takes no arrays."""
+        rows = self.quantities(*numbers).full()
+        values = iter([row if np.ptp(row) else float(row[0]) for row in rows])
+        try:
+            with limits_of_numbers() as limits:
+                self.check(map_expressions(self.template, lambda _: next(values), is_quantity))
+        except Exception:  # a user's own class may raise any error for arrays
+            return False
+        return all(np.all(limit.holds(value)) for limit, value in limits)
 
 
 class TightEvaluation:
@@ -66,6 +94,23 @@ class TightEvaluation:
         # Scenes without integration, and calls of laws, each with the Function that gives its quantities.
         self._scenes: list[tuple[Scene, ca.Function]] = []
         self._calls: list[tuple[Call, ca.Function]] = []
+        # Scenes and calls by their templates. Own laws and profiles take no arrays.
+        alike: dict[int, tuple[Any, Callable[[Any], object], list[ca.MX]]] = {}
+        self._checked_alike = True
+        for template, carried in (
+            *((run.embedding.template, run.quantities) for run in parts.runs),
+            *((meaning, carried) for meaning, carried in parts.labels if isinstance(meaning, Scene)),
+        ):
+            self._checked_alike &= not has_own_law(template) and template.soil.density_profile is None
+            alike.setdefault(id(template), (template, Scene.check_reaction, []))[2].append(ca.vec(carried))
+        for meaning, carried in parts.labels:
+            if isinstance(meaning, Call):
+                self._checked_alike &= not is_own(meaning.law)
+                alike.setdefault(id(meaning), (meaning.template, meaning.run, []))[2].append(ca.vec(carried))
+        self._alike = [
+            _Alike(template, check, ca.Function("alike", list(symbols), [ca.densify(ca.horzcat(*columns))]))
+            for template, check, columns in alike.values()
+        ]
         for meaning, carried in parts.labels:
             quantities = ca.Function("quantities", list(symbols), [ca.densify(ca.vec(carried))])
             if isinstance(meaning, Domain):
@@ -122,8 +167,24 @@ class TightEvaluation:
                 if bare:
                     limit.check(value)
 
+    def surely_inside(self, numbers: Sequence[float]) -> bool:
+        """Return whether no scene and no law refuses these numbers, if that can be told from all at once."""
+        numbers = [*map(float, numbers)]
+        return (
+            self._checked_alike
+            and all(
+                limit.holds(value)
+                for domain, quantities in self._bare
+                for limit, bare, value in zip(domain.limits, domain.bare, quantities(*numbers).nonzeros(), strict=True)
+                if bare
+            )
+            and all(alike.inside(numbers) for alike in self._alike)
+        )
+
     def refusal(self, numbers: Sequence[float]) -> str:
         """Return why a scene or a law refuses these numbers; empty if none does."""
+        if self.surely_inside(numbers):
+            return ""
         try:
             if refused := _refusal_of(self.scenes(numbers)):
                 return refused
@@ -261,9 +322,12 @@ def check_bounds(declared: Declarations, exact: TightEvaluation, p: Vector) -> N
 
     Limits that the design keeps as requirements do not count, and undefined laws are skipped.
     """
+    transient = all(run.integration.structure.orbit == "transient" for run in exact.runs)
     for clause, values in corners(declared):
         try:
             numbers = [*values, *p]
+            if transient and exact.surely_inside(numbers):
+                continue
             scenes = exact.scenes(numbers)
             for scene in scenes:
                 scene.check_bounds()

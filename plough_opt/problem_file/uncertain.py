@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
 
 import numpy as np
@@ -351,8 +350,8 @@ def optimise_robust(problem: Problem, progress: Progress) -> RobustOptimum:
     field = distribution_of(table, problem.scene().soil)
     design, _ = problem.design()
     nominal = design.solve(progress=progress)
-    design_of = _RobustDesign(problem, table, field)
     progress("sampling the soil", 0.0)
+    design_of = _RobustDesign(problem, table, field, nominal.variables)
     best, robust, failures = best_robust(nominal.variables, design_of.build, design_of.spreads, progress)
     progress("verifying on fresh samples", 0.0)
     seed = 20_000 + table.seed
@@ -382,55 +381,54 @@ def _in_words(problem: Problem, varying: set[str]) -> dict[str, tuple[str, str]]
 class _RobustDesign:
     """Builder of the file's design over samples of its soil, for every start of the solver."""
 
-    def __init__(self, problem: Problem, table: UncertainTable, field: SoilDistribution) -> None:
+    def __init__(
+        self, problem: Problem, table: UncertainTable, field: SoilDistribution, start: Mapping[str, float]
+    ) -> None:
         self._problem, self._table, self._field = problem, table, field
         self._samples = field.sample(table.samples, seed=table.seed)
         self._measures = measures_of(problem.table)
         names = {**problem.table.minimise, **problem.table.require}
         self._averages = tuple(name for name in names if not self._measures[name].everywhere)
-        self._spreads: Spreads = {}
-
-    @cached_property
-    def _responses(self) -> Robust:
-        """Results over the samples as functions of the variables."""
-        return self._declared({key: v.guess for key, v in self._problem.variables.items()})[1]
+        self._start = start
+        self._declared = self._declare()
+        self._built = False
 
     def spreads(self, at: Mapping[str, float]) -> dict[str, float]:
         """Return the standard deviation of every result at a design, 0 if it does not depend on the soil."""
-        values = self._responses.values(at)
+        values = self._declared[1].values(at)
         return {
             name: float(np.std(own)) if np.ptp(own) > _ROUNDING * np.max(np.abs(own)) else 0.0
             for name, own in values.items()
         }
 
-    def build(self, start: Mapping[str, float], spreads: Spreads) -> tuple[Design, Robust, frozenset[str]]:
+    def build(self, spreads: Spreads) -> tuple[Design, Robust, frozenset[str]]:
         """Return the design, the results over the samples, and the names of results smoothed by their spread.
 
         Args:
-            start: guesses of the variables.
             spreads: result -> its standard deviation, from which smoothing widths follow if the file gives none.
         """
-        self._spreads = spreads
-        self._smoothed_by_spread: set[str] = set()
-        design, robust, run = self._declared(start)
+        if self._built:
+            self._declared = self._declare()
+        self._built, self._spreads, self._parameters = True, spreads, dict[str, Expression]()
+        design, robust, run = self._declared
         tables = self._problem.table
         objective: Expression = 0.0
         for name, term in tables.minimise.items():
-            value = self._measure(robust, run, name, measure_of(term.measure or "expected"), term.width)
+            value = self._measure(design, robust, run, name, measure_of(term.measure or "expected"), term.width)
             objective = objective + value / self._measures[name].unit.parse(term.per)
         design.minimise(objective)
         for name, limit in tables.require.items():
             self._require(design, robust, run, name, limit)
-        return design, robust, frozenset(self._smoothed_by_spread)
+        return design, robust, frozenset(self._parameters)
 
-    def _declared(self, start: Mapping[str, float]) -> tuple[Design, Robust, Run]:
+    def _declare(self) -> tuple[Design, Robust, Run]:
         """Return a design with its variables, the results over the samples, and the run in the nominal soil."""
         from plough_opt.design import Design
         from plough_opt.studies.uncertainty import Robust
 
         problem, design = self._problem, Design()
         symbols = {
-            key: variable.declared(design, key, min(max(start[key], variable.lower), variable.upper))
+            key: variable.declared(design, key, min(max(self._start[key], variable.lower), variable.upper))
             for key, variable in problem.variables.items()
         }
 
@@ -445,11 +443,19 @@ class _RobustDesign:
         return design, Robust(self._field, response, samples=self._samples, seed=self._table.seed), run_in(None)
 
     def _measure(
-        self, robust: Robust, run: Run, name: str, chosen: ChosenMeasure, written: object, low_is_bad: bool = False
+        self,
+        design: Design,
+        robust: Robust,
+        run: Run,
+        name: str,
+        chosen: ChosenMeasure,
+        written: object,
+        low_is_bad: bool = False,
     ) -> Expression:
         """Return a measure of a result, of its lower tail if small values are bad.
 
         Args:
+            design: the design.
             robust: the results over the samples.
             run: the run in the nominal soil.
             name: name of the result.
@@ -463,18 +469,22 @@ class _RobustDesign:
             return robust.expected(name)
         if chosen.kind == "mean_plus":
             return robust.mean_plus(name, chosen.number)
-        width = self._width(name, written)
+        width = self._width(design, name, written)
         tail: Tail = "lower" if low_is_bad else "upper"
         if chosen.kind == "cvar":
             return robust.cvar(name, chosen.number, width=width, tail=tail)
         return robust.worst(name, width=width, tail=tail)
 
-    def _width(self, name: str, written: object) -> float:
+    def _width(self, design: Design, name: str, written: object) -> Expression:
         """Return the smoothing width of a result in SI: the file's, or one that follows from its spread."""
         if written is not None:
             return self._measures[name].unit.parse(written)
-        self._smoothed_by_spread.add(name)
-        return _SMOOTHING_WIDTH * self._spreads[name]
+        from plough_opt.studies.uncertainty.robust import spread_of
+
+        if name not in self._parameters:
+            unit = self._measures[name].unit.symbol
+            self._parameters[name] = design.parameter(spread_of(name), self._spreads[name], unit=unit)
+        return _SMOOTHING_WIDTH * self._parameters[name]
 
     def _require(self, design: Design, robust: Robust, run: Run, name: str, limit: LimitTable) -> None:
         """Add one requirement to the design."""
@@ -483,11 +493,11 @@ class _RobustDesign:
         ends: dict[str, Any] = {"at_least": low, "at_most": high, "unit": unit.symbol}
         varies = bool(self._spreads.get(name))
         if varies and limit.probability is not None:
-            width = self._width(name, limit.width)
+            width = self._width(design, name, limit.width)
             robust.require_probability(design, name, name, limit.probability, width=width, **ends)
         elif varies and limit.measure is None:
             design.require(name, robust.every(name, at_least=low, at_most=high), **ends)
         else:
             chosen = measure_of(limit.measure or "nominal")
-            value = self._measure(robust, run, name, chosen, limit.width, low_is_bad=low is not None)
+            value = self._measure(design, robust, run, name, chosen, limit.width, low_is_bad=low is not None)
             design.require(name, value, **ends)

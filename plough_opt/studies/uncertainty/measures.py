@@ -19,7 +19,7 @@ import numpy as np
 
 from plough_opt.core.checks import LARGEST, LEAST, array_of, plain_number, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Column, is_casadi, maximum, minimum, sqrt, total, where
+from plough_opt.core.expressions import Column, Expression, is_casadi, maximum, minimum, sqrt, total, where
 
 # They reduce a bracket of a million widths to 1e-9 widths, an error that one Newton step squares.
 _HALVINGS = 50
@@ -113,7 +113,7 @@ def mean_plus(values: Column, kappa: float) -> Column:
     return expected(values) + plain_number("kappa", kappa) * standard_deviation(values)
 
 
-def cvar(values: Column, level: float, *, width: float = 0.0) -> Column:
+def cvar(values: Column, level: float, *, width: Expression = 0.0) -> Column:
     """Return the conditional value at risk: the mean of the largest samples, a fraction 1 - level of all.
 
     It is the minimum over t of t + mean(max(v - t, 0))/(1 - level) (Rockafellar and Uryasev 2000). In a design the ramp
@@ -153,7 +153,7 @@ def cvar(values: Column, level: float, *, width: float = 0.0) -> Column:
     return width * (t + expected(ramp(above)) / tail - 0.5 * slope**2 / (curvature + _TINY))
 
 
-def worst(values: Column, *, width: float = 0.0) -> Column:
+def worst(values: Column, *, width: Expression = 0.0) -> Column:
     """Return the largest value; the smallest is -worst(-values).
 
     In a design it is the CVaR of the worst single sample, smoothed over a width. It exceeds the largest value by at
@@ -177,7 +177,7 @@ def worst(values: Column, *, width: float = 0.0) -> Column:
 
 
 def probability(
-    values: Column, *, at_least: float | None = None, at_most: float | None = None, width: float = 0.0
+    values: Column, *, at_least: float | None = None, at_most: float | None = None, width: Expression = 0.0
 ) -> Column:
     """Return the fraction of the samples within limits.
 
@@ -214,7 +214,7 @@ def probability(
     return expected(sum(steps[1:], steps[0])) - (len(steps) - 1.0)
 
 
-def quantile(values: Column, level: float, *, width: float = 0.0) -> Column:
+def quantile(values: Column, level: float, *, width: Expression = 0.0) -> Column:
     """Return the value that a fraction ``level`` of the samples does not exceed.
 
     In a design it is the limit at which `probability` with at_most and the same width equals the level. Requiring a
@@ -273,20 +273,23 @@ def _exact_cvar(values: np.ndarray, part: float) -> float:
     return float(weights @ descending / np.sum(weights))
 
 
-def _is_smoothed(what: str, column: Column, width: float) -> bool:
+def _is_smoothed(what: str, column: Column, width: Expression) -> bool:
     """Return whether a measure is smoothed; raise InputError for an invalid width, or for expressions without one."""
-    if plain_number(f"the width of a {what}", width) < 0.0:
+    if is_casadi(width):
+        return True
+    number = plain_number(f"the width of a {what}", width)
+    if number < 0.0:
         raise InputError(
             f"the width {shown(width)} of a {what} must be a number of at least 0, in the unit of the values"
         )
-    if 0.0 < width < LEAST:
+    if 0.0 < number < LEAST:
         raise InputError(f"the width {shown(width)} of a {what} must be 0 or at least {LEAST:g}: leave it out")
-    if width == 0.0 and is_casadi(column):
+    if number == 0.0 and is_casadi(column):
         raise InputError(
             f"in a design a {what} needs a width, in the unit of its values, over which it is smoothed: a few"
             " tenths of their standard deviation will do"
         )
-    return width > 0.0
+    return number > 0.0
 
 
 def _column(values: Column) -> Column:

@@ -4,6 +4,7 @@ An optimum is fitted to the optimiser's samples, and looks better on them than i
 independently, and that the optimiser did not use, show by how much: `verify`.
 """
 
+import copy
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,10 +17,15 @@ from scipy import stats
 from plough_opt.core.checks import check_choice, check_kind, check_named, plain_number, shown
 from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import InfeasibleDesign, InputError, NotConverged, printable
-from plough_opt.core.expressions import Column, Expression, is_count
+from plough_opt.core.expressions import Column, Expression, is_casadi, is_count
 from plough_opt.core.plain_data import Array
+from plough_opt.core.process import without_notices
+from plough_opt.core.saving import Origin
 from plough_opt.core.tables import Grid, Page, Readable
 from plough_opt.design import Design, LocalOptimum, Optimum, Progress
+from plough_opt.design.model.program import Program
+from plough_opt.design.search.effort import TimeLimit
+from plough_opt.design.solving import Known, Request, solve_program
 from plough_opt.studies.uncertainty import measures
 from plough_opt.studies.uncertainty.distribution import Response, Responses, SoilDistribution, SoilSamples
 
@@ -46,17 +52,20 @@ class RequestedMeasure:
         result: name of its result.
         text: the measure in words.
         kind: how it is verified on fresh samples.
-        exact: values of the samples -> exact measure.
-        smoothed: values of the samples -> measure, smoothed as in the optimisation.
+        exact: values of the samples -> measure, exact unless ``width`` is given.
         width: width over which it is smoothed, in the unit of the values; 0 if it is not.
     """
 
     result: str
     text: str
     kind: Kind
-    exact: Callable[[Array], float]
-    smoothed: Callable[[Array], float]
-    width: float = 0.0
+    exact: Callable[..., Column]
+    width: Expression = 0.0
+
+    def smoothed(self, values: Column) -> Expression:
+        """Return the measure of the values of samples, smoothed as in the optimisation."""
+        value: Expression = self.exact(values, width=self.width) if _is_smooth(self.width) else self.exact(values)
+        return value
 
 
 class Robust(Readable):
@@ -163,10 +172,10 @@ class Robust(Readable):
         text = f"mean {sign} {abs(kappa):g} standard deviations"
         return self._request(name, text, "mean", partial(measures.mean_plus, kappa=kappa))
 
-    def cvar(self, name: str, level: float, *, width: float, tail: Tail = "upper") -> Expression:
+    def cvar(self, name: str, level: float, *, width: Expression, tail: Tail = "upper") -> Expression:
         """Return the mean of a result over its worst samples, a fraction 1 - level of all: see `measures.cvar`.
 
-        The worst are the largest, or with ``tail="lower"`` the smallest.
+        The worst are the largest, or with ``tail="lower"`` the smallest. A width may be a parameter of the design.
 
         Example:
             >>> from scipy import stats
@@ -182,7 +191,7 @@ class Robust(Readable):
         text = f"mean of the {_WORST[tail]} {100.0 * (1.0 - level):.4g} %"
         return self._request(name, text, "mean", _in_tail(partial(measures.cvar, level=level), tail), width)
 
-    def worst(self, name: str, *, width: float, tail: Tail = "upper") -> Expression:
+    def worst(self, name: str, *, width: Expression, tail: Tail = "upper") -> Expression:
         """Return the largest value of a result over the samples, or the smallest: see `measures.worst`.
 
         Example:
@@ -219,7 +228,7 @@ class Robust(Readable):
         return values
 
     def probability(
-        self, name: str, *, at_least: float | None = None, at_most: float | None = None, width: float
+        self, name: str, *, at_least: float | None = None, at_most: float | None = None, width: Expression
     ) -> Expression:
         """Return the probability that a result is within limits: see `measures.probability`.
 
@@ -232,10 +241,7 @@ class Robust(Readable):
             >>> 0.0 < float(robust.probability("draft", at_most=float(robust.expected("draft")), width=10.0)) < 1.0
             True
         """
-        values, requested = self[name], _within(name, at_least, at_most, width)
-        probability: Expression = measures.probability(values, at_least=at_least, at_most=at_most, width=width)
-        self.requested.append(requested)
-        return probability
+        return self._requested(_within(name, at_least, at_most, width))
 
     def require_probability(
         self,
@@ -246,7 +252,7 @@ class Robust(Readable):
         *,
         at_least: float | None = None,
         at_most: float | None = None,
-        width: float,
+        width: Expression,
         unit: str = "",
     ) -> None:
         """Require a result to keep one limit with a probability, by a requirement on its quantile.
@@ -319,9 +325,7 @@ class Robust(Readable):
         values, start = self[name], upper if guess is None else guess
         bound = design.variable(f"worst {name}", guess=start, lower=lower, upper=upper, unit=unit)
         design.require(f"{name} below its worst", values - bound, at_most=0.0, unit=unit)
-        self.requested.append(
-            RequestedMeasure(name, "largest of the samples", "largest", measures.worst, measures.worst)
-        )
+        self.requested.append(RequestedMeasure(name, "largest of the samples", "largest", measures.worst))
         return bound
 
     @cached_property
@@ -358,24 +362,28 @@ class Robust(Readable):
         return results.values
 
     def _request(
-        self, name: str, text: str, kind: Kind, measure: Callable[..., Column], width: float = 0.0
+        self, name: str, text: str, kind: Kind, measure: Callable[..., Column], width: Expression = 0.0
     ) -> Expression:
         """Return a measure of a result as an expression, and record it for `verify`."""
-        width = plain_number("width", width)
-        smoothed = partial(measure, width=width) if width else measure
-        value: Expression = smoothed(self[name])
-        self.requested.append(RequestedMeasure(name, text, kind, measure, smoothed, width))
+        width = width if is_casadi(width) else plain_number("width", width)
+        return self._requested(RequestedMeasure(name, text, kind, measure, width))
+
+    def _requested(self, measure: RequestedMeasure) -> Expression:
+        value = measure.smoothed(self[measure.result])
+        self.requested.append(measure)
         return value
 
 
-def _within(name: str, at_least: float | None, at_most: float | None, width: float) -> RequestedMeasure:
+def _is_smooth(width: Expression) -> bool:
+    return is_casadi(width) or bool(width)
+
+
+def _within(name: str, at_least: float | None, at_most: float | None, width: Expression) -> RequestedMeasure:
     """Return the probability that a result is within limits, as a requested measure."""
     limits = (("at least", at_least), ("at most", at_most))
     sides = [f"{word} {plain_number(word, limit):.6g}" for word, limit in limits if limit is not None]
     within = partial(measures.probability, at_least=at_least, at_most=at_most)
-    return RequestedMeasure(
-        name, f"probability of {' and '.join(sides)}", "probability", within, partial(within, width=width), width
-    )
+    return RequestedMeasure(name, f"probability of {' and '.join(sides)}", "probability", within, width)
 
 
 def _in_tail(measure: Callable[..., Expression], tail: Tail) -> Callable[..., Expression]:
@@ -388,8 +396,44 @@ def _in_tail(measure: Callable[..., Expression], tail: Tail) -> Callable[..., Ex
 Spreads = Mapping[str, float]
 """Standard deviations of results over the samples, by name."""
 
-Build = Callable[[Mapping[str, float], Spreads], tuple[Design, Robust, frozenset[str]]]
-"""Guesses and spreads -> the robust design, its results, and the names of the results whose spreads set widths."""
+Build = Callable[[Spreads], tuple[Design, Robust, frozenset[str]]]
+"""Spreads -> the robust design, its results, and the names of the results whose spreads set widths.
+
+Each of these spreads is a parameter of the design, named by `spread_of`. Which of the spreads are 0 may decide what the
+design minimises and requires; otherwise it may depend on them by these parameters alone.
+"""
+
+
+def spread_of(result: str) -> str:
+    """Return the name of the parameter that is the spread of a result."""
+    return f"spread of {result}"
+
+
+class _RobustProgram:
+    """The program of a robust design, which is solved again with other spreads."""
+
+    def __init__(self, design: Design, robust: Robust, follow: frozenset[str]) -> None:
+        """Take what a `Build` returns."""
+        self.robust, self.follow, self._declared = robust, follow, design.declared
+        self._program = Program.of(self._declared)
+
+    def solve(self, spreads: Spreads, progress: Progress, near: tuple[LocalOptimum, Optimum] | None = None) -> Optimum:
+        """Return the best optimum with certain spreads.
+
+        Args:
+            spreads: standard deviations of the results.
+            progress: as in `best_robust`.
+            near: a local optimum near which to optimise, and the result of the search that found it; None to search.
+        """
+        known = None
+        if near is not None and near[1].search is not None:
+            y = [v.scaled(near[0].variables[v.name]) for v in self._declared.variables]
+            known = Known(np.array([y]), near[1].search)
+        values = self._declared.parameter_values({spread_of(name): spreads[name] for name in self.follow})
+        limit, began = TimeLimit("auto"), time.perf_counter()
+        with without_notices():
+            best = solve_program(self._program, Request(values, "auto", "tolerance", 0, progress, began, limit, known))
+        return replace(best, origin=Origin(declarations=self._declared.plain(values), seed=0).now())
 
 
 def best_robust(
@@ -410,60 +454,53 @@ def best_robust(
         InfeasibleDesign: no design meets the requirements.
         NotConverged: the optimiser did not find an optimum.
     """
+    programs: dict[frozenset[str], _RobustProgram] = {}
+
+    def program_for(now: Spreads) -> _RobustProgram:
+        varying = frozenset(name for name, spread in now.items() if spread)
+        if varying not in programs:
+            programs[varying] = _RobustProgram(*build(now))
+        return programs[varying]
+
+    def settled(local: LocalOptimum, solution: Optimum | None) -> tuple[Optimum, Robust]:
+        """Return a local optimum, solved again until its widths are those that follow from the spreads at it."""
+        used, program, at = first, program_for(first), local
+        for _ in range(_MOST_ROUNDS):
+            now = spreads(at.variables)
+            if solution and all(abs(now[name] - used[name]) <= _SETTLED * used[name] for name in program.follow):
+                break
+            used, program = now, program_for(now)
+            solution = program.solve(now, progress, (at, searched))
+            at = solution.local_optima[0]
+        assert solution is not None  # solved in the first round at the latest
+        return solution, program.robust
+
     first = spreads(start)
-    design, robust, follow = build(start, first)
-    searched = design.solve(progress=progress)
+    searched = program_for(first).solve(first, progress)
     limit = searched.objective + _CAN_WIN * abs(searched.objective)
     candidates = [local for local in searched.local_optima if local.objective <= limit]
-    settled: list[tuple[Optimum, Robust]] = []
+    found: list[tuple[Optimum, Robust]] = []
     failures = []
     for number, candidate in enumerate(candidates):
         progress("setting the widths of the best designs", number / len(candidates))
         try:
-            solution = (searched, robust) if candidate is searched.local_optima[0] else None
-            settled.append(_settled(candidate, solution, build, spreads, {name: first[name] for name in follow}))
+            found.append(settled(candidate, None if number else searched))
         except (InfeasibleDesign, NotConverged) as error:
             place = ", ".join(f"{name} = {value:.5g}" for name, value in candidate.variables.items())
             failures.append(f"solved again with its own widths, from {place}: {error}")
-    if not settled:
-        settled = [(searched, robust)]
-    best, robust = min(settled, key=lambda pair: pair[0].objective)
+    best, robust = min(found, key=lambda pair: pair[0].objective, default=(searched, program_for(first).robust))
+    robust = copy.copy(robust)
+    robust.requested = [
+        replace(own, width=float(best(own.width))) if is_casadi(own.width) else own for own in robust.requested
+    ]
     distinct: list[LocalOptimum] = []
-    every = [*(optimum.local_optima[0] for optimum, _ in settled), *searched.local_optima[len(candidates) :]]
+    every = [*(optimum.local_optima[0] for optimum, _ in found), *searched.local_optima[len(found and candidates) :]]
     for local in sorted(every, key=lambda optimum: optimum.objective):
         if not any(_same(local.variables, other.variables) for other in distinct):
             distinct.append(local)
-    seconds = searched.seconds + sum(optimum.seconds for optimum, _ in settled if optimum is not searched)
+    seconds = searched.seconds + sum(optimum.seconds for optimum, _ in found if optimum is not searched)
     best = replace(best, local_optima=tuple(distinct), search=searched.search, seconds=seconds)
     return best, robust, tuple(failures)
-
-
-def _settled(
-    local: LocalOptimum,
-    solution: tuple[Optimum, Robust] | None,
-    build: Build,
-    spreads: Callable[[Mapping[str, float]], Spreads],
-    used: Spreads,
-) -> tuple[Optimum, Robust]:
-    """Return a local optimum, solved again until its widths are those that follow from the spreads at it.
-
-    Args:
-        local: the optimum.
-        solution: its solution, if there is one; it is returned if its widths are right already.
-        build: makes the robust design.
-        spreads: variables -> the spreads of the results there.
-        used: the spreads that set its widths.
-    """
-    at = local.variables
-    for _ in range(_MOST_ROUNDS):
-        now = spreads(at)
-        if solution is not None and all(abs(now[name] - used[name]) <= _SETTLED * used[name] for name in used):
-            break
-        design, robust, follow = build(at, now)
-        solution, used = (design.solve(search="near"), robust), {name: now[name] for name in follow}
-        at = solution[0].variables
-    assert solution is not None  # solved in the first round at the latest
-    return solution
 
 
 def _same(variables: Mapping[str, float], other: Mapping[str, float]) -> bool:
@@ -667,9 +704,9 @@ def verify(
 
 def _checked(requested: RequestedMeasure, common: Array, fresh: Array, seed: int) -> Check:
     """Return the check of a measure, from the values over the optimiser's own samples and over fresh ones."""
-    seen, sharp = float(requested.smoothed(common)), float(requested.exact(common))
-    exact = float(requested.exact(fresh))
-    rounding = float(requested.smoothed(fresh)) - exact if requested.width else 0.0
+    seen, sharp = (float(measure(common)) for measure in (requested.smoothed, requested.exact))
+    exact, width = float(requested.exact(fresh)), float(requested.width)
+    rounding = float(requested.smoothed(fresh)) - exact if width else 0.0
     ends: tuple[float, float] | tuple[None, None] = None, None
     worse = None
     if requested.kind == "probability":
@@ -681,9 +718,7 @@ def _checked(requested: RequestedMeasure, common: Array, fresh: Array, seed: int
         least, most = _binomial(worse, len(fresh))
         note = f"{worse} of {len(fresh)} are worse: {100 * least:.2g} to {100 * most:.2g} % of the whole distribution"
     low, high = ends
-    return Check(
-        requested.result, requested.text, seen, sharp, exact, low, high, requested.width, rounding, note, worse
-    )
+    return Check(requested.result, requested.text, seen, sharp, exact, low, high, width, rounding, note, worse)
 
 
 def varies(values: Array) -> bool:

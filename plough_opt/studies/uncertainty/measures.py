@@ -13,6 +13,7 @@ exceeds the exact one by at most 35/256 of the width.
 """
 
 import math
+from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
@@ -21,8 +22,12 @@ from plough_opt.core.checks import LARGEST, LEAST, array_of, plain_number, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, Expression, is_casadi, maximum, minimum, sqrt, total, where
 
-# They reduce a bracket of a million widths to 1e-9 widths, an error that one Newton step squares.
-_HALVINGS = 50
+# Halvings by counts reduce a bracket of ten million widths to one width, and halvings by smooth steps the bracket of
+# three widths around that to a thousandth, an error that each Newton step squares.
+_COUNTS = 24
+_HALVINGS = 12
+# The threshold is rounded to this part of a width.
+_PER_WIDTH = 2.0**40
 # Spread added to a standard deviation, relative to the mean, because the square root has no derivative at 0.
 _LEAST_SPREAD = 1e-10
 # Keeps denominators and roots above 0, and changes no digit of anything else.
@@ -254,16 +259,27 @@ def quantile(values: Column, level: float, *, width: Expression = 0.0) -> Column
 
 
 def _threshold(scaled: Column, part: float) -> Column:
-    """Return t with mean(step(scaled - t)) = part, found by bisection; its derivatives are 0.
+    """Return t with mean(step(scaled - t)) = part, found by bisection and Newton steps; its derivatives are 0.
 
-    The first bracket ends at whole numbers, because rounding to them has the derivative 0.
+    The first bracket and the result are rounded, because rounding has the derivative 0.
     """
+
+    def halved(low: Column, high: Column, mean_above: Callable[[Column], Column], times: int) -> tuple[Column, Column]:
+        for _ in range(times):
+            middle = 0.5 * (low + high)
+            too_low = mean_above(middle) > part
+            low, high = where(too_low, middle, low), where(too_low, high, middle)
+        return low, high
+
     low, high = _floor(_least(scaled)) - 1.0, _floor(-_least(-scaled)) + 2.0
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        too_low = expected(step(scaled - middle)) > part
-        low, high = where(too_low, middle, low), where(too_low, high, middle)
-    return 0.5 * (low + high)
+    # To count the samples above takes a fifth of the time; the smooth step differs within one width only.
+    low, high = halved(low, high, lambda t: expected(where(scaled > t, 1.0, 0.0)), _COUNTS)
+    low, high = halved(low - 1.0, high + 1.0, lambda t: expected(step(scaled - t)), _HALVINGS)
+    t = 0.5 * (low + high)
+    for _ in range(2):
+        t = t + (expected(step(scaled - t)) - part) / (expected(density(scaled - t)) + _TINY)
+        t = minimum(maximum(t, low), high)
+    return _floor(t * _PER_WIDTH) / _PER_WIDTH
 
 
 def _exact_cvar(values: np.ndarray, part: float) -> float:

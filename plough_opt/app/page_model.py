@@ -127,6 +127,8 @@ def _refuse(problem: Problem) -> None:
     if effects.events:
         what = "the entry of a share" if effects.entry else "stick and slip"
         raise InputError(f"the page does not locate the events of {what}")
+    if effects.tow_profile is not None:
+        raise InputError("the page does not compute a tow speed that varies over time")
     if effects.own:
         raise InputError("the page does not compute resistances of the user's own")
 

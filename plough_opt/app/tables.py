@@ -127,6 +127,9 @@ def _simulated(problem: Problem, scene: Scene) -> Grid:
             rows.append(("natural frequency", f"{frequency:.4g} Hz"))
     else:
         rows.append(("quasi-static", "no equation of motion"))
+    if (course := scene.effects.tow_profile) is not None:
+        largest = shown(problem, "scene.tow_speed", float(scene.tow_speed), "m/s")
+        rows.append(("tow speed", f"varies until {course.times[-1]:.4g} s, at most {largest}"))
     for wave in scene.effects.waves:
         rows.append(("frequency of the strength wave", f"{float(scene.tow_speed / wave.wavelength):.4g} Hz"))
     if scene.effects.random_strength is not None:

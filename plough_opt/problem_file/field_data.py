@@ -15,6 +15,8 @@ from plough_opt.core.files import exact_text
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.core.tables import check_rising, columns_of, raise_listed, readings_of, table_of
 from plough_opt.core.units import Unit
+from plough_opt.motion.effects import SpeedProfile
+from plough_opt.motion.effects.profile import profile_of
 from plough_opt.problem_file.schema import RANDOM
 from plough_opt.problem_file.source import Source, read_axis
 from plough_opt.soil.random_strength import Spectrum
@@ -26,6 +28,7 @@ Vector = NDArray[np.float64]
 _DOWNWARDS = {"depth": Unit("m"), "cone_index": Unit("Pa"), "insertion": Unit("")}
 _ALONG = {"position": Unit("m"), "time": Unit("s"), "cone_index": Unit("Pa"), "force": Unit("N")}
 _INSERTIONS = "'insertion, depth [cm], cone_index [kPa]', or 'depth [cm], cone_index [kPa], cone_index [kPa]'"
+_COURSE = 'a table like { time = ["0 s", "4 s"], speed = ["0 km/h", "9 km/h"] }'
 _RECORD = "'position [m], cone_index [kPa]', or 'time [s], force [kN]'"
 # With fewer insertions their standard deviation is too uncertain to fit a distribution to.
 _FEWEST = 3
@@ -276,6 +279,29 @@ def read_strength_record(path: str | Path, rig: Rig | None = None, *, tow_speed:
     else:
         position = found["time"] * plain_number("tow speed", QUANTITIES["scene.tow_speed"].read(speed))
     return StrengthRecord(position, found["force" if "force" in found else "cone_index"], rig, str(path))
+
+
+def course_of_file(source: Source) -> SpeedProfile | None:
+    """Replace a table of times and tow speeds in [scene] by the largest speed, and return the course relative to it."""
+    place, written = ("scene", "tow_speed"), source.written("scene.tow_speed")
+    if not isinstance(written, dict):
+        return None
+    source.data["scene"]["tow_speed"] = "1 m/s"  # as long as the table is not read
+    with source.noting(place, prefix="'scene.tow_speed' "):
+        columns: list[Any] = [written.get(name) for name in ("time", "speed")]
+        if len(written) != 2 or not all(isinstance(column, list) and len(column) > 1 for column in columns):
+            raise InputError(f"= {shown(written)} must be a speed, or {_COURSE}")
+        if len(columns[0]) != len(columns[1]):
+            raise InputError(f"has {len(columns[0])} times and {len(columns[1])} speeds: give as many of both")
+        times, speeds = (
+            [Unit(unit).parse(x) for x in column] for unit, column in zip(("s", "m/s"), columns, strict=True)
+        )
+        largest, profile = profile_of((times, speeds), times[-1])
+        if source.written("scene.average") == "whole waves":
+            raise InputError('varies, and average = "whole waves" needs a constant speed: remove one of the two')
+        source.data["scene"]["tow_speed"] = columns[1][speeds.index(largest)]
+        return profile
+    return None
 
 
 def spectrum_of_file(source: Source, folder: Path) -> Spectrum | None:

@@ -18,6 +18,7 @@ from plough_opt.core.units import Display, Unit
 from plough_opt.exchange.component import Component, Input, Output, Port, build
 from plough_opt.exchange.component.component import port_of
 from plough_opt.motion import Run, simulate
+from plough_opt.motion.effects import SpeedProfile
 from plough_opt.motion.machine import Machine
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.scene import Scene
@@ -85,6 +86,7 @@ class Problem:
         over: "worst" or "mean" to minimise the objective over the tolerances, None for the nominal objective.
         readings: sentence on the penetrometer readings that decide the soil, or "".
         spectrum: spectrum of the strength record, if the file names one.
+        course: tow speed over time relative to the largest one, which is then scene.tow_speed; None if it is constant.
         text: the whole text of the file.
         data: name of each data file, as the problem file writes it -> its whole text.
         overrides: the changes made to the file, in order.
@@ -106,6 +108,7 @@ class Problem:
     over: Over | None = None
     readings: str = ""
     spectrum: Spectrum | None = None
+    course: SpeedProfile | None = None
     text: str = field(default="", repr=False)
     data: Mapping[str, str] = field(default_factory=dict, repr=False)
     overrides: tuple[str, ...] = ()
@@ -257,7 +260,7 @@ class Problem:
             stiffness=values["scene.stiffness"],
             mass=values["scene.frame_mass"] + steel,
             tow_speed=values["scene.tow_speed"],
-            effects=self.table.effects.effects(values, self.spectrum),
+            effects=self.table.effects.effects(values, self.spectrum, self.course),
             medium=medium_of(self.table.scene.medium),
         )
 
@@ -471,7 +474,8 @@ class Problem:
     def numbers(self) -> dict[str, float]:
         """Return key -> value of every quantity that is not a variable, including the properties of a named soil.
 
-        A property that follows from another entry of the file, a cone index or a compression test, is left out.
+        A property that follows from another entry of the file, a cone index or a compression test, is left out, and so
+        is the duration under a tow speed that varies over time.
 
         Example:
             >>> import plough_opt as po
@@ -490,6 +494,8 @@ class Problem:
             del every[self.table.soil.adjusted]
         if self.table.soil.compaction is not None:
             del every["soil.density_ratio"]
+        if self.course is not None:  # whose pieces are laid out over the duration
+            del every["scene.duration"]
         return {key: float(x) for key, x in every.items() if x is not None and key not in self.variables}
 
     def optimise(

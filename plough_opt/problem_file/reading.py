@@ -26,7 +26,7 @@ from plough_opt.core.units import Display, Unit, display_of, in_words
 from plough_opt.laws.law import ResistanceLaw
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.vocabulary import Measure
-from plough_opt.problem_file.field_data import average_readings, spectrum_of_file
+from plough_opt.problem_file.field_data import average_readings, course_of_file, spectrum_of_file
 from plough_opt.problem_file.measures import check_definitions, measures_of
 from plough_opt.problem_file.problem import TRADED, FileVariable, Problem, by_share
 from plough_opt.problem_file.schema import (
@@ -126,15 +126,15 @@ def read_source(source: Source, folder: Path, notes: tuple[str, ...] = (), overr
     join_dotted(source.data)
     over = _over(source)
     readings = average_readings(source, folder)
-    spectrum = spectrum_of_file(source, folder)
+    spectrum, course = spectrum_of_file(source, folder), course_of_file(source)
     try:
         table = ProblemFile.model_validate(source.data)
     except ValidationError as error:
         source.note_schema(error, valid_keys)
     source.raise_noted()
     problem = dataclasses.replace(
-        _checked(source, table, notes), over=over, readings=readings, spectrum=spectrum, text=source.original,
-        data=source.read_files, overrides=overrides,
+        _checked(source, table, notes), over=over, readings=readings, spectrum=spectrum, course=course,
+        text=source.original, data=source.read_files, overrides=overrides,
     )  # fmt: skip
     source.raise_noted()
     check_values(source, problem)
@@ -687,7 +687,7 @@ def _check_value(problem: Problem, key: str, value: float) -> None:
     scene = problem.table.scene.model_copy(update={"medium": "plastic"})
     plain = problem.table.model_copy(update={"effects": EffectsFile(), "scene": scene})
     typical = {name: IN_FILES[name].typical for name in problem.values()}
-    dataclasses.replace(problem, table=plain, fixed=typical, variables={}).scene({key: value})
+    dataclasses.replace(problem, table=plain, fixed=typical, variables={}, course=None).scene({key: value})
 
 
 def _quoted(source: Source, key: str) -> str:

@@ -30,6 +30,7 @@ from plough_opt.motion.effects import (
     HarmonicBalance,
     OwnResistance,
     Smooth,
+    SpeedProfile,
     StickSlip,
 )
 from plough_opt.motion.vocabulary import MEASURES
@@ -184,12 +185,15 @@ class EffectsTable(Table):
     formulation: Literal["derived", "printed"] = "derived"
     own: Annotated[list[dict[str, Any]], AfterValidator(checked_effects)] = []
 
-    def effects(self, values: Mapping[str, Expression], spectrum: Spectrum | None) -> Effects:
+    def effects(
+        self, values: Mapping[str, Expression], spectrum: Spectrum | None, course: SpeedProfile | None
+    ) -> Effects:
         """Return the effects of the file.
 
         Args:
             values: key of every quantity in the file -> its value, a number or symbol in SI.
             spectrum: spectrum of the strength record, if the file names one.
+            course: tow speed over time relative to the largest one, if it varies.
         """
         waves = [
             StrengthWave(values[f"{name}.amplitude"], values[f"{name}.wavelength"], values.get(f"{name}.phase", 0.0))
@@ -213,6 +217,7 @@ class EffectsTable(Table):
             strength_wave=waves[0] if len(waves) == 1 else tuple(waves) or None,
             random_strength=RandomStrength(*random) if None not in random else spectrum,
             tow_ramp=values.get("effects.tow_ramp"),
+            tow_profile=course,
             damping=values.get("effects.damping"),
             speed_term=values.get("effects.speed_term"),
             rate_term=values.get("effects.rate_term"),
@@ -397,6 +402,11 @@ def file_schema() -> dict[str, Any]:
         "additionalProperties": goal,  # results defined in [measures]
     }
     tables["uncertain"] = {"type": "object"}
+    speeds = definitions["SceneFile"]["properties"]
+    times = {"type": "array", "items": {"type": "string"}, "minItems": 2}
+    course = {"type": "object", "properties": {"time": times, "speed": times}, "required": ["time", "speed"]}
+    constant = speeds["tow_speed"]
+    speeds["tow_speed"] = {"description": constant.pop("description"), "anyOf": [constant, course]}
     # A share inherits what its own table omits, so even the bounds of its variables are optional.
     definitions["VariableOfShare"] = {k: own for k, own in definitions["VariableTable"].items() if k != "required"}
     own = {name: {"$ref": f"#/properties/{name}"} for name in SHARE_TABLES}

@@ -207,11 +207,11 @@ def _axes(over: Mapping[str, object], sampled: bool) -> tuple[dict[str, Axis], d
     for name, given in over.items():
         if name not in units:
             raise InputError(f"'{name}' cannot be swept: {nearest(name, units)}")
+        if not isinstance(given, str):
+            axes[name] = axis_of(name, given)
+            continue
         try:
-            if isinstance(given, str):
-                axes[name], displays[name] = read_axis(given, units[name], sampled=sampled)
-            else:
-                axes[name] = axis_of(name, given)
+            axes[name], displays[name] = read_axis(given, units[name], sampled=sampled)
         except InputError as error:
             raise InputError(f"'{name}' {error}") from None
     return axes, displays
@@ -242,7 +242,13 @@ def _evaluation(
 def _question(problem: Problem, axes: Mapping[str, Axis], what: What, how: str) -> dict[str, str]:
     """Return name -> text of every setting and quantity that the results depend on."""
     table = problem.table.model_dump(exclude={"title", "variables", "minimise", "require", "trade_off"})
-    found: dict[str, Any] = {"what": what, "computed": how, **_flat(table), **problem.values()}
+    found: dict[str, Any] = {
+        "what": what,
+        "computed": how,
+        **_flat(table),
+        **problem.values(),
+        "course": problem.course,
+    }
     if what == "optimise":
         chosen = problem.table.model_dump(include={"variables", "minimise", "require"})
         chosen["variables"] = {name: one for name, one in chosen["variables"].items() if name not in axes}

@@ -7,6 +7,7 @@ import re
 import tomllib
 from concurrent.futures import ThreadPoolExecutor
 
+import jsonschema
 import numpy as np
 import pytest
 from helpers.commands import printed
@@ -17,6 +18,8 @@ import plough_opt as po
 from plough_opt.motion.vocabulary import MEASURES
 from plough_opt.problem_file import template
 from plough_opt.problem_file.measures import measures_of
+from plough_opt.problem_file.schema import file_schema
+from plough_opt.problem_file.sweep import ProblemSweep
 
 # --- a right problem file becomes: a scene, its variables, and the same results as Python by hand ---
 
@@ -122,6 +125,47 @@ def test_a_guess_left_out_is_the_middle_of_its_bounds_geometric_on_a_log_scale(r
     scene = read(changed((', guess = "25 deg"', ""), (', guess = "50 kN/m"', ""))).scene()
     assert scene.share.angle == pytest.approx(32.5 * DEG)
     assert scene.stiffness == pytest.approx(100e3)
+
+
+COURSE = '{ time = ["0 s", "500 ms", "2 s"], speed = ["3.6 km/h", "2.5 m/s", "2 m/s"] }'
+
+
+def test_a_tow_speed_over_time_is_that_of_simulate(read):
+    text = changed(('"7.2 km/h"', COURSE))
+    problem, constant = read(text), read(COTTON)
+    run = po.simulate(constant.scene(), 2.0, tow_speed=([0.0, 0.5, 2.0], [1.0, 2.5, 2.0]))
+    assert problem.simulate().mean_draft == run.mean_draft
+    # A change of the speed scales the course, whose largest speed it is.
+    scaled = po.simulate(constant.scene(), 2.0, tow_speed=([0.0, 0.5, 2.0], [2.0, 5.0, 4.0]))
+    assert problem.simulate({"scene.tow_speed": 5.0}).tow_power == scaled.tow_power
+    assert read(text, "scene.tow_speed=7.2 km/h").simulate().mean_draft == constant.simulate().mean_draft
+    best, found = read(text, "share.wedge_angle=35 deg", "share.height=0.3 m").optimise(parameters=True, search="near")
+    assert found.scene.effects.tow_profile == problem.course
+    assert "scene.duration" not in [one.name for one in best.every_sensitivity()]
+    questions = [
+        ProblemSweep.of(one, {"soil.cohesion": [1e4, 2e4]}).question
+        for one in (problem, read(text, "scene.tow_speed=9 km/h"))
+    ]
+    assert questions[0] != questions[1]  # of the same largest speed
+    jsonschema.validate(tomllib.loads(text), file_schema())
+
+
+WRONG_COURSES = [
+    ("{}", "must be a speed, or a table like { time"),
+    ('{ time = ["0 s"], speed = ["1 m/s"] }', "must be a speed, or a table like"),
+    ('{ time = ["0 s", "1 s"], speed = ["1 m/s"], at = 1 }', "must be a speed"),
+    ('{ time = ["0 s", "1 s"], speed = ["1 m/s", "2 m/s", "1 m/s"] }', "has 2 times and 3 speeds"),
+    ('{ time = ["0 s", "1 s"], speed = ["1 m", "2 m/s"] }', "wrong unit"),
+    ('{ time = ["1 s", "0 s"], speed = ["1 m/s", "2 m/s"] }', "must rise from 0"),
+    ('{ time = ["0 s", "1 s"], speed = ["1 m/s", "-1 m/s"] }', "at least 0"),
+    ('{ time = ["0 s", "1 s"], speed = ["0 m/s", "0 m/s"] }\naverage = "whole waves"', "must be above 0"),
+    (f'{COURSE}\naverage = "whole waves"', "needs a constant speed"),
+]
+
+
+@pytest.mark.parametrize(("course", "words"), WRONG_COURSES)
+def test_a_wrong_course_of_the_tow_speed_is_refused_with_its_line(blames, course, words):
+    blames(changed(('"7.2 km/h"', course)), "tow_speed", "scene.tow_speed", words)
 
 
 VARIED = [

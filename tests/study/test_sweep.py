@@ -271,7 +271,7 @@ REFUSED = [
     ({"a": (0.0, 1.0)}, {"samples": 8}, "a range with two ends"),
     ({"a": po.Range(0.0, 1.0)}, {"samples": 1}, "1 samples: give a whole number from 2"),
     ({"a": po.Range(0.0, 1.0)}, {"samples": 8, "seed": -1}, "seed = -1"),
-    ({"a": [1.0]}, {}, "1 value"),
+    ({"a": [1.0]}, {}, "two values or more"),
     ({"a": [1.0, 2.0, 1.0]}, {}, "same value twice"),
     ({"a": [1.0, float("nan")]}, {}, "must be finite"),
     ({"a": ["1", "2"]}, {}, "not all numbers"),

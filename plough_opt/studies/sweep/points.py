@@ -123,7 +123,7 @@ def axis_of(name: str, given: object) -> Axis:
         raise InputError(f"'{name}' runs over {bad[0]}: every value must be finite")
     if len(values) < 2:
         raise InputError(
-            f"'{name}' runs over {len(values)} value(s): a sweep needs two or more; set it to a fixed value instead"
+            f"'{name}' runs over {shown(listed)}: a sweep needs two values or more; set a single one instead"
         )
     if len(set(values)) < len(values):
         raise InputError(f"'{name}' runs over the same value twice")

@@ -50,7 +50,7 @@ LONG = """
     page/test_engine page/test_walks problem_file/test_catalogues report/test_report study/test_problem_sweep
     study/test_workers tradeoff/test_fronts tradeoff/test_surfaces uncertainty/test_known_optima test_batch
     test_batch_compiler test_batch_errors test_component test_files test_pages test_plastic_field test_results
-    test_scripts test_strength_record
+    test_scripts test_strength_record test_validation
 """
 
 # File or test -> n: by default only every n-th case of a parametrised test runs, and of 0 none; the slow tests run all.

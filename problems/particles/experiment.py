@@ -43,11 +43,9 @@ def add_materials(case: dict[str, Any], friction: float, side_friction: float) -
 
     With bands, the soil's cohesion and tangent of friction are scaled in "strong" and "weak".
     """
-    soil = case["soil"]
-    bands = case.get("bands") or {}
-    elastic = {"young": soil["young"], "poisson": soil["poisson"], "density": soil["density"]}
-    for name, scale in {"soil": 1.0, **{k: bands[k] for k in ("strong", "weak") if k in bands}}.items():
-        cohesion = scale * soil["cohesion"]  # adhesion of a contact is this times the square of the smaller radius
+    elastic = {name: case[name] for name in ("young", "poisson", "density")}
+    for name, scale in {"soil": 1.0, **case["bands"]}.items():
+        cohesion = scale * case["cohesion"]  # adhesion of a contact is this times the square of the smaller radius
         angle = math.atan(scale * math.tan(friction))
         moment = {"momentRotationLaw": True, "alphaKr": ROLLING_STIFFNESS, "alphaKtw": ROLLING_STIFFNESS}
         moment |= {"etaRoll": ROLLING_LIMIT, "etaTwist": ROLLING_LIMIT}
@@ -55,7 +53,7 @@ def add_materials(case: dict[str, Any], friction: float, side_friction: float) -
         O.materials.append(yd.CohFrictMat(frictionAngle=angle, label=name, **elastic, **moment, **bond))
     smooth = {"isCohesive": False, "momentRotationLaw": False}
     O.materials.append(yd.CohFrictMat(frictionAngle=math.atan(side_friction), label="wall", **elastic, **smooth))
-    tool_angle = math.atan(case["tool"]["friction"]) if "tool" in case else 0.0
+    tool_angle = math.atan(case["tool_friction"])
     O.materials.append(yd.CohFrictMat(frictionAngle=tool_angle, label="tool", **elastic, **smooth))
 
 
@@ -119,20 +117,19 @@ def settle(servo: Any, pressure: float, chunk: int, most: int) -> None:
 
 def make_packing(case: dict[str, Any]) -> dict[str, Any]:
     """Compress a random cloud of spheres, sizes d (1 -+ spread), without cohesion, and write it as text."""
-    wanted = case["packing"]
-    spread, diameter = wanted["spread"], wanted["diameter"]
-    size = np.array([wanted["length"], wanted["width"], wanted["width"]])
+    spread, diameter = case["spread"], case["diameter"]
+    size = np.array([case["length"], case["width"], case["width"]])
     mean_volume = math.pi / 6.0 * diameter**3 * (1.0 + spread**2)  # of uniformly distributed radii
     count = int(DENSE * size.prod() / mean_volume)
     loose = size * (DENSE / LOOSE) ** (1.0 / 3.0)
     add_materials(case, PACKING_FRICTION, 0.0)
     add_walls((0, 0, 0), loose)
     cloud = pack.SpherePack()
-    cloud.makeCloud((0, 0, 0), tuple(loose), rMean=diameter / 2.0, rRelFuzz=spread, num=count, seed=wanted["seed"])
+    cloud.makeCloud((0, 0, 0), tuple(loose), rMean=diameter / 2.0, rRelFuzz=spread, num=count, seed=case["seed"])
     O.bodies.append([utils.sphere(centre, radius, material="soil") for centre, radius in cloud])
     smallest = min(radius for _, radius in cloud)
-    servo, _, _ = engines(wanted["pressure"], PACKING_SPEED, smallest, case["dt_factor"])
-    settle(servo, wanted["pressure"], 500, 30_000)
+    servo, _, _ = engines(case["packing_pressure"], PACKING_SPEED, smallest, case["dt_factor"])
+    settle(servo, case["packing_pressure"], 500, 30_000)
     spheres = [b for b in O.bodies if isinstance(b.shape, yd.Sphere)]
     rows = [(*b.state.pos, b.shape.radius) for b in spheres]
     corners = " ".join(repr(float(x)) for corner in box() for x in corner)
@@ -142,24 +139,23 @@ def make_packing(case: dict[str, Any]) -> dict[str, Any]:
 
 def load_packing(case: dict[str, Any], side_friction: float) -> tuple[Any, Any, range]:
     """Settle and bond a packing at the case's pressure; return the servo, the integrator and the spheres' ids."""
-    path = Path(case["packing"]["file"])
-    with path.open(encoding="utf-8") as file:
+    with Path(case["packing"]).open(encoding="utf-8") as file:
         corners = [float(x) for x in file.readline().lstrip("#").split()]
-    spheres = np.loadtxt(path)
-    add_materials(case, case["soil"]["friction_angle"], side_friction)
+        spheres = np.loadtxt(file)
+    add_materials(case, math.radians(case["friction"]), side_friction)
     add_walls(corners[:3], corners[3:])
-    first, bands = len(O.bodies), case.get("bands")
+    first = len(O.bodies)
     for x, y, z, radius in spheres:
         material = "soil"
-        if bands:
-            material = "strong" if (x / bands["length"]) % 1.0 < 0.5 else "weak"
+        if case["bands"]:
+            material = "strong" if (x / case["band_length"]) % 1.0 < 0.5 else "weak"
         O.bodies.append(utils.sphere((x, y, z), radius, material=material))
     smallest = float(spheres[:, 3].min())
     servo, newton, physics = engines(case["pressure"], WALL_SPEED, smallest, case["dt_factor"])
     settle(servo, case["pressure"], 100, 6_000)
     # YADE bonds the contacts that exist in the next step; contacts made later in loosened soil stay without cohesion
     # unless the soil heals.
-    physics.setCohesionNow, physics.setCohesionOnNewContacts = True, case["soil"]["heals"]
+    physics.setCohesionNow, physics.setCohesionOnNewContacts = True, bool(case["heals"])
     newton.damping = case["damping"]
     return servo, newton, range(first, len(O.bodies))
 
@@ -193,12 +189,12 @@ class Tool:
     Attributes:
         groups: name of a group of faces -> ids of its facets; the mount carries those of DRAFT.
         speed: of the carriage [m/s].
-        mount: stiffness [N/m], damping [N s/m], mass [kg] and the travel [m] at which it is released; None is rigid.
+        mount: stiffness [N/m], damping [N s/m], mass [kg] and the travel [m] at which it is released; empty if rigid.
     """
 
     groups: dict[str, list[int]]
     speed: float
-    mount: dict[str, float] | None
+    mount: dict[str, float]
     travel: float = 0.0
     velocity: float = 0.0
     carriage: float = 0.0
@@ -248,7 +244,7 @@ def pull(case: dict[str, Any]) -> dict[str, Any]:
     entry = np.array([low[0], (low[1] + high[1]) / 2.0, (low[2] + high[2]) / 2.0])
     global tool  # YADE's PyRunner reaches it by name
     groups = {}
-    for name, triangles in case["tool"]["faces"].items():
+    for name, triangles in case["faces"].items():
         corners = [[Vector3(*(entry + corner)) for corner in triangle] for triangle in triangles]
         groups[name] = O.bodies.append([utils.facet(c, dynamic=False, material="tool") for c in corners])
     facts = {"spheres": len(ids), "porosity": porosity(ids), "half_width": float(high[1] - low[1]) / 2.0}
@@ -256,7 +252,7 @@ def pull(case: dict[str, Any]) -> dict[str, Any]:
     servo.wall_left_activated = servo.wall_right_activated = False
     for i in WALLS[:2]:
         O.bodies[i].state.vel = (0, 0, 0)
-    tool = Tool(groups, case["speed"], case.get("mount"))
+    tool = Tool(groups, case["speed"], case["mount"])
     tool.set_velocity(case["speed"])
     every = max(1, round(SAMPLE / (case["speed"] * O.dt)))
     O.engines += [yd.PyRunner(command="tool.step()", iterPeriod=1)]

@@ -237,21 +237,23 @@ SPEED = "variables.scene.tow_speed={lower='1 m/s', upper='3 m/s'}"
 RELIANCE = {
     "level": "the level of the draft was not measured",
     "blunt": "of two shares with the same base the blunter",
+    "soft": "a mount softer than its resonance",
     "speed": "the draft grows by some per cent over the usual speeds",
     "front": "loosened_radius is 2.2 times the base radius",
 }
 
 
 RELIED_ON = [
-    ([], ["level", "front"]),
-    (["soil.cone_index=1 MPa"], ["front"]),
-    (["soil.strength_factor=3"], ["front"]),
-    (["soil.density_ratio=0.794"], ["level"]),
-    (["require={half_angle={at_most='20 deg'}}"], ["level"]),
-    (["require={half_angle={at_most='21 deg'}}"], ["level", "blunt"]),
-    (["require={half_angle={at_most='21 deg'}}", "share.wedge_angle=30 deg"], ["level"]),
-    ([SPEED], ["level", "speed", "front"]),
-    ([SPEED, "effects.rate_term=0.02 s^2/m^2"], ["level", "front"]),
+    ([], ["level", "soft", "front"]),
+    (["soil.cone_index=1 MPa"], ["soft", "front"]),
+    (["soil.strength_factor=3"], ["soft", "front"]),
+    (["soil.density_ratio=0.794"], ["level", "soft"]),
+    (["scene.stiffness=50 kN/m"], ["level", "front"]),
+    (["require={half_angle={at_most='20 deg'}}"], ["level", "soft"]),
+    (["require={half_angle={at_most='21 deg'}}"], ["level", "blunt", "soft"]),
+    (["require={half_angle={at_most='21 deg'}}", "share.wedge_angle=30 deg"], ["level", "soft"]),
+    ([SPEED], ["level", "soft", "speed", "front"]),
+    ([SPEED, "effects.rate_term=0.02 s^2/m^2"], ["level", "soft", "front"]),
     (["scene.medium={law='mckyes_ali', depth='30 cm'}", "require={}"], []),
 ]  # fmt: skip
 

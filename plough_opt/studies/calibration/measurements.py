@@ -162,6 +162,8 @@ class Measurements(ByValue):
 
     def _check_columns(self) -> None:
         """Raise InputError if numbers are outside their domains, or if the columns do not go together."""
+        if self.result in measurable() and self.result != RECORD:
+            self._check_rows(self.result, self.values, self.values < 0.0, "at least 0: forces count against the travel")
         if self.sigma is not None:
             self._check_rows("sigma", self.sigma, self.sigma <= 0.0, "above 0: it is a standard deviation")
         if self.weights is not None:

@@ -274,7 +274,9 @@ def plot_mount(axes: Axes) -> None:
     axes.errorbar([*found], means, errors, fmt="o", markersize=4, label="share in bands of strength")
     fine = np.geomspace(min(found), max(found), 60).tolist()
     axes.plot(fine, [float(sprung_model(k).force_rms) / np.mean(rigid) for k in fine], "k-", label="model")
-    axes.set(xlabel="stiffness of the mount [N/m]", ylabel="RMS of force over that of a rigid mount", xscale="log")
+    axes.set(xlabel="stiffness of the mount [kN/m]", ylabel="RMS of force over that of a rigid mount", xscale="log")
+    axes.set_xticks([*found], [f"{1e-3 * k:g}" for k in found], minor=False)
+    axes.minorticks_off()
 
 
 def plot(path: Path) -> None:
@@ -282,16 +284,19 @@ def plot(path: Path) -> None:
     figure, every = plt.subplots(2, 4, figsize=(14.0, 6.4), layout="constrained")
     found = questions()
     for axes, (name, asked) in zip(every.flat, PANELS, strict=False):
-        model: dict[float, float] = {}
+        lines: dict[float, tuple[float, float]] = {}
         for question in asked:
             ratios = found[question]
             at = [getattr(one.case, name) for one in ratios]
             means, errors = [np.mean(one.values) for one in ratios], [2.0 * error_of(one.values) for one in ratios]
             axes.errorbar(at, means, errors, fmt="o", markersize=4, label=question)
-            pairs = [pair for one in ratios for pair in ((one.other, 1.0), (one.case, one.model))]
-            model |= {getattr(case, name): ratio for case, ratio in pairs}
-        axes.plot(*zip(*sorted(model.items()), strict=True), "k-", label="model")
+            lines |= {getattr(one.other, name): (1.0, 1.0) for one in ratios}
+            lines |= {getattr(one.case, name): (one.model, one.area) for one in ratios}
+        at = sorted(lines)
+        axes.plot(at, [lines[x][0] for x in at], "k-", label="model")
+        axes.plot(at, [lines[x][1] for x in at], "k:", label="area of the base")
         axes.set(xlabel=f"{name.replace('_', ' ')} [{UNIT.get(name, '-')}]", ylabel="draft over that of the reference")
+        axes.locator_params(nbins=5)
     plot_mount(every[1, 3])
     for axes in every.flat:
         axes.set_ylim(0.0, None)

@@ -22,6 +22,7 @@ import plough_opt as po
 REFERENCE = Case(case="", question="")
 SPRUNG = replace(REFERENCE, half_angle=20.0, height=0.07, length=0.56, bands=1)
 TRIAXIAL = replace(REFERENCE, kind="triaxial")
+SIZES = (0.028, 0.02, 0.015, 0.013, 0.01)
 ZONES = (2, 5, 10)
 """Displacements in per cent of the base radius."""
 Row = Mapping[str, str]
@@ -211,15 +212,28 @@ def zone_table() -> Rows:
     return [*rows, ["model", *(f"{displaced(ratio, part / 100.0):.1f}" for part in (*ZONES, 0))]]
 
 
+def size_effect(angle: float) -> tuple[float, float, float]:
+    """Return the pressure on the base for spheres of no size and its standard error [kPa].
+
+    The roots of the drafts are linear in the diameter of the spheres if these make the base seem wider; the last number
+    is by which part of a diameter on each side.
+    """
+    cones = [cone for size in SIZES for cone in angles(angle, diameter=size)]
+    points = [(one.diameter, root) for one in cones for root in np.sqrt(pressures(one))]
+    (slope, start), covariance = np.polyfit(*np.transpose(points), 1, cov=True)
+    return start**2, 2.0 * start * math.sqrt(covariance[1, 1]), slope / start * cones[0].base_radius
+
+
 def size_table() -> Rows:
     """Return the draft over the size of the spheres, and over the area of a base that is wider by half a sphere."""
     rows = [["half angle", "spheres", "base over sphere", "draft over base [kPa]", "over base wider by a sphere [kPa]"]]
-    for angle, size in itertools.product((15.0, 25.0), (0.028, 0.02, 0.015, 0.013, 0.01)):
-        (cone,) = angles(angle, diameter=size)
+    for cone in (cone for angle in (15.0, 25.0) for size in SIZES for cone in angles(angle, diameter=size)):
         if len(numbers(cone)):
-            both = (text(pressures(cone, wider), 0) for wider in (0.0, size / 2.0))
-            rows.append([f"{angle:g}°", f"{1e3 * size:g} mm", f"{2.0 * cone.base_radius / size:.1f}", *both])
-    return rows
+            both = (text(pressures(cone, wider), 0) for wider in (0.0, cone.diameter / 2.0))
+            width = 2.0 * cone.base_radius / cone.diameter
+            rows.append([f"{cone.half_angle:g}°", f"{1e3 * cone.diameter:g} mm", f"{width:.1f}", *both])
+    level, error, _ = size_effect(15.0)
+    return [*rows, ["15°", "no size", "", f"{level:.0f} ± {error:.0f}", ""]]
 
 
 def index_table() -> Rows:

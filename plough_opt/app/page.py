@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Final
@@ -27,11 +27,13 @@ from plough_opt.motion.run import ARRAYS
 from plough_opt.motion.vocabulary import called
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.measures import measures_of
-from plough_opt.problem_file.reading import tables_of
+from plough_opt.problem_file.written import tables_of
 from plough_opt.soil.geometry import Solid, Wedge
 
 if TYPE_CHECKING:
     from plough_opt.studies.accuracy.result import AccuracyStudy, MethodResult, Question
+    from plough_opt.studies.tradeoff import TradeOff
+    from plough_opt.studies.tradeoff.front import FrontPoint
 
 # Elasticities, and margins in SI units, below this are rounding.
 _ROUNDING = 1e-9
@@ -50,6 +52,7 @@ class Report:
         study: comparison of integration methods on this scene, or None.
         provenance: heading -> text of everything that identifies how the report was made.
         text: text of the problem file.
+        front: front of the traded results, if the file trades some.
     """
 
     problem: Problem
@@ -60,6 +63,7 @@ class Report:
     study: AccuracyStudy | None = None
     provenance: dict[str, str] = field(default_factory=dict)
     text: str = ""
+    front: TradeOff | None = None
 
     def display(self, key: str, unit: str, *values: float) -> Display:
         """Return the unit in which the file writes a quantity or result, or a customary one for these SI values."""
@@ -84,6 +88,11 @@ def nice(text: str) -> str:
 def answer(report: Report) -> str:
     """Return the answer as one sentence."""
     best, problem = report.best, report.problem
+    if best is None and report.front is not None:
+        ends = [f"{called(goal.name)} from {goal_text(report, k, 0)} to {goal_text(report, k, -1)}"
+                for k, goal in enumerate(report.front.goals)]  # fmt: skip
+        shown = f"the {_place_of(report.front)} of the front"
+        return f"{len(report.front.points)} efficient designs: {_listed(ends)}. Shown below: {shown}."
     if best is None:
         return f"This share needs a mean draft of {report.results['mean draft']}."
     values = [f"{called(key)} {nice(v.display.text(best.variables[key], 4))}" for key, v in problem.variables.items()]
@@ -105,14 +114,18 @@ def cards(report: Report) -> list[tuple[str, str]]:
 def question(report: Report) -> list[str]:
     """Return the design question, one text for each paragraph."""
     problem, table = report.problem, report.problem.table
-    if report.best is None:
+    if report.best is None and report.front is not None:
+        goals = [f"{'more' if goal.maximise else 'less'} {called(goal.name)}" for goal in report.front.goals]
+        text = [f"Choose {_listed([called(key) for key in problem.variables])} for {_listed(goals)}."]
+    elif report.best is None:
         return ["What draft does this share need, and how does it move? The file has no variables."]
-    terms = [f"{called(name)} in units of {nice(str(term.per))}" for name, term in table.minimise.items()]
-    text = [f"Choose {_listed([called(key) for key in problem.variables])} to minimise {' plus '.join(terms)}."]
+    else:
+        terms = [f"{called(name)} in units of {nice(str(term.per))}" for name, term in table.minimise.items()]
+        text = [f"Choose {_listed([called(key) for key in problem.variables])} to minimise {' plus '.join(terms)}."]
     limits = [f"{called(name)} {limits_of(problem, name)}" for name in table.require]
     if limits:
         text.append(f"Required: {_listed(limits)}.")
-    if report.best.over:
+    if report.best is not None and report.best.over:
         text.append(f"{report.best.over.capitalize()}.")
     return text
 
@@ -210,6 +223,41 @@ def bought(report: Report) -> Grid | None:
     grid, _ = best.bought.comparison(best)
     grid.rows = [(called(name), *map(nice, cells)) for name, *cells in grid.rows]
     return grid
+
+
+def shown_of(front: TradeOff) -> FrontPoint:
+    """Return the point of a front that the page shows: its knee, or one in the middle."""
+    return front.knee or front.points[len(front.points) // 2]
+
+
+def _place_of(front: TradeOff) -> str:
+    return "middle" if front.knee is None else "knee"
+
+
+def goal_text(report: Report, goal: int, point: int) -> str:
+    """Return the value of a traded result at a point of the front."""
+    assert report.front is not None  # the page asks only then
+    axis = report.front.goals[goal]
+    return report.shown(axis.name, float(report.front.objectives[point, goal]), axis.unit)
+
+
+def traded(report: Report) -> list[Grid | str]:
+    """Return the table of the front, and sentences on its holes and its knee."""
+    return [] if report.front is None else list(report.front.page().parts)
+
+
+def front(report: Report) -> list[dict[str, Any]]:
+    """Return a chart of a front of two results."""
+    found = report.front
+    if found is None or len(found.goals) != 2:
+        return []
+    axes = [report.display(goal.name, goal.unit, *found.objectives[:, k]) for k, goal in enumerate(found.goals)]
+    columns = [found.objectives[:, k] / axis.factor for k, axis in enumerate(axes)]
+    knee = [] if found.knee is None else [found.points.index(found.knee)]
+    x, y = ({"label": called(goal.name), "unit": _unit(axis)} for goal, axis in zip(found.goals, axes, strict=True))
+    groups = _drawn(_group("efficient", _BLUE, 7, *columns), _group("knee", _RED, 12, *(one[knee] for one in columns)))
+    says = f"{y['label']} over {x['label']} of {len(found.points)} efficient designs."
+    return [{"id": "front", "title": "Front", "says": says, "x": x, "y": y, "groups": groups}]
 
 
 def scene(report: Report) -> Grid:
@@ -335,7 +383,7 @@ def _listed(words: Sequence[str]) -> str:
     return " and ".join(part for part in (", ".join(words[:-1]), words[-1]) if part)
 
 
-_BLUE, _RED, _GREEN, _, _ORANGE, _SKY, _GREY = COLOURS
+_BLUE, _RED, _GREEN, _PURPLE, _ORANGE, _SKY, _GREY = COLOURS
 ASSETS: Final = files("plough_opt.app") / "assets"
 """Folder of the files that make up the page."""
 # Sides of the polygon that represents a cone's base: a circle at the resolution of a screen.
@@ -533,7 +581,7 @@ _CONTENT: Final = {
     part.__name__: part
     for part in (
         answer, cards, question, variables, requirements, response, share, bought, optima, searched, scene, soil,
-        sensitivities, accuracy, precision, trust, notes,
+        sensitivities, accuracy, precision, trust, notes, traded,
     )
 }  # fmt: skip
 
@@ -555,6 +603,17 @@ def page(report: Report) -> str:
     return _rendered("page.html", report=report, c=_CONTENT, data=shown, model=model, why=why)
 
 
+def design_page(best: Optimum, model: PageModel, made: str) -> str:
+    """Return the page of a design of the user's own as HTML; ``made`` identifies how it was made.
+
+    Raises:
+        InputError: jinja2 is not installed.
+    """
+    optima = [_marks("other optima", _GREEN, [one.variables for one in best.local_optima[1:]])]
+    shown = {"charts": [], "search": [], "accuracy": [], "front": [], "model": model.data | {"marks": optima}}
+    return _rendered("design.html", title="A design of Python", best=best, made=made, data=shown, model=model)
+
+
 def motion_page(run: Run, title: str) -> str:
     """Return an HTML page with the animation of a run.
 
@@ -566,7 +625,7 @@ def motion_page(run: Run, title: str) -> str:
 
 def explored(report: Report, model: PageModel) -> dict[str, Any]:
     """Return what the page's controls must know: its model, the best design, the file, and units over time."""
-    problem, best = report.problem, report.best
+    problem, best, knee = report.problem, report.best, report.front and shown_of(report.front)
     panels = {panel.name: {"label": panel.name, **shown_in(panel.unit)} for panel in
               (force_of(report.run), deflection_of(report.run))}  # fmt: skip
     every = measures_of(problem.table)
@@ -577,10 +636,17 @@ def explored(report: Report, model: PageModel) -> dict[str, Any]:
     return {
         **model.data,
         "results": [one for one in model.data["results"] if one["name"] not in every] + results,
-        "best": {} if best is None else best.variables,
-        "optima": [{"x": one.variables, "objective": one.objective} for one in (best.local_optima if best else ())],
+        "best": best.variables if best else knee.variables if knee else {},
+        "known": "best" if best else _place_of(report.front) if report.front else "file",
+        "marks": [
+            _marks("other optima", _GREEN, [one.variables for one in (best.local_optima[1:] if best else ())]),
+            _marks("front", _PURPLE, [one.variables for one in (report.front.points if report.front else ())]),
+        ],
+        "axes": [goal.name for goal in report.front.goals][:2] if report.front and not best else [],
         "objective": bool(problem.table.minimise),
-        "optimised": best is not None,
+        "command": "optimise" if best else "tradeoff" if knee else "simulate",
+        "certifies": bool(best or knee),
+        "orbit": problem.scene().effects.orbit != "transient",
         "panels": panels,
         "without": without_random(problem),
         "units": ARRAYS,
@@ -588,6 +654,11 @@ def explored(report: Report, model: PageModel) -> dict[str, Any]:
         "overrides": problem.overrides,
         "tables": tables_of(problem),
     }
+
+
+def _marks(label: str, colour: str, designs: Sequence[Mapping[str, float]]) -> dict[str, Any]:
+    """Return designs that Python computed, for the page's landscape."""
+    return {"label": label, "colour": colour, "designs": [dict(one) for one in designs]}
 
 
 def _rendered(name: str, **values: Any) -> str:
@@ -605,6 +676,7 @@ def data(report: Report) -> dict[str, Any]:
         "search": search(report),
         "accuracy": study(report),
         "bodies": bodies(report),
+        "front": front(report),
         "motion": motion(report.run),
     }
 

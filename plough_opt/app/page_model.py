@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
@@ -14,12 +17,17 @@ from plough_opt.core.checks import LARGEST, DomainLimit
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, stacked
 from plough_opt.core.labels import limits_of_laws, unlabelled
-from plough_opt.core.quantities import EVERY, Quantity
-from plough_opt.core.units import Display
+from plough_opt.core.quantities import EVERY, Quantity, wave_table
+from plough_opt.core.units import Display, customary
+from plough_opt.design import Design, Optimum
+from plough_opt.design.declarations import Parameter, Variable
 from plough_opt.exchange.export.javascript import Source
 from plough_opt.motion import Run
+from plough_opt.motion.effects import Own
+from plough_opt.motion.effects.own import slopes
 from plough_opt.motion.equation import Structure, equation_of, parameters
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
+from plough_opt.motion.orbit import near_orbit
 from plough_opt.motion.plan import forced_rate, rates
 from plough_opt.motion.run import WITHOUT_RANDOM, Averages, assemble
 from plough_opt.motion.scene import Scene
@@ -29,6 +37,7 @@ from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.measures import measures_of
 from plough_opt.problem_file.problem import FileVariable
+from plough_opt.problem_file.written import fixed_variables
 from plough_opt.soil.soil import compression_test
 
 ROWS: Final = ("travel", "speed", "deflection", "mount_force", "soil_resistance")
@@ -37,6 +46,8 @@ AVERAGES: Final = tuple(Averages.__dataclass_fields__)
 # Results that every page shows if the law of resistance gives them, besides those that the file names.
 _SHOWN: Final = (*AVERAGES, "specific_draft", "loosened_radius", "half_angle", "moving_mass")
 
+# Combinations of switched effects on a page: all of five effects.
+_MOST_VARIANTS: Final = 31
 # Positions of a slider: about as many as the eye tells apart.
 _MOST_POSITIONS: Final = 1000
 
@@ -54,8 +65,43 @@ class PageModel:
     data: dict[str, Any]
 
 
+@dataclass(frozen=True)
+class Switch:
+    """An effect that the page switches.
+
+    Attributes:
+        label: its name in tables.
+        on: whether the file has it.
+        changes: changes of `Effects` that switch it the other way.
+        settings: keys of problem files that do so, each with its value there.
+    """
+
+    label: str
+    on: bool
+    changes: Mapping[str, Any]
+    settings: tuple[tuple[str, Any], ...]
+
+
+def switches(problem: Problem) -> list[Switch]:
+    """Return the effects that need no value, and those of the file whose value is no variable."""
+    effects, found = problem.scene().effects, []
+    for name in ("inertial_drag", "added_mass", "ambient_pressure"):
+        on = getattr(effects, name)
+        found.append(Switch(name.replace("_", " "), on, {name: not on}, ((f"effects.{name}", not on),)))
+    if effects.start == "rest":
+        start = {"start": "equilibrium"}
+        found.append(Switch("start at rest", True, start, (("effects.start", "equilibrium"),)))
+    waves = tuple((f"{wave_table(k)}.amplitude", 0.0) for k in range(1, len(effects.waves) + 1))
+    values = [(name, ((f"effects.{name}", f"0 {EVERY[f'effects.{name}'].unit}"),))
+              for name in ("tow_ramp", "damping", "speed_term", "rate_term")]  # fmt: skip
+    for name, settings in [("strength_wave", waves), *values]:
+        if getattr(effects, name) is not None and not {key for key, _ in settings} & {*problem.variables}:
+            found.append(Switch(name.replace("_", " "), True, {name: None}, settings))
+    return found
+
+
 def page_model(problem: Problem) -> PageModel:
-    """Return a file's scene as JavaScript.
+    """Return a file's scene as JavaScript, with its effects and with some of them switched.
 
     Raises:
         InputError: the scene has something that the page cannot compute; the message names it.
@@ -63,74 +109,174 @@ def page_model(problem: Problem) -> PageModel:
     _refuse(problem)
     values = {key: v.guess for key, v in problem.variables.items()} | problem.numbers()
     kind: Any = ca.SX if problem.scene().law.scalar else ca.MX
-    x, time, state = kind.sym("x", len(values)), kind.sym("time"), kind.sym("state", 2)
+    x = kind.sym("x", len(values))
     given = dict(zip(values, ca.vertsplit(x), strict=True))
-    with limits_of_laws() as limits:
-        scene = problem.scene(given)
-        scene.check_reaction()
-    moves, structure = scene.effects.motion, Structure.of(scene)
-    five = kind.sym("averages", len(AVERAGES))
-    wanted = _wanted(problem, scene)
-    with unlabelled():
-        p = parameters(scene)
-        duration = problem.values(given)["scene.duration"]
-        ramp = p.get("ramp_time", 0.0) / duration
-        rate = rates(p).summed if moves else forced_rate(p)
-        run = _at(scene, time, state)
-        # What does not change over time, such as the law of resistance, is computed once for a design.
-        rows, symbols, constants = ca.extract_parametric(
-            ca.densify(stacked(*(_last(getattr(run, name)) for name in ROWS))), x
-        )
-        functions = {
-            "setup": [x, stacked(rate, ramp, scene.stiffness, scene.inertia if moves else 0.0, duration)],
-            "limited": [x, stacked(kind(), *(value for _, value in limits))],
-            "constants": [x, stacked(kind(), *constants)],
-            "at": [x, stacked(kind(), *symbols), time, state, rows],
-            "measures": [x, five, stacked(*_measured(problem, replace(run, averages=Averages(*ca.vertsplit(five)))))],
-        }
-        if moves:
-            equation = equation_of(structure)
-            means, variances = kind.sym("means", equation.count), kind.sym("variances", equation.squared)
-            found = assemble(scene, time, np.ones(1), state.T, means, variances, Accuracy()).averages
-            column = stacked(*(p[name] for name in equation.names), duration)
-            functions["parameters"] = [x, column]
-            functions["averages"] = [x, means, variances, stacked(*(getattr(found, name) for name in AVERAGES))]
+    switched, variants = switches(problem), {"": _variant(problem, given, x, {})}
+    subsets = (which for count in range(len(switched)) for which in itertools.combinations(switched, count + 1))
+    for which in itertools.islice(subsets, _MOST_VARIANTS):
+        changes = {name: value for switch in which for name, value in switch.changes.items()}
+        with contextlib.suppress(InputError):  # another effect, or a result of the file, needs this one
+            variants[",".join(str(switched.index(one)) for one in which)] = _variant(problem, given, x, changes)
+    declared = fixed_variables(problem) | dict(problem.variables)
     source = Source("the page shows the report only")
-    names = {name: source.add(_dense(name, *parts)) for name, parts in functions.items()}
-    if moves:
-        names |= {"start": source.add(equation_of(structure).start), "step": source.add(step(structure))}
-    listed = ", ".join(f"{name}: {own}" for name, own in names.items())
+    # The formulas of all variants share what they have in common.
+    prepared = ca.cse([ca.densify(one) for variant in variants.values() for one in variant.prepared])
+    listed = [f"prepare: {source.add(ca.Function('prepare', [x], prepared))}"]
+    for key, variant in variants.items():
+        names = ", ".join(f"{name}: {source.add(own)}" for name, own in variant.functions.items())
+        listed.append(f"{json.dumps(key)}: {{ {names} }}")
     data = {
-        "inputs": [_input(problem, key, value) for key, value in values.items()],
-        # A design's requirement has the law's name in front; the command line's message does not.
-        "limits": [_limit(replace(limit, name=limit.name.rpartition(": ")[2])) for limit, _ in limits],
-        "results": [_result(problem, name, unit) for name, unit in wanted.items()],
+        "inputs": [_input(problem, key, value, declared.get(key)) for key, value in values.items()],
+        "results": [_result(problem, name, unit) for name, unit in _wanted(problem, problem.scene()).items()],
         "rows": ROWS,
         "averages": AVERAGES,
         "requirements": _requirements(problem),
-        "moves": moves,
-        "kinked": structure.kinked,
-        "count": equation_of(structure).count if moves else 0,
-        "squared": equation_of(structure).squared if moves else 0,
         "outputs": problem.table.scene.outputs,
         "error": problem.accuracy.error or DEFAULT_ERROR,
         "gauss": [_gauss(points) for points in (GAUSS_POINTS, GAUSS_POINTS + MORE_POINTS)],
+        "switches": [{"label": one.label, "on": one.on, "settings": one.settings} for one in switched],
+        "variants": {
+            key: variant.data | {"place": k * len(variant.prepared)}
+            for k, (key, variant) in enumerate(variants.items())
+        },
     }
-    return PageModel(f"{source}\nconst FUNCTIONS = {{ {listed} }};\n", data)
+    return PageModel(f"{source}\nconst FUNCTIONS = {{ {', '.join(listed)} }};\n", data)
+
+
+def design_model(design: Design, best: Optimum) -> PageModel:
+    """Return objective and requirements of a design as JavaScript, with the runs as `Design.nlp` writes them.
+
+    Raises:
+        InputError: the objective is minimised over tolerances, or has no JavaScript form; the message names it.
+    """
+    declared, nlp = design.declared, design.nlp()
+    x = ca.MX.sym("x", len(declared.variables) + len(declared.parameters))
+    every = ca.vertsplit(x)
+    scaled = [one.scaled(value) for one, value in zip(declared.variables, every, strict=False)]
+    program = ca.Function("program", [nlp.problem["x"], nlp.problem["p"]], [nlp.problem["f"], nlp.problem["g"]])
+    f, g = program(stacked(*scaled), stacked(ca.MX(), *every[len(scaled) :]))
+    source = Source("the page cannot hold this design")
+    name = source.add(ca.Function("whole", [x], [nlp.objective_scale * f, nlp.scales * g]))
+    limits = {requirement.name: requirement for requirement in declared.requirements}
+    requirements, lows, highs = [], nlp.lbg * nlp.scales, nlp.ubg * nlp.scales
+    for key, rows in itertools.groupby(range(len(lows)), key=nlp.requirements.__getitem__):
+        which, own = [*rows], limits.get(key)
+        low, high = (None if math.isinf(end[which[0]]) else float(end[which[0]]) for end in (lows, highs))
+        shown = shown_in(own.shown if own else customary("", 1.0))
+        requirements.append({"name": key, "label": key, "low": low, "high": high, "count": len(which), **shown,
+                             "words": own.limits_text() if own else "domain of the theory"})  # fmt: skip
+    inputs = [_declared(one, best.variables[one.name]) for one in declared.variables]
+    data = {
+        "inputs": inputs + [_declared(one, one.value) for one in declared.parameters],
+        "results": [{"name": "objective", "label": "objective", "symbol": "", "factor": 1.0}, *requirements],
+        "requirements": requirements, "rows": [], "variants": {"": {}}, "switches": [], "axes": [],
+        "error": max(best.gap, best.error_estimate), "best": best.variables, "known": "best", "objective": True,
+        "certifies": True, "without": "",
+    }  # fmt: skip
+    return PageModel(f"{source}\nconst FUNCTIONS = {{ whole: {name} }};\n", data)
+
+
+def _declared(one: Variable | Parameter, value: float) -> dict[str, Any]:
+    """Return name, unit, bounds and domain of a variable or parameter of a design."""
+    if isinstance(one, Variable):
+        display, low, high, ends = one.shown, one.lower, one.upper, (one.lower, one.upper)
+        why = "the steps of this page resolve the motion between these bounds"
+    else:
+        size, ends, why = abs(value) or 1.0, one.domain, ""
+        display, low, high = customary(one.unit, value), max(ends[0], value - size / 2.0), min(ends[1], value + size)
+    limit = DomainLimit(one.name, one.unit, at_least=max(ends[0], -LARGEST), at_most=min(ends[1], LARGEST), why=why)
+    chosen = isinstance(one, Variable)
+    return {
+        "name": one.name, "label": one.name, "group": "variables" if chosen else "parameters", "unit": one.unit,
+        **shown_in(display), "lower": low, "upper": high, "log": isinstance(one, Variable) and bool(one.log),
+        "value": value, "variable": chosen, "steps": None, "limit": _limit(limit),
+    }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Variant:
+    """The scene of the file with some effects switched.
+
+    Attributes:
+        prepared: what does not change over time: orders of magnitude, limited values, constants, parameters.
+        functions: functions of constants and parameters.
+        data: what the engine must know about it.
+    """
+
+    prepared: tuple[Any, Any, Any, Any]
+    functions: dict[str, ca.Function]
+    data: dict[str, Any]
+
+
+def _variant(problem: Problem, given: Mapping[str, Any], x: Any, changes: Mapping[str, Any]) -> _Variant:
+    """Return the scene at symbols x, which stand for the quantities ``given``, with changed effects.
+
+    Raises:
+        InputError: effects exclude each other, or the file asks for a result that needs one of them.
+    """
+    kind: Any = type(x)
+    with limits_of_laws() as limits:
+        scene = problem.scene(given)
+        scene = replace(scene, effects=replace(scene.effects, **changes))
+        scene.check_reaction()
+    moves, structure = scene.effects.motion, Structure.of(scene)
+    equation = equation_of(structure) if moves else None
+    states, count, squared = (equation.states, equation.count, equation.squared) if equation else (2, 0, 0)
+    time, state, five = (
+        kind.sym(name, size) for name, size in (("time", 1), ("state", states), ("five", len(AVERAGES)))
+    )
+    means, variances = kind.sym("means", count), kind.sym("variances", squared)
+    with unlabelled():
+        p = parameters(scene)
+        duration = scene.wave_period if structure.orbit != "transient" else problem.values(given)["scene.duration"]
+        rate = rates(p | _slopes(problem)).summed if moves else forced_rate(p)
+        run = _at(scene, time, state)
+        results = [
+            stacked(*(_last(getattr(run, name)) for name in (*ROWS, "mode"))),
+            stacked(*_measured(problem, replace(run, averages=Averages(*ca.vertsplit(five))))),
+        ]
+        if moves:
+            run = assemble(scene, time, np.ones(1), state.T, means, variances, Accuracy())
+            results.append(stacked(*(getattr(run.averages, name) for name in AVERAGES)))
+        # What does not change over time, such as the law of resistance, is computed once for a design.
+        found = [ca.extract_parametric(ca.densify(one), x) for one in results]
+    parts, symbols, constants = zip(*found, strict=True)
+    c = stacked(kind(), *itertools.chain(*symbols))
+    functions = {"at": _dense("at", x, c, time, state, parts[0]), "measures": _dense("measures", x, c, five, parts[1])}
+    column: Any = kind()
+    if equation:
+        column = stacked(*(p[name] for name in equation.names), duration)
+        functions |= {"averages": _dense("averages", x, c, means, variances, parts[2]), "start": equation.start,
+                      "step": step(structure)}  # fmt: skip
+        if equation.events is not None:
+            functions["events"] = equation.events
+        if structure.orbit != "transient":
+            functions["orbit"] = near_orbit(structure)
+    ramp = p.get("ramp_time", 0.0) / duration
+    setup = stacked(rate, ramp, scene.stiffness, scene.inertia if moves else 0.0, duration)
+    data = {
+        "moves": moves, "kinked": structure.kinked, "count": count, "squared": squared,
+        "nodes": int(equation.rate.n_nodes()) if equation else 0,
+        # A design's requirement has the law's name in front; the command line's message does not.
+        "limits": [_limit(replace(limit, name=limit.name.rpartition(": ")[2])) for limit, _ in limits],
+    }  # fmt: skip
+    limited = stacked(kind(), *(value for _, value in limits))
+    return _Variant((setup, limited, stacked(kind(), *itertools.chain(*constants)), column), functions, data)
+
+
+def _slopes(problem: Problem) -> dict[str, float]:
+    """Return the slopes of the user's own resistances, which decide the first number of steps, at the file's values."""
+    scene = problem.scene()
+    return slopes(Own.of(scene), parameters(scene)) if scene.effects.own else {}
 
 
 def _refuse(problem: Problem) -> None:
     """Raise InputError for what the page cannot compute."""
     effects = problem.scene().effects
-    if effects.orbit != "transient":
-        raise InputError("the page does not compute periodic orbits, only motions from a start")
-    if effects.events:
-        what = "the entry of a share" if effects.entry else "stick and slip"
-        raise InputError(f"the page does not locate the events of {what}")
+    if effects.orbit not in ("transient", "periodic"):
+        raise InputError("the page does not compute approximations of periodic orbits: use orbit = 'periodic'")
     if effects.tow_profile is not None:
         raise InputError("the page does not compute a tow speed that varies over time")
-    if effects.own:
-        raise InputError("the page does not compute resistances of the user's own")
 
 
 def _dense(name: str, *parts: Any) -> ca.Function:
@@ -166,19 +312,20 @@ def _measured(problem: Problem, run: Run) -> list[Expression]:
     return [own[name](run) for name in _wanted(problem, run.scene)]
 
 
-def _input(problem: Problem, key: str, value: float) -> dict[str, Any]:
-    """Return name, unit, bounds and domain of a quantity."""
-    quantity, variable = EVERY[key], problem.variables.get(key)
+def _input(problem: Problem, key: str, value: float, variable: FileVariable | None) -> dict[str, Any]:
+    """Return name, unit, bounds and domain of a quantity, which may be a variable or one that an override fixed."""
+    quantity = EVERY[key]
     display = problem.origin.display(key, quantity.unit, value)
     limit = _domain(problem, quantity)
     # A quantity without bounds of its own moves between half and twice its value, inside its domain.
     size = abs(value) or 1.0
-    low = variable.lower if variable else max(quantity.low, limit.at_least, value - size / 2.0)
-    high = variable.upper if variable else min(quantity.high, limit.at_most, value + size)
+    low = min(value, variable.lower) if variable else max(quantity.low, limit.at_least, value - size / 2.0)
+    high = max(value, variable.upper) if variable else min(quantity.high, limit.at_most, value + size)
+    group = "variables" if key in problem.variables else quantity.owner
     return {
-        "name": key, "label": called(key), "group": "variables" if variable else quantity.owner, "unit": quantity.unit,
+        "name": key, "label": called(key), "group": group, "unit": quantity.unit,
         **shown_in(display), "lower": low, "upper": high, "log": bool(variable and variable.log), "value": value,
-        "variable": variable is not None, "steps": _steps(variable), "limit": _limit(limit),
+        "variable": key in problem.variables, "steps": _steps(variable), "limit": _limit(limit),
     }  # fmt: skip
 
 

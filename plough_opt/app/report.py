@@ -7,7 +7,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
-from plough_opt.app.page import Report, page
+from plough_opt.app.page import Report, design_page, page, shown_of
+from plough_opt.app.page_model import design_model
 from plough_opt.app.terminal import progress, read, wrote
 from plough_opt.core.checks import path_of, whole_number
 from plough_opt.core.errors import InputError, NotConverged
@@ -15,7 +16,8 @@ from plough_opt.core.expressions import as_number
 from plough_opt.core.files import check_file, write_file
 from plough_opt.core.process import optional
 from plough_opt.core.quantities import BESIDE
-from plough_opt.design import Progress, Sensitivity
+from plough_opt.core.saving import versions
+from plough_opt.design import Design, Progress, Sensitivity
 from plough_opt.motion import Run
 from plough_opt.motion.machine import Machine
 from plough_opt.motion.scene import Scene
@@ -31,8 +33,7 @@ def report(options: argparse.Namespace) -> None:
     """Optimise a file (or simulate it if it has no variables), and write the page.
 
     Raises:
-        InputError: the file has a mistake, has several shares, trades results or has an uncertain soil, or the page
-            cannot be written.
+        InputError: the file has a mistake, has several shares or an uncertain soil, or the page cannot be written.
     """
     optional("jinja2")
     check_file(options.output, "page", ".html")
@@ -48,12 +49,17 @@ def report(options: argparse.Namespace) -> None:
 
 
 def explore(
-    question: Problem | str | Path | Scene, path: str | Path, *, duration: float | str | None = None, seed: int = 0
+    question: Problem | str | Path | Scene | Design,
+    path: str | Path,
+    *,
+    duration: float | str | None = None,
+    seed: int = 0,
 ) -> Path:
     """Write the page of a question: its report, and controls that compute any other design in the browser.
 
     Args:
-        question: a problem, the path of its file, or a numeric scene.
+        question: a problem, the path of its file, a numeric scene, or a design, which is solved. The page of a design
+            has its variables, parameters, objective and requirements, but not the motions behind them.
         path: path of the page, ending in .html; an existing file is replaced.
         duration: simulated time of a scene [s], or a text such as "2 s"; omit it for a periodic orbit and for a
             problem, which has its own.
@@ -64,7 +70,9 @@ def explore(
 
     Raises:
         InputError: the file has a mistake, several shares or an uncertain soil, the scene holds symbols or something
-            that no problem file can say, the duration is missing or given for a problem, or the page cannot be written.
+            that no problem file can say, the duration is missing or given for another question, the design has no
+            JavaScript form, or the page cannot be written.
+        InfeasibleDesign, NotConverged: as `Design.solve`.
 
     Example:
         >>> import plough_opt as po
@@ -76,7 +84,12 @@ def explore(
         time = None if duration is None else float(as_number(BESIDE["scene.duration"].read(duration)))
         known = problem_of(question, time, "A scene of Python")
     elif duration is not None:
-        raise InputError("a problem has its own scene.duration: leave duration out, or change the problem")
+        raise InputError("only a scene needs a duration: leave it out, or change the problem or design")
+    elif isinstance(question, Design):
+        optional("jinja2")
+        best = question.solve(seed=seed)
+        made = f"plough_opt {versions()['plough_opt']}, seed {seed}"
+        return write_file(target, "page", design_page(best, design_model(question, best), made))
     else:
         known = question if isinstance(question, Problem) else read_problem(question)
     return explored_file(known, target, lambda *_: None, seed=seed)
@@ -98,16 +111,12 @@ def _check(problem: Problem) -> None:
         raise InputError(
             f"{problem.name}: a report covers one soil: remove the table [uncertain], or use plough-opt optimise"
         )
-    if problem.variables and not problem.table.minimise:
-        raise InputError(
-            f"{problem.name}: a report covers one best design: add a table [minimise], or use plough-opt tradeoff"
-        )
+    if problem.variables and not (problem.table.minimise or problem.table.trade_off):
+        raise InputError(f"{problem.name}: nothing to look for: add a table [minimise] or [trade_off]")
 
 
 def _provenance(problem: Problem, seed: int) -> dict[str, str]:
     """Return heading -> text of everything that identifies how a report was made."""
-    from plough_opt.core.saving import versions
-
     changes = {"changed by --set": "; ".join(problem.overrides)} if problem.overrides else {}
     return {
         "file": problem.origin.file,
@@ -131,7 +140,9 @@ def reported(problem: Problem, notify: Progress, *, seed: int = 0, accuracy: boo
     best, unknown = None, ""
     run: Run | Machine
     sensitivities: tuple[Sensitivity, ...] = ()
-    if problem.variables:
+    traded = problem.variables and problem.table.trade_off
+    front = problem.trade_off(progress=notify) if traded else None
+    if problem.variables and problem.table.minimise:
         best, run = problem.optimise(notify, parameters=True, seed=seed)
         notify("sensitivities", 1.0)
         try:
@@ -140,10 +151,10 @@ def reported(problem: Problem, notify: Progress, *, seed: int = 0, accuracy: boo
             unknown = str(error)
     else:
         notify("simulating", 0.0)
-        run = problem.simulate()
+        run = problem.simulate(None if front is None else shown_of(front).variables)
     assert isinstance(run, Run)  # the command refuses several shares
     study = None
     if accuracy:
         duration: Any = problem.values().get("scene.duration")
         study = study_accuracy(run.scene, duration, allowance=_ALLOWANCE, derivatives=False, thin=True, progress=notify)
-    return Report(problem, run, best, sensitivities, unknown, study)
+    return Report(problem, run, best, sensitivities, unknown, study, front=front)

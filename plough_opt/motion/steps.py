@@ -412,8 +412,9 @@ def step(structure: Structure, width: int = 2, tableau: Tableau = DOP853) -> ca.
     an RMS, the mean square about that mean. Both are computed from the deviation from the value at the step's start, in
     which cancellation costs at most a factor of four.
     """
-    at, state = OneStep.of(structure, width), ca.SX.sym("state", 2)
+    at = OneStep.of(structure, width)
     equation, size = equation_of(at.structure), at.size
+    state = ca.SX.sym("state", equation.states)
     given = at.given
     rates: list[ca.SX] = []
     first = equation.signals(at.start, state, given)

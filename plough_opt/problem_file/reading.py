@@ -194,7 +194,7 @@ def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Pro
                 raise InputError(f"'{key}' cannot be a variable: {nearest(key, units)}")
             if table.uncertain is not None and (declared.catalogue or declared.step) is not None:
                 raise InputError(f"'{key}' has a catalogue, which is for one soil: remove it, or the table [uncertain]")
-            variables[key] = _variable(source, key, declared)
+            variables[key] = variable_of(source, key, declared)
             displays[key] = variables[key].display
     fixed: dict[str, float] = {}
     for key, unit in units.items():
@@ -216,7 +216,7 @@ def _checked(source: Source, table: ProblemTable, notes: tuple[str, ...]) -> Pro
     return Problem(source.name, table, fixed, variables, displays, notes)
 
 
-def _variable(source: Source, key: str, declared: VariableTable) -> FileVariable:
+def variable_of(source: Source, key: str, declared: VariableTable) -> FileVariable:
     """Return a variable with its bounds in SI; raise InputError if they contradict each other."""
     unit = quantities()[key]
     bounds = {
@@ -275,16 +275,6 @@ def _tolerance(source: Source, key: str, written: str | float | None) -> float |
     if half < 0.0:
         raise source.error(place, f"'{key}' tolerance = {written} must not be below 0")
     return half
-
-
-def tables_of(problem: Problem) -> dict[str, Any]:
-    """Return the tables of a problem's file as they are written, with its overrides; names of variables are keys."""
-    source = Source(problem.text, problem.name)
-    for text in problem.overrides:
-        apply_override(source, text)
-    join_dotted_variables(source.data)
-    join_dotted(source.data)
-    return source.data
 
 
 def apply_override(source: Source, text: str) -> str:

@@ -1,4 +1,4 @@
-"""A scene of Python written as a problem file, and read back as one."""
+"""Problem files as they are written: a scene of Python as one, and the tables of one."""
 
 from __future__ import annotations
 
@@ -17,9 +17,11 @@ from plough_opt.core.quantities import EVERY
 from plough_opt.laws import LAWS
 from plough_opt.motion.effects import OWN_EFFECTS, Effects, HarmonicBalance, Smooth, StickSlip
 from plough_opt.motion.scene import Scene, quantities_of
-from plough_opt.problem_file.problem import Problem
-from plough_opt.problem_file.reading import read_source
+from plough_opt.problem_file.problem import FileVariable, Problem
+from plough_opt.problem_file.reading import apply_override, join_dotted_variables, read_source, variable_of
+from plough_opt.problem_file.schema import VariableTable
 from plough_opt.problem_file.source import Source
+from plough_opt.problem_file.uncertain import join_dotted
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.soil import named_soil, soil_names
 
@@ -123,3 +125,22 @@ def _differences(name: str, one: Any, other: Any) -> Iterator[str]:
             yield f"{name} = {one!r}"
     elif one != other:
         yield f"{name} = {shown(one)}"
+
+
+def tables_of(problem: Problem) -> dict[str, Any]:
+    """Return the tables of a problem's file as they are written, with its overrides; names of variables are keys."""
+    source = Source(problem.text, problem.name)
+    for text in problem.overrides:
+        apply_override(source, text)
+    join_dotted_variables(source.data)
+    join_dotted(source.data)
+    return source.data
+
+
+def fixed_variables(problem: Problem) -> dict[str, FileVariable]:
+    """Return the variables of a problem's file that its overrides fix, as the file declares them."""
+    source = Source(problem.text, problem.name)
+    join_dotted_variables(source.data)
+    declared = {**source.data.get("variables", {})}.items()
+    return {key: variable_of(source, key, VariableTable.model_validate(table)) for key, table in declared
+            if key not in problem.variables}  # fmt: skip

@@ -34,7 +34,7 @@ def walk(browser, written):
     """Return the page as it is opened; at the end it has said nothing and asked for nothing."""
     page, said, asked = open_page(browser, written)
     yield page
-    assert (said, asked) == ([], [written.as_uri()])
+    assert (said, {*asked}) == ([], {written.as_uri()})
     page.context.close()
 
 
@@ -166,9 +166,72 @@ def test_the_keyboard_alone_moves_pins_and_undoes(walk):
     assert state(walk) != before
     while walk.get_by_role("button", name="Undo").is_enabled():
         walk.get_by_role("button", name="Undo").press("Enter")
-        walk.wait_for_timeout(50)
+        walk.evaluate("ploughOpt.set({})")
     settled(walk)
     assert state(walk) == before
+
+
+def test_an_effect_is_switched_off_with_what_it_does_and_costs(walk):
+    walk.locator("summary", has_text="effects on and off").click()
+    says = walk.locator(".switch", has_text="damping").locator(".small")
+    says.filter(has_text="operations in the equation").wait_for()
+    told = says.inner_text()
+    walk.get_by_role("checkbox", name="damping", exact=True).uncheck()
+    settled(walk)
+    problem = po.read_problem(SUBSOILER, ["effects.damping=0 N*s/m"])
+    run = problem.simulate({name: value for name, value in state(walk).items() if name != "effects.damping"})
+    assert cell(walk, "RMS of the mount force") == f"{run.force_rms / 1e3:.4g} kN"
+    change = float(cell(walk, "RMS of the mount force", 1).strip("+ %"))
+    assert f"without it: mean draft {cell(walk, 'mean draft', 1)}, RMS of the mount force +{change:.4g} %" in told
+    head = walk.locator("#table thead").inner_text()
+    assert "now, without damping" in head
+    assert "best, file’s question" in head
+    assert walk.locator("#command").input_value().endswith("""--set 'effects.damping="0 N*s/m"'""")
+    walk.reload()
+    walk.wait_for_selector("#explore[data-ready]", state="attached")
+    assert walk.evaluate("ploughOpt.effects().damping") is False
+    walk.evaluate("ploughOpt.switch('damping')")
+    settled(walk)
+    assert cell(walk, "RMS of the mount force", 1) == "0 %"
+
+
+@pytest.fixture(scope="module")
+def traded(tmp_path_factory):
+    """Return the page of a front of nine designs."""
+    file = PROBLEMS / "draft_against_loosening.toml"
+    return po.explore(po.read_problem(file, ["trade_off.points=9"]), tmp_path_factory.mktemp("front") / "page.html")
+
+
+def place(page, x, y):
+    """Return where a point of the landscape lies in the window."""
+    return page.evaluate("""([x, y]) => {
+      const u = document.getElementById("now_cloud").uplot, box = u.over.getBoundingClientRect();
+      return [box.left + u.valToPos(x, "x"), box.top + u.valToPos(y, "y")];
+    }""", [x, y])  # fmt: skip
+
+
+def test_a_point_of_a_front_is_taken_by_a_click_and_says_for_which_question_it_was_computed(browser, traded):
+    page, said, _ = open_page(browser, traded)
+    assert "9 efficient designs" in page.locator("#answer").inner_text()
+    assert page.locator("#traded table.grid tbody tr").count() == 9
+    cloud = page.locator("#now_cloud")
+    cloud.scroll_into_view_if_needed()
+    page.locator("#sample", has_text="of 2000").wait_for(timeout=60_000)
+    marks = {mark["label"]: mark["designs"] for mark in page.evaluate("DATA.model.marks")}
+    design = marks["front"][6]
+    found = page.evaluate("v => ploughOpt.evaluate(v)", design)
+    page.mouse.click(*place(page, found["mean_draft"] / 1e3, found["loosened_radius"]))
+    settled(page)
+    assert state(page)["share.height"] == design["share.height"]
+    legend = cloud.locator(".u-legend")
+    assert legend.get_by_text("front", exact=True).count() == legend.get_by_text("knee", exact=True).count() == 1
+    page.get_by_label("tow speed in km/h").first.evaluate("field => field.closest('details').open = true")
+    page.get_by_label("tow speed in km/h").fill("9")
+    legend.get_by_text("front, computed for the file’s question").wait_for()
+    assert legend.get_by_text("knee, computed for the file’s question").count() == 1
+    assert page.locator("#command").input_value().startswith("plough-opt tradeoff 'draft_against_loosening.toml'")
+    assert said == []
+    page.context.close()
 
 
 def test_a_link_opens_the_same_design(walk, browser, written):

@@ -76,5 +76,5 @@ def test_symbols_and_durations_are_refused(tmp_path):
         po.explore(scene(share=po.Wedge(0.5, 0.3, height)), tmp_path / "page.html", duration=1.0)
     with pytest.raises(InputError, match="'duration' is missing"):
         po.explore(scene(), tmp_path / "page.html")
-    with pytest.raises(InputError, match="leave duration out"):
+    with pytest.raises(InputError, match="only a scene needs a duration"):
         po.explore(SUBSOILER, tmp_path / "page.html", duration=1.0)

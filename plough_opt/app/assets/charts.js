@@ -116,10 +116,11 @@ function build(chart) {
   });
   const fit = (width) => u.setSize({ width, height: height() });
   new ResizeObserver(() => { if (plot.clientWidth && plot.clientWidth !== u.width) fit(plot.clientWidth); }).observe(plot);
+  figure.uplot = u;
   return { chart, u, fit };
 }
 
-const CHARTS = [...DATA.charts, ...DATA.search, ...DATA.accuracy].map(build);
+const CHARTS = [...DATA.charts, ...DATA.front, ...DATA.search, ...DATA.accuracy].map(build);
 
 /* Paper is narrower than most screens: A4 within its margins is 672 px wide. */
 addEventListener("beforeprint", () => CHARTS.forEach(({ chart, fit }) => fit(chart.id === "force" ? 660 : 320)));

@@ -1,12 +1,16 @@
 "use strict";
 /**
  * The results of a scene for any values of its quantities. FUNCTIONS holds the functions written from the toolkit's own
- * graph: parameters, start, step, constants, at, averages, measures. This file takes the steps, chooses their number, and estimates
- * their error. It runs in a worker, in node, and needs no page.
+ * graph: prepare, and for each choice of effects start, step, events, orbit, at, averages, measures. This file takes the
+ * steps, chooses their number, and estimates their error. It runs in a worker, in node, and needs no page.
  * @param {any} model data about the functions
- * @param {any} f the functions
+ * @param {any} functions the functions
+ * @param {string} [effects] the effects that are switched: a key of `model.variants`
  */
-function engine(model, f) {
+function engine(model, functions, effects = "") {
+  if (functions.whole) return whole();
+  const variant = model.variants[effects], f = functions[effects];
+  if (!f) throw new RangeError("these effects exclude each other, or the page does not hold their combination");
   const ATTEMPTS = 6, MOST_STEPS = 400000;
   /* Phases per step as in plan.py: 0.475 rad leave 1e-10, and above 1.6 rad the error follows no law. */
   const PHASE = 0.475, PHASE_ERROR = 1e-10, LONG_PHASE = 1.6;
@@ -17,6 +21,14 @@ function engine(model, f) {
   const SHORT = 1e-9;
   /* Phase per step and output of a rough run: some per cent of an oscillation's peak lie between two outputs. */
   const ROUGH_PHASE = 0.8;
+
+  /* Events in one step, part of a step to which they are located, and rounding of what follows from their times, as in simulation.py. */
+  const MOST_EVENTS = 100, LOCATED = 1e-14, EVENT_ROUNDING = 1e-11;
+  /* Newton's method for an orbit, as in orbit.py: change of a state for slopes, last step, iterations. */
+  const DIFFERENCE = 1e-6, LAST_STEP = 1e-7, ITERATIONS = 60;
+
+  /** What does not change over time: orders of magnitude, limited values, constants, parameters. */
+  const prepared = (x) => functions.prepare(x).slice(variant.place, variant.place + 4);
 
   /** A number in the command line's digits. */
   function digits(value, count = 6) {
@@ -45,14 +57,15 @@ function engine(model, f) {
     return "";
   }
 
+  /** Why a value lies outside the domain of its quantity, or "". */
+  function outside(x) { return model.inputs.map((input, k) => broken(input.limit, x[k])).find((why) => why) || ""; }
+
   /** Why values lie outside the model's domain, or "". */
   function refusal(x) {
-    for (const [k, input] of model.inputs.entries()) {
-      const why = broken(input.limit, x[k]);
-      if (why) return why;
-    }
-    const [limited] = f.limited(x);
-    return model.limits.map((limit, k) => broken(limit, limited[k])).find((why) => why) || "";
+    const why = outside(x);
+    if (why) return why;
+    const [, limited] = prepared(x);
+    return variant.limits.map((limit, k) => broken(limit, limited[k])).find((why) => why) || "";
   }
 
   /** Ends of the steps as fractions of the duration: some in each output interval, and one at the end of a ramp. */
@@ -66,19 +79,66 @@ function engine(model, f) {
   /** Means and mean squares about them, of steps pooled with those before. */
   function pool(mean, square, moments, time, size) {
     const part = size / (time + size);
-    for (let j = 0; j < model.count; j++) {
+    for (let j = 0; j < variant.count; j++) {
       const apart = moments[j] - mean[j];
-      if (j < model.squared) square[j] = (1 - part) * (square[j] + part * apart * apart) + part * moments[model.count + j];
+      if (j < variant.squared) square[j] = (1 - part) * (square[j] + part * apart * apart) + part * moments[variant.count + j];
       mean[j] += part * apart;
     }
   }
 
+  /** One step with the events in it: each is located by halving, and changes the state. */
+  function advance(state, begin, size, p) {
+    if (!f.events) return f.step(state, [begin, size], p);
+    const duration = p[p.length - 1], given = p.slice(0, -1), mean = Array(variant.count).fill(0), square = Array(variant.squared).fill(0);
+    const events = (at, one) => f.events([at * duration], one, given), passed = ([zeros]) => zeros.some((zero) => zero < 0);
+    for (let from = begin, count = 0; count < MOST_EVENTS; count++) {
+      let low = 0, high = begin + size - from, [next, moments] = f.step(state, [from, high], p);
+      const fires = passed(events(from + high, next));
+      while (fires && high - low > LOCATED * size) {
+        const middle = (low + high) / 2;
+        if (passed(events(from + middle, f.step(state, [from, middle], p)[0]))) high = middle; else low = middle;
+      }
+      if (fires) [next, moments] = f.step(state, [from, high], p);
+      pool(mean, square, moments, from - begin, high);
+      if (!fires) return [next, [...mean, ...square]];
+      const [zeros, after] = events(from + high, next), which = zeros.findIndex((zero) => zero < 0);
+      state = after.slice(which * state.length, (which + 1) * state.length);
+      from += high;
+    }
+    throw new RangeError(`the share stops or slips more than ${MOST_EVENTS} times in one step`);
+  }
+
+  /** The state to which one wavelength returns, and how a deviation from it has grown by then: see orbit.py. */
+  function returning(p, nodes) {
+    const [guess, unit] = f.orbit(p), scaled = (state) => state.map((v, i) => v / unit[i]);
+    const once = (start) => scaled(nodes.slice(1).reduce((state, node, k) => f.step(state, [nodes[k], node - nodes[k]], p)[0], start.map((v, i) => v * unit[i])));
+    let best = scaled(guess), change = [0, 0], nearest = Infinity, floquet = NaN;
+    for (let k = 0; k < ITERATIONS; k++) {
+      const tried = best.map((v, i) => v + change[i]), after = once(tried), miss = tried.map((v, i) => v - after[i]), apart = Math.hypot(...miss);
+      const nearer = apart < nearest;
+      if (nearer) {
+        const [[a, c], [b, d]] = [0, 1].map((j) => once(tried.map((v, i) => v + (i === j ? DIFFERENCE : 0))).map((v, i) => (v - after[i]) / DIFFERENCE));
+        const half = (a + d) / 2, root = half * half - (a * d - b * c), determinant = (a - 1) * (d - 1) - b * c;
+        floquet = root < 0 ? Math.sqrt(a * d - b * c) : Math.abs(half) + Math.sqrt(root);
+        [best, nearest] = [tried, apart];
+        change = [((d - 1) * miss[0] - b * miss[1]) / determinant, ((a - 1) * miss[1] - c * miss[0]) / determinant];
+      } else change = change.map((v) => v / 2);
+      if (Math.max(...change.map(Math.abs)) >= LAST_STEP) continue;
+      if (nearer) return { first: best.map((v, i) => (v + change[i]) * unit[i]), floquet };
+      break;
+    }
+    throw new RangeError("no periodic orbit was found from its linear response: damp the mount, or use orbit = 'transient'");
+  }
+
+  const names = [...model.rows, "mode"];
+  const table = (outputs) => names.map(() => new Float64Array(outputs + 1));
+
   /** The five averages and the results over time of a motion, by steps of order 8. */
-  function motion(x, p, outputs, per, kink) {
-    const nodes = nodesOf(outputs, per, kink), duration = p[p.length - 1], [constants] = f.constants(x);
-    const mean = Array(model.count).fill(0), square = Array(model.squared).fill(0);
-    let [state] = f.start(p.slice(0, -1)), next = 0;
-    const rows = model.rows.map(() => new Float64Array(outputs + 1));
+  function motion(x, [, , constants, p], outputs, per, kink) {
+    const nodes = nodesOf(outputs, per, kink), duration = p[p.length - 1], rows = table(outputs);
+    const mean = Array(variant.count).fill(0), square = Array(variant.squared).fill(0);
+    const { first, floquet } = f.orbit ? returning(p, nodes) : { first: f.start(p.slice(0, -1))[0], floquet: undefined };
+    let state = first, next = 0;
     for (let k = 0; k < nodes.length; k++) {
       if (next <= outputs && nodes[k] === next / outputs) {
         const [found] = f.at(x, constants, [nodes[k] * duration], state);
@@ -86,17 +146,17 @@ function engine(model, f) {
         next++;
       }
       if (k + 1 === nodes.length) break;
-      const size = nodes[k + 1] - nodes[k], [following, moments] = f.step(state, [nodes[k], size], p);
+      const size = nodes[k + 1] - nodes[k], [following, moments] = advance(state, nodes[k], size, p);
       pool(mean, square, moments, nodes[k], size);
       state = following;
     }
-    return { rows, five: f.averages(x, mean, square)[0], steps: nodes.length - 1 };
+    return { rows, constants, floquet, five: f.averages(x, constants, mean, square)[0], steps: nodes.length - 1 };
   }
 
   /** The same of a share that follows the strut: quadratures of the force over panels. */
-  function still(x, duration, outputs, per, kink, { nodes, weights }) {
-    const ends = nodesOf(outputs, per, kink), rows = model.rows.map(() => new Float64Array(outputs + 1));
-    const [constants] = f.constants(x), at = (part) => f.at(x, constants, [part * duration], [0, 0])[0];
+  function still(x, [setup, , constants], outputs, per, { nodes, weights }) {
+    const [, kink, stiffness, , duration] = setup, ends = nodesOf(outputs, per, kink), rows = table(outputs);
+    const at = (part) => f.at(x, constants, [part * duration], [0, 0])[0];
     const force = model.rows.indexOf("mount_force"), speed = model.rows.indexOf("speed");
     for (let k = 0; k <= outputs; k++) at(k / outputs).forEach((value, j) => { rows[j][k] = value; });
     /* The average of the change since the first node: rounding of the weights gives a constant force no variance. */
@@ -111,17 +171,18 @@ function engine(model, f) {
     const change = all.reduce((sum, [weight, value]) => sum + weight * value, 0);
     const variance = all.reduce((sum, [weight, value]) => sum + weight * (value - change) ** 2, 0);
     const power = all.reduce((sum, [weight, value, v]) => sum + weight * (first + value) * v, 0);
-    const stiffness = f.setup(x)[0][2], draft = first + change, rms = Math.sqrt(variance);
-    return { rows, five: [draft, rms, draft / stiffness, rms / stiffness, power], steps: ends.length - 1 };
+    const draft = first + change, rms = Math.sqrt(variance);
+    return { rows, constants, five: [draft, rms, draft / stiffness, rms / stiffness, power], steps: ends.length - 1 };
   }
 
   const peak = (row) => row.reduce((most, value) => Math.max(most, Math.abs(value)), 0);
 
   /** The largest relative difference of two runs, each result on its own scale: see checks.py. */
   function difference(run, other, stiffness, inertia) {
-    const of = Object.fromEntries(model.rows.map((name, k) => [name, k]));
-    const sizes = run.rows.map(peak);
-    const apart = run.rows.map((row, k) => row.reduce((most, value, i) => Math.max(most, Math.abs(value - other.rows[k][i])), 0));
+    const of = Object.fromEntries(names.map((name, k) => [name, k])), sizes = run.rows.map(peak);
+    /* Speed and soil resistance jump at an event. */
+    const alike = (k, i) => (k !== of.speed && k !== of.soil_resistance) || run.rows[of.mode][i] === other.rows[of.mode][i];
+    const apart = run.rows.map((row, k) => row.reduce((most, value, i) => Math.max(most, alike(k, i) ? Math.abs(value - other.rows[k][i]) : 0), 0));
     const force = Math.max(sizes[of.mount_force], sizes[of.soil_resistance], stiffness * sizes[of.deflection]);
     const speed = inertia > 0 ? Math.max(sizes[of.speed], force / Math.sqrt(stiffness * inertia)) : sizes[of.speed];
     const least = { mount_force: force, soil_resistance: force, deflection: force / stiffness, speed, travel: force / stiffness };
@@ -136,36 +197,35 @@ function engine(model, f) {
   }
 
   /** A single run for a picture of many designs, with as many steps as outputs. */
-  function rough(x) {
-    const [[rate, kink, , , duration]] = f.setup(x), phase = Math.ceil(rate * duration / ROUGH_PHASE);
+  function rough(x, known) {
+    const [[rate, kink, , , duration]] = known, phase = Math.ceil(rate * duration / ROUGH_PHASE);
     const outputs = Math.min(model.outputs, Math.max(FEWEST, phase)), per = Math.ceil(Math.max(1, phase) / outputs);
     if (outputs * per > MOST_STEPS) throw new RangeError("the share oscillates too fast");
-    const run = model.moves ? motion(x, f.parameters(x)[0], outputs, per, kink) : still(x, duration, outputs, per, kink, model.gauss[0]);
+    const run = variant.moves ? motion(x, known, outputs, per, kink) : still(x, known, outputs, per, model.gauss[0]);
     return { ...run, error: run.five.every(Number.isFinite) ? NaN : Infinity };
   }
 
   /** A run and its error, estimated by a second one with fewer steps, or by a quadrature with more nodes. */
-  function checked(x, outputs, wanted) {
-    const [[rate, kink, stiffness, inertia, duration]] = f.setup(x);
-    if (!model.moves) {
+  function checked(x, known, outputs, wanted) {
+    const [[rate, kink, stiffness, inertia, duration]] = known;
+    if (!variant.moves) {
       const per = Math.max(1, Math.round(Math.max(FEWEST, Math.ceil(rate * duration / PANEL)) / outputs));
-      const [run, check] = model.gauss.map((points) => still(x, duration, outputs, per, kink, points));
+      const [run, check] = model.gauss.map((points) => still(x, known, outputs, per, points));
       return { ...run, error: difference(run, check, stiffness, 0) };
     }
-    const [p] = f.parameters(x), margin = model.kinked ? 2 : 1;
+    const margin = variant.kinked ? 2 : 1, least = f.events ? EVENT_ROUNDING : 0;
     const phase = Math.min(LONG_PHASE, PHASE * (wanted / PHASE_ERROR) ** 0.125);
-    let per = Math.max(2, Math.ceil(rate * duration / phase / outputs)), best = null, steps = 0;
+    let per = Math.max(2, Math.ceil(rate * duration / phase / outputs)), best = null;
     for (let attempt = 0; attempt < ATTEMPTS && per * outputs <= MOST_STEPS; attempt++) {
-      const run = motion(x, p, outputs, per, kink), coarse = motion(x, p, outputs, Math.floor(0.75 * per), kink);
-      const error = margin * difference(run, coarse, stiffness, inertia);
-      steps += run.steps + coarse.steps;
+      const run = motion(x, known, outputs, per, kink), coarse = motion(x, known, outputs, Math.floor(0.75 * per), kink);
+      const error = Math.max(least, margin * difference(run, coarse, stiffness, inertia));
       if (!best || error < best.error) best = { ...run, error };
       if (error <= wanted) break;
       /* The error falls with the eighth power of the steps; a tenth more are taken, and at most twice as many. */
       per = Math.max(per + 1, Math.ceil(per * Math.min(2, 1.1 * (error / wanted) ** 0.125)));
     }
     if (!best) throw new RangeError(`the share oscillates so fast that the run would take ${per * outputs} steps: use a softer mount or a shorter duration`);
-    return { ...best, evaluated: steps };
+    return best;
   }
 
   /**
@@ -177,26 +237,44 @@ function engine(model, f) {
   function evaluate(x, { error: wanted = model.error, sketch = false } = {}) {
     const began = performance.now(), why = refusal(x);
     if (why) throw new RangeError(why);
-    const found = sketch ? rough(x) : checked(x, model.outputs, wanted);
+    const known = prepared(x), found = sketch ? rough(x, known) : checked(x, known, model.outputs, wanted);
     if (found.error === Infinity) throw new RangeError("the motion has no finite mean: the share is driven away");
     /** @type {any} */
     const results = {};
-    const [measures] = f.measures(x, found.five);
+    const [measures] = f.measures(x, found.constants, found.five);
     model.averages.forEach((name, k) => { results[name] = found.five[k]; });
     model.results.forEach((one, k) => { results[one.name] = measures[k]; });
+    if (f.orbit) results.floquet = found.floquet;
     const rows = Object.fromEntries(model.rows.map((name, k) => [name, found.rows[k]]));
     results.peak_force = rows.mount_force.reduce((a, b) => Math.max(a, b));
     results.peak_deflection = rows.deflection.reduce((a, b) => Math.max(a, b));
-    const requirements = model.requirements.map((one) => {
-      const values = one.everywhere ? rows[one.name] : [results[one.name]];
-      const low = values.reduce((a, b) => Math.min(a, b)), high = values.reduce((a, b) => Math.max(a, b));
-      const margins = [one.low === null ? Infinity : low - one.low, one.high === null ? Infinity : one.high - high];
-      return { value: margins[0] < margins[1] ? low : high, margin: Math.min(...margins) };
-    });
-    const duration = f.setup(x)[0][4], count = rows.travel.length;
+    const requirements = model.requirements.map((one) => kept(one, one.everywhere ? rows[one.name] : [results[one.name]]));
+    const duration = known[0][4], count = rows.travel.length;
     const time = Float64Array.from({ length: count }, (_, k) => k * duration / (count - 1));
     return { ...results, rows: { time, ...rows }, requirements, error_estimate: found.error, steps: found.steps,
       seconds: (performance.now() - began) / 1000 };
+  }
+
+  /** The value of a requirement that is nearest to its limit, and the margin. */
+  function kept({ low: least, high: most }, values) {
+    const low = values.reduce((a, b) => Math.min(a, b)), high = values.reduce((a, b) => Math.max(a, b));
+    const margins = [least === null ? Infinity : low - least, most === null ? Infinity : most - high];
+    return { value: margins[0] < margins[1] ? low : high, margin: Math.min(...margins) };
+  }
+
+  /** The same for a design of the user's own: objective and requirements as one function, with a fixed number of steps. */
+  function whole() {
+    const evaluate = (x) => {
+      const began = performance.now(), why = outside(x);
+      if (why) throw new RangeError(why);
+      const [[objective], every] = functions.whole(x);
+      if (![objective, ...every].every(Number.isFinite)) throw new RangeError("the design has no finite value here");
+      let from = 0;
+      const requirements = model.requirements.map((one) => kept(one, every.slice(from, from += one.count)));
+      const results = Object.fromEntries(model.requirements.map((one, k) => [one.name, requirements[k].value]));
+      return { ...results, objective, rows: {}, requirements, error_estimate: model.error, seconds: (performance.now() - began) / 1000 };
+    };
+    return { evaluate, refusal: outside, violation, digits };
   }
 
   /** How far a design is from feasible: the sum of its violations, each relative to its limit. */

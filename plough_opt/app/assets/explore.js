@@ -11,10 +11,13 @@
   const { inputs } = model, place = (id) => document.getElementById(id);
   const variables = inputs.flatMap((one, k) => one.variable ? [k] : []);
   const initial = inputs.map((one) => model.best[one.name] ?? one.value);
-  const columns = [...inputs.filter((one) => one.variable), ...model.results,
-    { ...model.panels.force, name: "peak_force", label: `peak mount force${model.without}` }, { ...model.panels.deflection, name: "peak_deflection", label: `peak deflection${model.without}` }];
+  /* A design of the user's own has no motion that the page knows. */
+  const moving = model.rows.length > 0, peaks = moving ? [
+    { ...model.panels.force, name: "peak_force", label: `peak mount force${model.without}` }, { ...model.panels.deflection, name: "peak_deflection", label: `peak deflection${model.without}` },
+    ...(model.orbit ? [{ name: "floquet", label: "largest Floquet multiplier (below 1: the orbit is stable)", symbol: "", factor: 1 }] : [])] : [];
+  const columns = [...inputs.filter((one) => one.variable), ...model.results, ...peaks];
   const DESIGNS = 2000, CHUNK = 50, CURVE = 61, MOST_PINS = 4, COLOURS = ["#d55e00", "#009e73", "#cc79a7", "#e69f00"];
-  let x = [...initial], now = null, best = null, error = model.error, pins = [], cloud = [], curve = [], computedFor = "", refused = "";
+  let x = [...initial], effects = "", now = null, best = null, marks = [], error = model.error, pins = [], cloud = [], curve = [], computedFor = "", refused = "";
 
   /* Workers: one answers the controls, the other samples, so that a move never waits. */
   const text = `const MODEL = ${JSON.stringify(model)};\n${place("engine").textContent}`;
@@ -51,9 +54,10 @@
   }
 
   /* The design in the address: the values that differ from the start. */
-  const address = (values) => ["explore", ...inputs.flatMap((one, k) => values[k] === initial[k] ? [] : [`${one.name}=${values[k]}`])].join("&");
+  const address = (values) => ["explore", ...(effects ? [`effects=${effects}`] : []), ...inputs.flatMap((one, k) => values[k] === initial[k] ? [] : [`${one.name}=${values[k]}`])].join("&");
   function addressed() {
     const given = new Map(location.hash.slice(1).split("&").map((one) => one.split("=")));
+    effects = given.get("effects") in model.variants ? given.get("effects") : "";
     return inputs.map((one, k) => { const v = given.get(one.name); return v && Number.isFinite(Number(v)) ? Number(v) : initial[k]; });
   }
   /* Addresses visited, for the button; the browser's own Back and Forward go through the same ones. */
@@ -92,6 +96,17 @@
     const open = group === "variables" || !variables.length;
     place("controls").append(make("details", { open }, make("summary", { textContent: group.replace(/^effects\./, "").replace(/[._]/g, " ") }), ...rows));
   }
+  /* Effects on and off: a key of the variants lists the numbers of those that are switched. */
+  const switchedIn = (key) => key ? key.split(",").map(Number) : [];
+  const toggled = (k) => { const which = switchedIn(effects); return (which.includes(k) ? which.filter((one) => one !== k) : [...which, k].sort((a, b) => a - b)).join(","); };
+  const described = (key) => switchedIn(key).map((k) => `${model.switches[k].on ? "without" : "with"} ${model.switches[k].label}`).join(", ");
+  const switches = model.switches.map((one, k) => {
+    const box = make("input", { type: "checkbox" }), says = make("span", { className: "small" });
+    box.addEventListener("change", () => { effects = toggled(k); take(x); });
+    return { ...one, box, says, row: make("div", { className: "switch" }, make("label", {}, box, ` ${one.label}`), says) };
+  });
+  const terms = make("details", { ontoggle: () => { if (now) later(); } }, make("summary", { textContent: "terms of the equation: effects on and off" }), ...switches.map(({ row }) => row));
+  if (switches.length) place("controls").append(terms);
   place("controls").addEventListener("submit", (event) => event.preventDefault());
   function write(k, but) {
     const { slider, field } = controls[k], one = inputs[k];
@@ -107,6 +122,7 @@
   function take(values, keep = true) {
     x = [...values];
     inputs.forEach((_, k) => write(k));
+    switches.forEach(({ box, on }, k) => { box.checked = on !== switchedIn(effects).includes(k); box.disabled = !(toggled(k) in model.variants); });
     if (keep) commit();
     return ask();
   }
@@ -118,22 +134,24 @@
     return busy ||= (async () => {
       while (again) {
         again = false;
-        const asked = x;
-        try { show(asked, await computed(asked)); } catch (why) { refuse(why.message, why.control); }
+        const asked = x, under = effects;
+        try { show(asked, under, await computed(asked, under)); } catch (why) { refuse(why.message, why.control); }
       }
       busy = null;
     })();
   }
-  async function computed(values) {
+  async function computed(values, under) {
     const control = values.findIndex(Number.isNaN);
-    if (control < 0) return quick("evaluate", values, { error });
+    if (control < 0) return quick("evaluate", under, values, { error });
     const one = inputs[control], unit = one.symbol ? ` in ${pretty(one.symbol)}, without the unit` : "";
     const example = Number((initial[control] / one.factor).toPrecision(6));
     throw Object.assign(new RangeError(`'${controls[control].field.value}' is not a number: write one${unit}, such as ${example}`), { control });
   }
   /* While a value is refused, the results are those of the last valid design, and nothing leaves the page. */
   function refuse(why, k = why ? inputs.findIndex((one) => why.startsWith(`${one.limit.name} = `)) : -1) {
+    const before = refused;
     refused = why;
+    if (now && !before !== !why) { rebuild(); if (charts.cloud) scatter(); }
     for (const each of section.querySelectorAll("[data-leaves]")) each.disabled = why !== "";
     if (now) table();
     controls.forEach(({ wrong, field }, i) => { wrong.textContent = i === k ? why : ""; field.ariaInvalid = String(i === k); });
@@ -141,28 +159,30 @@
     section.classList.toggle("refused", why !== "");
   }
 
-  function show(values, found) {
-    now = { x: values, ...found };
+  function show(values, under, found) {
+    now = { x: values, effects: under, ...found };
     refuse("");
-    place("accuracy-now").textContent = `estimated error ${found.error_estimate.toExponential(0)}, ${found.steps} steps, ${number(1000 * found.seconds)} ms`;
+    place("accuracy-now").textContent = `estimated error ${found.error_estimate.toExponential(0)}${moving ? `, ${found.steps} steps` : " of the objective, at the best design"}, ${number(1000 * found.seconds)} ms`;
     place("lights").replaceChildren(...model.requirements.map((one, k) => {
       const { value: v, margin } = found.requirements[k], rounding = 1e-8 * Math.abs(v), met = margin >= -rounding;
       return make("li", {}, make("span", { className: `tag ${met ? "good" : "bad"}`, textContent: met ? "✓ met" : "✗ fails" }), ` ${one.label} ${shown(one, v)}, ${pretty(one.words)}, margin ${shown(one, Math.abs(margin) <= rounding ? 0 : margin)}`);
     }));
     draw();
-    if (solid) solid(solids(values, found));
-    place("command").value = command();
+    if (moving && solid) solid(solids(values, found));
+    if (moving) place("command").value = command();
     later();
   }
 
-  const fixed = (values) => JSON.stringify(values.filter((_, k) => !variables.includes(k)));
-  const known = model.optimised ? "best" : "file";
-  const bestName = () => !model.optimised || fixed(now.x) === fixed(initial) ? known : "best, computed for the file’s question";
+  const fixed = ({ x: values, effects: under }) => JSON.stringify([under, values.filter((_, k) => !variables.includes(k))]);
+  const nowName = () => refused ? "last valid" : "now";
+  /* What Python computed belongs to the question of the file. */
+  const asked = moving ? "file’s question" : "design’s parameters";
+  const dated = (name, words = `computed for the ${asked}`) => !variables.length || fixed(now) === fixed(best) ? name : `${name}, ${words}`;
   const of = (design, one) => design[one.name] ?? design.x[inputs.findIndex((each) => each.name === one.name)];
   function table() {
-    const designs = [[refused ? "last valid" : "now", now], ...(best ? [[bestName(), best]] : []), ...pins.map((pin, k) => [`pin ${k + 1}`, pin])];
-    const head = designs.map(([name, design], k) => make("th", { scope: "col" }, name, ...(pins.includes(design) ? [make("button", { type: "button", textContent: "×", ariaLabel: `remove ${name}`, onclick: () => { pins = pins.filter((pin) => pin !== design); rebuild(); table(); } })] : [])));
-    if (best) head.splice(1, 0, make("th", { scope: "col", textContent: `from ${known}` }));
+    const designs = [[nowName(), now], ...(best ? [[dated(model.known, asked), best]] : []), ...pins.map((pin, k) => [`pin ${k + 1}`, pin])];
+    const head = designs.map(([name, design], k) => make("th", { scope: "col" }, [name, described(design.effects)].filter(Boolean).join(", "), ...(pins.includes(design) ? [make("button", { type: "button", textContent: "×", ariaLabel: `remove ${name}`, onclick: () => { pins = pins.filter((pin) => pin !== design); rebuild(); table(); } })] : [])));
+    if (best) head.splice(1, 0, make("th", { scope: "col", textContent: `from ${model.known}` }));
     place("table").tHead.replaceChildren(make("tr", {}, make("th", { scope: "col" }), ...head));
     place("table").tBodies[0].replaceChildren(...columns.map((one) => {
       const cells = designs.map(([, design]) => make("td", { textContent: shown(one, of(design, one)) }));
@@ -175,16 +195,18 @@
   const charts = {};
   const listed = () => [now, ...pins];
   function rebuild() {
+    if (!moving) return;
     for (const [id, name] of [["now_force", "mount_force"], ["now_deflection", "deflection"]]) {
       if (charts[id]) charts[id].u.destroy();
       const panel = model.panels[name === "deflection" ? name : "force"];
       charts[id] = { name, panel, ...build({ id, x: { label: "time", unit: "s", values: [...now.rows.time] }, y: { label: panel.label, unit: pretty(panel.symbol) },
         lines: model.requirements.filter((one) => one.name === name).flatMap((one) => [one.low, one.high]).filter((end) => end !== null).map((end) => ({ label: "limit", value: end / panel.factor, colour: "#d55e00", dash: "" })),
-        series: listed().map((_, k) => ({ label: k ? `pin ${k}` : "now", colour: k ? COLOURS[k - 1] : "#0072b2", dash: k ? "dash" : "", values: [...now.rows.time] })) }) };
+        series: listed().map((_, k) => ({ label: k ? `pin ${k}` : nowName(), colour: k ? COLOURS[k - 1] : "#0072b2", dash: k ? "dash" : "", values: [...now.rows.time] })) }) };
     }
     draw();
   }
   function draw() {
+    if (!moving) return;
     if (!charts.now_force) { rebuild(); return; }
     for (const { u, name, panel } of Object.values(charts).filter((one) => one.panel)) {
       const { time } = now.rows, last = time.length - 1;
@@ -204,13 +226,13 @@
     const scaled = (body, radius) => { const rim = Math.max(...body.vertices.filter((_, i) => i % 3 === 1)), long = Math.max(...body.vertices.filter((_, i) => i % 3 === 0)); return body.vertices.map((v, i) => i % 3 ? v / rim * radius : v / long * h); };
     return DATA.bodies.map((body) => ({ ...body, vertices: body.id === "share" ? share : scaled(body, body.id === "cone" ? h * slope : found.loosened_radius) }));
   }
-  const solid = solidView(place("now_solid"), DATA.bodies);
+  const solid = moving && solidView(place("now_solid"), DATA.bodies);
 
   /* The landscape: a sample of the box, computed anew when soil or scene change, and a curve through the present design. */
   const axes = [place("across"), place("up")];
   axes.forEach((select, k) => {
     select.append(...columns.map((one, i) => make("option", { value: String(i), textContent: one.label })));
-    select.value = String(k ? variables.length : 0);
+    select.value = String(model.axes.length ? columns.findIndex((one) => one.name === model.axes[k]) : k ? variables.length : 0);
     select.addEventListener("change", () => { later(); scatter(); });
   });
   /* Seeded random numbers from 0 to 1 (mulberry32), so that a design can be clicked again on a later visit. */
@@ -220,22 +242,28 @@
   let timer = 0, seen = false, turn = 0;
   const later = () => { clearTimeout(timer); timer = setTimeout(sample, 150); };
   async function sample() {
-    const mine = ++turn, asked = now.x;
-    const nudged = await slow("many", variables.map((k) => asked.map((v, i) => i === k ? 1.01 * v : v)).concat([asked]));
+    const mine = ++turn, asked = now.x, under = now.effects;
+    if (terms.open) for (const [k, { says, on, box }] of switches.entries()) {
+      const key = toggled(k), known = await slow("evaluate", under, asked, { error }), other = key in model.variants && await slow("evaluate", key, asked, { error }).catch(() => null);
+      if (mine !== turn) return;
+      const parts = ["mean_draft", "force_rms", "mean_deflection"].map((name) => `${columns.find((one) => one.name === name).label} ${percent((other[name] - known[name]) / (Math.abs(known[name]) || 1))}`);
+      says.textContent = other ? `${box.checked ? "without" : "with"} it: ${parts.join(", ")}; ${model.variants[key].nodes} operations in the equation instead of ${model.variants[under].nodes}, ${other.steps} steps instead of ${known.steps}, ${number(1000 * other.seconds)} ms instead of ${number(1000 * known.seconds)} ms` : "another effect or a result of the file needs it";
+    }
+    const nudged = await slow("many", under, variables.map((k) => asked.map((v, i) => i === k ? 1.01 * v : v)).concat([asked]));
     if (mine !== turn) return;
     const base = nudged.pop();
     variables.forEach((k, i) => { controls[k].more.textContent = nudged[i] && base && model.objective ? `1 % more: objective ${percent((nudged[i].objective - base.objective) / Math.abs(base.objective))}` : ""; });
     if (!seen || !variables.length) return;
     const k = inputs.findIndex((one) => one.name === columns[axes[0].value].name);
     const line = k < 0 ? [] : Array.from({ length: CURVE }, (_, i) => asked.map((v, j) => j === k ? value(inputs[k], i / (CURVE - 1)) : v));
-    const along = await slow("many", line);
+    const along = await slow("many", under, line);
     if (mine !== turn) return;
     curve = line.flatMap((one, i) => along[i] ? [{ x: one, ...along[i] }] : []);
-    const question = fixed(asked);
+    const question = fixed(now);
     if (question !== computedFor) { cloud = []; seed = 33; computedFor = question; }
     scatter();
     while (cloud.length < DESIGNS) {
-      const rows = Array.from({ length: CHUNK }, sampled), found = await slow("many", rows);
+      const rows = Array.from({ length: CHUNK }, sampled), found = await slow("many", under, rows);
       if (mine !== turn) return;
       cloud.push(...rows.map((one, i) => found[i] && { x: one, ...found[i] }));
       if (cloud.length % 500 === 0) scatter();
@@ -251,15 +279,15 @@
     if (charts.cloud) charts.cloud.u.destroy();
     charts.cloud = build({ id: "now_cloud", x: { label: across.label, unit: pretty(across.symbol), log: across.log }, y: { label: up.label, unit: pretty(up.symbol) }, groups: [
       group("fails a requirement", "#b5bcc2", 3, every.filter((one) => one.violation > 1e-6)), group("meets all requirements", "#56b4e9", 4, every.filter((one) => one.violation <= 1e-6)),
-      group("through the present design", "#0072b2", 3, curve), ...(best ? [group(bestName(), "#000000", 10, [best, ...model.optima.map((one) => ({ ...one, x: inOrder(one.x) })).filter((one) => of(one, up) !== undefined)])] : []),
-      group("now", "#d55e00", 10, [now])].filter((one) => one.x.length) });
+      group("through the present design", "#0072b2", 3, curve), ...model.marks.map(({ label, colour }) => group(dated(label), colour, 8, marks.filter((one) => one.label === label))),
+      ...(best ? [group(dated(model.known), "#000000", 11, [best])] : []), group(nowName(), "#d55e00", 10, [now])].filter((one) => one.x.length) });
     delete charts.cloud.name;
   }
   place("now_cloud").addEventListener("click", (event) => {
     if (!event.target.closest(".u-over")) return;
     const { u } = charts.cloud, [across, up] = axes.map((select) => columns[select.value]), at = u.over.getBoundingClientRect();
     const far = (one) => Math.hypot(u.valToPos(of(one, across) / across.factor, "x") + at.left - event.clientX, u.valToPos(of(one, up) / up.factor, "y") + at.top - event.clientY);
-    const near = [...cloud.filter(Boolean), ...(best ? [best] : [])].reduce((a, b) => !a || far(b) < far(a) ? b : a, null);
+    const near = [...cloud.filter(Boolean), ...marks, ...(best ? [best] : [])].reduce((a, b) => !a || far(b) < far(a) ? b : a, null);
     if (near && far(near) < 25) take(x.map((v, k) => variables.includes(k) ? near.x[k] : v));
   });
   place("now_cloud").hidden = !variables.length;
@@ -268,15 +296,20 @@
   /* What leaves the page: the command, the problem file, tables, the solid. */
   const written = (k) => `${Number((now.x[k] / inputs[k].factor).toPrecision(15))}${inputs[k].symbol ? ` ${inputs[k].symbol}` : ""}`;
   const quoted = (word) => `'${word.replaceAll("'", "'\\''")}'`;
-  const command = () => [`plough-opt ${model.optimised ? "optimise" : "simulate"} ${quoted(model.file)}`, ...model.overrides.map((one) => `--set ${quoted(one)}`),
-    ...inputs.flatMap((one, k) => !(one.variable && model.optimised) && now.x[k] !== initial[k] ? [`--set ${quoted(`${one.name}="${written(k)}"`)}`] : [])].join(" ");
+  /* Entries of problem files that switch effects as they are now. */
+  const settings = () => switchedIn(now.effects).flatMap((k) => model.switches[k].settings);
+  const command = () => [`plough-opt ${model.command} ${quoted(model.file)}`, ...model.overrides.map((one) => `--set ${quoted(one)}`),
+    ...inputs.flatMap((one, k) => !(one.variable && model.certifies) && now.x[k] !== initial[k] && !settings().some(([key]) => key === one.name) ? [`--set ${quoted(`${one.name}="${written(k)}"`)}`] : []),
+    ...settings().map(([key, v]) => `--set ${quoted(`${key}=${toml(v)}`)}`)].join(" ");
   const toml = (v) => Array.isArray(v) ? `[${v.map(toml).join(", ")}]` : v !== null && typeof v === "object" ? `{ ${Object.entries(v).map(([key, each]) => `${JSON.stringify(key)} = ${toml(each)}`).join(", ")} }` : JSON.stringify(v);
   function problem() {
     const tables = structuredClone(model.tables);
+    const put = (name, v) => { const path = name.split("."); path.slice(0, -1).reduce((table, key) => table[key] ??= {}, tables)[path[path.length - 1]] = v; };
     inputs.forEach((one, k) => {
       if (one.variable) tables.variables[one.name].guess = written(k);
-      else if (now.x[k] !== initial[k]) { const path = one.name.split("."); path.slice(0, -1).reduce((table, key) => table[key] ??= {}, tables)[path[path.length - 1]] = one.symbol ? written(k) : now.x[k]; }
+      else if (now.x[k] !== initial[k]) put(one.name, one.symbol ? written(k) : now.x[k]);
     });
+    for (const [key, v] of settings()) put(key, v);
     const plain = (v) => v === null || typeof v !== "object" || Array.isArray(v), entries = Object.entries(tables);
     return [...entries.filter(([, v]) => plain(v)).map(([key, v]) => `${key} = ${toml(v)}`), ...entries.filter(([, v]) => !plain(v)).flatMap(([key, v]) => ["", `[${key}]`, ...Object.entries(v).map(([name, each]) => `${JSON.stringify(name)} = ${toml(each)}`)])].join("\n") + "\n";
   }
@@ -307,26 +340,31 @@
     undo: () => history.back(),
     reset: () => take(initial),
     pin: () => { pins = [...pins, now].slice(-MOST_PINS); rebuild(); table(); },
-    command: () => { place("command").select(); document.execCommand("copy"); place("status").textContent = model.optimised ? "Copied: run it to compute the certified optimum." : "Copied: run it to compute this with Python."; },
+    command: () => { place("command").select(); document.execCommand("copy"); place("status").textContent = model.certifies ? "Copied: run it to compute the certified optimum." : "Copied: run it to compute this with Python."; },
     toml: () => download("design.toml", problem()), csv: () => download("design.csv", csv()), stl: () => download("share.stl", stl()), svg: () => download("design.svg", svg()),
     better: async () => {
       place("status").textContent = "Searching …";
-      const { x: found, before, after, tried } = await slow("better", now.x, variables);
+      const { x: found, before, after, tried } = await slow("better", now.effects, now.x, variables);
       const better = after < before - 1e-9 * Math.abs(before);
       if (better) await take(found);
-      place("status").textContent = `${better ? "A better design" : "No better design"} after ${tried} tries. This search is local and certifies nothing: the command below does.`;
+      place("status").textContent = `${better ? "A better design" : "No better design"} after ${tried} tries. This search is local and certifies nothing: ${moving ? "the command below" : "design.solve()"} does.`;
     },
   };
   section.addEventListener("click", (event) => { const what = event.target.closest("[data-do]"); if (what) DO[what.dataset.do](); });
   section.addEventListener("keydown", (event) => { if (event.ctrlKey && event.key === "z" && event.target.type !== "text") { event.preventDefault(); if (at) DO.undo(); } });
-  place("digits").value = String(Math.round(-Math.log10(error)));
-  place("digits").addEventListener("input", () => { error = 10 ** -place("digits").value; ask(); });
+  if (moving) {
+    place("digits").value = String(Math.round(-Math.log10(error)));
+    place("digits").addEventListener("input", () => { error = 10 ** -place("digits").value; ask(); });
+  }
 
   const plain = ({ rows, requirements, ...rest }) => ({ ...rest, ...rows, requirements });
   window.ploughOpt = {
     inputs, outputs: columns.slice(variables.length),
-    evaluate: async (given = {}) => plain(await quick("evaluate", requested(given), { error })),
+    evaluate: async (given = {}) => plain(await quick("evaluate", effects, requested(given), { error })),
     state: () => keyed(x),
+    effects: () => Object.fromEntries(switches.map(({ label, box }) => [label, box.checked])),
+    /* Switches an effect by its name. */
+    switch: (name) => { const one = switches.find(({ label }) => label === name); if (!one || one.box.disabled) throw new RangeError(`"${name}" cannot be switched here`); one.box.click(); return ask(); },
     set: async (given) => {
       await take(requested(given), false);
       if (refused) throw new RangeError(refused);
@@ -336,8 +374,11 @@
   x = addressed();
   if (location.hash.startsWith("#explore")) section.scrollIntoView();
   (async () => {
-    best = { x: initial, ...await quick("evaluate", initial, { error }) };
+    best = { x: initial, effects: "", ...await quick("evaluate", "", initial, { error }) };
     await take(x, false);
+    const points = model.marks.flatMap(({ label, designs }) => designs.map((one) => ({ label, x: inputs.map(({ name }, k) => one[name] ?? initial[k]) })));
+    const found = await slow("many", "", points.map((one) => one.x));
+    marks = points.flatMap((one, k) => found[k] ? [{ ...one, ...found[k] }] : []);
     section.dataset.ready = "true";
   })();
 })();

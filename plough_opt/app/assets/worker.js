@@ -1,14 +1,19 @@
 "use strict";
 /** Tasks of a worker, each from plain data to plain data; MODEL, FUNCTIONS and `engine` stand before this file. */
-const own = engine(MODEL, FUNCTIONS);
+const ENGINES = new Map();
+/** The engine of the scene with some effects switched. */
+function own(effects) {
+  if (!ENGINES.has(effects)) ENGINES.set(effects, engine(MODEL, FUNCTIONS, effects));
+  return ENGINES.get(effects);
+}
 const TASKS = {
-  evaluate: (x, options) => own.evaluate(x, options),
+  evaluate: (effects, x, options) => own(effects).evaluate(x, options),
 
   /** Results of designs without those over time; null for designs outside the model's domain. */
-  many: (rows) => rows.map((x) => {
+  many: (effects, rows) => rows.map((x) => {
     try {
-      const { rows: _, ...found } = own.evaluate(x, { sketch: true });
-      return { ...found, violation: own.violation(found) };
+      const { rows: _, ...found } = own(effects).evaluate(x, { sketch: true });
+      return { ...found, violation: own(effects).violation(found) };
     } catch { return null; }
   }),
 
@@ -17,7 +22,7 @@ const TASKS = {
    * @param {number[]} x values of all inputs
    * @param {number[]} which positions of the variables among them
    */
-  better: (x, which) => {
+  better: (effects, x, which) => {
     const bounds = which.map((k) => MODEL.inputs[k]);
     const value = ({ lower, upper, log }, u) => log ? lower * (upper / lower) ** u : lower + u * (upper - lower);
     const place = ({ lower, upper, log }, v) => log ? Math.log(v / lower) / Math.log(upper / lower) : (v - lower) / (upper - lower);
@@ -27,9 +32,9 @@ const TASKS = {
       tried++;
       if (u.some((part) => part < 0 || part > 1)) return Infinity;
       try {
-        const found = own.evaluate(design(u), { error: 1e-6 });
+        const found = own(effects).evaluate(design(u), { error: 1e-6 });
         /* A violation by a hundredth of its limit counts more than the whole objective. */
-        return found.objective + 100 * (1 + Math.abs(found.objective)) * own.violation(found);
+        return found.objective + 100 * (1 + Math.abs(found.objective)) * own(effects).violation(found);
       } catch { return Infinity; }
     };
     const start = which.map((k, i) => Math.min(1, Math.max(0, place(bounds[i], x[k]))));

@@ -76,6 +76,7 @@ class Source:
     def __init__(self, asks: str) -> None:
         self._asks, self._names, self._parts = asks, dict[int, str](), [_HELPERS]
         self._constants: dict[str, str] = {}
+        self._written: dict[str, str] = {}
         self._kept: list[ca.Function] = []  # so that no other Function gets the hash of one that is gone
 
     def add(self, function: ca.Function) -> str:
@@ -92,9 +93,12 @@ class Source:
                 raise self._refusal(f"CasADi's '{kind}' (in '{function.name()}')")
             arguments = ", ".join(f"a{k}" for k in range(function.n_in()))
             body = "\n".join(f"  {line}" for line in writers[kind](function))
-            self._names[key] = f"{function.name()}_{len(self._names)}"
             self._kept.append(function)
-            self._parts.append(f"function {self._names[key]}({arguments}) {{\n{body}\n}}\n")
+            text = f"({arguments}) {{\n{body}\n}}\n"
+            if text not in self._written:
+                self._written[text] = f"{function.name()}_{len(self._written)}"
+                self._parts.append(f"function {self._written[text]}{text}")
+            self._names[key] = self._written[text]
         return self._names[key]
 
     def __str__(self) -> str:

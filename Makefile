@@ -2,18 +2,25 @@
 PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
+CORE   := $(VENV)/.core-installed
 READY  := $(VENV)/.plough_opt-installed
 PEERS  := $(VENV)/.peers-installed
 LOWEST := .venv-lowest
+DIST   := .venv-dist
+
+# What `make test` installs beside the core: `make test EXTRA=test` leaves out OpenMDAO, FMU, MPI and cluster, and their tests.
+EXTRA  ?= full
+PIP     = $(BIN)/uv pip install --quiet --python $(BIN)/python
 
 # At least one test file for every dependency, and quick ones otherwise.
 FAST   := $(addprefix tests/,problem_file cli export study calibration/test_linear.py design/test_design_solve.py \
           motion/test_simulate.py uncertainty/test_measures.py test_layout.py test_forces.py \
           test_component.py test_plots.py test_results.py test_source_equations.py)
 
-.PHONY: run test thorough slow bench lowest lines mutants clean
+.PHONY: run test thorough slow bench lowest dist lines mutants clean
 
-run: $(READY)
+# The core alone is installed, or what is there already is used.
+run: $(if $(wildcard $(READY)),$(READY),$(CORE))
 	$(BIN)/plough-opt optimise problems/cotton_subsoiler.toml --plot out/cotton_subsoiler.png
 
 test: $(READY)
@@ -36,8 +43,14 @@ bench: $(PEERS)
 lowest:
 	$(PYTHON) -m venv --clear $(LOWEST)
 	$(LOWEST)/bin/python -m pip install --quiet uv
-	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --compile-bytecode --resolution lowest-direct --editable ".[test]"
+	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --compile-bytecode --resolution lowest-direct --editable ".[full]"
 	$(LOWEST)/bin/pytest -n auto --dist worksteal $(FAST)
+
+# Build wheel and source archive twice, check both, and run every command from the wheel in clean environments.
+dist:
+	$(PYTHON) -m venv --clear $(DIST)
+	$(DIST)/bin/python -m pip install --quiet uv build twine check-wheel-contents
+	$(DIST)/bin/python .ci/dist.py
 
 # Count lines of code by room, without docstrings, comments and blank lines.
 lines:
@@ -47,16 +60,20 @@ lines:
 mutants: $(READY)
 	$(BIN)/python .ci/mutants.py --count 200
 
-$(READY): pyproject.toml
+$(CORE): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable ".[test]"
+	$(BIN)/python -m pip install --quiet uv
+	$(PIP) --editable .
+	touch $@
+
+$(READY): pyproject.toml | $(CORE)
+	$(PIP) --compile-bytecode --editable ".[$(EXTRA)]"
 	touch $@
 
 # The benchmarks skip peers that cannot be installed, and say which.
 $(PEERS): $(READY)
-	-$(BIN)/python -m pip install --quiet --editable ".[bench]"
+	-$(PIP) --editable ".[bench]"
 	touch $@
 
 clean:
-	rm -rf $(VENV) $(LOWEST) out
+	rm -rf $(VENV) $(LOWEST) $(DIST) dist out

@@ -11,14 +11,11 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import casadi as ca
-import fmpy
 import numpy as np
 import pint
 import pytest
-from fmpy.fmi1 import FMICallException
-from fmpy.fmi3 import FMU3Model
-from fmpy.validation import validate_fmu
 from helpers.differences import differences
+from helpers.extras import needs
 from helpers.linear_motion import released
 from helpers.scenes import Shank, scene_of
 from scipy.integrate import solve_ivp
@@ -27,6 +24,11 @@ import plough_opt as po
 from plough_opt.core.expressions import exp
 from plough_opt.exchange.named_scene import NamedScene
 from plough_opt.export import write_fmu
+
+fmpy = needs("fmpy")
+FMICallException = needs("fmpy.fmi1").FMICallException
+FMU3Model = needs("fmpy.fmi3").FMU3Model
+validate_fmu = needs("fmpy.validation").validate_fmu
 
 # --- FMPy and SciPy as tools that import and simulate FMUs ---
 

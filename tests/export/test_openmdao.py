@@ -5,13 +5,14 @@ import sys
 
 import numpy as np
 import pytest
+from helpers.extras import needs
 
 import plough_opt as po
 from plough_opt.core.quantities import EVERY
-from plough_opt.export import PloughComponent, write_openmdao
 from plough_opt.motion.vocabulary import MEASURES
 
-om = pytest.importorskip("openmdao.api")
+om = needs("openmdao.api")
+PloughComponent, write_openmdao = po.export.PloughComponent, po.export.write_openmdao
 
 
 @pytest.fixture(autouse=True)

@@ -5,6 +5,8 @@ from contextlib import contextmanager
 
 import pytest
 
+from helpers.extras import needs
+
 # Without a graphics card Chromium draws WebGL by itself.
 SWITCHES = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-first-run",
             "--disable-background-networking")  # fmt: skip
@@ -13,7 +15,7 @@ SWITCHES = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftsha
 @contextmanager
 def chromium():
     """Yield a headless Chromium; skip the test if there is none."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright: pip install 'plough_opt[test]'")
+    playwright = needs("playwright.sync_api")
     where = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if where is None:
         pytest.skip("there is no browser: apt-get install chromium")

@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 from helpers import swept
 from helpers.commands import call, printed
+from helpers.extras import needs
 from helpers.problem_files import REFERENCE
 
 import plough_opt as po
@@ -236,7 +237,7 @@ OVER = {"a": po.Range(0.0, 1.0, 30), "b": [1.0, 2.0]}
 @pytest.fixture(scope="module")
 def cluster():
     """Return a client of two worker processes on this machine."""
-    distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed")
+    distributed = needs("distributed")
     arguments = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": ":0"}
     with distributed.LocalCluster(**arguments) as running, distributed.Client(running) as client:
         yield client
@@ -269,14 +270,14 @@ def test_the_command_gives_the_same_results_on_a_cluster(cluster, inline, tmp_pa
 
 
 def test_the_command_reports_a_scheduler_that_does_not_answer(monkeypatch, tmp_path):
-    distributed = pytest.importorskip("distributed")
+    distributed = needs("distributed")
     monkeypatch.setattr(distributed, "Client", Mock(side_effect=OSError("Timed out trying to connect")))
     done = call(*swept.COMMAND, "--store", tmp_path / "sweep.db", "--scheduler", "tcp://nowhere:1")
     assert (done.status, "no dask scheduler answers at" in done.said) == (2, True)
 
 
 def test_a_cluster_without_workers_ends_the_sweep(monkeypatch):
-    distributed = pytest.importorskip("distributed")
+    distributed = needs("distributed")
     # With these constants it takes less than a minute, the last check and its answer included.
     assert pools._PATIENCE + 2.0 * pools._CHECK_EVERY < 60.0
     monkeypatch.setattr(pools, "_PATIENCE", 0.7)
@@ -326,7 +327,7 @@ def test_a_point_that_kills_the_workers_of_a_cluster_is_undetermined(cluster, tm
 
 @pytest.mark.slow
 def test_mpi_gives_the_same_bits(script, inline, tmp_path):
-    pytest.importorskip("mpi4py.futures", reason="mpi4py is not installed")
+    needs("mpi4py.futures")
     # The wheel of MPICH puts it beside this Python.
     launcher = shutil.which("mpiexec", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     if launcher is None:

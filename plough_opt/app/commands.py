@@ -20,6 +20,7 @@ from plough_opt.core.compiler import cache_folder
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import check_file, write_new
 from plough_opt.core.plain_data import to_plain
+from plough_opt.core.process import optional
 from plough_opt.core.quantities import EVERY, QUANTITIES
 from plough_opt.core.tables import data_frame
 from plough_opt.laws.forces import cone_index
@@ -190,6 +191,7 @@ def explore(options: argparse.Namespace) -> None:
     """
     from plough_opt.app.report import explored_file
 
+    optional("jinja2")
     target = _cached(options.file) if options.output is None else check_file(options.output, "page", ".html")
     problem = read(options)
     with progress() as notify:

@@ -114,6 +114,7 @@ def test_bad_input_is_refused_in_a_sentence_before_anything_is_computed(tmp_path
 
 MISSING = [
     ("report FILE --output a.html", "jinja2", "report"),
+    ("explore FILE --output a.html", "jinja2", "report"),
     ("export FILE --to openmdao --output a", "openmdao", "openmdao"),
     ("export FILE --to stl --output a.stl", "trimesh", "parts"),
     ("export FILE --to gltf --output a.glb", "trimesh", "parts"),

@@ -8,6 +8,7 @@ from plough_opt.studies.tradeoff.front import (
     lead_over_front,
     lead_over_points,
     strongest_dominators,
+    thinned,
     undominated,
     undominated_in_order,
     volume,
@@ -95,11 +96,14 @@ def test_by_how_much_designs_beat_a_point():
     assert np.all(strongest_dominators(LINE, np.empty((0, 2)))[1] == -np.inf)
 
 
-def test_thinned_designs_beat_all_others_to_a_tolerance():
-    designs = np.random.default_rng(1).random((2000, 3))
-    kept = designs[undominated(designs, 0.01)]
+# In a cell the row of least sum may be behind another one by the cell's size, and is then thinned out itself.
+@pytest.mark.parametrize(("thin", "most"), [(undominated, 0.01), (thinned, 0.02)])
+def test_thinned_designs_beat_all_others_to_a_tolerance(thin, most):
+    designs = np.random.default_rng(1).random((2000, 3)) - 0.5
+    kept = designs[thin(designs, 0.01)]
     behind = np.max(kept[None] - designs[:, None], axis=2).min(axis=1)
-    assert np.max(behind) <= 0.01
+    assert np.max(behind) <= most
+    assert len(thin(designs[:0], 0.01)) == 0
     assert not any(np.any(np.all(designs < own, axis=1)) for own in kept)
 
 

@@ -25,7 +25,7 @@ from plough_opt.design.search.landscape import FEASIBLE, Evaluations, Landscape
 from plough_opt.design.search.local import descend, point_as_found, polished
 from plough_opt.design.search.near import feasible_from, near_optimum
 from plough_opt.design.search.points import SEED, evolved, sample
-from plough_opt.studies.tradeoff.front import MissingPoint, lead_over_points, undominated
+from plough_opt.studies.tradeoff.front import MissingPoint, lead_over_points, thinned
 from plough_opt.studies.tradeoff.program import FrontProgram
 
 # Least factor on the number of steps of a search. A share that oscillates fast on a stiff mount has errors of a few
@@ -440,7 +440,7 @@ class FrontCandidates(ABC):
         self.front.normalise(ends.min(axis=0), self._ranges)
         designs, objectives = self.archive.feasible
         self.front.build(
-            [y for designs_of in starts for y in designs_of] + list(designs[undominated(objectives, THINNING)])
+            [y for designs_of in starts for y in designs_of] + list(designs[thinned(objectives, THINNING)])
         )
         return starts
 

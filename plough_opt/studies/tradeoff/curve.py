@@ -32,6 +32,7 @@ from plough_opt.studies.tradeoff.front import (
     lead_over_front,
     lead_over_points,
     strongest_dominators,
+    thinned,
     undominated,
     undominated_in_order,
 )
@@ -156,7 +157,7 @@ class Tracer(FrontCandidates):
         for spread in _SPREADS:
             designs, objectives, leads = self._archive_with_leads()
             leading = np.flatnonzero(leads > 0.0)
-            best = designs[leading[undominated(objectives[leading], THINNING)]]
+            best = designs[leading[thinned(objectives[leading], THINNING)]]
             parents = np.vstack([best, *(candidate.point.y for candidate in self.efficient())])
             self._sample_around(parents, spread, _SAMPLE, rng)
 

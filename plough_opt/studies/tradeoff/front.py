@@ -32,6 +32,8 @@ SURFACE_GAP = 1.75
 ACROSS = np.array([[1.0, 1.0], [-1.0, 1.0], [0.0, -2.0]]) / np.sqrt([2.0, 6.0])
 """Two orthonormal directions across (1, 1, 1), as columns."""
 
+# Designs outside a triangle by no more than this part of its size lie on its side.
+_ROUNDING = 1e-12
 # Designs compared with a front at once, which bounds the memory that takes.
 _CHUNK = 20_000
 # A knee lies at least this far below the line, or the plane, through the best point of each objective.
@@ -58,6 +60,19 @@ def undominated(designs: Array, tolerance: float = EQUAL) -> NDArray[np.intp]:
             better |= column < column[0] - tolerance
         left, columns = left[better], columns[:, better]
     return np.array(chosen, dtype=np.intp)
+
+
+def thinned(designs: Array, apart: float) -> NDArray[np.intp]:
+    """Return undominated rows that differ by about ``apart`` or more, in a fraction of the time of `undominated`.
+
+    Of the rows in one cell of this size only that of the least sum is compared with others.
+    """
+    order = np.argsort(designs.sum(axis=1), kind="stable")
+    cells = np.floor((designs[order] - designs.min(axis=0, initial=0.0)) / apart).astype(np.int64)
+    sizes = cells.max(axis=0, initial=0) + 1
+    _, first = np.unique(cells @ np.cumprod(np.r_[1, sizes[:-1]]), return_index=True)
+    lowest = order[first]
+    return lowest[undominated(designs[lowest], apart)]
 
 
 def undominated_in_order(objectives: Array) -> NDArray[np.intp]:
@@ -156,22 +171,27 @@ def _depth_below_surface(front: Array, designs: Array, step: float) -> Array:
 
     depth = np.full(len(designs), np.inf)
     try:
-        triangles = Delaunay(front @ ACROSS)
+        triangles = Delaunay(front @ ACROSS).simplices
     except (QhullError, ValueError):  # too few points, or all on a line
         return depth
-    corners = front[triangles.simplices]
-    locations = corners - corners.mean(axis=2, keepdims=True)
+    corners = front[triangles]
+    heights = corners.mean(axis=2)
+    locations = corners - heights[:, :, None]
     sides = np.abs(locations - np.roll(locations, 1, axis=1)).max(axis=(1, 2))
-    across = designs @ ACROSS
-    containing = triangles.find_simplex(across)
-    inside = np.flatnonzero(containing >= 0)
-    inside = inside[sides[containing[inside]] <= SURFACE_GAP * step]
-    # Barycentric coordinates in the design's own triangle give the height of the triangle below or above it.
-    transform = triangles.transform[containing[inside]]
-    first_two = np.einsum("ijk,ik->ij", transform[:, :2], across[inside] - transform[:, 2])
-    weights = np.column_stack([first_two, 1.0 - first_two.sum(axis=1)])
-    height = np.einsum("ij,ij->i", weights, corners[containing[inside]].mean(axis=2))
-    depth[inside] = height - designs[inside].mean(axis=1)
+    # SciPy would find the triangle of each design by LAPACK on matrices of 2 x 2, whose threads cost a hundred times as
+    # much as the arithmetic.
+    order = np.argsort(designs @ ACROSS[:, 0], kind="stable")
+    u, v = (designs[order] @ ACROSS).T
+    mean = designs[order].mean(axis=1)
+    for k in np.flatnonzero(sides <= SURFACE_GAP * step):
+        (au, av), (bu, bv), (cu, cv) = corners[k] @ ACROSS
+        first, last = np.searchsorted(u, [min(au, bu, cu), max(au, bu, cu)], side="left").tolist()
+        pu, pv = u[first:last] - cu, v[first:last] - cv
+        twice_area = (au - cu) * (bv - cv) - (bu - cu) * (av - cv)
+        a, b = (pu * (bv - cv) - (bu - cu) * pv) / twice_area, ((au - cu) * pv - pu * (av - cv)) / twice_area
+        inside = np.flatnonzero((a >= -_ROUNDING) & (b >= -_ROUNDING) & (a + b <= 1.0 + _ROUNDING))
+        height = heights[k] @ np.array([a[inside], b[inside], 1.0 - a[inside] - b[inside]])
+        depth[order[first + inside]] = height - mean[first + inside]
     return depth
 
 

@@ -160,6 +160,9 @@ _AT_NODE = 1e-3
 _NEAR_NODE = 1.0
 # Least distance, in steps, of a shown point that is not at a node from other points.
 _ROOM = 0.7
+# A front that covers few nodes has its points closer together, by this factor again and again down to this distance, so
+# that as many are shown as were asked for.
+_CLOSER, _LEAST_ROOM = 0.95, 0.1
 # Largest distance, in steps and in any objective, of an efficient design from the nearest shown point. In a flat
 # triangle of the lattice no place is farther than two thirds of a step from a corner.
 _COVERED = 0.67
@@ -186,6 +189,7 @@ class SurfaceTracer(Tracer):
             progress: called with what is being done and the fraction done.
         """
         super().__init__(archive, progress)
+        self._count = count
         self._lattice = Lattice.with_nodes(count)
         self.step = 1.0 / self._lattice.steps
         self.spacing = _COVERED * self.step
@@ -422,7 +426,7 @@ class SurfaceTracer(Tracer):
         """Return candidates arranged as a front, from the best in the first objective to the worst.
 
         Shown are the ends of holes, anchors, points at nodes, and as many others as fit between or are needed so that
-        no efficient candidate is far from a shown one.
+        no efficient candidate is far from a shown one, and that the wanted number of points is shown.
         """
         objectives, step = self.objectives_of(candidates), self.step
         balanced = np.flatnonzero([self.balances(candidate) for candidate in candidates])
@@ -431,7 +435,11 @@ class SurfaceTracer(Tracer):
             return Arrangement([], [], (), ())
         places = objectives[order]
         parts, hole_ends = parts_of(places, step)
-        shown = covering(places, self._uncrowded(places, hole_ends), _COVERED * step)
+        room = _ROOM * step
+        shown = covering(places, self._uncrowded(places, hole_ends, room), _COVERED * step)
+        while len(shown) < self._count and room > _LEAST_ROOM * step:
+            room *= _CLOSER
+            shown = covering(places, self._uncrowded(places, hole_ends, room), _COVERED * step)
         shown = shown[np.lexsort(places[shown].T[::-1])]
         number = {int(row): k for k, row in enumerate(shown)}
         return Arrangement(
@@ -441,9 +449,8 @@ class SurfaceTracer(Tracer):
             tuple((number[a], number[b]) for a, b in hole_ends),
         )
 
-    def _uncrowded(self, objectives: Array, hole_ends: Sequence[tuple[int, int]]) -> NDArray[np.intp]:
+    def _uncrowded(self, objectives: Array, hole_ends: Sequence[tuple[int, int]], room: float) -> NDArray[np.intp]:
         """Return the rows of efficient points that have room: first ends and anchors, then nodes, then the others."""
-        room = _ROOM * self.step
         rank = (self._lattice.distance(objectives, self._lattice.nearest(objectives)) > _AT_NODE).astype(int)
         # An anchor close to another anchor need not stay.
         anchors = np.argmin(objectives @ _ANCHOR_WEIGHTS.T, axis=0)

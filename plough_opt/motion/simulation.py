@@ -355,8 +355,8 @@ def _hopeless(case: Case, found: Integrated, error: float, wanted: float) -> boo
 def _by_measured_steps(case: Case, wanted: float) -> tuple[tuple[Integrated, float] | None, IntegrationError | None]:
     """Integrate by steps of order 8: first by long ones, whose error shows how many reach the wanted one.
 
-    The first number of steps does not depend on the wanted error, and a tighter one takes more: so a looser error never
-    costs more.
+    The first number of steps of a long run does not depend on the wanted error, and a tighter one takes more: so a
+    looser error never costs more.
 
     Returns:
         The run that reaches the error or comes nearest, with its error, and the last failure; None for either of them
@@ -365,7 +365,7 @@ def _by_measured_steps(case: Case, wanted: float) -> tuple[tuple[Integrated, flo
     """
     best: tuple[Integrated, float] | None = None
     failure: IntegrationError | None = None
-    steps, before = plan.first_steps(case.scene, case.duration), (1, math.inf)
+    steps, before = plan.first_steps(case.scene, case.duration, wanted), (1, math.inf)
     for _ in range(_STEP_ATTEMPTS):
         error = math.inf
         try:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
 
 import casadi as ca
 
@@ -13,10 +15,11 @@ from plough_opt.core.errors import InputError
 Phase = tuple[ca.Function, int]
 """A phase of a motion: (Function of SX for one step, position of the phase's end time among its parameters)."""
 
-_BINARY = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
-_COMPARISONS = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
+# CasADi's operation -> its sign or its text in C and in Python.
+BINARY = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
+COMPARISONS = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
 _LOGICAL = {ca.OP_AND: "&", ca.OP_OR: "|"}
-_SIMPLE = {
+SIMPLE = {
     ca.OP_ASSIGN: "{0}",
     ca.OP_NEG: "-{0}",
     ca.OP_SQ: "{0} * {0}",
@@ -30,61 +33,13 @@ def _named(names: str) -> dict[int, str]:
     return {int(getattr(ca, f"OP_{name.upper()}")): name for name in names.split()}
 
 
-# CasADi's operation -> C function: in the vector library with one argument, with two, and missing from it.
+# CasADi's operation -> C function: in the vector library with one argument, with two, and missing from it. `vectors.c`
+# has a line for each.
 LIBRARY = _named("exp expm1 log log1p sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh erf")
 LIBRARY_OF_TWO = {ca.OP_CONSTPOW: "pow"} | _named("pow atan2 hypot")
 LANE_BY_LANE = _named("floor ceil sqrt")
-# Operation -> function that `_HEAD` defines.
+# Operation -> function that `vectors.c` defines.
 _OWN = {ca.OP_FABS: "v_fabs", ca.OP_SIGN: "v_sign", ca.OP_FMIN: "v_min", ca.OP_FMAX: "v_max"}
-
-_HEAD = """
-#include <math.h>
-#include <stdint.h>
-
-#if defined(__AVX512F__)
-#define LANES 8
-#define LETTER e
-#elif defined(__AVX2__)
-#define LANES 4
-#define LETTER d
-#else
-#define LANES 2
-#define LETTER b
-#endif
-typedef double V __attribute__((vector_size(8 * LANES), aligned(8 * LANES)));
-typedef int64_t M __attribute__((vector_size(8 * LANES), aligned(8 * LANES)));
-
-static inline V v_pick(M m, V a, V b) { return (V)(((M)a & m) | ((M)b & ~m)); }
-static inline V v_min(V a, V b) { return v_pick((a <= b) | (b != b), a, b); }
-static inline V v_max(V a, V b) { return v_pick((a >= b) | (b != b), a, b); }
-static inline V v_fabs(V a) { return (V)((M)a & INT64_MAX); }
-static inline V v_one(M m) { const V one = {0}; return (V)((M)(one + 1.0) & m); }
-static inline V v_sign(V a) { return v_one(a > 0.0) - v_one(a < 0.0); }
-static inline int any(M m) { int64_t all = 0; for (int k = 0; k < LANES; k++) all |= m[k]; return all != 0; }
-#define EACH(NAME) \\
-  static inline V v_##NAME(V a) { V r; for (int k = 0; k < LANES; k++) r[k] = NAME(a[k]); return r; }
-#define EACH_OF_TWO(NAME) \\
-  static inline V v_##NAME(V a, V b) { V r; for (int k = 0; k < LANES; k++) r[k] = NAME(a[k], b[k]); return r; }
-#ifdef VECTOR_LIBRARY
-#define JOIN(A, B, C, D) A##B##N##C##D
-#define SYMBOL(LETTER, LANES, MANGLED) JOIN(_ZGV, LETTER, LANES, MANGLED)
-/* The vector library's names, such as _ZGVdN4v_sin, have a letter for the registers and the number of their lanes. */
-#define LIBRARY(NAME) \\
-  V SYMBOL(LETTER, LANES, v_##NAME)(V); \\
-  static inline V v_##NAME(V a) { return SYMBOL(LETTER, LANES, v_##NAME)(a); }
-#define LIBRARY_OF_TWO(NAME) \\
-  V SYMBOL(LETTER, LANES, vv_##NAME)(V, V); \\
-  static inline V v_##NAME(V a, V b) { return SYMBOL(LETTER, LANES, vv_##NAME)(a, b); }
-#else
-#define LIBRARY(NAME) EACH(NAME)
-#define LIBRARY_OF_TWO(NAME) EACH_OF_TWO(NAME)
-#endif
-
-static inline V gather(const double *from, const int64_t *which) {
-  V r; for (int k = 0; k < LANES; k++) r[k] = from[which[k]]; return r; }
-static inline void choose(int64_t n, const int64_t *order, int64_t first, int64_t *which) {
-  for (int k = 0; k < LANES; k++) which[k] = order[first + k < n ? first + k : n - 1]; }
-"""
 
 _MAP = """
 /* Evaluates a function. Arrays have a column for each of n designs. */
@@ -168,7 +123,7 @@ def c_source(maps: Mapping[str, ca.Function], phases: Sequence[Phase], parameter
     Raises:
         InputError: an operation without a vector form.
     """
-    lines = [head()]
+    lines = [c_file("vectors.c")]
     for name, one in maps.items():
         text = Statements(one, ("x",))
         body = "\n".join([*text.once, *text.each])
@@ -183,11 +138,10 @@ def c_source(maps: Mapping[str, ca.Function], phases: Sequence[Phase], parameter
     return "\n".join(lines)
 
 
-def head() -> str:
-    """Return the C types and functions that `Statements` may use; the compiler drops the others."""
-    lines = [_HEAD, *(f"EACH({name})" for name in LANE_BY_LANE.values())]
-    lines += [f"LIBRARY({name})" for name in LIBRARY.values()]
-    return "\n".join([*lines, *(f"LIBRARY_OF_TWO({name})" for name in sorted({*LIBRARY_OF_TWO.values()}))])
+@lru_cache(maxsize=2)
+def c_file(name: str) -> str:
+    """Return the text of a C file in this folder."""
+    return files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
 @dataclass(frozen=True)
@@ -269,7 +223,7 @@ class Statements:
         """
         if code == ca.OP_DIV and of[1].once and not of[0].once:
             code, of = ca.OP_MUL, [of[0], self._inverse(of[1])]
-        is_mask = code in _COMPARISONS or code in _LOGICAL or code == ca.OP_NOT
+        is_mask = code in COMPARISONS or code in _LOGICAL or code == ca.OP_NOT
         name = f"a{len(self.once) + len(self.each)}"
         value = _Value(name, all(each.once for each in of), is_mask=is_mask)
         lines = self.once if value.once else self.each
@@ -290,15 +244,15 @@ def _expression(code: int, of: list[_Value]) -> str:
     Raises:
         InputError: the operation has no vector form.
     """
-    if code in _BINARY:
-        return f"{of[0].vector} {_BINARY[code]} {of[1].number}"
-    if code in _SIMPLE:
-        return _SIMPLE[code].format(of[0].vector)
+    if code in BINARY:
+        return f"{of[0].vector} {BINARY[code]} {of[1].number}"
+    if code in SIMPLE:
+        return SIMPLE[code].format(of[0].vector)
     if code in (ca.OP_EQ, ca.OP_NE) and all(each.is_mask for each in of):
         both = f"{of[0].text} ^ {of[1].text}"
         return both if code == ca.OP_NE else f"~({both})"
-    if code in _COMPARISONS:
-        return f"{of[0].vector} {_COMPARISONS[code]} {of[1].vector}"
+    if code in COMPARISONS:
+        return f"{of[0].vector} {COMPARISONS[code]} {of[1].vector}"
     if code in _LOGICAL:
         return f"{of[0].mask} {_LOGICAL[code]} {of[1].mask}"
     if code == ca.OP_NOT:

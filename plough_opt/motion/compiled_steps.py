@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
+from string import Template
 
 import casadi as ca
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.compiler import library
 from plough_opt.core.errors import InputError
-from plough_opt.motion.c_source import Statements, head, variants
+from plough_opt.motion.c_source import Statements, c_file, variants
 from plough_opt.motion.equation import Equation, Structure, equation_of
 from plough_opt.motion.orbit import DIFFERENCE, LAST_STEP, MOST_ITERATIONS, near_orbit, returning
 from plough_opt.motion.plan import rates
@@ -41,190 +42,18 @@ _LASTING_PHASE = 70.0
 _LOSS_ORDER = 9.0
 
 # -O3 doubles the time of compilation and does not speed up the runs.
-_VARIANTS = variants("-O2")
-_FEWEST_STEPS = 16
+_STEPS_VARIANTS = variants("-O2")
+_FEWEST_COARSE_STEPS = 16
 # A run that needs more than this number, before any refinement, is not integrated.
-_MOST_STEPS = 20_000
+_MOST_COARSE_STEPS = 20_000
 # Doubles in the widest vector register.
 _WIDEST = 8
 # Runs that one thread integrates at once: enough to fill vector registers many times, with little memory.
-_CHUNK = 1024
+_RUNS_AT_ONCE = 1024
 # Row of `in` that has the number of steps.
 _STEPS = -5
 # Numbers of orbits whose maps are kept, as many as descents with a dozen variables need.
 _MAPS = 32
-
-_SOURCE = """
-/* Integrates n runs. `in` has a column for each: the state at time 0, the parameters, the number of steps, the number
-   of steps before the kink, and the time of the kink as a fraction of the duration. For runs of one scene `times` may
-   hold the ends of their steps, a row for each end; `in` then has one column, with the largest number of steps. Each
-   output is read from {ends} ends of steps, of which `from` is the first, with {ends} weights of w and of its rate in
-   w, and as many of w and of its rate in the rate. Otherwise `times` is NULL. `memory` has room for 4 vectors at each
-   end of a step and {ends} more. `out` has a row for each run: the states at the outputs, if there are any, the means,
-   and the mean squares about these. For orbits the two last rows of `in` have the units of states, and the state at
-   time 0 is only near the orbit, which is found as by `plough_opt.motion.orbit.returning`; without one the results are
-   NaN. */
-typedef double Ends __attribute__((vector_size(8 * {ends}), aligned(8)));
-void steps(int64_t n, const double *in, int64_t outputs, const double *times, const int64_t *from, const double *weight,
-           double *memory, double *out) {{
-  V *const room = (V *)(((uintptr_t)memory + sizeof(V) - 1) / sizeof(V) * sizeof(V));
-  const int64_t size = (outputs ? 2 * (outputs + 1) : 0) + {count} + {squared};
-  for (int64_t first = 0; first < n; first += LANES) {{
-    const int64_t columns = times ? 1 : n;
-    int64_t which[LANES], column[LANES], most = 0;
-    for (int l = 0; l < LANES; l++) which[l] = first + l < n ? first + l : n - 1, column[l] = times ? 0 : which[l];
-    const V total = gather(in + ({given} + 2) * columns, column), kink = gather(in + ({given} + 4) * columns, column);
-    const V early = gather(in + ({given} + 3) * columns, column);
-    for (int l = 0; l < LANES; l++) if (total[l] > most) most = total[l];
-    V *node = room, *ends = room + most + 2;
-    /* Sizes of the steps before and after the kink, as fractions of the duration. */
-    const V before = kink / v_max(early, (V){{0}} + 1.0), after = (1.0 - kink) / (total - early);
-    for (int64_t k = 0; k <= most + 1; k++) {{
-      const V now = (V){{0}} + (double)k;
-      node[k] = v_pick(now < early, now * before, v_pick(now < total, kink + (now - early) * after, (V){{0}} + 1.0));
-      if (times) node[k] = gather(times + n * (k < most ? k : most), which);
-    }}
-    V p[{given}], x[2], mean[{count}], square[{squared}], time;
-    for (int j = 0; j < {given}; j++) p[j] = gather(in + (j + 2) * columns, column);
-{once}
-    /* Newton's method: the state tried, the nearest one so far with the step from there, and the state found. */
-    V unit[2], tried[2], best[2], change[2] = {{0}}, found[2], reached[6], nearest = (V){{0}} + INFINITY;
-    for (int j = 0; j < 2; j++) {{
-      best[j] = gather(in + j * columns, column);
-      unit[j] = gather(in + ({given} + 5 + j) * columns, column);
-      found[j] = (V){{0}} + NAN;
-    }}
-    M sought = best[0] == best[0];
-    int last = !{orbit};
-    for (int pass = 0;; pass++) {{
-      const int shift = last ? 0 : pass % 3; /* the component of the state that is changed, from 1 on */
-      for (int j = 0; j < 2; j++) {{
-        tried[j] = best[j] + change[j] * unit[j];
-        x[j] = shift == j + 1 ? tried[j] + {difference} * unit[j] : tried[j];
-      }}
-      for (int j = 0; j < {count}; j++) mean[j] = (V){{0}};
-      for (int j = 0; j < {squared}; j++) square[j] = (V){{0}};
-      time = (V){{0}};
-      for (int64_t k = 0; k <= most; k++) {{
-        V s[2], y[{width}]; /* start and size of the step; a run that has ended takes steps without length */
-        s[0] = node[k];
-        s[1] = node[k + 1] - node[k];
-{each}
-        /* The start of the step: w, w' and w''. */
-        V *end = ends + 3 * k;
-        end[0] = x[0]; end[1] = x[1]; end[2] = y[2];
-        x[0] = y[0]; x[1] = y[1];
-        /* Means and mean squares of this step are pooled with those of the steps before. */
-        time += s[1];
-        const V part = s[1] / time;
-        for (int j = 0; j < {count}; j++) {{
-          const V distance = y[3 + j] - mean[j];
-          if (j < {squared})
-            square[j] = (1.0 - part) * (square[j] + part * distance * distance) + part * y[3 + {count} + j];
-          mean[j] += part * distance;
-        }}
-      }}
-      if (last) break;
-      for (int j = 0; j < 2; j++) reached[2 * shift + j] = x[j];
-      if (shift < 2) continue;
-      const V scale[2] = {{1.0 / unit[0], 1.0 / unit[1]}};
-      const V per[2] = {{scale[0] / {difference}, scale[1] / {difference}}};
-      const V miss[2] = {{scale[0] * (tried[0] - reached[0]), scale[1] * (tried[1] - reached[1])}};
-      const V a = per[0] * (reached[2] - reached[0]) - 1.0, b = per[0] * (reached[4] - reached[0]);
-      const V c = per[1] * (reached[3] - reached[1]), d = per[1] * (reached[5] - reached[1]) - 1.0;
-      const V over = 1.0 / (a * d - b * c);
-      const V step[2] = {{over * (d * miss[0] - b * miss[1]), over * (a * miss[1] - c * miss[0])}};
-      const V apart = miss[0] * miss[0] + miss[1] * miss[1];
-      const M nearer = apart < nearest;
-      nearest = v_pick(nearer, apart, nearest);
-      for (int j = 0; j < 2; j++) {{
-        best[j] = v_pick(nearer, tried[j], best[j]);
-        change[j] = v_pick(nearer, step[j], 0.5 * change[j]);
-      }}
-      const M moves = (v_fabs(change[0]) >= {least}) | (v_fabs(change[1]) >= {least});
-      for (int j = 0; j < 2; j++)
-        found[j] = v_pick(sought & nearer & ~moves, best[j] + change[j] * unit[j], found[j]);
-      sought &= moves;
-      if ((last = !any(sought) || pass >= 3 * {iterations} - 1))
-        for (int j = 0; j < 2; j++) best[j] = found[j], change[j] = (V){{0}};
-    }}
-    for (int l = 0; l < LANES && first + l < n; l++) {{
-      double *to = out + size * which[l];
-      const double duration = p[{given} - 1][l];
-      double *w = (double *)(ends + 3 * (most + 1)), *rate = w + most + {ends};
-      for (int64_t k = 0; k < most + {ends} && times; k++) {{
-        w[k] = k <= most ? ends[3 * k][l] : 0.0;
-        rate[k] = k <= most ? duration * ends[3 * k + 1][l] : 0.0;
-      }}
-      for (int64_t o = 0; o <= outputs && times; o++, to += 2, from++, weight += 4 * {ends}) {{
-        const Ends *by = (const Ends *)weight, a = *(const Ends *)(w + *from), b = *(const Ends *)(rate + *from);
-        const Ends value = by[0] * a + by[1] * b, slope = by[2] * a + by[3] * b;
-        to[0] = to[1] = 0.0;
-        for (int j = 0; j < {ends}; j++) to[0] += value[j], to[1] += slope[j];
-        to[1] /= duration;
-      }}
-      int64_t k = 0;
-      /* Each output is read from the polynomial of degree 5 through w, w' and w'' at both ends of its step. */
-      for (int64_t o = 0; o <= outputs && outputs > 0 && !times; o++) {{
-        const double t = (double)o / outputs;
-        while (k + 1 < total[l] && node[k + 1][l] <= t) k++;
-        const double part = node[k + 1][l] - node[k][l], u = (t - node[k][l]) / part, h = part * duration;
-        const V *a = ends + 3 * k, *b = a + 3;
-        const double w = a[0][l], r = h * a[1][l], c = 0.5 * h * h * a[2][l];
-        const double d = b[0][l] - w - r - c, e = h * b[1][l] - r - 2.0 * c, g = 0.5 * h * h * b[2][l] - c;
-        const double c3 = 10.0 * d - 4.0 * e + g, c4 = -15.0 * d + 7.0 * e - 2.0 * g, c5 = 6.0 * d - 3.0 * e + g;
-        *to++ = w + u * (r + u * (c + u * (c3 + u * (c4 + u * c5))));
-        *to++ = (r + u * (2.0 * c + u * (3.0 * c3 + u * (4.0 * c4 + u * 5.0 * c5)))) / h;
-      }}
-      for (int j = 0; j < {count}; j++) *to++ = mean[j][l];
-      for (int j = 0; j < {squared}; j++) *to++ = square[j][l];
-    }}
-  }}
-}}
-
-/* Integrates a run and its check: see `steps`. Behind `in` are the parameters of `Equation.outputs`. `found` gets
-   the rows of these for the run, and then a row for each of both: means, mean squares and, for the run, the largest
-   magnitude of each output, for the check the largest difference. It returns whether all are finite. */
-int pair(const double *in, int64_t outputs, const double *times, const int64_t *from, const double *weight,
-         double *memory, double *found) {{
-  double *rows = found, *ends = found + {rows} * (outputs + 1);
-  const int64_t averages = {count} + {squared}, size = 2 * (outputs + 1) + averages;
-  steps(2, in, outputs, times, from, weight, memory + 2 * size, memory);
-  V p[{known} + 1], sizes[2][{rows}] = {{0}};
-  M finite = ~(M){{0}};
-  for (int j = 0; j < {known}; j++) p[j] = (V){{0}} + in[{given} + 7 + j];
-{observed_once}
-  for (int64_t o = 0; o <= outputs; o += LANES) {{
-    V x[3], y[{rows}], check[{rows}];
-    for (int run = 1; run >= 0; run--) {{
-      for (int l = 0; l < LANES; l++) {{
-        const int64_t now = o + l < outputs ? o + l : outputs;
-        x[0][l] = (double)now / outputs * in[{given} + 1];
-        for (int j = 0; j < 2; j++) x[1 + j][l] = memory[run * size + 2 * now + j];
-      }}
-{observed_each}
-      for (int j = 0; j < {rows}; j++) {{
-        finite &= y[j] - y[j] == 0.0;
-        if (run) check[j] = y[j];
-      }}
-    }}
-    for (int j = 0; j < {rows}; j++) {{
-      sizes[0][j] = v_max(sizes[0][j], v_fabs(y[j]));
-      sizes[1][j] = v_max(sizes[1][j], v_fabs(y[j] - check[j]));
-      for (int l = 0; l < LANES && o + l <= outputs; l++) rows[j * (outputs + 1) + o + l] = y[j][l];
-    }}
-  }}
-  int sound = !any(~finite);
-  for (int run = 0; run < 2; run++, ends += averages + {rows}) {{
-    for (int j = 0; j < averages; j++) sound &= isfinite(ends[j] = memory[run * size + size - averages + j]) != 0;
-    for (int j = 0; j < {rows}; j++) {{
-      ends[averages + j] = 0.0;
-      for (int l = 0; l < LANES; l++) ends[averages + j] = fmax(ends[averages + j], sizes[run][j][l]);
-    }}
-  }}
-  return sound;
-}}
-"""
 
 # Results of `Equation.outputs`.
 _ROWS = 5
@@ -282,7 +111,7 @@ class CompiledSteps:
         """Return the results of runs, a row each.
 
         Args:
-            given: the array `in` of `_SOURCE`.
+            given: the array `in` of `steps.c`.
             outputs: number of intervals between output times; 0 for averages only.
             timelines: the steps of each run of one scene; if they are missing, the runs are those of ``given``.
         """
@@ -293,20 +122,20 @@ class CompiledSteps:
         return results
 
     def _given(self, p: Sequence[float], *timelines: Timeline) -> list[float]:
-        """Return the array `in` of `_SOURCE` for runs of one scene from its start."""
+        """Return the array `in` of `steps.c` for runs of one scene from its start."""
         rate = float(self.equation.structure.start_rate(dict(zip(self.equation.names, p, strict=False))))
         most = max(len(timeline.nodes) for timeline in timelines) - 1.0
         return [0.0, rate, *p, most, 0.0, 0.0, 0.0, 0.0]
 
 
 def _room(most: float) -> int:
-    """Return the number of doubles in the array `memory` of `_SOURCE`, from the largest number of steps."""
+    """Return the number of doubles in the array `memory` of `steps.c`, from the largest number of steps."""
     return (5 * int(most) + 2 * READ_FROM) * _WIDEST
 
 
 @lru_cache(maxsize=64)
 def _tables(timelines: tuple[Timeline, ...]) -> tuple[list[int | None], list[Array]]:
-    """Return the addresses of `times`, `from` and `weight` of `_SOURCE`, NULL without timelines, and these arrays."""
+    """Return the addresses of `times`, `from` and `weight` of `steps.c`, NULL without timelines, and these arrays."""
     if not timelines:
         return [None] * 3, []
     times = np.ones((max(len(timeline.nodes) for timeline in timelines), len(timelines)))
@@ -324,7 +153,7 @@ def compiled_steps(structure: Structure) -> CompiledSteps | None:
     Without a compiler, or if an own effect has an operation without a vector form, the result is None.
     """
     try:
-        path = library(source_of(structure), _VARIANTS, ("steps", "pair"))
+        path = library(source_of(structure), _STEPS_VARIANTS, ("steps", "pair"))
     except InputError:
         return None
     if path is None:
@@ -349,7 +178,7 @@ def source_of(structure: Structure) -> str:
     one = Statements(ca.Function("advance", [state, span, p], [result]), ("x", "s", "p"))
     names, outputs = equation.outputs
     observed = Statements(outputs, ("x", "p"))
-    source = _SOURCE.format(
+    source = Template(c_file("steps.c")).substitute(
         given=p.numel(),
         width=result.numel(),
         count=equation.count,
@@ -366,7 +195,7 @@ def source_of(structure: Structure) -> str:
         observed_once="\n".join(observed.once),
         observed_each="\n".join(observed.each),
     )
-    return "\n".join([head(), source])
+    return c_file("vectors.c") + source
 
 
 class ManyRuns:
@@ -419,7 +248,7 @@ class ManyRuns:
         sound = np.flatnonzero(np.isfinite(steps) & np.isfinite(p).all(axis=1))
         # Runs in one register wait for the slowest of them.
         order = sound[np.argsort(steps[sound], kind="stable")]
-        chunks = [order[k : k + _CHUNK] for k in range(0, len(order), _CHUNK)]
+        chunks = [order[k : k + _RUNS_AT_ONCE] for k in range(0, len(order), _RUNS_AT_ONCE)]
 
         def enter(chunk: NDArray[np.int64]) -> None:
             results[chunk] = self._run(p[chunk], steps[chunk])
@@ -438,9 +267,9 @@ class ManyRuns:
         found = rates(known)
         summed, lasting = found.summed * duration, found.lasting_phase(duration)
         shorter = np.maximum((lasting / _LASTING_PHASE) ** (1.0 / _LOSS_ORDER) * phase / COARSE_PHASE, 1.0)
-        steps: Array = np.maximum(np.ceil(finer * shorter * summed / phase), _FEWEST_STEPS)
+        steps: Array = np.maximum(np.ceil(finer * shorter * summed / phase), _FEWEST_COARSE_STEPS)
         # Whether a run is integrated does not depend on `finer`.
-        steps[summed / phase > _MOST_STEPS] = np.inf
+        steps[summed / phase > _MOST_COARSE_STEPS] = np.inf
         return steps
 
     def _run(self, p: Array, steps: Array) -> Array:

@@ -39,11 +39,11 @@ Vector = NDArray[np.float64]
 _Symbols = TypeVar("_Symbols", ca.SX, ca.MX)
 # Runs whose derivatives are checked, out of all that were given: as many as take this number of steps together, which
 # is a second, but within these limits.
-_MOST_STEPS = 10_000
+_MOST_CHECKED_STEPS = 10_000
 _MOST_RUNS = 8
 _FEWEST_RUNS = 2
 # Factor on the steps of a check. At order 8 it leaves 1/25 of the error, and across kinks 1/5.
-_FINER = 1.5
+_FINER_CHECK = 1.5
 # An RMS below this part of the mean counts as that part, because a smaller oscillation is rounding.
 _LEAST_RMS = 1e-3
 
@@ -306,7 +306,7 @@ def derivative_error(solver: Integration, first: int, varying: tuple[int, ...], 
         return 0.0
     order = 2 if solver.accuracy.order_8 else 1
     both = [jets_of(one, varying, order) for one in (solver, finer_than(solver))]
-    most = max(_FEWEST_RUNS, min(_MOST_RUNS, _MOST_STEPS // solver.timeline.steps))
+    most = max(_FEWEST_RUNS, min(_MOST_RUNS, _MOST_CHECKED_STEPS // solver.timeline.steps))
     chosen = np.unique(np.linspace(0, given.shape[1] - 1, most).round().astype(int))
     worst = 0.0
     for p in given.T[chosen]:
@@ -330,10 +330,10 @@ def finer_than(solver: Integration) -> Integration:
         return integration(solver.structure, finer(accuracy), timeline)
     if accuracy.order_8:
         # Steps that end at the outputs may be more than were requested.
-        steps = math.ceil(_FINER * (len(timeline.nodes) - 1))
+        steps = math.ceil(_FINER_CHECK * (len(timeline.nodes) - 1))
     else:
         # CasADi's methods of fixed steps take a whole number of steps in each output interval.
-        steps = timeline.outputs * math.ceil(_FINER * timeline.steps / timeline.outputs)
+        steps = timeline.outputs * math.ceil(_FINER_CHECK * timeline.steps / timeline.outputs)
         accuracy = replace(accuracy, steps=steps)
     return integration(solver.structure, accuracy, replace(timeline, steps=steps))
 

@@ -10,7 +10,7 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
 
 # Rounding of sums of a tableau's coefficients, which may be as large as about 50.
-_ROUNDING = 1e-12
+_ROUNDING_OF_TABLEAU = 1e-12
 # Usual error of steps of order 8. From it follows the number of steps of a method of another order.
 _USUAL_ERROR = 1e-10
 
@@ -65,13 +65,13 @@ class Tableau(Method):
             )
         for power in range(order):
             wrong = sum(w * c**power for w, c in zip(self.weights, self.nodes, strict=True)) - 1.0 / (power + 1)
-            if not abs(wrong) <= _ROUNDING:
+            if not abs(wrong) <= _ROUNDING_OF_TABLEAU:
                 raise InputError(
                     f"the weights of a tableau of order {order} integrate t^{power} with an error of {wrong:.1e}: check"
                     " nodes and weights"
                 )
         for node, row in zip(self.nodes, self.stages, strict=True):
-            if not abs(sum(row) - node) <= _ROUNDING:
+            if not abs(sum(row) - node) <= _ROUNDING_OF_TABLEAU:
                 raise InputError(f"a row of the tableau adds up to {sum(row)}: it must add up to its node {node}")
         if order != ORDER:  # the error is proportional to the step size to the power of the order
             object.__setattr__(self, "finer", max(1.0, _USUAL_ERROR ** (1.0 / ORDER - 1.0 / order)))

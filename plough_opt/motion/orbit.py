@@ -317,11 +317,11 @@ _LONGEST_PERIOD: Final = 32
 # multiplier that differs from 1 by less counts as 1.
 _REPEATS: Final = 1e-6
 # Relative rounding of states, which a chaotic motion would amplify: states that differ by less are the same.
-_ROUNDING: Final = 1e-13
+_ROUNDING_OF_STATES: Final = 1e-13
 # Factor on the orbit's steps for the averages of another motion, which may be faster.
-_FINER: Final = 2
+_FINER_AVERAGES: Final = 2
 # A multiplier that exceeds 1 by less may be that of an undamped mount, rounded.
-_MARGINAL = 1e-8
+_MARGINAL_MULTIPLIER = 1e-8
 # Smallest unit of distances, as a part of the steady deflection: without a wave the orbit is a point.
 _SMALLEST_UNIT: Final = 1e-9
 
@@ -338,7 +338,7 @@ def which_motion(run: Run) -> tuple[tuple[complex, ...], Settled, tuple[str, ...
     found = np.linalg.eigvals(monodromy(path.structure, once)(path.orbit, path.p).full())
     multipliers, largest = tuple(complex(value) for value in found), float(np.max(np.abs(found)))
     warnings: tuple[str, ...] = ()
-    if largest > 1.0 + _MARGINAL:
+    if largest > 1.0 + _MARGINAL_MULTIPLIER:
         grows = f"a deviation grows {largest:.4g} times in every wavelength, so no share stays on it"
         warnings = (f"the orbit is unstable: {grows}",)
     settled = _settled(path, largest)
@@ -444,7 +444,9 @@ class _Path:
         scaled = self.states / self.unit
         for period in range(1, min(_LONGEST_PERIOD, self.count // 2) + 1):
             apart = np.abs(scaled[-period:] - scaled[-2 * period : -period])
-            if distance > _NEAR and float(np.max(apart)) < max(least, _ROUNDING * float(np.max(np.abs(scaled)))):
+            if distance > _NEAR and float(np.max(apart)) < max(
+                least, _ROUNDING_OF_STATES * float(np.max(np.abs(scaled)))
+            ):
                 return period
         return None
 
@@ -458,7 +460,7 @@ class _Path:
         Returns:
             RMS of the mount force [N], number of wavelengths, distance, and whether the share retreats.
         """
-        steps = count * _FINER * self.steps
+        steps = count * _FINER_AVERAGES * self.steps
         timeline = Timeline(steps, steps)
         p = ca.vertcat(self.p[:-1], count * float(self.run.duration))
         found = run_from(self.structure, timeline)(self.states[-1 - count], p)

@@ -1,7 +1,7 @@
 """Choice of the integration method, the number of steps and the checking run from a scene's own time scales."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import lru_cache, reduce
 from typing import Any, NamedTuple
@@ -64,7 +64,7 @@ many in both would hide their error."""
 # Fewest steps of a run. Outputs are interpolated between eight ends of steps.
 _FEWEST_STEPS = 20
 # Most steps of a run, limited by memory.
-_MOST_STEPS = 4_000_000
+_MOST_STEPS_IN_MEMORY = 4_000_000
 # Phase [rad] over a run that steps of order 8 resolve within seconds.
 _ORDER_8_PHASE = 4e5
 
@@ -126,9 +126,9 @@ def _number(name: str, value: Expression) -> float:
     return float(as_number(value))
 
 
-def forced_rate(p: Mapping[str, Any]) -> Any:
+def forced_rate(p: Mapping[str, Any], terms: Iterable[Any] = TERMS) -> Any:
     """Return the fastest angular frequency [rad/s] that the strut and the soil impose."""
-    return reduce(maximum, [rate for kind in TERMS for rate in kind.imposed(p)] or [0.0])
+    return reduce(maximum, [rate for term in terms for rate in term.imposed(p)] or [0.0])
 
 
 def is_imposed(name: str) -> bool:
@@ -169,18 +169,18 @@ class Rates(NamedTuple):
         return self.frequency * duration / (1.0 + 0.5 * self.decay * duration)
 
 
-def rates(p: Mapping[str, Any]) -> Rates:
-    """Return the rates of a motion from the equation's parameters, numbers or arrays."""
-    inertia, every = lightest_mass(p), [kind.rates(p) for kind in TERMS]
+def rates(p: Mapping[str, Any], terms: Iterable[Any] = TERMS) -> Rates:
+    """Return the rates of a motion from the equation's parameters, numbers or arrays, and its terms if known."""
+    inertia, every = lightest_mass(p), [term.rates(p) for term in terms]
     decay = sum(each.damping + each.steepest for each in every) / inertia
     stiffness = abs(p["stiffness"]) + sum(each.stiffness for each in every)
-    return Rates(sqrt(stiffness / inertia), decay, forced_rate(p))
+    return Rates(sqrt(stiffness / inertia), decay, forced_rate(p, terms))
 
 
 @kept
 def rates_of(scene: Scene) -> Rates:
     """Return the rates of a numeric scene's motion."""
-    return rates(numbers_of(scene))
+    return rates(numbers_of(scene), Structure.of(scene).terms)
 
 
 def phase(p: Mapping[str, float], duration: float) -> float:
@@ -199,7 +199,7 @@ def ringing(p: Mapping[str, float], duration: float) -> float:
 
 def steps_for(total_phase: float, phase_per_step: float = PHASE_PER_STEP) -> int:
     """Return the number of steps of order 8 that resolve a total phase [rad]."""
-    return max(_FEWEST_STEPS, math.ceil(min(total_phase / phase_per_step, _MOST_STEPS)))
+    return max(_FEWEST_STEPS, math.ceil(min(total_phase / phase_per_step, _MOST_STEPS_IN_MEMORY)))
 
 
 def fewest_steps(p: Mapping[str, Any]) -> int:

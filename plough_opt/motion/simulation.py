@@ -65,7 +65,7 @@ _EVENT_REFINEMENT = 4
 _FAR_FROM_ORBIT = 1e-2
 # If the check is finer than the run, their difference is less than the run's error by that of the check, about a sixth.
 # Across a kink both errors are irregular: under smooth contact the difference alone was at least 1.3 times the error.
-_MARGIN = 2.0
+_MARGIN_OF_CHECK = 2.0
 # Rounding of the moments at which a share stops for a thousandth of the run or less, as it grows afterwards.
 _EVENT_ROUNDING = 1e-11
 # Relative change of the parameters that shows how predictable a motion is. Rounding is about a thousandth of it.
@@ -417,7 +417,7 @@ def _checked(case: Case, accuracy: Accuracy, check: Accuracy) -> tuple[Integrate
     else:
         found = integrate(case, accuracy)
         apart = _difference(case, found, _check_run(case, accuracy, check, found.sizes))
-    error = apart * (1.0 if _is_coarser(check, accuracy) and not case.structure.kinked else _MARGIN)
+    error = apart * (1.0 if _is_coarser(check, accuracy) and not case.structure.kinked else _MARGIN_OF_CHECK)
     return found, max(error, unnoticed_stops(found.run, case.rate, error))
 
 
@@ -458,7 +458,7 @@ def _warned(case: Case, found: Integrated, error: float, wanted: float | None) -
         apart = _change_by_perturbation(case, found)
         if apart > _SENSITIVE * _PERTURBATION:
             # Two runs that have nothing in common give no bound on the error.
-            error = max(error, _MARGIN * apart) if apart < _UNRELATED else math.inf
+            error = max(error, _MARGIN_OF_CHECK * apart) if apart < _UNRELATED else math.inf
             until = f"to better than {error:.1e}" if error < math.inf else "at all"
             return error, (
                 f"{missed}: the motion is too sensitive to be predicted {until}, because a relative change of the"

@@ -55,16 +55,16 @@ Results = Mapping[str, Callable[[Run], Expression]]
 
 Values = dict[str, NDArray[np.float64]]
 # The first guess of the number of steps: phase [rad] of the fastest oscillation in one step.
-_PHASE_PER_STEP = 0.8
+_PHASE_PER_GUESSED_STEP = 0.8
 # The same for a quasi-static average: phase [rad] of the fastest oscillation in one panel.
 _PHASE_PER_PANEL = 4.0
-_MOST_STEPS = 50_000
+_MOST_COMPONENT_STEPS = 50_000
 # Limit on the number of times that the number of steps is raised.
 _MOST_ROUNDS = 6
 # Errors are relative to a force of at least this part of V0 sqrt(k0 M), which prevents a division by 0.
-_LEAST_FORCE = 1e-9
+_LEAST_PART_OF_FORCE = 1e-9
 # A share retreats if its speed falls below minus this part of its largest speed; less is rounding.
-_RETREAT = 1e-6
+_RETREAT_IN_BOUNDS = 1e-6
 # Results that are checked at points of the box. The underscore at the end keeps their names apart from the inputs'.
 _CHECKED: Results = {
     "draft_": lambda run: run.mean_draft,
@@ -274,7 +274,7 @@ class Box:
         """
         error = error_of(Resolution(steps, self.outputs))
         for _ in range(_MOST_ROUNDS):
-            if error <= wanted or self.accuracy.steps is not None or 2 * steps > _MOST_STEPS:
+            if error <= wanted or self.accuracy.steps is not None or 2 * steps > _MOST_COMPONENT_STEPS:
                 break
             # The error of order 8 falls with the eighth power of the steps. Take a tenth more, at most twice as many.
             steps = math.ceil(steps * min(2.0, 1.1 * (error / wanted) ** 0.125))
@@ -286,7 +286,7 @@ class Box:
         worst = 0.0
         coarse_run, fine_run = self._evaluated(resolution), self._evaluated(resolution.finer(self._moves))
         for coarse, fine in zip(coarse_run, fine_run, strict=True):
-            least = _LEAST_FORCE * float(fine["scale_"][0]) or LEAST
+            least = _LEAST_PART_OF_FORCE * float(fine["scale_"][0]) or LEAST
             size = max(abs(float(fine["draft_"][0])), float(fine["rms_"][0]), least)
             peak = max(float(np.max(np.abs(fine["force_"]))), least)
             for name, scale in (("draft_", size), ("rms_", size), ("force_", peak)):
@@ -319,10 +319,10 @@ class Box:
                 raise DomainError(f"at {where}: {error}; give the inputs narrower bounds") from None
             p = numbers_of(scene)
             if self._moves:
-                most = max(most, steps_for(phase(p, duration), _PHASE_PER_STEP), fewest_steps(p))
+                most = max(most, steps_for(phase(p, duration), _PHASE_PER_GUESSED_STEP), fewest_steps(p))
             else:
                 most = max(most, steps_for(forced_rate(p) * duration, _PHASE_PER_PANEL))
-            if self.accuracy.steps is None and most > _MOST_STEPS:
+            if self.accuracy.steps is None and most > _MOST_COMPONENT_STEPS:
                 raise DomainError(
                     f"at {where} the share oscillates so fast that the run would take {most} steps: narrow the bounds"
                     " on stiffness and mass, shorten the duration, or use the quasi-static scene"
@@ -358,7 +358,7 @@ class Box:
             )
         lowest = [float(np.min(values["speed_"])) for values in results]
         slowest = int(np.argmin(lowest))
-        if lowest[slowest] < -_RETREAT * float(np.max(np.abs(results[slowest]["speed_"]))):
+        if lowest[slowest] < -_RETREAT_IN_BOUNDS * float(np.max(np.abs(results[slowest]["speed_"]))):
             where = point_text(self.scenes.inputs, self._points[slowest])
             notes.append(
                 f"within the bounds the share retreats, as at {where} at up to {-lowest[slowest]:.3g} m/s, and this"

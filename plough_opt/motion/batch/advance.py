@@ -161,11 +161,11 @@ RESULTS = ("mean_draft", "force_rms", "mean_deflection", "displacement_rms", "to
 # Keeps the allowed error of a step above zero if nothing moves the share.
 _TINY = 1e-300
 
-# The number of steps of a run is estimated as _FEWEST_STEPS + phase / _PHASE_PER_STEP, with the phase in rad.
-_FEWEST_STEPS = 4.0
-_PHASE_PER_STEP = 2.5
+# The number of steps of a run is estimated as the first of these plus the phase [rad] over the second.
+_FEWEST_TAYLOR_STEPS = 4.0
+_PHASE_PER_TAYLOR_STEP = 2.5
 # Part of the wanted error that all steps together may make.
-_MARGIN = 0.8
+_PART_OF_STEPS = 0.8
 # That part is divided by 1 + _CAUTION * (slope of the soil's resistance over stiffness), because such a slope may let
 # errors grow.
 _CAUTION = 4.0
@@ -295,8 +295,8 @@ def _phase_and_error_part(layout: Layout) -> ca.Function:
     phase = duration * rates(known).summed
     # Nearly the root of the mean square of (1 - exp(-g u))/g over u from 0 to 1, with g for the decay.
     remembered = 1.0 / ca.sqrt(3.0 + decay * (2.0 + decay))
-    steps = _FEWEST_STEPS + phase / _PHASE_PER_STEP
-    part = _MARGIN / ((1.0 + _CAUTION * soil_over_mount) * remembered * steps)
+    steps = _FEWEST_TAYLOR_STEPS + phase / _PHASE_PER_TAYLOR_STEP
+    part = _PART_OF_STEPS / ((1.0 + _CAUTION * soil_over_mount) * remembered * steps)
     return ca.Function("phase_and_error_part", [p], [phase, part])
 
 
@@ -416,7 +416,7 @@ def largest_squared_error(start: StepStart, ellipse: list[ca.SX]) -> ca.SX:
 
 # Degree in time of the strut's speed during a ramp, by which the product with it has more orders than the motion.
 _RAMP_DEGREE = 5
-_ROUNDING = 2.0**-52
+_EPSILON = 2.0**-52
 
 # The truncated terms are estimated from this number of last coefficients, because a single one may pass through zero.
 _LAST_COEFFICIENTS = 4
@@ -461,7 +461,7 @@ def advance(layout: Layout, order: int, phase: int) -> ca.Function:
     part_of_time = size / ca.fmax(time, TINY)
     averages = _averages(layout, terms, x, part_of_time)
     state = [sum(c * power for c, power in zip(series, powers, strict=False)) for series in (w, rate)]
-    made = last_terms * powers[order] + _ROUNDING * ca.fabs(state[0])
+    made = last_terms * powers[order] + _EPSILON * ca.fabs(state[0])
     *ellipse_before, mean_before = ca.vertsplit(x[-4:])
     ellipse = ellipse_after(ellipse_before, deviation_map(start, (w, rate), powers), made)
     squared_error = 0.5 * (largest_squared_error(start, ellipse_before) + largest_squared_error(start, ellipse))

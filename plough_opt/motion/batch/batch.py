@@ -131,7 +131,7 @@ def _number(column: Array, row: int) -> float:
 # Designs that one thread holds in memory at once.
 _CHUNK = 16384
 # Steps after which a design is given up.
-_MOST_STEPS = 200_000
+_MOST_TAYLOR_STEPS = 200_000
 # How often a design that misses the wanted error is repeated with shorter steps.
 _REPETITIONS = 4
 # A repetition aims at this part of the wanted error.
@@ -376,7 +376,7 @@ class Batch:
     def _run(self, p: Array, states: Array, key: Array) -> Array:
         """Integrate designs, and return their numbers of steps; unfinished ones get NaN as states."""
         sound = np.flatnonzero(np.isfinite(states).all(axis=0))
-        steps = self._engine.run(p, states, sound[np.argsort(key[sound])], _MOST_STEPS)
+        steps = self._engine.run(p, states, sound[np.argsort(key[sound])], _MOST_TAYLOR_STEPS)
         states[:, ~(states[0] >= p[self._layout.ends[-1]])] = np.nan
         return steps
 
@@ -417,11 +417,11 @@ class Batch:
             description = scene.describe()
         except PloughError as error:  # such as a density profile without a compaction front
             return str(error)
-        if self._layout.orbit and steps < _MOST_STEPS:
+        if self._layout.orbit and steps < _MOST_TAYLOR_STEPS:
             return without_orbit(scene)
-        if steps >= _MOST_STEPS:
+        if steps >= _MOST_TAYLOR_STEPS:
             return (
-                f"the motion of a {description} takes more than {_MOST_STEPS} steps: use the quasi-static scene"
+                f"the motion of a {description} takes more than {_MOST_TAYLOR_STEPS} steps: use the quasi-static scene"
                 " (Effects(motion=False)), a softer or a damped mount, or a shorter duration"
             )
         return f"the motion of a {description} has no finite mean: the share is driven away; po.simulate reports when"

@@ -11,13 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.compiler import library
-from plough_opt.motion.c_source import LANE_BY_LANE, LIBRARY, LIBRARY_OF_TWO, Phase, c_source, instructions, variants
+from plough_opt.motion.c_source import (
+    BINARY,
+    COMPARISONS,
+    LANE_BY_LANE,
+    LIBRARY,
+    LIBRARY_OF_TWO,
+    SIMPLE,
+    Phase,
+    c_source,
+    instructions,
+    variants,
+)
 
 Array = NDArray[np.float64]
 
 # Only GCC has the flags of the first attempt, which reorder the long sequences of sums and products so that the
 # processor waits less.
-_VARIANTS = variants("-O3", "-fassociative-math", scheduling=("-fschedule-insns", "-fsched-pressure"))
+_BATCH_VARIANTS = variants("-O3", "-fassociative-math", scheduling=("-fschedule-insns", "-fsched-pressure"))
 # Designs that NumPy evaluates at once: enough to outweigh the cost of its calls, few enough for the processor's cache.
 _BLOCK = 4096
 
@@ -42,7 +53,7 @@ class Engine:
         """
         self._functions, self._phases = functions, phases
         self._compiled = {name: one for name, one in functions.items() if one.is_a("SXFunction")}
-        path = library(c_source(self._compiled, phases, parameters), _VARIANTS, (*self._compiled, "run"))
+        path = library(c_source(self._compiled, phases, parameters), _BATCH_VARIANTS, (*self._compiled, "run"))
         self.compiled = path is not None
         self._library = None if path is None else ctypes.CDLL(str(path))
 
@@ -98,19 +109,9 @@ def _error_function(x: Array) -> Array:
 
 # Python's expression for each of CasADi's frequent operations; CasADi calculates with conditions as with 0 and 1.
 _EXPRESSIONS = {
-    ca.OP_ASSIGN: "{0}",
-    ca.OP_ADD: "{0} + {1}",
-    ca.OP_SUB: "{0} - {1}",
-    ca.OP_MUL: "{0} * {1}",
-    ca.OP_DIV: "{0} / {1}",
-    ca.OP_INV: "1.0 / {0}",
-    ca.OP_NEG: "-{0}",
-    ca.OP_SQ: "{0} * {0}",
-    ca.OP_TWICE: "{0} + {0}",
-    ca.OP_LT: "({0} < {1}) * 1.0",
-    ca.OP_LE: "({0} <= {1}) * 1.0",
-    ca.OP_EQ: "({0} == {1}) * 1.0",
-    ca.OP_NE: "({0} != {1}) * 1.0",
+    **SIMPLE,
+    **{code: f"{{0}} {sign} {{1}}" for code, sign in BINARY.items()},
+    **{code: f"({{0}} {sign} {{1}}) * 1.0" for code, sign in COMPARISONS.items()},
     ca.OP_NOT: "({0} == 0.0) * 1.0",
     ca.OP_AND: "logical_and({0}, {1}) * 1.0",
     ca.OP_OR: "logical_or({0}, {1}) * 1.0",

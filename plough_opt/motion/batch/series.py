@@ -270,7 +270,7 @@ def _apply(graph: Graph, operation: int, of: list[Series]) -> Series:
         return _RULES[operation](graph, *of)
     if operation in _DERIVATIVES:
         return _elementary(graph, operation, *of)
-    if operation in _LOGICAL:
+    if operation in _STEPWISE:
         return graph.stepwise(partial(_evaluated, operation), *of)
     raise InputError(
         f"a batch cannot expand the operation '{name_of(operation)}' of a quantity that changes with time: write the"
@@ -364,4 +364,4 @@ _DERIVATIVES = {
 }
 
 # Operations on conditions, whose results change only where a condition does.
-_LOGICAL = (ca.OP_NOT, ca.OP_AND, ca.OP_OR)
+_STEPWISE = (ca.OP_NOT, ca.OP_AND, ca.OP_OR)

@@ -41,7 +41,7 @@ _SHORTEST = 2.0**-30
 _PLACES = np.linspace(0.0, 1.0, 23)
 # A function is evaluated at the ends of so many equal intervals of the duration, which takes some milliseconds: a
 # change that lasts longer than one of them cannot hide. A power of 2, so that pieces, which are halved, end there.
-_INTERVALS = 4096
+_INTERVALS_OF_TIME = 4096
 # Relative difference of the speeds at the ends of two pieces from which on the speed jumps.
 _JUMP = 1e-9
 _TABLE = "a tuple of times [s] and speeds [m/s], such as ([0, 5, 10], [2.0, 1.5, 2.5])"
@@ -188,7 +188,7 @@ def _approximated(speed: Callable[[float], Any], duration: float) -> tuple[list[
             raise InputError(wrong.format(shown(found[0])))
         return found
 
-    grid = np.linspace(0.0, 1.0, _INTERVALS + 1)
+    grid = np.linspace(0.0, 1.0, _INTERVALS_OF_TIME + 1)
     speeds = values(duration * grid)
     _check_sign(duration * grid, speeds)
     size = float(np.max(np.abs(speeds))) or 1.0

@@ -34,7 +34,7 @@ def test_the_error_is_that_of_the_means_from_many_steps(effects, outputs, steps)
     ]
     averages = 2 * (outputs + 1)
     found = derivative_error(solvers[0], averages, varying, given[:, None])
-    coarse, exact = (np.asarray(jets(structure, one.timeline, varying, 2)(given)) for one in solvers)
+    coarse, exact = (np.asarray(jets(equation_of(structure), one.timeline, varying, 2)(given)) for one in solvers)
     scales = given[list(varying)]
     sizes = np.array([1.0, *scales, scales[0] ** 2, scales[0] * scales[1], scales[1] ** 2])
     wrong, large = (np.max(np.abs(part[averages:]) * sizes, axis=1) for part in (coarse - exact, exact))
@@ -104,7 +104,7 @@ def test_a_step_is_cut_where_the_smooth_contacts_step_ends():
     effects = {"contact": po.Smooth(width), "start": "towed", "damping": 100.0}
     own = scene_of(share=po.Cone("10 deg", "25 cm"), stiffness=2e4, mass=30.0, tow_speed=1.0, **effects)
     structure, known = Structure.of(own), parameters(own)
-    p, one = [*(float(known[name]) for name in equation_of(structure).names), 1.0], step(structure)
+    p, one = [*(float(known[name]) for name in equation_of(structure).names), 1.0], step(equation_of(structure))
 
     def beyond(part, state, start):
         return 1.0 - float(one(state, [start, part * size], p)[0][1]) - width
@@ -112,7 +112,7 @@ def test_a_step_is_cut_where_the_smooth_contacts_step_ends():
     rises, state = [], np.zeros(2)
     for start in size * np.arange(120):
         after = np.asarray(one(state, [start, size], p)[0]).ravel()
-        found = np.asarray(crossings(structure, 2)(state, after, [start, size], p)).ravel()
+        found = np.asarray(crossings(equation_of(structure), 2)(state, after, [start, size], p)).ravel()
         ends, wanted = [beyond(part, state, start) for part in (0.0, 1.0)], 1.0
         if (ends[0] < 0.0) != (ends[1] < 0.0):
             wanted = brentq(beyond, 0.0, 1.0, (state, start))

@@ -57,7 +57,7 @@ def operations(**changes):
     run = po.simulate(scene(**changes), 0.1)
     # Three quarters of the steps check.
     steps = run.accuracy.steps + math.ceil(0.75 * run.accuracy.steps)
-    return steps * step(Structure.of(run.scene)).n_instructions()
+    return steps * step(equation_of(Structure.of(run.scene))).n_instructions()
 
 
 def test_operations_are_those_of_the_steps_of_a_run_and_its_check(costs):

@@ -247,11 +247,11 @@ def _variant(problem: Problem, given: Mapping[str, Any], x: Any, changes: Mappin
     if equation:
         column = stacked(*(p[name] for name in equation.names), duration)
         functions |= {"averages": _dense("averages", x, c, means, variances, parts[2]), "start": equation.start,
-                      "step": step(structure)}  # fmt: skip
+                      "step": step(equation)}  # fmt: skip
         if equation.events is not None:
             functions["events"] = equation.events
         if structure.orbit != "transient":
-            functions["orbit"] = near_orbit(structure)
+            functions["orbit"] = near_orbit(equation)
     ramp = p.get("ramp_time", 0.0) / duration
     setup = stacked(rate, ramp, scene.stiffness, scene.inertia if moves else 0.0, duration)
     data = {

@@ -172,7 +172,7 @@ def source_of(structure: Structure) -> str:
     """
     equation = equation_of(structure)
     (p, _), state, span = equation.symbols(ca.SX), ca.SX.sym("state", 2), ca.SX.sym("span", 2)
-    following, moments = step(structure)(state, span, p)
+    following, moments = step(equation)(state, span, p)
     acceleration = equation.rate(span[0] * p[-1], state, p[:-1])[1]
     result = ca.cse(ca.densify(ca.vertcat(following, acceleration, moments)))
     one = Statements(ca.Function("advance", [state, span, p], [result]), ("x", "s", "p"))
@@ -216,7 +216,9 @@ class ManyRuns:
         if self._code is None:
             source_of(structure)  # raises the error if an operation is the cause
         # Number of orbits -> the map of the states near them.
-        self._near = lru_cache(_MAPS)(near_orbit(structure).expand().map) if structure.orbit == "periodic" else None
+        self._near = (
+            lru_cache(_MAPS)(near_orbit(self._equation).expand().map) if structure.orbit == "periodic" else None
+        )
 
     @property
     def size(self) -> int:
@@ -312,7 +314,7 @@ class ManyRuns:
         for count in np.unique(steps):
             alike, ramp = np.flatnonzero(steps == count), self._structure.ramp
             timeline = Timeline(outputs or 1, int(count), aligned=ramp, moving=ramp)
-            run = run_from(self._structure, timeline).map(len(alike))
+            run = run_from(self._equation, timeline).map(len(alike))
             states, *averages = (np.asarray(part).T for part in run(first[alike].T, p[alike].T))
             read = states.reshape(len(alike), -1) if outputs else np.empty((len(alike), 0))
             results.append(np.hstack([read, *averages]))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.expressions import Column
 from plough_opt.motion.effects import ramp_time
-from plough_opt.motion.equation import Structure, equation_of
+from plough_opt.motion.equation import Equation
 from plough_opt.motion.integrators import Integration, integration
 from plough_opt.motion.methods import DOP853
 from plough_opt.motion.plan import finer
@@ -74,7 +74,7 @@ def _shifted(integration: Integration, varying: tuple[int, ...]) -> tuple[ca.MX,
 def jets_of(integration: Integration, varying: tuple[int, ...], order: int) -> ca.Function:
     """Return the jet of any integration: `jets` for steps of order 8, otherwise by differentiating the whole run."""
     if integration.accuracy.order_8 and integration.structure.orbit == "transient":
-        return jets(integration.structure, integration.timeline, varying, order)
+        return jets(integration.equation, integration.timeline, varying, order)
     p, shift, results = _shifted(integration, varying)
     whole = ca.Function("whole", [p, shift], [ca.densify(_taylor(results, shift, order))])
     return ca.Function("jets", [p], [whole(p, ca.DM.zeros(len(varying)))])
@@ -89,11 +89,11 @@ def _taylor(y: _Symbols, e: _Symbols, order: int) -> _Symbols:
 
 
 @lru_cache(maxsize=64)
-def jets(structure: Structure, timeline: Timeline, varying: tuple[int, ...], order: int) -> ca.Function:
+def jets(equation: Equation, timeline: Timeline, varying: tuple[int, ...], order: int) -> ca.Function:
     """Return the Function of a run's jet, by steps of order 8.
 
     Args:
-        structure: the terms that are on.
+        equation: the equation of motion.
         timeline: steps and outputs.
         varying: positions of the parameters to differentiate by; the duration is the last parameter.
         order: 1 for first derivatives, 2 for second derivatives too.
@@ -103,13 +103,12 @@ def jets(structure: Structure, timeline: Timeline, varying: tuple[int, ...], ord
         states output by output, means, variances). Its columns are the values, the first derivatives and, with order 2,
         the second derivatives of `pairs`.
     """
-    equation = equation_of(structure)
     (p, _), count = equation.symbols(ca.MX), len(varying)
-    ramp = moving_ramp(structure, timeline, p)
+    ramp = moving_ramp(equation, timeline, p)
     spans = spans_of(timeline, p[-1], ramp)
     steps = spans.shape[1]
-    first, ramp_part = _at_start(structure, varying, order)(p)
-    one = unbroken(structure, timeline, _jet_step(structure, varying, order, spans.shape[0]), count)
+    first, ramp_part = _at_start(equation, varying, order)(p)
+    one = unbroken(equation, timeline, _jet_step(equation, varying, order, spans.shape[0]), count)
     states, moments = one.mapaccum(steps)(first, spans, ca.repmat(p, 1, steps))
     width = first.shape[1]
     columns = [moments[:, column::width] for column in range(width)]
@@ -175,21 +174,21 @@ def _read(
     return read
 
 
-def _at_start(structure: Structure, varying: tuple[int, ...], order: int) -> ca.Function:
+def _at_start(equation: Equation, varying: tuple[int, ...], order: int) -> ca.Function:
     """Return parameters -> (jet of the state at time 0, jet of the ramp's part of the duration, 0 without a ramp)."""
-    names = equation_of(structure).names
+    names = equation.names
     p, e = ca.SX.sym("p", len(names) + 1), ca.SX.sym("e", len(varying))
     shifted = ca.SX(p)
     shifted[list(varying)] = p[list(varying)] + e
     known = dict(zip(names, ca.vertsplit(shifted[:-1]), strict=True))
-    part: Column = ramp_time(known) / shifted[-1] if structure.ramp else ca.SX(0)
-    both = (_taylor(ca.densify(ca.SX(y)), e, order) for y in (structure.start_state(known), part))
+    part: Column = ramp_time(known) / shifted[-1] if equation.structure.ramp else ca.SX(0)
+    both = (_taylor(ca.densify(ca.SX(y)), e, order) for y in (equation.structure.start_state(known), part))
     nothing = ca.SX.zeros(e.numel())
     return ca.Function("at_start", [p], [ca.densify(ca.substitute(jet, e, nothing)) for jet in both])
 
 
 @lru_cache(maxsize=64)
-def _jet_step(structure: Structure, varying: tuple[int, ...], order: int, width: int) -> ca.Function:
+def _jet_step(equation: Equation, varying: tuple[int, ...], order: int, width: int) -> ca.Function:
     """Return one step: (jet of the state, span, parameters) -> (jet of the state after it, jet of the moments).
 
     The derivatives solve the equation of motion expanded at every stage. Differentiating the whole step by CasADi gives
@@ -197,12 +196,12 @@ def _jet_step(structure: Structure, varying: tuple[int, ...], order: int, width:
     graph takes two to five times as long to build.
 
     Args:
-        structure: the terms that are on.
+        equation: the equation of motion.
         varying: positions of the parameters to differentiate by.
         order: of the derivatives.
         width: of the span: see `OneStep`.
     """
-    equation, count, one = equation_of(structure), len(varying), OneStep.of(structure, width)
+    count, one = len(varying), OneStep.of(equation, width)
     p, span, start, size = one.p, one.span, one.start, one.size
     jet = ca.SX.sym("jet", 2, _width(count, order))
     # Derivatives of the step's start and size: zero unless the duration or the ramp time varies.
@@ -223,7 +222,7 @@ def _jet_step(structure: Structure, varying: tuple[int, ...], order: int, width:
         return following
 
     # With the symbols of the step, so that all stages share what depends on the parameters alone.
-    at = _expanded(one.structure, varying, order, (p, span))
+    at = _expanded(one.equation, varying, order, (p, span))
     _, first, _ = at(ca.horzcat(start, lateness), jet, 0.0, p, span)
     found: list[list[ca.SX]] = []
     for row, node in zip(DOP853.stages, DOP853.nodes, strict=True):
@@ -239,11 +238,11 @@ def _jet_step(structure: Structure, varying: tuple[int, ...], order: int, width:
     return ca.Function("jet_step", [jet, span, p], [ca.densify(moved(DOP853.weights, rates)), ca.densify(moments)])
 
 
-def _expanded(structure: Structure, varying: tuple[int, ...], order: int, symbols: tuple[ca.SX, ca.SX]) -> ca.Function:
+def _expanded(equation: Equation, varying: tuple[int, ...], order: int, symbols: tuple[ca.SX, ca.SX]) -> ca.Function:
     """Return the equation of motion and the signals, expanded to jets.
 
     Args:
-        structure: the terms that are on.
+        equation: the equation of motion.
         varying: positions of the parameters to differentiate by.
         order: of the derivatives.
         symbols: of the parameters and of the span of a step.
@@ -253,7 +252,7 @@ def _expanded(structure: Structure, varying: tuple[int, ...], order: int, symbol
         of the step, the parameters and the span. It returns the stacked jets of the rate of the state, of the changes
         of the signals since the start of the step, and of the squares of these.
     """
-    equation, count = equation_of(structure), len(varying)
+    count = len(varying)
     moment, jet = ca.SX.sym("moment", 1, 1 + count), ca.SX.sym("jet", 2, _width(count, order))
     first = ca.SX.sym("first", equation.count, jet.shape[1])
     p, span = symbols
@@ -348,7 +347,7 @@ def difference_of_jets(solver: Integration, p: Vector, used: Vector, better: Vec
         better: a more accurate jet.
         wanted: number of the first result that matters.
     """
-    equation = equation_of(solver.structure)
+    equation = solver.equation
     # A parameter that does not occur in the equation has no influence and may count as 0.
     known = dict.fromkeys(solver.structure.names, 0.0) | dict(zip(solver.names, map(float, p), strict=False))
     averages = len(better) - equation.averages

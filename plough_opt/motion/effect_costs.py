@@ -119,7 +119,7 @@ def _operations(scene: Scene, duration: float | None) -> int:
     accuracy = simulate(scene, duration).accuracy
     if accuracy.order_8:
         steps = accuracy.steps or 1
-        return (steps + plan.coarser(steps)) * int(step(structure).n_instructions())
+        return (steps + plan.coarser(steps)) * int(step(equation_of(structure)).n_instructions())
     assert duration is not None
     assert accuracy.tolerance is not None
     check = replace(accuracy, tolerance=accuracy.tolerance / plan.RUN_TOLERANCE)
@@ -140,7 +140,7 @@ def _of_adaptive(scene: Scene, duration: float, accuracy: Accuracy) -> int:
     timeline = plan.timeline_of(scene, duration, plan.OUTPUTS, plan.MOST_ADAPTIVE, accuracy.method)
     solver = integration(Structure.of(scene), accuracy, timeline)
     assert solver.sized is not None  # adaptive methods are CasADi's
-    equation = equation_of(solver.structure)
+    equation = solver.equation
     rates, events = solver.sized.evaluations([*(p[name] for name in solver.names), duration])
     each = int(equation.rate.n_instructions())
     return rates * each + (events * int(equation.events.n_instructions()) if equation.events is not None else 0)

@@ -84,16 +84,21 @@ class Integration:
     the sizes for the tolerances can be chosen.
     """
 
-    structure: Structure
+    equation: Equation
     accuracy: Accuracy
     timeline: Timeline
     function: ca.Function
     sized: Sized | None = None
 
     @property
+    def structure(self) -> Structure:
+        """Terms that are on."""
+        return self.equation.structure
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the parameters before the duration."""
-        return equation_of(self.structure).names
+        return self.equation.names
 
     @property
     def results(self) -> int:
@@ -104,22 +109,24 @@ class Integration:
 @lru_cache(maxsize=128)
 def integration(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> Integration:
     """Return the Function that integrates scenes of a structure by a named method with its setting."""
+    equation = equation_of(structure)
     if structure.orbit != "transient":
-        return Integration(structure, accuracy, timeline, orbit_map(structure, timeline))
+        return Integration(equation, accuracy, timeline, orbit_map(equation, timeline))
     if (tableau := tableau_of(accuracy.method)) is not None:
-        return Integration(structure, accuracy, timeline, run_map(structure, timeline, tableau))
+        return Integration(equation, accuracy, timeline, run_map(equation, timeline, tableau))
     # The end of a symbolic ramp cannot be an output time, and a step across it would spoil derivatives by its time.
     locates = timeline.moving and accuracy.locates_events
-    sized = _by_casadi(replace(structure, locates_ramp=locates and structure.ramp), accuracy, timeline)
+    located = equation_of(replace(structure, locates_ramp=locates and structure.ramp))
+    sized = _by_casadi(located, accuracy, timeline)
     p = ca.MX.sym("p", sized.expected.size1_in(0))
     results = sized.function.call([p, sized.expected(p)])
     function = ca.Function(f"run_{accuracy.method}", [p], results, {"never_inline": True})
-    return Integration(structure, accuracy, timeline, function, sized)
+    return Integration(equation, accuracy, timeline, function, sized)
 
 
-def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> Sized:
+def _by_casadi(equation: Equation, accuracy: Accuracy, timeline: Timeline) -> Sized:
     """Wrap a CasADi integrator of the scaled equation."""
-    equation, (scaled, transition) = equation_of(structure), _scaled_equation(structure)
+    scaled, transition = _scaled_equation(equation)
     options = _options(accuracy, timeline)
     if transition is not None:
         options |= {"transition": transition, "max_events": _MOST_EVENTS, "event_tol": 1e-12, "max_event_iter": 100}
@@ -131,7 +138,7 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
         solver = ca.integrator(name, accuracy.method, scaled, 0.0, times.tolist(), options)
     p, known = equation.symbols(ca.MX)
     sizes = ca.MX.sym("sizes", 2 + equation.averages)
-    unit = _units(structure, sizes)
+    unit = _units(equation.structure, sizes)
     first = equation.start(p[:-1])
     given = stacked(first / unit, ca.MX.zeros(equation.squared)), stacked(p, sizes)
     result = solver(x0=given[0], p=given[1])
@@ -141,7 +148,7 @@ def _by_casadi(structure: Structure, accuracy: Accuracy, timeline: Timeline) -> 
     means = stacked(result["xf"][equation.states :, -1], others) * of_means
     found = [ca.horzcat(first, states), means, spreads * of_spreads**2]
     function = ca.Function(f"sized_{accuracy.method}", [p, sizes], found, {"never_inline": True})
-    expected = ca.Function("expected", [p], [_expected(structure, known, p[-1])])
+    expected = ca.Function("expected", [p], [_expected(equation.structure, known, p[-1])])
     return Sized(function, expected, solver, ca.Function("given", [p, sizes], given))
 
 
@@ -170,20 +177,19 @@ def _units(structure: Structure, sizes: Any) -> Any:
     return stacked(sizes[0], sizes[1], *modes, *(1.0,) * len(structure.ending))
 
 
-def _scaled_equation(structure: Structure) -> tuple[dict[str, ca.SX], ca.Function | None]:
+def _scaled_equation(equation: Equation) -> tuple[dict[str, ca.SX], ca.Function | None]:
     """Return CasADi's dictionary of the scaled equation, and its state transition at events, or None.
 
     Time is scaled by the duration, so that integrals are averages, and states by the given sizes. A mean square about
     the mean integrates the squared deviation from the running mean. Its derivative is exactly that square, so the RMS
     is never a difference of squares.
     """
-    equation = equation_of(structure)
     fraction = ca.SX.sym("fraction")
     count = equation.states
     x = ca.SX.sym("x", count + equation.squared)
     p, _ = equation.symbols(ca.SX)
     sizes = ca.SX.sym("sizes", 2 + equation.averages)
-    unit = _units(structure, sizes)
+    unit = _units(equation.structure, sizes)
     _, of_means, of_spreads = ca.vertsplit(sizes, [0, 2, 2 + equation.count, sizes.numel()])
     duration = p[-1]
     time, state = fraction * duration, x[:count] * unit
@@ -322,7 +328,7 @@ class Case:
         scene: the scene.
         duration: simulated time [s].
         outputs: number of intervals between output times.
-        structure: what the equation of motion contains.
+        equation: the equation of motion.
         p: the equation's parameters by name.
         code: compiled steps of order 8, if requested and available.
         event_refinement: factor on the number of outputs of a motion with events, so that none goes unnoticed.
@@ -332,7 +338,7 @@ class Case:
     scene: Scene
     duration: float
     outputs: int
-    structure: Structure
+    equation: Equation
     p: Mapping[str, float]
     code: CompiledSteps | None = None
     event_refinement: int = 1
@@ -347,7 +353,7 @@ class Case:
         """
         structure = Structure.of(scene)
         code = compiled_steps(structure) if compiled and scene.effects.motion and structure.stepped else None
-        return cls(scene, duration, outputs, structure, numbers_of(scene), code)
+        return cls(scene, duration, outputs, equation_of(structure), numbers_of(scene), code)
 
     @property
     def output_factor(self) -> int:
@@ -359,10 +365,10 @@ class Case:
         """Angular frequency of the fastest oscillation, or rate of decay if that is faster [rad/s]."""
         return rates_of(self.scene).fastest
 
-    @cached_property
-    def equation(self) -> Equation:
-        """Equation of motion."""
-        return equation_of(self.structure)
+    @property
+    def structure(self) -> Structure:
+        """Terms that are on."""
+        return self.equation.structure
 
     @cached_property
     def column(self) -> list[float]:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.expressions import Column, stacked
 from plough_opt.motion.effects import StrengthWaves, wave_names
-from plough_opt.motion.equation import Structure, equation_of
+from plough_opt.motion.equation import Equation, Structure, equation_of
 from plough_opt.motion.plan import numbers_of
 from plough_opt.motion.run import Run, Settled, averages_of
 from plough_opt.motion.scene import Scene
@@ -44,26 +44,26 @@ _LEAST_AMPLITUDE = 1e-3
 _SAMPLES = 16
 
 
-def orbit_map(structure: Structure, timeline: Timeline) -> ca.Function:
+def orbit_map(equation: Equation, timeline: Timeline) -> ca.Function:
     """Return the Function of one period of the orbit, as `plough_opt.motion.integrators.Integration` describes it.
 
     The duration, its last parameter, must be the period ell/V0.
     """
-    if structure.orbit == "periodic":
-        return _shooting(structure, timeline)
-    series = _linear(structure) if structure.orbit == "linearised" else _balanced(structure)
-    return _from_series(structure, timeline, series)
+    if equation.structure.orbit == "periodic":
+        return _shooting(equation, timeline)
+    series = _linear(equation) if equation.structure.orbit == "linearised" else _balanced(equation)
+    return _from_series(equation, timeline, series)
 
 
 @lru_cache(maxsize=32)
-def monodromy(structure: Structure, timeline: Timeline) -> ca.Function:
+def monodromy(equation: Equation, timeline: Timeline) -> ca.Function:
     """Return (state at time 0, parameters) -> derivative of the state after one period by the state at time 0."""
-    first, p = ca.MX.sym("first", 2), ca.MX.sym("p", len(equation_of(structure).names) + 1)
-    last = run_from(structure, timeline)(first, p)[0][:, -1]
+    first, p = ca.MX.sym("first", 2), ca.MX.sym("p", len(equation.names) + 1)
+    last = run_from(equation, timeline)(first, p)[0][:, -1]
     return ca.Function("monodromy", [first, p], [ca.jacobian(last, first)])
 
 
-def _response(structure: Structure, p: dict[str, Column]) -> tuple[Column, Column, Column]:
+def _response(equation: Equation, p: dict[str, Column]) -> tuple[Column, Column, Column]:
     """Return the mean, the sine and the cosine coefficients of w [m] in the linear response about steady sliding.
 
     On the steady path L = V0 t, with theta = omega t, the resistance is Fm + sum of Fs sin(n theta) + Fc cos(n theta),
@@ -71,88 +71,88 @@ def _response(structure: Structure, p: dict[str, Column]) -> tuple[Column, Colum
     by the phase 2 pi z0/ell of the start deflection, with d = c + dF/dL'. The coefficients are columns by the number n
     from 1 on.
     """
-    names, repeats = equation_of(structure).names, _wave(structure).repeats(p)
-    omega = _frequency(structure, p)
-    mean, along_sine, along_cosine, slope = _series(structure)(stacked(*(p[name] for name in names)))
-    turns = _turns(structure)
+    names, repeats = equation.names, _wave(equation).repeats(p)
+    omega = _frequency(equation, p)
+    mean, along_sine, along_cosine, slope = _series(equation)(stacked(*(p[name] for name in names)))
+    turns = _turns(equation)
     n = ca.DM(turns)
-    damping = structure.pull(p, 0.0, 1.0) + slope
+    damping = equation.structure.pull(p, 0.0, 1.0) + slope
     spring, damped = p["stiffness"] - p["inertia"] * (n * omega) ** 2, damping * n * omega
     size = 1.0 / (spring**2 + damped**2)
     sine: Column = size * (spring * along_sine + damped * along_cosine)
     cosine: Column = size * (spring * along_cosine - damped * along_sine)
-    lag: Column = n * (2.0 * math.pi / repeats * structure.start_deflection(p))
+    lag: Column = n * (2.0 * math.pi / repeats * equation.structure.start_deflection(p))
     every = ca.DM.eye(turns[-1])[:, [turn - 1 for turn in turns]]
     sines = ca.mtimes(every, sine * ca.cos(lag) + cosine * ca.sin(lag))
     return mean / p["stiffness"], sines, ca.mtimes(every, cosine * ca.cos(lag) - sine * ca.sin(lag))
 
 
-def _wave(structure: Structure) -> StrengthWaves:
+def _wave(equation: Equation) -> StrengthWaves:
     """Return the strength waves, which every scene with an orbit has."""
-    assert structure.wave is not None
-    return structure.wave
+    assert equation.structure.wave is not None
+    return equation.structure.wave
 
 
-def _frequency(structure: Structure, p: dict[str, Column]) -> Column:
+def _frequency(equation: Equation, p: dict[str, Column]) -> Column:
     """Return the angular frequency of an orbit [rad/s]."""
-    found: Column = 2.0 * math.pi * p["tow_speed"] / _wave(structure).repeats(p)
+    found: Column = 2.0 * math.pi * p["tow_speed"] / _wave(equation).repeats(p)
     return found
 
 
-def _turns(structure: Structure) -> list[int]:
+def _turns(equation: Equation) -> list[int]:
     """Return how many turns each wave makes in the common length, ascending, each number once."""
-    return sorted({*(_wave(structure).turns or (1,))})
+    return sorted({*(_wave(equation).turns or (1,))})
 
 
 @lru_cache(maxsize=32)
-def _series(structure: Structure) -> ca.Function:
+def _series(equation: Equation) -> ca.Function:
     """Return parameters -> Fourier coefficients of the resistance on the steady path, and its slope.
 
     The parameters are those of `signals`. The results are the mean change since the start [N], the sine and the cosine
     coefficients [N], columns by `_turns`, and the mean derivative by the speed [N s/m].
     """
-    names, turns = equation_of(structure).names, _turns(structure)
+    names, turns = equation.names, _turns(equation)
     given, travel, gain = ca.SX.sym("given", len(names)), ca.SX.sym("travel"), ca.SX.sym("gain")
     known = dict(zip(names, ca.vertsplit(given), strict=True))
-    change: Column = structure.resistance_change(known, travel, gain)
+    change: Column = equation.structure.resistance_change(known, travel, gain)
     force = ca.SX(change)
     slope = ca.substitute(ca.jacobian(force, gain), gain, 0.0)
     at = ca.Function("at", [travel, given], [ca.densify(ca.substitute(force, gain, 0.0)), ca.densify(slope)])
     count = _SAMPLES * turns[-1]
     phases = 2.0 * math.pi * np.arange(count) / count
     p = ca.MX.sym("p", len(names))
-    repeats: Column = _wave(structure).repeats(dict(zip(names, ca.vertsplit(p), strict=True)))
+    repeats: Column = _wave(equation).repeats(dict(zip(names, ca.vertsplit(p), strict=True)))
     forces, slopes = at.map(count)(ca.DM(phases).T / (2.0 * math.pi) * repeats, ca.repmat(p, 1, count))
     sines, cosines = (2.0 / count * function(np.outer(phases, turns)) for function in (np.sin, np.cos))
     found = [ca.sum2(forces) / count, *((forces @ ca.DM(b)).T for b in (sines, cosines)), ca.sum2(slopes) / count]
     return ca.Function("series", [p], found)
 
 
-def _size(structure: Structure, p: dict[str, Column]) -> Column:
+def _size(equation: Equation, p: dict[str, Column]) -> Column:
     """Return the unit [m] of an orbit's unknowns: the deflection by the waves' forces, slightly above zero."""
-    amplitude = ca.sqrt(sum(p[wave_names(k)[0]] ** 2 for k in range(_wave(structure).count)) + _LEAST_AMPLITUDE**2)
+    amplitude = ca.sqrt(sum(p[wave_names(k)[0]] ** 2 for k in range(_wave(equation).count)) + _LEAST_AMPLITUDE**2)
     return amplitude * p["static"] / p["stiffness"] + 1e-30
 
 
 @lru_cache(maxsize=32)
-def near_orbit(structure: Structure) -> ca.Function:
+def near_orbit(equation: Equation) -> ca.Function:
     """Return parameters -> state (w [m], w' [m/s]) of the linear response at time 0, and the units of states."""
-    p, known = equation_of(structure).symbols(ca.MX)
-    mean, sines, cosines = _response(structure, known)
-    omega, size = _frequency(structure, known), _size(structure, known)
+    p, known = equation.symbols(ca.MX)
+    mean, sines, cosines = _response(equation, known)
+    omega, size = _frequency(equation, known), _size(equation, known)
     turning = omega * ca.dot(ca.DM(range(1, sines.numel() + 1)), sines)
     state, unit = stacked(mean + ca.sum1(cosines), turning), stacked(size, size * omega)
     return ca.Function("near_orbit", [p], [state, unit])
 
 
-def _shooting(structure: Structure, timeline: Timeline) -> ca.Function:
+def _shooting(equation: Equation, timeline: Timeline) -> ca.Function:
     """Return the Function of the orbit whose state returns to itself after one period of steps."""
-    p, x = ca.MX.sym("p", len(equation_of(structure).names) + 1), ca.MX.sym("x", 2)
-    guess, unit = near_orbit(structure)(p)
-    once = run_from(structure, Timeline(1, timeline.steps))
+    p, x = ca.MX.sym("p", len(equation.names) + 1), ca.MX.sym("x", 2)
+    guess, unit = near_orbit(equation)(p)
+    once = run_from(equation, Timeline(1, timeline.steps))
     miss = (once(x * unit, p)[0][:, -1] - x * unit) / unit
     first = _root(x, p, miss, guess / unit) * unit
-    results = run_from(structure, timeline)(first, p)
+    results = run_from(equation, timeline)(first, p)
     return ca.Function("orbit", [p], list(results), {"never_inline": True})
 
 
@@ -224,25 +224,24 @@ def without_orbit(scene: Scene) -> str:
     )
 
 
-def _linear(structure: Structure) -> ca.Function:
+def _linear(equation: Equation) -> ca.Function:
     """Return parameters -> Fourier coefficients of the linear response: mean, cosines, sines [m]."""
-    p, known = equation_of(structure).symbols(ca.MX)
-    mean, sines, cosines = _response(structure, known)
+    p, known = equation.symbols(ca.MX)
+    mean, sines, cosines = _response(equation, known)
     return ca.Function("linear", [p], [stacked(mean, cosines, sines)])
 
 
 @lru_cache(maxsize=32)
-def _balanced(structure: Structure) -> ca.Function:
+def _balanced(equation: Equation) -> ca.Function:
     """Return parameters -> Fourier coefficients for which all harmonics kept balance the equation of motion."""
-    count = structure.harmonics
+    count = equation.structure.harmonics
     samples = 4 * count + 12
     phases = 2.0 * math.pi * np.arange(samples) / samples
     basis, slope, bend = _basis(count, phases)
-    equation = equation_of(structure)
     (p, known), x = equation.symbols(ca.MX), ca.MX.sym("x", 2 * count + 1)
-    mean, sines, cosines = _response(structure, known)
-    omega = _frequency(structure, known)
-    size = _size(structure, known)
+    mean, sines, cosines = _response(equation, known)
+    omega = _frequency(equation, known)
+    size = _size(equation, known)
     w, rate, acceleration = (size * ca.mtimes(ca.DM(b), x) for b in (basis, slope, bend))
     rate, acceleration = rate * omega, acceleration * omega**2
     states = stacked(w.T, rate.T)
@@ -276,10 +275,10 @@ def _basis(count: int, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
     )
 
 
-def _from_series(structure: Structure, timeline: Timeline, series: ca.Function) -> ca.Function:
+def _from_series(equation: Equation, timeline: Timeline, series: ca.Function) -> ca.Function:
     """Return parameters -> states at the outputs, means and variances of a Fourier series of w."""
-    p, known = equation_of(structure).symbols(ca.MX)
-    omega = _frequency(structure, known)
+    p, known = equation.symbols(ca.MX)
+    omega = _frequency(equation, known)
     x = series(p)
     count = (x.numel() - 1) // 2
     basis, slope, _ = _basis(count, 2.0 * math.pi * timeline.output_fractions)
@@ -287,7 +286,7 @@ def _from_series(structure: Structure, timeline: Timeline, series: ca.Function) 
     cosines, sines = x[1 : count + 1], x[count + 1 :]
     means: list[Column] = [x[0]]
     variances = [ca.sumsqr(x[1:]) / 2.0]
-    if structure.damper:
+    if equation.structure.damper:
         k, c = known["stiffness"], known["damping"] * omega * ca.DM(np.arange(1, count + 1))
         means.append(k * x[0])
         variances.append((ca.sumsqr(k * cosines + c * sines) + ca.sumsqr(k * sines - c * cosines)) / 2.0)
@@ -335,7 +334,7 @@ def which_motion(run: Run) -> tuple[tuple[complex, ...], Settled, tuple[str, ...
     path = _Path(run)
     # Derivatives by the start state are less exact than the states, so they take twice the orbit's steps.
     once = Timeline(1, 2 * path.steps)
-    found = np.linalg.eigvals(monodromy(path.structure, once)(path.orbit, path.p).full())
+    found = np.linalg.eigvals(monodromy(path.equation, once)(path.orbit, path.p).full())
     multipliers, largest = tuple(complex(value) for value in found), float(np.max(np.abs(found)))
     warnings: tuple[str, ...] = ()
     if largest > 1.0 + _MARGINAL_MULTIPLIER:
@@ -393,7 +392,7 @@ class _Path:
 
     Attributes:
         run: the orbit.
-        structure: the terms that are on.
+        equation: the equation of motion.
         numbers: the equation's parameters by name.
         p: the same as a column, the period last.
         steps: of the orbit.
@@ -404,11 +403,10 @@ class _Path:
 
     def __init__(self, run: Run) -> None:
         """Begin at equilibrium."""
-        self.run, self.structure, self.numbers = run, Structure.of(run.scene), numbers_of(run.scene)
+        self.run, self.equation, self.numbers = run, equation_of(Structure.of(run.scene)), numbers_of(run.scene)
         self.steps = run.accuracy.steps or 1
-        names = equation_of(self.structure).names
-        self.p = ca.DM([*(self.numbers[name] for name in names), float(run.duration)])
-        first = float(self.structure.start_deflection(self.numbers))
+        self.p = ca.DM([*(self.numbers[name] for name in self.equation.names), float(run.duration)])
+        first = float(self.equation.structure.start_deflection(self.numbers))
         w, rate = run.deflection - first, run.scene.tow_speed - run.speed
         frequency = max(float(run.scene.wave_frequency), float(run.scene.natural_frequency))
         range_of_w = max(float(np.ptp(w)) / 2.0, float(np.ptp(rate)) / 2.0 / frequency, _SMALLEST_UNIT * abs(first))
@@ -433,7 +431,7 @@ class _Path:
 
     def follow(self) -> None:
         """Integrate some more wavelengths."""
-        ends = _wavelengths(self.structure, self.steps, self.at_once)(self.states[-1], self.p)
+        ends = _wavelengths(self.equation, self.steps, self.at_once)(self.states[-1], self.p)
         self.states = np.vstack([self.states, ends.full().T])
 
     def period(self, largest: float) -> int | None:
@@ -463,23 +461,23 @@ class _Path:
         steps = count * _FINER_AVERAGES * self.steps
         timeline = Timeline(steps, steps)
         p = ca.vertcat(self.p[:-1], count * float(self.run.duration))
-        found = run_from(self.structure, timeline)(self.states[-1 - count], p)
+        found = run_from(self.equation, timeline)(self.states[-1 - count], p)
         states, means, variances = (np.asarray(result) for result in found)
         scene = self.run.scene
-        first = self.structure.start_force(self.numbers)
-        averages = averages_of(scene, self.structure, self.numbers, first, means.ravel(), variances.ravel())
+        first = self.equation.structure.start_force(self.numbers)
+        averages = averages_of(scene, self.equation.structure, self.numbers, first, means.ravel(), variances.ravel())
         return float(averages.force_rms), count, distance, bool(np.max(states[1]) > scene.tow_speed)
 
 
 @lru_cache(maxsize=32)
-def _wavelengths(structure: Structure, steps: int, count: int) -> ca.Function:
+def _wavelengths(equation: Equation, steps: int, count: int) -> ca.Function:
     """Return (state, parameters with the wave's period last) -> states at the ends of the next wavelengths.
 
     Time restarts with each of them, because the soil repeats itself every wavelength.
     """
-    first, p = ca.MX.sym("first", 2), ca.MX.sym("p", len(equation_of(structure).names) + 1)
+    first, p = ca.MX.sym("first", 2), ca.MX.sym("p", len(equation.names) + 1)
     fractions = np.arange(steps) / steps
     spans = ca.DM(np.vstack([fractions, np.full(steps, 1.0 / steps)]))
-    states, _ = step(structure).mapaccum(steps)(first, spans, ca.repmat(p, 1, steps))
+    states, _ = step(equation).mapaccum(steps)(first, spans, ca.repmat(p, 1, steps))
     once = ca.Function("wavelength", [first, p], [states[:, -1]])
     return ca.Function("wavelengths", [first, p], [once.mapaccum(count)(first, ca.repmat(p, 1, count))])

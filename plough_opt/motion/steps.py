@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from plough_opt.core.expressions import Column, stacked
 from plough_opt.motion.effects import ramp_time
-from plough_opt.motion.equation import Structure, equation_of
+from plough_opt.motion.equation import Equation, equation_of
 from plough_opt.motion.methods import DOP853, Tableau
 
 READ_FROM: Final = 8
@@ -289,7 +289,7 @@ class OneStep:
     """Symbols of one step.
 
     Attributes:
-        structure: the terms that are on. If steps end at the ramp's end, their span states whether the ramp is over. A
+        equation: the equation of motion. If steps end at the ramp's end, their span states whether the ramp is over. A
             stage at the end itself could not decide it, and there the formulas of ramp and constant speed differ in
             second derivatives.
         span: start and size of the step as fractions of the duration. A span of width 5 also has parts of both as
@@ -300,7 +300,7 @@ class OneStep:
         size: length of the step [s].
     """
 
-    structure: Structure
+    equation: Equation
     span: ca.SX
     p: ca.SX
     known: dict[str, Column]
@@ -309,26 +309,26 @@ class OneStep:
 
     @property
     def given(self) -> ca.SX:
-        """Parameters of the equation of `structure`."""
+        """Parameters of `equation`."""
         column: ca.SX = ca.vertcat(self.p[:-1], self.span[4:])
         return column
 
     @classmethod
-    def of(cls, structure: Structure, width: int) -> OneStep:
+    def of(cls, equation: Equation, width: int) -> OneStep:
         """Create the symbols of a step with a span of that width, 2 or 5."""
-        span, (p, known) = ca.SX.sym("span", width), equation_of(structure).symbols(ca.SX)
+        span, (p, known) = ca.SX.sym("span", width), equation.symbols(ca.SX)
         start: Column = span[0] * p[-1]
         size: Column = span[1] * p[-1]
         if width > 2:
-            structure = replace(structure, ramp_by_step=True)
+            equation = equation_of(replace(equation.structure, ramp_by_step=True))
             start, size = start + span[2] * ramp_time(known), size + span[3] * ramp_time(known)
             known = known | {"ramped": span[4]}
-        return cls(structure, span, p, known, start, size)
+        return cls(equation, span, p, known, start, size)
 
 
-def moving_ramp(structure: Structure, timeline: Timeline, p: ca.MX) -> Column:
+def moving_ramp(equation: Equation, timeline: Timeline, p: ca.MX) -> Column:
     """Return the time [s] of a ramp at whose symbolic end a step ends, or None; the duration is the last of p."""
-    return ramp_time(equation_of(structure).named(p)) if timeline.moving and structure.ramp else None
+    return ramp_time(equation.named(p)) if timeline.moving and equation.structure.ramp else None
 
 
 def spans_of(timeline: Timeline, duration: ca.MX, ramp: ca.MX | None) -> ca.MX | ca.DM:
@@ -342,16 +342,16 @@ def spans_of(timeline: Timeline, duration: ca.MX, ramp: ca.MX | None) -> ca.MX |
     return transposed
 
 
-def unbroken(structure: Structure, timeline: Timeline, one: ca.Function, count: int = 0) -> ca.Function:
+def unbroken(equation: Equation, timeline: Timeline, one: ca.Function, count: int = 0) -> ca.Function:
     """Return a Function like ``one`` that divides a step into three if the smooth contact's step ends within it.
 
     Args:
-        structure: the terms that are on.
+        equation: the equation of motion.
         timeline: times of the run; without ``moving`` steps are not divided.
         one: (Taylor coefficients of the state, span, parameters) -> (those of the next state, those of the moments).
         count: number of parameters by which these are differentiated.
     """
-    if not timeline.moving or not structure.smooth:
+    if not timeline.moving or not equation.structure.smooth:
         return one
     state, span, p = (ca.MX.sym(one.name_in(k), *one.size_in(k)) for k in range(3))
     at = ca.MX.sym("at", 2)
@@ -369,26 +369,26 @@ def unbroken(structure: Structure, timeline: Timeline, one: ca.Function, count: 
         found.append(own)
     sizes = stacked(at[0], at[1] - at[0], 1.0 - at[1])
     columns = [ca.horzcat(*(own[:, k] for own in found)) for k in range(found[0].shape[1])]
-    both = pooled(columns, lambda parts: [part @ sizes for part in parts], equation_of(structure).count, count)
+    both = pooled(columns, lambda parts: [part @ sizes for part in parts], equation.count, count)
     parted = ca.Function("parted", given, [reached, stacked(*both)])
     after, moments = one(state, span, p)
-    at = crossings(structure, span.numel())(state[:, 0], after[:, 0], span, p)
+    at = crossings(equation, span.numel())(state[:, 0], after[:, 0], span, p)
     chosen = ca.Function.if_else("chosen", parted, whole)(at[0] < 1.0, state, span, p, at, after, moments)
     return ca.Function("unbroken", [state, span, p], list(chosen))
 
 
 @lru_cache(maxsize=64)
-def crossings(structure: Structure, width: int) -> ca.Function:
+def crossings(equation: Equation, width: int) -> ca.Function:
     """Return (states at both ends of a step, span, p) -> fractions of the step at which the smooth contact's step ends.
 
     A fraction is 1 if that end is not within the step. The share's speed is interpolated by a cubic.
     """
-    states, at = [ca.SX.sym("first", 2), ca.SX.sym("last", 2)], OneStep.of(structure, width)
-    equation, known, size = equation_of(at.structure), at.known, at.size
+    states, at = [ca.SX.sym("first", 2), ca.SX.sym("last", 2)], OneStep.of(equation, width)
+    equation, known, size = at.equation, at.known, at.size
     speeds, slopes = [], []
     for time, state in zip((at.start, at.start + size), states, strict=True):
-        mount = structure.strut(known, time)
-        speeds.append(structure.start_speed(known) + mount.gain - state[1])
+        mount = equation.structure.strut(known, time)
+        speeds.append(equation.structure.start_speed(known) + mount.gain - state[1])
         slopes.append(size * (mount.acceleration - equation.rate(time, state, at.given)[1]))
     change = speeds[1] - speeds[0]
     bend, twist = 3.0 * change - 2.0 * slopes[0] - slopes[1], slopes[0] + slopes[1] - 2.0 * change
@@ -405,15 +405,15 @@ def crossings(structure: Structure, width: int) -> ca.Function:
 
 
 @lru_cache(maxsize=64)
-def step(structure: Structure, width: int = 2, tableau: Tableau = DOP853) -> ca.Function:
+def step(equation: Equation, width: int = 2, tableau: Tableau = DOP853) -> ca.Function:
     """Return one step as a Function: (state, span, parameters with the duration last) -> (state, moments).
 
     The span is that of `OneStep`. The moments are the mean of each signal over the step and then, for each signal with
     an RMS, the mean square about that mean. Both are computed from the deviation from the value at the step's start, in
     which cancellation costs at most a factor of four.
     """
-    at = OneStep.of(structure, width)
-    equation, size = equation_of(at.structure), at.size
+    at = OneStep.of(equation, width)
+    equation, size = at.equation, at.size
     state = ca.SX.sym("state", equation.states)
     given = at.given
     rates: list[ca.SX] = []
@@ -438,25 +438,23 @@ def step(structure: Structure, width: int = 2, tableau: Tableau = DOP853) -> ca.
     return ca.Function("step", [state, at.span, at.p], ca.cse([following, stacked(first + mean, spread)]))
 
 
-def run_map(structure: Structure, timeline: Timeline, tableau: Tableau = DOP853) -> ca.Function:
+def run_map(equation: Equation, timeline: Timeline, tableau: Tableau = DOP853) -> ca.Function:
     """Return a run as a Function of the parameters: see `plough_opt.motion.integrators.Integration`."""
-    equation = equation_of(structure)
     p, _ = equation.symbols(ca.MX)
-    results = run_from(structure, timeline, tableau)(equation.start(p[:-1]), p)
+    results = run_from(equation, timeline, tableau)(equation.start(p[:-1]), p)
     return ca.Function("run_map", [p], list(results), {"never_inline": True})
 
 
 @lru_cache(maxsize=64)
-def run_from(structure: Structure, timeline: Timeline, tableau: Tableau = DOP853) -> ca.Function:
+def run_from(equation: Equation, timeline: Timeline, tableau: Tableau = DOP853) -> ca.Function:
     """Return a run from any state: (state at time 0, parameters) -> (states at the outputs, means, variances)."""
-    equation = equation_of(structure)
     first = ca.MX.sym("first", 2)
     p, _ = equation.symbols(ca.MX)
-    ramp = moving_ramp(structure, timeline, p)
+    ramp = moving_ramp(equation, timeline, p)
     spans = spans_of(timeline, p[-1], ramp)
     sizes = spans[1, :] if ramp is None else spans[1, :] + spans[3, :] * (ramp / p[-1])
     count = sizes.shape[1]
-    one = unbroken(structure, timeline, step(structure, spans.shape[0], tableau))
+    one = unbroken(equation, timeline, step(equation, spans.shape[0], tableau))
     states, moments = one.mapaccum(count)(first, spans, ca.repmat(p, 1, count))
     averages = pooled([moments], lambda parts: [part @ sizes.T for part in parts], equation.count)
     found = at_outputs(timeline, ca.horzcat(first, states), p[-1], ramp)

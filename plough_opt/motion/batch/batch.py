@@ -208,7 +208,7 @@ class Batch:
         }
         if self._layout.orbit:
             p, q = ca.SX.sym("p", len(self._layout.names) + 1), ca.SX.sym("q", 8)
-            functions["near"] = ca.Function("near", [p], [ca.vertcat(*near_orbit(self._layout.structure)(p))])
+            functions["near"] = ca.Function("near", [p], [ca.vertcat(*near_orbit(self._layout.equation)(p))])
             missed = ellipse_after(ca.vertsplit(q[:3]), _UNMOVED, q[3])
             functions["closed"] = ca.Function(
                 "closed", [q], [ca.vertcat(*ellipse_after(missed, (q[4], q[5], q[6], q[7]), ca.SX(0)))]

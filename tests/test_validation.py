@@ -377,6 +377,8 @@ def levels(found):
     return [
         f"agree with particles within {largest(*errors)} %, mostly within 10 %",
         f"Low by a factor of {low:.1f} in the reference, {widest:.1f} in the widest box",
+        "sides without friction draw {:.2f} of the draft".format(*found.ratios("error: friction of the sides")),
+        "a damping of 0.5 for 0.2 draws {:.2f}".format(*found.ratios("error: damping")),
         f"a pressure of {pressure:.0f} ± {error:.0f} kPa, a factor of {fine:.1f}",
         f"hold at once, {widest * fine / low:.1f}",
         f"at 25° spheres of 28 mm draw {coarse:.2f} of the draft",

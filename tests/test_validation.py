@@ -411,7 +411,7 @@ def blades(rows):
 GIVEN = {
     *{"15°", "100 mm", "28 cm", "20 mm", "50 kPa", "2 m/s"},  # the reference
     *{"38 cm", "8°", "10°", "20°", "6 m/s", "25", "200 kPa"},  # cases
-    *{"30°", "10 kg", "400 N s/m", "10", "5", "2 %"},  # penetrometer, mount, parts of the base radius
+    *{"30°", "0.5 m/s", "10 kg", "400 N s/m", "10", "5", "2 %"},  # penetrometer, mount, parts of the base radius
     *{"1", "0.794", "2013"},  # ratios of one, 1/√(1 − b1); a named soil; a year
     *{"13", "10 mm", "32"},  # 16 times the time of a step, and twice as many, timed on 28,900 spheres
 }

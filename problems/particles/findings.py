@@ -6,7 +6,6 @@
 import functools
 import itertools
 import math
-import typing
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
@@ -15,7 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
-from particles.run_plan import BAND_LENGTH, HERE, MATERIAL, MOUNT, PACKINGS, UNIT, Case, read_rows, series
+from particles.run_plan import BAND_LENGTH, HERE, MATERIAL, MOUNT, PACKINGS, UNIT, Case, key_of, read_rows, series
 
 import plough_opt as po
 
@@ -31,19 +30,17 @@ Rows = list[list[str]]
 
 
 @functools.cache
-def table(name: str) -> dict[tuple[str, ...], dict[int, Row]]:
-    """Return the rows of a table of this folder: parameters but the seed -> seed -> row."""
+def table() -> dict[tuple[str, ...], dict[int, Row]]:
+    """Return the rows of both files: parameters but the seed -> seed -> row."""
     found: dict[tuple[str, ...], dict[int, Row]] = {}
-    types = typing.get_type_hints(Case)
-    for row in read_rows(HERE / f"{name}.csv"):
-        case = Case(**{name: kind(row[name]) for name, kind in types.items()})
-        found.setdefault(case.key[:-1], {})[case.seed] = row
+    for row in (*read_rows(HERE / "particles.csv"), *read_rows(HERE / "triaxial.csv")):
+        found.setdefault(key_of(row)[:-1], {})[int(row["seed"])] = row
     return found
 
 
 def numbers(case: Case, column: str = "draft") -> Array:
     """Return a column of a case's rows, packing by packing; empty if the case was not run in all of them."""
-    rows = table("triaxial" if case.kind == "triaxial" else "particles").get(case.key[:-1], {})
+    rows = table().get(case.key[:-1], {})
     return np.array([float(rows[seed][column]) for seed in PACKINGS] if {*PACKINGS} <= {*rows} else [])
 
 

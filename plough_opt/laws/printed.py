@@ -29,7 +29,7 @@ class Printed:
     Args:
         pi_twice: pi in F (25) and again in A, B and C (26); F0, Fd and the added mass are pi times too large.
         one_third: 1/3 in C (26) in place of 2/3; the added mass is half its true value.
-        repelling_spring: + k0 (L - V0 t) in (27); the spring's force on the share is -k0 z at the deflection
+        repelling_spring: the term + k0 (L - V0 t) in (27); the spring's force on the share is -k0 z at the deflection
             z = V0 t - L, and the share moves away from the strut like exp(omega t), omega = sqrt(k0/M).
 
     Raises:

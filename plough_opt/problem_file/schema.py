@@ -132,7 +132,9 @@ class CompactionTable(Table):
     """A compression test, from which the density ratio at the ambient pressure follows."""
 
     pressure: list[Written]
+    """pressures of the test"""
     volume_lost: list[StrictFloat]
+    """fraction of the volume that is lost at each of them"""
 
 
 class SoilTable(Table):
@@ -142,10 +144,15 @@ class SoilTable(Table):
     """
 
     name: str | None = None
+    """a named soil; properties beside it replace its values"""
     adjust: Adjust = "strength factor"
+    """the property that the cone index decides"""
     penetrometer: str | None = None
+    """CSV file of cone index over depth, beside the problem file"""
     depth: str | None = None
+    """depths over which its readings are averaged, such as 25..45 cm"""
     compaction: CompactionTable | None = None
+    """a compression test, which decides the density ratio"""
 
     @property
     def adjusted(self) -> str:
@@ -161,8 +168,11 @@ class SceneTable(Table):
     """Mount, masses, speed and time."""
 
     medium: Annotated[Any, AfterValidator(checked_medium), Field(json_schema_extra=describe_media)] = "plastic"
+    """the law of resistance: its name, or a table with its name and its quantities"""
     outputs: Annotated[StrictInt, Field(ge=1, le=100_000)] = 400
+    """number of equal intervals between output times"""
     average: Literal["run", "whole waves"] = "run"
+    """average over the run, or shorten it to whole waves"""
 
     @property
     def law(self) -> ResistanceLaw:
@@ -174,16 +184,27 @@ class EffectsTable(Table):
     """Effects that differ from the defaults."""
 
     motion: StrictBool = Effects.motion
+    """whether the share moves on its mount; if not it follows the strut"""
     inertial_drag: StrictBool = Effects.inertial_drag
+    """the force Fd, which grows with the squared speed"""
     added_mass: StrictBool = Effects.added_mass
+    """the soil that accelerates with the share"""
     ambient_pressure: StrictBool = Effects.ambient_pressure
+    """the pressure ahead of the compaction front"""
     contact: Literal["resisting", "smooth", "stick_slip"] = "resisting"
+    """whether the soil always resists, only a share that advances, or lets it stick and slip"""
     start: Literal["equilibrium", "rest", "towed"] = Effects.start
+    """at the steady deflection, at rest, or moving with the strut"""
     entry: StrictBool = Effects.entry
+    """whether the share enters the soil tip first"""
     orbit: Literal["transient", "periodic", "linearised", "harmonic_balance"] = "transient"
+    """the motion from the start, or the orbit that repeats with every wave, exact or approximate"""
     harmonics: Annotated[StrictInt, Field(ge=1, le=MOST_HARMONICS)] = HarmonicBalance.harmonics
+    """number of harmonics of a harmonic balance"""
     formulation: Literal["derived", "printed"] = "derived"
+    """the corrected equations, or those of the source with its misprints"""
     own: Annotated[list[dict[str, Any]], AfterValidator(checked_effects)] = []
+    """effects of your own classes"""
 
     def effects(
         self, values: Mapping[str, Expression], spectrum: Spectrum | None, course: SpeedProfile | None
@@ -231,37 +252,54 @@ class RandomStrengthTable(Table):
     """Random strength: its RMS and correlation length, or a file with a measured record."""
 
     record: StrictStr | None = None
+    """CSV file of a record along the path, beside the problem file"""
     base_diameter: StrictStr | None = None
+    """diameter over which the strength is averaged"""
 
 
 class VariableTable(Table):
     """Bounds of a variable as written, and values or a step to choose from; its name decides the unit."""
 
     lower: Written
+    """lower bound"""
     upper: Written
+    """upper bound"""
     guess: Written | None = None
+    """start of the search"""
     log: StrictBool = False
+    """whether it is scaled by its logarithm"""
     tolerance: Written | None = None
+    """half the width of the tolerance band, in its unit or per cent"""
     catalogue: Annotated[list[Written], Field(min_length=1)] | None = None
+    """values to choose from"""
     step: Written | None = None
+    """step whose multiples are to choose from"""
 
 
 class TermTable(Table):
     """A term of the objective: a result, or in an uncertain soil a measure of it, divided by ``per``."""
 
     per: Written
+    """amount that counts as 1 in the objective"""
     measure: StrictStr | None = None
+    """measure over an uncertain soil"""
     width: Written | None = None
+    """length over which the measure is smoothed"""
 
 
 class LimitTable(Table):
     """Limits of a result as written; in an uncertain soil they may apply to a measure or hold with a probability."""
 
     at_least: Written | None = None
+    """lower limit"""
     at_most: Written | None = None
+    """upper limit"""
     measure: StrictStr | None = None
+    """measure over an uncertain soil"""
     probability: StrictFloat | None = None
+    """fraction of the soils in which the limit holds"""
     width: Written | None = None
+    """length over which the measure is smoothed"""
 
     @property
     def sides(self) -> dict[str, str | float]:
@@ -284,16 +322,22 @@ class MeasureTable(Table):
     """A result that the file defines: an expression of other results, and its unit."""
 
     value: StrictStr
+    """expression of other results"""
     unit: StrictStr = ""
+    """its unit"""
 
 
 class AccuracyTable(Table):
     """Integration method and its setting, or the relative error to reach."""
 
     method: StrictStr = "auto"
+    """integration method"""
     error: StrictFloat | None = None
+    """relative error to reach"""
     steps: StrictInt | None = None
+    """number of steps of a method with fixed steps"""
     tolerance: StrictFloat | None = None
+    """tolerance of an adaptive method"""
 
 
 class ProblemTable(Table):

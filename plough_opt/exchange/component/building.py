@@ -387,8 +387,8 @@ def component(
             symbol of an `Input`.
         duration: simulated time [s]. Omit it for a periodic orbit, which lasts one wavelength of the soil strength.
         inputs: names of quantities, as in problem files ("share.height", "soil.cohesion", "scene.duration"), or
-            `Input`s with bounds. The bounds determine the number of steps.
-        outputs: names of results, as in problem files ("mean_draft", "deflection"), or `Output`s.
+            each an `Input` with bounds. The bounds determine the number of steps.
+        outputs: names of results, as in problem files ("mean_draft", "deflection"), or each an `Output`.
         steel_density: density of the share's material [kg/m^3]. The mass then follows the share's volume, the rest of
             the scene's mass is the frame's, and "scene.frame_mass" and "scene.steel_density" can be inputs. Default:
             the mass is constant.

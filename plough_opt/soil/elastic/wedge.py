@@ -454,7 +454,7 @@ def wedge_force(profile: Profile, soil: Soil, speed: Expression, *, separation: 
     adhered to the face, the pressure drag would be zero for every profile, because no energy is radiated below the
     shear wave speed, and so would be the friction of a single straight wedge. The force therefore comes from the
     compressed part of the face after the rest has separated. For a straight wedge of slope t and length l it is
-    2 (t + mu0) l A ln(1 + exp(-p_a/A)) with A = mu |K| t/pi.
+    2 (t + mu0) l A ln(1 + exp(-p_a/A)) with A = mu abs(K) t/pi.
 
     Args:
         profile: nodes (x, half thickness) [m], or a share, as in `wedge_stress`.

@@ -289,8 +289,10 @@ def test_variables_in_products_are_searched():
 
 
 def test_a_file_takes_the_variables_of_the_page_and_the_worst_within_tolerances(tmp_path):
-    page = (PROBLEMS.parent / "docs" / "howto" / "tolerances.md").read_text(encoding="utf-8")
-    variables, catalogues = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
+    pages = [
+        (PROBLEMS.parent / "docs" / "howto" / f"{name}.md").read_text("utf-8") for name in ("tolerances", "catalogue")
+    ]
+    variables, catalogues = (re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)[0] for page in pages)
     path = tmp_path / "share.toml"
 
     def problem(table, *changes):

@@ -108,6 +108,8 @@ def page_model(problem: Problem) -> PageModel:
     """
     _refuse(problem)
     values = {key: v.guess for key, v in problem.variables.items()} | problem.numbers()
+    if problem.scene().effects.tow_profile is not None:
+        del values["scene.tow_speed"]  # a table over time, which no slider moves
     kind: Any = ca.SX if problem.scene().law.scalar else ca.MX
     x = kind.sym("x", len(values))
     given = dict(zip(values, ca.vertsplit(x), strict=True))
@@ -252,8 +254,10 @@ def _variant(problem: Problem, given: Mapping[str, Any], x: Any, changes: Mappin
             functions["events"] = equation.events
         if structure.orbit != "transient":
             functions["orbit"] = near_orbit(equation)
-    ramp = p.get("ramp_time", 0.0) / duration
-    setup = stacked(rate, ramp, scene.stiffness, scene.inertia if moves else 0.0, duration)
+    profile = scene.effects.tow_profile
+    kinks = [p.get("ramp_time", 0.0), *(profile.times if profile else ())]
+    inertia = scene.inertia if moves else 0.0
+    setup = stacked(rate, scene.stiffness, inertia, duration, *(time / duration for time in kinks))
     data = {
         "moves": moves, "kinked": structure.kinked, "count": count, "squared": squared,
         "nodes": int(equation.rate.n_nodes()) if equation else 0,
@@ -272,11 +276,8 @@ def _slopes(problem: Problem) -> dict[str, float]:
 
 def _refuse(problem: Problem) -> None:
     """Raise InputError for what the page cannot compute."""
-    effects = problem.scene().effects
-    if effects.orbit not in ("transient", "periodic"):
+    if problem.scene().effects.orbit not in ("transient", "periodic"):
         raise InputError("the page does not compute approximations of periodic orbits: use orbit = 'periodic'")
-    if effects.tow_profile is not None:
-        raise InputError("the page does not compute a tow speed that varies over time")
 
 
 def _dense(name: str, *parts: Any) -> ca.Function:

@@ -70,8 +70,8 @@ def explore(
 
     Raises:
         InputError: the file has a mistake, several shares or an uncertain soil, the scene holds symbols or something
-            that no problem file can say, the duration is missing or given for another question, the design has no
-            JavaScript form, or the page cannot be written.
+            that cannot be written as a problem file, the duration is missing or given for another question, the design
+            has no JavaScript form, or the page cannot be written.
         InfeasibleDesign, NotConverged: as `Design.solve`.
 
     Example:

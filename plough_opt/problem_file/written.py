@@ -44,7 +44,7 @@ def problem_of(scene: Scene, duration: float | None, title: str) -> Problem:
     if holds_casadi(scene):
         raise InputError("the scene holds symbols: give one of numbers, such as best(scene) of an optimum")
     if not isinstance(scene.share, Wedge):
-        raise InputError("no problem file can say a share that is a Cone: give the Wedge")
+        raise InputError("a Cone cannot be written into a problem file: give the Wedge")
     given = {name: float(as_number(value)) for name, value in quantities_of(scene).items() if value is not None}
     frame = {"scene.frame_mass": given.pop("scene.mass"), "scene.steel_density": 0.0}
     given |= frame | ({} if duration is None else {"scene.duration": duration})
@@ -58,11 +58,11 @@ def problem_of(scene: Scene, duration: float | None, title: str) -> Problem:
     try:
         problem = read_source(Source("\n".join(lines) + "\n", _NAME), Path())
     except InputError as error:
-        raise InputError(f"no problem file can say this scene: {error}") from None
+        raise InputError(f"this scene cannot be written as a problem file: {error}") from None
     found = problem.scene()
     soil = replace(found.soil, name=scene.soil.name, source=scene.soil.source)
     if different := next(_differences("scene", scene, replace(found, soil=soil)), None):
-        raise InputError(f"no problem file can say {different}")
+        raise InputError(f"this scene cannot be written as a problem file: {different}")
     # Units follow the size of the values, as in all results of Python.
     return replace(problem, displays={})
 

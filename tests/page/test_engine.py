@@ -55,6 +55,7 @@ SCENES = {
         "effects.start=rest", "effects.entry=true", "effects.contact=stick_slip", "effects.tow_ramp=0.3 s",
         "scene.duration=1 s",
     ],
+    "a speed over time": ['scene.tow_speed={time=["0 s","0.5 s","1.3 s"],speed=["1 m/s","2.5 m/s","2 m/s"]}'],
     "a compression test": ["soil.ambient_pressure=60 kPa", COMPACTION],
 }  # fmt: skip
 DESIGNS = 17
@@ -198,13 +199,22 @@ def test_a_rough_run_for_the_landscape_is_near(tmp_path):
         assert abs(rough["peak_deflection"] - accurate["peak_deflection"]) < 0.1 * swing
 
 
-def test_chromium_computes_the_same(browser):
-    problem = po.read_problem(SUBSOILER)
-    model = page_model(problem)
-    rows = designs(model, "as in the file")
+@needs_node
+@pytest.mark.parametrize("scene", SCENES)
+def test_chromium_computes_what_node_computes(scene, browser, tmp_path):
+    """Sines of two versions of one engine may differ in their last digit, which a sensitive motion amplifies."""
+    model = page_model(read(scene, tmp_path))
+    rows = designs(model, scene)
     page = browser.new_page()
-    assert_equal(problem, model, rows, page.evaluate(f"() => {{ {script(model, rows)}; return ALL; }}"))
+    given = page.evaluate(f"() => {{ {script(model, rows)}; return ALL; }}")
     page.close()
+    for found, other in zip(given, in_node(model, rows, tmp_path), strict=True):
+        if isinstance(other, str):
+            assert found == other
+            continue
+        allowed = found["error_estimate"] + ROUNDING
+        assert [found[name] for name in AVERAGES] == pytest.approx([other[name] for name in AVERAGES], rel=allowed)
+        assert found["rows"]["mount_force"] == pytest.approx(other["rows"]["mount_force"], rel=allowed)
 
 
 @dataclass(frozen=True)

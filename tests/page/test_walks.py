@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers.browser import open_page
 from helpers.commands import printed
-from helpers.problem_files import COTTON, PROBLEMS, STATIC, SUBSOILER, changed
+from helpers.problem_files import PROBLEMS, STATIC, SUBSOILER, changed
 
 import plough_opt as po
 from plough_opt.app import page_model
@@ -326,14 +326,14 @@ def test_without_scripts_the_report_is_readable(browser, written):
 
 
 def test_a_scene_that_the_page_cannot_compute_stays_a_report(browser, tmp_path):
-    (tmp_path / "stick.toml").write_text(COTTON, encoding="utf-8")
-    fixed = ["share.wedge_angle=35 deg", "share.height=0.25 m", "scene.stiffness=50 kN/m", "effects.contact=stick_slip"]
-    changes = [part for text in [*fixed, "scene.duration=0.3 s"] for part in ("--set", text)]
-    printed("explore", tmp_path / "stick.toml", "-o", tmp_path / "stick.html", *changes)
+    (tmp_path / "orbit.toml").write_text(changed(('duration = "2 s"\n', "")), encoding="utf-8")
+    fixed = ["share.wedge_angle=35 deg", "share.height=0.25 m", "scene.stiffness=50 kN/m", "effects.orbit=linearised"]
+    changes = [part for text in fixed for part in ("--set", text)]
+    printed("explore", tmp_path / "orbit.toml", "-o", tmp_path / "orbit.html", *changes)
     page = browser.new_page()
-    page.goto((tmp_path / "stick.html").as_uri())
+    page.goto((tmp_path / "orbit.html").as_uri())
     assert "does not compute further designs" in page.locator("#explore").inner_text()
-    assert "stick and slip" in page.locator("#explore").inner_text()
+    assert "approximations of periodic orbits" in page.locator("#explore").inner_text()
     page.close()
 
 

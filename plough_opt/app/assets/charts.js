@@ -65,7 +65,7 @@ function range(chart) {
 }
 
 function build(chart) {
-  const figure = document.getElementById(chart.id), plot = figure.querySelector(".plot"), read = figure.querySelector(".read");
+  const figure = /** @type {any} */ (document.getElementById(chart.id)), plot = figure.querySelector(".plot"), read = figure.querySelector(".read");
   const cloud = chart.groups && joined(chart.groups);
   const data = cloud ? cloud.data : [chart.x.values, ...chart.series.map((one) => one.values)];
   const series = cloud

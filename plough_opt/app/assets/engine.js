@@ -68,11 +68,12 @@ function engine(model, functions, effects = "") {
     return variant.limits.map((limit, k) => broken(limit, limited[k])).find((why) => why) || "";
   }
 
-  /** Ends of the steps as fractions of the duration: some in each output interval, and one at the end of a ramp. */
-  function nodesOf(outputs, per, kink) {
-    const count = outputs * per, nodes = Array.from({ length: count + 1 }, (_, k) => k / count);
-    const near = Math.round(kink * count);
-    if (kink > 0 && kink < 1 && Math.abs(nodes[near] - kink) >= SHORT) nodes.splice(Math.floor(kink * count) + 1, 0, kink);
+  /** Ends of the steps as fractions of the duration: some in each output interval, and one at each kink of the strut's speed. */
+  function nodesOf(outputs, per, kinks) {
+    const count = outputs * per, nodes = [];
+    for (let k = 0; k <= count; k++) nodes.push(k / count);
+    const apart = kinks.filter((kink) => kink > 0 && kink < 1 && Math.abs(Math.round(kink * count) / count - kink) >= SHORT);
+    if (apart.length) { nodes.push(...apart); nodes.sort((a, b) => a - b); }
     return nodes;
   }
 
@@ -134,15 +135,15 @@ function engine(model, functions, effects = "") {
   const table = (outputs) => names.map(() => new Float64Array(outputs + 1));
 
   /** The five averages and the results over time of a motion, by steps of order 8. */
-  function motion(x, [, , constants, p], outputs, per, kink) {
-    const nodes = nodesOf(outputs, per, kink), duration = p[p.length - 1], rows = table(outputs);
+  function motion(x, [, , constants, p], outputs, per, kinks) {
+    const nodes = nodesOf(outputs, per, kinks), duration = p[p.length - 1], rows = table(outputs);
     const mean = Array(variant.count).fill(0), square = Array(variant.squared).fill(0);
     const { first, floquet } = f.orbit ? returning(p, nodes) : { first: f.start(p.slice(0, -1))[0], floquet: undefined };
     let state = first, next = 0;
     for (let k = 0; k < nodes.length; k++) {
       if (next <= outputs && nodes[k] === next / outputs) {
         const [found] = f.at(x, constants, [nodes[k] * duration], state);
-        rows.forEach((row, j) => { row[next] = found[j]; });
+        for (let j = 0; j < rows.length; j++) rows[j][next] = found[j];
         next++;
       }
       if (k + 1 === nodes.length) break;
@@ -155,7 +156,7 @@ function engine(model, functions, effects = "") {
 
   /** The same of a share that follows the strut: quadratures of the force over panels. */
   function still(x, [setup, , constants], outputs, per, { nodes, weights }) {
-    const [, kink, stiffness, , duration] = setup, ends = nodesOf(outputs, per, kink), rows = table(outputs);
+    const [, stiffness, , duration, ...kinks] = setup, ends = nodesOf(outputs, per, kinks), rows = table(outputs);
     const at = (part) => f.at(x, constants, [part * duration], [0, 0])[0];
     const force = model.rows.indexOf("mount_force"), speed = model.rows.indexOf("speed");
     for (let k = 0; k <= outputs; k++) at(k / outputs).forEach((value, j) => { rows[j][k] = value; });
@@ -175,7 +176,13 @@ function engine(model, functions, effects = "") {
     return { rows, constants, five: [draft, rms, draft / stiffness, rms / stiffness, power], steps: ends.length - 1 };
   }
 
-  const peak = (row) => row.reduce((most, value) => Math.max(most, Math.abs(value)), 0);
+  /** The least and the largest of values. */
+  function extent(values) {
+    let low = Infinity, high = -Infinity;
+    for (let k = 0; k < values.length; k++) { low = Math.min(low, values[k]); high = Math.max(high, values[k]); }
+    return [low, high];
+  }
+  const peak = (row) => Math.max(...extent(row).map(Math.abs));
 
   /** The largest relative difference of two runs, each result on its own scale: see checks.py. */
   function difference(run, other, stiffness, inertia) {
@@ -198,16 +205,16 @@ function engine(model, functions, effects = "") {
 
   /** A single run for a picture of many designs, with as many steps as outputs. */
   function rough(x, known) {
-    const [[rate, kink, , , duration]] = known, phase = Math.ceil(rate * duration / ROUGH_PHASE);
+    const [[rate, , , duration, ...kinks]] = known, phase = Math.ceil(rate * duration / ROUGH_PHASE);
     const outputs = Math.min(model.outputs, Math.max(FEWEST, phase)), per = Math.ceil(Math.max(1, phase) / outputs);
     if (outputs * per > MOST_STEPS) throw new RangeError("the share oscillates too fast");
-    const run = variant.moves ? motion(x, known, outputs, per, kink) : still(x, known, outputs, per, model.gauss[0]);
+    const run = variant.moves ? motion(x, known, outputs, per, kinks) : still(x, known, outputs, per, model.gauss[0]);
     return { ...run, error: run.five.every(Number.isFinite) ? NaN : Infinity };
   }
 
   /** A run and its error, estimated by a second one with fewer steps, or by a quadrature with more nodes. */
   function checked(x, known, outputs, wanted) {
-    const [[rate, kink, stiffness, inertia, duration]] = known;
+    const [[rate, stiffness, inertia, duration, ...kinks]] = known;
     if (!variant.moves) {
       const per = Math.max(1, Math.round(Math.max(FEWEST, Math.ceil(rate * duration / PANEL)) / outputs));
       const [run, check] = model.gauss.map((points) => still(x, known, outputs, per, points));
@@ -217,7 +224,7 @@ function engine(model, functions, effects = "") {
     const phase = Math.min(LONG_PHASE, PHASE * (wanted / PHASE_ERROR) ** 0.125);
     let per = Math.max(2, Math.ceil(rate * duration / phase / outputs)), best = null;
     for (let attempt = 0; attempt < ATTEMPTS && per * outputs <= MOST_STEPS; attempt++) {
-      const run = motion(x, known, outputs, per, kink), coarse = motion(x, known, outputs, Math.floor(0.75 * per), kink);
+      const run = motion(x, known, outputs, per, kinks), coarse = motion(x, known, outputs, Math.floor(0.75 * per), kinks);
       const error = Math.max(least, margin * difference(run, coarse, stiffness, inertia));
       if (!best || error < best.error) best = { ...run, error };
       if (error <= wanted) break;
@@ -231,10 +238,12 @@ function engine(model, functions, effects = "") {
   /**
    * Results at values of the inputs in SI units, given in their order.
    * @param {number[]} x
-   * @param {{ error?: number, sketch?: boolean }} [options] error to reach; or a single rough run without an estimate
+   * @param {{ error?: number, sketch?: boolean, warm?: boolean }} [options] error to reach; or a single rough run without an
+   *   estimate; warm: run twice, so that the time is that of compiled functions
    * @throws {RangeError} values outside the model's domain, or a motion without a finite result
    */
-  function evaluate(x, { error: wanted = model.error, sketch = false } = {}) {
+  function evaluate(x, { error: wanted = model.error, sketch = false, warm = false } = {}) {
+    if (warm) evaluate(x, { error: wanted });
     const began = performance.now(), why = refusal(x);
     if (why) throw new RangeError(why);
     const known = prepared(x), found = sketch ? rough(x, known) : checked(x, known, model.outputs, wanted);
@@ -246,18 +255,17 @@ function engine(model, functions, effects = "") {
     model.results.forEach((one, k) => { results[one.name] = measures[k]; });
     if (f.orbit) results.floquet = found.floquet;
     const rows = Object.fromEntries(model.rows.map((name, k) => [name, found.rows[k]]));
-    results.peak_force = rows.mount_force.reduce((a, b) => Math.max(a, b));
-    results.peak_deflection = rows.deflection.reduce((a, b) => Math.max(a, b));
+    [, results.peak_force] = extent(rows.mount_force);
+    [, results.peak_deflection] = extent(rows.deflection);
     const requirements = model.requirements.map((one) => kept(one, one.everywhere ? rows[one.name] : [results[one.name]]));
-    const duration = known[0][4], count = rows.travel.length;
-    const time = Float64Array.from({ length: count }, (_, k) => k * duration / (count - 1));
+    const last = rows.travel.length - 1, time = rows.travel.map((_, k) => k * known[0][3] / last);
     return { ...results, rows: { time, ...rows }, requirements, error_estimate: found.error, steps: found.steps,
       seconds: (performance.now() - began) / 1000 };
   }
 
   /** The value of a requirement that is nearest to its limit, and the margin. */
   function kept({ low: least, high: most }, values) {
-    const low = values.reduce((a, b) => Math.min(a, b)), high = values.reduce((a, b) => Math.max(a, b));
+    const [low, high] = extent(values);
     const margins = [least === null ? Infinity : low - least, most === null ? Infinity : most - high];
     return { value: margins[0] < margins[1] ? low : high, margin: Math.min(...margins) };
   }

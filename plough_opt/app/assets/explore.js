@@ -3,12 +3,12 @@
 (() => {
   const section = document.getElementById("explore"), model = DATA.model;
   section.hidden = false;
-  const link = document.querySelector("[data-explore]");
+  const link = /** @type {HTMLElement} */ (document.querySelector("[data-explore]"));
   link.hidden = false;
   /* The address belongs to the design. */
   link.addEventListener("click", (event) => { event.preventDefault(); section.scrollIntoView(); });
   if (!model) return;
-  const { inputs } = model, place = (id) => document.getElementById(id);
+  const { inputs } = model, place = (id) => /** @type {any} */ (document.getElementById(id));
   const variables = inputs.flatMap((one, k) => one.variable ? [k] : []);
   const initial = inputs.map((one) => model.best[one.name] ?? one.value);
   /* A design of the user's own has no motion that the page knows. */
@@ -56,7 +56,7 @@
   /* The design in the address: the values that differ from the start. */
   const address = (values) => ["explore", ...(effects ? [`effects=${effects}`] : []), ...inputs.flatMap((one, k) => values[k] === initial[k] ? [] : [`${one.name}=${values[k]}`])].join("&");
   function addressed() {
-    const given = new Map(location.hash.slice(1).split("&").map((one) => one.split("=")));
+    const given = new Map(location.hash.slice(1).split("&").map((one) => { const [name, v] = one.split("="); return [name, v]; }));
     effects = given.get("effects") in model.variants ? given.get("effects") : "";
     return inputs.map((one, k) => { const v = given.get(one.name); return v && Number.isFinite(Number(v)) ? Number(v) : initial[k]; });
   }
@@ -64,7 +64,7 @@
   let visited = [location.hash.startsWith("#explore") ? location.hash : ""], at = 0;
   function reached(k) {
     at = k;
-    section.querySelector("[data-do=undo]").disabled = at === 0;
+    place("undo").disabled = at === 0;
   }
   reached(0);
   function commit() {
@@ -152,7 +152,7 @@
     const before = refused;
     refused = why;
     if (now && !before !== !why) { rebuild(); if (charts.cloud) scatter(); }
-    for (const each of section.querySelectorAll("[data-leaves]")) each.disabled = why !== "";
+    for (const each of /** @type {any} */ (section.querySelectorAll("[data-leaves]"))) each.disabled = why !== "";
     if (now) table();
     controls.forEach(({ wrong, field }, i) => { wrong.textContent = i === k ? why : ""; field.ariaInvalid = String(i === k); });
     place("status").textContent = why;
@@ -181,7 +181,7 @@
   const of = (design, one) => design[one.name] ?? design.x[inputs.findIndex((each) => each.name === one.name)];
   function table() {
     const designs = [[nowName(), now], ...(best ? [[dated(model.known, asked), best]] : []), ...pins.map((pin, k) => [`pin ${k + 1}`, pin])];
-    const head = designs.map(([name, design], k) => make("th", { scope: "col" }, [name, described(design.effects)].filter(Boolean).join(", "), ...(pins.includes(design) ? [make("button", { type: "button", textContent: "×", ariaLabel: `remove ${name}`, onclick: () => { pins = pins.filter((pin) => pin !== design); rebuild(); table(); } })] : [])));
+    const head = designs.map(([name, design]) => make("th", { scope: "col" }, [name, described(design.effects)].filter(Boolean).join(", "), ...(pins.includes(design) ? [make("button", { type: "button", textContent: "×", ariaLabel: `remove ${name}`, onclick: () => { pins = pins.filter((pin) => pin !== design); rebuild(); table(); } })] : [])));
     if (best) head.splice(1, 0, make("th", { scope: "col", textContent: `from ${model.known}` }));
     place("table").tHead.replaceChildren(make("tr", {}, make("th", { scope: "col" }), ...head));
     place("table").tBodies[0].replaceChildren(...columns.map((one) => {
@@ -243,8 +243,8 @@
   const later = () => { clearTimeout(timer); timer = setTimeout(sample, 150); };
   async function sample() {
     const mine = ++turn, asked = now.x, under = now.effects;
-    if (terms.open) for (const [k, { says, on, box }] of switches.entries()) {
-      const key = toggled(k), known = await slow("evaluate", under, asked, { error }), other = key in model.variants && await slow("evaluate", key, asked, { error }).catch(() => null);
+    if (terms.open) for (const [k, { says, box }] of switches.entries()) {
+      const key = toggled(k), known = await slow("evaluate", under, asked, { error, warm: true }), other = key in model.variants && await slow("evaluate", key, asked, { error, warm: true }).catch(() => null);
       if (mine !== turn) return;
       const parts = ["mean_draft", "force_rms", "mean_deflection"].map((name) => `${columns.find((one) => one.name === name).label} ${percent((other[name] - known[name]) / (Math.abs(known[name]) || 1))}`);
       says.textContent = other ? `${box.checked ? "without" : "with"} it: ${parts.join(", ")}; ${model.variants[key].nodes} operations in the equation instead of ${model.variants[under].nodes}, ${other.steps} steps instead of ${known.steps}, ${number(1000 * other.seconds)} ms instead of ${number(1000 * known.seconds)} ms` : "another effect or a result of the file needs it";
@@ -284,7 +284,7 @@
     delete charts.cloud.name;
   }
   place("now_cloud").addEventListener("click", (event) => {
-    if (!event.target.closest(".u-over")) return;
+    if (!(/** @type {any} */ (event.target).closest(".u-over"))) return;
     const { u } = charts.cloud, [across, up] = axes.map((select) => columns[select.value]), at = u.over.getBoundingClientRect();
     const far = (one) => Math.hypot(u.valToPos(of(one, across) / across.factor, "x") + at.left - event.clientX, u.valToPos(of(one, up) / up.factor, "y") + at.top - event.clientY);
     const near = [...cloud.filter(Boolean), ...marks, ...(best ? [best] : [])].reduce((a, b) => !a || far(b) < far(a) ? b : a, null);
@@ -339,7 +339,7 @@
   const DO = {
     undo: () => history.back(),
     reset: () => take(initial),
-    pin: () => { pins = [...pins, now].slice(-MOST_PINS); rebuild(); table(); },
+    pin: () => { pins = [...pins, { ...now }].slice(-MOST_PINS); rebuild(); table(); },
     command: () => { place("command").select(); document.execCommand("copy"); place("status").textContent = model.certifies ? "Copied: run it to compute the certified optimum." : "Copied: run it to compute this with Python."; },
     toml: () => download("design.toml", problem()), csv: () => download("design.csv", csv()), stl: () => download("share.stl", stl()), svg: () => download("design.svg", svg()),
     better: async () => {
@@ -350,15 +350,15 @@
       place("status").textContent = `${better ? "A better design" : "No better design"} after ${tried} tries. This search is local and certifies nothing: ${moving ? "the command below" : "design.solve()"} does.`;
     },
   };
-  section.addEventListener("click", (event) => { const what = event.target.closest("[data-do]"); if (what) DO[what.dataset.do](); });
-  section.addEventListener("keydown", (event) => { if (event.ctrlKey && event.key === "z" && event.target.type !== "text") { event.preventDefault(); if (at) DO.undo(); } });
+  section.addEventListener("click", ({ target }) => { const what = /** @type {any} */ (target).closest("[data-do]"); if (what) DO[what.dataset.do](); });
+  section.addEventListener("keydown", (event) => { if (event.ctrlKey && event.key === "z" && /** @type {any} */ (event.target).type !== "text") { event.preventDefault(); if (at) DO.undo(); } });
   if (moving) {
     place("digits").value = String(Math.round(-Math.log10(error)));
     place("digits").addEventListener("input", () => { error = 10 ** -place("digits").value; ask(); });
   }
 
   const plain = ({ rows, requirements, ...rest }) => ({ ...rest, ...rows, requirements });
-  window.ploughOpt = {
+  Object.assign(window, { ploughOpt: {
     inputs, outputs: columns.slice(variables.length),
     evaluate: async (given = {}) => plain(await quick("evaluate", effects, requested(given), { error })),
     state: () => keyed(x),
@@ -370,7 +370,7 @@
       if (refused) throw new RangeError(refused);
       commit();
     },
-  };
+  } });
   x = addressed();
   if (location.hash.startsWith("#explore")) section.scrollIntoView();
   (async () => {

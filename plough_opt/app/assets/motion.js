@@ -4,6 +4,7 @@
   const figure = document.getElementById("motion");
   if (!figure) return;
   const own = DATA.motion, canvas = figure.querySelector("canvas"), ctx = canvas.getContext("2d");
+  /** @type {any[]} */
   const [button, slider, output, speed] = ["button", "input", "output", "select"].map((tag) => figure.querySelector(tag));
   const last = own.time.length - 1, end = own.time[last];
   const most = Math.max(...own.deflection.map(Math.abs)) || 1;

@@ -330,6 +330,16 @@ def test_a_descent_holds_a_variable_exactly(two_valleys, held):
         assert np.min(np.abs(4.0 * end[1 - held] - 2.0 - bottoms)) < 1e-4
 
 
+def test_a_descent_from_between_a_narrow_valley_and_a_wide_one_takes_the_lower():
+    d, x, y = design(x=(0.5, 0.0, 1.0), y=(0.5, 0.0, 1.0))
+    # Beside the edge y = 0 lie narrow valleys over x, the first at 0.005; the wide one is a hundredth higher.
+    narrow = 0.11 * ca.sin(math.pi * x / 0.01) ** 2 * ca.exp(-y / 0.05)
+    d.minimise(2.0 + x - narrow - 0.1 * (1.0 - ((y - 0.3) / 0.3) ** 2))
+    landscape = Landscape(Program.of(d.declared).at(np.empty(0)), np.empty(0))
+    (end,) = descend(landscape, np.array([5e-4, 0.0])).points
+    assert end == pytest.approx([0.005, 0.0], abs=5e-4)
+
+
 def test_a_design_belongs_to_the_end_straight_downhill(two_valleys):
     # The zeros of the slope 2 x (x^2 - 1) + 0.1.
     left, _, right = np.sort(np.roots([2.0, 0.0, -2.0, 0.1]).real)

@@ -162,9 +162,14 @@ def difference_quotients(
     return values[0], first.T / signed - 0.5 * np.einsum("kii->ki", hessians) * signed, hessians
 
 
+def lagrangian(hessians: Vector, lam_g: Vector) -> Vector:
+    """Return the Hessian of the Lagrangian from those of the objective and of each row of the requirements."""
+    return np.asarray(hessians[0] + np.tensordot(lam_g, hessians[1:], 1))
+
+
 def curvature_of(hessians: Vector, lam_g: Vector) -> Vector:
-    """Return the Hessian of the Lagrangian, made convex, from those of the objective and of each requirement row."""
-    return made_convex(hessians[0] + np.tensordot(lam_g, hessians[1:], 1))
+    """Return the Hessian of the Lagrangian, made convex."""
+    return made_convex(lagrangian(hessians, lam_g))
 
 
 def quadratic_program(

@@ -9,11 +9,15 @@ import numpy as np
 
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.model.optimality import (
+    PULLS,
     curvature_of,
     difference_quotients,
+    free_directions,
     independent,
+    lagrangian,
     lowest_dips,
     optimum_step,
+    reduced_curvatures,
     relaxed_step,
 )
 from plough_opt.design.model.program import Program
@@ -40,9 +44,14 @@ _LONGEST_DESCENT: Final = 0.3
 # IPOPT goes on.
 _SHORTEST: Final = 1e-7
 _LEAST_GAIN: Final = 1e-7
-# Fractions of a step that are tried side by side. Steps where curvatures are negative are too short.
+# Fractions of a step that are tried side by side. Steps where curvatures are negative are too short; therefore these
+# parts of the longest step are tried, too, along the direction of the most negative curvature. From a place between two
+# ripples quadratic programs lead to the wide one, and a search of eight variables misses the narrow one.
 _FRACTIONS: Final = np.array([0.0, 1.0, 4.0, 2.0, 0.7, 0.5, 0.3, 0.15, 0.07, 0.03, 0.01, 0.003, 0.0005])
 _WHOLE: Final = 1  # position of the whole step among them
+_LENGTHS: Final = 0.5 ** np.arange(12)
+# A direction counts as one of negative curvature below this, relative to the largest: quotients are not more accurate.
+_CONCAVE: Final = -1e-4
 # If even the whole step leads up and no fraction down, there is a kink nearby, across which quotients show no slope:
 # they are formed over this part of the distance, and so is the longest step, until it is this part of the first. Over
 # much less a run's rounding (about 1e-13) would drown the slopes.
@@ -148,11 +157,11 @@ class _Descent:
             if derivatives is None:
                 break
             rows = np.union1d(rows, self._worst_rows(derivatives[0][1:]))
-            step, lam_g[rows] = self._step(y, derivatives, rows, lam_g[rows], 1 if number else _ROUNDS, reach)
-            if np.max(np.abs(step)) < reach * _SHORTEST:
+            moves, lam_g[rows] = self._moves(y, derivatives, rows, lam_g[rows], 1 if number else _ROUNDS, reach)
+            if np.max(np.abs(moves[_WHOLE])) < reach * _SHORTEST:
                 break
             weight = max(0.5 * weight, _OVER_MULTIPLIERS * float(np.max(np.abs(lam_g), initial=0.0)))
-            line = np.clip(y + _FRACTIONS[:, None] * step, *self.box)
+            line = np.clip(y + moves, *self.box)
             merit = self._merits(line, weight)
             lowest, least_gain = int(np.nanargmin(merit)), _LEAST_GAIN * abs(merit[0])
             if merit[lowest] < merit[0] - least_gain:
@@ -187,7 +196,7 @@ class _Descent:
             self._best = key if self._best is None else min(self._best, key)
         return np.asarray(f + weight * violation)
 
-    def _step(
+    def _moves(
         self,
         y: Vector,
         derivatives: tuple[Vector, Vector, Vector],
@@ -196,7 +205,11 @@ class _Descent:
         rounds: int,
         reach: float,
     ) -> tuple[Vector, Vector]:
-        """Return the step of a quadratic program, subject to some rows of the requirements, and their multipliers."""
+        """Return the moves to try, a row each, and the multipliers of some rows of the requirements.
+
+        The moves are fractions of the step of a quadratic program subject to these rows, and any along the direction of
+        the most negative curvature.
+        """
         (_, *g), (gradient, *jacobian), hessians = (part[np.r_[0, 1 + rows]] for part in derivatives)
         # A steep objective, as one that is scaled by a value near 0, would drown the limits in rounding.
         size = max(1.0, float(np.max(np.abs(gradient))))
@@ -205,7 +218,7 @@ class _Descent:
         limits = self._program.low[rows], self._program.high[rows]
         longest = reach * _LONGEST_DESCENT
         box = np.maximum(self.box[0], y - longest), np.minimum(self.box[1], y + longest)
-        step, lam_g = np.zeros(len(y)), lam_g / size
+        step, lam_g, lam_y = np.zeros(len(y)), lam_g / size, np.zeros(len(y))
         for _ in range(rounds):
             curvature = curvature_of(hessians, lam_g)
             found = optimum_step(curvature, y, at, limits, box=box) or relaxed_step(
@@ -213,8 +226,15 @@ class _Descent:
             )
             if found is None:
                 break
-            step, lam_g, _ = found
-        return step, lam_g * size
+            step, lam_g, lam_y = found
+        moves = _FRACTIONS[:, None] * step
+        held = (np.abs(lam_y) > PULLS) & (np.abs(step) < longest)
+        free = free_directions(np.vstack([at[2][np.abs(lam_g) > PULLS], np.eye(len(y))[held]]))
+        curvatures, directions = reduced_curvatures(lagrangian(hessians, lam_g), free)
+        if np.any(curvatures < _CONCAVE):
+            aside = directions[:, 0] / np.max(np.abs(directions[:, 0]))
+            moves = np.vstack([moves, _LENGTHS[:, None] * -np.copysign(longest, gradient @ aside) * aside])
+        return moves, lam_g * size
 
     def _worst_rows(self, g: Vector) -> np.ndarray:
         """Return the rows nearest to their limits, some of each requirement."""

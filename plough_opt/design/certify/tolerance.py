@@ -11,17 +11,11 @@ from numpy.typing import NDArray
 
 from plough_opt.design.declarations import Variable
 from plough_opt.design.model.ipopt import Vector
-from plough_opt.design.search.landscape import FEASIBLE, FINER, Landscape
+from plough_opt.design.search.landscape import FEASIBLE, FINER, NEEDLE, Landscape
 from plough_opt.design.search.points import sobol_points
 
 Judge = Literal["tolerance", "bare"]
 """What optima are ranked by: the median objective over the tolerance box, or the objective itself."""
-
-NEEDLE = 0.05
-"""An optimum is a needle, which no workshop can hit, if its median is above its own objective by this fraction.
-
-The fraction is of the objective's magnitude, and at least of a quarter of its typical size over all designs.
-"""
 
 # That quarter: near an objective of 0 a fraction of it would mean nothing.
 _SMALL_OBJECTIVE = 0.25

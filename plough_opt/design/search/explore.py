@@ -11,9 +11,11 @@ import numpy as np
 from plough_opt.design.model.ipopt import Vector
 from plough_opt.design.search.effort import Effort, TimeLimit, expected_unseen
 from plough_opt.design.search.landscape import (
+    NEEDLE,
     SAME,
     Evaluations,
     Landscape,
+    apart,
     barriers,
     concatenated,
     end_straight_downhill,
@@ -32,7 +34,7 @@ from plough_opt.design.search.points import (
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction of it done."""
 
-# A dip farther than this from the best design counts as another one.
+# A dip farther than this part of a line from the design on it counts as another one.
 _ANOTHER_DIP = 0.01
 
 # Boxes that are sampled around the best designs. Lengths are fractions of the range.
@@ -45,6 +47,7 @@ _ZOOM_RADII_IF_RARE = (0.06, 0.015, 0.004)  # If feasible designs are rare, thei
 _ZOOM_DESCENTS = 4  # from each box
 _ZOOM_GAIN = 1e-6  # relative gain that justifies another round
 _ZOOM_ENDS = 64  # lowest ends of descents whose differences are steps to other ripples
+_ZOOM_TRANSLATIONS = 3
 _ZOOM_MOVES = 12  # descents from designs after such a step
 _ZOOM_DIGITS = 4  # of such steps: ends of the same descent differ in later digits
 
@@ -222,8 +225,7 @@ class Explorer:
                 if self.stop() or self.limit.passed("evolution"):
                     break
                 self._end_from(self._evolved(points, sampled, island, rng))
-        self._descend_from_dips()
-        self._zoom_in(rng)
+        self._look_closer(rng)
         if not self._dense:
             self._follow(sampled, random_starts, known)
 
@@ -250,29 +252,30 @@ class Explorer:
         promising &= designs.feasible
         return promising
 
-    def _descend_from_dips(self) -> None:
-        """Descend from dips along each variable through the best design: a sample may be too sparse to show them.
+    def _descend_from_dips(self, centre: Vector, radius: float = 1.0) -> None:
+        """Descend from dips along each variable through a design: a sample may be too sparse to show them.
 
         A share on a mount under a strength wave may have three optima; nothing else finds the third.
         """
-        if not self.landscape.vectorised or self.stop() or not len((minima := self._basins()[0]).f):
-            return
-        if self.limit.passed("descents from dips along each variable"):
-            return
-        lines = lines_through(minima.points[0], self.variables)
+        lines = lines_through(centre, self.variables, radius)
         evaluated = self.landscape(lines)
         promising, dips = self._worth_descending(evaluated), dips_along(self._merit(evaluated))
         for k in dips:
-            if promising[k] and np.max(np.abs(lines[k] - minima.points[0])) > _ANOTHER_DIP:
+            if promising[k] and np.max(np.abs(lines[k] - centre)) > _ANOTHER_DIP * min(2.0 * radius, 1.0):
                 self.progress("descending from dips along each variable", 0.0)
                 self._end_from(lines[k])
 
-    def _zoom_in(self, rng: np.random.Generator) -> None:
-        """Sample boxes around the best designs, and again around a better one: a rippled basin has basins inside it.
+    def _look_closer(self, rng: np.random.Generator) -> None:
+        """Search lines through the best design, then boxes around it, and again around a better one: ripples hide it.
 
         Ripples of five variables over a small feasible region end in a higher one without boxes and translations.
         """
-        if not self.landscape.vectorised or len(self.variables) < 2:
+        if not self.landscape.vectorised or self.stop() or not len((minima := self._basins()[0]).f):
+            return
+        if self.limit.passed("a closer look at the best designs"):
+            return
+        self._descend_from_dips(minima.points[0])
+        if len(self.variables) < 2:
             return
         for _ in range(_VIOLATION_ROUNDS if isinstance(self.landscape, Shortfall) else _ZOOM_ROUNDS):
             if self.stop() or self.limit.passed("a closer look at the best designs"):
@@ -283,7 +286,10 @@ class Explorer:
             for number, (centre, radius) in enumerate(boxes):
                 self.progress("looking closer at the best designs", number / len(boxes))
                 self._descend_inside(centre, radius, rng)
-            self._descend_from_translations()
+                self._descend_from_dips(centre, radius)
+            # Again from what the last ones found: a better ripple may be several translations away.
+            for _ in range(_ZOOM_TRANSLATIONS):
+                self._descend_from_translations()
             merits = [float(self._merit(end)[0]) for end in self._ends]
             lowest = min(merits[:before], default=np.inf)
             if not min(merits[before:], default=np.inf) < lowest - _ZOOM_GAIN * abs(lowest):
@@ -307,7 +313,7 @@ class Explorer:
         """
         ends = concatenated(self._ends)
         merit = self._merit(ends)
-        order = np.argsort(merit, kind="stable")[:_ZOOM_ENDS]
+        order = apart(ends.points, np.argsort(merit, kind="stable"), SAME, _ZOOM_ENDS)
         lowest, highest = ends.points[order], merit[order[-1]]
         moved = np.clip(lowest[0] + (lowest[:, None] - lowest).reshape(-1, lowest.shape[1]), 0.0, 1.0)
         moved = moved[np.unique(moved.round(_ZOOM_DIGITS), axis=0, return_index=True)[1]]
@@ -395,14 +401,19 @@ class Explorer:
         valid = np.flatnonzero(ends.feasible if np.any(ends.feasible) else np.isfinite(ends.merit))
         if len(ends.f) > len(self._ranks):
             self._ranks += self.criterion(ends.points[len(self._ranks) :]).tolist()
-        ranks = np.array(self._ranks)[valid]
+        ranks, merit = np.array(self._ranks), ends.merit
         minima: list[int] = []
-        for k in valid[np.argsort(ranks, kind="stable")]:
-            same = self._basin_of(ends, int(k), minima)
+        lowest: list[int] = []
+        for k in valid[np.argsort(ranks[valid], kind="stable")].tolist():
+            same = self._basin_of(ends, k, minima)
             basin[k] = len(minima) if same is None else same
             if same is None:
-                minima.append(int(k))
-        return ends.select(minima), basin
+                minima.append(k)
+                lowest.append(k)
+            elif merit[k] < merit[lowest[same]] and ranks[k] - ranks[minima[same]] <= NEEDLE * abs(ranks[k]):
+                # The medians of a basin's ripples differ by chance, but for a needle's.
+                lowest[same] = k
+        return ends.select(lowest), basin
 
     def _basin_of(self, ends: Evaluations, k: int, minima: list[int]) -> int | None:
         """Return the number of the first minimum that no barrier separates from end k, or None."""

@@ -30,6 +30,12 @@ SAME = 1e-3
 BARRIER = 1e-3
 """A rise of the merit by this fraction is a barrier between basins; a lower one is a ripple."""
 
+NEEDLE = 0.05
+"""An optimum is a needle, which no workshop can hit, if its median is above its own objective by this fraction.
+
+The fraction is of the objective's magnitude, and at least of a quarter of its typical size over all designs.
+"""
+
 # Base merit of an infeasible design: above every scaled objective, yet small enough not to swallow the digits of the
 # violation that is added to it.
 _INFEASIBLE_MERIT = 1e8
@@ -91,6 +97,24 @@ def concatenated(parts: Sequence[Evaluations]) -> Evaluations:
     """Return the designs of all parts in one object."""
     columns = ([getattr(part, name) for part in parts] for name in ("points", "f", "violation"))
     return Evaluations(*map(np.concatenate, columns))
+
+
+def apart(points: Vector, order: Sequence[int] | np.ndarray, least: float, most: int) -> list[int]:
+    """Return the first points in an order that differ by a least distance in some variable, at most ``most`` of them.
+
+    Args:
+        points: a row for each point.
+        order: numbers of points.
+        least: the distance.
+        most: number of points.
+    """
+    chosen: list[int] = []
+    for k in order:
+        if np.all(np.max(np.abs(points[chosen] - points[k]), axis=1) >= least):
+            chosen.append(int(k))
+        if len(chosen) == most:
+            break
+    return chosen
 
 
 class Landscape:
@@ -181,14 +205,10 @@ def end_straight_downhill(landscape: Landscape, start: Vector, ends: Evaluations
     The start then lies in that end's basin, so that a descent from it is unnecessary. Without this a search with up to
     three variables takes 1.6 times as long, as of the reference problem.
     """
-    near: list[int] = []
     distance = np.max(np.abs(ends.points - start), axis=1)
     # Rounding the distance puts ends of the same basin side by side: of these the lowest is taken.
-    for k in np.lexsort((ends.merit, distance.round(3))):
-        if np.isfinite(ends.merit[k]) and all(np.max(np.abs(ends.points[k] - ends.points[j])) >= SAME for j in near):
-            near.append(int(k))
-        if len(near) == _NEAREST_ENDS:
-            break
+    order = np.lexsort((ends.merit, distance.round(3)))
+    near = apart(ends.points, order[np.isfinite(ends.merit[order])], SAME, _NEAREST_ENDS)
     fractions = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _PATH_POSITIONS))
     # Most paths rise early or not at all: a few positions rule out most of those that rise.
     for some in (fractions[::_COARSE_STRIDE], np.delete(fractions, np.s_[::_COARSE_STRIDE])):

@@ -11,7 +11,7 @@ from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.model.program import Program, with_sure_steps
 from plough_opt.design.search.effort import effort_of
 from plough_opt.design.search.explore import Explored, Explorer
-from plough_opt.design.search.landscape import BARRIER, FINER, Evaluations, Landscape, concatenated
+from plough_opt.design.search.landscape import BARRIER, FINER, Evaluations, Landscape, apart, concatenated
 from plough_opt.design.search.local import descend, least_violation, nearest_feasible, point_as_found, polished
 from plough_opt.design.search.points import SEED, evaluated_sample
 
@@ -163,7 +163,9 @@ def feasible_from(landscape: Landscape, explored: Explored, start: Vector) -> Ve
     Raises:
         InfeasibleDesign: the least violation found from several designs is not 0.
     """
-    starts = [start, *_distant_starts(explored.sample)]
+    sample = explored.sample
+    order = np.argsort(sample.violation, kind="stable")[: np.count_nonzero(np.isfinite(sample.violation))]
+    starts = [start, *sample.points[apart(sample.points, order, _DISTANCE, _STARTS)]]
     known: Sequence[float] = [np.inf] * len(starts)
     if landscape.vectorised:
         ends = explored.least_violating
@@ -202,17 +204,6 @@ def _polished(landscape: Landscape, program: Program, y: Vector, violation: floa
             return point, short
     short = landscape.violations(landscape.rows(y[None], finer=FINER)[1])[0]
     return replace(point, solved=True, y=y, f=float(short.sum())), short
-
-
-def _distant_starts(sample: Evaluations) -> list[Vector]:
-    """Return the designs of a sample with the least violations, none close to another."""
-    chosen: list[Vector] = []
-    for k in np.argsort(sample.violation, kind="stable"):
-        if not np.isfinite(sample.violation[k]) or len(chosen) == _STARTS:
-            break
-        if all(np.max(np.abs(sample.points[k] - other)) > _DISTANCE for other in chosen):
-            chosen.append(sample.points[k])
-    return chosen
 
 
 def from_least_violation(program: Program, p: Vector, start: Vector, fixed: Sequence[int] = ()) -> Point:

@@ -164,12 +164,20 @@ def minimum_from(program: Program, p: Vector, at: Point) -> Point:
     return at
 
 
-def curvatures_at(program: Program, p: Vector, at: Point) -> tuple[Vector, Vector]:
+def curvatures_at(
+    program: Program, p: Vector, at: Point, rows: tuple[Vector, Vector] | None = None
+) -> tuple[Vector, Vector]:
     """Return the curvatures along the active limits, relative to the largest and ascending, and their directions.
 
     The directions are columns.
+
+    Args:
+        program: the design's program.
+        p: parameters.
+        at: a stationary point.
+        rows: the scaled requirements and their Jacobian there, if they are known.
     """
-    values, jacobian = program.built.solver.requirements(at.y, p)
+    values, jacobian = rows or program.built.solver.requirements(at.y, p)
     margins, pulls = program.margins(values), np.abs(at.lam_g)
     active = (margins < ACTIVE) | ((pulls > PULLS) & (pulls > margins))
     # A bound without a multiplier does not stop a move away from it.

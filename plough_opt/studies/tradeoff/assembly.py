@@ -177,8 +177,13 @@ def certificate(front: FrontProgram, candidate: FrontCandidate, *, beaten: bool 
         if decides(float(min(y, 1.0 - y)), float(abs(multiplier))):
             active.append(v.name)
     weights = _weights(front, candidate)
-    waved = [] if beaten else [run.scene.branch for run in front.runs(point.y) if run.scene.effects.strength_wave]
-    curvatures, _ = curvatures_at(program, candidate.p, point)
+    scenes = [] if beaten else front.scenes(point.y)
+    waved = [scene.branch for scene in scenes if scene.effects.strength_wave]
+    curvature = None
+    if candidate.confirmed and not beaten:
+        exact = front.correctors[True].slopes(point.y, candidate.p)
+        curvatures, _ = curvatures_at(program, candidate.p, point, (exact.g, exact.jacobian))
+        curvature = float(curvatures[0]) if curvatures.size else None
     return FrontPoint(
         objectives=tuple((scaled * front.units).tolist()),
         variables={v.name: float(x) for v, x in zip(program.declared.variables, program.values(point.y), strict=True)},
@@ -189,7 +194,7 @@ def certificate(front: FrontProgram, candidate: FrontCandidate, *, beaten: bool 
         residual=corrector.residual(point, candidate.p),
         violation=violation,
         gap=front.gap(point.y, exact=candidate.exact),
-        curvature=float(curvatures[0]) if curvatures.size and candidate.confirmed and not beaten else None,
+        curvature=curvature,
         weights=weights,
         confirmed=candidate.confirmed,
     )

@@ -353,6 +353,11 @@ class FrontProgram:
         scaled, tight = self.scaled(self.objectives(y, exact=exact)), self.tight(y)[0]
         return float(np.max(np.abs(scaled - tight) / np.maximum(np.abs(tight), _SMALL)))
 
+    def scenes(self, y: Array) -> list[Scene]:
+        """Return the scenes of a design's runs, with numbers."""
+        exact, numbers = self.program.exact, self._numbers(y)
+        return [exact.inputs(k, numbers)[1] for k in range(len(exact.runs))]
+
     def runs(self, y: Array) -> list[Run]:
         """Return the runs of a design by a tight integration."""
         exact = self.program.exact

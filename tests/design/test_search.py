@@ -137,6 +137,22 @@ def test_an_automatic_search_without_time_names_what_it_left_out(waves, monkeypa
     assert (best.search.designs < 100) == (search == "auto" and objective is sticking)
 
 
+def test_a_part_of_an_automatic_search_ends_when_the_time_is_over(monkeypatch):
+    d, *x = design(**dict.fromkeys("abcd", (0.9, 0.0, 1.0)))
+    d.minimise(2.0 + sum((own - 0.3) ** 2 + 0.1 * ca.cos(40.0 * own) for own in x))
+    whole = d.solve().search
+    for asked in (3, 40):
+        # The clock jumps to the end after it was read so often.
+        times = iter([0.0] * asked)
+        monkeypatch.setattr(effort.time, "process_time", lambda times=times: next(times, 1e9))
+        best = d.solve()
+        monkeypatch.undo()
+        told = " ".join(best.warnings)
+        assert any(part in told for part in ("further descents", "further generations", "descents from low designs"))
+        assert best.search.designs < whole.designs
+        assert best.status == "solved"
+
+
 INVALID = [
     ("search", 0),
     ("search", True),

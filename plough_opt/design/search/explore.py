@@ -3,6 +3,7 @@
 import itertools
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -65,6 +66,10 @@ _FEW_UNSEEN = 0.1
 
 def silent(_stage: str, _fraction: float) -> None:
     """Report no progress."""
+
+
+class _OutOfTime(Exception):
+    """No further descent may begin."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +160,8 @@ class Explorer:
                 return
             points = np.vstack([points, feasible.points[:, self.variables]])
             sampled = concatenated([sampled, feasible])
-        self._search(points, sampled, rng, uniform, [] if number else [self.start])
+        with suppress(_OutOfTime):
+            self._search(points, sampled, rng, uniform, [] if number else [self.start])
 
     def _sampled(self, points: Vector) -> Evaluations:
         """Return the designs of a sample; those that are integrated one by one only as long as there is time."""
@@ -176,7 +182,8 @@ class Explorer:
         search = Explorer(shortfall, self.start, self.variables, criterion, effort, self.progress, self.seed)
         search.limit = self.limit
         search.stop = lambda: shortfall.feasible_seen >= self.effort.population
-        search._search(points, sampled.without_objective(), rng, further=[self.start])
+        with suppress(_OutOfTime):
+            search._search(points, sampled.without_objective(), rng, further=[self.start])
         self._feasible_rare, self._most_violation = True, float(sampled.violation.min())
         feasible = shortfall.feasible_designs()
         if feasible is None:
@@ -346,6 +353,8 @@ class Explorer:
 
     def _end_from(self, start: Vector) -> int:
         """Return the number of the end of a descent; with a dense sample a known end if the way to it only falls."""
+        if self._ends and self.limit.passed("further descents"):
+            raise _OutOfTime
         landscape = self.landscape
         if self._ends and self._dense and isinstance(landscape, Landscape) and landscape.vectorised:
             known = end_straight_downhill(landscape, start, concatenated(self._ends))
@@ -387,6 +396,7 @@ class Explorer:
             # Every second island mutates random designs instead of the best one.
             from_best=island % 2 == 0 and points.shape[1] < MANY_VARIABLES,
             alike=_ISLAND_CONVERGED,
+            stop=lambda: self.limit.passed("further generations of the evolution"),
         )
         design: Vector = self._full_designs(best[None])[0]
         return design

@@ -181,6 +181,7 @@ def evolved(
     *,
     from_best: bool,
     alike: float,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Vector:
     """Return the best point between 0 and 1 that SciPy's differential evolution finds.
 
@@ -191,6 +192,7 @@ def evolved(
         rng: random numbers.
         from_best: whether to mutate the best point, which is faster, or random ones, which misses fewer basins.
         alike: the evolution ends when the merits' relative scatter is below this.
+        stop: returns True to end it after a generation.
     """
     from scipy.optimize import differential_evolution  # slow to import
 
@@ -206,6 +208,7 @@ def evolved(
         polish=False,
         updating="deferred",
         vectorized=True,
+        callback=lambda intermediate_result: stop(),  # noqa: ARG005, SciPy passes it by this name
     )
     best: Vector = found.x
     return best

@@ -52,6 +52,8 @@ _ERROR_EXPONENT = 1.0 / 8.5
 _SAFETY = 1.12
 # Order below which the error of long steps of order 8 shows a jump or a kink, across which more steps hardly help.
 _LEAST_ORDER = 4.0
+# The last run checks the next one if that takes as many steps as it can check, up to this factor on them.
+_NEARLY = 1.05
 # Least factor between two numbers of steps that are tried.
 _LEAST_REFINEMENT = 1.15
 # The same factor after an error too large to extrapolate from.
@@ -323,6 +325,8 @@ def next_steps(steps: int, error: float, wanted: float) -> int:
     if error > _LARGEST_KNOWN_ERROR:
         return _rounded(math.ceil(_BLIND_REFINEMENT * steps), 5)
     by_law = math.ceil(_SAFETY * steps * (error / wanted) ** _ERROR_EXPONENT)
+    if by_law <= _NEARLY * (checked := int(steps / _CHECK_STEPS)):
+        return checked
     return max(_rounded(math.ceil(_LEAST_REFINEMENT * steps), 5), _rounded(by_law, 5))
 
 

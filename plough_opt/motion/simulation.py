@@ -99,7 +99,7 @@ def simulate(
         outputs: number of equal intervals between output times, at least 1.
         compiled: whether steps of order 8 of a numeric scene, integrated from a start, run as machine code. Compilation
             by the system's C compiler takes about a second, once per machine for all scenes with the same effects; a
-            run then takes about a quarter of the time, with the same result up to rounding. A warning reports if there
+            run then takes about a fifth of the time, with the same result up to rounding. A warning reports if there
             is no compiler, if another method or model takes the run, or if an own effect looks up a table.
         tow_speed: speed of the strut over time instead of the scene's constant one: a table, which is a tuple of times
             [s], from 0 on, and of speeds [m/s], as numbers or texts such as "9 km/h", with straight lines between them
@@ -366,10 +366,11 @@ def _by_measured_steps(case: Case, wanted: float) -> tuple[tuple[Integrated, flo
     best: tuple[Integrated, float] | None = None
     failure: IntegrationError | None = None
     steps, before = plan.first_steps(case.scene, case.duration, wanted), (1, math.inf)
+    found: Integrated | None = None
     for _ in range(_STEP_ATTEMPTS):
         error = math.inf
         try:
-            found, error = _checked(case, *plan.pair_of(steps))
+            found, error = _checked(case, *plan.pair_of(steps), found)
         except Escape:
             raise
         except IntegrationError as failed:
@@ -405,8 +406,10 @@ def _stand_in(case: Case, wanted: float) -> tuple[Run, float, tuple[str, ...]]:
     return run, error, warnings
 
 
-def _checked(case: Case, accuracy: Accuracy, check: Accuracy) -> tuple[Integrated, float]:
-    """Return the run by one setting, and its error as estimated from a run by another."""
+def _checked(
+    case: Case, accuracy: Accuracy, check: Accuracy, last: Integrated | None = None
+) -> tuple[Integrated, float]:
+    """Return the run by one setting, and its error as estimated from a run by another, which may be the last one."""
     if (pair := compared(case, accuracy, check)) is not None:
         found, apart = pair
     elif accuracy.adaptive and _is_coarser(check, accuracy):
@@ -416,7 +419,9 @@ def _checked(case: Case, accuracy: Accuracy, check: Accuracy) -> tuple[Integrate
         apart = _difference(case, found, other)
     else:
         found = integrate(case, accuracy)
-        apart = _difference(case, found, _check_run(case, accuracy, check, found.sizes))
+        is_check = last is not None and last.run.accuracy == check
+        other = last if last and is_check else _check_run(case, accuracy, check, found.sizes)
+        apart = _difference(case, found, other)
     error = apart * (1.0 if _is_coarser(check, accuracy) and not case.structure.kinked else _MARGIN_OF_CHECK)
     return found, max(error, unnoticed_stops(found.run, case.rate, error))
 

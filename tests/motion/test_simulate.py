@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import pickle
 
 import casadi as ca
 import numpy as np
@@ -32,6 +33,13 @@ def test_reference_values_to_every_digit(r1_scene, angle, height, stiffness, mea
         # Half a unit of the last published digit, and rounding.
         assert run.mean_draft == pytest.approx(mean, rel=0, abs=0.51e-9)
         assert run.force_rms == pytest.approx(rms, rel=0, abs=0.51e-9)
+
+
+def test_a_simulated_scene_is_saved_like_a_new_one(r1_scene):
+    scene = r1_scene(25.0, 0.25, 5e4, strength_wave=WAVE, tow_ramp=0.1)
+    new = pickle.dumps(scene)
+    po.simulate(scene, 0.1)
+    assert pickle.dumps(scene) == new
 
 
 # --- exact solutions ---

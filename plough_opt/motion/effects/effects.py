@@ -229,7 +229,7 @@ class Effects:
         """Whether the motion has events that an integrator must locate: stick and slip, or the end of entry."""
         return self.entry or isinstance(self.contact, StickSlip)
 
-    @cached_property
+    @property
     def ramps(self) -> bool:
         """Whether the strut's speed ramps up. A ramp of zero duration does not count."""
         return self.tow_ramp is not None and (is_symbolic(self.tow_ramp) or bool(np.any(as_number(self.tow_ramp) > 0)))

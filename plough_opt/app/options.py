@@ -4,6 +4,7 @@ Nothing here imports the rooms of the package, so that help and completion need 
 """
 
 import argparse
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -13,7 +14,7 @@ from typing import Any, Final, NoReturn
 
 import shtab
 
-from plough_opt.core.errors import InputError, printable
+from plough_opt.core.errors import InputError, nearest, printable
 from plough_opt.core.units import Unit
 
 _SHARED: Final[dict[str, dict[str, Any]]] = {
@@ -131,6 +132,9 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print a message, which may quote the arguments, on the error stream and exit."""
+        if wrong := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
+            known = re.findall(r"[\w-]+", wrong[2])
+            message = f"{message[: wrong.start()]}'{wrong[1]}' is unknown: {nearest(wrong[1], known)}"
         super().error(printable(message))
 
     def shared(self, *names: str, **helps: str) -> None:

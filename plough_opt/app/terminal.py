@@ -14,7 +14,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from plough_opt.core.errors import InputError, short
-from plough_opt.core.files import check_format, save_figure, write_file
+from plough_opt.core.files import check_file, check_format, save_figure, write_file
 from plough_opt.core.process import optional, progress_on
 from plough_opt.core.screen import Screen
 
@@ -128,6 +128,8 @@ def check_outputs(options: argparse.Namespace) -> None:
         if other := taken.get(place):
             raise InputError(f"--{name} '{written}' is {other}, which it would overwrite: name another file")
         taken[place] = f"also the file of --{name}"
+        if name == "csv" and place.suffix:
+            check_file(written, "table", ".csv", ".xlsx")
         around = next(folder for folder in (place.parent, *place.parents) if folder.exists())
         if not around.is_dir():
             raise InputError(f"--{name} '{written}' cannot be written: '{around}' is not a folder")

@@ -133,7 +133,7 @@ class Problem:
         for key, v in self.variables.items():
             entries = v.catalogue if isinstance(v.catalogue, tuple) else ()
             if outside := [v.display.text(x) for x in entries if not v.lower <= x <= v.upper]:
-                found.append(f"{key}: {', '.join(outside)} in its catalogue are left out: its bounds are {v.words}")
+                found.append(f"the bounds of {key}, {v.words}, leave out of its catalogue {', '.join(outside)}")
         return tuple(found)
 
     @property

@@ -178,6 +178,8 @@ USAGE = [
     (["check"], 2, ["usage: plough-opt"]),
     (["simulate", "a.toml", "-q", "-v"], 2, ["not allowed"]),
     (["completion", "cmd"], 2, ["bash"]),
+    (["optimis"], 2, ["'optimis' is unknown: did you mean 'optimise'"]),
+    (["optimise", "a.toml", "--over", "worse"], 2, ["'worse' is unknown: did you mean 'worst'"]),
     (["--help"], 0, ["\n    init ", "\n    check ", "\n    simulate ", "\n    optimise ", "\n    soils "]),
     (["check", "--help"], 0, ['--set KEY="VALUE"']),
     (["calibrate", "--help"], 0, ["30 %"]),

@@ -34,6 +34,7 @@ REFUSED = [
     ("optimize FILE --set 'scene.tow_sped=1 m/s'", "'scene.tow_sped' is not a known key"),
     ("simulate FILE --plot run.jpg", "'run.jpg' is not a valid file name for the picture: it must end in .png"),
     ("optimise FILE --plot ''", "picture"),
+    ("optimise FILE --csv out.xls", "'out.xls' is not a valid file name for the table: it must end in .csv or .xlsx"),
     ("optimise FILE --csv -", "--csv - would write a file of this name: name a file"),
     ("optimise FILE --plot insertions.csv/new/a.png", "insertions.csv' is not a folder"),
     # No output overwrites an input or another output; a link is what it leads to, even in a circle.

@@ -51,7 +51,7 @@ def test_the_best_of_a_catalogue_is_given_beside_the_best(read, cheapest):
 
 def test_steps_and_catalogues_go_together(read, cheapest, tmp_path):
     text = offering(', step = "2 cm"', ', catalogue = ["24 deg", "30 deg", "36 deg", "70 deg"]')
-    assert [note for note in read(text).cautions if "70 deg" in note and "bounds are 20 deg to 40 deg" in note]
+    assert [note for note in read(text).cautions if "20 deg to 40 deg, leave out of its catalogue 70 deg" in note]
     best, _ = read(text).optimise()
     (angle, height), objective = cheapest(text, [24.0, 30.0, 36.0], [0.02 * k for k in range(5, 26)])
     assert best.bought.variables == pytest.approx({"share.height": height, "share.wedge_angle": po.deg(angle)})

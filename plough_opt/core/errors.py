@@ -179,4 +179,4 @@ def nearest(name: str, valid: Iterable[str], fitting: Iterable[str] = ()) -> str
         close = [last[part] for part in difflib.get_close_matches(name, last, n=2, cutoff=_SIMILAR)]
     if close or len(rest) == 1:
         return f"did you mean {' or '.join(map(repr, close or rest))}?"
-    return f"valid names: {', '.join(rest or names)}"
+    return f"valid names: {', '.join(rest or names)}" if names else "there are none"

@@ -20,7 +20,7 @@ from plough_opt.core.units import OBJECTIVE_DIGITS, Display, customary, in_words
 from plough_opt.design.certify.tolerance import Spread
 from plough_opt.design.result.sensitivity import Sensitivity, Solved
 from plough_opt.design.search.effort import expected_unseen
-from plough_opt.motion.machine import Machine
+from plough_opt.motion.machine import Machine, without_repetition
 from plough_opt.motion.run import Run
 from plough_opt.motion.simulation import repeat
 
@@ -390,8 +390,8 @@ class Optimum(LocalOptimum):
             f"gap of the objective to a tight integration {self.gap:.0e}, error estimate {self.error_estimate:.0e};"
             f" {self.seconds:.2f} s"
         )
-        kept = self.keeping()
-        notes = (*([kept] if kept else []), *self.warnings, *(() if self.run is None else self.run.warnings))
+        kept, moving = self.keeping(), () if self.run is None else self.run.warnings
+        notes = (*([kept] if kept else []), *without_repetition([*self.warnings, *moving]))
         bought = "" if self.bought is None else f"; from the catalogue {self.bought.in_words()}"
         heading = f"Best design: objective {self.objective:.{OBJECTIVE_DIGITS}g} ({self.status}){bought}"
         return Page(heading, tuple(parts), notes, trust, self.origin.title)

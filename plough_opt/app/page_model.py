@@ -46,8 +46,9 @@ AVERAGES: Final = tuple(Averages.__dataclass_fields__)
 # Results that every page shows if the law of resistance gives them, besides those that the file names.
 _SHOWN: Final = (*AVERAGES, "specific_draft", "loosened_radius", "half_angle", "moving_mass")
 
-# Combinations of switched effects on a page: all of five effects.
+# Combinations of switched effects on a page, all of five effects, and operations of their formulas: about 700 kB.
 _MOST_VARIANTS: Final = 31
+_MOST_OPERATIONS: Final = 20_000
 # Positions of a slider: about as many as the eye tells apart.
 _MOST_POSITIONS: Final = 1000
 
@@ -114,11 +115,15 @@ def page_model(problem: Problem) -> PageModel:
     x = kind.sym("x", len(values))
     given = dict(zip(values, ca.vertsplit(x), strict=True))
     switched, variants = switches(problem), {"": _variant(problem, given, x, {})}
+    operations = variants[""].operations(x)
     subsets = (which for count in range(len(switched)) for which in itertools.combinations(switched, count + 1))
     for which in itertools.islice(subsets, _MOST_VARIANTS):
         changes = {name: value for switch in which for name, value in switch.changes.items()}
         with contextlib.suppress(InputError):  # another effect, or a result of the file, needs this one
-            variants[",".join(str(switched.index(one)) for one in which)] = _variant(problem, given, x, changes)
+            variant = _variant(problem, given, x, changes)
+            if (operations := operations + variant.operations(x)) > _MOST_OPERATIONS:
+                break
+            variants[",".join(str(switched.index(one)) for one in which)] = variant
     declared = fixed_variables(problem) | dict(problem.variables)
     source = Source("the page shows the report only")
     # The formulas of all variants share what they have in common.
@@ -208,6 +213,10 @@ class _Variant:
     prepared: tuple[Any, Any, Any, Any]
     functions: dict[str, ca.Function]
     data: dict[str, Any]
+
+    def operations(self, x: Any) -> int:
+        """Return the number of operations of what is prepared."""
+        return int(ca.Function("prepared", [x], ca.cse([ca.densify(one) for one in self.prepared])).n_instructions())
 
 
 def _variant(problem: Problem, given: Mapping[str, Any], x: Any, changes: Mapping[str, Any]) -> _Variant:

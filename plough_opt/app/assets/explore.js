@@ -247,7 +247,7 @@
       const key = toggled(k), known = await slow("evaluate", under, asked, { error, warm: true }), other = key in model.variants && await slow("evaluate", key, asked, { error, warm: true }).catch(() => null);
       if (mine !== turn) return;
       const parts = ["mean_draft", "force_rms", "mean_deflection"].map((name) => `${columns.find((one) => one.name === name).label} ${percent((other[name] - known[name]) / (Math.abs(known[name]) || 1))}`);
-      says.textContent = other ? `${box.checked ? "without" : "with"} it: ${parts.join(", ")}; ${model.variants[key].nodes} operations in the equation instead of ${model.variants[under].nodes}, ${other.steps} steps instead of ${known.steps}, ${number(1000 * other.seconds)} ms instead of ${number(1000 * known.seconds)} ms` : "another effect or a result of the file needs it";
+      says.textContent = other ? `${box.checked ? "without" : "with"} it: ${parts.join(", ")}; ${model.variants[key].nodes} operations in the equation instead of ${model.variants[under].nodes}, ${other.steps} steps instead of ${known.steps}, ${number(1000 * other.seconds)} ms instead of ${number(1000 * known.seconds)} ms` : "not on this page: another effect or a result of the file needs it, or the formulas would be too long";
     }
     const nudged = await slow("many", under, variables.map((k) => asked.map((v, i) => i === k ? 1.01 * v : v)).concat([asked]));
     if (mine !== turn) return;

@@ -278,7 +278,7 @@ def test_every_table_of_limits_is_tested():
     assert TEXTS["limits"].count("| at most |") == len(LIMITS)
 
 
-# --- soils.md: its numbers match the code ---
+# --- soils.md and strength.md: their numbers match the code ---
 
 
 def test_the_table_of_cone_indices_matches_the_code():
@@ -290,7 +290,8 @@ def test_the_table_of_cone_indices_matches_the_code():
 
 
 def test_its_problem_file_tables_are_valid(tmp_path):
-    tables, tested, waves, random = re.findall(r"```toml\n(.*?)```", TEXTS["soils"], flags=re.DOTALL)
+    pages = TEXTS["soils"] + TEXTS["strength"]
+    tables, tested, waves, random = re.findall(r"```toml\n(.*?)```", pages, flags=re.DOTALL)
     soil, uncertain = tables.split("\n\n")
     file = (ROOT / "problems" / "cotton_subsoiler.toml").read_text(encoding="utf-8")
     start = file.index("[soil]")

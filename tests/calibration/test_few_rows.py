@@ -395,7 +395,7 @@ def test_profile_ends_are_where_the_loss_has_risen(measured, three, loss):
     """Against a profile by SciPy: the other unknowns fitted at each value of the first."""
     fit = po.calibrate(steady_scene(), measured, three, loss=loss)
     found, rise = fit.source, 0.5 * stats.norm.ppf(0.975) ** 2
-    if loss == "huber":  # Student's quantile, and the variance of docs/howto/calibration.md
+    if loss == "huber":  # Student's quantile, and the variance of docs/explanation/fitting.md
         freedom, size = len(measured.values) - 3, np.abs(fit.residuals / measured.sigma)
         variance = np.sum(np.minimum(size, 1.345) ** 2) / freedom / np.mean(size < 1.345)
         rise = 0.5 * stats.t.ppf(0.975, freedom) ** 2 * variance

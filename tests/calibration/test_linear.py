@@ -169,7 +169,7 @@ def test_coverage_of_500_trials_is_95_per_cent_within_3(script, number):
 
 def test_the_page_has_the_table_of_the_script(script):
     """A row for each case and unknown, with rates of 95 % within 3, and every parameter identifiable in some case."""
-    page = (PROBLEMS.parent / "docs" / "howto" / "calibration.md").read_text(encoding="utf-8")
+    page = (PROBLEMS.parent / "docs" / "explanation" / "fitting.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\|(.*)\| `([\w.]+)` \| in (\d+) \| (.*) \|$", page, flags=re.MULTILINE)
     found = [(own.name, own.identifiable) for case in script.CASES for own in case.run(1)]
     assert [(name, int(count) / 500) for _, name, count, _ in rows] == found
@@ -192,7 +192,7 @@ def residuals(measured):
     return of
 
 
-# The losses of docs/howto/calibration.md, r -> rho, written independently of the package.
+# The losses of docs/explanation/fitting.md, r -> rho, written independently of the package.
 WRITTEN = {
     "squares": lambda r: r**2 / 2,
     "huber": lambda r: np.where(np.abs(r) <= 1.345, r**2 / 2, 1.345 * np.abs(r) - 1.345**2 / 2),
@@ -202,7 +202,7 @@ WRITTEN = {
 
 
 def test_the_page_names_the_constants_of_the_code():
-    text = (PROBLEMS.parent / "docs" / "howto" / "calibration.md").read_text(encoding="utf-8")
+    text = (PROBLEMS.parent / "docs" / "explanation" / "fitting.md").read_text(encoding="utf-8")
     assert [float(c) for c in re.findall(r"\$c=([\d.]+)\$", text)] == [HUBER, SOFT_L1, CAUCHY]
 
 

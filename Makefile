@@ -4,6 +4,8 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 CORE   := $(VENV)/.core-installed
 READY  := $(VENV)/.plough_opt-installed
+DOCS   := $(VENV)/.docs-installed
+LIVE   := out/live/cotton.html
 PEERS  := $(VENV)/.peers-installed
 LOWEST := .venv-lowest
 DIST   := .venv-dist
@@ -17,7 +19,7 @@ FAST   := $(addprefix tests/,problem_file cli export study calibration/test_line
           motion/test_simulate.py uncertainty/test_measures.py test_layout.py test_forces.py \
           test_component.py test_plots.py test_results.py test_source_equations.py)
 
-.PHONY: run test thorough slow bench lowest dist lines mutants clean
+.PHONY: run test docs thorough slow bench lowest dist lines mutants clean
 
 # The core alone is installed, or what is there already is used.
 run: $(if $(wildcard $(READY)),$(READY),$(CORE))
@@ -29,12 +31,23 @@ test: $(READY)
 	$(BIN)/mypy
 	$(BIN)/pytest -n auto --dist worksteal
 
+# The documentation as a site in out/site, which needs no network to build or to read; then its test in a browser.
+docs: $(DOCS) $(LIVE)
+	rm -rf out/site
+	$(BIN)/python docs/stage.py
+	$(BIN)/sphinx-build -W --keep-going -E -q -c docs -d out/doctrees out/source out/site
+	$(BIN)/pytest -q -m site tests/site
+
+# The live page on the front page.
+$(LIVE): $(DOCS) problems/cotton_subsoiler.toml $(shell find plough_opt -type f -not -name '*.pyc')
+	$(BIN)/plough-opt explore problems/cotton_subsoiler.toml -q -o $@
+
 # The tests that `make test` leaves out for time; .ci/run runs both.
 thorough: $(READY)
 	$(BIN)/pytest -n auto --dist worksteal -m "thorough and not slow and not bench"
 
 slow: $(READY)
-	$(BIN)/pytest -n auto --dist worksteal -m "slow or not bench"
+	$(BIN)/pytest -n auto --dist worksteal -m "(slow or not bench) and not site"
 
 bench: $(PEERS)
 	$(BIN)/pytest -m bench tests/benchmarks --benchmark-columns=min,median,iqr,rounds --benchmark-sort=name
@@ -68,6 +81,10 @@ $(CORE): pyproject.toml
 
 $(READY): pyproject.toml | $(CORE)
 	$(PIP) --compile-bytecode --editable ".[$(EXTRA)]"
+	touch $@
+
+$(DOCS): $(READY)
+	$(PIP) --editable ".[docs]"
 	touch $@
 
 # The benchmarks skip peers that cannot be installed, and say which.

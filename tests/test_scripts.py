@@ -1,6 +1,7 @@
 """The scripts of problems/: the paper's figures, the larger design, particles and measurements."""
 
 import math
+import re
 
 import matplotlib.image
 import numpy as np
@@ -260,3 +261,11 @@ def test_the_scripts_print_certify_and_draw(frame, tmp_path, capsys):
     assert "MJ/ha" in said
     assert "no limit balances" in said
     assert matplotlib.image.imread(tmp_path / "frame.png").std() > 0.1
+
+
+def test_costs_are_printed_in_units_of_an_import(capsys, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["what_it_costs.py", "--times", "1", "--only=-version"])
+    with imported("what_it_costs") as module:
+        module.main()
+    row = re.search(r"\| `plough-opt --version` \| (\S+) \| (\d+) \|", capsys.readouterr().out)
+    assert all(float(number) > 0.0 for number in row.groups())

@@ -57,6 +57,10 @@ _Kind = TypeVar("_Kind", bound=Term)
 _COMMON = ("inertia", "stiffness", "static", "tow_speed", "mass", "added_mass")
 
 
+def _has(kind: type[Term]) -> cached_property[bool]:
+    return cached_property(lambda structure: structure.find(kind) is not None)
+
+
 @dataclass(frozen=True)
 class Structure:
     """Terms of a scene's equation of motion without their numbers. Scenes of equal structure share one graph.
@@ -79,6 +83,10 @@ class Structure:
     ramp_by_step: bool = False
     locates_ramp: bool = False
 
+    # Whether an effect is on.
+    ramp, damper, entry = _has(TowRamp), _has(Damping), _has(Entry)
+    smooth, sticks = _has(SmoothContact), _has(StickSlipContact)
+
     @classmethod
     def of(cls, scene: Towed) -> Structure:
         """Return the structure of a scene."""
@@ -100,11 +108,6 @@ class Structure:
         return self.find(StrengthWaves)
 
     @cached_property
-    def ramp(self) -> bool:
-        """Whether the strut's speed ramps up."""
-        return self.find(TowRamp) is not None
-
-    @cached_property
     def profile(self) -> TowProfile | None:
         """Profile of the strut's speed, or None."""
         return self.find(TowProfile)
@@ -113,26 +116,6 @@ class Structure:
     def accelerates(self) -> bool:
         """Whether the strut's speed changes, so that the tow power is averaged apart."""
         return self.ramp or self.profile is not None
-
-    @cached_property
-    def damper(self) -> bool:
-        """Whether the mount has a damper."""
-        return self.find(Damping) is not None
-
-    @cached_property
-    def entry(self) -> bool:
-        """Whether the share enters the soil."""
-        return self.find(Entry) is not None
-
-    @cached_property
-    def smooth(self) -> bool:
-        """Whether the contact is `Smooth`."""
-        return self.find(SmoothContact) is not None
-
-    @cached_property
-    def sticks(self) -> bool:
-        """Whether the contact is `StickSlip`."""
-        return self.find(StickSlipContact) is not None
 
     @cached_property
     def own(self) -> tuple[Own, ...]:

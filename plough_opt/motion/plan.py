@@ -41,8 +41,8 @@ PHASE_PER_STEP = 0.5
 _USUAL_PHASE = 0.475
 # A smooth motion is tried with long steps first. Up to 1.6 rad by `Rates.summed` the error follows the order's law.
 _LONG_PHASE = 1.6
-# A short one is tried with steps of this phase, which in three fifths of 120 ordinary scenes left an error of 1e-8.
-_SHORT_PHASE = 0.8
+# One of few steps is tried with this phase, which in three of four ordinary scenes is enough for an error of 1e-8.
+_SHORT_PHASE = 0.65
 _FEW_STEPS = 200
 # Largest error from which the necessary number of steps can be extrapolated.
 _LARGEST_KNOWN_ERROR = 1e-3

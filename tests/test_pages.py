@@ -81,10 +81,12 @@ def short_motion(_line):
     return ["--set", "scene.duration=0.1 s"]
 
 
+FIXED_SHARE = ["--set", "share.wedge_angle=39 deg", "--set", "share.height=0.26 m"]
+
+
 def short_search(line):
     """Return a report of two variables fewer, and parts of the guesses."""
-    fixed = ["--no-accuracy", "--set", "share.wedge_angle=39 deg", "--set", "share.height=0.26 m"]
-    return fixed if "report" in line else [] if "--at" in line else ["--at", "guess"]
+    return ["--no-accuracy", *FIXED_SHARE] if "report" in line else [] if "--at" in line else ["--at", "guess"]
 
 
 def tolerances_cost_something(names):
@@ -103,6 +105,9 @@ PAGES = {
     "component": Page(("subsoiler",), shorter={"duration=2.0": "duration=0.2"}),
     "crosscheck": Page(("McKyes-Ali does not include soil that moves with the share",), ("out/drafts.png",)),
     "effects": Page(holds=lambda names: names["orbit"].force_rms > 0.0),
+    "explore": Page(
+        writes=("out/explore.html", "out/scene.html", "out/design.html"), briefly=lambda _line: FIXED_SHARE
+    ),
     # The page's other block needs CMake.
     "fmu": Page(("mount force from",), least="share.fmu", holds=lambda names: names["found"]["time"][-1] == 2.0),
     "graphs": Page(shorter={"scene, 2.0": "scene, 0.2", "steps=400": "steps=40"}),

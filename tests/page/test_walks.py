@@ -245,6 +245,22 @@ def test_a_link_opens_the_same_design(walk, browser, written):
     again.context.close()
 
 
+def test_two_pages_in_one_browser_do_not_meddle(walk, written):
+    other = walk.context.new_page()
+    other.goto(written.as_uri())
+    other.wait_for_selector("#explore[data-ready]", state="attached")
+    drafts = []
+    for page, height in ((walk, 0.2), (other, 0.35), (walk, 0.22)):
+        page.evaluate("height => ploughOpt.set({ 'share.height': height })", height)
+        drafts.append((state(walk)["share.height"], state(other)["share.height"], cell(page, "mean draft")))
+    problem = po.read_problem(SUBSOILER)
+    best = {name: state(walk)[name] for name in ("share.wedge_angle", "scene.stiffness")}
+    wanted = [problem.simulate(best | {"share.height": height}).mean_draft for height in (0.2, 0.35, 0.22)]
+    assert [text for *_, text in drafts] == [f"{draft / 1e3:.4g} kN" for draft in wanted]
+    assert [pair for *pair, _ in drafts[1:]] == [[0.2, 0.35], [0.22, 0.35]]
+    other.close()
+
+
 def test_a_local_search_improves_and_says_what_it_is(walk):
     walk.evaluate("ploughOpt.set({ 'share.wedge_angle': 0.6, 'share.height': 0.35, 'scene.stiffness': 1e5 })")
     settled(walk)

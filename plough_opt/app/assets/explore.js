@@ -162,7 +162,7 @@
   function show(values, under, found) {
     now = { x: values, effects: under, ...found };
     refuse("");
-    place("accuracy-now").textContent = `estimated error ${found.error_estimate.toExponential(0)}${moving ? `, ${found.steps} steps` : " of the objective, at the best design"}, ${number(1000 * found.seconds)} ms`;
+    place("accuracy-now").textContent = `estimated error ${found.error_estimate > 0 ? found.error_estimate.toExponential(0) : "below 1e-15"}${moving ? `, ${found.steps} steps` : " of the objective, at the best design"}, ${number(1000 * found.seconds)} ms`;
     place("lights").replaceChildren(...model.requirements.map((one, k) => {
       const { value: v, margin } = found.requirements[k], rounding = 1e-8 * Math.abs(v), met = margin >= -rounding;
       return make("li", {}, make("span", { className: `tag ${met ? "good" : "bad"}`, textContent: met ? "✓ met" : "✗ fails" }), ` ${one.label} ${shown(one, v)}, ${pretty(one.words)}, margin ${shown(one, Math.abs(margin) <= rounding ? 0 : margin)}`);

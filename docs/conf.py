@@ -69,9 +69,11 @@ def resolve(app, env, node, content):
 
 
 def signature(_app, what, _name, thing, _options, given, _returned):
-    """Return a signature as `help` shows it, without what annotations add for converters."""
+    """Return a signature as `help` shows it, without what annotations add for converters; none for results."""
     if not given or what not in ("class", "function", "method"):
         return None
+    if what == "class" and hasattr(thing, "save"):  # a result is returned, not built
+        return "", None
     own = inspect.signature(thing)
     parameters = [one for one in own.parameters.values() if one.name not in ("self", "cls")]
     returned = None if what == "class" or own.return_annotation is own.empty else str(own.return_annotation)

@@ -21,7 +21,7 @@ from plough_opt.problem_file import schema
 FURTHER = re.compile(r"strength_wave_\d")
 HUGE = 1e30  # an end of a domain that only keeps numbers finite
 
-os.environ["COLUMNS"] = "96"  # width of the commands' help
+os.environ["COLUMNS"] = "88"  # width of the commands' help
 
 
 def table(heading, rows):

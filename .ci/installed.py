@@ -88,6 +88,8 @@ def main(extras: list[str]) -> None:
         listed = re.findall(r"^ {4}(\w+) ", call("--help")[1], re.MULTILINE)
         tried = [line.split()[0] for line in (*WORK, *NEED)]
         assert {*listed} == {*tried}, {*listed} ^ {*tried}
+        for name in listed:
+            expect(f"{name} --help", "usage: plough-opt")
         for name, text in DATA.items():
             Path(name).write_text(text, encoding="utf-8")
         lines = dict(WORK) if not extras else {"init a.toml": "a.toml"}

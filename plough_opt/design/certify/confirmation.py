@@ -28,13 +28,6 @@ _COARSE = 1e-6
 _SAME_ERROR = 1e-3
 
 
-def _known_error(program: Program, y: Vector, p: Vector) -> float:
-    """Return `error_of_derivatives`, from the last check if that was at nearly the same design."""
-    if program.checked is not None and np.max(np.abs(program.checked[0] - y)) < _SAME_ERROR:
-        return program.checked[1]
-    return error_of_derivatives(program, y, p)
-
-
 def with_enough_steps(
     program: Program, p: Vector, points: list[Point], progress: Callable[[str, float], None]
 ) -> tuple[Program, list[Point], tuple[str, ...]]:
@@ -79,8 +72,15 @@ def _value_error(program: Program, p: Vector, points: Sequence[Point]) -> float:
 
 
 def _slope_error(program: Program, p: Vector, best: Point) -> float:
-    """Return the error of derivatives at the best point, or 0 if IPOPT did not converge to an optimum from there."""
-    return 0.0 if best.status == AS_FOUND else _known_error(program, best.y, p)
+    """Return the error of derivatives at the best point, from the last check if that was at nearly the same design.
+
+    It is 0 if IPOPT did not converge to an optimum from there.
+    """
+    if best.status == AS_FOUND:
+        return 0.0
+    if program.checked is not None and np.max(np.abs(program.checked[0] - best.y)) < _SAME_ERROR:
+        return program.checked[1]
+    return error_of_derivatives(program, best.y, p)
 
 
 def _warnings(program: Program, value_error: float, slope_error: float) -> Iterator[str]:

@@ -120,11 +120,6 @@ def _far_feasible(landscape: Landscape, start: Vector) -> Evaluations:
     return landscape(feasible_from(landscape, explored, start)[None])
 
 
-def first_optimum(program: Program, p: Vector) -> tuple[Program, Point]:
-    """Return the optimum of the basin in which a program's guess lies, as `near_optimum`."""
-    return near_optimum(Landscape(program.at(p), p), program.start())
-
-
 def _is_downhill(landscape: Landscape, start: Vector, end: Vector) -> bool:
     """Return whether the straight line from a start to an end crosses no barrier and does not end above the start."""
     count = max(_FEWEST_POSITIONS, int(_POSITIONS_ACROSS * np.max(np.abs(end - start))))

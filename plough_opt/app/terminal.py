@@ -7,7 +7,7 @@ import logging
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
@@ -199,15 +199,10 @@ def print_page(to: Screen, page: Page) -> None:
         to.print(page.heading, soft_wrap=True)
     for part in page.parts:
         to.print(part, soft_wrap=isinstance(part, str))
-    print_notes(to, dict.fromkeys(page.notes))
+    for note in dict.fromkeys(page.notes):
+        to.print_labelled("Note:", "yellow", f"{note}.", soft_wrap=True)
     if page.footer:
         to.print(page.footer, soft_wrap=True)
-
-
-def print_notes(to: Screen, notes: Iterable[str]) -> None:
-    """Print remarks, each without its full stop."""
-    for note in notes:
-        to.print_labelled("Note:", "yellow", f"{note}.", soft_wrap=True)
 
 
 def give(

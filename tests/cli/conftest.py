@@ -4,6 +4,15 @@ import sys
 
 import pytest
 from helpers.commands import Outcome
+from helpers.problem_files import STATIC
+
+
+@pytest.fixture
+def static(tmp_path):
+    """Return the path of a small problem file."""
+    path = tmp_path / "static.toml"
+    path.write_text(STATIC, encoding="utf-8")
+    return path
 
 
 @pytest.fixture

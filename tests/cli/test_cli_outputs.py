@@ -23,13 +23,6 @@ MOVING = ("--set", "effects.motion=true", "--set", "scene.duration=0.1 s", "--se
 DRAFTS = ("--data", PROBLEMS / "synthetic_draft.csv")
 
 
-@pytest.fixture
-def static(tmp_path):
-    path = tmp_path / "static.toml"
-    path.write_text(STATIC, encoding="utf-8")
-    return path
-
-
 def lines(static, folder):
     """Return each command with a result: its name -> its arguments."""
     saved, other, front = (folder / name for name in ("a.json", "b.json", "front.toml"))

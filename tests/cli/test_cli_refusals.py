@@ -52,7 +52,7 @@ REFUSED = [
     ("check FILE --against --width '-8 cm'", "tool width = -0.08 m must be above 0 m"),
     ("check FILE --against --texture fin", "did you mean 'fine'?"),
     ("check FILE --against --rupture-ratio 0.5", "rupture distance ratio m = 0.5 must be at least 1"),
-    ("report TRADE -o a.html", "add a table [minimise]"),
+    ("report FILE --set minimise={} -o a.html", "add a table [minimise] or [trade_off]"),
     ("report uncertain_field.toml -o a.html", "remove the table [uncertain]"),
     ("report FILE -o a.txt", "end in .html"),
     # Several shares.

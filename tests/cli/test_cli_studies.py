@@ -22,20 +22,12 @@ from plough_opt.studies.tradeoff.surface import distances
 # --- `plough-opt accuracy`: tables, advice and files ---
 
 
-@pytest.fixture
-def small(tmp_path):
-    """Return the path of a small problem file."""
-    path = tmp_path / "small.toml"
-    path.write_text(STATIC, encoding="utf-8")
-    return path
-
-
-def test_tables_advice_and_files(small, tmp_path):
+def test_tables_advice_and_files(static, tmp_path):
     picture, output = tmp_path / "cost.png", tmp_path / "deep" / "cost.json"
     moving = ("--set", "effects.motion=true", "--set", "scene.duration=0.1 s")
     uncertain = "uncertain.soil.cohesion={ distribution = 'normal', mean = '20 kPa', std = '1 kPa' }"
     options = ("--thin", "--error", "1e-5", "--seconds", "0.05", "--plot", picture, "--output", output)
-    done = call("accuracy", small, *options, *moving, "--set", uncertain)
+    done = call("accuracy", static, *options, *moving, "--set", uncertain)
     assert done.status == 0
     assert "averages of the motion: relative error against time" in done.out
     (advice,) = (line for line in done.out.splitlines() if line.startswith("averages of the motion: for 1e-05 take "))
@@ -49,8 +41,8 @@ def test_tables_advice_and_files(small, tmp_path):
     assert advice in json.loads(output.read_text(encoding="utf-8"))["advice"]
 
 
-def test_a_file_without_a_motion_has_nothing_to_compare(small):
-    assert "no motion to integrate" in printed("accuracy", small)
+def test_a_file_without_a_motion_has_nothing_to_compare(static):
+    assert "no motion to integrate" in printed("accuracy", static)
 
 
 @pytest.mark.slow
@@ -62,9 +54,9 @@ def test_the_methods_of_a_motion_and_of_its_gradients():
         assert f" {method}" in out
 
 
-def test_a_design_instead_of_a_scene(small, tmp_path):
+def test_a_design_instead_of_a_scene(static, tmp_path):
     output = tmp_path / "cost.json"
-    out = printed("accuracy", small, "--design", "--seconds", "0.3", "--output", output)
+    out = printed("accuracy", static, "--design", "--seconds", "0.3", "--output", output)
     for words in ("objective of the optimum: relative error", "variables of the optimum: relative", "auto (default)"):
         assert words in out
     study = AccuracyStudy.load(output)

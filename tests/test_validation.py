@@ -380,6 +380,7 @@ def levels(found):
         "sides without friction draw {:.2f} of the draft".format(*found.ratios("error: friction of the sides")),
         "a damping of 0.5 for 0.2 draws {:.2f}".format(*found.ratios("error: damping")),
         "a box longer by 10 cm {:.2f}".format(*found.ratios("error: length of the box")),
+        "soil whose new contacts bond too {:.2f}".format(*found.ratios("error: cohesion of new contacts")),
         f"a pressure of {pressure:.0f} ± {error:.0f} kPa, a factor of {fine:.1f}",
         f"hold at once, {widest * fine / low:.1f}",
         f"at 25° spheres of 28 mm draw {coarse:.2f} of the draft",

@@ -98,11 +98,11 @@ PAGES = {
     "accuracy": Page(
         least="po.Batch", shorter={"100_000": "1_000"}, holds=lambda names: names["result"].error_estimate.max() < 1e-6
     ),
-    "c_program": Page(("share.height [m] 0.2 to 0.3, value 0.25", "jac_share"), briefly=short_motion),
+    "c_program": Page(("jac_share",), briefly=short_motion),
     "calibration": Page(("soil.cohesion", "What to measure next"), ("out/residuals.png", "out/fit.json")),
     "catalogue": Page(holds=lambda names: names["found"].screened == names["found"].combinations == 6 * 51),
     "cluster": Page(shorter={"kPa:9": "kPa:2", "n_workers=2": "n_workers=1"}, scripts=True),
-    "component": Page(("subsoiler",), shorter={"duration=2.0": "duration=0.2"}),
+    "component": Page(("share.height [m] 0.2 to 0.3, value 0.25",), shorter={"duration=2.0": "duration=0.2"}),
     "crosscheck": Page(("McKyes-Ali does not include soil that moves with the share",), ("out/drafts.png",)),
     "effects": Page(holds=lambda names: names["orbit"].force_rms > 0.0),
     "explore": Page(

@@ -72,7 +72,7 @@ def build() -> Path:
     names = [path.relative_to(ROOT) for path in (wheel, archive)]
     print(run(tool("twine"), "--no-color", "check", "--strict", *names, cwd=ROOT).strip())
     print(run(tool("check-wheel-contents"), wheel.relative_to(ROOT), cwd=ROOT).strip())
-    recipe = (ROOT / "recipe" / "recipe.yaml").read_text(encoding="utf-8")
+    recipe = (ROOT / ".ci" / "recipe" / "recipe.yaml").read_text(encoding="utf-8")
     checksum = hashlib.sha256(archive.read_bytes()).hexdigest()
     (DIST / "recipe.yaml").write_text(recipe.replace("SHA256", checksum), encoding="utf-8")
     return wheel

@@ -117,7 +117,7 @@ def test_the_version_and_its_date_are_everywhere_those_of_the_project():
     assert re.findall(r"^## \[([^]]+)", changes, re.MULTILINE)[0] in (version, "Unreleased")
 
 
-LICENCES = [*csv.DictReader((ROOT / "recipe" / "licences.csv").read_text(encoding="utf-8").splitlines())]
+LICENCES = [*csv.DictReader((ROOT / ".ci" / "recipe" / "licences.csv").read_text(encoding="utf-8").splitlines())]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 FAMILIES = ("MIT", "BSD", "Apache", "MPL", "LGPL", "PSF")
 # Libraries whose metadata do not contain a machine-readable licence.
@@ -145,7 +145,7 @@ def test_the_licence_of_every_library_is_listed():
 
 
 def test_the_recipe_needs_what_the_project_needs():
-    recipe = (ROOT / "recipe" / "recipe.yaml").read_text(encoding="utf-8")
+    recipe = (ROOT / ".ci" / "recipe" / "recipe.yaml").read_text(encoding="utf-8")
     run = re.findall(r"^    - ([\w-]+) >=([\d.]+)$", recipe.partition("  run:")[2].partition("tests:")[0], re.MULTILINE)
     names = {"matplotlib-base": "matplotlib", "lazy-loader": "lazy_loader"}  # conda-forge's
     assert [f"{names.get(name, name)}>={version}" for name, version in run] == PROJECT["dependencies"]

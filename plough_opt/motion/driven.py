@@ -255,7 +255,8 @@ def driven_equation(
         values: their values in the numeric scene.
         controls: names of the controls.
     """
-    structure, count = Structure.of(scene), len(controls)
+    # A quantity that is 0 in the numeric scene, such as a phase, still has its term.
+    structure, count = Structure.of(symbolic), len(controls)
     p = parameters(symbolic, structure)
     if "tow_speed" in controls:
         p["tow_speed"] = symbols["scene.tow_speed"]

@@ -143,6 +143,15 @@ def test_parameters_are_differentiable_and_in_any_graph():
     assert {equation.units[name] for name in equation.names["parameters"]} == {"m", "N/m"}
 
 
+def test_a_parameter_that_is_zero_in_the_scene_has_its_effect():
+    shifted = scene_of(strength_wave=po.StrengthWave(0.3, 0.2, phase=1.0)).equation()
+    equation = scene_of(strength_wave=po.StrengthWave(0.3, 0.2)).equation(parameters=("effects.strength_wave.phase",))
+    at = flat(shifted.start([], []))
+    # The same operations in both graphs, so that only the last digits may differ.
+    assert flat(equation.rate(0.0, at, [], [1.0])) == pytest.approx(flat(shifted.rate(0.0, at, [], [])), rel=1e-13)
+    assert flat(equation.rate(0.0, at, [], [0.0]))[1] != pytest.approx(flat(shifted.rate(0.0, at, [], []))[1], rel=0.01)
+
+
 def equation(effects, **asked):
     return lambda: scene_of(**effects).equation(**asked)
 

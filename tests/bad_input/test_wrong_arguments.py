@@ -212,7 +212,7 @@ def _functions():
         "component": (po.component, {"scene": SCENE, "duration": 1.0, "inputs": ["share.height"],
                                      "outputs": ["mean_draft"], "samples": 40}),
         "deg": (po.deg, {"angle": 30.0}),
-        "explore": (po.explore, {"problem": "none.toml", "path": "none.html"}),
+        "explore": (po.explore, {"question": "none.toml", "path": "none.html"}),
         "load": (po.load, {"path": "none.json"}),
         "named_soil": (po.named_soil, {"name": "serozem"}),
         "read_problem": (po.read_problem, {"path": PROBLEMS / "cotton_subsoiler.toml"}),

@@ -3,6 +3,7 @@
 import inspect
 import keyword
 import pprint
+import re
 import sys
 from importlib.metadata import version
 from pathlib import Path
@@ -24,6 +25,8 @@ import openmdao.api as om  # noqa: E402, the line above says how to install it
 _RESERVED_CLASSES = {"Any", "FunctionComponent"}
 # Names of other modules, which the written module must not hide.
 _RESERVED_MODULES = {"casadi", "numpy", "openmdao", *sys.stdlib_module_names}
+# The example at the end of a docstring.
+_EXAMPLE = re.compile(r"\n\n( *)Example:\n(?:\1 .*\n|\n)+")
 
 
 # The source of this class and of `units_of` is copied into the written module: they must not use plough_opt.
@@ -197,6 +200,7 @@ def _module(component: Component) -> str:
     """Return the module's text: `FunctionComponent`, `units_of`, and the data of this component."""
     name, ports = component.name(), described(component)
     classes = "\n\n".join(inspect.getsource(one) for one in (FunctionComponent, units_of)).rstrip()
+    classes = _EXAMPLE.sub("\n", classes)  # they import plough_opt
     return f'''"""Written by plough_opt {version("plough_opt")}.
 
 {_in_docstring(str(component))}

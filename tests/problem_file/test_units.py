@@ -51,10 +51,11 @@ def test_a_quantity_is_read_in_si(unit, written, expected):
 
 
 def test_common_units_have_pint_factors():
-    # They are parsed without pint, and must be equal to the last bit to what it gives for any other spelling.
+    # They are parsed without pint, and must be equal to what it gives for any other spelling, to the last bit from pint
+    # 0.25 on: pint before rounds miles per hour otherwise.
     for unit, (factor, root) in units._ROOTS.items():
         expected, kind = units.registry().get_root_units(unit.replace("%", "percent"))
-        assert (factor, root) == (expected, str(kind)), unit
+        assert (factor, root) == (pytest.approx(expected, rel=2.3e-16, abs=0.0), str(kind)), unit
 
 
 def test_the_problems_are_read_without_a_registry_of_units():

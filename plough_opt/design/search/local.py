@@ -52,6 +52,8 @@ _WHOLE: Final = 1  # position of the whole step among them
 _LENGTHS: Final = 0.5 ** np.arange(12)
 # A direction counts as one of negative curvature below this, relative to the largest: quotients are not more accurate.
 _CONCAVE: Final = -1e-4
+# A slope below this part of what the curvature adds over the longest step does not show the lower side: try both.
+_LEVEL: Final = 1e-3
 # If even the whole step leads up and no fraction down, there is a kink nearby, across which quotients show no slope:
 # they are formed over this part of the distance, and so is the longest step, until it is this part of the first. Over
 # much less a run's rounding (about 1e-13) would drown the slopes.
@@ -233,7 +235,11 @@ class _Descent:
         curvatures, directions = reduced_curvatures(lagrangian(hessians, lam_g), free)
         if np.any(curvatures < _CONCAVE):
             aside = directions[:, 0] / np.max(np.abs(directions[:, 0]))
-            moves = np.vstack([moves, _LENGTHS[:, None] * -np.copysign(longest, gradient @ aside) * aside])
+            slope = gradient @ aside
+            farther = _LENGTHS[:, None] * -np.copysign(longest, slope) * aside
+            moves = np.vstack([moves, farther])
+            if abs(slope) < _LEVEL * abs(curvatures[0]) * longest:
+                moves = np.vstack([moves, -farther])
         return moves, lam_g * size
 
     def _worst_rows(self, g: Vector) -> np.ndarray:

@@ -48,7 +48,7 @@ _ZOOM_RADII_IF_RARE = (0.06, 0.015, 0.004)  # If feasible designs are rare, thei
 _ZOOM_DESCENTS = 4  # from each box
 _ZOOM_GAIN = 1e-6  # relative gain that justifies another round
 _ZOOM_ENDS = 64  # lowest ends of descents whose differences are steps to other ripples
-_ZOOM_TRANSLATIONS = 3
+_ZOOM_TRANSLATIONS = 3  # rounds of such steps: a better ripple may lie several away
 _ZOOM_MOVES = 12  # descents from designs after such a step
 _ZOOM_DIGITS = 4  # of such steps: ends of the same descent differ in later digits
 
@@ -294,7 +294,6 @@ class Explorer:
                 self.progress("looking closer at the best designs", number / len(boxes))
                 self._descend_inside(centre, radius, rng)
                 self._descend_from_dips(centre, radius)
-            # Again from what the last ones found: a better ripple may be several translations away.
             for _ in range(_ZOOM_TRANSLATIONS):
                 self._descend_from_translations()
             merits = [float(self._merit(end)[0]) for end in self._ends]

@@ -50,6 +50,13 @@ def test_texts_pint_quantities_and_si_numbers_make_the_same_scene():
         assert {name: value for name, value in quantities_of(made).items() if value} == wanted
 
 
+def test_dimensions_of_tines_may_have_a_unit():
+    tine = crosscheck.Tine("6 cm", 0.3 * U.m, "45 deg", surcharge="1 kPa")
+    assert dataclasses.astuple(tine) == pytest.approx((0.06, 0.3, po.deg(45), 1e3, 0.0), rel=1e-15)
+    drafts = [scene_of(medium=po.laws.AsabeD497(depth=depth)).steady_resistance for depth in (0.3, "30 cm")]
+    assert drafts[1] == pytest.approx(drafts[0], rel=1e-15)
+
+
 def test_arrays_may_have_a_unit():
     np.testing.assert_allclose(po.Cone(0.2, U.Quantity([20.0, 30.0], "cm")).height, [0.2, 0.3], rtol=1e-15)
 

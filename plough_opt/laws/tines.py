@@ -7,6 +7,7 @@ from typing import ClassVar, Final
 from plough_opt.core.checks import check_domain, check_named
 from plough_opt.core.expressions import Expression, cos, sin, sqrt, tan
 from plough_opt.core.labels import limited_in_designs
+from plough_opt.core.units import in_si
 from plough_opt.laws.law import STEADY, ResistanceLaw, ShareInSoil, SoilReaction
 from plough_opt.laws.wedge import (
     GRAVITY,
@@ -85,7 +86,7 @@ class AsabeD497(ResistanceLaw):
             >>> round(float(po.laws.AsabeD497().reaction(at).at(2.0)))
             6706
         """
-        depth = at.share.height if self.depth is None else self.depth
+        depth = at.share.height if self.depth is None else in_si("working depth", self.depth, "m")
         static = asabe_draft(depth, 0.0, self.texture, point=self.point, shanks=self.shanks)
         check_domain("speed", at.speed, "m/s", at_least=0.0)
         _, _, squared = POINTS[self.point]
@@ -122,8 +123,8 @@ def asabe_draft(
     """
     check_named("no soil texture of D497 is named {}", texture, TEXTURES)
     check_named("no subsoiler point of D497 is named {}", point, POINTS)
-    depth = check_domain("working depth", depth, "m", above=0.0)
-    speed = check_domain("speed", speed, "m/s", at_least=0.0)
+    depth = check_domain("working depth", in_si("working depth", depth, "m"), "m", above=0.0)
+    speed = check_domain("speed", in_si("speed", speed, "m/s"), "m/s", at_least=0.0)
     shanks = check_domain("number of shanks", shanks, above=0.0)
     return draft_of_row(POINTS[point], TEXTURES[texture], depth, speed, shanks)
 

@@ -17,6 +17,7 @@ import numpy as np
 from plough_opt.core.checks import LEAST, check_domain, check_kind
 from plough_opt.core.errors import DomainError
 from plough_opt.core.expressions import Column, Expression, arctan, arctan2, cos, is_casadi, minimum, sin, sqrt, tan
+from plough_opt.core.units import in_si
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.soil import Soil, check_soil
@@ -42,7 +43,7 @@ class Tine:
     """A flat tine that cuts soil up to its surface.
 
     Args:
-        width: width w [m], above 0.
+        width: width w [m], above 0; as the others a number, an array, a CasADi scalar, or text such as "8 cm".
         depth: depth d of its lower edge below the surface [m], above 0.
         rake_angle: angle alpha of its face to the horizontal, measured ahead [rad], above 0 and at most 90 degrees.
         surcharge: pressure q on the soil's surface [Pa], at least 0.
@@ -65,16 +66,16 @@ class Tine:
     adhesion: Expression = 0.0
 
     def __post_init__(self) -> None:
-        rake = check_domain("rake angle", self.rake_angle, "rad", above=0.0, at_least=LEAST, at_most=math.pi / 2)
-        checked = {
-            "width": check_domain("tool width", self.width, "m", above=0.0),
-            "depth": check_domain("working depth", self.depth, "m", above=0.0),
-            "rake_angle": rake,
-            "surcharge": check_domain("surcharge", self.surcharge, "Pa", at_least=0.0),
-            "adhesion": check_domain("adhesion", self.adhesion, "Pa", at_least=0.0),
+        limits: dict[str, tuple[str, str, dict[str, float]]] = {
+            "width": ("tool width", "m", {"above": 0.0}),
+            "depth": ("working depth", "m", {"above": 0.0}),
+            "rake_angle": ("rake angle", "rad", {"above": 0.0, "at_least": LEAST, "at_most": math.pi / 2}),
+            "surcharge": ("surcharge", "Pa", {"at_least": 0.0}),
+            "adhesion": ("adhesion", "Pa", {"at_least": 0.0}),
         }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        for name, (what, unit, domain) in limits.items():
+            value = in_si(what, getattr(self, name), unit)
+            object.__setattr__(self, name, check_domain(what, value, unit, **domain))
 
 
 @dataclass(frozen=True)
@@ -239,9 +240,11 @@ def least_angle(force: Callable[..., Column], angles: WedgeAngles, *parameters: 
         each = search.map(rows[0].size)(*(row.reshape(1, -1) for row in rows))
         beta = np.asarray(each).reshape(rows[0].shape)
         found = beta if beta.ndim else float(beta)
+    quotient = force(angles, found, *parameters) / force(angles, upper * _INSIDE, *parameters)
     check_domain(
         "least force of a wedge over that at the end of the possible angles",
-        force(angles, found, *parameters) / force(angles, upper * _INSIDE, *parameters),
+        # Beyond its domain the search may end nowhere.
+        quotient if is_casadi(quotient) else np.where(np.isnan(quotient), 1.0, quotient),
         below=1.0,
         why="its derivation does not hold there: use a steeper rake angle or a wider tool",
     )

@@ -21,6 +21,7 @@ from plough_opt.core.checks import check_named
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, Expression, absolute, as_number, holds_casadi, where
 from plough_opt.core.quantities import QUANTITIES
+from plough_opt.core.tables import Grid, Page, Readable
 from plough_opt.motion.effects.terms import Parameters, Towed
 from plough_opt.motion.equation import GAP, SLIP, STICK, Structure, parameters
 
@@ -171,7 +172,7 @@ _OPTIONS: Final = {"cse": True}
 
 
 @dataclass(frozen=True, eq=False)
-class MotionEquation:
+class MotionEquation(Readable):
     """Equation of motion of a scene as CasADi Functions of numbers, MX or SX, for one's own integrator or optimiser.
 
     Every Function except `start` takes the time [s], the state, the controls and the parameters, each a column in SI
@@ -190,7 +191,9 @@ class MotionEquation:
             L, speed L' and deflection z of the spring. With stick and slip or entry the mode (0 slips, 1 sticks, 2 is
             behind its furthest travel) and the furthest travel follow, and with entry whether the whole share has been
             in the soil (0 or 1). They have the rate 0 and change at events.
-        units: name -> SI unit, "" for a pure number.
+        units: each of these names -> SI unit, "" for a pure number.
+
+    It prints as a table of its columns.
 
     Example:
         >>> import plough_opt as po
@@ -212,6 +215,25 @@ class MotionEquation:
     parameters: NDArray[np.float64]
     names: Mapping[str, tuple[str, ...]]
     units: Mapping[str, str]
+
+    def page(self) -> Page:
+        """Return a table of the columns: each entry's name, value if it has one, and unit.
+
+        Example:
+            >>> import plough_opt as po
+            >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
+            >>> po.Scene(po.named_soil("serozem"), share, "50 kN/m", "30 kg", "2 m/s").equation().page().heading
+            'equation of motion: 3 states, 0 controls, 0 parameters, 6 outputs'
+        """
+        given = self.names["controls"] + self.names["parameters"]
+        values = dict(zip(given, [*self.controls, *self.parameters], strict=True))
+        table = Grid.of("", "column", "name", "value", "unit", left=("column", "name", "unit"))
+        for column, names in self.names.items():
+            for i, name in enumerate(names):
+                value = f"{values[name]:.6g}" if name in given else ""
+                table.rows.append((f"{column}[{i}]", name, value, self.units[name]))
+        counts = (f"{len(names)} {column.rstrip('s')}{'s' * (len(names) != 1)}" for column, names in self.names.items())
+        return Page(f"equation of motion: {', '.join(counts)}", (table,))
 
 
 def symbols_of(scene: Towed, controls: Sequence[str], parameters: Sequence[str]) -> dict[str, ca.SX]:
@@ -275,6 +297,7 @@ def driven_equation(
         "parameters": tuple(symbols)[count:],
         "outputs": tuple(_OUTPUTS),
     }
+    known = _STATES | _OUTPUTS
     return MotionEquation(
         rate=ca.Function("rate", at, [_column(rates)], labels, ["rate"], _OPTIONS),
         outputs=ca.Function("outputs", at, [*map(_column, outputs)], labels, [*_OUTPUTS], _OPTIONS),
@@ -285,7 +308,10 @@ def driven_equation(
         controls=numbers[:count],
         parameters=numbers[count:],
         names=names,
-        units=_STATES | _OUTPUTS | {name: QUANTITIES[CONTROLS.get(name, name)].unit for name in (*controls, *symbols)},
+        units={
+            name: known[name] if name in known else QUANTITIES[CONTROLS.get(name, name)].unit
+            for name in chain(*names.values())
+        },
     )
 
 

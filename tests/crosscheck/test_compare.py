@@ -533,6 +533,9 @@ def test_a_design_keeps_the_rupture_angle_inside_its_range():
     assert mckyes_ali_draft(TILLED, tine, 1.5) == pytest.approx(best(draft), rel=1e-10)
     with pytest.raises(po.DomainError, match="end of the possible angles"):
         mckyes_ali_draft(TILLED, dataclasses.replace(tine, rake_angle=tine.rake_angle - po.deg(0.1)), 1.5)
+    # Far outside, where the factor has no least value at all.
+    with pytest.raises(po.DomainError, match="end of the possible angles = 1 must be below 1"):
+        mckyes_ali_draft(TILLED, dataclasses.replace(tine, rake_angle=1e-4), 1.5)
 
 
 ROUGH = {"friction_angle": po.deg(80.0), "tool_friction": 2.0}

@@ -141,6 +141,8 @@ def test_parameters_are_differentiable_and_in_any_graph():
     by_stiffness = (acceleration(0.25, 5e4 + 1.0) - acceleration(0.25, 5e4 - 1.0)) / 2.0
     assert flat(slope(at, equation.parameters)) == pytest.approx([by_height, by_stiffness], rel=1e-6)
     assert {equation.units[name] for name in equation.names["parameters"]} == {"m", "N/m"}
+    assert [*equation.units] == [name for names in equation.names.values() for name in names]
+    assert "  parameters[1]  scene.stiffness  50000  N/m\n" in str(equation)
 
 
 def test_a_parameter_that_is_zero_in_the_scene_has_its_effect():

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import casadi as ca
 import numpy as np
@@ -66,7 +66,7 @@ class Tine:
     adhesion: Expression = 0.0
 
     def __post_init__(self) -> None:
-        limits: dict[str, tuple[str, str, dict[str, float]]] = {
+        limits: dict[str, tuple[str, str, dict[str, Any]]] = {
             "width": ("tool width", "m", {"above": 0.0}),
             "depth": ("working depth", "m", {"above": 0.0}),
             "rake_angle": ("rake angle", "rad", {"above": 0.0, "at_least": LEAST, "at_most": math.pi / 2}),

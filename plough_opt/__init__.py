@@ -27,6 +27,6 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("plough_opt")
-    from plough_opt.core.signatures import readable
+    from plough_opt.core.process import readable
 
     return readable(_imported(name))

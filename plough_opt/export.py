@@ -6,7 +6,7 @@ OpenMDAO is imported on first use.
 import sys
 from typing import TYPE_CHECKING, Any
 
-from plough_opt.core.signatures import readable
+from plough_opt.core.process import readable
 from plough_opt.exchange.export.c import write_c
 from plough_opt.exchange.export.fmu import write_fmu
 from plough_opt.exchange.export.javascript import write_javascript

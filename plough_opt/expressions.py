@@ -19,7 +19,7 @@ from plough_opt.core.expressions import (
     tan,
     where,
 )
-from plough_opt.core.signatures import readable
+from plough_opt.core.process import readable
 
 __all__ = [
     "Expression", "absolute", "arcsinh", "arctan", "arctan2", "arctanh", "cos", "exp", "log", "maximum", "minimum",

@@ -2,7 +2,7 @@
 
 import sys
 
-from plough_opt.core.signatures import readable
+from plough_opt.core.process import readable
 from plough_opt.studies.uncertainty import *  # noqa: F403
 from plough_opt.studies.uncertainty import __all__ as __all__
 

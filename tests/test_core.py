@@ -14,9 +14,8 @@ from helpers.refusals import refusals
 
 import plough_opt as po
 from plough_opt.core import expressions as ex
-from plough_opt.core.checks import DomainLimit
-from plough_opt.core.labels import Meanings, attach, labels_in, meaning_of
-from plough_opt.core.notes import merge
+from plough_opt.core.checks import DomainLimit, Meanings, attach, labels_in, meaning_of
+from plough_opt.core.errors import merge
 from plough_opt.core.refinement import Refinement
 
 # --- functions of floats, arrays and CasADi expressions, and ratios without cancellation ---

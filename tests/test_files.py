@@ -24,8 +24,8 @@ from rich.console import Console
 import plough_opt as po
 from plough_opt.app.terminal import print_page
 from plough_opt.core.files import write_file, write_files, write_folder, write_new
-from plough_opt.core.process import Sieve, available, progress_on, without_notices
-from plough_opt.core.screen import Screen
+from plough_opt.core.process import Sieve, available, without_notices
+from plough_opt.core.screen import Screen, progress_on
 from plough_opt.core.tables import Grid, Page, read_rows, write_rows
 
 

@@ -13,10 +13,9 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import LARGEST, DomainLimit
+from plough_opt.core.checks import LARGEST, DomainLimit, limits_of_laws, unlabelled
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, stacked
-from plough_opt.core.labels import limits_of_laws, unlabelled
 from plough_opt.core.quantities import EVERY, Quantity, wave_table
 from plough_opt.core.units import Display, customary
 from plough_opt.design import Design, Optimum

@@ -12,11 +12,10 @@ from plough_opt.app.tables import runs_of
 from plough_opt.app.terminal import check_outputs, console, give, wrote
 from plough_opt.core.errors import InputError, printable
 from plough_opt.core.quantities import EVERY
-from plough_opt.core.saving import Origin
+from plough_opt.core.saving import Origin, is_store, load
 from plough_opt.core.tables import Grid, Page, data_frame
 from plough_opt.core.units import OBJECTIVE_DIGITS, RESULT_DIGITS, Display
 from plough_opt.design import LocalOptimum
-from plough_opt.exchange.results import is_store, load
 from plough_opt.motion import Run
 from plough_opt.motion.machine import Machine
 from plough_opt.motion.scene import quantities_of

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from plough_opt.core.errors import InputError, short
 from plough_opt.core.files import check_file, check_format, save_figure, write_file
-from plough_opt.core.process import optional, progress_on
-from plough_opt.core.screen import Screen
+from plough_opt.core.process import optional
+from plough_opt.core.screen import Screen, progress_on
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

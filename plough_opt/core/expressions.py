@@ -1,7 +1,8 @@
 """Functions of floats, NumPy arrays and CasADi expressions, written to avoid cancellation.
 
 CasADi symbols must never be passed to ``math.*`` or ``np.*``, because ``math.sin`` of a symbol silently returns NaN.
-Every formula of the toolkit therefore uses the functions of this file.
+Every formula of the toolkit therefore uses the functions of this file. It also compares and copies objects that hold
+expressions, and keeps with them what follows from them.
 """
 
 import dataclasses
@@ -9,6 +10,7 @@ import math
 import numbers
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from functools import lru_cache, wraps
 from typing import Annotated, Any, Protocol, TypeAlias, TypeVar, overload
 
@@ -399,3 +401,52 @@ def gauss_legendre(order: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """
     nodes, weights = np.polynomial.legendre.leggauss(order)
     return tuple((nodes / 2.0 + 0.5).tolist()), tuple((weights / 2.0).tolist())
+
+
+def same(one: Any, other: Any) -> bool:
+    """Return whether two values are equal, with NaN equal to NaN and expressions equal only to themselves."""
+    if one is other:
+        return True
+    if is_casadi(one) or is_casadi(other):
+        return False
+    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
+        one, other = np.asarray(one), np.asarray(other)
+        numbers = one.dtype.kind in "fc" and other.dtype.kind in "fc"
+        return one.shape == other.shape and bool(np.array_equal(one, other, equal_nan=numbers))
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(same(value, other[key]) for key, value in one.items())
+    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
+        return len(one) == len(other) and all(map(same, one, other))
+    if type(one) is type(other) and is_dataclass(one):
+        return all(same(getattr(one, own.name), getattr(other, own.name)) for own in fields(one) if own.compare)
+    return bool(one == other or (one != one and other != other))
+
+
+class ByValue:
+    """A dataclass, declared with ``eq=False``, whose objects are equal if their fields are, arrays included."""
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether another object has the same class and equal fields."""
+        return same(self, other) if type(self) is type(other) else NotImplemented
+
+    def __hash__(self) -> int:
+        """Return a number that equal objects share; their arrays and mappings have none."""
+        return hash(type(self))
+
+
+_Result = TypeVar("_Result")
+
+
+def kept(function: Callable[[Any], _Result]) -> Callable[[Any], _Result]:
+    """Decorate a function of a frozen dataclass; the object itself keeps the result, as a cached property does."""
+    name = f"{function.__module__}.{function.__qualname__}"
+
+    @wraps(function)
+    def apply(frozen: Any) -> _Result:
+        known: dict[str, Any] = frozen.__dict__
+        if name not in known:
+            known[name] = function(frozen)
+        found: _Result = known[name]
+        return found
+
+    return apply

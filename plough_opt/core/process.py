@@ -1,9 +1,10 @@
-"""Services of the running process: processor count, filtered error stream, progress lines, additions, libraries."""
+"""Services of the running process: processors, error stream, progress lines, additions, libraries, signatures."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import re
 import sys
 import threading
 import time
@@ -12,12 +13,11 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from importlib import import_module
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING, Any, Final
+from inspect import Parameter, formatannotation, isclass, isfunction, ismodule, signature, unwrap
+from types import SimpleNamespace
+from typing import Any, Final, Union, get_args, get_origin, get_type_hints
 
 from plough_opt.core.errors import InputError
-
-if TYPE_CHECKING:
-    from plough_opt.core.screen import Screen
 
 # A context variable, so that other threads keep their own values.
 _one_of_several: ContextVar[bool] = ContextVar("one_of_several", default=False)
@@ -136,22 +136,6 @@ def heartbeat(write: Callable[[str], object]) -> Iterator[Callable[[str], None]]
         thread.join()
 
 
-@contextmanager
-def progress_on(stream: Screen) -> Iterator[Callable[[str, float], object]]:
-    """Show progress on a stream, as a bar on a terminal or as lines; yield a function of the step and the part done."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn  # slow to import
-
-    if stream.is_terminal:
-        text = TextColumn("{task.description}", markup=False)
-        columns = text, BarColumn(bar_width=24), TimeElapsedColumn(), TimeRemainingColumn()
-        with Progress(*columns, console=stream, transient=True) as bar:
-            task = bar.add_task("reading", total=1.0)
-            yield lambda step, done: bar.update(task, description=step, completed=done)
-    else:
-        with heartbeat(stream.out) as note:
-            yield lambda step, _done: note(step)
-
-
 def load_additions() -> None:
     """Import the modules that installed packages declare as additions; each adds itself to a registry.
 
@@ -192,3 +176,75 @@ def optional(name: str) -> Any:
     except ModuleNotFoundError as missing:
         wanted = f"plough_opt[{_EXTRAS[name]}]" if name in _EXTRAS else name
         raise InputError(f"{missing.name or name} is not installed: pip install '{wanted}'") from None
+
+
+# Types as Python writes them -> as a user does. An expression is a number, an array or a CasADi symbol.
+_SHORT: Final = {
+    r"Annotated\[(.*?), \w+\(\)\]": r"\1",
+    r"\b[a-z_]\w*\.(?=\w)": "",  # names of modules
+    r"\b(?:_?Expression|MaybeInfinite|IntervalEnd)\b": "float",
+    r"\b(?:Array|Column)\b": "ndarray",
+    r"\bndarray\[tuple\[Any, \.\.\.\], dtype\[float64\]\]|\bNDArray\[float64\]": "ndarray",
+    r"\bNoneType\b": "None",
+}
+# A union within another type.
+_UNION: Final = re.compile(r"\bUnion\[((?:[^\[\]]|\[[^\[\]]*\])*)\]")
+
+
+class _Words(str):
+    """A text that stands in a signature without quotes."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        """Return the text."""
+        return str(self)
+
+
+def readable(thing: Any) -> Any:
+    """Return a function, class or module after giving its public functions and methods readable signatures.
+
+    ``dir`` of a module then lists its public names, without those that it imports.
+    """
+    if isclass(thing):
+        inner = [value for kind in thing.__mro__ if _is_here(kind) for value in vars(kind).values()]
+        for value in inner:
+            if isfunction(own := getattr(value, "__func__", value)):
+                _describe(own)
+    elif ismodule(thing):
+        for name, value in vars(thing).items():
+            if not (name.startswith("_") or ismodule(value)) and _is_here(value):
+                readable(value)
+        if public := getattr(thing, "__all__", None):
+            vars(thing)["__dir__"] = lambda: [*public]
+    elif isfunction(unwrap(thing)):
+        _describe(thing)
+    return thing
+
+
+def _is_here(thing: Any) -> bool:
+    """Return whether the toolkit defines a function or class."""
+    return str(getattr(thing, "__module__", "")).partition(".")[0] == "plough_opt"
+
+
+def _describe(function: Any) -> None:
+    """Give a function a readable signature, which `help` and editors show; that of `__init__` is its class's too."""
+    if "__signature__" in vars(function):
+        return
+    written = signature(function)
+    parameters = [one.replace(annotation=_words(one.annotation)) for one in written.parameters.values()]
+    function.__signature__ = written.replace(parameters=parameters, return_annotation=_words(written.return_annotation))
+
+
+def _words(annotation: Any) -> Any:
+    """Return an annotation in words, without what `Annotated` adds for converters."""
+    if annotation is Parameter.empty:
+        return annotation
+    if not isinstance(annotation, str):
+        annotation = get_type_hints(SimpleNamespace(__annotations__={"it": annotation}))["it"]
+        if get_origin(annotation) is Union:
+            return _Words(" | ".join(map(_words, get_args(annotation))))
+        annotation = formatannotation(annotation)
+    for pattern, words in _SHORT.items():
+        annotation = re.sub(pattern, words, annotation)
+    return _Words(_UNION.sub(lambda inner: re.sub(r", (?![^\[]*\])", " | ", inner[1]), annotation))

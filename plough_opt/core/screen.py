@@ -1,13 +1,16 @@
-"""`Screen`: the console on which everything is printed."""
+"""`Screen`: the console on which everything is printed, and progress on it."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console, ConsoleOptions, RenderableType
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.segment import Segment
 from rich.text import Text
 
 from plough_opt.core.errors import printable
+from plough_opt.core.process import heartbeat
 
 
 class Screen(Console):
@@ -33,3 +36,17 @@ class Screen(Console):
     def on_broken_pipe(self) -> None:
         """Raise BrokenPipeError, which commands handle, instead of ending the process."""
         raise BrokenPipeError
+
+
+@contextmanager
+def progress_on(stream: Screen) -> Iterator[Callable[[str, float], object]]:
+    """Show progress on a stream, as a bar on a terminal or as lines; yield a function of the step and the part done."""
+    if stream.is_terminal:
+        text = TextColumn("{task.description}", markup=False)
+        columns = text, BarColumn(bar_width=24), TimeElapsedColumn(), TimeRemainingColumn()
+        with Progress(*columns, console=stream, transient=True) as bar:
+            task = bar.add_task("reading", total=1.0)
+            yield lambda step, done: bar.update(task, description=step, completed=done)
+    else:
+        with heartbeat(stream.out) as note:
+            yield lambda step, _done: note(step)

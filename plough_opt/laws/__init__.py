@@ -9,7 +9,7 @@ from typing import Final
 
 from plough_opt.core.checks import check_named, shown
 from plough_opt.core.errors import InputError
-from plough_opt.core.signatures import readable
+from plough_opt.core.process import readable
 from plough_opt.laws.cones import ElasticMedium, SphericalCavity
 from plough_opt.laws.forces import PlasticGas
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction

@@ -5,9 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from plough_opt.core.checks import check_domain
+from plough_opt.core.checks import check_domain, limited_in_designs
 from plough_opt.core.expressions import Expression, cos, expm1_ratio, log, sin, sqrt, tan
-from plough_opt.core.labels import limited_in_designs
 from plough_opt.laws.forces import check_cone
 from plough_opt.laws.law import STEADY, ResistanceLaw, ShareInSoil, SoilReaction
 from plough_opt.soil.elastic import cone_force

@@ -9,10 +9,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_domain, check_single, shown
+from plough_opt.core.checks import check_domain, check_single, checked_in_designs, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, Expression, column, gauss_legendre, holds_casadi, is_casadi
-from plough_opt.core.labels import checked_in_designs
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
 from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.plastic import Cavity, WallPressure, front_radius, wall_pressure

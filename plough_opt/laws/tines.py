@@ -4,9 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, Final
 
-from plough_opt.core.checks import check_domain, check_named
+from plough_opt.core.checks import check_domain, check_named, limited_in_designs
 from plough_opt.core.expressions import Expression, cos, sin, sqrt, tan
-from plough_opt.core.labels import limited_in_designs
 from plough_opt.core.units import in_si
 from plough_opt.laws.law import STEADY, ResistanceLaw, ShareInSoil, SoilReaction
 from plough_opt.laws.wedge import (

@@ -26,9 +26,8 @@ from typing import Any, Final, Literal, TypeVar
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.expressions import Column, Expression, is_casadi, stacked, where
-from plough_opt.core.keeping import kept
-from plough_opt.core.labels import unlabelled
+from plough_opt.core.checks import unlabelled
+from plough_opt.core.expressions import Column, Expression, is_casadi, kept, stacked, where
 from plough_opt.motion.effects import (
     TERMS,
     Damping,

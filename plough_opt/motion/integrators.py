@@ -15,9 +15,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.checks import Meanings, attach
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import Column, Expression, classes_in, is_symbolic, stacked, template_of
-from plough_opt.core.labels import Meanings, attach
 from plough_opt.core.process import without_notices
 from plough_opt.motion.checks import (
     failed_by,

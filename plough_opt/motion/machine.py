@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from plough_opt.core.checks import check_kind, mapping_of, shown
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, merge
 from plough_opt.core.expressions import Expression
 from plough_opt.core.files import drawn
-from plough_opt.core.notes import merge
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page
 from plough_opt.motion.run import Run, response_table

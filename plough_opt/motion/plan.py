@@ -10,8 +10,7 @@ import numpy as np
 
 from plough_opt.core.checks import check_domain
 from plough_opt.core.errors import InputError
-from plough_opt.core.expressions import Expression, as_number, is_symbolic, maximum, sqrt
-from plough_opt.core.keeping import kept
+from plough_opt.core.expressions import Expression, as_number, is_symbolic, kept, maximum, sqrt
 from plough_opt.motion.effects import TERMS, Own, Smooth, slopes
 from plough_opt.motion.equation import Structure, lightest_mass, parameters
 from plough_opt.motion.methods import DEFAULT_DERIVATIVES, DEFAULT_ERROR, DEFAULT_TOLERANCE, METHODS, ORDER_8, Accuracy

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_domain
+from plough_opt.core.checks import check_domain, unlabelled
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, Expression, column, is_casadi, rms
 from plough_opt.core.files import drawn, from_above
-from plough_opt.core.labels import unlabelled
 from plough_opt.core.plain_data import Complex, MaybeInfinite
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, data_frame

@@ -9,10 +9,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, Any, TypeVar
 
-from plough_opt.core.checks import check_domain, check_kind
+from plough_opt.core.checks import check_domain, check_kind, checked_in_designs, limited_in_designs, unlabelled
 from plough_opt.core.errors import InputError, nearest
 from plough_opt.core.expressions import Expression, as_number, is_symbolic, rms, sqrt
-from plough_opt.core.labels import checked_in_designs, limited_in_designs, unlabelled
 from plough_opt.core.plain_data import ByName
 from plough_opt.core.quantities import QUANTITIES, read_fields
 from plough_opt.laws import law_of

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from plough_opt.core.checks import check_domain, check_kind, check_single, check_switch, shown
+from plough_opt.core.checks import check_domain, check_kind, check_single, check_switch, shown, unlabelled
 from plough_opt.core.compiler import interpretation_warning
 from plough_opt.core.errors import InputError, IntegrationError
 from plough_opt.core.expressions import (
@@ -22,11 +22,10 @@ from plough_opt.core.expressions import (
     is_casadi,
     is_count,
     is_symbolic,
+    kept,
     map_expressions,
     rms,
 )
-from plough_opt.core.keeping import kept
-from plough_opt.core.labels import unlabelled
 from plough_opt.core.quantities import BESIDE
 from plough_opt.motion import checks, plan
 from plough_opt.motion.checks import WORTH_A_WARNING, Escape, MissedEvent, difference, unnoticed_stops

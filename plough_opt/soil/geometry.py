@@ -8,10 +8,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_domain, plain_number
+from plough_opt.core.checks import check_domain, checked_in_designs, plain_number
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, arctan, cos, is_count, sqrt, tan
-from plough_opt.core.labels import checked_in_designs
 from plough_opt.core.quantities import BESIDE, read_fields
 
 SEGMENTS = 4096

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from plough_opt.core.checks import check_domain, check_kind
+from plough_opt.core.checks import check_domain, check_kind, checked_in_designs
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import (
     Expression,
@@ -31,7 +31,6 @@ from plough_opt.core.expressions import (
     sqrt,
     where,
 )
-from plough_opt.core.labels import checked_in_designs
 from plough_opt.soil.soil import Soil, check_soil
 
 __all__ = [

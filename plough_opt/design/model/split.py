@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from plough_opt.core.checks import Call, meaning_of, without_labels
 from plough_opt.core.errors import InputError
-from plough_opt.core.labels import Call, meaning_of, without_labels
 from plough_opt.motion.batch.batch import DomainCheck
 from plough_opt.motion.integrators import Embedding, Integration, embedding_of
 from plough_opt.motion.scene import Scene

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from plough_opt.core.checks import mapping_of
-from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import InfeasibleDesign, InputError, printable, short
-from plough_opt.core.expressions import is_casadi, map_expressions
+from plough_opt.core.expressions import ByValue, is_casadi, map_expressions
 from plough_opt.core.files import drawn
 from plough_opt.core.plain_data import Array, ByName, MaybeInfinite, Unsaved
 from plough_opt.core.saving import Origin, Saveable

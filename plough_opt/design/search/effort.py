@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plough_opt.core.checks import shown
-from plough_opt.core.errors import InputError, nearest
-from plough_opt.core.notes import listed
+from plough_opt.core.errors import InputError, listed, nearest
 from plough_opt.core.units import in_si
 from plough_opt.design.declarations import Variable
 

@@ -15,10 +15,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import LEAST, DomainLimit, check_kind, check_single, plain_number, shown
+from plough_opt.core.checks import LEAST, DomainLimit, check_kind, check_single, limits_of_laws, plain_number, shown
 from plough_opt.core.errors import DomainError, InputError, PloughError
 from plough_opt.core.expressions import Expression, as_number, holds_casadi, is_count, is_symbolic, stacked
-from plough_opt.core.labels import limits_of_laws
 from plough_opt.core.quantities import BESIDE, EVERY, Quantity
 from plough_opt.exchange.component.component import (
     Component,

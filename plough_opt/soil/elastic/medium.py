@@ -8,7 +8,16 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from plough_opt.core.checks import LEAST, NOT_NUMBERS, check_domain, plain_number, shown
+from plough_opt.core.checks import (
+    LEAST,
+    NOT_NUMBERS,
+    check_domain,
+    checked_in_designs,
+    limited_in_designs,
+    plain_number,
+    shown,
+    unlabelled,
+)
 from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import (
     Expression,
@@ -27,7 +36,6 @@ from plough_opt.core.expressions import (
     sqrt,
     where,
 )
-from plough_opt.core.labels import checked_in_designs, limited_in_designs, unlabelled
 from plough_opt.soil.geometry import Cone, Wedge
 from plough_opt.soil.soil import Soil, check_soil
 

@@ -11,8 +11,7 @@ from scipy import linalg, optimize, stats
 from scipy.stats import qmc
 
 from plough_opt.core.checks import check_kind, shown
-from plough_opt.core.errors import DomainError, InputError, NotConverged
-from plough_opt.core.notes import listed
+from plough_opt.core.errors import DomainError, InputError, NotConverged, listed
 from plough_opt.core.plain_data import Array, IntervalEnd, MaybeInfinite
 from plough_opt.core.units import in_words
 from plough_opt.studies.calibration.least_squares import AT_BOUND, UNIFORM, Data, LeastSquares, Minimum

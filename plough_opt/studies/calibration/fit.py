@@ -15,8 +15,8 @@ import numpy as np
 from scipy import stats
 
 from plough_opt.core.checks import check_choice
-from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import ByValue
 from plough_opt.core.files import COLOURS, written
 from plough_opt.core.plain_data import Array, MaybeInfinite, Unsaved
 from plough_opt.core.quantities import EVERY, Quantity

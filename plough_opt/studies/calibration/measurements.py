@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import array_of, check_kind, check_named, check_text, mapping_of, path_of, shown
-from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import InputError
+from plough_opt.core.expressions import ByValue
 from plough_opt.core.plain_data import Array, MaybeInfinite
 from plough_opt.core.quantities import every_quantity, quantities
 from plough_opt.core.tables import columns_of, heading_of, raise_listed, read_rows, table_of

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from scipy import linalg, stats
 
 from plough_opt.core.checks import check_named, plain_number, shown
-from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import InputError, IntegrationError
-from plough_opt.core.expressions import as_number, is_count
+from plough_opt.core.expressions import ByValue, as_number, is_count
 from plough_opt.core.plain_data import Array
 from plough_opt.motion.scene import Scene
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT

@@ -19,9 +19,9 @@ from plough_opt.core.checks import check_kind, check_switch, path_of, plain_numb
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import is_count
 from plough_opt.core.plain_data import Array
-from plough_opt.core.process import available, progress_on
+from plough_opt.core.process import available
 from plough_opt.core.saving import versions
-from plough_opt.core.screen import Screen
+from plough_opt.core.screen import Screen, progress_on
 from plough_opt.studies.sweep.identity import digest_of
 from plough_opt.studies.sweep.points import PointGrid, PointSample, axis_of, points_of
 from plough_opt.studies.sweep.pool import (

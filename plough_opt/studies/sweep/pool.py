@@ -29,8 +29,7 @@ from typing import IO, TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
 import numpy as np
 
 from plough_opt.core.checks import NOT_NUMBERS
-from plough_opt.core.errors import InputError, PloughError
-from plough_opt.core.notes import Counted, count
+from plough_opt.core.errors import Counted, InputError, PloughError, count
 from plough_opt.core.plain_data import Array
 from plough_opt.core.process import Sieve, available, load_additions, one_of_several
 

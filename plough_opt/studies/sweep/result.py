@@ -18,9 +18,8 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import path_of, shown
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, counted
 from plough_opt.core.files import COLOURS, write_file, written
-from plough_opt.core.notes import counted
 from plough_opt.core.plain_data import Array
 from plough_opt.core.process import optional
 from plough_opt.core.saving import Origin

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, Json, ValidationError
 
-from plough_opt.core.errors import InputError
-from plough_opt.core.notes import merge
+from plough_opt.core.errors import InputError, merge
 from plough_opt.core.plain_data import Array
 from plough_opt.studies.sweep.pool import Done
 

@@ -10,9 +10,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from plough_opt.core.checks import check_callable, check_kind, check_switch, check_text, mapping_of, shown, whole_number
-from plough_opt.core.errors import InputError, NotConverged
+from plough_opt.core.errors import Counted, InputError, NotConverged, count, counted, listed
 from plough_opt.core.expressions import Expression, is_count
-from plough_opt.core.notes import Counted, count, counted, listed
 from plough_opt.core.plain_data import Array
 from plough_opt.core.saving import Origin
 from plough_opt.design import Design, Progress

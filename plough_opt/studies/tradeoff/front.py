@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import array_of, shown
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, listed
 from plough_opt.core.expressions import Column, is_casadi
-from plough_opt.core.notes import listed
 from plough_opt.core.plain_data import Array
 from plough_opt.core.saving import Origin, versions
 from plough_opt.core.units import Display

@@ -8,8 +8,8 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
+from plough_opt.core.errors import listed
 from plough_opt.core.files import write_file, written
-from plough_opt.core.notes import listed
 from plough_opt.core.saving import Saveable
 from plough_opt.core.tables import Column, Grid, Page, data_frame, write_rows
 from plough_opt.motion.vocabulary import called

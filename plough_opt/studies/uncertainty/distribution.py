@@ -27,9 +27,8 @@ from plough_opt.core.checks import (
     shown,
     whole_number,
 )
-from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import DomainError, InputError, nearest
-from plough_opt.core.expressions import Column, Expression, is_casadi, is_count
+from plough_opt.core.expressions import ByValue, Column, Expression, is_casadi, is_count
 from plough_opt.core.plain_data import Array
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.design import Optimum

@@ -11,9 +11,8 @@ import numpy as np
 from scipy import stats
 
 from plough_opt.core.checks import check_kind, shown
-from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import InputError, printable
-from plough_opt.core.expressions import is_count
+from plough_opt.core.expressions import ByValue, is_count
 from plough_opt.core.files import COLOURS, written
 from plough_opt.core.plain_data import Array, Unsaved
 from plough_opt.core.quantities import QUANTITIES

@@ -15,9 +15,8 @@ import numpy as np
 from scipy import stats
 
 from plough_opt.core.checks import check_choice, check_kind, check_named, plain_number, shown
-from plough_opt.core.equality import ByValue
 from plough_opt.core.errors import InfeasibleDesign, InputError, NotConverged, printable
-from plough_opt.core.expressions import Column, Expression, is_casadi, is_count
+from plough_opt.core.expressions import ByValue, Column, Expression, is_casadi, is_count
 from plough_opt.core.plain_data import Array
 from plough_opt.core.process import without_notices
 from plough_opt.core.saving import Origin

@@ -25,7 +25,7 @@ from .laws.forces import (
     soil_reaction as soil_reaction,
 )
 from .laws.law import ResistanceLaw as ResistanceLaw, ShareInSoil as ShareInSoil, SoilReaction as SoilReaction
-from .laws.printed import Printed as Printed
+from .laws.law import Printed as Printed
 from .motion import Run as Run, simulate as simulate
 from .motion.methods import Accuracy as Accuracy
 from .motion.batch import Batch as Batch, BatchResult as BatchResult
@@ -49,11 +49,11 @@ from .problem_file.field_data import (
 from .problem_file.sweep import sweep as sweep
 from .soil import elastic as elastic, plastic as plastic
 from .soil.geometry import Cone as Cone, Wedge as Wedge, deg as deg
-from .soil.random_strength import RandomStrength as RandomStrength, Spectrum as Spectrum
+from .soil.strength import RandomStrength as RandomStrength, Spectrum as Spectrum
 from .soil.record_waves import RecordWaves as RecordWaves, strength_waves as strength_waves
 from .soil.soil import Soil as Soil, named_soil as named_soil, soil_names as soil_names
-from .soil.strength_record import Rig as Rig, StrengthRecord as StrengthRecord, strength_spectrum as strength_spectrum
-from .soil.random_strength import StrengthWave as StrengthWave
+from .soil.strength import Rig as Rig, StrengthRecord as StrengthRecord, strength_spectrum as strength_spectrum
+from .soil.strength import StrengthWave as StrengthWave
 from .studies import crosscheck as crosscheck
 from .studies.accuracy.result import AccuracyStudy as AccuracyStudy
 from .studies.accuracy.study import study_accuracy as study_accuracy, study_design as study_design

@@ -20,7 +20,7 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 import plough_opt as po
 from plough_opt.expressions import sin
 from plough_opt.motion.equation import Structure, parameters
-from plough_opt.soil.random_strength import rare_peak
+from plough_opt.soil.strength import rare_peak
 
 # --- known waves, and the rig's response ---
 

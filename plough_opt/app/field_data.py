@@ -22,7 +22,7 @@ from plough_opt.problem_file.source import with_unit
 
 if TYPE_CHECKING:
     from plough_opt.soil.record_waves import RecordWaves
-    from plough_opt.soil.strength_record import Rig
+    from plough_opt.soil.strength import Rig
     from plough_opt.studies.calibration import Fit, Measurements
     from plough_opt.studies.calibration.fit import HeldOut
 
@@ -167,7 +167,7 @@ def _frame(found: RecordWaves) -> Any:
 
 def _rig(given: dict[str, float]) -> Rig | None:
     """Return the rig that the options describe, or None."""
-    from plough_opt.soil.strength_record import Rig
+    from plough_opt.soil.strength import Rig
 
     if not {"mass", "stiffness", "damping"} & {*given}:
         return None

@@ -13,8 +13,7 @@ from plough_opt.core.process import readable
 from plough_opt.laws.cones import ElasticMedium, SphericalCavity
 from plough_opt.laws.forces import PlasticGas
 from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction
-from plough_opt.laws.tines import AsabeD497, McKyesAli, SwickPerumpral, UniversalEarthmoving
-from plough_opt.laws.wedge import Tine
+from plough_opt.laws.tines import AsabeD497, McKyesAli, SwickPerumpral, Tine, UniversalEarthmoving
 
 __all__ = [
     "LAWS", "AsabeD497", "ElasticMedium", "McKyesAli", "PlasticGas", "ResistanceLaw", "ShareInSoil", "SoilReaction",

@@ -20,8 +20,8 @@ from plough_opt.laws.law import ResistanceLaw, ShareInSoil, SoilReaction, withou
 from plough_opt.motion.driven import MotionEquation, driven_equation, symbols_of
 from plough_opt.motion.effects import TERMS, Effects, Place, Smooth, resisted
 from plough_opt.soil.geometry import Cone, Wedge
-from plough_opt.soil.random_strength import PASS, Sliding, Stationary, check_strength, rare_peak, stationary_response
 from plough_opt.soil.soil import Soil
+from plough_opt.soil.strength import PASS, Sliding, Stationary, check_strength, rare_peak, stationary_response
 
 # Overburden [Pa] at a depth of about 1.5 m, deeper than any subsoiler works. Higher pressure includes the atmosphere's.
 _GREATEST_OVERBURDEN = 20e3
@@ -238,7 +238,7 @@ class Scene:
     def stationary_force_rms(self) -> Expression:
         """RMS of the mount force about its mean [N] under random strength and strength waves, by linearised motion.
 
-        The motion is linearised about steady sliding along an infinite path: see `plough_opt.soil.random_strength`. A
+        The motion is linearised about steady sliding along an infinite path: see `plough_opt.soil.strength`. A
         share that follows the strut rigidly (``motion=False``) transmits the whole fluctuation of the soil.
 
         Raises:
@@ -257,7 +257,7 @@ class Scene:
     @property
     @_checked_stationary
     def stationary_peak_force(self) -> Expression:
-        """Mount force [N] that at most 5 % of the passes of 1 km exceed: see `plough_opt.soil.random_strength`.
+        """Mount force [N] that at most 5 % of the passes of 1 km exceed: see `plough_opt.soil.strength`.
 
         The motion is that of `stationary_force_rms`, about the resistance of steady sliding, and strength is Gaussian.
 

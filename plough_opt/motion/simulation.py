@@ -49,7 +49,7 @@ from plough_opt.motion.orbit import which_motion
 from plough_opt.motion.run import Averages, Checks, Run, assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.steps import Timeline, ends
-from plough_opt.soil.random_strength import check_strength
+from plough_opt.soil.strength import check_strength
 
 _LOG = logging.getLogger(__name__)
 

@@ -19,8 +19,7 @@ from plough_opt.motion.effects import SpeedProfile
 from plough_opt.motion.effects.profile import profile_of
 from plough_opt.problem_file.schema import RANDOM
 from plough_opt.problem_file.source import Source, read_axis
-from plough_opt.soil.random_strength import Spectrum
-from plough_opt.soil.strength_record import Rig, StrengthRecord, strength_spectrum
+from plough_opt.soil.strength import Rig, Spectrum, StrengthRecord, strength_spectrum
 from plough_opt.studies.sweep.points import Range
 
 Vector = NDArray[np.float64]

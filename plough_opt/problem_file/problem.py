@@ -26,8 +26,8 @@ from plough_opt.motion.vocabulary import Measure
 from plough_opt.problem_file.measures import measures_of, total_of
 from plough_opt.problem_file.schema import WAVES, LimitTable, ProblemTable, medium_of
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT, Wedge
-from plough_opt.soil.random_strength import Spectrum
 from plough_opt.soil.soil import Soil, named_soil
+from plough_opt.soil.strength import Spectrum
 
 if TYPE_CHECKING:
     from plough_opt.design import Design, Optimum, Over, Progress

@@ -34,8 +34,8 @@ from plough_opt.motion.effects import (
     StickSlip,
 )
 from plough_opt.motion.vocabulary import MEASURES
-from plough_opt.soil.random_strength import RandomStrength, Spectrum, StrengthWave
 from plough_opt.soil.soil import Adjust
+from plough_opt.soil.strength import RandomStrength, Spectrum, StrengthWave
 
 Written = StrictStr | StrictFloat
 RANDOM = "effects.random_strength"

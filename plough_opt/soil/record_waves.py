@@ -22,11 +22,13 @@ from plough_opt.core.checks import plain_number, shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import COLOURS, written
 from plough_opt.core.quantities import MOST_WAVES
-from plough_opt.soil.random_strength import Spectrum, StrengthWave, Vector
-from plough_opt.soil.strength_record import (
+from plough_opt.soil.strength import (
     LEVEL,
     NEAR_RESONANCE,
+    Spectrum,
     StrengthRecord,
+    StrengthWave,
+    Vector,
     checked_diameter,
     spectrum_of,
     unresolved,

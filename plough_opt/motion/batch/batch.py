@@ -47,7 +47,7 @@ from plough_opt.motion.effects import StickSlip
 from plough_opt.motion.equation import Structure
 from plough_opt.motion.orbit import inverse, near_orbit, returning, without_orbit
 from plough_opt.motion.scene import Scene
-from plough_opt.soil.random_strength import check_strength
+from plough_opt.soil.strength import check_strength
 
 
 class DomainCheck:

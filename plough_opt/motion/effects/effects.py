@@ -12,11 +12,11 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import COUNT, Expression, as_number, is_count, is_symbolic
 from plough_opt.core.plain_data import ByName
 from plough_opt.core.quantities import MOST_WAVES, read_fields
-from plough_opt.laws.printed import Formulation, Printed, errors_of
+from plough_opt.laws.law import Formulation, Printed, errors_of
 from plough_opt.motion.effects.own import OwnResistance, check_own
 from plough_opt.motion.effects.profile import SpeedProfile
 from plough_opt.motion.effects.terms import Smooth, StickSlip
-from plough_opt.soil.random_strength import RandomStrength, Spectrum, StrengthWave, turns_of
+from plough_opt.soil.strength import RandomStrength, Spectrum, StrengthWave, turns_of
 
 MOST_HARMONICS = 64
 """Largest number of harmonics of a harmonic balance."""

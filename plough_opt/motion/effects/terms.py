@@ -12,7 +12,7 @@ from plough_opt.core.expressions import Expression, as_number, maximum, minimum,
 from plough_opt.core.quantities import read_fields
 from plough_opt.laws.law import SoilReaction
 from plough_opt.soil.geometry import Cone
-from plough_opt.soil.random_strength import StrengthWave
+from plough_opt.soil.strength import StrengthWave
 
 Parameters = Mapping[str, Expression]
 """Parameters of an equation of motion by name: numbers or symbols."""

@@ -14,7 +14,8 @@ from .core.errors import (
 )
 from .core.refinement import Refinement as Refinement, refine as refine
 from .design import Design as Design, LocalOptimum as LocalOptimum, Optimum as Optimum
-from .exchange.component import Component as Component, Input as Input, Output as Output, component as component
+from .exchange.building import component as component
+from .exchange.component import Component as Component, Input as Input, Output as Output
 from .core.saving import load as load
 from .laws.forces import (
     added_mass as added_mass,

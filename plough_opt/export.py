@@ -7,11 +7,10 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from plough_opt.core.process import readable
-from plough_opt.exchange.export.c import write_c
+from plough_opt.exchange.export.c import write_c, write_casadi
 from plough_opt.exchange.export.fmu import write_fmu
 from plough_opt.exchange.export.javascript import write_javascript
 from plough_opt.exchange.export.part import write_part
-from plough_opt.exchange.export.serialised import write_casadi
 
 if TYPE_CHECKING:
     from plough_opt.exchange.export.openmdao import PloughComponent, write_openmdao

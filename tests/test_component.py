@@ -18,8 +18,8 @@ from helpers.scenes import R1_RUNS, Shank, scene_of
 
 import plough_opt as po
 from plough_opt.core.quantities import QUANTITIES
-from plough_opt.exchange.component.building import Box
-from plough_opt.exchange.component.component import Port, corner_points, interior_points
+from plough_opt.exchange.building import Box
+from plough_opt.exchange.component import Port, corner_points, interior_points
 from plough_opt.laws import McKyesAli, UniversalEarthmoving
 from plough_opt.motion.vocabulary import MEASURES
 

@@ -15,8 +15,8 @@ from plough_opt.core.expressions import Column, Expression, as_number, floor, ma
 from plough_opt.core.quantities import BESIDE, EVERY, QUANTITIES
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display, Unit
-from plough_opt.exchange.component import Component, Input, Output, Port, build
-from plough_opt.exchange.component.component import port_of
+from plough_opt.exchange.building import build
+from plough_opt.exchange.component import Component, Input, Output, Port, port_of
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.effects import SpeedProfile
 from plough_opt.motion.machine import Machine
@@ -438,7 +438,7 @@ class Problem:
         name: str = "share",
         samples: int | None = None,
     ) -> Component:
-        """Return the file's scene as one CasADi Function: see `plough_opt.exchange.component`.
+        """Return the file's scene as one CasADi Function: see `plough_opt.component`.
 
         Args:
             inputs: keys of quantities (default: the file's variables). Variables keep their bounds; the bounds of other

@@ -22,7 +22,7 @@ from scipy.integrate import solve_ivp
 
 import plough_opt as po
 from plough_opt.core.expressions import exp
-from plough_opt.exchange.named_scene import NamedScene
+from plough_opt.exchange.building import NamedScene
 from plough_opt.export import write_fmu
 
 fmpy = needs("fmpy")

@@ -109,7 +109,7 @@ def _c(request: Request) -> Written:
 
 
 def _casadi(request: Request) -> Written:
-    from plough_opt.exchange.export.serialised import write_casadi
+    from plough_opt.exchange.export.c import write_casadi
 
     component, description = request.component(), request.options.get("description")
     path = write_casadi(component, request.path, description)

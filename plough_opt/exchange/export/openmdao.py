@@ -16,7 +16,7 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.files import Content, check_new_folder, write_folder
 from plough_opt.core.process import optional
 from plough_opt.exchange.component import Component
-from plough_opt.exchange.export.serialised import described, serialised
+from plough_opt.exchange.export.c import described, serialised
 
 optional("openmdao.api")
 import openmdao.api as om  # noqa: E402, the line above says how to install it

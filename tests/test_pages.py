@@ -37,7 +37,7 @@ from plough_opt.motion.methods import METHODS
 from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.problem_file import measures, reading, schema, source, uncertain
 from plough_opt.soil.elastic import medium
-from plough_opt.studies.calibration.measurements import measurable
+from plough_opt.studies.calibration.model import measurable
 from plough_opt.studies.sweep import points
 from plough_opt.studies.tradeoff import assembly
 from plough_opt.studies.uncertainty import distribution

@@ -25,7 +25,7 @@ import plough_opt as po
 from plough_opt.app.plots import plot_designs
 from plough_opt.core.expressions import exp
 from plough_opt.core.tables import Grid, Page
-from plough_opt.studies.calibration import measurements, quality
+from plough_opt.studies.calibration import model, quality
 from plough_opt.studies.uncertainty import distribution, robust
 from plough_opt.studies.uncertainty import result as uncertain
 
@@ -286,7 +286,7 @@ def test_folders_and_missing_files_are_refused(tmp_path):
 
 
 HOLDERS = (
-    measurements.Measurements, quality.CrossValidation, distribution.SoilSamples, distribution.ResponseValues,
+    model.Measurements, quality.CrossValidation, distribution.SoilSamples, distribution.ResponseValues,
     uncertain.SobolIndices, robust.Verification,
 )  # fmt: skip
 

@@ -32,7 +32,7 @@ def calibrate(options: argparse.Namespace) -> None:
     problem = read(options)
     from plough_opt.studies.calibration import calibrate as run
     from plough_opt.studies.calibration import read_measurements
-    from plough_opt.studies.calibration.estimate import check_level
+    from plough_opt.studies.calibration.quality import check_level
 
     check_level(options.level)
     if options.hold_out_by is not None and options.hold_out is None:

@@ -15,8 +15,8 @@ from helpers.strict_json import strict
 from scipy import optimize, stats
 
 import plough_opt as po
-from plough_opt.studies.calibration import least_squares
-from plough_opt.studies.calibration.least_squares import CAUCHY, HUBER, LOSSES, SOFT_L1
+from plough_opt.studies.calibration import estimate
+from plough_opt.studies.calibration.estimate import CAUCHY, HUBER, LOSSES, SOFT_L1
 
 # --- models linear in their unknowns, against linear regression; optima of every loss; how often intervals hold ---
 
@@ -395,7 +395,7 @@ def test_invalid_levels_kinds_folds_and_candidates_are_refused(fitted):
 
 
 def test_a_fit_that_does_not_converge_is_refused(measured, three, fitted, monkeypatch):
-    monkeypatch.setitem(least_squares._TOLERANCES, "max_nfev", 1)
+    monkeypatch.setitem(estimate._TOLERANCES, "max_nfev", 1)
     with pytest.raises(po.NotConverged, match="did not converge from any of 4 starts") as failure:
         po.calibrate(steady_scene(), measured, three)
     assert failure.value.status

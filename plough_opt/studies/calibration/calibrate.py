@@ -7,15 +7,32 @@ from typing import Any
 
 import numpy as np
 
-from plough_opt.core.checks import array_of, check_named, check_text, mapping_of, shown
-from plough_opt.core.errors import InputError
+from plough_opt.core.checks import array_of, check_choice, check_named, check_text, mapping_of, shown
+from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import is_count
 from plough_opt.core.plain_data import Array
 from plough_opt.motion.scene import Scene
-from plough_opt.studies.calibration.estimate import estimate
+from plough_opt.studies.calibration.estimate import (
+    ERRORS,
+    INSIDE,
+    NOMINAL,
+    Data,
+    LeastSquares,
+    Setup,
+    estimate,
+    loss_of,
+)
 from plough_opt.studies.calibration.fit import Fit, reported
-from plough_opt.studies.calibration.measurements import Measurements
-from plough_opt.studies.calibration.model import Described, SceneOf, setup_of
+from plough_opt.studies.calibration.model import (
+    CalibrationModel,
+    Described,
+    Measurements,
+    Rows,
+    SceneOf,
+    measurable,
+    model_of,
+    predictor,
+)
 
 
 class Calibration:
@@ -162,3 +179,102 @@ def calibrate(
     """
     fit = Calibration(given, data, unknown, **options).fit()
     return replace(fit, origin=getattr(given, "origin", fit.origin))
+
+
+def setup_of(
+    given: Described | Scene | SceneOf,
+    data: Measurements | Sequence[Measurements],
+    unknown: Mapping[str, Any] | None,
+    loss: str,
+    errors: str,
+    duration: float | None,
+) -> Setup:
+    """Return a checked calibration; `Calibration` describes the arguments.
+
+    Raises:
+        InputError: an unknown name, invalid bounds, too few rows, or data that do not belong to the scene.
+    """
+    measured = (data,) if isinstance(data, Measurements) else tuple(data) if isinstance(data, Sequence) else ()
+    if not measured or not all(isinstance(m, Measurements) for m in measured):
+        raise InputError("the data must be Measurements, one set or several: read a file with po.read_measurements")
+    for k, m in enumerate(measured):
+        if any(m is other for other in measured[:k]):
+            raise InputError(f"{m.name} is given twice, so its rows would count twice: remove one of the two")
+    if not any(np.any(m.values[m.counted]) for m in measured):
+        raise InputError(f"{measured[0].name}: every measured value is 0, which no soil gives: check the column")
+    chosen_loss = loss_of(loss)
+    check_choice("errors", errors, ERRORS)
+    model = model_of(given, duration, unknown, {key for m in measured for key in m.conditions})
+    _check_names(model, measured)
+    _check_bounds(model, measured)
+    rows = tuple(Rows(m, model) for m in measured)
+    setup = Setup(model, rows, LeastSquares(predictor(rows, model), chosen_loss), _data(measured, errors))
+    _check_numbers(setup)
+    return setup
+
+
+def _check_names(model: CalibrationModel, measured: Sequence[Measurements]) -> None:
+    """Raise InputError if a column is also an unknown, or if neither a result nor an unknown was measured."""
+    names = {unknown.name for unknown in model.unknowns}
+    for m in measured:
+        if both := names & set(m.conditions):
+            raise InputError(f"{m.name}: '{min(both)}' is a column of the data, so it cannot be an unknown")
+        if m.result not in measurable() and m.result not in names:
+            listed = ", ".join(sorted(names))
+            raise InputError(f"{m.name}: '{m.result}' was measured, but is not among the unknowns: {listed}")
+
+
+def _check_bounds(model: CalibrationModel, measured: Sequence[Measurements]) -> None:
+    """Raise InputError if the bounds or the first row are outside the model's domain; `Rows` checks other rows."""
+    first = next((m for m in measured if m.result in measurable()), measured[0])
+    guess = {unknown.name: unknown.guess for unknown in model.unknowns} | first.at(0)
+    tried = {first.row(0): guess}
+    for unknown in model.unknowns:
+        tried[f"lower bound of '{unknown.name}'"] = guess | {unknown.name: unknown.lower}
+        tried[f"upper bound of '{unknown.name}'"] = guess | {unknown.name: unknown.upper}
+    for place, values in tried.items():
+        try:
+            model.scene(values)
+        except DomainError as error:
+            raise InputError(f"{place}: {error}") from None
+
+
+def _data(measured: Sequence[Measurements], errors: str) -> Data:
+    """Return values and weights of all rows.
+
+    Raises:
+        InputError: some sets state sigma and others do not, or all do and errors are relative too.
+    """
+    relative = errors == "relative"
+    stated = {m.sigma is not None for m in measured}
+    if len(stated) > 1:
+        without = next(m.name for m in measured if m.sigma is None)
+        raise InputError(f"{without}: no sigma is stated, but other sets state theirs: give every set its sigma")
+    if relative and stated == {True}:
+        raise InputError(f"{measured[0].name}: sigma states the errors, so they cannot be 'relative' too: omit either")
+    squares = [np.ones(m.rows) if m.weights is None else m.weights for m in measured]
+    # Only ratios of weights count: their mean is 1, as without them.
+    mean = float(np.mean(np.concatenate([weight[m.counted] for weight, m in zip(squares, measured, strict=True)])))
+    weights = []
+    for weight, m in zip(squares, measured, strict=True):
+        nominal = NOMINAL if relative else NOMINAL * float(np.mean(np.abs(m.values[m.counted]))) or 1.0
+        weights.append(np.sqrt(weight / mean) / nominal if m.sigma is None else 1.0 / m.sigma)
+    return Data(np.concatenate([m.values for m in measured]), np.concatenate(weights), stated.pop(), relative)
+
+
+def _check_numbers(setup: Setup) -> None:
+    """Raise InputError if there are too few rows, or if a prediction or derivative at the guess is not finite."""
+    data, unknowns = setup.data, setup.model.unknowns
+    least = len(unknowns) + (0 if data.stated and not setup.problem.loss.robust else 1)
+    if data.count < least:
+        why = "" if data.stated else ", because the scatter is estimated too: state sigma, or measure more"
+        raise InputError(
+            f"{setup.measured[0].name}: {data.count} rows are too few for {len(unknowns)} unknowns"
+            f" ({', '.join(u.name for u in unknowns)}): at least {least} are needed{why}"
+        )
+    values, slopes = setup.problem.at(np.clip(setup.model.guess, INSIDE, 1.0 - INSIDE))
+    finite = np.isfinite(values) & np.isfinite(slopes).all(axis=1)
+    if not np.all(finite):
+        raise InputError(
+            f"{setup.places[int(np.argmin(finite))]}: the model has no finite prediction at these conditions"
+        )

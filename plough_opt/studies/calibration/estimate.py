@@ -1,22 +1,287 @@
-"""Estimate of a calibration: how far data determine the unknowns, intervals, and what to measure next."""
+"""Estimate of a calibration: its least-squares problem, the best fit, and how far data determine the unknowns."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Final, Literal
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize, stats
 from scipy.stats import qmc
 
-from plough_opt.core.checks import check_kind, shown
-from plough_opt.core.errors import DomainError, InputError, NotConverged, listed
-from plough_opt.core.plain_data import Array, IntervalEnd, MaybeInfinite
+from plough_opt.core.checks import check_named
+from plough_opt.core.errors import NotConverged, listed
+from plough_opt.core.plain_data import Array
 from plough_opt.core.units import in_words
-from plough_opt.studies.calibration.least_squares import AT_BOUND, UNIFORM, Data, LeastSquares, Minimum
-from plough_opt.studies.calibration.measurements import RECORD, Measurements, measurable, result_unit
-from plough_opt.studies.calibration.model import INSIDE, Rows, Setup, Unknown, predictor
+from plough_opt.studies.calibration.model import CalibrationModel, Measurements, Rows, Unknown
+
+NOMINAL: Final = 0.01
+"""Nominal standard deviation of an error, relative to the mean measured or each predicted value, without sigma."""
+
+ERRORS: Final = ("constant", "relative")
+"""Models of errors whose sigma is not stated: the same for each set of measurements, or proportional to the result."""
+
+INSIDE: Final = 0.02
+"""Starts keep at least this distance from the bounds, as a part of their distance: a search may stay at a bound."""
+
+UNIFORM: Final = 12.0**-0.5
+"""Standard deviation of a number that is known only to lie between 0 and 1: a uniform distribution."""
+
+RIDGE: Final = 0.01 / UNIFORM**2
+"""Weight of a ridge term that draws the unknowns to a centre if they are not all determined.
+
+It is a hundredth of the information in the bounds themselves. It selects a point along an undetermined direction, and
+moves determined unknowns by less than a hundredth of their standard errors.
+"""
+
+# Tolerances near rounding: the loss is flat at its optimum, so that half the digits of the unknowns suffice for it.
+_TOLERANCES: Final = {"ftol": 1e-11, "xtol": 1e-8, "gtol": 1e-11, "max_nfev": 200}
+# Least curvature of a loss, relative to its weight; a robust loss is concave for large residuals.
+_LEAST_CURVATURE: Final = 0.1
+# A fit has converged if a Gauss-Newton step would lower the sum of squares by less than this, in squared standard
+# deviations: the unknowns are then within 1e-4 of a standard deviation.
+_DECREMENT: Final = 1e-8
+# A prediction below this part of the largest has the error of that part, so that none has an error of 0.
+_LEAST_SIZE: Final = 1e-3
+AT_BOUND: Final = 1e-6
+"""A scaled unknown that is closer to a bound counts as being on it."""
+
+
+@dataclass(frozen=True)
+class Loss:
+    """A loss c^2/2 rho(z) of a residual r in standard deviations, with z = (r/c)^2 and rho(z) = z for small z.
+
+    Attributes:
+        name: its name in `calibrate`.
+        size: c: in a robust loss, residuals well above it count less than their squares.
+        rho: z -> rho and its first two derivatives, as `scipy.optimize.least_squares` expects them.
+    """
+
+    name: str
+    size: float
+    rho: Callable[[Any], tuple[Any, Any, Any]]
+
+    @property
+    def robust(self) -> bool:
+        """Whether large residuals count less than their squares."""
+        return self.name != "squares"
+
+    def value(self, r: Array) -> Array:
+        """Return the losses of residuals."""
+        return np.asarray(0.5 * self.size**2 * self.rho((r / self.size) ** 2)[0])
+
+    def weight(self, r: Array) -> Array:
+        """Return the loss's derivative over the residual: the weight of its square in a Gauss-Newton step."""
+        return np.asarray(self.rho((r / self.size) ** 2)[1])
+
+    def curvature(self, r: Array) -> Array:
+        """Return the second derivative of the loss."""
+        z = (r / self.size) ** 2
+        _, first, second = self.rho(z)
+        return np.asarray(first + 2.0 * z * second)
+
+
+def _squares(z: Any) -> tuple[Any, Any, Any]:
+    return z, np.ones_like(z), np.zeros_like(z)
+
+
+def _cauchy(z: Any) -> tuple[Any, Any, Any]:
+    return np.log1p(z), 1.0 / (1.0 + z), -1.0 / (1.0 + z) ** 2
+
+
+def _huber(z: Any) -> tuple[Any, Any, Any]:
+    root = np.sqrt(np.maximum(z, 1.0))
+    return np.where(z <= 1.0, z, 2.0 * root - 1.0), 1.0 / root, np.where(z <= 1.0, 0.0, -0.5 / root**3)
+
+
+def _soft_l1(z: Any) -> tuple[Any, Any, Any]:
+    root = np.sqrt(1.0 + z)
+    return 2.0 * z / (1.0 + root), 1.0 / root, -0.5 / root**3
+
+
+# Tuning constants that give 95 % of the efficiency of least squares if the errors are normal.
+HUBER, SOFT_L1, CAUCHY = 1.345, 1.287, 2.385
+
+LOSSES: Final = {
+    loss.name: loss
+    for loss in (
+        Loss("squares", 1.0, _squares),
+        Loss("huber", HUBER, _huber),
+        Loss("soft_l1", SOFT_L1, _soft_l1),
+        Loss("cauchy", CAUCHY, _cauchy),
+    )
+}
+
+
+def loss_of(name: str) -> Loss:
+    """Return a loss by name.
+
+    Raises:
+        InputError: an unknown name.
+    """
+    check_named("no loss is named {}", name, LOSSES)
+    return LOSSES[name]
+
+
+@dataclass(frozen=True)
+class Data:
+    """The data of a fit.
+
+    Attributes:
+        observed: measured values (n), SI.
+        weights: weights of the residuals (n): 1/sigma, or relative weights if sigma is unknown.
+        stated: whether the weights follow from stated sigmas.
+        relative: whether the errors are proportional to the predictions.
+    """
+
+    observed: Array
+    weights: Array
+    stated: bool
+    relative: bool = False
+
+    def at(self, predicted: Array) -> "Data":
+        """Return the data with the weights that belong to predictions (n)."""
+        if not self.relative:
+            return self
+        size = np.abs(predicted)
+        return replace(self, weights=self.weights / np.maximum(size, _LEAST_SIZE * float(np.max(size)) or 1.0))
+
+    @property
+    def count(self) -> int:
+        """Number of rows with a weight above 0."""
+        return int(np.sum(self.weights > 0.0))
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """The point at which the solver stopped.
+
+    Attributes:
+        converged: whether it is a local optimum: no step between the bounds lowers the loss.
+        status: message of the solver.
+        y: scaled unknowns.
+        loss: sum of the losses.
+    """
+
+    converged: bool
+    status: str
+    y: Array
+    loss: float
+
+
+class LeastSquares:
+    """The sum of the losses of weighted residuals, to minimise over scaled unknowns between 0 and 1."""
+
+    def __init__(self, predicted: ca.Function, loss: Loss) -> None:
+        """Store a Function of scaled unknowns (p) to predictions (n) and their Jacobian (n, p), and the loss."""
+        self.loss = loss
+        self.rows, self.unknowns = predicted.size_out(1)
+        self.closed = predicted.is_a("SXFunction")
+        self._predicted = predicted
+        self._last: tuple[bytes, Array, Array] = (b"", np.zeros(0), np.zeros(0))
+
+    def at(self, y: Array) -> tuple[Array, Array]:
+        """Return the predictions (n) and their Jacobian (n, p); those at the last point are remembered."""
+        if self._last[0] != y.tobytes():
+            values, slopes = map(np.asarray, self._predicted(y))
+            self._last = y.tobytes(), values.ravel(), slopes.reshape(self.rows, self.unknowns)
+        return self._last[1:]
+
+    def predict(self, y: Array) -> Array:
+        """Return the predictions (n)."""
+        return self.at(y)[0]
+
+    def total(self, y: Array, data: Data) -> float:
+        """Return the sum of losses."""
+        return float(np.sum(self.loss.value(data.weights * (self.predict(y) - data.observed))))
+
+    def solve(self, start: Array, data: Data, centre: Array | None = None, held: int | None = None) -> Minimum:
+        """Return the local optimum reached from a start.
+
+        Args:
+            start: scaled unknowns.
+            data: observed values and weights.
+            centre: scaled unknowns; of many optima along an undetermined direction, the nearest to them is found.
+            held: number of an unknown that is held at its start.
+        """
+        y, free = start.copy(), np.arange(self.unknowns) != (-1 if held is None else held)
+
+        def residuals(x: Array) -> Array:
+            y[free] = x
+            r, slope = self._residuals(y, data, centre)
+            return r if np.all(np.isfinite(slope)) else np.full_like(r, np.nan)  # NaN makes the solver shorten its step
+
+        def slopes(x: Array) -> Array:
+            y[free] = x
+            return self._residuals(y, data, centre)[1][:, free]
+
+        status = "all unknowns are held at the start"
+        if not np.all(np.isfinite(residuals(y[free]))):
+            return Minimum(False, "a prediction at the start is not finite", y, np.inf)
+        if np.any(free):
+            loss = self._rho if self.loss.robust else "linear"
+            solution = optimize.least_squares(residuals, y[free], slopes, bounds=(0.0, 1.0), loss=loss,
+                                           f_scale=self.loss.size, **_TOLERANCES)  # fmt: skip
+            y[free], status = solution.x, solution.message
+        total = self.total(y, data)
+        converged = self._decrement(y, data, centre, free) <= _DECREMENT * max(1.0, 2.0 * total)
+        return Minimum(converged, status, y, total)
+
+    def _residuals(self, y: Array, data: Data, centre: Array | None) -> tuple[Array, Array]:
+        """Return weighted residuals and their Jacobian; a centre adds the ridge term (`RIDGE`) as further rows."""
+        predicted, slope = self.at(y)
+        r, slope = data.weights * (predicted - data.observed), data.weights[:, None] * slope
+        if centre is None:
+            return r, slope
+        ridge = RIDGE**0.5
+        return np.r_[r, ridge * (y - centre)], np.vstack([slope, ridge * np.eye(self.unknowns)])
+
+    def _rho(self, z: Array) -> Array:
+        """Return the loss and its derivatives in SciPy's form; rows of the ridge term are plain squares."""
+        ridge = z[self.rows :]
+        return np.hstack([self.loss.rho(z[: self.rows]), [ridge, np.ones_like(ridge), np.zeros_like(ridge)]])
+
+    def _decrement(self, y: Array, data: Data, centre: Array | None, free: NDArray[np.bool_]) -> float:
+        """Return twice the decrease of the loss that a Gauss-Newton step between the bounds predicts."""
+        r, slope = self._residuals(y, data, centre)
+        z = (r / self.loss.size) ** 2
+        _, first, second = self._rho(z)
+        gradient = slope.T @ (first * r)
+        outward = ((y < AT_BOUND) & (gradient >= 0.0)) | ((y > 1.0 - AT_BOUND) & (gradient <= 0.0))
+        free = free & ~outward
+        curvature = np.maximum(first + 2.0 * z * second, _LEAST_CURVATURE * first)
+        hessian = (slope[:, free] * curvature[:, None]).T @ slope[:, free]
+        return float(gradient[free] @ np.linalg.lstsq(hessian, gradient[free], rcond=1e-12)[0])
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A checked calibration.
+
+    Attributes:
+        model: the scene as a function of its quantities, with the unknowns.
+        rows: the sets of measurements.
+        problem: the least-squares problem.
+        data: measured values and their weights.
+    """
+
+    model: CalibrationModel
+    rows: tuple[Rows, ...]
+    problem: LeastSquares
+    data: Data
+
+    @property
+    def measured(self) -> tuple[Measurements, ...]:
+        """The sets of measurements."""
+        return tuple(rows.measured for rows in self.rows)
+
+    @property
+    def places(self) -> list[str]:
+        """Name of every row for messages."""
+        return [m.row(k) for m in self.measured for k in range(m.rows)]
+
 
 # Singular values below this part of the largest are rounding: the predictions do not depend on such directions.
 _STRUCTURAL: Final = 1e-9
@@ -161,8 +426,6 @@ def _size(unknown: Unknown, changes: Mapping[str, float]) -> str:
     return in_words(abs(changes[unknown.name]), unknown.unit, 3)
 
 
-Kind = Literal["profile", "linearised"]
-
 # Number of points between the bounds at which the loss is evaluated to choose starts.
 _SCANNED: Final = 64
 # The same if the predictions need runs, which take longer.
@@ -180,11 +443,7 @@ _LEAST_SCALE: Final = 1e-6
 # Optima whose losses differ by less than this, relative, count as the same.
 _SAME: Final = 1e-6
 # Least mean curvature of a robust loss: with less, nearly all rows are outliers.
-_LEAST_CURVATURE: Final = 0.05
-# If an interval's half width is a smaller part of the bounds, the loss is quadratic over it.
-_QUADRATIC: Final = 1e-6
-# Accuracy of an interval's ends, as a part of a standard error.
-_ACCURACY: Final = 1e-7
+_LEAST_MEAN_CURVATURE: Final = 0.05
 
 
 @dataclass(frozen=True)
@@ -331,283 +590,7 @@ def _with_accuracy(setup: Setup, data: Data, best: Minimum, optima: tuple[float,
     normal = data.stated and not problem.loss.robust
     pull = problem.loss.weight(counted) * counted
     square = 1.0 if normal else max(float(np.sum(pull**2)) / max(freedom, 1), _LEAST_SCALE**2)
-    curvature = max(float(np.mean(problem.loss.curvature(counted))), _LEAST_CURVATURE)
+    curvature = max(float(np.mean(problem.loss.curvature(counted))), _LEAST_MEAN_CURVATURE)
     variance = square / curvature**2
     spread = identifiability_of(weighted, variance**0.5)
     return Estimate(setup, data, best, optima, residuals, spread, freedom, variance, square / curvature, normal, drift)
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A confidence interval of one unknown, SI.
-
-    Attributes:
-        lower: its lower end; minus infinity if the data do not determine the unknown.
-        upper: its upper end.
-        clipped: which ends ("lower", "upper") are bounds of the unknown, because the data do not exclude the bounds.
-        kind: "profile"; "linearised" if that was requested, if the interval is too short for the two to differ, or if
-            the profile could not be computed.
-    """
-
-    lower: IntervalEnd
-    upper: IntervalEnd
-    clipped: tuple[str, ...] = ()
-    kind: Kind = "profile"
-
-    def __contains__(self, value: float) -> bool:
-        return self.lower <= value <= self.upper
-
-    def __iter__(self) -> Iterator[float]:
-        return iter((self.lower, self.upper))
-
-
-def check_level(level: float) -> float:
-    """Return a confidence level as a float, or raise InputError if it is not between 0 and 1."""
-    if not isinstance(level, int | float) or not 0.0 < level < 1.0:
-        raise InputError(f"level = {shown(level)} must lie between 0 and 1, such as 0.95")
-    return float(level)
-
-
-def interval(fit: Estimate, k: int, level: float, kind: Kind) -> Interval:
-    """Return the interval of unknown number k.
-
-    A profile interval holds all values at which the loss, with the other unknowns fitted anew, rises by no more than
-    the quantile allows. A linearised one is the value ± quantile times standard error, on the scale of the unknown (its
-    logarithm if that is what is scaled).
-    """
-    if not fit.spread.determined[k]:
-        return Interval(-np.inf, np.inf, kind=kind)
-    reach = fit.quantile(level) * float(np.sqrt(fit.spread.covariance[k, k]))
-    low, high = fit.y[k] - reach, fit.y[k] + reach
-    if reach < _QUADRATIC:
-        kind = "linearised"
-    if kind == "profile":
-        try:
-            low, high = (_profile_end(fit, k, sign, fit.quantile(level)) for sign in (-1.0, 1.0))
-        except NotConverged:
-            kind = "linearised"
-    unknown = fit.unknowns[k]
-    clipped = {"lower": low <= AT_BOUND, "upper": high >= 1.0 - AT_BOUND}
-    lower = unknown.lower if clipped["lower"] else float(unknown.value(low))
-    upper = unknown.upper if clipped["upper"] else float(unknown.value(high))
-    return Interval(lower, upper, tuple(side for side, at_bound in clipped.items() if at_bound), kind)
-
-
-def _profile_end(fit: Estimate, k: int, sign: float, quantile: float) -> float:
-    """Return one end of the profile interval of scaled unknown k, or the bound on that side if it comes first.
-
-    Raises:
-        NotConverged: the other unknowns could not be fitted.
-    """
-    error = float(np.sqrt(fit.spread.covariance[k, k]))
-    # Change of all unknowns per change of this one, to first order: it predicts the fit of the others.
-    direction = fit.spread.covariance[:, k] / error**2
-    centre = fit.y if fit.spread.free.shape[1] else None
-    solved = {float(fit.y[k]): fit.best}
-
-    def excess(value: float) -> float:
-        """Return the square root of the loss's rise minus the quantile; it is nearly linear in the value."""
-        if value not in solved:
-            nearest = min(solved, key=lambda other: abs(other - value))
-            start = np.clip(solved[nearest].y + (value - nearest) * direction, 0.0, 1.0)
-            start[k] = value
-            solved[value] = minimum = fit.setup.problem.solve(start, fit.data, centre, held=k)
-            if not minimum.converged:
-                raise NotConverged(f"the profile likelihood has no optimum: {minimum.status}", minimum.status)
-        return float(np.sqrt(max(2.0 * (solved[value].loss - fit.best.loss), 0.0) / fit.rise)) - quantile
-
-    near, reach = float(fit.y[k]), sign * quantile * error
-    while True:
-        far = min(max(near + reach, 0.0), 1.0)
-        if excess(far) >= 0.0:
-            return float(optimize.brentq(excess, near, far, xtol=_ACCURACY * error))
-        if far in (0.0, 1.0):
-            return far
-        near, reach = far, 2.0 * reach
-
-
-# Assumed standard deviation of a direct measurement of an unknown, as a part of the distance of its bounds.
-_DIRECT_ERROR: Final = 0.05
-# Conditions of the proposed measurements, as factors on the median of the measured ones.
-_FACTORS: Final = {"share.wedge_angle": (0.6, 1.5), "share.height": (0.7, 1.4), "scene.tow_speed": (0.5, 1.7)}
-# Largest wedge angle that is proposed.
-_STEEPEST: Final = math.radians(70.0)
-# Gains that agree to this number of decimals are equal, but for rounding in the order of the rows.
-_DIGITS: Final = 6
-# Known tool friction of steel coated with polyethylene.
-_COATED_FRICTION: Final = 0.2
-# Proposed increase of the ambient pressure [Pa], as at a larger depth.
-_MORE_PRESSURE: Final = 10e3
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A measurement that could be made.
-
-    Attributes:
-        result: the result to measure, as in `Measurements`; or the name of an unknown that is measured directly.
-        conditions: key -> value, SI; the other conditions are at the median of the measured ones.
-        sigma: standard deviation of its error, in the result's SI unit; None: the relative error of the data.
-        why: a name for reports; "" for a generated description.
-
-    Example:
-        >>> import plough_opt as po
-        >>> po.Candidate("mean_draft", {"scene.tow_speed": 3.0}).result
-        'mean_draft'
-    """
-
-    result: str
-    conditions: Mapping[str, float] = field(default_factory=dict)
-    sigma: MaybeInfinite | None = None
-    why: str = ""
-
-    def describe(self) -> str:
-        """Return the measurement as text.
-
-        Example:
-            >>> import plough_opt as po
-            >>> po.Candidate("mean_draft", {"scene.tow_speed": 3.0}).describe()
-            'mean_draft at scene.tow_speed = 3 m/s'
-        """
-        if self.why:
-            return self.why
-        if not self.conditions:
-            return f"{self.result} again"
-        return f"{self.result} at " + ", ".join(_condition(key, x) for key, x in self.conditions.items())
-
-
-@dataclass(frozen=True)
-class NextMeasurement:
-    """The gain from a candidate.
-
-    Attributes:
-        candidate: the measurement.
-        sigma: assumed standard deviation of its error, SI.
-        information: gain of information: ln of the factor by which the volume of possible values shrinks.
-        errors: unknown -> (standard error now, and with the measurement), SI; both include what the bounds say.
-        units: unknown -> SI unit.
-    """
-
-    candidate: Candidate
-    sigma: MaybeInfinite
-    information: float
-    errors: Mapping[str, tuple[MaybeInfinite, MaybeInfinite]]
-    units: Mapping[str, str]
-
-    def words(self) -> str:
-        """Return the gain in a sentence."""
-        gains = sorted(self.errors.items(), key=lambda item: item[1][1] / item[1][0])
-        largest = [
-            f"{name} from ±{now:.3g} to ±{then:.3g} {self.units[name]}".rstrip()
-            for name, (now, then) in gains[:3]
-            if then < 0.9 * now
-        ]
-        return f"{self.candidate.describe()}: {'; '.join(largest) or 'hardly any gain'}"
-
-
-def next_measurements(fit: Estimate, candidates: Sequence[Candidate] | None = None) -> tuple[NextMeasurement, ...]:
-    """Return candidates with their gain of information, the best first.
-
-    The first one is D-optimal. The prior is a uniform distribution between the bounds.
-
-    Args:
-        fit: the estimate from the data.
-        candidates: candidates to rank; default: other conditions, other results, and direct measurements of unknowns.
-
-    Raises:
-        InputError: a candidate of another type, or no candidate that this scene can have.
-    """
-    if candidates is None:
-        candidates = _proposals(fit.setup)
-    check_kind("the candidates", candidates, Sequence, "a list of po.Candidate")
-    for candidate in candidates:
-        check_kind("a candidate", candidate, Candidate, "a po.Candidate")
-    unknowns = fit.unknowns
-    slopes = np.array([unknown.slope(float(y)) for unknown, y in zip(unknowns, fit.y, strict=True)])
-    weighted = fit.slope * fit.data.weights[:, None]
-    now = np.linalg.inv(weighted.T @ weighted / fit.variance + np.eye(len(unknowns)) / UNIFORM**2)
-    before, units = np.sqrt(np.diag(now)) * slopes, {unknown.name: unknown.unit for unknown in unknowns}
-    ranking = []
-    for candidate in candidates:
-        try:
-            sigma, slope = _predicted(candidate, fit, slopes)
-        except (DomainError, InputError):  # the scene does not have this result or these conditions
-            continue
-        row = slope / sigma
-        step = now @ row
-        gain = float(row @ step)
-        after = np.sqrt(np.maximum(np.diag(now - np.outer(step, step) / (1.0 + gain)), 0.0)) * slopes
-        errors = {u.name: (float(before[k]), float(after[k])) for k, u in enumerate(unknowns)}
-        ranking.append(NextMeasurement(candidate, sigma, 0.5 * math.log1p(gain), errors, units))
-    if not ranking:
-        raise InputError("none of the candidates can be measured in this scene: check their results and conditions")
-    return tuple(sorted(ranking, key=lambda item: (-round(item.information, _DIGITS), item.candidate.describe())))
-
-
-def _predicted(candidate: Candidate, fit: Estimate, slopes: Array) -> tuple[float, Array]:
-    """Return the standard deviation of a candidate's error, and its derivatives by the scaled unknowns.
-
-    Args:
-        candidate: the candidate.
-        fit: the estimate from the data.
-        slopes: derivatives of the unknowns by their scaled values.
-
-    Raises:
-        DomainError: the conditions are outside the model's domain.
-        InputError: the scene does not have the result or a condition.
-    """
-    for k, unknown in enumerate(fit.unknowns):
-        if unknown.name == candidate.result:
-            return candidate.sigma or _direct_error(unknown), slopes[k] * np.eye(len(slopes))[k]
-    if candidate.result not in measurable():
-        raise InputError(f"'{candidate.result}' is neither a result of a run nor one of the unknowns")
-    keys = dict.fromkeys(key for m in fit.setup.measured for key in m.conditions)
-    medians = {key: median for key in keys if (median := _median(key, fit.setup)) is not None}
-    added = Measurements(candidate.result, [0.0], {**medians, **candidate.conditions})
-    value, slope = predictor((Rows(added, fit.setup.model),), fit.setup.model)(fit.y)
-    size, observed = abs(float(value)), np.abs(fit.data.observed)
-    counted = (fit.data.weights > 0.0) & (observed > 0.0)
-    relative = float(np.median(fit.deviation[counted] / observed[counted]))
-    return candidate.sigma or max(relative * size, 1e-12 * max(1.0, size)), np.asarray(slope).ravel()
-
-
-def _proposals(setup: Setup) -> list[Candidate]:
-    """Return the default candidates: other conditions, other results, and direct measurements of the unknowns."""
-    names = {unknown.name for unknown in setup.model.unknowns}
-    results = [m.result for m in setup.measured if m.result in measurable() and m.result != RECORD] or ["mean_draft"]
-    candidates: list[Candidate] = []
-    for result in dict.fromkeys(results):
-        candidates.append(Candidate(result))
-        for key, factors in _FACTORS.items():
-            if key not in names and (median := _median(key, setup)):
-                most = _STEEPEST if key == "share.wedge_angle" else math.inf
-                candidates += [Candidate(result, {key: min(factor * median, most)}) for factor in factors]
-        key = "soil.ambient_pressure"
-        if key not in names and (median := _median(key, setup)):
-            why = f"{result} at an ambient pressure {_MORE_PRESSURE / 1e3:g} kPa higher"
-            candidates.append(Candidate(result, {key: median + _MORE_PRESSURE}, why=why))
-        if "soil.tool_friction" in names:
-            why = f"{result} of a coated share, of known tool friction {_COATED_FRICTION:g}"
-            candidates.append(Candidate(result, {"soil.tool_friction": _COATED_FRICTION}, why=why))
-    if "loosened_radius" not in results:
-        candidates.append(Candidate("loosened_radius", why="loosened_radius"))
-    for unknown in setup.model.unknowns:
-        error = _direct_error(unknown)
-        why = f"{unknown.name} measured directly, to ±{in_words(error, unknown.unit, 3)}"
-        candidates.append(Candidate(unknown.name, sigma=error, why=why))
-    return candidates
-
-
-def _direct_error(unknown: Unknown) -> float:
-    """Return the standard deviation that is assumed for a direct measurement of an unknown."""
-    return _DIRECT_ERROR * (unknown.upper - unknown.lower)
-
-
-def _median(key: str, setup: Setup) -> float | None:
-    """Return the median of a condition over all rows that count; the scene's own value if it was not varied."""
-    columns = [m.conditions[key][m.counted] for m in setup.measured if key in m.conditions]
-    return float(np.median(np.concatenate(columns))) if columns else setup.model.current.get(key)
-
-
-def _condition(key: str, value: float) -> str:
-    return f"{key} = {in_words(value, result_unit(key).symbol, 3)}"

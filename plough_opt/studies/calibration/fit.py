@@ -26,21 +26,21 @@ from plough_opt.core.units import Display, Unit
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import called
 from plough_opt.soil.soil import Soil
-from plough_opt.studies.calibration.estimate import (
+from plough_opt.studies.calibration.estimate import ERRORS, NOMINAL, Estimate, Undetermined, undetermined
+from plough_opt.studies.calibration.model import Row, result_unit
+from plough_opt.studies.calibration.quality import (
     Candidate,
-    Estimate,
+    CrossValidation,
     Interval,
     Kind,
     NextMeasurement,
-    Undetermined,
+    caveats,
     check_level,
+    cross_validate,
+    held_out,
     interval,
     next_measurements,
-    undetermined,
 )
-from plough_opt.studies.calibration.measurements import Row, result_unit
-from plough_opt.studies.calibration.model import ERRORS, NOMINAL
-from plough_opt.studies.calibration.quality import CrossValidation, caveats, cross_validate, held_out
 
 if TYPE_CHECKING:
     import pandas

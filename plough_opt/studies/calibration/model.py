@@ -1,4 +1,4 @@
-"""Model and measured rows of a calibration, with predictions as a CasADi Function of the unknowns.
+"""Measurements, and the scene as a model of them: its predictions as a CasADi Function of the unknowns.
 
 Each unknown is searched between bounds, and scaled to the interval from 0 to 1.
 """
@@ -7,26 +7,316 @@ import math
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Any, Final, Protocol, TypeAlias, runtime_checkable
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import check_choice, check_domain, check_named, mapping_of, plain_number, shown
+from plough_opt.core.checks import (
+    array_of,
+    check_domain,
+    check_kind,
+    check_named,
+    check_text,
+    mapping_of,
+    path_of,
+    plain_number,
+    shown,
+)
 from plough_opt.core.errors import DomainError, InputError, nearest
-from plough_opt.core.expressions import Column, Expression, as_number, exp, is_symbolic, stacked
-from plough_opt.core.plain_data import Array
+from plough_opt.core.expressions import ByValue, Column, Expression, as_number, exp, is_symbolic, stacked
+from plough_opt.core.plain_data import Array, MaybeInfinite
 from plough_opt.core.quantities import every_quantity, quantities
-from plough_opt.core.units import in_si
+from plough_opt.core.tables import columns_of, heading_of, raise_listed, read_rows, table_of
+from plough_opt.core.units import Unit, in_si
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion import simulate
 from plough_opt.motion.methods import Accuracy
 from plough_opt.motion.plan import numbers_of, phase
 from plough_opt.motion.scene import Scene, quantities_of, with_quantities
 from plough_opt.motion.vocabulary import MEASURES
-from plough_opt.studies.calibration.least_squares import Data, LeastSquares, loss_of
-from plough_opt.studies.calibration.measurements import RECORD, Measurements, measurable
+
+RECORD: Final = "mount_force"
+"""The result that is measured over time; rows with equal conditions belong to one run."""
+_EXAMPLE: Final = "'scene.tow_speed [km/h], share.wedge_angle [deg], mean_draft [kN], sigma [kN]'"
+
+
+def measurable() -> tuple[str, ...]:
+    """Return the names of the results that can be measured in the field."""
+    return tuple(name for name, measure in MEASURES.items() if measure.measured)
+
+
+def result_unit(name: str) -> Unit:
+    """Return the SI unit of a result, or of a quantity that is measured directly."""
+    return MEASURES[name].unit if name in measurable() else every_quantity()[name]
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements(ByValue):
+    """Measured values of one result, with a number per row in every column.
+
+    For example ``Measurements("mean_draft", [3.9e3, 4.1e3], {"scene.tow_speed": [1.0, 2.0]}, sigma=100.0)``.
+
+    Args:
+        result: the measured result: mean_draft [N], mount_force [N] over time, force_rms [N], mean_deflection [m],
+            displacement_rms [m], tow_power [W], loosened_radius [m], added_mass [kg] or cone_index [Pa]; or an unknown
+            that was measured directly, such as "soil.friction_angle" [rad] in a shear test.
+        values: measured values, SI.
+        conditions: key of a problem file, such as "scene.tow_speed" -> its value in every row, SI.
+        sigma: standard deviation of the measuring error, one number or one per row, above 0; None: estimated from the
+            scatter.
+        weights: relative weight of each row's square, at least 0, instead of sigma; rows of weight 0 are left out.
+        time: times since the start of the run [s], at least 0; only for mount_force.
+        name: name of the set in messages, such as the file's name.
+        lines: line of the file for each row.
+
+    Raises:
+        InputError: an unknown name, columns of unequal length, or an invalid number; the message names the row.
+
+    Example:
+        >>> import plough_opt as po
+        >>> data = po.Measurements("mean_draft", [3.9e3, 4.1e3], {"scene.tow_speed": [1.0, 2.0]}, sigma=100.0)
+        >>> data.result
+        'mean_draft'
+    """
+
+    result: str
+    values: Array
+    conditions: Mapping[str, Array]
+    sigma: Array | None
+    weights: Array | None
+    time: Array | None
+    name: str
+    lines: tuple[int, ...]
+
+    def __init__(
+        self,
+        result: str,
+        values: Sequence[float] | Array,
+        conditions: Mapping[str, Sequence[float] | Array | float] | None = None,
+        *,
+        sigma: Sequence[float] | Array | float | None = None,
+        weights: Sequence[float] | Array | None = None,
+        time: Sequence[float] | Array | None = None,
+        name: str = "measurements",
+        lines: Sequence[int] = (),
+    ) -> None:
+        check_text("the name of measurements", name)
+        check_kind(f"{name}: lines", lines, Sequence, "a list of the rows' line numbers")
+        conditions = mapping_of(f"{name}: conditions", conditions, "a quantity's key -> its values")
+        known = every_quantity()
+        if not (isinstance(result, str) and result in known):
+            check_named(f"{name}: {{}} is not a measured result", result, measurable())
+        for key in conditions:
+            check_named(f"{name}: {{}} is not a quantity of a scene", key, known)
+            if key == result:
+                raise InputError(f"{name}: '{key}' is both measured and a condition")
+        for key, value in (("result", result), ("name", name), ("lines", tuple(lines))):
+            object.__setattr__(self, key, value)
+        measured = self._column(result, values)
+        count = len(measured)
+        if not count:
+            raise InputError(f"{name}: there are no measurements")
+        columns = {key: self._column(key, column, count) for key, column in conditions.items()}
+        optional = {key: None if given is None else self._column(key, given, count)
+                    for key, given in (("sigma", sigma), ("weights", weights), ("time", time))}  # fmt: skip
+        for key, column in {"values": measured, "conditions": columns, **optional}.items():
+            object.__setattr__(self, key, column)
+        self._check_columns()
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.values)
+
+    @property
+    def counted(self) -> NDArray[np.bool_]:
+        """Mask of the rows that are not left out by a weight of 0."""
+        return np.full(self.rows, True) if self.weights is None else self.weights > 0.0
+
+    def row(self, number: int) -> str:
+        """Return the name of a row for messages.
+
+        Raises:
+            InputError: an invalid row number.
+
+        Example:
+            >>> import plough_opt as po
+            >>> data = po.Measurements("mean_draft", [3.9e3, 4.1e3], {"scene.tow_speed": [1.0, 2.0]}, name="field 3")
+            >>> data.row(1)
+            'field 3, row 2'
+        """
+        self._check_row(number)
+        return self._place(number)
+
+    def at(self, number: int) -> dict[str, float]:
+        """Return the conditions of a row, SI.
+
+        Raises:
+            InputError: an invalid row number.
+
+        Example:
+            >>> import plough_opt as po
+            >>> data = po.Measurements("mean_draft", [3.9e3, 4.1e3], {"scene.tow_speed": [1.0, 2.0]})
+            >>> data.at(1)
+            {'scene.tow_speed': 2.0}
+        """
+        self._check_row(number)
+        return {key: float(column[number]) for key, column in self.conditions.items()}
+
+    def _place(self, number: int) -> str:
+        return f"{self.name}, line {self.lines[number]}" if self.lines else f"{self.name}, row {number + 1}"
+
+    def _check_row(self, number: int) -> None:
+        if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 0 <= number < self.rows:
+            raise InputError(f"{self.name}: row {shown(number)} must be a whole number from 0 to {self.rows - 1}")
+
+    def _column(self, key: str, given: Any, rows: int | None = None) -> Array:
+        """Return a column of finite numbers; a single number stands for all rows, if their number is known."""
+        others = {"sigma": result_unit(self.result), "weights": Unit(""), "time": Unit("s")}
+        given = in_si(f"{self.name}: '{key}'", given, (others.get(key) or result_unit(key)).symbol)
+        column = array_of(given, f"{self.name}: '{key}' must be a column of numbers, SI units")
+        if column.ndim == 0 and rows is not None:
+            column = np.full(rows, float(column))
+        if column.ndim != 1 or len(column) != (len(column) if rows is None else rows):
+            expected = "one dimension" if rows is None else f"{rows} rows, as '{self.result}' has"
+            raise InputError(f"{self.name}: '{key}' has the shape {column.shape}, and must have {expected}")
+        self._check_rows(key, column, ~np.isfinite(column), "a finite number")
+        column.flags.writeable = False
+        return column
+
+    def _check_columns(self) -> None:
+        """Raise InputError if numbers are outside their domains, or if the columns do not go together."""
+        if self.result in measurable() and self.result != RECORD:
+            self._check_rows(self.result, self.values, self.values < 0.0, "at least 0: forces count against the travel")
+        if self.sigma is not None:
+            self._check_rows("sigma", self.sigma, self.sigma <= 0.0, "above 0: it is a standard deviation")
+        if self.weights is not None:
+            self._check_rows("weights", self.weights, self.weights < 0.0, "at least 0")
+            if self.sigma is not None:
+                raise InputError(f"{self.name}: sigma and weights exclude each other: keep sigma")
+            if not np.any(self.weights > 0.0):
+                raise InputError(f"{self.name}: every weight is 0, which leaves no row: omit this set")
+        if self.time is not None:
+            self._check_rows("time", self.time, self.time < 0.0, "at least 0: it counts from the start of the run")
+            if self.result != RECORD:
+                raise InputError(
+                    f"{self.name}, column 'time': {self.result} is one value per run: a time goes with {RECORD} only"
+                )
+        elif self.result == RECORD:
+            raise InputError(f"{self.name}: {RECORD} is measured over time: a column 'time [s]' is missing")
+
+    def _check_rows(self, key: str, column: Array, bad: NDArray[np.bool_], expected: str) -> None:
+        """Raise InputError for the first bad row of a column."""
+        if np.any(bad):
+            number = int(np.argmax(bad))
+            raise InputError(f"{self._place(number)}: {key} = {column[number]:g} must be {expected}")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A measured row with its prediction, SI.
+
+    Attributes:
+        place: file and line, or set and row.
+        result: the measured result.
+        unit: its unit.
+        conditions: conditions of the row by key.
+        time: time since the start of the run [s], or None.
+        observed: measured value.
+        predicted: fitted value.
+        sigma: standard deviation of the measurement, stated or estimated; infinite for a row of weight 0.
+        standard_error: standard error of the prediction, from the errors of the determined unknowns.
+        residual: predicted minus observed value.
+    """
+
+    place: str
+    result: str
+    unit: str
+    conditions: Mapping[str, float]
+    time: float | None
+    observed: float
+    predicted: float
+    sigma: MaybeInfinite
+    standard_error: MaybeInfinite
+    residual: float
+
+
+def read_measurements(path: str | Path) -> Measurements:
+    """Read one measured result from a CSV file.
+
+    The first line that is not empty and does not begin with ``#`` names the columns with their units, such as
+    ``scene.tow_speed [km/h], share.wedge_angle [deg], mean_draft [kN], sigma [kN]``. Conditions have their keys in a
+    problem file. There is one measured result, and optionally ``sigma`` (its standard deviation, in its unit or in
+    ``%``) or ``weight``; ``mount_force`` needs a column ``time``. Cells are numbers with a decimal point, separated by
+    commas, semicolons or tabs; between semicolons they may have decimal commas.
+
+    Raises:
+        InputError: the file does not exist, or has an invalid column or cell; the message lists each with line, column,
+            the expected value and the nearest valid name.
+
+    Example:
+        >>> import plough_opt as po
+        >>> po.read_measurements("problems/synthetic_draft.csv").result
+        'mean_draft'
+    """
+    path = path_of("the file of measurements", path)
+    rows = read_rows(path, "measurements")
+    if not rows:
+        raise InputError(f"{path}: the file is empty: name the columns in its first line, such as {_EXAMPLE}")
+    line, headings = rows[0]
+    relative = any(heading_of(text, ("sigma",)) == ("sigma", "%") for text in headings)
+    columns = _columns(f"{path}, line {line}", headings, relative)
+    if len(rows) == 1:
+        raise InputError(f"{path}, line {line}: there is no row below the header: add the measured values")
+    named = [(text.strip(), factor) for text, (_, factor) in zip(headings, columns, strict=True)]
+    table = table_of(path, rows[1:], named, lambda k, value, cell: _check_cell(columns[k][0], value, cell))
+    values = {name: table[:, k] for k, (name, _) in enumerate(columns)}
+    result = next(name for name in values if name in measurable())
+    sigma = values.pop("sigma", None)
+    if sigma is not None and relative:
+        with np.errstate(over="ignore"):  # `Measurements` reports an infinite number with its row
+            sigma = sigma * np.abs(values[result])
+    time, weights, measured = values.pop("time", None), values.pop("weight", None), values.pop(result)
+    lines = [number for number, _ in rows[1:]]
+    return Measurements(result, measured, values, sigma=sigma, weights=weights, time=time, name=str(path), lines=lines)
+
+
+def _columns(place: str, headings: Sequence[str], relative: bool) -> list[tuple[str, float]]:
+    """Return name and factor to SI of the columns that a header names.
+
+    Raises:
+        InputError: invalid columns, or columns that do not go together; the message lists all.
+    """
+    measured = [name for text in headings if (name := heading_of(text, measurable())[0]) in measurable()]
+    units = {**quantities(), **{name: MEASURES[name].unit for name in measurable()}}
+    of_sigma = MEASURES[measured[0]].unit if measured and not relative else Unit("")
+    units |= {"sigma": of_sigma, "weight": Unit(""), "time": Unit("s")}
+    # Without a measured result the unit of sigma is unknown: report the missing result only.
+    known = (text for text in headings if measured or heading_of(text, ("sigma",))[0] != "sigma")
+    columns = columns_of(place, [*known], units)
+    names = [name for name, _ in columns]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    errors = [f"{place}, column '{key}': it is given twice: leave one of the two out" for key in twice]
+    if not measured:
+        errors.append(
+            f"{place}: no column holds a measured result: add one of {', '.join(measurable())}, such as {_EXAMPLE}"
+        )
+    if len(set(measured)) > 1:
+        errors.append(f"{place}: {' and '.join(measured)} are measured: write one file for each, and give all files")
+    raise_listed(errors)
+    return columns
+
+
+def _check_cell(name: str, value: float, cell: str) -> None:
+    """Raise InputError if a number is outside the domain of its column."""
+    if name == "sigma" and value <= 0.0:
+        raise InputError(f"{cell} must be above 0: it is a standard deviation")
+    if name in ("weight", "time") and value < 0.0:
+        raise InputError(f"{cell} must be at least 0")
+
 
 SceneOf: TypeAlias = Callable[[Mapping[str, Expression]], Scene]
 _DURATION = "scene.duration"
@@ -180,7 +470,11 @@ def model_of(
         raise InputError(
             f"{shown(given)} must be a Problem, a Scene, or a function of values by key that returns a Scene"
         )
-    return CalibrationModel(title, build, current, duration, accuracy, _unknowns(unknown, current))
+    bounds_of = mapping_of("unknown", unknown, "{'soil.cohesion': (1e3, 80e3)}")
+    if not bounds_of:
+        raise InputError("there are no unknowns: name each with its bounds, as {'soil.cohesion': (1e3, 80e3)}")
+    unknowns = tuple(_unknown(name, bounds, current.get(name)) for name, bounds in bounds_of.items())
+    return CalibrationModel(title, build, current, duration, accuracy, unknowns)
 
 
 def _of_file(problem: Described, values: Mapping[str, Expression]) -> Scene:
@@ -197,18 +491,6 @@ def _current(scene: Scene) -> dict[str, float]:
     if any(map(is_symbolic, values.values())):
         raise InputError("the scene holds symbols: calibrate a numeric scene, and name its unknowns")
     return {name: float(as_number(value)) for name, value in values.items()}
-
-
-def _unknowns(given: Mapping[str, Any] | None, current: Mapping[str, float]) -> tuple[Unknown, ...]:
-    """Return the checked unknowns.
-
-    Raises:
-        InputError: there are no unknowns, a name is unknown, or bounds are invalid.
-    """
-    bounds_of = mapping_of("unknown", given, "{'soil.cohesion': (1e3, 80e3)}")
-    if not bounds_of:
-        raise InputError("there are no unknowns: name each with its bounds, as {'soil.cohesion': (1e3, 80e3)}")
-    return tuple(_unknown(name, bounds, current.get(name)) for name, bounds in bounds_of.items())
 
 
 def _unknown(name: str, bounds: Any, current: float | None) -> Unknown:
@@ -235,7 +517,6 @@ def _unknown(name: str, bounds: Any, current: float | None) -> Unknown:
     return Unknown(name, units[name].symbol, lower, upper, guess, log)
 
 
-Numbers: TypeAlias = Sequence[Expression] | Array
 SceneOfRows: TypeAlias = tuple[Scene, Expression | None, NDArray[np.intp]]
 """A scene, its duration [s] or None, and the indices of the rows that were measured in it."""
 
@@ -255,14 +536,6 @@ _MOST_OUTPUTS: Final = 20_000
 _MOST_EXPANDED: Final = 1000
 # A time counts as an output time if it is closer to it than this part of the duration.
 _ON_OUTPUT: Final = 1e-9
-NOMINAL: Final = 0.01
-"""Nominal standard deviation of an error, relative to the mean measured or each predicted value, without sigma."""
-
-ERRORS: Final = ("constant", "relative")
-"""Models of errors whose sigma is not stated: the same for each set of measurements, or proportional to the result."""
-
-INSIDE: Final = 0.02
-"""Starts keep at least this distance from the bounds, as a part of their distance: a search may stay at a bound."""
 
 
 @dataclass(frozen=True)
@@ -290,7 +563,7 @@ class Rows:
         """Whether an unknown was measured directly."""
         return self.measured.result not in measurable()
 
-    def scenes(self, y: Numbers) -> list[SceneOfRows]:
+    def scenes(self, y: Sequence[Expression] | Array) -> list[SceneOfRows]:
         """Return the distinct scenes at scaled unknowns, with their durations and rows.
 
         Raises:
@@ -366,14 +639,7 @@ class Rows:
         return ca.MX(stacked(*forces))[np.argsort(order).tolist(), 0]
 
     def _force_at(self, scene: Scene, duration: Any, rows: NDArray[np.intp], example: Scene) -> Expression:
-        """Return the mount force of a run at the times of some rows.
-
-        Args:
-            scene: the scene, numeric or symbolic.
-            duration: its duration [s].
-            rows: indices of the rows.
-            example: a numeric scene of the same kind, which determines the number of output times.
-        """
+        """Return the mount force at the times of some rows; a numeric scene like it decides the number of outputs."""
         assert self.measured.time is not None
         times = self.measured.time[rows]
         outputs = _outputs(example, duration, times)
@@ -440,129 +706,3 @@ def interpolation(fractions: Array, outputs: int) -> Array:
             others = nodes[nodes != k]
             weights[row, k] = np.prod((position - others) / (k - others))
     return weights
-
-
-@dataclass(frozen=True)
-class Setup:
-    """A checked calibration.
-
-    Attributes:
-        model: the scene as a function of its quantities, with the unknowns.
-        rows: the sets of measurements.
-        problem: the least-squares problem.
-        data: measured values and their weights.
-    """
-
-    model: CalibrationModel
-    rows: tuple[Rows, ...]
-    problem: LeastSquares
-    data: Data
-
-    @property
-    def measured(self) -> tuple[Measurements, ...]:
-        """The sets of measurements."""
-        return tuple(rows.measured for rows in self.rows)
-
-    @property
-    def places(self) -> list[str]:
-        """Name of every row for messages."""
-        return [m.row(k) for m in self.measured for k in range(m.rows)]
-
-
-def setup_of(
-    given: Described | Scene | SceneOf,
-    data: Measurements | Sequence[Measurements],
-    unknown: Mapping[str, Any] | None,
-    loss: str,
-    errors: str,
-    duration: float | None,
-) -> Setup:
-    """Return a checked calibration; `Calibration` describes the arguments.
-
-    Raises:
-        InputError: an unknown name, invalid bounds, too few rows, or data that do not belong to the scene.
-    """
-    measured = (data,) if isinstance(data, Measurements) else tuple(data) if isinstance(data, Sequence) else ()
-    if not measured or not all(isinstance(m, Measurements) for m in measured):
-        raise InputError("the data must be Measurements, one set or several: read a file with po.read_measurements")
-    for k, m in enumerate(measured):
-        if any(m is other for other in measured[:k]):
-            raise InputError(f"{m.name} is given twice, so its rows would count twice: remove one of the two")
-    if not any(np.any(m.values[m.counted]) for m in measured):
-        raise InputError(f"{measured[0].name}: every measured value is 0, which no soil gives: check the column")
-    chosen_loss = loss_of(loss)
-    check_choice("errors", errors, ERRORS)
-    model = model_of(given, duration, unknown, {key for m in measured for key in m.conditions})
-    _check_names(model, measured)
-    _check_bounds(model, measured)
-    rows = tuple(Rows(m, model) for m in measured)
-    setup = Setup(model, rows, LeastSquares(predictor(rows, model), chosen_loss), _data(measured, errors))
-    _check_numbers(setup)
-    return setup
-
-
-def _check_names(model: CalibrationModel, measured: Sequence[Measurements]) -> None:
-    """Raise InputError if a column is also an unknown, or if neither a result nor an unknown was measured."""
-    names = {unknown.name for unknown in model.unknowns}
-    for m in measured:
-        if both := names & set(m.conditions):
-            raise InputError(f"{m.name}: '{min(both)}' is a column of the data, so it cannot be an unknown")
-        if m.result not in measurable() and m.result not in names:
-            listed = ", ".join(sorted(names))
-            raise InputError(f"{m.name}: '{m.result}' was measured, but is not among the unknowns: {listed}")
-
-
-def _check_bounds(model: CalibrationModel, measured: Sequence[Measurements]) -> None:
-    """Raise InputError if the bounds or the first row are outside the model's domain; `Rows` checks other rows."""
-    first = next((m for m in measured if m.result in measurable()), measured[0])
-    guess = {unknown.name: unknown.guess for unknown in model.unknowns} | first.at(0)
-    tried = {first.row(0): guess}
-    for unknown in model.unknowns:
-        tried[f"lower bound of '{unknown.name}'"] = guess | {unknown.name: unknown.lower}
-        tried[f"upper bound of '{unknown.name}'"] = guess | {unknown.name: unknown.upper}
-    for place, values in tried.items():
-        try:
-            model.scene(values)
-        except DomainError as error:
-            raise InputError(f"{place}: {error}") from None
-
-
-def _data(measured: Sequence[Measurements], errors: str) -> Data:
-    """Return values and weights of all rows.
-
-    Raises:
-        InputError: some sets state sigma and others do not, or all do and errors are relative too.
-    """
-    relative = errors == "relative"
-    stated = {m.sigma is not None for m in measured}
-    if len(stated) > 1:
-        without = next(m.name for m in measured if m.sigma is None)
-        raise InputError(f"{without}: no sigma is stated, but other sets state theirs: give every set its sigma")
-    if relative and stated == {True}:
-        raise InputError(f"{measured[0].name}: sigma states the errors, so they cannot be 'relative' too: omit either")
-    squares = [np.ones(m.rows) if m.weights is None else m.weights for m in measured]
-    # Only ratios of weights count: their mean is 1, as without them.
-    mean = float(np.mean(np.concatenate([weight[m.counted] for weight, m in zip(squares, measured, strict=True)])))
-    weights = []
-    for weight, m in zip(squares, measured, strict=True):
-        nominal = NOMINAL if relative else NOMINAL * float(np.mean(np.abs(m.values[m.counted]))) or 1.0
-        weights.append(np.sqrt(weight / mean) / nominal if m.sigma is None else 1.0 / m.sigma)
-    return Data(np.concatenate([m.values for m in measured]), np.concatenate(weights), stated.pop(), relative)
-
-
-def _check_numbers(setup: Setup) -> None:
-    """Raise InputError if there are too few rows, or if a prediction or derivative at the guess is not finite."""
-    data, unknowns = setup.data, setup.model.unknowns
-    least = len(unknowns) + (0 if data.stated and not setup.problem.loss.robust else 1)
-    if data.count < least:
-        why = "" if data.stated else ", because the scatter is estimated too: state sigma, or measure more"
-        raise InputError(
-            f"{setup.measured[0].name}: {data.count} rows are too few for {len(unknowns)} unknowns"
-            f" ({', '.join(u.name for u in unknowns)}): at least {least} are needed{why}"
-        )
-    values, slopes = setup.problem.at(np.clip(setup.model.guess, INSIDE, 1.0 - INSIDE))
-    finite = np.isfinite(values) & np.isfinite(slopes).all(axis=1)
-    if not np.all(finite):
-        raise InputError(
-            f"{setup.places[int(np.argmin(finite))]}: the model has no finite prediction at these conditions"
-        )

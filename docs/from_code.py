@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 
 import plough_opt as po
-from plough_opt.app.options import parser
+from plough_opt.app.main import parser
 from plough_opt.core.quantities import EVERY
 from plough_opt.exchange.export.formats import FORMATS
 from plough_opt.laws import LAWS

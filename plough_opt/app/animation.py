@@ -11,8 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-from plough_opt.app.panels import LIMIT, SHARE, SOIL, STRUT, changing, deflection_of, subject
-from plough_opt.app.plots import draw_panel
+from plough_opt.app.plots import LIMIT, SHARE, SOIL, STRUT, changing, deflection_of, draw_panel, subject
 from plough_opt.core.checks import check_domain, path_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import as_number, sin

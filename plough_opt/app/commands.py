@@ -1,4 +1,4 @@
-"""Commands that need one function each; every command writes its files last, when nothing else can fail."""
+"""Commands on a problem file; every command writes its files last, when nothing else can fail."""
 
 from __future__ import annotations
 
@@ -8,23 +8,29 @@ import hashlib
 import json
 import shlex
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from plough_opt.app import tables
-from plough_opt.app.options import MODELS, given_quantities
-from plough_opt.app.terminal import check_outputs, console, give, progress, read, wrote
+from plough_opt.app.main import MODELS, PART, given_quantities
+from plough_opt.app.terminal import LOG, check_outputs, console, give, progress, quiet, read, wrote
 from plough_opt.core.compiler import cache_folder
-from plough_opt.core.errors import InputError
+from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.core.files import check_file, write_new
 from plough_opt.core.plain_data import to_plain
 from plough_opt.core.process import optional
 from plough_opt.core.quantities import EVERY, QUANTITIES
 from plough_opt.core.tables import data_frame
+from plough_opt.exchange.component import Component
+from plough_opt.exchange.export.formats import FORMATS, Request
 from plough_opt.laws.forces import cone_index
+from plough_opt.motion import Run
 from plough_opt.motion.effect_costs import effect_costs
+from plough_opt.motion.scene import Scene
 from plough_opt.problem_file import Problem, template
 from plough_opt.problem_file.schema import file_schema
 from plough_opt.soil.soil import named_soil, soil_names
@@ -33,6 +39,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from plough_opt.design.search.effort import Search
+    from plough_opt.problem_file.sweep import ProblemSweep, What
+
+_DESIGNS: Final = {
+    "best": "the best design", "catalogue": "the best design from the catalogue", "guess": "the guesses",
+}  # fmt: skip
+_FORMAT_OPTIONS: Final = tuple(sorted({option for own in FORMATS.values() for option in own.options}))
 
 
 def init(options: argparse.Namespace) -> None:
@@ -210,3 +222,174 @@ def _cached(file: str) -> Path:
         return cache_folder() / "pages" / f"{Path(file).stem}-{digest}.html"
     except (OSError, RuntimeError) as error:
         raise InputError(f"there is no cache folder for the page ({error}): give its path by -o FILE.html") from None
+
+
+def sweep(options: argparse.Namespace) -> None:
+    """Simulate or optimise a file at every point of a grid or a sample; resume an interrupted sweep."""
+    from plough_opt.problem_file.sweep import ProblemSweep  # the engine of sweeps is slow to import
+
+    if options.workers is not None and options.workers < 1:
+        raise InputError(f"--workers {options.workers}: a sweep needs at least one")
+    if options.scheduler is not None and options.workers is not None:
+        raise InputError("--workers start on this machine, but --scheduler has its own: remove one of the two")
+    if options.scheduler is not None:
+        optional("distributed")  # before anything is read
+    over = _over(options)
+    problem = read(options)
+    what: What = "optimise" if options.optimise else "simulate"
+    plan = ProblemSweep.of(problem, over, what, options.method, options.samples, options.seed)
+    store = options.store or _store_of(options.file, plan)
+    notes = list(plan.notes)
+    if options.samples is not None and options.samples & (options.samples - 1):
+        notes.append(f"{options.samples} samples are not a power of two: a Sobol sample is balanced at 64, 128, ...")
+    for note in notes:
+        LOG.info("note: %s", note)
+    with _executor(options.scheduler) as (executor, workers):
+        found = plan.run(
+            samples=options.samples,
+            seed=options.seed,
+            store=store,
+            executor=executor,
+            workers=workers or options.workers,
+            retry=options.retry,
+            limit=options.limit,
+            progress=not quiet(),
+        )
+    try:
+        give(options, found.page(), found.to_json, found.plot, found.to_dataframe, found.to_csv)
+        if options.npz is not None:
+            wrote(found.to_npz(options.npz))
+        if found.failed == len(found):
+            raise NotConverged("every point failed; the reasons are listed above and in the tables", "failed")
+        if undetermined := len(list(found.undetermined)):
+            raise NotConverged(
+                f"{undetermined} of {len(found)} points are undetermined, because workers ended while computing them;"
+                " run the same command with --retry to repeat them",
+                "undetermined",
+            )
+    finally:
+        found.close()
+
+
+def _over(options: argparse.Namespace) -> dict[str, object]:
+    """Return quantity -> its values as text."""
+    fixed = {text.partition("=")[0].strip() for text in options.set}
+    over: dict[str, object] = {}
+    for text in options.over:
+        name, _, written = (part.strip() for part in text.partition("="))
+        if not (name and written):
+            raise InputError(f'--over {text}: expected KEY=RANGE, like soil.cohesion="5..45 kPa:9"')
+        if name in over:
+            raise InputError(f"--over {text}: '{name}' is swept twice: remove one")
+        if name in fixed:
+            raise InputError(f"--over {text}: '{name}' is also fixed by --set: remove one of the two")
+        over[name] = written.strip("\"'")  # quotes that a shell left
+    return over
+
+
+def _store_of(file: str, plan: ProblemSweep) -> Path:
+    """Return the default store, whose name depends on the question, so that only the same command finds it again."""
+    text = json.dumps([dict(plan.question), {name: repr(axis) for name, axis in plan.axes.items()}, plan.count])
+    return Path(f"{Path(file).stem}-{hashlib.sha256(text.encode()).hexdigest()[:8]}.sweep.db")
+
+
+@contextmanager
+def _executor(address: str | None) -> Iterator[tuple[Executor | None, int | None]]:
+    """Yield the executor of a dask scheduler and the number of its workers' threads; None without an address."""
+    if address is None:
+        yield None, None
+        return
+    distributed = optional("distributed")
+    try:
+        client = distributed.Client(address, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise InputError(f"--scheduler {address}: no dask scheduler answers at this address ({error})") from None
+    with client:
+        threads = sum(client.ncores().values())
+        if threads == 0:
+            raise InputError(f"--scheduler {address}: it has no workers; start some with: dask worker {address}")
+        yield client.get_executor(pure=False), threads
+
+
+def export(options: argparse.Namespace) -> None:
+    """Write a file's scene for another tool; write nothing if anything fails."""
+    chosen = FORMATS[options.to]
+    given = _options(options)
+    problem = read(options)
+    values: dict[str, Any] = problem.values()
+    name = options.name or "share"
+    bought = any(variable.catalogue is not None for variable in problem.variables.values())
+    if options.at == "catalogue" and not bought:
+        raise InputError(f"--at catalogue: no variable of {problem.name} has a catalogue or a step: add one")
+    usual = "guess" if not (problem.variables and problem.table.minimise) else "catalogue" if bought else "best"
+    at = options.at or usual
+    request = Request(
+        path=options.output,
+        name=name,
+        component=partial(_component, problem, options, name),
+        scene=problem.scene(),
+        best=None if at == "guess" else partial(_best, problem, bought=at == "catalogue"),
+        design=_DESIGNS[at] if problem.variables else "the file",
+        steel_density=values["scene.steel_density"],
+        duration=values.get("scene.duration"),
+        options=given,
+    )
+    written = chosen.write(request)
+    if options.json:
+        paths = [str(path) for path in written.paths]
+        print(_json({"wrote": paths, "says": written.said, "next": written.next}))
+        return
+    if written.said:
+        console().print(written.said, soft_wrap=True)
+    for path in written.paths:
+        wrote(path)
+    if written.next:
+        console().print(f"next: {written.next}", soft_wrap=True)
+
+
+def _component(problem: Problem, options: argparse.Namespace, name: str) -> Component:
+    with progress() as notify:
+        notify("building the component", 0.0)
+        names = (_names("inputs", options.inputs), _names("outputs", options.outputs))
+        return problem.component(*names, name=name)
+
+
+def _options(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the format's options; raise InputError for other options and for a path that cannot be written."""
+    chosen = FORMATS[options.to]
+    chosen.check(options.output)
+    for name in _FORMAT_OPTIONS:
+        if getattr(options, name) and name not in chosen.options:
+            others = ", ".join(other for other, own in FORMATS.items() if name in own.options)
+            raise InputError(f"--{name} cannot be used with --to {options.to}, only with {others}")
+    if options.description is not None:
+        check_file(options.description, "description", ".json")
+    return {name: getattr(options, name) for name in chosen.options} | given_quantities(options, PART)
+
+
+def _names(option: str, written: str | None) -> tuple[str, ...]:
+    """Return the names in a comma-separated list; none if the option is not given."""
+    if written is None:
+        return ()
+    names = tuple(part.strip() for part in written.split(","))
+    if not all(names):
+        raise InputError(
+            f"--{option} '{written}' has an empty name: separate names by single commas, as share.height,soil.cohesion"
+        )
+    return names
+
+
+def _best(problem: Problem, *, bought: bool) -> Scene:
+    """Return the scene of the best design, from the catalogue or not, or of the robust one if the soil is uncertain."""
+    with progress() as notify:
+        if problem.table.uncertain is None:
+            best, run = problem.optimise(notify)
+            assert isinstance(run, Run)  # `problem.scene()` in `export` refuses several shares
+            if not bought:
+                return run.scene
+            if best.bought is None:
+                raise NotConverged(f"{best.warnings[-1]}; --at best exports the best design without it", "catalogue")
+            return problem.scene(best.bought.variables)
+        from plough_opt.problem_file.uncertain import optimise_robust  # scipy.stats is slow to import
+
+        return optimise_robust(problem, notify).run.scene

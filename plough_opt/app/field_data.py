@@ -11,7 +11,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from plough_opt.app.options import RECORDED_SHARE, RIG, given_quantities
+from plough_opt.app.main import RECORDED_SHARE, RIG, given_quantities
 from plough_opt.app.terminal import LOG, check_outputs, give, progress, read
 from plough_opt.core.errors import InputError, NotConverged, nearest
 from plough_opt.core.quantities import quantities, wave_table

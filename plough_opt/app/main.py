@@ -1,4 +1,6 @@
-"""The command `plough-opt`: what it runs, and its exit status.
+"""The command `plough-opt`: its arguments, what it runs, and its exit status.
+
+Nothing here imports the rooms of the package, so that help and completion need no numerical library.
 
 Exit status: 0 success; 1 the problem has no solution, or none was found; 2 invalid input; 130 interrupted (a sweep
 continues when it is started again).
@@ -9,12 +11,425 @@ import contextlib
 import io
 import json
 import os
+import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+from importlib.metadata import version
+from typing import Any, Final, NoReturn
 
-from plough_opt.app.options import parser
-from plough_opt.core.errors import DomainError, InfeasibleDesign, InputError, PloughError
+import shtab
+
+from plough_opt.core.errors import DomainError, InfeasibleDesign, InputError, PloughError, nearest, printable
 from plough_opt.core.process import load_additions, without_notices
+from plough_opt.core.units import Unit
+
+_SHARED: Final[dict[str, dict[str, Any]]] = {
+    "json": {"action": "store_true", "help": "print JSON (SI units) instead of a table"},
+    "over": {
+        "choices": ("worst", "mean"),
+        "help": "minimise the worst or the mean within the tolerances, and keep all requirements there",
+    },
+    "plot": {"metavar": "FILE", "help": "write a picture: .png, .svg or .pdf"},
+    "csv": {"metavar": "FILE", "help": "write a table of the result (SI units): .csv, or .xlsx"},
+    "output": {"metavar": "FILE", "help": "write the whole result as JSON"},
+    "seed": {"type": int, "default": 0, "metavar": "N", "help": "seed of the search's samples (default: 0)"},
+}
+
+
+_SHORT: Final = {"output": ("-o",)}
+
+
+@dataclass(frozen=True)
+class QuantityOption:
+    """An option whose value is a quantity with a unit, or a plain text.
+
+    Attributes:
+        unit: SI unit; None for a plain text.
+        example: placeholder in the help: a quantity with a unit, or the name of a plain text.
+        help: its help text.
+        several: whether it may be given several times.
+        argument: name of the value in Python, if it differs from the option's.
+    """
+
+    unit: str | None
+    example: str
+    help: str
+    several: bool = False
+    argument: str = ""
+
+
+MODELS: Final = {
+    "depth": QuantityOption("m", "0.4 m", "working depth; repeatable (default: the share's height)", several=True),
+    "speed": QuantityOption(
+        "m/s", "5 km/h", "speed; repeatable (default: 3, 5, 7, 9 km/h and the tow speed)", True, argument="speeds"
+    ),
+    "width": QuantityOption("m", "0.08 m", "width of the tine (default: base diameter of the equivalent cone)"),
+    "rake": QuantityOption(
+        "rad", "45 deg", "rake angle of the tine (default: the share's chisel angle)", argument="rake_angle"
+    ),
+    "adhesion": QuantityOption("Pa", "2 kPa", "adhesion of soil on the tine (default: 0)"),
+    "surcharge": QuantityOption("Pa", "1 kPa", "pressure on the soil's surface (default: 0)"),
+    "rupture-ratio": QuantityOption("", "2.5", "rupture distance over depth (default: that of a plane wedge)"),
+    "texture": QuantityOption(None, "NAME", "soil texture for ASABE D497: fine, medium or coarse (default: all)"),
+    "point": QuantityOption(None, "NAME", "point for ASABE D497: narrow or winged (default: narrow)"),
+}
+"""Options of a comparison with other draft models."""
+
+RIG: Final = {
+    "mass": QuantityOption("kg", "20 kg", "moving mass of the rig that measured the force"),
+    "stiffness": QuantityOption("N/m", "50 kN/m", "stiffness of the rig's spring"),
+    "damping": QuantityOption("N*s/m", "400 N*s/m", "damping of the rig (default: 0)"),
+    "tow-speed": QuantityOption("m/s", "5 km/h", "speed along the path, for a rig or readings over time"),
+}
+"""Options that describe the rig of a strength record."""
+
+RECORDED_SHARE: Final = {
+    "base-diameter": QuantityOption("m", "0.136 m", "base diameter of the share, over which strength is averaged"),
+}
+"""Options that describe the share whose strength waves are wanted."""
+
+PART: Final = {
+    "opening": QuantityOption(
+        "rad", "90 deg", "for a part: angle between the share's faces (default: gives the block the mass that the model"
+        " uses)"
+    ),
+    "thickness": QuantityOption("m", "10 mm", "for a part: thickness of a bent plate (default: a solid block)"),
+}  # fmt: skip
+"""Options of a part for a workshop."""
+
+
+def given_quantities(options: argparse.Namespace, declared: Mapping[str, QuantityOption]) -> dict[str, Any]:
+    """Return name in Python -> value in SI, of the quantity options that are given.
+
+    Raises:
+        InputError: the value of an option is not a quantity of its unit.
+    """
+    values: dict[str, Any] = {}
+    for name, option in declared.items():
+        written = getattr(options, name.replace("-", "_"))
+        if written is None:
+            continue
+        texts = written if option.several else [written]
+        try:
+            parsed = [text if option.unit is None else Unit(option.unit).parse(text) for text in texts]
+        except InputError as error:
+            raise InputError(f"--{name} {error}") from None
+        values[option.argument or name.replace("-", "_")] = parsed if option.several else parsed[0]
+    return values
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that adds the arguments of a command when it is first used; its messages are fit for a terminal."""
+
+    def __init__(self, *arguments: Any, add: Callable[["_Parser"], None] | None = None, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._add = add
+
+    def fill(self) -> None:
+        """Add the arguments, if they are not added yet."""
+        add, self._add = self._add, None
+        if add is not None:
+            add(self)
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Add the arguments, and parse."""
+        self.fill()
+        return super().parse_known_args(args, namespace)
+
+    def error(self, message: str) -> NoReturn:
+        """Print a message, which may quote the arguments, on the error stream and exit."""
+        if wrong := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
+            known = re.findall(r"[\w-]+", wrong[2])
+            message = f"{message[: wrong.start()]}'{wrong[1]}' is unknown: {nearest(wrong[1], known)}"
+        super().error(printable(message))
+
+    def shared(self, *names: str, **helps: str) -> None:
+        """Add options that several commands share.
+
+        Args:
+            names: names of options with their usual help.
+            helps: option -> help text for this command.
+        """
+        for name in (*names, *helps):
+            flags = [*_SHORT.get(name, ()), f"--{name}"]
+            self.add_argument(*flags, **(_SHARED[name] | ({"help": helps[name]} if name in helps else {})))
+
+    def results(self, *, by_pandas: bool = True, **helps: str | None) -> None:
+        """Add the options of every command that has a result.
+
+        Args:
+            by_pandas: whether its table needs pandas, also as CSV.
+            helps: option -> help text for this command; None if the command does not have it.
+        """
+        texts = {name: helps.get(name, _SHARED[name]["help"]) for name in ("json", "csv", "output", "plot")}
+        self.shared(**{name: text for name, text in texts.items() if text is not None})
+        self.set_defaults(by_pandas=by_pandas)
+
+    def option(self, name: str, value: str, text: str, **more: Any) -> None:
+        """Add an option with a value.
+
+        Args:
+            name: name of the option.
+            value: placeholder of its value in the help.
+            text: its help text.
+            more: further arguments of ``add_argument``.
+        """
+        self.add_argument(f"--{name}", metavar=value, help=text, **more)
+
+    def switch(self, name: str, text: str) -> None:
+        """Add an option without a value."""
+        self.add_argument(f"--{name}", action="store_true", help=text)
+
+    def choice(self, name: str, choices: Sequence[str], text: str, default: str | None = None) -> None:
+        """Add an option whose value is one of a few."""
+        self.add_argument(f"--{name}", choices=choices, default=default, help=text)
+
+    def quantities(self, declared: Mapping[str, QuantityOption]) -> None:
+        """Add options whose values are quantities; ``declared`` maps names to options."""
+        for name, option in declared.items():
+            example = option.example if option.unit is None else f'"{option.example}"'
+            self.option(name, example, option.help, action="append" if option.several else "store")
+
+
+def _init(verb: _Parser) -> None:
+    verb.add_argument("file", metavar="FILE", help="new file to write; it must not exist yet")
+    verb.shared(json="print the path of the file as JSON")
+
+
+def _soils(verb: _Parser) -> None:
+    verb.results(plot=None)
+
+
+def _waves(verb: _Parser) -> None:
+    record = "record: position [m] or time [s], and cone_index [kPa] or force [kN]"
+    verb.add_argument("file", metavar="FILE.csv", help=record)
+    verb.option("part", "P", "fraction of the variance to represent (default: 0.8)", type=float, default=0.8)
+    verb.quantities(RECORDED_SHARE | RIG)
+    verb.results()
+
+
+def _show(verb: _Parser) -> None:
+    verb.add_argument("file", metavar="FILE", help="a saved result (JSON), or the store of a sweep")
+    verb.results(json="print the result as JSON (SI units)")
+    verb.switch("problem", "print the problem file and its data instead")
+    verb.option("restore", "FOLDER", "write the problem file and its data, to compute it again")
+
+
+def _compare(verb: _Parser) -> None:
+    verb.add_argument("file", metavar="FILE", nargs="+", help="saved designs or runs (JSON), two or more")
+    verb.results()
+
+
+def _schema(_verb: _Parser) -> None:
+    """Add nothing."""
+
+
+def _completion(verb: _Parser) -> None:
+    verb.add_argument("shell", choices=shtab.SUPPORTED_SHELLS, help="your shell")
+
+
+def _check(verb: _Parser) -> None:
+    verb.switch("effects", "print which effects are on, and the cost of each")
+    verb.switch("against", "compare with other draft models; the options below need this one")
+    verb.quantities(MODELS)
+    verb.results(
+        csv="write the quantities, with --effects the costs, with --against the drafts (SI units): .csv, or .xlsx",
+        plot="draw the share, or with --against the drafts: .png, .svg or .pdf",
+    )
+
+
+def _simulate(verb: _Parser) -> None:
+    verb.results(csv="write the motion at every output time (SI units): .csv, or .xlsx")
+
+
+def _optimise(verb: _Parser) -> None:
+    search = (
+        "effort of the search: auto, thorough (four times the designs), near (only the guess's basin), a number of"
+        ' designs to sample or a time such as "20 s", after which no further round begins, or the variables to sample,'
+        " with commas (default: auto)"
+    )
+    verb.option("search", "HOW", search, default="auto")
+    judge = "rank optima by their median within the tolerances, or by their own objective (default: tolerance)"
+    verb.choice("judge", ("tolerance", "bare"), judge, "tolerance")
+    verb.shared("over")
+    verb.switch(
+        "sensitivity", "print the change of the optimum in per cent for one per cent more of every quantity and limit"
+    )
+    verb.shared("seed")
+    verb.results(csv="write the local optima (SI units): .csv, or .xlsx")
+
+
+def _tradeoff(verb: _Parser) -> None:
+    verb.option("points", "N", "positions on the front (default: the file's)", type=int)
+    verb.results(by_pandas=False)
+
+
+def _sweep(verb: _Parser) -> None:
+    over = (
+        'quantity and its values: soil.cohesion="5..45 kPa:9", scene.stiffness="10..1000 kN/m:7 log",'
+        ' scene.tow_speed="1 m/s, 2 m/s"; repeatable, for all combinations'
+    )
+    verb.option("over", 'KEY="RANGE"', over, action="append", required=True)
+    verb.option("samples", "N", "size of a Sobol sample of the ranges, preferably a power of two", type=int)
+    verb.switch("optimise", "optimise at every point instead of simulating")
+    how = "simulate each point by itself, or many at once by po.Batch (default: decided by their number)"
+    verb.choice("method", ("auto", "each", "batch"), how, "auto")
+    verb.option("workers", "N", "processes on this machine (default: all cores)", type=int)
+    verb.option("scheduler", "ADDRESS", "use the workers of a dask scheduler: tcp://host:8786")
+    verb.option("store", "FILE", "database of finished points (default: named after the sweep)")
+    verb.switch("retry", "repeat points that failed or are undetermined")
+    verb.option("limit", "SECONDS", "time after which a point fails (default: 3600)", type=float)
+    verb.option("npz", "FILE", "write an array for each column")
+    verb.shared(seed="seed of the sample (default: 0)")
+    verb.results(by_pandas=False, plot="draw every result: .png, .svg or .pdf")
+
+
+def _calibrate(verb: _Parser) -> None:
+    data = "CSV file of one measured result, with names and units in its header; repeatable"
+    verb.option("data", "FILE.csv", data, action="append", required=True)
+    unknown = (
+        'quantity to estimate, with its bounds: soil.cohesion="1..80 kPa"; repeatable (default: the [variables] of the'
+        " file that are not columns of the data)"
+    )
+    verb.option("unknown", 'KEY="RANGE"', unknown, action="append", default=[])
+    known = 'separate measurement of an unknown, with one standard deviation: soil.friction_angle="28 +- 1 deg"'
+    verb.option("known", 'KEY="VALUE"', known, action="append", default=[])
+    loss = "loss function; all but squares give outliers less weight (default: squares)"
+    verb.choice("loss", ("squares", "huber", "soft_l1", "cauchy"), loss, "squares")
+    errors = "errors whose sigma is not stated: constant, or proportional to the result (default: constant)"
+    verb.choice("errors", ("constant", "relative"), errors, "constant")
+    verb.option("level", "P", "confidence level of the intervals (default: 0.95)", type=float, default=0.95)
+    verb.option("folds", "N", "number of folds in cross-validation (default: leave one row out)", type=int)
+    part = "also fit to the other rows, and predict this part of them: 1/3, 0.3 or 30 %%"
+    verb.option("hold-out", "PART", part)
+    by = "hold out rows together that have one value in this column: share.wedge_angle (default: single rows)"
+    verb.option("hold-out-by", "KEY", by)
+    seed = "seed of the rows that are held out (default: 1)"
+    plot = "draw the residuals, or with --hold-out the predicted rows: .png, .svg or .pdf"
+    verb.option("seed", "N", seed, type=int, default=1)
+    verb.results(plot=plot, csv="write the fitted rows (SI units): .csv, or .xlsx")
+
+
+def _export(verb: _Parser) -> None:
+    from plough_opt.exchange.export.formats import FORMATS
+
+    verb.shared(json="print the paths of the files as JSON")
+    formats = "; ".join(f"{name}: {one}" for name, one in FORMATS.items())
+    verb.add_argument("--to", required=True, choices=FORMATS, metavar="FORMAT", help=formats)
+    verb.add_argument("-o", "--output", metavar="PATH", help="file or folder to write", required=True)
+    verb.option("inputs", "NAMES", "inputs, such as share.height,soil.cohesion (default: the variables)")
+    results = "results, such as mean_draft,force_rms (default: those that the file minimises, trades and requires)"
+    verb.option("outputs", "NAMES", results)
+    verb.option("description", "FILE.json", "for casadi: also write names, units and bounds here")
+    verb.option("name", "NAME", "name of the function or model (default: share)")
+    strut = "for an FMU: whether its input is the strut's speed or position (default: speed)"
+    verb.choice("strut", ("speed", "position"), strut)
+    verb.switch("sources", "for an FMU: only its C source, which needs no compiler")
+    verb.quantities(PART)
+    verb.choice("body", ("share", "cone"), "for a part: which body (default: share)")
+    at = (
+        "for a part: the best design, that from the file's catalogue, or the variables' guesses (default: the first of"
+        " catalogue, best and guess that the file has)"
+    )
+    verb.choice("at", ("best", "catalogue", "guess"), at)
+
+
+def _report(verb: _Parser) -> None:
+    verb.add_argument("-o", "--output", required=True, metavar="FILE.html", help="page to write")
+    verb.shared("over", "seed", json="print the path of the page and its provenance as JSON")
+    verb.switch("no-accuracy", "omit the comparison of integration methods")
+
+
+def _explore(verb: _Parser) -> None:
+    where = "page to write, which is then not opened (default: one in the user's cache folder, which is opened)"
+    verb.add_argument("-o", "--output", metavar="FILE.html", help=where)
+    verb.shared("seed", json="print the path of the page as JSON, and open nothing")
+
+
+def _accuracy(verb: _Parser) -> None:
+    verb.option("error", "E", "relative error to reach (default: 1e-6)", type=float, default=1e-6)
+    limit = "time limit of one use of a method; a search may take ten times as long (default: 1)"
+    verb.option("seconds", "S", limit, type=float, default=1.0)
+    verb.switch("design", "study the optimum of the design instead of its scene")
+    verb.switch("thin", "try only every other setting")
+    verb.results()
+
+
+@dataclass(frozen=True)
+class _Command:
+    """A command: the module with a function of its name that runs it, its line of help, and its arguments."""
+
+    module: str
+    help: str
+    add: Callable[[_Parser], None]
+    reads: bool = True  # a problem file, which may be changed by --set
+
+    def arguments(self, name: str, verb: _Parser) -> None:
+        """Add the arguments of the command to its parser, and the function that runs it."""
+        how_much = verb.add_mutually_exclusive_group()
+        how_much.add_argument("-q", "--quiet", action="store_true", help="hide progress, notes and names of written"
+                              " files")  # fmt: skip
+        verbose = "show each step with its time; -vv also every solve and run"
+        how_much.add_argument("-v", "--verbose", action="count", default=0, help=verbose)
+        if self.reads:
+            file = verb.add_argument("file", metavar="FILE", help="problem file (TOML)")
+            file.complete = shtab.FILE  # type: ignore[attr-defined]  # makes shtab complete file names
+            change = 'change a key of the file, such as scene.tow_speed="2.5 m/s"; a variable becomes fixed; repeatable'
+            verb.option("set", 'KEY="VALUE"', change, action="append", default=[])
+        self.add(verb)
+        verb.set_defaults(run=partial(self.run, name))
+
+    def run(self, name: str, options: argparse.Namespace) -> None:
+        """Import the module and run the command."""
+        getattr(import_module(f"plough_opt.app.{self.module}"), name)(options)
+
+
+_COMMANDS: Final = {
+    "init": _Command("commands", "write a commented problem file to start from", _init, reads=False),
+    "soils": _Command("commands", "list the named soils and where their values come from", _soils, reads=False),
+    "waves": _Command("field_data", "find the strength waves in a record along a field", _waves, reads=False),
+    "show": _Command("saved", "print a saved result again, and its origin", _show, reads=False),
+    "compare": _Command("saved", "print saved designs or runs side by side", _compare, reads=False),
+    "schema": _Command(
+        "commands", "print the JSON schema of problem files, for completion and checks in an editor", _schema,
+        reads=False,
+    ),
+    "completion": _Command(
+        "main", "print a script for completion of this command in a shell", _completion, reads=False
+    ),
+    "check": _Command("commands", "check a problem file, and show what its scene contains", _check),
+    "simulate": _Command("commands", "simulate the scene with every variable at its guess", _simulate),
+    "optimise": _Command("commands", "find the best share, and the limits that decide it", _optimise),
+    "tradeoff": _Command("commands", "compute the Pareto front of two or three results", _tradeoff),
+    "sweep": _Command("commands", "simulate or optimise at every point of a grid or a sample", _sweep),
+    "calibrate": _Command("field_data", "estimate soil parameters from measured draft", _calibrate),
+    "export": _Command("commands", "write the scene for other tools: C, CasADi, OpenMDAO, FMU", _export),
+    "report": _Command("report", "write everything about the best share as one HTML page", _report),
+    "explore": _Command("commands", "open a page that computes any other design, beside the report", _explore),
+    "accuracy": _Command("commands", "compare error and time of integration methods", _accuracy),
+}  # fmt: skip
+
+
+def parser(*, whole: bool = False) -> argparse.ArgumentParser:
+    """Return the parser of the command line; ``whole`` adds the arguments of all commands at once."""
+    every = _Parser(prog="plough-opt", description="Design of subsoiler ploughshares: draft, oscillation, constraints.")
+    every.add_argument("--version", action="version", version=f"plough-opt {version('plough_opt')}")
+    verbs = every.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    for name, command in _COMMANDS.items():
+        aliases = ["optimize"] if name == "optimise" else []
+        verb = verbs.add_parser(name, help=command.help, aliases=aliases, add=partial(command.arguments, name))
+        if whole:
+            verb.fill()
+    return every
+
+
+def completion(options: argparse.Namespace) -> None:
+    """Print a shell script that completes commands, options and file names."""
+    print(shtab.complete(parser(whole=True), shell=options.shell))
+
 
 SOLVED, UNSOLVED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from plough_opt.app.page_model import PageModel, page_model, shown_in, without_random
-from plough_opt.app.panels import Panel, changing, deflection_of, force_of
+from plough_opt.app.plots import Panel, changing, deflection_of, force_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import COLOURS
 from plough_opt.core.process import optional

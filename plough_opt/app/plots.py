@@ -1,37 +1,26 @@
-"""Pictures of shares, runs, sweeps, batches and optima, in the units of the problem file."""
+"""Pictures of shares, runs, sweeps, batches and optima, in the units of the problem file, and what pages show too."""
+
+from __future__ import annotations
 
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from plough_opt.app.panels import (
-    CONSTANT,
-    LIMIT,
-    SHARE,
-    SOIL,
-    STRUT,
-    Panel,
-    changing,
-    limits_of,
-    subject,
-)
 from plough_opt.core.checks import check_kind
 from plough_opt.core.expressions import absolute, as_number
 from plough_opt.core.files import COLOURS, save_figure
 from plough_opt.core.saving import Origin
-from plough_opt.core.units import customary
+from plough_opt.core.units import Display, customary
 from plough_opt.design import Limit, LocalOptimum, Optimum
 from plough_opt.design.search.landscape import FEASIBLE
 from plough_opt.motion import Run
 from plough_opt.motion.batch import BatchResult
-from plough_opt.motion.equation import GAP, STICK
+from plough_opt.motion.equation import GAP, STICK, Structure, parameters
 from plough_opt.motion.machine import Machine
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import called
@@ -39,6 +28,83 @@ from plough_opt.soil.elastic import wedge_stress
 from plough_opt.soil.elastic.medium import Profile, body
 from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.soil import Soil
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+SHARE, LIMIT, SOIL, STRUT = COLOURS[0], COLOURS[1], COLOURS[4], COLOURS[6]
+"""Colours in every picture: the share's motion and force, limits, the soil, and the strut."""
+CONSTANT: Final = 1e-6
+"""Relative change below which a result counts as constant: smaller changes are rounding."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Results of a run over time that share one pair of axes, in a picture or on a page.
+
+    Attributes:
+        name: name of the quantity, such as "force".
+        unit: the unit in which it is shown.
+        lines: label -> (values in SI, colour, whether the line is dashed), the most important first.
+        limits: (name, value in SI) of each limit.
+        mean: (name, mean in SI, RMS about the mean in SI), or None.
+    """
+
+    name: str
+    unit: Display
+    lines: dict[str, tuple[NDArray[np.float64], str, bool]]
+    limits: Sequence[tuple[str, float]]
+    mean: tuple[str, float, float] | None = None
+
+    @property
+    def changes(self) -> bool:
+        """Whether any line changes over time."""
+        return any(np.ptp(values) > CONSTANT * np.max(np.abs(values)) for values, _, _ in self.lines.values())
+
+
+def force_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
+    """Return mount force and soil resistance over time, with mean draft, its RMS, and limits."""
+    draft, deviation = float(run.mean_draft), float(run.force_rms)
+    unit = run.origin.common("N", {"mount_force": run.peak_force, "mean_draft": draft})
+    lines = {"mount force": (run.mount_force, SHARE, False), "soil resistance": (run.soil_resistance, SOIL, False)}
+    mean = ("mean draft", draft, deviation)
+    return Panel("force", unit, lines, limits_of(run, limits, "mount_force", "mean_draft"), mean)
+
+
+def deflection_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
+    """Return the spring's deflection over time, with its mean, RMS, and limits."""
+    mean = ("mean", float(run.mean_deflection), float(run.displacement_rms))
+    unit = run.origin.common("m", {"deflection": run.peak_deflection, "mean_deflection": mean[1]})
+    lines = {"deflection": (run.deflection, SHARE, False)}
+    return Panel("deflection", unit, lines, limits_of(run, limits, "deflection", "mean_deflection"), mean)
+
+
+def speed_of(run: Run, limits: Sequence[Limit] = ()) -> Panel:
+    """Return the speeds of share and strut over time, with the limits of the share's."""
+    structure, p = Structure.of(run.scene), parameters(run.scene)
+    strut_speed = structure.towed(p, run.time)[1] + 0.0 * run.time
+    lines = {"share": (run.speed, SHARE, False), "strut": (strut_speed, STRUT, True)}
+    return Panel("speed", run.origin.display("scene.tow_speed", "m/s"), lines, limits_of(run, limits, "speed"))
+
+
+def changing(run: Run, limits: Sequence[Limit] = ()) -> list[Panel]:
+    """Return the panels of a run (force, deflection, speed) that change over time."""
+    return [panel for panel in (of(run, limits) for of in (force_of, deflection_of, speed_of)) if panel.changes]
+
+
+def subject(run: Run) -> str:
+    """Return the heading of a picture: the file's title, the soil and the tow speed."""
+    speed = run.origin.display("scene.tow_speed", "m/s").text(float(run.scene.tow_speed), 4)
+    return "\n".join(part for part in (run.origin.title, f"{run.scene.soil.name}, {speed}") if part)
+
+
+def limits_of(run: Run, limits: Sequence[Limit], *names: str) -> list[tuple[str, float]]:
+    """Return (name in words, value in SI) of each limit of some results, from the run's file and from ``limits``."""
+    given = {limit.name: (limit.low, limit.high) for limit in limits if limit.kind == "requirement"}
+    every = {**run.origin.limits, **given}
+    return [(called(name), end) for name in names for end in every.get(name, ()) if end is not None]
+
 
 __all__ = [
     "SIDE_BY_SIDE",
@@ -80,6 +146,13 @@ _FAILED, _STEEL = "#cfd4d8", "#4a5a68"
 _WIDE_MARGIN = 100.0
 
 
+def _figure(width: float, height: float) -> Figure:
+    """Return an empty figure of a size [in]; pages import this file for its panels, and do without matplotlib."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
 def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
     """Draw force, deflection and speed of a numeric run over time, except those that are constant.
 
@@ -106,7 +179,7 @@ def plot_run(run: Run, limits: Sequence[Limit] = ()) -> Figure:
     for limit in limits:
         check_kind("a limit", limit, Limit, "one of an optimum's limits")
     panels = changing(run, limits)
-    figure = Figure(figsize=(9, 1.0 + 2.3 * max(1, len(panels))), layout="constrained")
+    figure = _figure(9, 1.0 + 2.3 * max(1, len(panels)))
     figure.suptitle(subject(run))
     if not panels:
         axes = figure.subplots()
@@ -127,7 +200,7 @@ def draw_panel(axes: Axes, run: Run, panel: Panel, columns: int = 5) -> None:
 
     Example:
         >>> from matplotlib.figure import Figure
-        >>> from plough_opt.app.panels import force_of
+        >>> from plough_opt.app.plots import force_of
         >>> import plough_opt as po
         >>> soil = po.named_soil("serozem")
         >>> share = po.Wedge("30 deg", "15 deg", "25 cm")
@@ -197,7 +270,7 @@ def plot_designs(designs: Mapping[str, LocalOptimum]) -> Figure:
         2
     """
     first = next(iter(designs.values()))
-    figure = Figure(figsize=(8, 0.9 + 0.75 * len(first.limits)), layout="constrained")
+    figure = _figure(8, 0.9 + 0.75 * len(first.limits))
     rows = figure.subplots(len(first.limits), 1, squeeze=False)[:, 0]
     for axes, limit in zip(rows, first.limits, strict=True):
         _draw_limit(
@@ -284,7 +357,7 @@ def plot_forces(runs: Mapping[str, Run]) -> Figure:
         >>> po.plots.plot_forces({"stiff": run}).axes[0].get_xlabel()
         'time [s]'
     """
-    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
+    figure = _figure(8.0, 4.0)
     draw_side_by_side(figure.subplots(), runs, "mount_force", next(iter(runs.values())).origin)
     return figure
 
@@ -304,7 +377,7 @@ def plot_share(scene: Scene) -> Figure:
         ['Faces of the share, unfolded', 'Equivalent cone (equal height and surface)']
     """
     check_kind("the scene", scene, Scene, "a numeric Scene")
-    figure = Figure(figsize=(13, 4.4), layout="constrained")
+    figure = _figure(13, 4.4)
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 1.24))
     draw_cone(right, scene)
     right.set_ylabel("")
@@ -336,10 +409,12 @@ def plot_wedge_field(profile: Profile, soil: Soil, speed: float) -> Figure:
     y = length * np.linspace(-0.8, 0.8, 162)  # an even number, so that no row hits the singular nodes on the axis
     along, across = np.meshgrid(x, y)
     field = wedge_stress(along, across, profile, soil, speed)
-    figure = Figure(figsize=(12, 4.8), layout="constrained")
+    figure = _figure(12, 4.8)
     for axes, name, values in zip(figure.subplots(1, 2), ("yy", "xy"), (field.yy, field.xy), strict=True):
         # Stresses are infinite at the nodes, so the colour scale ends at the 99th percentile.
         largest = float(np.quantile(absolute(as_number(values)), 0.99)) / 1e3
+        from matplotlib.ticker import MaxNLocator
+
         levels = MaxNLocator(20, symmetric=True).tick_values(-largest, largest)
         filled = axes.contourf(x, y, values / 1e3, levels, cmap="RdBu", extend="both")
         figure.colorbar(filled, ax=axes, label=f"$\\sigma_{{{name}}}$ [kPa], tension positive")
@@ -367,7 +442,7 @@ def plot_batch(found: BatchResult) -> Figure:
         'mean draft [kN]'
     """
     check_kind("the batch", found, BatchResult, "a BatchResult, as returned by po.Batch")
-    figure = Figure(figsize=(6.5, 4.5), layout="constrained")
+    figure = _figure(6.5, 4.5)
     axes = figure.subplots()
     step = max(1, len(found) // _MOST_POINTS)
     axes.plot(found.mean_draft[::step] / 1e3, found.force_rms[::step] / 1e3, ".", color=SHARE, markersize=4)
@@ -385,7 +460,7 @@ def plot_machine(machine: Machine) -> Figure:
         2
     """
     check_kind("the machine", machine, Machine, "a Machine of numeric runs")
-    figure = Figure(figsize=(9.0, 6.0), layout="constrained")
+    figure = _figure(9.0, 6.0)
     figure.suptitle(machine.origin.title)
     for axes, name in zip(figure.subplots(2, 1, sharex=True), SIDE_BY_SIDE, strict=True):
         draw_side_by_side(axes, machine.runs, name, machine.origin)
@@ -413,7 +488,7 @@ def plot_optimum(best: Optimum, run: Run | Machine) -> Figure:
     rows = -(-len(panels) // _PANELS)
     response = [p for p in changing(run, best.limits) if p.name != "speed"] if isinstance(run, Run) else []
     heights = [3.2] * (2 if response else 1) + [3.0] * rows
-    figure = Figure(figsize=(12.5, 0.8 + sum(heights)), layout="constrained")
+    figure = _figure(12.5, 0.8 + sum(heights))
     figure.suptitle(subject(run) if isinstance(run, Run) else run.origin.title)
     top, *below = np.ravel(figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False))
     left = [top.add_subplot(1, 3 if required else 2, k) for k in (1, 2)]

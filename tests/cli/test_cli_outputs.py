@@ -12,7 +12,7 @@ from helpers.commands import call, cells, printed
 from helpers.problem_files import PROBLEMS, STATIC
 
 import plough_opt as po
-from plough_opt.app.options import parser
+from plough_opt.app.main import parser
 from plough_opt.core.tables import read_rows, write_frame
 
 TRADE = (

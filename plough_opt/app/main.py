@@ -360,11 +360,11 @@ def _accuracy(verb: _Parser) -> None:
 
 @dataclass(frozen=True)
 class _Command:
-    """A command: the module with a function of its name that runs it, its line of help, and its arguments."""
+    """A command: its line of help, its arguments, and the module with a function of its name that runs it."""
 
-    module: str
     help: str
     add: Callable[[_Parser], None]
+    module: str = "commands"
     reads: bool = True  # a problem file, which may be changed by --set
 
     def arguments(self, name: str, verb: _Parser) -> None:
@@ -388,28 +388,23 @@ class _Command:
 
 
 _COMMANDS: Final = {
-    "init": _Command("commands", "write a commented problem file to start from", _init, reads=False),
-    "soils": _Command("commands", "list the named soils and where their values come from", _soils, reads=False),
-    "waves": _Command("field_data", "find the strength waves in a record along a field", _waves, reads=False),
-    "show": _Command("saved", "print a saved result again, and its origin", _show, reads=False),
-    "compare": _Command("saved", "print saved designs or runs side by side", _compare, reads=False),
-    "schema": _Command(
-        "commands", "print the JSON schema of problem files, for completion and checks in an editor", _schema,
-        reads=False,
-    ),
-    "completion": _Command(
-        "main", "print a script for completion of this command in a shell", _completion, reads=False
-    ),
-    "check": _Command("commands", "check a problem file, and show what its scene contains", _check),
-    "simulate": _Command("commands", "simulate the scene with every variable at its guess", _simulate),
-    "optimise": _Command("commands", "find the best share, and the limits that decide it", _optimise),
-    "tradeoff": _Command("commands", "compute the Pareto front of two or three results", _tradeoff),
-    "sweep": _Command("commands", "simulate or optimise at every point of a grid or a sample", _sweep),
-    "calibrate": _Command("field_data", "estimate soil parameters from measured draft", _calibrate),
-    "export": _Command("commands", "write the scene for other tools: C, CasADi, OpenMDAO, FMU", _export),
-    "report": _Command("report", "write everything about the best share as one HTML page", _report),
-    "explore": _Command("commands", "open a page that computes any other design, beside the report", _explore),
-    "accuracy": _Command("commands", "compare error and time of integration methods", _accuracy),
+    "init": _Command("write a commented problem file to start from", _init, reads=False),
+    "soils": _Command("list the named soils and where their values come from", _soils, reads=False),
+    "waves": _Command("find the strength waves in a record along a field", _waves, "field_data", reads=False),
+    "show": _Command("print a saved result again, and its origin", _show, reads=False),
+    "compare": _Command("print saved designs or runs side by side", _compare, reads=False),
+    "schema": _Command("print the JSON schema of problem files, for checks in an editor", _schema, reads=False),
+    "completion": _Command("print a script by which a shell completes this command", _completion, "main", reads=False),
+    "check": _Command("check a problem file, and show what its scene contains", _check),
+    "simulate": _Command("simulate the scene with every variable at its guess", _simulate),
+    "optimise": _Command("find the best share, and the limits that decide it", _optimise),
+    "tradeoff": _Command("compute the Pareto front of two or three results", _tradeoff),
+    "sweep": _Command("simulate or optimise at every point of a grid or a sample", _sweep),
+    "calibrate": _Command("estimate soil parameters from measured draft", _calibrate, "field_data"),
+    "export": _Command("write the scene for other tools: C, CasADi, OpenMDAO, FMU", _export),
+    "report": _Command("write everything about the best share as one HTML page", _report, "report"),
+    "explore": _Command("open a page that computes any other design, beside the report", _explore),
+    "accuracy": _Command("compare error and time of integration methods", _accuracy),
 }  # fmt: skip
 
 

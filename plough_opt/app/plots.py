@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.checks import check_kind
-from plough_opt.core.expressions import absolute, as_number
+from plough_opt.core.expressions import absolute, as_number, sin
 from plough_opt.core.files import COLOURS, save_figure
 from plough_opt.core.saving import Origin
 from plough_opt.core.units import Display, customary
@@ -37,6 +38,19 @@ SHARE, LIMIT, SOIL, STRUT = COLOURS[0], COLOURS[1], COLOURS[4], COLOURS[6]
 """Colours in every picture: the share's motion and force, limits, the soil, and the strut."""
 CONSTANT: Final = 1e-6
 """Relative change below which a result counts as constant: smaller changes are rounding."""
+
+# Frames per second.
+_RATE: Final = 15.0
+# Frames in a GIF, which keep it at about 2 MB.
+_MAX_FRAMES: Final = 120
+# Colours in each frame.
+_COLOURS: Final = 48
+# Largest deflection as drawn, as a fraction of the width of the scene.
+_SWING: Final = 0.35
+# Horizontal resolution of the soil's strength.
+_SOIL_COLUMNS: Final = 400
+# Colours from loose to strong soil.
+_SOIL_COLOURS: Final = ("#F7E7CE", "#B59468")
 
 
 @dataclass(frozen=True)
@@ -674,3 +688,71 @@ def _scale(axes: Axes, along: str, length: float, half_width: float, ahead: floa
     axes.locator_params(nbins=4)
     limits = {"xlim": (-ahead - 0.06 * length, 1.08 * length), "ylim": (-1.2 * half_width, 1.2 * half_width)}
     axes.set(xlabel=along, ylabel="[m]", aspect="equal", **limits)
+
+
+def gif(run: Run, slower: float) -> bytes:
+    """Return the motion as a GIF, played ``slower`` times slower than it happens."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image  # a dependency of matplotlib
+
+    seconds = float(run.time[-1]) * slower
+    count = max(2, min(_MAX_FRAMES, math.ceil(seconds * _RATE)))
+    figure = _figure(8.0, 5.0)
+    figure.set_dpi(80)
+    canvas = FigureCanvasAgg(figure)
+    upper, lower = figure.subplots(2, 1, height_ratios=(1.3, 1.0))
+    figure.suptitle(f"{subject(run)}, {slower:g} times slower", fontsize="medium")
+    draw_panel(lower, run, deflection_of(run))
+    (dot,) = lower.plot([], [], "o", color=LIMIT, markersize=8)
+    mean = float(run.mean_deflection)
+    factor = run.origin.common("m", {"deflection": run.peak_deflection, "mean_deflection": mean}).factor
+    _draw_scene(upper, run, 0.0, 0.0)
+    canvas.draw()  # type: ignore[no-untyped-call]
+    figure.set_layout_engine("none")  # so that all frames keep the layout of the first
+    frames = []
+    for time in np.linspace(0.0, float(run.time[-1]), count):
+        deflection = float(np.interp(time, run.time, run.deflection))
+        dot.set_data([time], [deflection / factor])
+        _draw_scene(upper, run, time, deflection)
+        canvas.draw()  # type: ignore[no-untyped-call]
+        pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+        frames.append(Image.fromarray(pixels).convert("RGB").quantize(_COLOURS, Image.Quantize.FASTOCTREE))
+    file = io.BytesIO()
+    first, *rest = frames
+    first.save(file, "GIF", save_all=True, append_images=rest, duration=1e3 * seconds / count, loop=0)
+    return file.getvalue()
+
+
+def _draw_scene(axes: Axes, run: Run, time: float, deflection: float) -> None:
+    """Draw the share behind its strut at a time; the strut stays in place while the soil moves past."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    scene = run.scene
+    height, radius = float(scene.cone.height), float(scene.cone.height * scene.cone.slope)
+    front = float(scene.loosened_radius) if scene.medium == "plastic" else radius
+    magnification = max(1.0, _SWING * 4.0 * height / max(float(np.max(np.abs(run.deflection))), 1e-9))
+    strut = float(np.interp(time, run.time, np.asarray(run.travel) + np.asarray(run.deflection)))
+    axes.clear()
+    x = np.linspace(-3.0 * height, 1.5 * height, _SOIL_COLUMNS)
+    strength = np.ones_like(x)
+    for wave in scene.effects.waves:
+        strength += as_number(wave.amplitude * sin(2.0 * math.pi * (x + strut) / wave.wavelength + wave.phase))
+    soil = 1.25 * max(front, radius)  # half height of the soil
+    extent = x[0], x[-1], -soil, soil
+    axes.imshow(
+        strength[None],
+        extent=extent,
+        aspect="auto",
+        cmap=LinearSegmentedColormap.from_list("soil", _SOIL_COLOURS),
+        vmin=0.0,
+        vmax=2.0,
+    )
+    tip = -magnification * deflection
+    for half, colour, opacity in ((front, SOIL, 0.45), (radius, SHARE, 1.0)):
+        axes.fill([tip, tip - height, tip - height], [0.0, half, -half], color=colour, alpha=opacity)
+    axes.axvline(0.0, color="black", linestyle="--", linewidth=1.0)
+    axes.plot([tip - 0.6 * height, -0.6 * height], [0.3 * radius, 1.6 * soil], color=STRUT, linewidth=5)
+    axes.plot([-1.3 * height, 0.1 * height], [1.6 * soil] * 2, color="black", linewidth=7)
+    axes.set(xlim=(x[0], x[-1]), ylim=(-soil, 1.8 * soil), xticks=[], yticks=[])
+    key = "dashed: tip without load; darker: stronger soil"
+    axes.set_title(f"{time:.3f} s; deflection magnified {magnification:.2g} times; {key}", fontsize="small")

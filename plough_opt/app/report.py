@@ -1,4 +1,4 @@
-"""`plough-opt report`: everything about a file's best share on one HTML page that loads nothing else."""
+"""`plough-opt report`: everything about a file's best share on one HTML page that loads nothing else; animations."""
 
 import argparse
 import json
@@ -7,10 +7,11 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
-from plough_opt.app.page import Report, design_page, page, shown_of
+from plough_opt.app.page import Report, design_page, motion_page, page, shown_of
 from plough_opt.app.page_model import design_model
+from plough_opt.app.plots import changing, gif, subject
 from plough_opt.app.terminal import progress, read, wrote
-from plough_opt.core.checks import path_of, whole_number
+from plough_opt.core.checks import check_domain, path_of, whole_number
 from plough_opt.core.errors import InputError, NotConverged
 from plough_opt.core.expressions import as_number
 from plough_opt.core.files import check_file, write_file
@@ -158,3 +159,15 @@ def reported(problem: Problem, notify: Progress, *, seed: int = 0, accuracy: boo
         duration: Any = problem.values().get("scene.duration")
         study = study_accuracy(run.scene, duration, allowance=_ALLOWANCE, derivatives=False, thin=True, progress=notify)
     return Report(problem, run, best, sensitivities, unknown, study, front=front)
+
+
+def write_animation(run: Run, target: str | Path, slower: float) -> Path:
+    """Write the motion of a numeric run: see `Run.animate`."""
+    path = path_of("the animation", target)
+    check_domain("slower", slower, "times", above=0.0)
+    if not changing(run):
+        raise InputError("nothing changes over time in this run, so there is no motion to animate")
+    if path.suffix.lower() == ".html":
+        return write_file(path, "animation", motion_page(run, subject(run).replace("\n", ": ")))
+    check_file(path, "animation", ".html", ".gif")
+    return write_file(path, "animation", gif(run, slower))

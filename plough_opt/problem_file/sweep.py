@@ -38,9 +38,8 @@ from plough_opt.problem_file.source import read_axis
 from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT
 from plough_opt.studies.sweep import engine
 from plough_opt.studies.sweep.engine import Progress
-from plough_opt.studies.sweep.identity import digest_of
-from plough_opt.studies.sweep.points import Axis, Range, axis_of, points_of
 from plough_opt.studies.sweep.pool import Evaluation, WithNotes
+from plough_opt.studies.sweep.question import Axis, Range, axis_of, digest_of, points_of
 from plough_opt.studies.sweep.result import Sweep
 
 What = Literal["simulate", "optimise"]

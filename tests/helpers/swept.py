@@ -113,7 +113,7 @@ def script_of(store, file, pause, values, executor="None"):
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from helpers.swept import Counted
-from plough_opt.studies.sweep.points import Range
+from plough_opt.studies.sweep.question import Range
 from plough_opt.studies.sweep.engine import sweep
 if __name__ == "__main__":
     counted, over = Counted(Path({str(file)!r}), {pause}), {{"a": Range(0.0, 1.0, {values}), "b": [1.0, 2.0]}}

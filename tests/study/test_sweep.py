@@ -26,9 +26,8 @@ from scipy.stats import qmc
 import plough_opt as po
 from plough_opt.problem_file.sweep import ProblemSweep
 from plough_opt.studies.sweep import engine
-from plough_opt.studies.sweep.identity import digest_of
-from plough_opt.studies.sweep.points import PointGrid, PointSample
 from plough_opt.studies.sweep.pool import work
+from plough_opt.studies.sweep.question import PointGrid, PointSample, digest_of
 
 # --- sweeps of functions: points of grids and samples, results, failures, tables and stores; invalid sweeps ---
 
@@ -426,7 +425,7 @@ def test_what_changes_results_changes_the_digest(functions_of, text, other, chan
 
 def test_the_digest_is_the_same_in_another_process(functions_of, tmp_path):
     text = f"import sys; sys.path.insert(0, {str(tmp_path)!r})\nfrom own_script import FUNCTIONS\n"
-    text += "from plough_opt.studies.sweep.identity import digest_of\nprint(*map(digest_of, FUNCTIONS.values()))"
+    text += "from plough_opt.studies.sweep.question import digest_of\nprint(*map(digest_of, FUNCTIONS.values()))"
     (tmp_path / "own_script.py").write_text(SCRIPT)
     command = [sys.executable, "-c", text]
     done = subprocess.run(command, env=os.environ | {"PYTHONHASHSEED": "5"}, capture_output=True, text=True, check=True)

@@ -22,8 +22,6 @@ from plough_opt.core.plain_data import Array
 from plough_opt.core.process import available
 from plough_opt.core.saving import versions
 from plough_opt.core.screen import Screen, progress_on
-from plough_opt.studies.sweep.identity import digest_of
-from plough_opt.studies.sweep.points import PointGrid, PointSample, axis_of, points_of
 from plough_opt.studies.sweep.pool import (
     STORED,
     Cluster,
@@ -36,6 +34,7 @@ from plough_opt.studies.sweep.pool import (
     packed,
     work,
 )
+from plough_opt.studies.sweep.question import PointGrid, PointSample, axis_of, digest_of, points_of
 from plough_opt.studies.sweep.result import Sweep
 from plough_opt.studies.sweep.store import About, State, Store, check_columns
 

@@ -1,23 +1,20 @@
-"""Front of a trade-off: certified designs, parts, holes, rates, and which designs dominate others.
+"""What a front is made of: objectives, certified designs and holes, and which designs dominate others.
 
 All objectives of the functions on domination are minimised, with a row for each design. They are normalised, except
 in `volume` and `knee`.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import array_of, shown
-from plough_opt.core.errors import InputError, listed
+from plough_opt.core.checks import shown
+from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, is_casadi
 from plough_opt.core.plain_data import Array
-from plough_opt.core.saving import Origin, versions
-from plough_opt.core.units import Display
-from plough_opt.motion.vocabulary import called
 
 EQUAL = 1e-7
 """Smaller differences of normalised objectives are rounding of the solves."""
@@ -237,8 +234,6 @@ _LARGEST_RESIDUAL = 1e-6
 _LARGEST_VIOLATION = 1e-6
 # Relative curvature below which a point is not a minimum; smaller negative values are rounding.
 _LEAST_CURVATURE = -1e-6
-# Change of an objective for which costs are given; a front must span it.
-_ONE_PER_CENT = 0.01
 
 
 @dataclass(frozen=True)
@@ -395,247 +390,3 @@ class Hole:
     start: tuple[float, ...]
     end: tuple[float, ...]
     settled: bool = True
-
-
-@dataclass(frozen=True)
-class Front:
-    """Front of designs, from the best in the first objective to the worst: a curve for two, a surface for three.
-
-    Attributes:
-        title: title of the design question.
-        goals: the objectives.
-        variables: the design's variables.
-        points: designs that no other design found dominates: certified optima, and designs marked as unconfirmed.
-        dominated: certified local optima that some design beats in all objectives.
-        failures: positions without a certified design, and the reasons.
-        parts: numbers of the points in each connected part.
-        holes: interruptions between the parts.
-        notes: sentences that a reader of the numbers must know.
-        search: a sentence on what was searched.
-        needles: certified local optima that no workshop can hit; they are not part of the front.
-        seconds: time taken [s].
-        building: part of `seconds` spent on building the program; small if it was built before.
-        versions: versions of packages, and the machine.
-        origin: the question that the front answers.
-    """
-
-    title: str
-    goals: tuple[Axis, ...]
-    variables: tuple[Axis, ...]
-    points: tuple[FrontPoint, ...]
-    dominated: tuple[FrontPoint, ...]
-    failures: tuple[MissingPoint, ...]
-    parts: tuple[tuple[int, ...], ...]
-    holes: tuple[Hole, ...]
-    notes: tuple[str, ...] = ()
-    search: str = ""
-    needles: tuple[FrontPoint, ...] = ()
-    seconds: float = 0.0
-    building: float = 0.0
-    versions: Mapping[str, str] = field(default_factory=versions)
-    origin: Origin = field(default=Origin())
-
-    def cells(self, values: Sequence[float]) -> list[str]:
-        """Return objectives as text, each in the unit of the design question.
-
-        Example:
-            >>> import plough_opt as po
-            >>> design = po.Design()
-            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
-            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
-            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
-            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
-            >>> front.cells([2500.0, 0.1])
-            ['2.5 kN', '100 mm']
-        """
-        return [self.display(goal).text(x) for goal, x in zip(self.goals, values, strict=True)]
-
-    def display(self, axis: Axis) -> Display:
-        """Return the unit in which an objective or a variable is shown; all that share an SI unit share it.
-
-        Example:
-            >>> import plough_opt as po
-            >>> design = po.Design()
-            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
-            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
-            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
-            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
-            >>> front.display(front.goals[0]).text(2500.0)
-            '2.5 kN'
-        """
-        columns = zip((*self.goals, *self.variables), (*self.objectives.T, *self.designs.T), strict=True)
-        alike = {other.name: float(np.max(np.abs(values))) for other, values in columns if other.unit == axis.unit}
-        return self.origin.displays.get(axis.name) or self.origin.common(axis.unit, alike)
-
-    @property
-    def objectives(self) -> Array:
-        """Objectives of all points, shape (n, 2) or (n, 3), in their units."""
-        return np.array([point.objectives for point in self.points])
-
-    @property
-    def designs(self) -> Array:
-        """Variables of all points, shape (n, number of variables), SI units."""
-        return np.array([[point.variables[v.name] for v in self.variables] for point in self.points])
-
-    @property
-    def pairs(self) -> list[tuple[int, int]]:
-        """Pairs of objectives: number of the one that gets worse, and of the one that gains."""
-        count = len(self.goals)
-        return [(of, by) for by in range(count) for of in range(by + 1, count)]
-
-    @property
-    def part_of(self) -> list[int]:
-        """Number of each point's part, counted from 1."""
-        numbers = {k: number for number, part in enumerate(self.parts, start=1) for k in part}
-        return [numbers[k] for k in range(len(self.points))]
-
-    @property
-    def rates(self) -> Array:
-        """Change of the second objective per change of the first along the front at each point; NaN if not finite.
-
-        A third objective is held constant. `rate` gives the other pairs.
-        """
-        return np.array([np.nan if (rate := self.rate(k)) is None else rate for k in range(len(self.points))])
-
-    def rate(self, number: int, of: int = 1, by: int = 0) -> float | None:
-        """Return the change of one objective per change of another along the front, a third one held constant.
-
-        Args:
-            number: number of the point.
-            of: number of the objective that responds; default the second.
-            by: number of the objective that changes; default the first.
-
-        Returns:
-            The rate in the objectives' units; None if there is no finite one.
-
-        Raises:
-            InputError: `number` is not a point, or `of` and `by` are not two different objectives.
-
-        Example:
-            >>> import plough_opt as po
-            >>> design = po.Design()
-            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
-            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
-            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
-            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
-            >>> f, r = front.objectives[2]
-            >>> round(float(front.rate(2) * 2.0 * f / r), 6)  # of the root
-            1.0
-        """
-        whole = all(isinstance(k, int | np.integer) and not isinstance(k, bool) for k in (number, of, by))
-        if not (whole and -len(self.points) <= number < len(self.points)):
-            raise InputError(
-                f"number = {shown(number)} must be the number of a point, from 0 to {len(self.points) - 1}"
-            )
-        if of == by or not {of, by} <= set(range(len(self.goals))):
-            raise InputError(
-                f"of = {shown(of)} and by = {shown(by)} must be two different objectives,"
-                f" from 0 to {len(self.goals) - 1}"
-            )
-        return self.points[number].rate_of(of, by)
-
-    def cost(self, number: int, of: int = 1, by: int = 0) -> float | None:
-        """Return by how many per cent one objective gets worse if another gains 1 % at a point.
-
-        Args:
-            number: number of the point.
-            of: number of the objective that gets worse; default the second.
-            by: number of the objective that gains; default the first.
-
-        Returns:
-            Per cent; None if there is no rate, one objective is 0, or the other changes by less than 1 % along the
-            whole front.
-
-        Raises:
-            InputError: as for `rate`.
-
-        Example:
-            >>> import plough_opt as po
-            >>> design = po.Design()
-            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
-            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
-            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
-            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
-            >>> round(front.cost(2), 6)  # the radius is proportional to the root of the draft
-            0.5
-        """
-        rate, objectives = self.rate(number, of, by), self.points[number].objectives
-        if rate is None or not (objectives[of] and objectives[by]) or self._change(by) < _ONE_PER_CENT:
-            return None
-        return abs(rate * objectives[by] / objectives[of])
-
-    def in_words(self, number: int, of: int = 1, by: int = 0) -> str:
-        """Return a sentence on what a gain in one objective costs in another at a point.
-
-        Args:
-            number: number of the point.
-            of: number of the objective that gets worse; default the second.
-            by: number of the objective that gains; default the first.
-
-        Raises:
-            InputError: as for `rate`.
-
-        Example:
-            >>> import plough_opt as po
-            >>> design = po.Design()
-            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
-            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
-            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
-            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
-            >>> front.in_words(2)
-            'at draft 5.5263 kN and radius 166.23 mm: 1 % less draft costs 0.5 % less radius'
-        """
-        cost, at = self.cost(number, of, by), self.points[number].objectives
-        gains, gives = self.goals[by], self.goals[of]
-        values = [f"{called(goal.name)} {cell}" for goal, cell in zip(self.goals, self.cells(at), strict=True)]
-        place = f"at {listed(values)}"
-        if cost is None and len(self.points) > 1 and self._change(by) < _ONE_PER_CENT:
-            return f"{place}: the whole front changes {called(gains.name)} by only {100.0 * self._change(by):.2g} %"
-        if cost is None:
-            return f"{place}: no finite rate"
-        more, costs = ("more" if gains.maximise else "less"), ("less" if gives.maximise else "more")
-        return f"{place}: 1 % {more} {called(gains.name)} costs {cost:.3g} % {costs} {called(gives.name)}"
-
-    @property
-    def knee(self) -> FrontPoint | None:
-        """Point farthest on the good side of the line or plane through the front's ends; None if none is there."""
-        row = knee(self.objectives * self._signs)
-        return None if row is None else self.points[row]
-
-    def hypervolume(self, reference: Sequence[float] | None = None) -> float:
-        """Return the area or volume that the front dominates, in the product of the objectives' units.
-
-        Args:
-            reference: objectives at the far corner; default the worst value of each on the front.
-
-        Raises:
-            InputError: `reference` is not one finite number for each objective.
-
-        Example:
-            >>> import plough_opt as po
-            >>> design = po.Design()
-            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
-            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
-            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
-            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
-            >>> 0.0 < front.hypervolume() < (12500.0 - 500.0) * (0.25 - 0.05)
-            True
-        """
-        front = self.objectives * self._signs
-        if reference is None:
-            return volume(front, front.max(axis=0))
-        wrong = f"reference = {shown(reference)} must be {len(self.goals)} objectives, finite numbers"
-        corner = array_of(reference, wrong)
-        if corner.shape != (len(self.goals),) or not np.all(np.isfinite(corner)):
-            raise InputError(wrong)
-        return volume(front, corner * self._signs)
-
-    @property
-    def _signs(self) -> Array:
-        """-1 for each objective that is maximised."""
-        return np.array([goal.sign for goal in self.goals])
-
-    def _change(self, objective: int) -> float:
-        """Return the range of an objective along the front, relative to its largest value."""
-        values = self.objectives[:, objective]
-        return float(np.ptp(values) / max(float(np.max(np.abs(values))), np.finfo(float).tiny))

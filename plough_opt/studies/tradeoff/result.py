@@ -1,19 +1,26 @@
-"""Result of a trade-off: the front with its tables, pictures and files."""
+"""Result of a trade-off: the front with its tables, files and pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from io import StringIO
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, Final, overload
 
-from plough_opt.core.errors import listed
-from plough_opt.core.files import write_file, written
-from plough_opt.core.saving import Saveable
+import numpy as np
+
+from plough_opt.core.checks import array_of, shown
+from plough_opt.core.errors import InputError, listed
+from plough_opt.core.files import COLOURS, write_file, written
+from plough_opt.core.plain_data import Array
+from plough_opt.core.saving import Origin, Saveable, versions
 from plough_opt.core.tables import Column, Grid, Page, data_frame, write_rows
+from plough_opt.core.units import Display
 from plough_opt.motion.vocabulary import called
-from plough_opt.studies.tradeoff.front import Axis, Front, FrontPoint
+from plough_opt.studies.tradeoff.front import ACROSS, Axis, FrontPoint, Hole, MissingPoint, knee, volume
 
 if TYPE_CHECKING:
     import pandas
@@ -21,11 +28,30 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+# Change of an objective for which costs are given; a front must span it.
+_ONE_PER_CENT: Final = 0.01
+
+
 @dataclass(frozen=True, repr=False, eq=False)
-class TradeOff(Saveable, Front):
+class TradeOff(Saveable):
     """Front of designs, from the best in the first objective to the worst: a curve for two, a surface for three.
 
-    Its attributes are those of `Front`.
+    Attributes:
+        title: title of the design question.
+        goals: the objectives.
+        variables: the design's variables.
+        points: designs that no other design found dominates: certified optima, and designs marked as unconfirmed.
+        dominated: certified local optima that some design beats in all objectives.
+        failures: positions without a certified design, and the reasons.
+        parts: numbers of the points in each connected part.
+        holes: interruptions between the parts.
+        notes: sentences that a reader of the numbers must know.
+        search: a sentence on what was searched.
+        needles: certified local optima that no workshop can hit; they are not part of the front.
+        seconds: time taken [s].
+        building: part of `seconds` spent on building the program; small if it was built before.
+        versions: versions of packages, and the machine.
+        origin: the question that the front answers.
 
     Example:
         >>> import plough_opt as po
@@ -39,6 +65,227 @@ class TradeOff(Saveable, Front):
     """
 
     kind = "trade-off"
+
+    title: str
+    goals: tuple[Axis, ...]
+    variables: tuple[Axis, ...]
+    points: tuple[FrontPoint, ...]
+    dominated: tuple[FrontPoint, ...]
+    failures: tuple[MissingPoint, ...]
+    parts: tuple[tuple[int, ...], ...]
+    holes: tuple[Hole, ...]
+    notes: tuple[str, ...] = ()
+    search: str = ""
+    needles: tuple[FrontPoint, ...] = ()
+    seconds: float = 0.0
+    building: float = 0.0
+    versions: Mapping[str, str] = field(default_factory=versions)
+    origin: Origin = field(default=Origin())
+
+    def cells(self, values: Sequence[float]) -> list[str]:
+        """Return objectives as text, each in the unit of the design question.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
+            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
+            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
+            >>> front.cells([2500.0, 0.1])
+            ['2.5 kN', '100 mm']
+        """
+        return [self.display(goal).text(x) for goal, x in zip(self.goals, values, strict=True)]
+
+    def display(self, axis: Axis) -> Display:
+        """Return the unit in which an objective or a variable is shown; all that share an SI unit share it.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
+            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
+            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
+            >>> front.display(front.goals[0]).text(2500.0)
+            '2.5 kN'
+        """
+        columns = zip((*self.goals, *self.variables), (*self.objectives.T, *self.designs.T), strict=True)
+        alike = {other.name: float(np.max(np.abs(values))) for other, values in columns if other.unit == axis.unit}
+        return self.origin.displays.get(axis.name) or self.origin.common(axis.unit, alike)
+
+    @property
+    def objectives(self) -> Array:
+        """Objectives of all points, shape (n, 2) or (n, 3), in their units."""
+        return np.array([point.objectives for point in self.points])
+
+    @property
+    def designs(self) -> Array:
+        """Variables of all points, shape (n, number of variables), SI units."""
+        return np.array([[point.variables[v.name] for v in self.variables] for point in self.points])
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """Pairs of objectives: number of the one that gets worse, and of the one that gains."""
+        count = len(self.goals)
+        return [(of, by) for by in range(count) for of in range(by + 1, count)]
+
+    @property
+    def part_of(self) -> list[int]:
+        """Number of each point's part, counted from 1."""
+        numbers = {k: number for number, part in enumerate(self.parts, start=1) for k in part}
+        return [numbers[k] for k in range(len(self.points))]
+
+    @property
+    def rates(self) -> Array:
+        """Change of the second objective per change of the first along the front at each point; NaN if not finite.
+
+        A third objective is held constant. `rate` gives the other pairs.
+        """
+        return np.array([np.nan if (rate := self.rate(k)) is None else rate for k in range(len(self.points))])
+
+    def rate(self, number: int, of: int = 1, by: int = 0) -> float | None:
+        """Return the change of one objective per change of another along the front, a third one held constant.
+
+        Args:
+            number: number of the point.
+            of: number of the objective that responds; default the second.
+            by: number of the objective that changes; default the first.
+
+        Returns:
+            The rate in the objectives' units; None if there is no finite one.
+
+        Raises:
+            InputError: `number` is not a point, or `of` and `by` are not two different objectives.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
+            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
+            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
+            >>> f, r = front.objectives[2]
+            >>> round(float(front.rate(2) * 2.0 * f / r), 6)  # of the root
+            1.0
+        """
+        whole = all(isinstance(k, int | np.integer) and not isinstance(k, bool) for k in (number, of, by))
+        if not (whole and -len(self.points) <= number < len(self.points)):
+            raise InputError(
+                f"number = {shown(number)} must be the number of a point, from 0 to {len(self.points) - 1}"
+            )
+        if of == by or not {of, by} <= set(range(len(self.goals))):
+            raise InputError(
+                f"of = {shown(of)} and by = {shown(by)} must be two different objectives,"
+                f" from 0 to {len(self.goals) - 1}"
+            )
+        return self.points[number].rate_of(of, by)
+
+    def cost(self, number: int, of: int = 1, by: int = 0) -> float | None:
+        """Return by how many per cent one objective gets worse if another gains 1 % at a point.
+
+        Args:
+            number: number of the point.
+            of: number of the objective that gets worse; default the second.
+            by: number of the objective that gains; default the first.
+
+        Returns:
+            Per cent; None if there is no rate, one objective is 0, or the other changes by less than 1 % along the
+            whole front.
+
+        Raises:
+            InputError: as for `rate`.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
+            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
+            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
+            >>> round(front.cost(2), 6)  # the radius is proportional to the root of the draft
+            0.5
+        """
+        rate, objectives = self.rate(number, of, by), self.points[number].objectives
+        if rate is None or not (objectives[of] and objectives[by]) or self._change(by) < _ONE_PER_CENT:
+            return None
+        return abs(rate * objectives[by] / objectives[of])
+
+    def in_words(self, number: int, of: int = 1, by: int = 0) -> str:
+        """Return a sentence on what a gain in one objective costs in another at a point.
+
+        Args:
+            number: number of the point.
+            of: number of the objective that gets worse; default the second.
+            by: number of the objective that gains; default the first.
+
+        Raises:
+            InputError: as for `rate`.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
+            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
+            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
+            >>> front.in_words(2)
+            'at draft 5.5263 kN and radius 166.23 mm: 1 % less draft costs 0.5 % less radius'
+        """
+        cost, at = self.cost(number, of, by), self.points[number].objectives
+        gains, gives = self.goals[by], self.goals[of]
+        values = [f"{called(goal.name)} {cell}" for goal, cell in zip(self.goals, self.cells(at), strict=True)]
+        place = f"at {listed(values)}"
+        if cost is None and len(self.points) > 1 and self._change(by) < _ONE_PER_CENT:
+            return f"{place}: the whole front changes {called(gains.name)} by only {100.0 * self._change(by):.2g} %"
+        if cost is None:
+            return f"{place}: no finite rate"
+        more, costs = ("more" if gains.maximise else "less"), ("less" if gives.maximise else "more")
+        return f"{place}: 1 % {more} {called(gains.name)} costs {cost:.3g} % {costs} {called(gives.name)}"
+
+    @property
+    def knee(self) -> FrontPoint | None:
+        """Point farthest on the good side of the line or plane through the front's ends; None if none is there."""
+        row = knee(self.objectives * self._signs)
+        return None if row is None else self.points[row]
+
+    def hypervolume(self, reference: Sequence[float] | None = None) -> float:
+        """Return the area or volume that the front dominates, in the product of the objectives' units.
+
+        Args:
+            reference: objectives at the far corner; default the worst value of each on the front.
+
+        Raises:
+            InputError: `reference` is not one finite number for each objective.
+
+        Example:
+            >>> import plough_opt as po
+            >>> design = po.Design()
+            >>> height = design.variable("height", guess="250 mm", lower="100 mm", upper="500 mm")
+            >>> draft = po.Goal("draft", 5e4 * height**2, "N")
+            >>> radius = po.Goal("radius", height / 2.0, "m", maximise=True)
+            >>> front = po.trade_off(design, draft, radius, points=5, search="local")
+            >>> 0.0 < front.hypervolume() < (12500.0 - 500.0) * (0.25 - 0.05)
+            True
+        """
+        front = self.objectives * self._signs
+        if reference is None:
+            return volume(front, front.max(axis=0))
+        wrong = f"reference = {shown(reference)} must be {len(self.goals)} objectives, finite numbers"
+        corner = array_of(reference, wrong)
+        if corner.shape != (len(self.goals),) or not np.all(np.isfinite(corner)):
+            raise InputError(wrong)
+        return volume(front, corner * self._signs)
+
+    @property
+    def _signs(self) -> Array:
+        """-1 for each objective that is maximised."""
+        return np.array([goal.sign for goal in self.goals])
+
+    def _change(self, objective: int) -> float:
+        """Return the range of an objective along the front, relative to its largest value."""
+        values = self.objectives[:, objective]
+        return float(np.ptp(values) / max(float(np.max(np.abs(values))), np.finfo(float).tiny))
 
     def page(self) -> Page:
         """Return the front as a report: a table by parts, holes, costs at the knee, and positions without a design.
@@ -128,8 +375,6 @@ class TradeOff(Saveable, Front):
             >>> front.plot().axes[0].get_xlabel()
             'draft [kN]'
         """
-        from plough_opt.studies.tradeoff.picture import draw_front, front_figure
-
         if target is not None and not isinstance(target, str | Path):
             draw_front(target, self)
             return target
@@ -153,33 +398,25 @@ class TradeOff(Saveable, Front):
             ...     print(len(front.to_csv(f"{folder}/front.csv").read_text().splitlines()))
             6
         """
-        margins = list(self.points[0].margins)
-        names = [goal.name for goal in self.goals]
+        margins, names = list(self.points[0].margins), [goal.name for goal in self.goals]
+        columns = (Display(axis.unit, 1.0).heading(axis.name) for axis in (*self.goals, *self.variables))
         rates = ["rate"] if len(self.pairs) == 1 else [f"{names[of]} per {names[by]}" for of, by in self.pairs]
-        table: list[list[object]] = [
-            ["status", "part", *(_heading(axis) for axis in (*self.goals, *self.variables)), *rates,
-             *(f"margin of {name}" for name in margins), "active", "branch", "residual", "gap"]
-        ]  # fmt: skip
-        rows: list[tuple[str, object, FrontPoint]] = [
-            ("front" if point.confirmed else "unconfirmed", part, point)
-            for part, point in zip(self.part_of, self.points, strict=True)
-        ]
-        for status, part, point in (*rows, *(("dominated", "", point) for point in self.dominated)):
+        limits = (f"margin of {name}" for name in margins)
+        table = [["status", "part", *columns, *rates, *limits, "active", "branch", "residual", "gap"]]
+        shown = [("front" if point.confirmed else "unconfirmed", str(part), point)
+                 for part, point in zip(self.part_of, self.points, strict=True)]  # fmt: skip
+        for status, part, point in (*shown, *(("dominated", "", point) for point in self.dominated)):
             values = [*point.objectives, *(point.variables[v.name] for v in self.variables)]
-            every = [point.rate_of(of, by) for of, by in self.pairs]
-            rates = ["" if rate is None else repr(rate) for rate in every]
-            table.append([status, part, *map(repr, values), *rates, *(repr(point.margins[name]) for name in margins),
-                          "; ".join(point.active), point.branch, repr(point.residual), repr(point.gap)])  # fmt: skip
+            rates = ["" if (rate := point.rate_of(*pair)) is None else repr(rate) for pair in self.pairs]
+            margin = (repr(point.margins[name]) for name in margins)
+            last = ("; ".join(point.active), point.branch, repr(point.residual), repr(point.gap))
+            table.append([status, part, *map(repr, values), *rates, *margin, *last])
         text = StringIO()
         write_rows(text, table)
         return write_file(path, "table", text.getvalue())
 
 
-def _heading(axis: Axis) -> str:
-    return f"{axis.name} [{axis.unit}]" if axis.unit else axis.name
-
-
-def _table(front: Front, everywhere: Sequence[str]) -> Grid:
+def _table(front: TradeOff, everywhere: Sequence[str]) -> Grid:
     """Return the table of a front, with its knee in bold.
 
     Args:
@@ -220,3 +457,252 @@ def _table(front: Front, everywhere: Sequence[str]) -> Grid:
             cells += [decided] if limits else []
             table.row(*cells, bold=point is knee, end=k == part[-1])
     return table
+
+
+# --- the picture: a curve, or a surface in space, and how each variable changes along or over it ---
+
+_GREY: Final = "#A8A8A8"
+_DOMINATED: Final = "local optima, dominated"
+# Width of the panel of the front [inch].
+_FRONT_WIDTH: Final = 7.0
+# By number of objectives: width and height of a variable's panel, and least height of the figure [inch].
+_PANEL_SIZES: Final = {2: (3.6, 1.75, 5.2), 3: (4.2, 2.1, 5.6)}
+# Least half range of a variable's axis as a fraction of the range between its bounds; on a logarithmic scale the
+# margin beyond its values as a fraction of these. A variable that hardly changes then looks as if it hardly changes.
+_LEAST_RANGE: Final = 0.02
+# Least range of an objective's axis, relative to its value.
+_LEAST_CHANGE: Final = 0.01
+# Most ticks of an axis, so that their numbers do not touch.
+_TICKS: Final = 6
+# Relative range of a variable along the front below which it is constant except for the optimiser's rounding.
+_CONSTANT: Final = 1e-4
+# Triangles with a side longer than this many times the median lie across a hole.
+_LONGEST_SIDE: Final = 3.0
+_LEAST_CORNERS: Final = 3
+# Direction of view in space [deg]: above the plane of the first two objectives, and aside from their diagonal.
+_ELEVATION: Final = 22.0
+_ASIDE: Final = 20.0
+# Distance of the name of an axis in space from its ticks [points], and size of the cube in its panel. With these
+# nothing touches or is cut off.
+_LABEL_PAD: Final = 10.0
+_ZOOM: Final = 0.85
+_TICKS_IN_SPACE: Final = 5
+
+
+def front_figure(front: TradeOff) -> Figure:
+    """Return a figure of the front, with panels for a third objective and for the variables that change along it."""
+    from matplotlib.figure import Figure
+
+    varying = [v for v, values in zip(front.variables, front.designs.T, strict=True)
+               if np.ptp(values) > _CONSTANT * np.max(np.abs(values))]  # fmt: skip
+    varying = varying or list(front.variables)
+    flat = len(front.goals) == 2
+    panels = [*front.goals[2:], *varying]
+    columns = 1 if len(panels) <= 3 else 2
+    rows = math.ceil(len(panels) / columns)
+    width, height, least = _PANEL_SIZES[len(front.goals)]
+    figure = Figure(figsize=(_FRONT_WIDTH + width * columns, max(least, height * rows)), layout="constrained")
+    left, right = figure.subfigures(ncols=2, squeeze=False, width_ratios=(_FRONT_WIDTH, width * columns))[0]
+    draw_front(left.add_subplot(projection=None if flat else "3d"), front)
+    every = right.subplots(rows, columns, sharex=True, sharey=not flat, squeeze=False)
+    for axes, axis in zip(every.T.ravel(), panels, strict=False):
+        (_draw_along if flat else _draw_over)(axes, front, axis)
+    for axes in every.T.ravel()[len(panels) :]:
+        axes.set_axis_off()
+    for axes in every[-1]:
+        axes.set_xlabel(_label(front, front.goals[0]), fontsize=None if flat else "small")
+        if flat:
+            _set_ticks(axes, _places(front, front.points)[:, 0], "x")
+    for axes in [] if flat else every[:, 0]:
+        axes.set_ylabel(_label(front, front.goals[1]), fontsize="small")
+    if heading := _heading(front, [v for v in front.variables if v not in varying]):
+        figure.suptitle(heading)
+    return figure
+
+
+def draw_front(axes: Axes, front: TradeOff) -> None:
+    """Draw the parts of a front, its holes, its knee, and the local optima that it dominates.
+
+    Args:
+        axes: to draw on; 3D axes for three objectives.
+        front: the front.
+    """
+    flat = len(front.goals) == 2
+    places, beaten = _places(front, front.points), _places(front, front.dominated)
+    if len(beaten):
+        axes.plot(*beaten.T, "x", color=_GREY, markersize=4.5, zorder=2, label=_DOMINATED)
+    for number, part in enumerate(front.parts):
+        of_part, colour = places[list(part)], COLOURS[number % len(COLOURS)]
+        for corners in [] if flat else _triangles(of_part):
+            face = {"color": colour, "alpha": 0.35, "linewidth": 0.3, "edgecolor": colour}
+            axes.plot_trisurf(*of_part.T, triangles=corners, **face)  # type: ignore[attr-defined]
+        label = "front" if len(front.parts) == 1 else f"front, part {number + 1}"
+        axes.plot(*of_part.T, "o-" if flat else "o", color=colour, markersize=4, linewidth=1.3, zorder=4, label=label)
+    if len(unconfirmed := places[[not point.confirmed for point in front.points]]):
+        axes.plot(*unconfirmed.T, "o", color="white", markersize=3, zorder=9, label="unconfirmed")
+    if flat:
+        _finish_curve(axes, front, places, beaten)
+    else:
+        _finish_surface(axes, front)
+    if front.knee is not None:
+        axes.plot(*_places(front, (front.knee,)).T, "*", color="black", markersize=13, zorder=9, label="knee")
+    axes.legend(fontsize="small", loc="best" if flat else "upper left")
+
+
+def _finish_curve(axes: Axes, front: TradeOff, places: Array, beaten: Array) -> None:
+    """Draw the holes of a curve, limit its axes, and label them."""
+    for number, (before, after) in enumerate(pairwise(front.parts)):
+        axes.plot(*places[[before[-1], after[0]]].T, ":", color="black", linewidth=1.0, zorder=3,
+                  label="hole: no efficient design" if number == 0 else None)  # fmt: skip
+    _limit(axes, places, beaten)
+    (left, right), (bottom, top) = sorted(axes.get_xlim()), sorted(axes.get_ylim())
+    if not any(left <= x <= right and bottom <= y <= top for x, y in beaten):
+        for line in axes.get_lines():
+            if line.get_label() == _DOMINATED:
+                line.remove()
+    axes.set(xlabel=_label(front, front.goals[0]), ylabel=_label(front, front.goals[1]))
+    for along, values in zip("xy", places.T, strict=True):
+        _set_ticks(axes, values, along)
+    axes.grid(alpha=0.25)
+
+
+def _finish_surface(axes: Axes, front: TradeOff) -> None:
+    """Label the axes of a surface, and view it from the side where the first two objectives are better."""
+    from matplotlib.ticker import MaxNLocator
+
+    for along, goal in zip("xyz", front.goals, strict=True):
+        getattr(axes, f"set_{along}label")(_label(front, goal), labelpad=_LABEL_PAD)
+        getattr(axes, f"{along}axis").set_major_locator(MaxNLocator(_TICKS_IN_SPACE))
+    axes.set_box_aspect(None, zoom=_ZOOM)  # type: ignore[call-arg]
+    first, second = (goal.sign for goal in front.goals[:2])
+    azimuth = math.degrees(math.atan2(-second, -first)) + _ASIDE
+    axes.view_init(elev=_ELEVATION, azim=azimuth)  # type: ignore[attr-defined]
+
+
+def _limit(axes: Axes, places: Array, beaten: Array) -> None:
+    """Limit the axes to the front and half its range around it, however far away dominated optima lie."""
+    low, high = places.min(axis=0), places.max(axis=0)
+    if not len(beaten) or not np.all(high > low):
+        return
+    pad, edge = 0.5 * (high - low), 0.04 * (high - low)
+    every = np.vstack([places, beaten])
+    least, most = np.maximum(low - pad, every.min(axis=0)) - edge, np.minimum(high + pad, every.max(axis=0)) + edge
+    axes.set(xlim=(least[0], most[0]), ylim=(least[1], most[1]))
+
+
+def _set_ticks(axes: Axes, values: Array, along: str) -> None:
+    """Number an axis without an offset and with space between numbers, over at least 1 % of its largest value.
+
+    Args:
+        axes: on which everything is drawn already.
+        values: values of the front along the axis.
+        along: "x" or "y".
+    """
+    from matplotlib.ticker import MaxNLocator, ScalarFormatter
+
+    low, high = axes.get_xlim() if along == "x" else axes.get_ylim()
+    middle, least = (low + high) / 2.0, _LEAST_CHANGE * float(np.max(np.abs(values)))
+    if high - low < least:
+        (axes.set_xlim if along == "x" else axes.set_ylim)(middle - least / 2.0, middle + least / 2.0)
+    axis = axes.xaxis if along == "x" else axes.yaxis
+    axis.set_major_locator(MaxNLocator(_TICKS))
+    axis.set_major_formatter(ScalarFormatter(useOffset=False))
+
+
+def _draw_along(axes: Axes, front: TradeOff, variable: Axis) -> None:
+    """Draw a variable over the first objective, with those of its bounds that lie in the range shown."""
+    values, factor = _values(front, variable), front.display(variable).factor
+    places = _places(front, front.points)[:, 0]
+    for number, part in enumerate(front.parts):
+        rows = list(part)
+        axes.plot(places[rows], values[rows], "o-", color=COLOURS[number % len(COLOURS)], markersize=2.5, linewidth=1.2)
+    if variable.log:
+        axes.set_yscale("log")
+    else:
+        axes.set_ylim(*_range(variable, values, factor, margin=0.1))
+    low, high = axes.get_ylim()
+    for bound in (variable.lower, variable.upper):
+        if bound is not None and low < bound / factor < high:
+            axes.axhline(bound / factor, color="black", linestyle="--", linewidth=0.8)
+            axes.annotate("bound", (1.0, bound / factor), (-3, 2), xycoords=axes.get_yaxis_transform(), ha="right",
+                          textcoords="offset points", fontsize="x-small")  # fmt: skip
+    axes.set_ylabel(_label(front, variable), fontsize="small")
+    axes.grid(alpha=0.25)
+
+
+def _triangles(places: Array) -> list[np.ndarray]:
+    """Return the corners of the triangles between the points of a part, as a list of one array, or of none for a line.
+
+    The points are triangulated in a projection along the diagonal (1, 1, 1), in which no part of a front hides another.
+    """
+    from matplotlib.tri import Triangulation
+
+    if len(places) < _LEAST_CORNERS:
+        return []
+    low, span = places.min(axis=0), np.ptp(places, axis=0)
+    flat = (places - low) / np.where(span > 0.0, span, 1.0) @ ACROSS
+    if np.linalg.matrix_rank(flat - flat.mean(axis=0), tol=1e-6) < 2:
+        return []
+    corners = Triangulation(*flat.T).triangles
+    sides = np.linalg.norm(flat[corners] - flat[np.roll(corners, 1, axis=1)], axis=2)
+    short = np.max(sides, axis=1) < _LONGEST_SIDE * np.median(sides)
+    return [corners[short]] if np.any(short) else []
+
+
+def _draw_over(axes: Axes, front: TradeOff, axis: Axis) -> None:
+    """Draw a variable, or the third objective, as the colour of the points over the first two objectives."""
+    from matplotlib.colors import LogNorm, Normalize
+
+    values = _values(front, axis)
+    places = _places(front, front.points)
+    low, high = _range(axis, values, front.display(axis).factor)
+    norm = LogNorm(low, high) if axis.log else Normalize(low, high)
+    drawn = axes.scatter(places[:, 0], places[:, 1], c=values, norm=norm, cmap="viridis", s=22)
+    figure = axes.get_figure()
+    assert figure is not None  # panels are drawn on one
+    bar = figure.colorbar(drawn, ax=axes, pad=0.02)
+    bar.set_label(_label(front, axis), fontsize="small")
+    bar.ax.tick_params(labelsize="small")
+    axes.grid(alpha=0.25)
+
+
+def _range(axis: Axis, values: Array, factor: float, margin: float = 0.0) -> tuple[float, float]:
+    """Return the range of an axis for a variable; if the variable hardly changes, the range is wider than that.
+
+    Args:
+        axis: variable with its bounds.
+        values: values along the front, in the unit shown.
+        factor: size of that unit.
+        margin: part of the range to leave free.
+    """
+    low, high = float(values.min()), float(values.max())
+    if axis.log:
+        return low / (1.0 + _LEAST_RANGE), high * (1.0 + _LEAST_RANGE)
+    least = 0.0
+    if axis.lower is not None and axis.upper is not None:
+        least = _LEAST_RANGE * (axis.upper - axis.lower) / factor
+    middle, half = (high + low) / 2.0, max((0.5 + 0.5 * margin) * (high - low), least)
+    return middle - half, middle + half
+
+
+def _places(front: TradeOff, points: Sequence[FrontPoint]) -> Array:
+    """Return the objectives of points in the units shown, a row each."""
+    factors = [front.display(goal).factor for goal in front.goals]
+    return np.array([point.objectives for point in points]).reshape(-1, len(factors)) / factors
+
+
+def _values(front: TradeOff, axis: Axis) -> Array:
+    """Return an objective or a variable of all points in the unit shown."""
+    columns = dict(zip((*front.goals, *front.variables), (*front.objectives.T, *front.designs.T), strict=True))
+    return np.asarray(columns[axis] / front.display(axis).factor)
+
+
+def _label(front: TradeOff, axis: Axis) -> str:
+    return front.display(axis).heading(called(axis.name))
+
+
+def _heading(front: TradeOff, same: Sequence[Axis]) -> str:
+    """Return the title, and the values of variables that are the same in every design."""
+    values = [f"{called(v.name)} {front.display(v).text(front.points[0].variables[v.name], 4)}" for v in same]
+    words = f"{', '.join(values)} in every design" if values else ""
+    return "\n".join(part for part in (front.title, words) if part)

@@ -402,15 +402,16 @@ class TradeOff(Saveable):
         columns = (Display(axis.unit, 1.0).heading(axis.name) for axis in (*self.goals, *self.variables))
         rates = ["rate"] if len(self.pairs) == 1 else [f"{names[of]} per {names[by]}" for of, by in self.pairs]
         limits = (f"margin of {name}" for name in margins)
-        table = [["status", "part", *columns, *rates, *limits, "active", "branch", "residual", "gap"]]
+        table: list[list[object]] = [
+            ["status", "part", *columns, *rates, *limits, "active", "branch", "residual", "gap"]
+        ]
         shown = [("front" if point.confirmed else "unconfirmed", str(part), point)
                  for part, point in zip(self.part_of, self.points, strict=True)]  # fmt: skip
         for status, part, point in (*shown, *(("dominated", "", point) for point in self.dominated)):
-            values = [*point.objectives, *(point.variables[v.name] for v in self.variables)]
-            rates = ["" if (rate := point.rate_of(*pair)) is None else repr(rate) for pair in self.pairs]
-            margin = (repr(point.margins[name]) for name in margins)
-            last = ("; ".join(point.active), point.branch, repr(point.residual), repr(point.gap))
-            table.append([status, part, *map(repr, values), *rates, *margin, *last])
+            numbers = (*point.objectives, *(point.variables[v.name] for v in self.variables))
+            slopes = (point.rate_of(*pair) for pair in self.pairs)
+            last = (*(point.margins[name] for name in margins), "; ".join(point.active), point.branch)
+            table.append([status, part, *numbers, *slopes, *last, point.residual, point.gap])
         text = StringIO()
         write_rows(text, table)
         return write_file(path, "table", text.getvalue())

@@ -19,10 +19,10 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import ByValue
 from plough_opt.core.files import COLOURS, written
 from plough_opt.core.plain_data import Array, MaybeInfinite, Unsaved
-from plough_opt.core.quantities import EVERY, Quantity
+from plough_opt.core.quantities import EVERY
 from plough_opt.core.saving import Origin, Saveable, versions
 from plough_opt.core.tables import Grid, Page, Part, data_frame
-from plough_opt.core.units import Display, Unit
+from plough_opt.core.units import Display, Unit, display_of
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import called
 from plough_opt.soil.soil import Soil
@@ -137,15 +137,9 @@ class HeldOut(ByValue):
 
     def plain(self) -> dict[str, Any]:
         """Return the predictions as plain values for JSON, SI; None stands for what is not determined."""
-        rows = [
-            {
-                "place": row.place,
-                "observed": row.observed,
-                "predicted": row.predicted,
-                "half_width": half if half < math.inf else None,
-            }
-            for row, half in zip(self.rows, self.half_widths.tolist(), strict=True)
-        ]
+        halves = (half if half < math.inf else None for half in self.half_widths.tolist())
+        rows = [{"place": row.place, "observed": row.observed, "predicted": row.predicted, "half_width": half}
+                for row, half in zip(self.rows, halves, strict=True)]  # fmt: skip
         about = {"fitted": self.fitted, "values": dict(self.values), "level": self.level, "rms": self.rms}
         return about | {"inside": self.coverage[0], "finite": self.coverage[1], "rows": rows}
 
@@ -715,27 +709,19 @@ def _predicted_label(kinds: Mapping[str, Display]) -> str:
     return f"predicted {display.heading(called(result))}"
 
 
-def _coordinates(row: Row) -> dict[str, float]:
-    conditions = dict(row.conditions)
-    return conditions if row.time is None else {"time": row.time, **conditions}
-
-
-def _varied(rows: Sequence[Row], origin: Origin) -> tuple[Sequence[Row], list[float], str]:
+def _varied(rows: Sequence[Row], origin: Origin) -> tuple[Sequence[Row], Sequence[float], str]:
     """Return the rows, a coordinate of each, and its label: time or speed if it varies, else the most varied one."""
-    counts: dict[str, set[float]] = {}
-    for row in rows:
-        for key, value in _coordinates(row).items():
-            counts.setdefault(key, set()).add(value)
-    preferred = [key for key in ("time", "scene.tow_speed") if len(counts.get(key, ())) > 1]
-    name = preferred[0] if preferred else max(counts, key=lambda key: len(counts[key]), default="")
+    places = [row.conditions if row.time is None else {"time": row.time, **row.conditions} for row in rows]
+    keys = dict.fromkeys(key for place in places for key in place)
+    counts = {key: len({place[key] for place in places if key in place}) for key in keys}
+    preferred = [key for key in ("time", "scene.tow_speed") if counts.get(key, 0) > 1]
+    name = preferred[0] if preferred else max(counts, key=counts.__getitem__, default="")
     if not name:
         return rows, [float(k) for k in range(1, len(rows) + 1)], "number of the row"
-    display = Display("s", 1.0) if name == "time" else origin.displays.get(name) or _usual(EVERY[name])
-    shown = [row for row in rows if name in _coordinates(row)]
-    return shown, [_coordinates(row)[name] / display.factor for row in shown], display.heading(called(name))
-
-
-def _usual(quantity: Quantity) -> Display:
-    """Return the customary unit of a quantity."""
-    symbol = quantity.shown or quantity.unit
-    return Display(symbol, Unit(quantity.unit).split(f"1 {symbol}")[1])
+    display = Display("s", 1.0)
+    if name != "time":
+        usual = f"1 {EVERY[name].shown or EVERY[name].unit}".rstrip()
+        display = origin.displays.get(name) or display_of(usual, Unit(EVERY[name].unit))
+    having = [k for k, place in enumerate(places) if name in place]
+    values = [places[k][name] / display.factor for k in having]
+    return [rows[k] for k in having], values, display.heading(called(name))

@@ -39,7 +39,7 @@ from .motion.effects import (
     StickSlip as StickSlip,
 )
 from .motion.driven import MotionEquation as MotionEquation
-from .motion.machine import Machine as Machine
+from .motion.run import Machine as Machine
 from .motion.scene import Scene as Scene
 from .problem_file import Problem as Problem, read_problem as read_problem
 from .problem_file.field_data import (

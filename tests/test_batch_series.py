@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from plough_opt.core.expressions import as_number
-from plough_opt.motion.batch.engine import Engine, Interpreter
-from plough_opt.motion.batch.series import Graph, series_of
+from plough_opt.motion.batch.series import Engine, Graph, Interpreter, series_of
 
 ORDER = 12
 # x(t): within the domain of all functions, and with all coefficients other than zero.

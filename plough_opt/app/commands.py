@@ -33,7 +33,7 @@ from plough_opt.exchange.export.formats import FORMATS, Request
 from plough_opt.laws.forces import cone_index
 from plough_opt.motion import Run
 from plough_opt.motion.effect_costs import effect_costs
-from plough_opt.motion.machine import Machine
+from plough_opt.motion.run import Machine
 from plough_opt.motion.scene import Scene, quantities_of
 from plough_opt.motion.vocabulary import called
 from plough_opt.problem_file import Problem, template

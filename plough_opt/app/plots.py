@@ -22,7 +22,7 @@ from plough_opt.design.search.landscape import FEASIBLE
 from plough_opt.motion import Run
 from plough_opt.motion.batch import BatchResult
 from plough_opt.motion.equation import GAP, STICK, Structure, parameters
-from plough_opt.motion.machine import Machine
+from plough_opt.motion.run import Machine
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import called
 from plough_opt.soil.elastic import wedge_stress

@@ -20,7 +20,7 @@ from plough_opt.core.quantities import BESIDE
 from plough_opt.core.saving import versions
 from plough_opt.design import Design, Progress, Sensitivity
 from plough_opt.motion import Run
-from plough_opt.motion.machine import Machine
+from plough_opt.motion.run import Machine
 from plough_opt.motion.scene import Scene
 from plough_opt.problem_file import Problem, read_problem
 from plough_opt.problem_file.written import problem_of

@@ -16,7 +16,7 @@ from plough_opt.laws.forces import cone_index
 from plough_opt.motion import Run
 from plough_opt.motion.effect_costs import EffectCost
 from plough_opt.motion.equation import Structure, equation_of
-from plough_opt.motion.machine import Machine
+from plough_opt.motion.run import Machine
 from plough_opt.motion.scene import Scene
 from plough_opt.problem_file import Problem
 from plough_opt.problem_file.measures import measures_of

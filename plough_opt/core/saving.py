@@ -324,9 +324,8 @@ def _parsed(text: str) -> Any:
 # First bytes of an SQLite file, which the store of a sweep is.
 _STORE: Final = b"SQLite format 3"
 _CLASSES: Final = {
-    "plough_opt.motion.run": ("Run",),
-    "plough_opt.motion.machine": ("Machine",),
-    "plough_opt.motion.batch.result": ("BatchResult",),
+    "plough_opt.motion.run": ("Machine", "Run"),
+    "plough_opt.motion.batch.batch": ("BatchResult",),
     "plough_opt.design.result.optimum": ("LocalOptimum", "Optimum", "Rounded"),
     "plough_opt.studies.tradeoff.result": ("TradeOff",),
     "plough_opt.studies.accuracy.result": ("AccuracyStudy",),

@@ -18,9 +18,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.compiler import library
+from plough_opt.core.compiler import Statements, c_file, library, variants
 from plough_opt.core.errors import InputError
-from plough_opt.motion.c_source import Statements, c_file, variants
 from plough_opt.motion.equation import Equation, Structure, equation_of
 from plough_opt.motion.orbit import DIFFERENCE, LAST_STEP, MOST_ITERATIONS, near_orbit, returning
 from plough_opt.motion.plan import rates

@@ -19,8 +19,8 @@ from plough_opt.exchange.building import build
 from plough_opt.exchange.component import Component, Input, Output, Port, port_of
 from plough_opt.motion import Run, simulate
 from plough_opt.motion.effects import SpeedProfile
-from plough_opt.motion.machine import Machine
 from plough_opt.motion.methods import Accuracy
+from plough_opt.motion.run import Machine
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.vocabulary import Measure
 from plough_opt.problem_file.measures import measures_of, total_of

@@ -19,8 +19,7 @@ from plough_opt.core.units import OBJECTIVE_DIGITS, Display, customary, in_words
 from plough_opt.design.certify.tolerance import Spread
 from plough_opt.design.result.sensitivity import Sensitivity, Solved
 from plough_opt.design.search.effort import expected_unseen
-from plough_opt.motion.machine import Machine, without_repetition
-from plough_opt.motion.run import Run
+from plough_opt.motion.run import Machine, Run, without_repetition
 from plough_opt.motion.simulation import repeat
 
 if TYPE_CHECKING:

@@ -12,10 +12,10 @@ from typing import Any, Final
 
 import casadi as ca
 
+from plough_opt.core.compiler import LANE_BY_LANE, LIBRARY, LIBRARY_OF_TWO, instructions, name_of
 from plough_opt.core.errors import InputError
 from plough_opt.core.files import check_file, write_file
 from plough_opt.exchange.component import RELAXATION, Component, Port
-from plough_opt.motion.c_source import LANE_BY_LANE, LIBRARY, LIBRARY_OF_TWO, instructions, name_of
 
 # Operation -> expression of its operands. JavaScript's numbers are doubles, and a condition becomes 0 or 1.
 _EXPRESSIONS: Final = {

@@ -1,6 +1,5 @@
 """Batches: averages of very many designs, integrated side by side in the processor's vector registers."""
 
-from plough_opt.motion.batch.batch import Batch
-from plough_opt.motion.batch.result import UNSTABLE, BatchResult
+from plough_opt.motion.batch.batch import UNSTABLE, Batch, BatchResult
 
 __all__ = ["UNSTABLE", "Batch", "BatchResult"]

@@ -31,7 +31,7 @@ import numpy as np
 from plough_opt.core.checks import labels_in, without_labels
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, Expression, absolute, minimum, stacked, where
-from plough_opt.motion.batch.engine import Array
+from plough_opt.core.plain_data import Array
 from plough_opt.motion.batch.series import Graph, Series, Switch, series_of
 from plough_opt.motion.effects import StrengthWaves
 from plough_opt.motion.equation import Equation, Structure, equation_of, parameters

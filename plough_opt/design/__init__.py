@@ -1,9 +1,8 @@
 """Designs: variables, an objective and named requirements, solved by IPOPT with exact derivatives."""
 
-from plough_opt.design.certify.tolerance import Spread
-from plough_opt.design.embedding import NonlinearProgram
+from plough_opt.design.confirmation import Spread
 from plough_opt.design.over_tolerances import Over
-from plough_opt.design.question import Design
+from plough_opt.design.question import Design, NonlinearProgram
 from plough_opt.design.result.optimum import Choice, Limit, LocalOptimum, Optimum, Rounded, Search
 from plough_opt.design.result.sensitivity import Sensitivity
 from plough_opt.design.search.explore import Progress

@@ -19,16 +19,15 @@ import numpy as np
 
 from plough_opt.core.errors import InfeasibleDesign, NotConverged
 from plough_opt.core.expressions import Column
-from plough_opt.design.certify.tolerance import BOX_DESIGNS, boxes, corners, unit_box
+from plough_opt.design.confirmation import BOX_DESIGNS, boxes, corners, unit_box
 from plough_opt.design.declarations import Declarations, Requirement, Variable
 from plough_opt.design.model.ipopt import Vector
+from plough_opt.design.model.nlp import split
 from plough_opt.design.model.program import Program
-from plough_opt.design.model.split import split
 from plough_opt.design.result.optimum import Optimum
 from plough_opt.design.result.sensitivity import Sensitivity, Solved
 from plough_opt.design.search.explore import silent
-from plough_opt.design.search.landscape import FEASIBLE, FINER, Landscape
-from plough_opt.design.search.points import evaluated_sample
+from plough_opt.design.search.landscape import FEASIBLE, FINER, Landscape, evaluated_sample
 from plough_opt.design.solving import Known, Request, solve_program
 
 Over = Literal["mean", "worst"]

@@ -10,8 +10,15 @@ import numpy as np
 
 from plough_opt.core.compiler import compiler_problem
 from plough_opt.core.errors import NotConverged
-from plough_opt.design.certify.confirmation import converged_tightly, flat_directions, minimum_from, with_enough_steps
-from plough_opt.design.certify.tolerance import Judge, ranked, ranking_criterion
+from plough_opt.design.confirmation import (
+    Judge,
+    converged_tightly,
+    flat_directions,
+    minimum_from,
+    ranked,
+    ranking_criterion,
+    with_enough_steps,
+)
 from plough_opt.design.model.ipopt import Point, Vector
 from plough_opt.design.model.program import Program, with_sure_steps
 from plough_opt.design.result.catalogue import rounded

@@ -31,7 +31,7 @@ from plough_opt.soil.strength import Spectrum
 
 if TYPE_CHECKING:
     from plough_opt.design import Design, Optimum, Over, Progress
-    from plough_opt.design.certify.tolerance import Judge
+    from plough_opt.design.confirmation import Judge
     from plough_opt.design.search.effort import Search
     from plough_opt.studies.tradeoff import TradeOff
 

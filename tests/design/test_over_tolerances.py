@@ -17,7 +17,7 @@ from helpers.small_designs import design
 
 import plough_opt as po
 from plough_opt.design import Rounded, over_tolerances
-from plough_opt.design.certify.tolerance import BOX_DESIGNS, boxes, corners
+from plough_opt.design.confirmation import BOX_DESIGNS, boxes, corners
 
 # --- the mean and the worst objective within tolerances, variables solved for in closed form, and tolerances in files
 

@@ -8,17 +8,23 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers.small_designs import design, sticking
+from plough_opt.design import confirmation
 from scipy.stats.qmc import Sobol
 
 import plough_opt as po
-from plough_opt.design.certify import confirmation
-from plough_opt.design.certify.tolerance import boxes
+from plough_opt.design.confirmation import boxes
 from plough_opt.design.model import ipopt, population, tight_integration
 from plough_opt.design.model.program import Program
 from plough_opt.design.search import effort
-from plough_opt.design.search.landscape import Landscape, barriers, concatenated, end_straight_downhill
+from plough_opt.design.search.landscape import (
+    MOST_DIMENSIONS,
+    Landscape,
+    barriers,
+    concatenated,
+    end_straight_downhill,
+    sobol_points,
+)
 from plough_opt.design.search.local import descend
-from plough_opt.design.search.points import MOST_DIMENSIONS, sobol_points
 
 
 @pytest.fixture

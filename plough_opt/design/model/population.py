@@ -11,8 +11,16 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.process import available
 from plough_opt.design.declarations import Variable
 from plough_opt.design.model.ipopt import Vector
-from plough_opt.design.model.nlp import algebra_of, averages_only, holds_maps
-from plough_opt.design.model.split import EmbeddedRun, SceneChecks, Split, has_own_law, split
+from plough_opt.design.model.nlp import (
+    EmbeddedRun,
+    SceneChecks,
+    Split,
+    algebra_of,
+    averages_only,
+    has_own_law,
+    holds_maps,
+    split,
+)
 from plough_opt.motion.compiled_steps import ManyRuns
 from plough_opt.motion.integrators import Integration, integration
 

@@ -17,9 +17,8 @@ from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import Column
 from plough_opt.design.declarations import Declarations, Requirement
 from plough_opt.design.model.ipopt import FROM_AFAR, Point, SolveOptions, Solver, Vector
-from plough_opt.design.model.nlp import Nlp, as_machine_code, build_nlp, first_slack, relaxed
+from plough_opt.design.model.nlp import Nlp, as_machine_code, build_nlp, first_slack, relaxed, split
 from plough_opt.design.model.population import LinearVariable, Population, linear_variables
-from plough_opt.design.model.split import split
 from plough_opt.design.model.tight_integration import (
     TightEvaluation,
     check_bounds,

@@ -15,7 +15,7 @@ from plough_opt.core.checks import Call, Domain, limits_of_numbers
 from plough_opt.core.errors import DomainError, InputError, IntegrationError, PloughError
 from plough_opt.core.expressions import is_quantity, map_expressions, with_numbers
 from plough_opt.design.declarations import Declarations, Requirement
-from plough_opt.design.model.split import Vector, has_own_law, is_own, split
+from plough_opt.design.model.nlp import Vector, has_own_law, is_own, split
 from plough_opt.motion.checks import refuse_drifting_own, refuse_stiff_orbit
 from plough_opt.motion.compiled_steps import compiled_steps
 from plough_opt.motion.effects import MOST_HARMONICS

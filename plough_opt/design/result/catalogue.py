@@ -11,7 +11,7 @@ import numpy as np
 from plough_opt.core.checks import array_of, shown
 from plough_opt.core.errors import InfeasibleDesign, InputError, nearest
 from plough_opt.core.units import has_unit, in_si, in_words
-from plough_opt.design.certify.tolerance import Judge, ranking_criterion, spread
+from plough_opt.design.confirmation import Judge, ranking_criterion, spread
 from plough_opt.design.declarations import Variable
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.model.program import Program
@@ -19,18 +19,20 @@ from plough_opt.design.result.optimum import Choice, Rounded, values_in_words
 from plough_opt.design.result.reporting import reports
 from plough_opt.design.result.sensitivity import Solved
 from plough_opt.design.search.effort import CAN_WIN
-from plough_opt.design.search.landscape import Evaluations, Landscape, concatenated
-from plough_opt.design.search.local import AS_FOUND, descend, least_violation, point_as_found
-from plough_opt.design.search.near import failures, from_least_violation
-from plough_opt.design.search.points import (
+from plough_opt.design.search.landscape import (
     MANY_VARIABLES,
     SEED,
+    Evaluations,
+    Landscape,
+    concatenated,
     dips_along,
     evolved,
     lines_through,
     local_minima,
     sobol_points,
 )
+from plough_opt.design.search.local import AS_FOUND, descend, least_violation, point_as_found
+from plough_opt.design.search.near import failures, from_least_violation
 
 # The first sample of the free variables.
 _SCREENING_SAMPLE = 2**16  # designs of all combinations together

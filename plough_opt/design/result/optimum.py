@@ -16,7 +16,7 @@ from plough_opt.core.plain_data import Array, ByName, MaybeInfinite, Unsaved
 from plough_opt.core.saving import Origin, Saveable
 from plough_opt.core.tables import Grid, Page, Part, data_frame
 from plough_opt.core.units import OBJECTIVE_DIGITS, Display, customary, in_words
-from plough_opt.design.certify.tolerance import Spread
+from plough_opt.design.confirmation import Spread
 from plough_opt.design.result.sensitivity import Sensitivity, Solved
 from plough_opt.design.search.effort import expected_unseen
 from plough_opt.motion.run import Machine, Run, without_repetition

@@ -5,8 +5,7 @@ from collections.abc import Collection, Iterator, Sequence
 import numpy as np
 
 from plough_opt.core.compiler import interpretation_warning
-from plough_opt.design.certify.confirmation import SMALL, gap_of
-from plough_opt.design.certify.tolerance import spread
+from plough_opt.design.confirmation import SMALL, gap_of, spread
 from plough_opt.design.model.ipopt import Point, Vector
 from plough_opt.design.model.optimality import decides
 from plough_opt.design.model.program import Program

@@ -12,25 +12,23 @@ import numpy as np
 from plough_opt.design.model.ipopt import Vector
 from plough_opt.design.search.effort import Effort, TimeLimit, expected_unseen
 from plough_opt.design.search.landscape import (
+    MANY_VARIABLES,
     NEEDLE,
     SAME,
+    SEED,
     Evaluations,
     Landscape,
     apart,
     barriers,
     concatenated,
-    end_straight_downhill,
-)
-from plough_opt.design.search.local import Shortfall, descend, least_violation
-from plough_opt.design.search.points import (
-    MANY_VARIABLES,
-    SEED,
     dips_along,
+    end_straight_downhill,
     evolved,
     lines_through,
     local_minima,
     sample,
 )
+from plough_opt.design.search.local import Shortfall, descend, least_violation
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and the fraction of it done."""

@@ -11,9 +11,17 @@ from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.model.program import Program, with_sure_steps
 from plough_opt.design.search.effort import effort_of
 from plough_opt.design.search.explore import Explored, Explorer
-from plough_opt.design.search.landscape import BARRIER, FINER, Evaluations, Landscape, apart, concatenated
+from plough_opt.design.search.landscape import (
+    BARRIER,
+    FINER,
+    SEED,
+    Evaluations,
+    Landscape,
+    apart,
+    concatenated,
+    evaluated_sample,
+)
 from plough_opt.design.search.local import descend, least_violation, nearest_feasible, point_as_found, polished
-from plough_opt.design.search.points import SEED, evaluated_sample
 
 # Boxes that keep a descent in its basin. Widths are fractions of the range.
 _BOX = 0.05  # half width of the first box

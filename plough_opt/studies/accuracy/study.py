@@ -40,10 +40,9 @@ from plough_opt.core.saving import versions
 from plough_opt.design import Design, Optimum, Progress
 from plough_opt.design.declarations import Declarations
 from plough_opt.design.model.ipopt import Point, SolveOptions
-from plough_opt.design.model.nlp import averages_only
+from plough_opt.design.model.nlp import averages_only, split
 from plough_opt.design.model.optimality import decides, newton_step, symmetric
 from plough_opt.design.model.program import Program
-from plough_opt.design.model.split import split
 from plough_opt.design.search.effort import Search
 from plough_opt.design.search.explore import silent
 from plough_opt.motion.integrators import integration

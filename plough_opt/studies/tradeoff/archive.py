@@ -16,15 +16,13 @@ from numpy.typing import NDArray
 
 from plough_opt.core.errors import NotConverged
 from plough_opt.core.plain_data import Array
-from plough_opt.design.certify.confirmation import minimum_from
-from plough_opt.design.certify.tolerance import boxes, ranking_criterion
+from plough_opt.design.confirmation import boxes, minimum_from, ranking_criterion
 from plough_opt.design.model.ipopt import REMEDIES, Point
 from plough_opt.design.search.effort import Search, effort_of, searched
 from plough_opt.design.search.explore import Explorer, Progress
-from plough_opt.design.search.landscape import FEASIBLE, NEEDLE, Evaluations, Landscape
+from plough_opt.design.search.landscape import FEASIBLE, NEEDLE, SEED, Evaluations, Landscape, evolved, sample
 from plough_opt.design.search.local import descend, point_as_found, polished
 from plough_opt.design.search.near import feasible_from, near_optimum
-from plough_opt.design.search.points import SEED, evolved, sample
 from plough_opt.studies.tradeoff.front import MissingPoint, lead_over_points, thinned
 from plough_opt.studies.tradeoff.program import FrontProgram
 

@@ -15,7 +15,7 @@ from plough_opt.core.expressions import Expression, is_count
 from plough_opt.core.plain_data import Array
 from plough_opt.core.saving import Origin
 from plough_opt.design import Design, Progress
-from plough_opt.design.certify.confirmation import curvatures_at
+from plough_opt.design.confirmation import curvatures_at
 from plough_opt.design.model.ipopt import Point
 from plough_opt.design.model.optimality import PULLS, decides
 from plough_opt.design.search.effort import Search

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from plough_opt.core.plain_data import Array
 from plough_opt.design.model.ipopt import Point
 from plough_opt.design.search.explore import Progress
+from plough_opt.design.search.landscape import SEED
 from plough_opt.design.search.local import point_as_found
-from plough_opt.design.search.points import SEED
 from plough_opt.studies.tradeoff.archive import (
     MATTERS,
     OTHERS_WEIGHT,

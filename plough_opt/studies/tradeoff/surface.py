@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plough_opt.core.plain_data import Array
-from plough_opt.design.certify.confirmation import minimum_from
+from plough_opt.design.confirmation import minimum_from
 from plough_opt.design.model.ipopt import Point
 from plough_opt.design.search.explore import Progress
 from plough_opt.studies.tradeoff.archive import MATTERS, Archive, Arrangement, FrontCandidate, extrapolated

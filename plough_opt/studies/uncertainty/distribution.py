@@ -32,8 +32,8 @@ from plough_opt.core.expressions import ByValue, Column, Expression, is_casadi, 
 from plough_opt.core.plain_data import Array
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.design import Optimum
+from plough_opt.design.model.nlp import SceneChecks, split
 from plough_opt.design.model.population import Population
-from plough_opt.design.model.split import SceneChecks, split
 from plough_opt.soil.soil import Soil
 
 Response = Callable[[Soil], Mapping[str, Column]]

@@ -1,1 +1,0 @@
-"""Certificates of optima: accuracy, active limits, curvature, and the spread within tolerances."""

@@ -8,10 +8,10 @@ import casadi as ca
 import numpy as np
 import pytest
 from helpers.small_designs import design, sticking
-from plough_opt.design import confirmation
 from scipy.stats.qmc import Sobol
 
 import plough_opt as po
+from plough_opt.design import confirmation
 from plough_opt.design.confirmation import boxes
 from plough_opt.design.model import ipopt, population, tight_integration
 from plough_opt.design.model.program import Program

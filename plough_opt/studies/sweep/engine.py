@@ -280,8 +280,11 @@ def sweep(
     seconds = _limit(limit, executor)
     points = points_of({name: axis_of(name, given) for name, given in over.items()}, samples, seed)
     check_columns(points.names)
+    asked = {"function": getattr(evaluation, "__qualname__", type(evaluation).__qualname__)}
+    if store is not None and not question:
+        asked["code of the function"] = digest_of(evaluation)
     packages = {f"version of {name}": text for name, text in {**versions(), "scipy": version("scipy")}.items()}
-    full_question = {**points.question(), **(question or _identity(evaluation, store)), **packages}
+    full_question = {**points.question(), **(question or asked), **packages}
     store = None if store is None else path_of("the store", store)
     if not retry and store is not None and (finished := _finished(store, full_question)) is not None:
         return finished
@@ -305,10 +308,9 @@ def sweep(
                 SweepLoop(evaluation, points, opened, used, count, callback).run()
         opened.finish()
     except KeyboardInterrupt:
-        done = opened.counts().stored
+        done, where = opened.counts().stored, f"in '{store}': the same sweep continues from there"
         opened.close()
-        place = f"in '{store}': the same sweep continues from there"
-        where = "lost, because there is no store" if store is None else place
+        where = where if store else "lost, because there is no store"
         raise KeyboardInterrupt(f"{done} of {points.count} points are {where}") from None
     except BaseException:
         opened.close()
@@ -349,10 +351,9 @@ def _check_arguments(evaluation: object, over: object, executor: object, workers
         )
     if workers is not None and not is_count(workers):
         raise InputError(f"workers = {shown(workers)} must be 1 or more")
-    if executor is not None:
-        return
     try:
-        packed(evaluation)
+        if executor is None:
+            packed(evaluation)
     except InputError:
         raise
     except Exception as error:
@@ -368,17 +369,9 @@ def _limit(limit: object, executor: object) -> float:
     Raises:
         InputError: it is not a number above 0, or an executor is given too.
     """
-    if limit is None:
-        return LIMIT
-    if executor is not None:
+    if limit is not None and executor is not None:
         raise InputError("limit is for the processes of this machine: remove it, or the executor")
-    seconds = plain_number("the limit of a point", limit)
+    seconds = LIMIT if limit is None else plain_number("the limit of a point", limit)
     if not seconds > 0.0:
         raise InputError(f"limit = {shown(limit)} must be a time above 0 s")
     return seconds
-
-
-def _identity(evaluation: Evaluation, store: object) -> dict[str, str]:
-    """Return texts that identify a function: its name and, for a store, a digest of all that it depends on."""
-    name = getattr(evaluation, "__qualname__", type(evaluation).__qualname__)
-    return {"function": name} if store is None else {"function": name, "code of the function": digest_of(evaluation)}

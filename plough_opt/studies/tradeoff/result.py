@@ -110,8 +110,7 @@ class TradeOff(Saveable):
             >>> front.display(front.goals[0]).text(2500.0)
             '2.5 kN'
         """
-        columns = zip((*self.goals, *self.variables), (*self.objectives.T, *self.designs.T), strict=True)
-        alike = {other.name: float(np.max(np.abs(values))) for other, values in columns if other.unit == axis.unit}
+        alike = {other.name: float(np.max(np.abs(x))) for other, x in self.columns if other.unit == axis.unit}
         return self.origin.displays.get(axis.name) or self.origin.common(axis.unit, alike)
 
     @property
@@ -123,6 +122,11 @@ class TradeOff(Saveable):
     def designs(self) -> Array:
         """Variables of all points, shape (n, number of variables), SI units."""
         return np.array([[point.variables[v.name] for v in self.variables] for point in self.points])
+
+    @property
+    def columns(self) -> list[tuple[Axis, Array]]:
+        """Each objective and each variable with its values at all points, SI."""
+        return [*zip((*self.goals, *self.variables), (*self.objectives.T, *self.designs.T), strict=True)]
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
@@ -175,9 +179,9 @@ class TradeOff(Saveable):
                 f"number = {shown(number)} must be the number of a point, from 0 to {len(self.points) - 1}"
             )
         if of == by or not {of, by} <= set(range(len(self.goals))):
+            last = len(self.goals) - 1
             raise InputError(
-                f"of = {shown(of)} and by = {shown(by)} must be two different objectives,"
-                f" from 0 to {len(self.goals) - 1}"
+                f"of = {shown(of)} and by = {shown(by)} must be two different objectives, from 0 to {last}"
             )
         return self.points[number].rate_of(of, by)
 
@@ -345,10 +349,8 @@ class TradeOff(Saveable):
             >>> front.to_dataframe()["radius"].round(6).tolist()
             [0.05, 0.114575, 0.166228, 0.210555, 0.25]
         """
-        axes = (*self.goals, *self.variables)
-        columns: dict[str, Any] = {"part": self.part_of}
-        columns |= zip((axis.name for axis in axes), (*self.objectives.T, *self.designs.T), strict=True)
-        return data_frame(columns, {axis.name: axis.unit for axis in axes})
+        columns: dict[str, Any] = {axis.name: values for axis, values in self.columns}
+        return data_frame({"part": self.part_of, **columns}, {axis.name: axis.unit for axis, _ in self.columns})
 
     @overload
     def plot(self, target: Axes) -> Axes: ...
@@ -463,7 +465,6 @@ def _table(front: TradeOff, everywhere: Sequence[str]) -> Grid:
 # --- the picture: a curve, or a surface in space, and how each variable changes along or over it ---
 
 _GREY: Final = "#A8A8A8"
-_DOMINATED: Final = "local optima, dominated"
 # Width of the panel of the front [inch].
 _FRONT_WIDTH: Final = 7.0
 # By number of objectives: width and height of a variable's panel, and least height of the figure [inch].
@@ -530,8 +531,13 @@ def draw_front(axes: Axes, front: TradeOff) -> None:
     """
     flat = len(front.goals) == 2
     places, beaten = _places(front, front.points), _places(front, front.dominated)
+    if flat:
+        # However far away dominated optima lie, the front fills most of the picture.
+        low, high = places.min(axis=0), places.max(axis=0)
+        room = np.where(high > low, high - low, np.inf)
+        beaten = beaten[np.all(np.abs(beaten - (low + high) / 2.0) <= room, axis=1)]
     if len(beaten):
-        axes.plot(*beaten.T, "x", color=_GREY, markersize=4.5, zorder=2, label=_DOMINATED)
+        axes.plot(*beaten.T, "x", color=_GREY, markersize=4.5, zorder=2, label="local optima, dominated")
     for number, part in enumerate(front.parts):
         of_part, colour = places[list(part)], COLOURS[number % len(COLOURS)]
         for corners in [] if flat else _triangles(of_part):
@@ -542,7 +548,7 @@ def draw_front(axes: Axes, front: TradeOff) -> None:
     if len(unconfirmed := places[[not point.confirmed for point in front.points]]):
         axes.plot(*unconfirmed.T, "o", color="white", markersize=3, zorder=9, label="unconfirmed")
     if flat:
-        _finish_curve(axes, front, places, beaten)
+        _finish_curve(axes, front, places)
     else:
         _finish_surface(axes, front)
     if front.knee is not None:
@@ -550,17 +556,11 @@ def draw_front(axes: Axes, front: TradeOff) -> None:
     axes.legend(fontsize="small", loc="best" if flat else "upper left")
 
 
-def _finish_curve(axes: Axes, front: TradeOff, places: Array, beaten: Array) -> None:
-    """Draw the holes of a curve, limit its axes, and label them."""
+def _finish_curve(axes: Axes, front: TradeOff, places: Array) -> None:
+    """Draw the holes of a curve, and label its axes."""
     for number, (before, after) in enumerate(pairwise(front.parts)):
         axes.plot(*places[[before[-1], after[0]]].T, ":", color="black", linewidth=1.0, zorder=3,
                   label="hole: no efficient design" if number == 0 else None)  # fmt: skip
-    _limit(axes, places, beaten)
-    (left, right), (bottom, top) = sorted(axes.get_xlim()), sorted(axes.get_ylim())
-    if not any(left <= x <= right and bottom <= y <= top for x, y in beaten):
-        for line in axes.get_lines():
-            if line.get_label() == _DOMINATED:
-                line.remove()
     axes.set(xlabel=_label(front, front.goals[0]), ylabel=_label(front, front.goals[1]))
     for along, values in zip("xy", places.T, strict=True):
         _set_ticks(axes, values, along)
@@ -580,17 +580,6 @@ def _finish_surface(axes: Axes, front: TradeOff) -> None:
     axes.view_init(elev=_ELEVATION, azim=azimuth)  # type: ignore[attr-defined]
 
 
-def _limit(axes: Axes, places: Array, beaten: Array) -> None:
-    """Limit the axes to the front and half its range around it, however far away dominated optima lie."""
-    low, high = places.min(axis=0), places.max(axis=0)
-    if not len(beaten) or not np.all(high > low):
-        return
-    pad, edge = 0.5 * (high - low), 0.04 * (high - low)
-    every = np.vstack([places, beaten])
-    least, most = np.maximum(low - pad, every.min(axis=0)) - edge, np.minimum(high + pad, every.max(axis=0)) + edge
-    axes.set(xlim=(least[0], most[0]), ylim=(least[1], most[1]))
-
-
 def _set_ticks(axes: Axes, values: Array, along: str) -> None:
     """Number an axis without an offset and with space between numbers, over at least 1 % of its largest value.
 
@@ -601,11 +590,10 @@ def _set_ticks(axes: Axes, values: Array, along: str) -> None:
     """
     from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
-    low, high = axes.get_xlim() if along == "x" else axes.get_ylim()
-    middle, least = (low + high) / 2.0, _LEAST_CHANGE * float(np.max(np.abs(values)))
-    if high - low < least:
-        (axes.set_xlim if along == "x" else axes.set_ylim)(middle - least / 2.0, middle + least / 2.0)
     axis = axes.xaxis if along == "x" else axes.yaxis
+    (low, high), least = axis.get_view_interval(), _LEAST_CHANGE * float(np.max(np.abs(values)))
+    if high - low < least:
+        axes.set(**{f"{along}lim": ((low + high - least) / 2.0, (low + high + least) / 2.0)})
     axis.set_major_locator(MaxNLocator(_TICKS))
     axis.set_major_formatter(ScalarFormatter(useOffset=False))
 
@@ -679,9 +667,7 @@ def _range(axis: Axis, values: Array, factor: float, margin: float = 0.0) -> tup
     low, high = float(values.min()), float(values.max())
     if axis.log:
         return low / (1.0 + _LEAST_RANGE), high * (1.0 + _LEAST_RANGE)
-    least = 0.0
-    if axis.lower is not None and axis.upper is not None:
-        least = _LEAST_RANGE * (axis.upper - axis.lower) / factor
+    least = _LEAST_RANGE * ((axis.upper or 0.0) - (axis.lower or 0.0)) / factor  # an objective has no bounds
     middle, half = (high + low) / 2.0, max((0.5 + 0.5 * margin) * (high - low), least)
     return middle - half, middle + half
 
@@ -694,8 +680,7 @@ def _places(front: TradeOff, points: Sequence[FrontPoint]) -> Array:
 
 def _values(front: TradeOff, axis: Axis) -> Array:
     """Return an objective or a variable of all points in the unit shown."""
-    columns = dict(zip((*front.goals, *front.variables), (*front.objectives.T, *front.designs.T), strict=True))
-    return np.asarray(columns[axis] / front.display(axis).factor)
+    return np.asarray(dict(front.columns)[axis] / front.display(axis).factor)
 
 
 def _label(front: TradeOff, axis: Axis) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from math import comb
 
 import numpy as np
@@ -72,10 +73,8 @@ class Archive:
         self._landscape = Landscape(program, front.neutral_parameters())
         self.vectorised = self._landscape.vectorised
         self._position = program.owner[front.position_rows[0]]
-        # Scaled variables and scaled objectives of the designs that meet the requirements, and those not yet appended.
-        self._designs = np.empty((0, self._landscape.dimensions))
-        self._objectives = np.empty((0, front.count))
-        self._fresh: list[tuple[Array, Array]] = []
+        # Scaled variables and scaled objectives of the designs that meet the requirements, in parts.
+        self._good = [(np.empty((0, self._landscape.dimensions)), np.empty((0, front.count)))]
         self._samples: dict[bytes, tuple[Array, Array]] = {}
         self._medians: dict[bytes, Array] = {}
         # Lead of each design over all optima that it was compared with, and these.
@@ -123,17 +122,16 @@ class Archive:
             violations = self._landscape.violations(rows / np.array(program.scales)[np.array(program.owner)])
             violations[:, self._position] = 0.0
             good = np.all(np.isfinite(objectives), axis=1) & (violations.sum(axis=1) <= FEASIBLE)
-        self._fresh.append((points[good], objectives[good]))
+        self._good.append((points[good], objectives[good]))
 
     @property
     def feasible(self) -> tuple[Array, Array]:
         """Scaled variables and normalised objectives of all designs that meet the requirements, a row each."""
-        if self._fresh:
-            designs, objectives = zip(*self._fresh, strict=True)
-            self._designs = np.concatenate([self._designs, *designs])
-            self._objectives = np.concatenate([self._objectives, *objectives])
-            self._fresh = []
-        return self._designs, self.front.normalised(self._objectives)
+        if len(self._good) > 1:
+            designs, objectives = zip(*self._good, strict=True)
+            self._good = [(np.concatenate(designs), np.concatenate(objectives))]
+        designs_of_all, objectives_of_all = self._good[0]
+        return designs_of_all, self.front.normalised(objectives_of_all)
 
     def leads_over(self, optima: Mapping[Hashable, Array]) -> Array:
         """Return the lead of each feasible design over all optima, this time's and those of earlier calls.
@@ -173,19 +171,14 @@ class Archive:
         """
         landscape = FrontLandscape(self, p)
         judged = ranking_criterion(landscape, "tolerance")
-        explored = Explorer(
-            landscape, self._start, self.vary, judged, self._effort, self._progress, self.seed
-        ).explore()
+        explorer = Explorer(landscape, self._start, self.vary, judged, self._effort, self._progress, self.seed)
+        explored = explorer.explore()
         if not np.any(np.isfinite(explored.sample.merit)):
-            raise NotConverged(
-                f"none of {landscape.designs_tried} designs between the bounds has a value: tighten the bounds, or"
-                " shorten the duration",
-                "no value",
-            )
+            none = f"none of {landscape.designs_tried} designs between the bounds has a value"
+            raise NotConverged(f"{none}: tighten the bounds, or shorten the duration", "no value")
         if not np.any(explored.minima.feasible):
             self._progress("looking for a design that meets the requirements", 0.0)
-            y = feasible_from(landscape, explored, self._start)
-            return descend(landscape, y)
+            return descend(landscape, feasible_from(landscape, explored, self._start))
         values = judged(explored.minima.points)
         limit = values.min() + _CAN_WIN * abs(values.min())
         best_first = np.argsort(values, kind="stable")
@@ -210,12 +203,8 @@ class Archive:
 
         for number in range(self._effort.rounds):
             # `basin_minima` begins with the same sample, which is cached.
-            points, _ = sample(
-                len(varied),
-                self._effort.designs,
-                self._start[varied],
-                np.random.default_rng([SEED + self.seed, number]),
-            )
+            rng = np.random.default_rng([SEED + self.seed, number])
+            points, _ = sample(len(varied), self._effort.designs, self._start[varied], rng)
             merits = merit(points)
             if np.any(np.isfinite(merits)):
                 best = points[np.argsort(merits, kind="stable")[: _DESIGNS_EACH * len(varied)]]
@@ -261,10 +250,7 @@ class Archive:
         if medians is None:
             return np.zeros(len(points), dtype=bool)
         scaled = self.front.scaled(objectives)
-        needles: NDArray[np.bool_] = np.any(
-            medians - scaled > NEEDLE * np.maximum(np.abs(scaled), self.front.span), axis=1
-        )
-        return needles
+        return np.asarray(np.any(medians - scaled > NEEDLE * np.maximum(np.abs(scaled), self.front.span), axis=1))
 
 
 class FrontLandscape(Landscape):
@@ -406,11 +392,8 @@ class FrontCandidates(ABC):
         The largest weight is kept. Each other one is multiplied by the ratio of that objective's range to its own
         objective's, so that a small weight stays small compared with an objective that hardly changes.
         """
-        sizes = (self._ranges[int(np.argmax(weights))] / self._ranges for weights in self.anchor_weights)
-        return [
-            self.front.weighted(weights * np.clip(size, _LEAST_RATIO, _LARGEST_RATIO))
-            for weights, size in zip(self.anchor_weights, sizes, strict=True)
-        ]
+        ratios = self._ranges[np.argmax(self.anchor_weights, axis=1)][:, None] / self._ranges
+        return [*map(self.front.weighted, self.anchor_weights * np.clip(ratios, _LEAST_RATIO, _LARGEST_RATIO))]
 
     @abstractmethod
     def all_anchors(self, starts: Sequence[Sequence[Array]]) -> list[list[Point]]:
@@ -437,9 +420,7 @@ class FrontCandidates(ABC):
         self._ranges = np.maximum(np.ptp(ends, axis=0), _SAME_OBJECTIVES * sizes)
         self.front.normalise(ends.min(axis=0), self._ranges)
         designs, objectives = self.archive.feasible
-        self.front.build(
-            [y for designs_of in starts for y in designs_of] + list(designs[thinned(objectives, THINNING)])
-        )
+        self.front.build([*chain(*starts), *designs[thinned(objectives, THINNING)]])
         return starts
 
     def anchors(self, p: Array, starts: Sequence[Array]) -> list[Point]:
@@ -480,11 +461,10 @@ class FrontCandidates(ABC):
         point = self.front.solve(near.point, start, p)
         if point.solved:
             return self.candidate_of(p, point)
-        if report:
-            reason = REMEDIES.get(point.status, "the optimiser stopped without an optimum")
-            failure = MissingPoint(tuple(near.objectives.tolist()), f"{point.status}: {reason}")
-            if failure not in self.failures:
-                self.failures.append(failure)
+        reason = REMEDIES.get(point.status, "the optimiser stopped without an optimum")
+        failure = MissingPoint(tuple(near.objectives.tolist()), f"{point.status}: {reason}")
+        if report and failure not in self.failures:
+            self.failures.append(failure)
         return None
 
     def no_worse_than(self, y: Array, p: Array) -> FrontCandidate | None:

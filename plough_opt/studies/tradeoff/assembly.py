@@ -126,9 +126,8 @@ def _origin(front: FrontProgram, goals: Sequence[Goal], title: str) -> Origin:
     displays = {v.name: v.display for v in front.declared.variables if v.display is not None}
     plain = front.declared.plain(front.values)
     declared = {name: entry for name, entry in plain.items() if entry["kind"] != "objective"}
-    for goal in goals:
-        aim = "maximise" if goal.maximise else "minimise"
-        declared[goal.name] = {"kind": "objective", "aim": aim, "unit": goal.unit}
+    aims = {goal.name: ("maximise" if goal.maximise else "minimise", goal.unit) for goal in goals}
+    declared |= {name: {"kind": "objective", "aim": aim, "unit": unit} for name, (aim, unit) in aims.items()}
     return Origin(title, displays, declarations=declared).now()
 
 
@@ -416,13 +415,10 @@ def _anchors(front: FrontProgram, tracer: Tracer) -> list[list[Point]]:
         NotConverged: the optimiser finds no optimum of an objective alone.
     """
     anchors = tracer.all_anchors(tracer.begin())
-    for number, points in enumerate(anchors):
-        if not points:
-            raise NotConverged(
-                f"the optimiser finds no optimum of objective number {1 + number * front.count // len(anchors)} alone:"
-                " check the bounds, or search more thoroughly",
-                "no optimum",
-            )
+    if [] in anchors:
+        number = 1 + anchors.index([]) * front.count // len(anchors)
+        why = f"the optimiser finds no optimum of objective number {number} alone"
+        raise NotConverged(f"{why}: check the bounds, or search more thoroughly", "no optimum")
     return anchors
 
 

@@ -6,7 +6,7 @@ the other one. Between neighbouring positions of a connected curve, the sum of b
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,12 +59,11 @@ def uncrowded_on_curve(front: Array, step: float) -> NDArray[np.intp]:
         front: normalised objectives of efficient rows, in order.
         step: distance of neighbours, the sum of both changes.
     """
-    ends = {k + 1 for k in gaps(front, step)}
+    begins = {0, *(k + 1 for k in gaps(front, step))}
     chosen: list[int] = []
     for k in range(len(front)):
         if chosen and np.sum(np.abs(front[k] - front[chosen[-1]])) < _CROWDED * step:
-            last = k == len(front) - 1 or k + 1 in ends
-            if not last or chosen[-1] == 0 or chosen[-1] in ends:
+            if k + 1 not in {*begins, len(front)} or chosen[-1] in begins:
                 continue
             chosen.pop()
         chosen.append(k)
@@ -388,7 +387,9 @@ class CurveTracer(Tracer):
         for number, (candidate, objective) in enumerate(starts):
             self.progress(f"following branch {number + 1} of {len(starts)}", number / len(starts))
             self.follow(candidate, objective)
-        self._search_between_anchors()
+        for number, position in enumerate(_SEARCHED_POSITIONS if self.archive.vary else ()):
+            self.progress("searching between the anchors", number / len(_SEARCHED_POSITIONS))
+            self._search_at(position)
         self.follow_missed()
         self._fill_gaps()
         self.follow_missed(sample=False)
@@ -434,14 +435,8 @@ class CurveTracer(Tracer):
             if position - self._position_of(candidate, objective) > _OFF_POSITION:
                 return
 
-    def _search_between_anchors(self) -> None:
-        """Search for further branches at some positions, and follow those that are new both ways."""
-        positions = _SEARCHED_POSITIONS if self.archive.vary else ()
-        for number, position in enumerate(positions):
-            self.progress(f"searching between the anchors, {number + 1} of {len(positions)}", number / len(positions))
-            self._search_at(position)
-
     def _search_at(self, position: float) -> None:
+        """Search for further branches at a position, and follow those that are new both ways."""
         p = self._parameters_for(1, position)
         for y in self.archive.evolved_at(p):
             before = len(self.candidates)
@@ -462,18 +457,16 @@ class CurveTracer(Tracer):
         Returns:
             Whether that gave a candidate better than all others.
         """
-        improved = False
-        for pair in pairwise(self.efficient()):
-            for candidate, neighbour in (pair, pair[::-1]):
-                p = self.parameters_at(candidate.objectives)
-                for j in np.flatnonzero(np.abs(neighbour.point.y - candidate.point.y) > _OTHER_BRANCH):
-                    start = candidate.point.y.copy()
-                    start[j] = neighbour.point.y[j]
-                    if start.tobytes() not in self.tried:
-                        self.tried.add(start.tobytes())
-                        before = len(self.candidates)
-                        crossed = self.solve(neighbour, start, p, report=False)
-                        improved |= self.follow_new(crossed, before)
+        improved, front = False, self.efficient()
+        for candidate, neighbour in chain.from_iterable((pair, pair[::-1]) for pair in pairwise(front)):
+            p = self.parameters_at(candidate.objectives)
+            for j in np.flatnonzero(np.abs(neighbour.point.y - candidate.point.y) > _OTHER_BRANCH):
+                start = candidate.point.y.copy()
+                start[j] = neighbour.point.y[j]
+                if start.tobytes() not in self.tried:
+                    self.tried.add(start.tobytes())
+                    before = len(self.candidates)
+                    improved |= self.follow_new(self.solve(neighbour, start, p, report=False), before)
         return improved
 
     def parameters_at(self, objectives: Array) -> Array:

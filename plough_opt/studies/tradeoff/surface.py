@@ -158,11 +158,9 @@ _EXTENSION = 1.0
 _AT_NODE = 1e-3
 # An optimum closer to its node than this many steps leads to the neighbours of that node.
 _NEAR_NODE = 1.0
-# Least distance, in steps, of a shown point that is not at a node from other points.
-_ROOM = 0.7
-# A front that covers few nodes has its points closer together, by this factor again and again down to this distance, so
-# that as many are shown as were asked for.
-_CLOSER, _LEAST_ROOM = 0.95, 0.1
+# Least distance, in steps, of a shown point that is not at a node from other points. A front that covers few nodes has
+# its points closer together, down to a tenth of a step, so that as many are shown as were asked for.
+_ROOMS = tuple(0.7 * 0.95**k for k in range(39))
 # Largest distance, in steps and in any objective, of an efficient design from the nearest shown point. In a flat
 # triangle of the lattice no place is farther than two thirds of a step from a corner.
 _COVERED = 0.67
@@ -325,9 +323,7 @@ class SurfaceTracer(Tracer):
         nearest = best[first]
         nearest = nearest[~self.archive.needles(designs[nearest], objectives[nearest])]
 
-        starts = [
-            ((int(i), int(j), int(k)), designs[row]) for (i, j, k), row in zip(nodes[nearest], nearest, strict=True)
-        ]
+        starts = [((i, j, k), y) for (i, j, k), y in zip(nodes[nearest].tolist(), designs[nearest], strict=True)]
         self._wanted &= {node for node, _ in starts}
         for number, (node, start) in enumerate(starts):
             self.progress("solving from the best designs seen", number / len(starts))
@@ -385,18 +381,13 @@ class SurfaceTracer(Tracer):
     def _fill_gaps(self) -> None:
         """Follow the front to nodes that have no efficient design, from every neighbour that has one."""
         best = set(self.efficient())
-        front = [
-            (node, candidate)
-            for node, candidates in self._found_at.items()
-            for candidate in candidates
-            if candidate in best and self._is_at(candidate, node)
-        ]
+        found = ((node, candidate) for node, candidates in self._found_at.items() for candidate in candidates)
+        front = [(node, candidate) for node, candidate in found if candidate in best and self._is_at(candidate, node)]
         for number, (node, candidate) in enumerate(front):
             self.progress("following the front into gaps", number / len(front))
             for other in neighbours(node):
-                if other in self._wanted and not any(
-                    self._is_at(there, other) for there in self._found_at.get(other, ())
-                ):
+                there = self._found_at.get(other, ())
+                if other in self._wanted and not any(self._is_at(one, other) for one in there):
                     self._flood(candidate, other, report=False)
 
     # --- what makes up the front -------------------------------------------------------------------------
@@ -435,11 +426,10 @@ class SurfaceTracer(Tracer):
             return Arrangement([], [], (), ())
         places = objectives[order]
         parts, hole_ends = parts_of(places, step)
-        room = _ROOM * step
-        shown = covering(places, self._uncrowded(places, hole_ends, room), _COVERED * step)
-        while len(shown) < self._count and room > _LEAST_ROOM * step:
-            room *= _CLOSER
-            shown = covering(places, self._uncrowded(places, hole_ends, room), _COVERED * step)
+        for room in _ROOMS:
+            shown = covering(places, self._uncrowded(places, hole_ends, room * step), _COVERED * step)
+            if len(shown) >= self._count:
+                break
         shown = shown[np.lexsort(places[shown].T[::-1])]
         number = {int(row): k for k, row in enumerate(shown)}
         return Arrangement(

@@ -12,7 +12,7 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.files import COLOURS, written
 from plough_opt.core.plain_data import MaybeInfinite
 from plough_opt.core.saving import Origin, Saveable
-from plough_opt.core.tables import Column, Grid, Page, Part, data_frame
+from plough_opt.core.tables import Grid, Page, Part, data_frame
 
 if TYPE_CHECKING:
     import pandas
@@ -226,11 +226,9 @@ class AccuracyStudy(Saveable):
         entries, key, wanted = self.of(question), question.error, error_text(self.wanted)
         best = cheapest(entries, key, self.wanted)
         if best is None:
-            nearest = min(entries, key=lambda entry: entry.errors[key])
-            clauses = [
-                f"nothing tried reaches {wanted}; the nearest is {nearest.label} with {nearest.errors[key]:.0e}"
-                f" in {duration_text(nearest.seconds)}"
-            ]
+            near = min(entries, key=lambda entry: entry.errors[key])
+            found = f"{near.label} with {near.errors[key]:.0e} in {duration_text(near.seconds)}"
+            clauses = [f"nothing tried reaches {wanted}; the nearest is {found}"]
         else:
             # "auto" integrates twice by methods that stand here once. It is compared separately below.
             twice = () if best.checked is None else (AUTO, COMPILED)
@@ -317,28 +315,21 @@ class AccuracyStudy(Saveable):
         for name, floor in self.floors.items():
             if name.startswith(f"{question.reference}, "):
                 reference += f", its {name.removeprefix(f'{question.reference}, ')} {floor:.0e}"
-        headings = ("time", "set-up", *question.columns.values())
-        table = Grid(
-            (
-                Column(left=True),
-                Column("\nmethod and setting", left=True),
-                *(Column(heading if "\n" in heading else f"\n{heading}") for heading in headings),
-            ),
-            f"{question.title}: relative error against time\n({reference})",
-            f"* efficient: nothing else is both faster and more exact in {question.ranked or question.error}",
-            plain=True,
+        headings = (text if "\n" in text else f"\n{text}" for text in ("time", "set-up", *question.columns.values()))
+        table = Grid.of(f"{question.title}: relative error against time\n({reference})", "", "\nmethod and setting",
+                        *headings, left=("\nmethod and setting",))  # fmt: skip
+        table.caption = (
+            f"* efficient: nothing else is both faster and more exact in {question.ranked or question.error}"
         )
+        table.plain = True
         front = self.front(question)
         for entry in sorted(self.of(question), key=lambda entry: entry.seconds):
+            default = " (default)" if (entry.method, entry.setting) == question.default else ""
+            setup = duration_text(float(f"{entry.setup:.2g}")) if entry.setup > 0.0 else ""
             errors = (f"{entry.errors[key]:.0e}".replace("0e+00", "0") if key in entry.errors else ""
                       for key in question.columns)  # fmt: skip
-            table.row(
-                "*" if entry in front else "",
-                entry.label + (" (default)" if (entry.method, entry.setting) == question.default else ""),
-                duration_text(entry.seconds),
-                duration_text(float(f"{entry.setup:.2g}")) if entry.setup > 0.0 else "",
-                *errors,
-            )
+            mark = "*" if entry in front else ""
+            table.row(mark, f"{entry.label}{default}", duration_text(entry.seconds), setup, *errors)
         return table
 
     def plot(self, target: Axes | str | Path | None = None) -> Figure:
@@ -426,13 +417,10 @@ def efficient(entries: Sequence[MethodResult], error: str, floor: float = 0.0) -
         error: key of `MethodResult.errors`.
         floor: error of the reference itself [-], below which errors do not differ.
     """
-    ranked = sorted(
-        (entry for entry in entries if entry.failure is None and error in entry.errors),
-        key=lambda entry: (entry.seconds, entry.errors[error]),
-    )
+    ranked = (entry for entry in entries if entry.failure is None and error in entry.errors)
     front: list[MethodResult] = []
     least = math.inf
-    for entry in ranked:
+    for entry in sorted(ranked, key=lambda entry: (entry.seconds, entry.errors[error])):
         wrong = max(entry.errors[error], floor)
         if wrong < _SMALLER * least:
             front.append(entry)
@@ -476,19 +464,12 @@ def error_text(error: float) -> str:
 
 # --- the picture: a panel for each question, on logarithmic axes ---
 
-_BLUE, _RED, _GREEN, _PINK, _ORANGE, _SKY, _GREY = COLOURS
+# Colour and marker of each method that every study has.
+_METHODS: Final = ("dop853", "erk", "rosenbrock", "cvodes", "collocation", "idas", "rk")
 _STYLES: Final[dict[str, tuple[str, str]]] = {
-    "auto": ("#000000", "*"),
-    "auto, compiled": ("#777777", "*"),
-    "dop853": (_BLUE, "o"),
-    "dop853, compiled": ("#000088", "o"),
-    "erk": (_RED, "s"),
-    "rosenbrock": (_GREEN, "^"),
-    "cvodes": (_PINK, "v"),
-    "idas": (_SKY, "D"),
-    "collocation": (_ORANGE, "P"),
-    "rk": (_GREY, "X"),
-}
+    AUTO: ("#000000", "*"), COMPILED: ("#777777", "*"), BARE: ("#000088", "o"),
+    **dict(zip(_METHODS, zip(COLOURS, "os^vPDX", strict=True), strict=True)),
+}  # fmt: skip
 _MODELS: Final = {"quasi-static": "h", "linearised": "<", "harmonic balance": ">", "lasting orbit": "p"}
 _SHAPES: Final = "D^v<>PXhp"
 _FLOOR, _FRONT = "#DDDDDD", "#F0C808"
@@ -505,11 +486,11 @@ def style_of(method: str, number: int) -> dict[str, Any]:
     if method in _STYLES:
         color, marker = _STYLES[method]
         return {"color": color, "marker": marker, "markersize": 9 if marker == "*" else 5.5}
-    if method in _MODELS:
-        return {"color": "#444444", "marker": _MODELS[method], "markersize": 7, "markerfacecolor": "white"}
     color, marker = COLOURS[number % len(COLOURS)], _SHAPES[number % len(_SHAPES)]
+    if method in _MODELS:
+        color, marker = "#444444", _MODELS[method]
     # Hollow, so that it does not look like a method with a fixed style.
-    return {"color": color, "marker": marker, "markersize": 6, "markerfacecolor": "white"}
+    return {"color": color, "marker": marker, "markersize": 6.5, "markerfacecolor": "white"}
 
 
 def draw(axes: Axes, study: AccuracyStudy, question: Question) -> dict[str, Line2D]:
@@ -577,18 +558,16 @@ def _figure_of(study: AccuracyStudy) -> Figure:
     from matplotlib.figure import Figure
 
     questions = study.questions
-    columns = 2
-    below = len(questions) == columns
-    rows = math.ceil((len(questions) + (0 if below else 1)) / columns)
-    figure = Figure(figsize=(5.4 * columns, 4.1 * rows + (1.1 if below else 0.0)), layout="constrained")
-    places = list(figure.subplots(rows, columns).ravel())
+    below = len(questions) == 2
+    rows = 1 if below else len(questions) // 2 + 1
+    figure = Figure(figsize=(10.8, 4.1 * rows + (1.1 if below else 0.0)), layout="constrained")
+    places = list(figure.subplots(rows, 2).ravel())
     lines: dict[str, Line2D] = {}
     for axes, question in zip(places, questions, strict=False):
         lines |= draw(axes, study, question)
     for axes in places[len(questions) :]:
         axes.set_axis_off()
-    longest = max(map(len, lines), default=0)
-    ncols = 1 if longest > _LONG_NAME else 2
+    ncols = 1 if max(map(len, lines), default=0) > _LONG_NAME else 2
     if below:
         legend(figure, lines, loc="outside lower center", fontsize="small", ncols=2 * ncols, frameon=False)
     else:

@@ -112,7 +112,7 @@ class Contestant:
         always: places of the settings to measure in any case; None for all of them, without narrowing down.
         label: setting -> text.
         least_time: setting -> lower bound of the time of one use [s].
-        patience: setting -> factor on the time allowed for one use.
+        patient: setting that is given more time.
         check: setting -> use of `simulate` with it; None if the method has no check or checks itself.
     """
 
@@ -124,7 +124,7 @@ class Contestant:
     always: Sequence[int] | None = None
     label: Callable[[Any], str] = str
     least_time: Callable[[Any], float] = lambda _: 0.0
-    patience: Callable[[Any], float] = lambda _: 1.0
+    patient: Any = None
     check: Callable[[Any], Use] | None = None
 
 
@@ -151,12 +151,7 @@ def refuse(reason: str, *_: Any) -> Any:
 
 
 def measured(
-    contestants: Sequence[Contestant],
-    key: str,
-    wanted: float,
-    allowance: float,
-    *,
-    floor: float = 0.0,
+    contestants: Sequence[Contestant], key: str, wanted: float, allowance: float, *, floor: float = 0.0
 ) -> list[MethodResult]:
     """Return the entries of contestants: settings measured in any case, and those that led to the cheapest good one.
 
@@ -205,7 +200,7 @@ class _Trial:
         for place in every if contestant.always is None else contestant.always:
             setting = contestant.settings[place]
             expected = max(expected, contestant.least_time(setting))
-            allowed = self._allowance * contestant.patience(setting)
+            allowed = self._allowance * (_PATIENCE if setting == contestant.patient else 1.0)
             if expected > allowed:
                 self._fail(place, f"cut off: expected to take {expected:.2g} s, {allowed:.2g} s allowed")
             else:
@@ -281,12 +276,9 @@ class _Trial:
 def _time_again(trials: list[_Trial], allowance: float) -> None:
     """Time the settings that may be the cheapest again, in turns."""
     best = min((trial.least for trial in trials), default=math.inf)
-    close = [
-        (trial, place)
-        for trial in trials
-        for place, entry in trial.good.items()
-        if entry.seconds <= (_WORTH_NARROWING if place == min(trial.good) else _CLOSE) * best
-    ]
+    good = ((trial, place, entry.seconds) for trial in trials for place, entry in trial.good.items())
+    close = [(trial, place) for trial, place, seconds in good
+             if seconds <= (_WORTH_NARROWING if place == min(trial.good) else _CLOSE) * best]  # fmt: skip
     if len(close) > 1:
         seconds = least_times([trial.uses[place] for trial, place in close], _ALL_TURNS * allowance, _FEWEST_TURNS)
         for (trial, place), least in zip(close, seconds, strict=True):
@@ -419,7 +411,8 @@ def integrators(task: Task, reference: Reference) -> list[MethodResult]:
         simulated = partial(_simulated, task, compiled=compiled)
         once = partial(prepared, task, compiled=compiled)
         automatic = automatic_settings(task)
-        contestants = [Contestant(family, auto, simulated, errors, automatic, label=text, patience=_patience)]
+        patient = Accuracy(error=DEFAULT_ERROR)
+        contestants = [Contestant(family, auto, simulated, errors, automatic, label=text, patient=patient)]
         for name, method in names.items():
             if why := reasons[method]:
                 contestants.append(Contestant(family, name, partial(refuse, why), errors))
@@ -432,10 +425,6 @@ def integrators(task: Task, reference: Reference) -> list[MethodResult]:
 def _simulated(task: Task, accuracy: Accuracy, *, compiled: bool) -> Callable[[], Run]:
     """Return a use of `simulate`, which checks its result."""
     return partial(simulate, task.scene, task.given, accuracy=accuracy, outputs=task.outputs, compiled=compiled)
-
-
-def _patience(accuracy: Accuracy) -> float:
-    return _PATIENCE if accuracy.error == DEFAULT_ERROR else 1.0
 
 
 def gradients(task: Task, reference: ReferenceGradient) -> list[MethodResult]:
@@ -491,18 +480,11 @@ def _contestant(
     """
     derivatives = family == "derivatives"
     settings, always = settings_of(task, method, gradient=derivatives)
-    least_time = partial(_least_time, task, slower=_GRADIENT if derivatives else 1.0)
-    name = name or method
-    return Contestant(family, name, prepare, errors, settings, always, text, least_time=least_time, check=check)
-
-
-def _least_time(task: Task, accuracy: Accuracy, *, slower: float) -> float:
-    """Return a lower bound of the time that a method takes [s], from its number of steps."""
-    steps: float = accuracy.steps or 0
-    if accuracy.method == "erk":
-        # The fastest oscillation limits the stable step of an explicit method, even where it has died away.
-        steps = rates_of(task.scene).fastest * task.duration / _STABLE_PHASE
-    return slower * steps * _ONE_STEP
+    # The fastest oscillation limits the stable step of an explicit method, even where it has died away.
+    stable = rates_of(task.scene).fastest * task.duration / _STABLE_PHASE if method == "erk" else 0
+    one_step = _ONE_STEP * (_GRADIENT if derivatives else 1.0)
+    return Contestant(family, name or method, prepare, errors, settings, always, text,
+                      least_time=lambda setting: one_step * (setting.steps or stable), check=check)  # fmt: skip
 
 
 def _reasons(scene: Scene) -> dict[str, str]:

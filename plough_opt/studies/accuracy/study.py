@@ -217,11 +217,8 @@ class OptimumReference:
 
     def errors(self, optimum: Optimum) -> dict[str, float]:
         """Return the relative error of an optimum's objective, and the largest error of its scaled variables [-]."""
-        y = _scaled(self.declared, optimum.variables)
-        return {
-            "objective": abs(optimum.objective - self.objective) / self.size,
-            "variables": float(np.max(np.abs(y - self.y))),
-        }
+        off = np.abs(_scaled(self.declared, optimum.variables) - self.y)
+        return {"objective": abs(optimum.objective - self.objective) / self.size, "variables": float(np.max(off))}
 
 
 def reference_optimum(declared: Declarations, best: Optimum) -> OptimumReference:
@@ -248,8 +245,7 @@ def reference_optimum(declared: Declarations, best: Optimum) -> OptimumReference
     # The error of an objective at its optimum is the residual times the error of the variables.
     rounding = float(np.finfo(float).eps)
     floor = max(abs(objective - check) / size, residual * max(off, residual), rounding)
-    named = zip(declared.variables, program.values(y), strict=True)
-    variables = {v.name: float(x) for v, x in named}
+    variables = {v.name: float(x) for v, x in zip(declared.variables, program.values(y), strict=True)}
     return OptimumReference(declared, variables, objective, size, floor, y, max(off, rounding))
 
 
@@ -378,9 +374,7 @@ def study_accuracy(
         raise InputError(f"outputs = {shown(outputs)} must be a whole number from 1 to {MOST_OUTPUTS}")
     if scene.effects.orbit != "transient":
         if duration is not None:
-            raise InputError(
-                "duration must be omitted for a periodic orbit, whose duration is one wavelength of the soil strength"
-            )
+            raise InputError("duration must be omitted for a periodic orbit: it is one wavelength of the soil strength")
         scene = replace(scene, effects=replace(scene.effects, orbit="periodic"))
         duration = float(as_number(scene.wave_period))
     if duration is None:
@@ -512,12 +506,8 @@ def _contests(
 
 def _versions() -> dict[str, str]:
     """Return versions of packages, and the machine."""
-    return {
-        **versions(),
-        "scipy": version("scipy"),
-        "platform": platform.platform(),
-        "processors": str(available()),
-    }
+    machine = {"platform": platform.platform(), "processors": str(available())}
+    return {**versions(), "scipy": version("scipy"), **machine}
 
 
 def _check(wanted: float, title: str, progress: Progress | None, **switches: bool) -> None:

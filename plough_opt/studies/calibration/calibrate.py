@@ -15,12 +15,12 @@ from plough_opt.motion.scene import Scene
 from plough_opt.studies.calibration.estimate import (
     ERRORS,
     INSIDE,
+    LOSSES,
     NOMINAL,
     Data,
     LeastSquares,
     Setup,
     estimate,
-    loss_of,
 )
 from plough_opt.studies.calibration.fit import Fit, reported
 from plough_opt.studies.calibration.model import (
@@ -103,14 +103,14 @@ class Calibration:
             >>> question.predict({"soil.cohesion": "20 kPa"}).round().tolist()
             [2405.0, 2430.0]
         """
-        unknowns = {unknown.name: unknown for unknown in self.setup.model.unknowns}
-        given = mapping_of("the values", values, f"{{'{next(iter(unknowns))}': value}} for every unknown")
+        unknowns = self.setup.model.unknowns
+        names = [unknown.name for unknown in unknowns]
+        given = mapping_of("the values", values, f"{{'{names[0]}': value}} for every unknown")
         for name in given:
-            check_named("{} is not an unknown of this calibration", name, unknowns)
-        if missing := [name for name in unknowns if name not in given]:
+            check_named("{} is not an unknown of this calibration", name, names)
+        if missing := [name for name in names if name not in given]:
             raise InputError(f"the values lack {', '.join(missing)}: give every unknown a value")
-        y = np.array([unknown.scaled(unknown.read(f"'{name}'", given[name])) for name, unknown in unknowns.items()])
-        return self.setup.problem.predict(y)
+        return self.setup.problem.predict(np.array([u.scaled(u.read(f"'{u.name}'", given[u.name])) for u in unknowns]))
 
     def fit(self, observed: Array | None = None) -> Fit:
         """Return the fit to the measured values, or to other observed values.
@@ -197,18 +197,17 @@ def setup_of(
     measured = (data,) if isinstance(data, Measurements) else tuple(data) if isinstance(data, Sequence) else ()
     if not measured or not all(isinstance(m, Measurements) for m in measured):
         raise InputError("the data must be Measurements, one set or several: read a file with po.read_measurements")
-    for k, m in enumerate(measured):
-        if any(m is other for other in measured[:k]):
-            raise InputError(f"{m.name} is given twice, so its rows would count twice: remove one of the two")
+    if twice := [m for k, m in enumerate(measured) if any(m is other for other in measured[:k])]:
+        raise InputError(f"{twice[0].name} is given twice, so its rows would count twice: remove one of the two")
     if not any(np.any(m.values[m.counted]) for m in measured):
         raise InputError(f"{measured[0].name}: every measured value is 0, which no soil gives: check the column")
-    chosen_loss = loss_of(loss)
+    check_named("no loss is named {}", loss, LOSSES)
     check_choice("errors", errors, ERRORS)
     model = model_of(given, duration, unknown, {key for m in measured for key in m.conditions})
     _check_names(model, measured)
     _check_bounds(model, measured)
     rows = tuple(Rows(m, model) for m in measured)
-    setup = Setup(model, rows, LeastSquares(predictor(rows, model), chosen_loss), _data(measured, errors))
+    setup = Setup(model, rows, LeastSquares(predictor(rows, model), LOSSES[loss]), _data(measured, errors))
     _check_numbers(setup)
     return setup
 
@@ -229,9 +228,8 @@ def _check_bounds(model: CalibrationModel, measured: Sequence[Measurements]) -> 
     first = next((m for m in measured if m.result in measurable()), measured[0])
     guess = {unknown.name: unknown.guess for unknown in model.unknowns} | first.at(0)
     tried = {first.row(0): guess}
-    for unknown in model.unknowns:
-        tried[f"lower bound of '{unknown.name}'"] = guess | {unknown.name: unknown.lower}
-        tried[f"upper bound of '{unknown.name}'"] = guess | {unknown.name: unknown.upper}
+    for u in model.unknowns:
+        tried |= {f"{side} bound of '{u.name}'": guess | {u.name: getattr(u, side)} for side in ("lower", "upper")}
     for place, values in tried.items():
         try:
             model.scene(values)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy import linalg, optimize, stats
 from scipy.stats import qmc
 
-from plough_opt.core.checks import check_named
 from plough_opt.core.errors import NotConverged, listed
 from plough_opt.core.plain_data import Array
 from plough_opt.core.units import in_words
@@ -105,24 +104,11 @@ def _soft_l1(z: Any) -> tuple[Any, Any, Any]:
 HUBER, SOFT_L1, CAUCHY = 1.345, 1.287, 2.385
 
 LOSSES: Final = {
-    loss.name: loss
-    for loss in (
-        Loss("squares", 1.0, _squares),
-        Loss("huber", HUBER, _huber),
-        Loss("soft_l1", SOFT_L1, _soft_l1),
-        Loss("cauchy", CAUCHY, _cauchy),
-    )
+    "squares": Loss("squares", 1.0, _squares),
+    "huber": Loss("huber", HUBER, _huber),
+    "soft_l1": Loss("soft_l1", SOFT_L1, _soft_l1),
+    "cauchy": Loss("cauchy", CAUCHY, _cauchy),
 }
-
-
-def loss_of(name: str) -> Loss:
-    """Return a loss by name.
-
-    Raises:
-        InputError: an unknown name.
-    """
-    check_named("no loss is named {}", name, LOSSES)
-    return LOSSES[name]
 
 
 @dataclass(frozen=True)
@@ -371,11 +357,8 @@ def undetermined(unknowns: Sequence[Unknown], y: Array, spread: Identifiability)
     combinations += [_combination(unknowns, y, direction, structural=False) for direction in weak.T]
     # An unknown may be undetermined by a component that was left out: name it alone.
     named = {name for item in combinations for name in item.changes}
-    for k, unknown in enumerate(unknowns):
-        if not spread.determined[k] and unknown.name not in named:
-            alone = np.zeros(len(unknowns))
-            alone[k] = 1.0
-            combinations.append(_combination(unknowns, y, alone, structural=False))
+    left = (k for k in np.flatnonzero(~spread.determined).tolist() if unknowns[k].name not in named)
+    combinations += [_combination(unknowns, y, np.eye(len(unknowns))[k], structural=False) for k in left]
     return tuple(combinations)
 
 

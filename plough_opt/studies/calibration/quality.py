@@ -196,12 +196,9 @@ class NextMeasurement:
 
     def words(self) -> str:
         """Return the gain in a sentence."""
-        gains = sorted(self.errors.items(), key=lambda item: item[1][1] / item[1][0])
-        largest = [
-            f"{name} from ±{now:.3g} to ±{then:.3g} {self.units[name]}".rstrip()
-            for name, (now, then) in gains[:3]
-            if then < 0.9 * now
-        ]
+        gains = sorted(self.errors.items(), key=lambda item: item[1][1] / item[1][0])[:3]
+        largest = [f"{name} from ±{now:.3g} to ±{then:.3g} {self.units[name]}".rstrip()
+                   for name, (now, then) in gains if then < 0.9 * now]  # fmt: skip
         return f"{self.candidate.describe()}: {'; '.join(largest) or 'hardly any gain'}"
 
 
@@ -338,18 +335,17 @@ def caveats(fit: Estimate) -> tuple[str, ...]:
     """Return the warnings about a fit."""
     at_fit = [rows.scenes(fit.y) for rows in fit.setup.rows]
     scenes = [scene for of_set in at_fit for scene, _, _ in of_set]
-    return (
-        *_scatter_notes(fit),
-        *_scale_notes(fit),
-        *_error_notes(fit),
-        *_outlier_notes(fit),
-        *_correlation_notes(fit),
-        *_bound_notes(fit),
-        *_optima_notes(fit),
-        *_accuracy_notes(fit, at_fit),
-        *_bluntness_notes(scenes),
-        *_pressure_notes(fit, scenes),
+    of_fit = (
+        _scatter_notes,
+        _scale_notes,
+        _error_notes,
+        _outlier_notes,
+        _correlation_notes,
+        _bound_notes,
+        _optima_notes,
     )
+    of_scenes = (*_accuracy_notes(fit, at_fit), *_bluntness_notes(scenes), *_pressure_notes(fit, scenes))
+    return (*(note for notes_of in of_fit for note in notes_of(fit)), *of_scenes)
 
 
 def _scatter_notes(fit: Estimate) -> Iterator[str]:
@@ -385,11 +381,10 @@ def _error_notes(fit: Estimate) -> Iterator[str]:
         return
     base = linalg.orth(fit.slope * fit.data.weights[:, None])
     left = np.maximum(1.0 - np.sum(base**2, axis=1), 0.0)
-    sizes: list[float] = []
-    for rows, predicted in _by_set(fit, np.abs(fit.predicted)):
-        sizes += (predicted / np.mean(predicted[rows.measured.counted])).tolist()
-    counted = (fit.data.weights > 0.0) & (left > _ROUNDING) & (np.array(sizes) > _ROUNDING)
-    logarithms = np.log(np.array(sizes)[counted])
+    by_set = _by_set(fit, np.abs(fit.predicted))
+    sizes = np.concatenate([predicted / np.mean(predicted[rows.measured.counted]) for rows, predicted in by_set])
+    counted = (fit.data.weights > 0.0) & (left > _ROUNDING) & (sizes > _ROUNDING)
+    logarithms = np.log(sizes[counted])
     errors = np.abs(fit.residuals[counted]) / np.sqrt(left[counted])
     if np.ptp(logarithms) < _ROUNDING or np.ptp(errors) <= _ROUNDING * np.max(errors):
         return
@@ -403,8 +398,7 @@ def _error_notes(fit: Estimate) -> Iterator[str]:
 def _outlier_notes(fit: Estimate) -> Iterator[str]:
     """Yield a warning that names rows with large residuals."""
     size = np.abs(fit.residuals) / math.sqrt(fit.variance)
-    far = [k for k in np.argsort(-size) if size[k] > _OUTLIER]
-    if far:
+    if far := [k for k in np.argsort(-size) if size[k] > _OUTLIER]:
         more = f" and {len(far) - 3} more" if len(far) > 3 else ""
         first = ", ".join(f"{fit.setup.places[k]} ({size[k]:.2g} sigma)" for k in far[:3])
         yield f"outliers: {first}{more}; a robust loss, such as 'huber', gives them less weight"
@@ -444,8 +438,7 @@ def _bound_notes(fit: Estimate) -> Iterator[str]:
 
 def _optima_notes(fit: Estimate) -> Iterator[str]:
     """Yield a warning if other local optima fit almost as well."""
-    near = [loss for loss in fit.optima[1:] if loss - fit.optima[0] < 0.5 * fit.quantile(0.95) ** 2 * fit.rise]
-    if near:
+    if near := [loss for loss in fit.optima[1:] if loss - fit.optima[0] < 0.5 * fit.quantile(0.95) ** 2 * fit.rise]:
         yield (
             f"{len(near)} other local optima fit almost as well: the intervals surround only the best; use narrower"
             " bounds or further measurements to decide between them"
@@ -534,9 +527,7 @@ def cross_validate(fit: Estimate, folds: int | None, seed: int) -> CrossValidati
     if folds is None:
         folds = (count if count <= _MOST_LEFT_OUT else 20) if setup.problem.closed else min(5, count)
     if not is_count(folds) or not 2 <= folds <= count:
-        raise InputError(
-            f"folds = {shown(folds)} must be a whole number from 2 to {count}, the number of rows that count"
-        )
+        raise InputError(f"folds = {shown(folds)} must be a whole number from 2 to {count}, the rows that count")
     rows, names = order.copy(), dict.fromkeys(results[order])
     if RECORD not in results and folds < count:
         np.random.default_rng(seed).shuffle(order)

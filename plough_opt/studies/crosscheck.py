@@ -272,9 +272,9 @@ def compare(
     check_kind("the scene", scene, Scene, "a numeric Scene")
     if holds_casadi((scene, depth, width, rake_angle, speeds, rupture_ratio, surcharge, adhesion)):
         raise InputError("a comparison needs numbers: evaluate the scene with best(scene) first")
-    for name, value, valid in (("texture", texture, TEXTURES), ("point", point, POINTS)):
-        if not (value is None and name == "texture"):
-            check_named(f"{name} = {{}} does not exist in D497", value, valid)
+    check_named("point = {} does not exist in D497", point, POINTS)
+    if texture is not None:
+        check_named("texture = {} does not exist in D497", texture, TEXTURES)
     check_single("a comparison", (width, rake_angle, rupture_ratio, surcharge, adhesion))
     if rupture_ratio is not None:
         check_domain("rupture distance ratio m", rupture_ratio, at_least=1.0)
@@ -301,13 +301,8 @@ def compare(
     drafts = _drafts(lambda speed: dataclasses.replace(scene, tow_speed=speed).steady_resistance, course)
     ours = ModelDraft(name, None, *drafts, scene.law.source, scene.law.standing)
     given = {"depth": depth, "width": width, "texture": texture, "rupture_ratio": rupture_ratio, "speeds": speeds}
-    return Comparison(
-        scene=scene.describe(),
-        speeds=course,
-        own=ours,
-        others=others,
-        estimates=_estimates(scene, tine, point, [name for name, value in given.items() if value is None]),
-    )
+    estimates = _estimates(scene, tine, point, [name for name, value in given.items() if value is None])
+    return Comparison(scene.describe(), course, ours, others, estimates)
 
 
 def _several(what: str, unit: str, given: float | Sequence[float], **domain: Any) -> tuple[float, ...]:
@@ -330,12 +325,8 @@ def _rows(
     for depth in depths:
         for texture in textures:
             yield f"{AsabeD497.label}, {point}, {texture}", depth, AsabeD497(texture, point, depth=depth)
-        wedges = (
-            McKyesAli(depth, **tine),
-            UniversalEarthmoving(depth, **tine, rupture_ratio=rupture_ratio),
-            SwickPerumpral(depth, **tine),
-        )
-        for law in wedges:
+        earthmoving = UniversalEarthmoving(depth, **tine, rupture_ratio=rupture_ratio)
+        for law in (McKyesAli(depth, **tine), earthmoving, SwickPerumpral(depth, **tine)):
             yield _short(law), depth, law
     yield _short(SphericalCavity), None, SphericalCavity()
 
@@ -399,7 +390,6 @@ def _figure_of(comparison: Comparison) -> Figure:
     grid = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for axes, depth in zip(grid, panels, strict=True):
         _draw(axes, comparison, depth)
-        axes.set_title("" if depth is None else f"working depth {depth:.3g} m")
     drafts = [d for row in (comparison.own, *comparison.others) for d in row.drafts if math.isfinite(d) and d > 0.0]
     if drafts and max(drafts) > _LARGEST_LINEAR_RATIO * min(drafts):
         grid[0].set_yscale("log")
@@ -439,7 +429,7 @@ def _draw(axes: Axes, comparison: Comparison, depth: float | None) -> None:
             low, high = ([part * draft / 1e3 for draft in row.drafts] for part in (1.0 - row.band, 1.0 + row.band))
             label = f"band of ±{100.0 * row.band:.0f} %"
             axes.fill_between(speeds, low, high, color=colour, alpha=0.12, lw=0.0, label=label)
-    axes.set_xlabel("speed [km/h]")
+    axes.set(xlabel="speed [km/h]", title="" if depth is None else f"working depth {depth:.3g} m")
     axes.grid(visible=True, alpha=0.3)
 
 

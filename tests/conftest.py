@@ -39,7 +39,7 @@ def no_lines_that_depend_on_time():
 
 # Of the tests of these files, `make test` runs every third one, and `.ci/run` all.
 LONG = """
-    accuracy/test_accuracy_study accuracy/test_motion_reference bad_input/test_fuzz calibration/test_hold_out
+    accuracy/test_accuracy_study accuracy/test_motion_reference bad_input/test_fuzz
     calibration/test_linear cli/test_cli cli/test_cli_outputs cli/test_cli_studies design/test_design_nlp
     design/test_global_search_study design/test_holes_in_laws design/test_independent_problems
     design/test_infeasible design/test_optimum design/test_over_tolerances design/test_results_are_values

@@ -72,12 +72,13 @@ def test_few_rows_give_an_answer_or_say_what_is_missing(rows, loss, unknown, sig
     assert "use more folds" in refusal or "two rows or more" in refusal
 
 
-def test_rows_of_weight_0_change_nothing():
+@pytest.mark.parametrize("loss", ["squares", "huber"])
+def test_rows_of_weight_0_change_nothing(loss):
     kept, extra = table(8), table(3, seed=1)
     values = np.r_[kept.values, 1e3 * extra.values]
     conditions = {key: np.r_[kept.conditions[key], extra.conditions[key]] for key in kept.conditions}
     with_extra = po.Measurements("mean_draft", values, conditions, weights=[1.0] * 8 + [0.0] * 3)
-    fits = [po.calibrate(steady_scene(), data, BOTH) for data in (kept, with_extra)]
+    fits = [po.calibrate(steady_scene(), data, BOTH, loss=loss) for data in (kept, with_extra)]
     assert_same(*fits)
     found = fits[1].cross_validation()
     assert (found.folds, found.rows.tolist()) == (8, [*range(8)])
@@ -193,13 +194,6 @@ def test_columns_and_bounds_take_units():
     assert one.values == other.values
 
 
-def test_other_observed_values_are_checked():
-    calibration = po.Calibration(steady_scene(), table(3), COHESION)
-    for wrong in ("abc", [1.0, 2.0], ["a"] * 3):
-        with pytest.raises(po.InputError, match="3 finite numbers"):
-            calibration.fit(wrong)
-
-
 NAMES = ("soil.cohesion", "soil.tool_friction", "effects.rate_term")
 UNKNOWN = {name: (*BOUNDS[name], TRUTH[name]) for name in NAMES}
 CONDITIONS, EXACT = drafts(np.linspace(0.8, 3.0, 6), np.radians([25.0, 35.0, 45.0, 55.0]))
@@ -238,17 +232,6 @@ def test_the_fit_is_that_of_iterated_weights():
     freedom = len(EXACT) - len(NAMES)
     assert found.scatter == pytest.approx(np.sqrt(np.sum((found.residuals / found.predicted) ** 2) / freedom), rel=1e-6)
     assert "of the predicted values" in str(found)
-
-
-@pytest.mark.slow
-def test_growing_errors_are_warned_of_and_weighted_away():
-    _, warned = studied(True, "constant", 10)
-    # Some five in six fits warn: three or fewer of ten do in one case of a thousand.
-    assert warned > 3 / 10
-    covered, warned = studied(True, "relative", 10)
-    # With correct intervals six or fewer of ten cover in one case of a thousand.
-    assert np.min(covered) >= 7 / 10
-    assert warned == 0.0
 
 
 @pytest.mark.slow

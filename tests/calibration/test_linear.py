@@ -118,21 +118,6 @@ def test_a_next_measurement_reduces_the_errors_as_predicted(regression):
         assert errors == pytest.approx((fit.standard_errors[name], then.standard_errors[name]), rel=1e-5)
 
 
-@pytest.mark.parametrize("loss", ["squares", "huber"])
-def test_a_row_of_weight_zero_equals_no_row(regression, loss):
-    speeds, values, _, _, _ = regression
-    weights, spoilt, kept = np.ones(len(values)), values.copy(), np.arange(len(values)) != 3
-    weights[3], spoilt[3] = 0.0, 3.0 * values[3]
-    weighted = po.Measurements("mean_draft", spoilt, {"scene.tow_speed": speeds}, weights=weights)
-    fewer = po.Measurements("mean_draft", values[kept], {"scene.tow_speed": speeds[kept]})
-    scene = linear_scene(20e3, 1400.0, 2.0)
-    fit, without = (po.calibrate(scene, data, UNKNOWN, loss=loss) for data in (weighted, fewer))
-    assert fit.freedom == without.freedom
-    # A robust fit ends when its scale changes by less than 1e-4.
-    assert fit.values == pytest.approx(without.values, rel=1e-7 if loss == "squares" else 1e-5)
-    assert fit.standard_errors == pytest.approx(without.standard_errors, rel=1e-6 if loss == "squares" else 1e-4)
-
-
 @pytest.fixture(scope="session")
 def script():
     """Yield problems/calibration_coverage.py as a module."""
@@ -378,7 +363,7 @@ def test_data_that_do_not_fit_are_refused(scene, data, words):
 def test_a_calibration_fits_other_observed_values(measured, three, fitted):
     calibration = po.Calibration(steady_scene(), measured, three)
     assert calibration.fit(measured.values).values == fitted.values
-    for wrong in ([1.0, 2.0], [np.nan] * 24):
+    for wrong in ("abc", [1.0, 2.0], ["a"] * 24, [np.nan] * 24):
         with pytest.raises(po.InputError, match="observed must be 24 finite numbers"):
             calibration.fit(wrong)
 
@@ -461,6 +446,12 @@ REFUSED = [
     (("--data", DATA, *2 * ("--unknown", "soil.cohesion=1..80 kPa")), "'soil.cohesion' is given twice"),
     (("--data", DATA, "--output", PROBLEMS), "is a folder"),
     (("--data", DATA, "--set", "variables={}"), "add a table [variables], or --unknown soil.cohesion="),
+    (("--data", DATA, "--hold-out", "some"), "--hold-out some: expected a part of the rows, like 1/3"),
+    (("--data", DATA, "--hold-out", "1/0"), "--hold-out 1/0: expected a part"),
+    (("--data", DATA, "--hold-out-by", "scene.tow_speed"), "--hold-out-by belongs to --hold-out"),
+    (("--data", DATA, "--hold-out", "1.5"), "hold out 1.5: give a part of the rows between 0 and 1"),
+    (("--data", DATA, "--hold-out", "0.95"), "leaves fewer than the 3"),
+    (("--data", DATA, "--hold-out", "0.3", "--hold-out-by", "scene.towspeed"), "did you mean 'scene.tow_speed'"),
 ]
 
 
@@ -519,3 +510,79 @@ def test_a_picture_of_several_results(measured, three):
     radius = po.Measurements("loosened_radius", [0.2, 0.21], sigma=0.01, name="radius")
     first = po.calibrate(steady_scene(), [measured, radius], three).plot().axes[0]
     assert (first.get_xlabel(), len(first.containers)) == ("predicted, over the largest of its kind", 2)
+
+
+# --- predictions of rows held out of a fit: linear regression, 150 synthetic sets, groups, refusals ---
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_held_out_prediction_and_interval_are_those_of_linear_regression(regression, stated):
+    speeds, _, _, offset, matrix = regression
+    exact = offset + matrix @ [20e3, 1400.0]
+    sigma = 0.01 * np.mean(exact)
+    values = exact + sigma * np.random.default_rng(3).standard_normal(14)
+    data = po.Measurements("mean_draft", values, {"scene.tow_speed": speeds}, sigma=sigma if stated else None)
+    held = po.calibrate(linear_scene(20e3, 1400.0, 2.0), data, UNKNOWN).hold_out(1 / 3, seed=4, level=0.9)
+    rows = np.array([int(row.place.rpartition(" ")[2]) - 1 for row in held.rows])
+    kept = np.setdiff1d(np.arange(14), rows)
+    assert (held.fitted, len(rows)) == (9, 5)
+    found, rest, _, _ = np.linalg.lstsq(matrix[kept], (values - offset)[kept])
+    variance = sigma**2 if stated else float(rest[0]) / 7
+    quantile = stats.norm.ppf(0.95) if stated else stats.t.ppf(0.95, 7)
+    inverse = np.linalg.inv(matrix[kept].T @ matrix[kept])
+    spread = np.sqrt(variance * (1.0 + np.einsum("ni,ij,nj->n", matrix[rows], inverse, matrix[rows])))
+    # The search stops within 1e-4 of a standard error, and here far closer.
+    np.testing.assert_allclose([row.predicted for row in held.rows], (offset + matrix @ found)[rows], rtol=1e-8)
+    np.testing.assert_allclose(held.half_widths, quantile * spread, rtol=1e-6)
+    errors = (offset + matrix @ found - values)[rows]
+    assert held.rms == {"mean_draft": pytest.approx(np.sqrt(np.mean(errors**2)), rel=1e-6)}
+    assert held.coverage == (np.sum(np.abs(errors) <= quantile * spread), 5)
+
+
+def test_intervals_hold_95_percent_of_the_rows_held_out(regression):
+    speeds, _, _, offset, matrix = regression
+    exact = offset + matrix @ [20e3, 1400.0]
+    rng = np.random.default_rng(8)
+    data = po.Measurements("mean_draft", exact, {"scene.tow_speed": speeds})
+    calibrated = po.Calibration(linear_scene(20e3, 1400.0, 2.0), data, UNKNOWN)
+    inside = count = 0
+    for seed in range(150):
+        fit = calibrated.fit(exact + 0.02 * np.mean(exact) * rng.standard_normal(14))
+        hit, finite = fit.hold_out(0.4, seed=seed).coverage
+        inside, count = inside + hit, count + finite
+    # 900 rows; six of one set share its fit, so that their number varies twice as much as that of independent ones.
+    assert count == 900
+    assert abs(inside / count - 0.95) < 4 * 2 * (0.95 * 0.05 / count) ** 0.5
+
+
+def test_rows_with_one_value_in_a_column_are_held_out_together():
+    fit = po.calibrate(po.read_problem(FILE), po.read_measurements(DATA))
+    held = fit.hold_out(1 / 3, by="scene.tow_speed", seed=2)
+    speeds = {row.conditions["scene.tow_speed"] for row in held.rows}
+    others = {row.conditions["scene.tow_speed"] for row in fit.rows} - speeds
+    assert (len(speeds), len(others), len(held.rows), held.fitted) == (2, 4, 8, 16)
+
+
+def test_a_row_whose_prediction_the_others_do_not_determine_has_no_interval():
+    soil = {"soil.cohesion": (1e3, 80e3), "effects.rate_term": (0.0, 0.2)}
+    speeds = np.array([1.0] * 5 + [4.0])
+    values = [float(steady_scene(v).steady_resistance) for v in speeds]
+    data = po.Measurements("mean_draft", values, {"scene.tow_speed": speeds}, sigma=50.0)
+    fit = po.calibrate(steady_scene(), data, soil)
+    seed = next(s for s in range(9) if {r.conditions["scene.tow_speed"] for r in
+                                        fit.hold_out(0.5, by="scene.tow_speed", seed=s).rows} == {4.0})  # fmt: skip
+    held = fit.hold_out(0.5, by="scene.tow_speed", seed=seed)
+    assert held.coverage == (0, 0)
+    assert np.isinf(held.half_widths).all()
+    assert "1 more depend on what the fitted rows do not determine" in held.words()
+    with pytest.raises(po.InputError, match="hold out a smaller part"):
+        held.plot()
+
+
+def test_the_command_prints_draws_and_writes_them(tmp_path):
+    options = ("calibrate", FILE, "--data", DATA, "--hold-out", "2/3", "--seed", "3", "-q")
+    text = printed(*options, "--plot", tmp_path / "held.svg")
+    assert "Fitted to 8 rows, RMS error of 16 others: mean_draft" in text
+    assert (tmp_path / "held.svg").stat().st_size > 1000
+    written = json.loads(printed(*options, "--json"))["held_out"]
+    assert (written["fitted"], written["finite"], len(written["rows"])) == (8, 16, 16)

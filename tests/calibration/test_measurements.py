@@ -208,15 +208,6 @@ def test_the_calibrated_scene_predicts_the_record(from_record, record):
     assert "record" in from_record.soil.source
 
 
-def test_derivatives_of_a_record_agree_with_differences(from_record):
-    problem, y, step = from_record.source.setup.problem, np.array([0.3, 0.4]), 1e-5
-    slope = problem.at(y)[1]
-    for k, by in enumerate(step * np.eye(2)):
-        difference = (problem.predict(y + by) - problem.predict(y - by)) / (2.0 * step)
-        # step^2 = 1e-10 times third derivatives of some hundred times the slope.
-        np.testing.assert_allclose(slope[:, k], difference, rtol=1e-5, atol=1e-7 * np.max(np.abs(difference)))
-
-
 def test_correlated_residuals_give_a_warning(record):
     times, exact, _ = record
     drift = 60.0 * np.sin(2.0 * np.pi * times / 0.17)

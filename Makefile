@@ -31,12 +31,13 @@ test: $(READY)
 	$(BIN)/mypy
 	$(BIN)/pytest -n auto --dist worksteal
 
-# The documentation as a site in out/site, which needs no network to build or to read; then its test in a browser.
+# The documentation as a site in out/site, which needs no network to build or to read; then its test in a browser, and its
+# notebooks, which must print what they are stored with.
 docs: $(DOCS) $(LIVE)
 	rm -rf out/site
 	$(BIN)/python docs/stage.py
 	$(BIN)/sphinx-build -W --keep-going -E -q -c docs -d out/doctrees out/source out/site
-	$(BIN)/pytest -q -m site tests/site
+	$(BIN)/pytest -q -n auto --dist worksteal -m site tests/site tests/test_pages.py
 
 # The live page on the front page.
 $(LIVE): $(DOCS) problems/cotton_subsoiler.toml $(shell find plough_opt -type f -not -name '*.pyc')

@@ -38,7 +38,7 @@ from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.problem_file import measures, reading, schema, source, uncertain
 from plough_opt.soil.elastic import medium
 from plough_opt.studies.calibration.model import measurable
-from plough_opt.studies.sweep import points
+from plough_opt.studies.sweep import question
 from plough_opt.studies.tradeoff import assembly
 from plough_opt.studies.uncertainty import distribution
 
@@ -257,7 +257,7 @@ LIMITS = {
     ),
     "Saved results (`po.load`)": (saving._MOST_BYTES,),
     "Studies and runs": (
-        points.MOST_VALUES, points.MOST_SAMPLES, distribution._MOST_SAMPLES, uncertain._COUNTS["fresh"][1],
+        question.MOST_VALUES, question.MOST_SAMPLES, distribution._MOST_SAMPLES, uncertain._COUNTS["fresh"][1],
         assembly._MOST_POINTS, effort._MOST_ACCEPTED, MOST_HARMONICS, medium._MOST_PIECES, plan.MOST_OUTPUTS,
     ),
     "Phase of a motion": (plan.MOST_RINGING, plan.MOST_FORCED, plan.MOST_PANELLED, plan.MOST_SHOT),
@@ -643,7 +643,7 @@ def code_of(path):
 
 # ipykernel and its event loop warn about themselves at start-up and shut-down; the notebook's own warnings
 # stay in the kernel, where its first cell turns them into errors.
-@pytest.mark.slow
+@pytest.mark.site
 @pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs_and_prints_what_it_is_stored_with(path):

@@ -156,10 +156,7 @@ def optimise(options: argparse.Namespace) -> None:
 
 def _optimise_robust(problem: Problem, options: argparse.Namespace) -> None:
     if options.sensitivity:
-        raise InputError(
-            "--sensitivity needs one soil: remove it, since the report shows the influence of the uncertain properties"
-            " anyway, or remove the table [uncertain]"
-        )
+        raise InputError("--sensitivity needs one soil: remove it, or remove the table [uncertain]")
     from plough_opt.problem_file.uncertain import optimise_robust  # scipy.stats is slow to import
 
     with progress() as notify:
@@ -379,9 +376,7 @@ def _names(option: str, written: str | None) -> tuple[str, ...]:
         return ()
     names = tuple(part.strip() for part in written.split(","))
     if not all(names):
-        raise InputError(
-            f"--{option} '{written}' has an empty name: separate names by single commas, as share.height,soil.cohesion"
-        )
+        raise InputError(f"--{option} '{written}' has an empty name: use single commas, as share.height,soil.cohesion")
     return names
 
 

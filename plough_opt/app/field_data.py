@@ -41,9 +41,7 @@ def calibrate(options: argparse.Namespace) -> None:
     data = [read_measurements(path) for path in options.data]
     unknown = _unknowns(options.unknown)
     if unknown is None and not problem.variables:
-        raise InputError(
-            f'{problem.name}: nothing to estimate: add a table [variables], or --unknown soil.cohesion="1..80 kPa"'
-        )
+        raise InputError(f'{problem.name}: add a table [variables], or --unknown soil.cohesion="1..80 kPa"')
     _note_guesses(problem, unknown, data)
     data += map(_known, options.known)
     with progress() as notify:

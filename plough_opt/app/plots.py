@@ -34,6 +34,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+__all__ = [
+    "SIDE_BY_SIDE", "draw_cone", "draw_margins", "draw_panel", "draw_search", "draw_side_by_side", "draw_wedge",
+    "plot_batch", "plot_designs", "plot_forces", "plot_machine", "plot_optimum", "plot_run", "plot_share",
+    "plot_wedge_field", "save",
+]  # fmt: skip
+
 SHARE, LIMIT, SOIL, STRUT = COLOURS[0], COLOURS[1], COLOURS[4], COLOURS[6]
 """Colours in every picture: the share's motion and force, limits, the soil, and the strut."""
 CONSTANT: Final = 1e-6
@@ -119,25 +125,6 @@ def limits_of(run: Run, limits: Sequence[Limit], *names: str) -> list[tuple[str,
     every = {**run.origin.limits, **given}
     return [(called(name), end) for name in names for end in every.get(name, ()) if end is not None]
 
-
-__all__ = [
-    "SIDE_BY_SIDE",
-    "draw_cone",
-    "draw_margins",
-    "draw_panel",
-    "draw_search",
-    "draw_side_by_side",
-    "draw_wedge",
-    "plot_batch",
-    "plot_designs",
-    "plot_forces",
-    "plot_machine",
-    "plot_optimum",
-    "plot_run",
-    "plot_share",
-    "plot_wedge_field",
-    "save",
-]
 
 save = save_figure
 

@@ -93,10 +93,7 @@ def _check_matplotlib() -> None:
     try:
         import matplotlib  # noqa: F401
     except ValueError as error:
-        raise InputError(
-            f"--plot: matplotlib cannot start: {short(str(error), 100)}: correct $MPLBACKEND or matplotlibrc, or remove"
-            " --plot"
-        ) from None
+        raise InputError(f"--plot: matplotlib cannot start: {short(str(error), 100)}: correct $MPLBACKEND") from None
 
 
 def check_outputs(options: argparse.Namespace) -> None:

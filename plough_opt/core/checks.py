@@ -186,7 +186,7 @@ class DomainLimit:
 
     def check(self, value: Expression) -> None:
         """Raise DomainError if a number, or one of an array, lies outside."""
-        _check_kind(self.name, value, self.unit)
+        _check_number(self.name, value, self.unit)
         numbers = np.atleast_1d(as_number(value))
         rules = [
             (np.isfinite(numbers), "finite", None),
@@ -288,7 +288,7 @@ def check_domain(
     return value.astype(np.result_type(value, float), copy=False) if isinstance(value, np.ndarray) else float(value)
 
 
-def _check_kind(name: str, value: Expression, unit: str) -> None:
+def _check_number(name: str, value: Expression, unit: str) -> None:
     """Raise DomainError for anything but real numbers and arrays, and for numbers of one or two bytes.
 
     A pint quantity or a column of pandas would lose its unit or its index, or return results of its own type.
@@ -351,10 +351,7 @@ def check_single(what: str, values: Any) -> None:
         values: numbers and expressions, alone or nested in dataclasses, lists, tuples and dictionaries.
     """
     if holds_several(values):
-        raise InputError(
-            f"{what} accepts one number per quantity, not arrays: call it once per element, or build a"
-            " casadi.Function from it with symbols and map that"
-        )
+        raise InputError(f"{what} accepts one number per quantity, not arrays: call it once per element")
 
 
 Meaning = TypeVar("Meaning")
@@ -557,15 +554,9 @@ def checked_in_designs(
 _LIMITS: ContextVar[Recorded | None] = ContextVar("limits", default=None)
 
 
-@contextmanager
-def limits_of_laws() -> Iterator[Recorded]:
-    """Collect the limits of the laws that are called with symbols inside this context."""
-    found: Recorded = []
-    before = _LIMITS.set(found)
-    try:
-        yield found
-    finally:
-        _LIMITS.reset(before)
+def limits_of_laws() -> AbstractContextManager[Recorded]:
+    """Return a context whose value collects the limits of the laws that are called with symbols in it."""
+    return _recorded(_LIMITS)
 
 
 def limited_in_designs(label: str) -> Callable[[Callable[_Given, _Result]], Callable[_Given, _Result]]:

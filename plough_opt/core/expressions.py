@@ -10,7 +10,6 @@ import math
 import numbers
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import fields, is_dataclass
 from functools import lru_cache, wraps
 from typing import Annotated, Any, Protocol, TypeAlias, TypeVar, overload
 
@@ -180,18 +179,14 @@ def map_expressions(value: Any, function: Callable[[Any], Any], leaf: Callable[[
             if field.init and field.metadata != COUNT
         }
         # What holds no expression need not be built and checked again.
-        return value if _same(changed, value) else dataclasses.replace(value, **changed)
+        untouched = all(new is getattr(value, name) for name, new in changed.items())
+        return value if untouched else dataclasses.replace(value, **changed)
     if isinstance(value, Mapping):
         return {key: map_expressions(item, function, leaf) for key, item in value.items()}
     if isinstance(value, list | tuple):
         items = [map_expressions(item, function, leaf) for item in value]
         return value if all(map(operator.is_, items, value)) else type(value)(items)
     return value
-
-
-def _same(changed: Mapping[str, Any], value: Any) -> bool:
-    """Return whether a dataclass has these very objects as its fields."""
-    return all(new is getattr(value, name) for name, new in changed.items())
 
 
 def template_of(value: Any) -> tuple[Any, list[Any]]:
@@ -417,8 +412,9 @@ def same(one: Any, other: Any) -> bool:
         return one.keys() == other.keys() and all(same(value, other[key]) for key, value in one.items())
     if isinstance(one, list | tuple) and isinstance(other, list | tuple):
         return len(one) == len(other) and all(map(same, one, other))
-    if type(one) is type(other) and is_dataclass(one):
-        return all(same(getattr(one, own.name), getattr(other, own.name)) for own in fields(one) if own.compare)
+    if type(one) is type(other) and dataclasses.is_dataclass(one):
+        fields = (field for field in dataclasses.fields(one) if field.compare)
+        return all(same(getattr(one, field.name), getattr(other, field.name)) for field in fields)
     return bool(one == other or (one != one and other != other))
 
 

@@ -156,9 +156,7 @@ def write_below(folder: Path, kind: str, files: Sequence[tuple[str, Content]]) -
         path = PureWindowsPath(name)  # which knows every separator
         place = base / name
         if path.suffix.lower() in _CODE or path.root or not path.parts or not all(map(_is_plain, path.parts)):
-            raise InputError(
-                f"{shown(name)} is not written: a {kind} must be below its folder, and its name valid on every system"
-            )
+            raise InputError(f"{shown(name)} is not written: a {kind} must be below its folder, with a valid name")
         if not Path(os.path.realpath(place.parent)).is_relative_to(base):
             raise InputError(f"'{place}' is not written: a link leads out of '{folder}': name a new folder")
         if os.path.lexists(place):

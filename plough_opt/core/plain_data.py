@@ -296,10 +296,7 @@ def _missing(path: str) -> Callable[..., Any]:
     """Return a replacement for a function that is not defined; calling it raises InputError."""
 
     def refuse(*_arguments: object, **_more: object) -> Any:
-        raise InputError(
-            f"the result holds '{path}', which is not defined here by a module of yours: define or import it, and load"
-            " again (of installed packages only those count that declare an entry point 'plough_opt')"
-        )
+        raise InputError(f"the result holds '{path}', which is not defined here: import your module, and load again")
 
     refuse.__module__, _, refuse.__qualname__ = path.partition(":")  # by which it is saved again
     return refuse

@@ -55,11 +55,12 @@ class Quantity:
 
     Attributes:
         name: key in problem files.
-        called: name in messages.
         meaning: description, with the symbol.
         unit: SI unit, "" for a pure number.
         typical: a value inside the domain.
-        path: attributes and tuple indices that lead to it from a scene; () for a number outside the scene.
+        called: name in messages (default: its key in words).
+        place: attributes and tuple indices that lead to it from a scene (default: as its name says); () for a number
+            outside the scene.
         low: lower end of the model's domain.
         high: upper end of the domain.
         above: whether the lower end is excluded.
@@ -74,11 +75,11 @@ class Quantity:
     """
 
     name: str
-    called: str
     meaning: str
     unit: str
     typical: float
-    path: tuple[str | int, ...]
+    called: str = ""
+    place: tuple[str | int, ...] | None = None
     low: float = 0.0
     high: float = math.inf
     above: bool = False
@@ -89,6 +90,14 @@ class Quantity:
     in_files: bool = True
     default: float | None = None
     plausible: tuple[float, float] = (-math.inf, math.inf)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "called", self.called or self.key.replace("_", " "))
+
+    @cached_property
+    def path(self) -> tuple[str | int, ...]:
+        """Attributes and tuple indices that lead to it from a scene."""
+        return tuple(self.name.removeprefix("scene.").split(".")) if self.place is None else self.place
 
     @property
     def owner(self) -> str:
@@ -163,15 +172,17 @@ class Quantity:
         )
 
 
-def _angle(name: str, meaning: str, typical: float, path: tuple[str, ...], *, above: bool, in_files: bool) -> Quantity:
-    """Return an angle below 90 degrees, which problem files must give if they have it."""
-    called = name.rpartition(".")[2].replace("_", " ")
-    return Quantity(
-        name, called, meaning, "rad", typical, path, high=math.pi / 2, above=above, below=True,
-        plausible=(0.0, math.pi / 2), shown="deg", required=in_files, in_files=in_files,
-    )  # fmt: skip
+def _angle(name: str, meaning: str, typical: float, **more: Any) -> Quantity:
+    """Return an angle below 90 degrees."""
+    return Quantity(name, meaning, "rad", typical, high=math.pi / 2, below=True, plausible=(0.0, math.pi / 2),
+                    shown="deg", **more)  # fmt: skip
 
 
+def _by_name(*listed: Quantity) -> dict[str, Quantity]:
+    return {quantity.name: quantity for quantity in listed}
+
+
+_NO_PUSH = "soil cannot push the share forward"
 _COMPACTS = "it is the ratio of undisturbed to locked density, and the plastic gas model needs soil that compacts"
 MOST_WAVES = 8
 """Largest number of strength waves in a scene."""
@@ -187,153 +198,70 @@ def _wave(number: int) -> tuple[Quantity, ...]:
     table, path = wave_table(number), ("effects", "strength_wave", number - 1)
     which = "" if number == 1 else f" {number}"
     return (
-        Quantity(
-            f"{table}.amplitude", f"strength wave amplitude{which}", "amplitude epsilon of the soil's strength", "",
-            0.3, (*path, "amplitude"), high=1.0, why="soil cannot push the share forward",
-        ),
-        Quantity(
-            f"{table}.wavelength", f"strength wavelength{which}", "wavelength of the soil's strength along the path",
-            "m", 0.2, (*path, "wavelength"), above=True, plausible=(0.0, 50.0),
-        ),
-        Quantity(
-            f"{table}.phase", f"strength wave phase{which}", "phase of the soil's strength at travel 0", "rad", 0.0,
-            (*path, "phase"), low=-2.0 * math.pi, high=2.0 * math.pi, shown="deg",
-        ),
+        Quantity(f"{table}.amplitude", "amplitude epsilon of the soil's strength", "", 0.3, high=1.0,
+                 why=_NO_PUSH, called=f"strength wave amplitude{which}", place=(*path, "amplitude")),
+        Quantity(f"{table}.wavelength", "wavelength of the soil's strength along the path", "m", 0.2, above=True,
+                 plausible=(0.0, 50.0), called=f"strength wavelength{which}", place=(*path, "wavelength")),
+        Quantity(f"{table}.phase", "phase of the soil's strength at travel 0", "rad", 0.0, low=-2.0 * math.pi,
+                 high=2.0 * math.pi, shown="deg", called=f"strength wave phase{which}", place=(*path, "phase")),
     )  # fmt: skip
 
 
-QUANTITIES: dict[str, Quantity] = {
-    quantity.name: quantity
-    for quantity in (
-        Quantity(
-            "soil.density", "soil density", "density rho0 of the undisturbed soil", "kg/m^3", 1350.0,
-            ("soil", "density"), above=True, required=True, plausible=(500.0, 4e3),
-        ),
-        Quantity(
-            "soil.density_ratio", "density ratio b1", "ratio b1 of undisturbed to locked density", "", 0.8,
-            ("soil", "density_ratio"), high=1.0, above=True, below=True, why=_COMPACTS, required=True,
-        ),
-        Quantity(
-            "soil.cohesion", "cohesion", "cohesion k", "Pa", 2e4,
-            ("soil", "cohesion"), shown="kPa", required=True, plausible=(200.0, 1e6),
-        ),
-        _angle(
-            "soil.friction_angle", "angle of internal friction theta", 0.5,
-            ("soil", "friction_angle"), above=False, in_files=True,
-        ),
-        Quantity(
-            "soil.tool_friction", "tool friction", "friction mu0 of soil on metal", "", 0.5,
-            ("soil", "tool_friction"), required=True,
-        ),
-        Quantity(
-            "soil.ambient_pressure", "ambient pressure", "pressure p_a ahead of the compaction front", "Pa", 1e5,
-            ("soil", "ambient_pressure"), shown="kPa", plausible=(200.0, 1e6),
-        ),
-        Quantity(
-            "soil.youngs_modulus", "Young's modulus", "Young's modulus E", "Pa", 1e7,
-            ("soil", "youngs_modulus"), above=True, shown="MPa", plausible=(1e5, 1e10),
-        ),
-        Quantity(
-            "soil.poisson_ratio", "Poisson's ratio", "Poisson's ratio", "", 0.3,
-            ("soil", "poisson_ratio"), high=0.5, below=True,
-        ),
-        Quantity(
-            "soil.strength_factor", "strength factor", "ratio of measured to computed static resistance", "", 1.0,
-            ("soil", "strength_factor"), above=True,
-        ),
-        _angle(
-            "share.wedge_angle", "wedge angle lambda at the top of the share", 0.5,
-            ("share", "angle"), above=True, in_files=True,
-        ),
-        _angle(
-            "share.chisel_angle", "angle beta_pl of the chisel point to the base", 0.25,
-            ("share", "chisel_angle"), above=False, in_files=True,
-        ),
-        _angle(
-            "share.half_angle", "half angle beta of the cone", 0.25,
-            ("share", "half_angle"), above=True, in_files=False,
-        ),
-        Quantity(
-            "share.height", "share height", "height h of the share", "m", 0.25,
-            ("share", "height"), above=True, required=True, plausible=(0.02, 3.0),
-        ),
-        Quantity(
-            "scene.stiffness", "stiffness", "stiffness k0 of the mount", "N/m", 5e4,
-            ("stiffness",), above=True, shown="kN/m", required=True, plausible=(1e3, 1e9),
-        ),
-        Quantity(
-            "scene.mass", "mass", "mass m of all moving parts, without the soil", "kg", 20.0,
-            ("mass",), above=True, why="the share itself moves", in_files=False, plausible=(0.2, 5e4),
-        ),
-        Quantity(
-            "scene.tow_speed", "tow speed", "speed V0 of the strut", "m/s", 2.0,
-            ("tow_speed",), high=1e40, shown="km/h", why="a faster motion cannot be integrated in floating point",
-            required=True, plausible=(0.0, 6.0),
-        ),
-        *(quantity for number in range(1, MOST_WAVES + 1) for quantity in _wave(number)),
-        Quantity(
-            "effects.random_strength.rms", "RMS of random strength",
-            "standard deviation of the soil's random strength, relative to the mean", "", 0.2,
-            ("effects", "random_strength", "rms"), high=1.0, why="soil cannot push the share forward",
-        ),
-        Quantity(
-            "effects.random_strength.correlation_length", "correlation length",
-            "distance over which the correlation of the soil's random strength falls to 1/e", "m", 0.3,
-            ("effects", "random_strength", "correlation_length"), above=True,
-        ),
-        Quantity(
-            "effects.tow_ramp", "tow ramp", "time over which the strut's speed rises from 0", "s", 0.5,
-            ("effects", "tow_ramp"),
-        ),
-        Quantity(
-            "effects.damping", "damping", "viscous damper c in the mount", "N*s/m", 400.0,
-            ("effects", "damping"), plausible=(5.0, math.inf),
-        ),
-        Quantity(
-            "effects.speed_term", "speed term", "lambda of the static resistance F0 (1 + lambda L')", "s/m", 0.1,
-            ("effects", "speed_term"),
-        ),
-        Quantity(
-            "effects.rate_term", "rate term", "kappa of the static resistance F0 (1 + kappa L'^2)", "s^2/m^2", 0.01,
-            ("effects", "rate_term"),
-        ),
-        Quantity(
-            "effects.contact_width", "width of the smooth contact",
-            "speed of the share above which the soil offers its full resistance", "m/s", 0.1,
-            ("effects", "contact", "width"), above=True,
-        ),
-        Quantity(
-            "effects.breakaway", "breakaway ratio",
-            "ratio of the resistance that frees a sticking share to the static resistance", "", 1.2,
-            ("effects", "contact", "breakaway"), low=1.0,
-        ),
-    )
-}  # fmt: skip
+QUANTITIES: dict[str, Quantity] = _by_name(
+    Quantity("soil.density", "density rho0 of the undisturbed soil", "kg/m^3", 1350.0, called="soil density",
+             above=True, required=True, plausible=(500.0, 4e3)),
+    Quantity("soil.density_ratio", "ratio b1 of undisturbed to locked density", "", 0.8, called="density ratio b1",
+             high=1.0, above=True, below=True, why=_COMPACTS, required=True),
+    Quantity("soil.cohesion", "cohesion k", "Pa", 2e4, shown="kPa", required=True, plausible=(200.0, 1e6)),
+    _angle("soil.friction_angle", "angle of internal friction theta", 0.5, required=True),
+    Quantity("soil.tool_friction", "friction mu0 of soil on metal", "", 0.5, required=True),
+    Quantity("soil.ambient_pressure", "pressure p_a ahead of the compaction front", "Pa", 1e5, shown="kPa",
+             plausible=(200.0, 1e6)),
+    Quantity("soil.youngs_modulus", "Young's modulus E", "Pa", 1e7, called="Young's modulus", above=True,
+             shown="MPa", plausible=(1e5, 1e10)),
+    Quantity("soil.poisson_ratio", "Poisson's ratio", "", 0.3, called="Poisson's ratio", high=0.5, below=True),
+    Quantity("soil.strength_factor", "ratio of measured to computed static resistance", "", 1.0, above=True),
+    _angle("share.wedge_angle", "wedge angle lambda at the top of the share", 0.5, place=("share", "angle"),
+           above=True, required=True),
+    _angle("share.chisel_angle", "angle beta_pl of the chisel point to the base", 0.25, required=True),
+    _angle("share.half_angle", "half angle beta of the cone", 0.25, above=True, in_files=False),
+    Quantity("share.height", "height h of the share", "m", 0.25, called="share height", above=True, required=True,
+             plausible=(0.02, 3.0)),
+    Quantity("scene.stiffness", "stiffness k0 of the mount", "N/m", 5e4, above=True, shown="kN/m", required=True,
+             plausible=(1e3, 1e9)),
+    Quantity("scene.mass", "mass m of all moving parts, without the soil", "kg", 20.0, above=True,
+             why="the share itself moves", in_files=False, plausible=(0.2, 5e4)),
+    Quantity("scene.tow_speed", "speed V0 of the strut", "m/s", 2.0, high=1e40, shown="km/h", required=True,
+             why="a faster motion cannot be integrated in floating point", plausible=(0.0, 6.0)),
+    *(quantity for number in range(1, MOST_WAVES + 1) for quantity in _wave(number)),
+    Quantity("effects.random_strength.rms", "standard deviation of the soil's random strength, relative to the mean",
+             "", 0.2, called="RMS of random strength", high=1.0, why=_NO_PUSH),
+    Quantity("effects.random_strength.correlation_length",
+             "distance over which the correlation of the soil's random strength falls to 1/e", "m", 0.3, above=True),
+    Quantity("effects.tow_ramp", "time over which the strut's speed rises from 0", "s", 0.5),
+    Quantity("effects.damping", "viscous damper c in the mount", "N*s/m", 400.0, plausible=(5.0, math.inf)),
+    Quantity("effects.speed_term", "lambda of the static resistance F0 (1 + lambda L')", "s/m", 0.1),
+    Quantity("effects.rate_term", "kappa of the static resistance F0 (1 + kappa L'^2)", "s^2/m^2", 0.01),
+    Quantity("effects.contact_width", "speed of the share above which the soil offers its full resistance", "m/s", 0.1,
+             called="width of the smooth contact", place=("effects", "contact", "width"), above=True),
+    Quantity("effects.breakaway", "ratio of the resistance that frees a sticking share to the static resistance", "",
+             1.2, called="breakaway ratio", place=("effects", "contact", "breakaway"), low=1.0),
+)  # fmt: skip
 """Quantities of a scene by name; "share.half_angle" belongs to a share given as a cone."""
 
-BESIDE: dict[str, Quantity] = {
-    quantity.name: quantity
-    for quantity in (
-        Quantity("scene.duration", "duration", "simulated time", "s", 2.0, (), above=True, required=True),
-        Quantity(
-            "scene.frame_mass", "frame mass", "mass of all moving parts, without share and soil", "kg", 20.0, (),
-            required=True, plausible=(0.0, 5e4),
-        ),
-        Quantity(
-            "scene.steel_density", "density of the share's material",
-            "density of the share's material, from which its mass follows", "kg/m^3", 7850.0, (), default=7850.0,
-            plausible=(500.0, 25e3),
-        ),
-    )
-}  # fmt: skip
+BESIDE: dict[str, Quantity] = _by_name(
+    Quantity("scene.duration", "simulated time", "s", 2.0, place=(), above=True, required=True),
+    Quantity("scene.frame_mass", "mass of all moving parts, without share and soil", "kg", 20.0, place=(),
+             required=True, plausible=(0.0, 5e4)),
+    Quantity("scene.steel_density", "density of the share's material, from which its mass follows", "kg/m^3", 7850.0,
+             called="density of the share's material", place=(), default=7850.0, plausible=(500.0, 25e3)),
+)  # fmt: skip
 """Quantities outside a scene: its duration, and those that determine its mass."""
 
-READINGS: dict[str, Quantity] = {
-    "soil.cone_index": Quantity(
-        "soil.cone_index", "cone index", "pressure on a penetrometer's cone", "Pa", 1e6, (), above=True, shown="MPa",
-        plausible=(1e4, 1e8),
-    ),
-}  # fmt: skip
+READINGS: dict[str, Quantity] = _by_name(
+    Quantity("soil.cone_index", "pressure on a penetrometer's cone", "Pa", 1e6, place=(), above=True, shown="MPa",
+             plausible=(1e4, 1e8)),
+)  # fmt: skip
 """Measured values in a problem file that determine another property of its soil."""
 
 EVERY: dict[str, Quantity] = {**QUANTITIES, **BESIDE, **READINGS}

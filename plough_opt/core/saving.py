@@ -88,10 +88,7 @@ class Origin:
     def __post_init__(self) -> None:
         digest = hashlib.sha256(self.text.encode()).hexdigest() if self.text else ""
         if self.sha256 not in ("", digest):
-            raise InputError(
-                f"the problem file in it has the SHA-256 digest {digest[:12] or 'of no text'}, not {self.sha256[:12]!r}"
-                " as when it was saved: its text was changed"
-            )
+            raise InputError(f"the text of its problem file was changed: its SHA-256 is not {self.sha256[:12]!r}")
         object.__setattr__(self, "sha256", digest)
 
     def now(self) -> Origin:

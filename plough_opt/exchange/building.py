@@ -97,10 +97,7 @@ class NamedScene:
         if self.steel_density is None:
             return
         if holds_casadi((self.scene.mass, self.scene.share)):
-            raise InputError(
-                "steel_density needs a numeric scene: this scene's mass or share is an expression; let the mass"
-                " expression include the share's own mass instead"
-            )
+            raise InputError("steel_density needs a numeric scene: let the mass expression include the share's")
         BESIDE[STEEL].check(self.steel_density)
         share = self.scene.cone.solid_mass(self.steel_density)
         if self.scene.mass < (1.0 - _ROUNDING) * share:
@@ -118,8 +115,7 @@ class NamedScene:
         present = [symbol for one in self._expressions if is_symbolic(one) for symbol in ca.symvar(one)]
         if others := {symbol.name() for symbol in present if hash(symbol) not in given}:
             raise InputError(
-                f"the scene holds symbols that are not inputs ({', '.join(sorted(others))}): make each an Input with"
-                " its symbol"
+                f"the scene holds symbols that are not inputs: make each one ({', '.join(sorted(others))})"
             )
 
     @cached_property
@@ -578,23 +574,16 @@ def build(
         notes: warnings to add to those about the scenes.
     """
     if not isinstance(name, str) or not ca.Function.check_name(name):
-        raise InputError(
-            f"name = {shown(name)} cannot be the name of a CasADi Function: use letters, digits and underscores"
-        )
+        raise InputError(f"name = {shown(name)} cannot be the name of a CasADi Function: use letters, digits, _")
     requested = _requests(outputs, Output)
     check_names("output", [one.name for one in requested])
     check_names("input or output", [*(port.name for port in inputs), *(one.name for one in requested)])
     accuracy = Accuracy() if accuracy is None else accuracy
     check_kind("accuracy", accuracy, Accuracy, "a po.Accuracy(...)")
     if not accuracy.order_8:
-        raise InputError(
-            f"accuracy method '{accuracy.method}' cannot be part of a component, whose steps are fixed: use 'auto', or"
-            " 'dop853' with a number of steps"
-        )
+        raise InputError(f"method '{accuracy.method}' has no fixed steps, as a component needs: use 'auto' or 'dop853'")
     if not is_count(samples):
-        raise InputError(
-            f"samples = {shown(samples)} must be a whole number of at least 1: it counts intervals between output times"
-        )
+        raise InputError(f"samples = {shown(samples)} must be a whole number of intervals of output, at least 1")
 
     scenes = Scenes(name, tuple(inputs), make_scene)
     measures = [measure_of(one, scenes.scene.law) for one in requested]
@@ -634,9 +623,7 @@ def _quantity_port(request: Input, named: NamedScene) -> Port:
     """Return the port of a quantity of the scene."""
     value = named.value(request.name)
     if request.value is None and is_symbolic(value):
-        raise InputError(
-            f"'{request.name}' is an expression in the scene: make its symbol the input, or give the input a value"
-        )
+        raise InputError(f"'{request.name}' is an expression in the scene: make its symbol the input, or give a value")
     return port_of(request, EVERY[request.name], value)
 
 
@@ -646,11 +633,9 @@ def _symbol_port(request: Input) -> Port:
     if not (is_symbolic(symbol) and symbol.is_valid_input() and symbol.numel() == 1):
         raise InputError(f"input '{request.name}': its symbol must be a scalar CasADi symbol that the scene contains")
     if request.lower is None or request.upper is None:
-        raise InputError(
-            f"input '{request.name}' needs lower and upper: a symbol has no value to derive default bounds from"
-        )
+        raise InputError(f"input '{request.name}' needs lower and upper: a symbol has no value to derive them from")
     middle = (request.lower + request.upper) / 2.0
-    return port_of(request, Quantity(request.name, request.name, "", request.unit or "", middle, ()), middle)
+    return port_of(request, Quantity(request.name, "", request.unit or "", middle, request.name, ()), middle)
 
 
 def _mass_notes(named: NamedScene, inputs: Sequence[str]) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from plough_opt.core.checks import DomainLimit, check_domain, check_text, plain_number, shown
+from plough_opt.core.checks import DomainLimit, check_domain, check_named, check_text, plain_number, shown
 from plough_opt.core.errors import DomainError, InputError, nearest
 from plough_opt.core.expressions import Expression, as_number, is_casadi, is_symbolic
 from plough_opt.core.quantities import EVERY, Quantity
@@ -132,9 +132,7 @@ class Output:
             if not (isinstance(limit, float) and math.isinf(limit)):
                 object.__setattr__(self, side, plain_number(f"'{self.name}': {side}", limit))
         if not self.lower <= self.upper:
-            raise InputError(
-                f"the limits of '{self.name}' contradict each other: {self.lower:g} is above {self.upper:g}"
-            )
+            raise InputError(f"limits of '{self.name}' contradict each other: {self.lower:g} is above {self.upper:g}")
 
 
 @dataclass(frozen=True)
@@ -351,10 +349,7 @@ class Component(ca.Function):
         known = {name: port for port in self.inputs for name in (port.argument, port.name)}
         values: dict[Port, Expression] = {port: port.value for port in self.inputs}
         for name, value in named.items():
-            if name not in known:
-                raise InputError(
-                    f"'{self.name()}' has no input '{name}': {nearest(name, [p.name for p in self.inputs])}"
-                )
+            check_named(f"'{self.name()}' has no input {{}}", name, known)
             port = known[name]
             if name == port.name != port.argument in named:
                 raise InputError(f"'{port.name}' is given twice, also as '{port.argument}': leave one of the two out")

@@ -48,9 +48,7 @@ def law_of(medium: str | ResistanceLaw) -> ResistanceLaw:
         return LAWS[medium]()
     if isinstance(medium, type) or not (dataclasses.is_dataclass(medium) and isinstance(medium, ResistanceLaw)):
         names = ", ".join(map(repr, LAWS))
-        raise InputError(
-            f"medium = {shown(medium)} must be a ResistanceLaw, such as McKyesAli(depth=0.35), or one of {names}"
-        )
+        raise InputError(f"medium = {shown(medium)} must be a ResistanceLaw, such as McKyesAli(), or one of {names}")
     return medium
 
 

@@ -76,10 +76,7 @@ class Penetrometer:
             InputError: fewer than three insertions.
         """
         if len(self.insertions) < _FEWEST:
-            raise InputError(
-                f"a spread needs {_FEWEST} insertions, but {self.name} has {len(self.insertions)}: measure at more"
-                " places, or give a distribution"
-            )
+            raise InputError(f"a spread needs {_FEWEST} insertions, but {self.name} has {len(self.insertions)}")
         return float(np.std(self.insertions, ddof=1))
 
     def distribution(self) -> Any:
@@ -172,9 +169,7 @@ def average_readings(source: Source, folder: Path) -> str:
         try:
             between, _ = read_axis(depth, Unit("m"), sampled=True)
         except InputError:
-            raise InputError(
-                f'depth = "{depth}" is not a range of depths: write the shallower first, like "25..45 cm"'
-            ) from None
+            raise InputError(f'depth = "{depth}" is not a range of depths: write it like "25..45 cm"') from None
         assert isinstance(between, Range)  # which read_axis returns for samples
         found = read_penetrometer(folder / written, (between.lower, between.upper))
         source.read_files[written] = exact_text(folder / written)

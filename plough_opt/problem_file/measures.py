@@ -72,10 +72,7 @@ def defined_measure(text: str, unit: str) -> Measure:
         except ArithmeticError:  # division by 0, overflow
             value = math.nan
         if isinstance(value, complex) or (isinstance(value, float) and not math.isfinite(value)):
-            raise InputError(
-                f"{short(repr(text))} has no finite value in this run: check it for division by 0, overflow, and roots"
-                " or logarithms of what is not positive"
-            )
+            raise InputError(f"{short(repr(text))} has no finite value in this run: check divisions, roots, logs")
         return value
 
     needs = tuple(dict.fromkeys(what for one in parts for what in one.needs))

@@ -226,16 +226,13 @@ def variable_of(source: Source, key: str, declared: VariableTable) -> FileVariab
     }
     lower, upper = bounds["lower"], bounds["upper"]
     if not lower < upper:
-        raise InputError(
-            f"the bounds of '{key}' contradict each other: lower {declared.lower} is not below upper {declared.upper}"
-        )
+        ends = f"{declared.lower} is not below upper {declared.upper}"
+        raise InputError(f"the bounds of '{key}' contradict each other: {ends}")
     if declared.log and lower <= 0.0:
         raise InputError(f"'{key}' is log-scaled and needs a lower bound above 0, not {declared.lower}")
     guess = bounds.get("guess", math.sqrt(lower * upper) if declared.log else (lower + upper) / 2.0)
     if not lower <= guess <= upper:
-        raise InputError(
-            f"the guess {declared.guess} of '{key}' lies outside its bounds {declared.lower} to {declared.upper}"
-        )
+        raise InputError(f"guess {declared.guess} of '{key}': outside its bounds {declared.lower} to {declared.upper}")
     display, tolerance = display_of(declared.lower, unit), _tolerance(source, key, declared.tolerance)
     catalogue = _catalogue(source, key, declared, lower, upper)
     own = unit.symbol, display, IN_FILES[key].domain, tolerance, catalogue
@@ -388,9 +385,7 @@ def names_of_shares(source: Source) -> tuple[str, ...]:
     for name, own in shares.items():
         with source.noting((_SHARES, name)):
             if not name.isidentifier() or name in ProblemTable.model_fields:
-                raise InputError(
-                    f"'{name}' cannot be the name of a share: use letters, digits and _, and not the name of a table"
-                )
+                raise InputError(f"'{name}' cannot be the name of a share: use letters, digits and _, no table's")
         for table in own:
             with source.noting((_SHARES, name, table)):
                 if table not in SHARE_TABLES:

@@ -46,6 +46,9 @@ SHARE_TABLES = ("soil", "share", "scene", "effects", "variables", "require")
 WAVES = tuple(map(wave_table, range(1, MOST_WAVES + 1)))
 """Dotted names of the tables of strength waves, in order; all have the same keys."""
 
+CHOICES = ("motion", "inertial_drag", "added_mass", "ambient_pressure", "start", "entry", "formulation")
+"""Keys of [effects] with the values of the fields of `Effects` that have their names."""
+
 _T = TypeVar("_T", bound="Table")
 _Kind = TypeVar("_Kind")
 _LAW = '"plastic", or { law = "mckyes_ali", depth = "0.35 m" }'
@@ -227,23 +230,15 @@ class EffectsTable(Table):
             contact = Smooth(values["effects.contact_width"])
         elif self.contact == "stick_slip":
             contact = StickSlip(values.get("effects.breakaway", StickSlip.breakaway))
+        numbers = ("tow_ramp", "damping", "speed_term", "rate_term")
+        plain: dict[str, Any] = {name: getattr(self, name) for name in CHOICES}
         return Effects(
-            motion=self.motion,
-            inertial_drag=self.inertial_drag,
-            added_mass=self.added_mass,
-            ambient_pressure=self.ambient_pressure,
+            **(plain | {name: values.get(f"effects.{name}") for name in numbers}),
             contact=contact,
-            start=self.start,
-            entry=self.entry,
             strength_wave=waves[0] if len(waves) == 1 else tuple(waves) or None,
             random_strength=RandomStrength(*random) if None not in random else spectrum,
-            tow_ramp=values.get("effects.tow_ramp"),
             tow_profile=course,
-            damping=values.get("effects.damping"),
-            speed_term=values.get("effects.speed_term"),
-            rate_term=values.get("effects.rate_term"),
             orbit=HarmonicBalance(self.harmonics) if self.orbit == "harmonic_balance" else self.orbit,
-            formulation=self.formulation,
             own=own_effects_of(self.own),
         )
 

@@ -86,10 +86,7 @@ class Source:
         self._unlisted = 0  # schema errors beyond the longest list
         for number, line in enumerate(self.text.split("\n"), start=1):
             if len(line) > _MAX_LINE_LENGTH:
-                raise InputError(
-                    f"{name}, line {number}: the line has {len(line)} characters; at most {_MAX_LINE_LENGTH} can be"
-                    " read: split it into several lines"
-                )
+                raise InputError(f"{name}, line {number}: {len(line)} characters; at most {_MAX_LINE_LENGTH}: split it")
         if (line_too_deep := nested_line(self.text)) is not None:
             raise InputError(f"{name}, line {line_too_deep}: {TOO_DEEP}")
         try:

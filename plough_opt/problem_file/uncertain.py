@@ -142,9 +142,7 @@ def _of_strength_factor(table: UncertainTable, soil: Soil) -> UncertainTable:
         return table
     others = [name for name in table.distributions if name not in ("cone_index", *_NOT_IN_CONE_INDEX)]
     if others:
-        raise InputError(
-            f"the cone index depends on 'soil.{others[0]}', so the two cannot both be uncertain: remove one"
-        )
+        raise InputError(f"the cone index depends on 'soil.{others[0]}': the two cannot both be uncertain: remove one")
     per = float(as_number(soil.strength_factor / cone_index(soil)))
     scaled = {key: value if key == "distribution" else value * per for key, value in reading.items()}
     new = {"cone_index": "strength_factor"}
@@ -229,8 +227,7 @@ def _check_correlation(entry: Any, names: Sequence[str]) -> None:
             raise InputError(f"'{TABLE}.correlation': {item!r} must be two names and a number, like {example[1:-1]}")
         for name in item[:2]:
             if name not in names:
-                raise InputError(f"'{TABLE}.correlation' names '{name}', which has no distribution: "
-                                 f"{nearest(str(name), names)}")  # fmt: skip
+                raise InputError(f"'{TABLE}.correlation': '{name}' has no distribution: {nearest(str(name), names)}")
 
 
 def _check_distribution(source: Source, key: str, entry: Any) -> None:
@@ -315,10 +312,7 @@ def _check_measures(source: Source, table: ProblemTable) -> None:
 
 def _check_limit(limit: LimitTable, name: str, chosen: ChosenMeasure | None, everywhere: bool) -> None:
     if everywhere and limit.measure != "nominal":
-        raise InputError(
-            f"'{name}' has a value at every output time: limit its mean over samples of the soil, or set"
-            ' measure = "nominal"'
-        )
+        raise InputError(f"'{name}' has a value at every output time: limit its mean, or set measure = \"nominal\"")
     if limit.probability is not None and chosen is not None:
         raise InputError(f"'{name}' has both a measure and a probability: remove one")
     if limit.probability is not None and not 0.0 < limit.probability < 1.0:

@@ -19,7 +19,7 @@ from plough_opt.motion.effects import OWN_EFFECTS, Effects, HarmonicBalance, Smo
 from plough_opt.motion.scene import Scene, quantities_of
 from plough_opt.problem_file.problem import FileVariable, Problem
 from plough_opt.problem_file.reading import apply_override, join_dotted_variables, read_source, variable_of
-from plough_opt.problem_file.schema import VariableTable
+from plough_opt.problem_file.schema import CHOICES, VariableTable
 from plough_opt.problem_file.source import Source
 from plough_opt.problem_file.uncertain import join_dotted
 from plough_opt.soil.geometry import Wedge
@@ -70,7 +70,7 @@ def problem_of(scene: Scene, duration: float | None, title: str) -> Problem:
 def _choices(scene: Scene) -> Iterator[tuple[str, Any]]:
     """Yield key and value of the choices among effects that are no quantities."""
     effects = scene.effects
-    for name in ("motion", "inertial_drag", "added_mass", "ambient_pressure", "start", "entry", "formulation"):
+    for name in CHOICES:
         if getattr(effects, name) != getattr(Effects, name):
             yield name, getattr(effects, name)
     if isinstance(effects.contact, Smooth | StickSlip):

@@ -34,23 +34,10 @@ from plough_opt.core.expressions import (
 from plough_opt.soil.soil import Soil, check_soil
 
 __all__ = [
-    "Cavity",
-    "Stress",
-    "WallPressure",
-    "current_radius",
-    "density",
-    "front",
-    "front_radius",
-    "front_speed",
-    "mean_ratio",
-    "particle_acceleration",
-    "particle_velocity",
-    "quadrature_error",
-    "ratio",
-    "stress",
-    "surface_pressure",
-    "wall_pressure",
-]
+    "Cavity", "Stress", "WallPressure", "current_radius", "density", "front", "front_radius", "front_speed",
+    "mean_ratio", "particle_acceleration", "particle_velocity", "quadrature_error", "ratio", "stress",
+    "surface_pressure", "wall_pressure",
+]  # fmt: skip
 
 # Newton steps for the front, starting at the cavity; one suffices if the density hardly varies.
 _FRONT_STEPS = 14

@@ -359,9 +359,7 @@ def _wave_numbers(record: StrengthRecord, base_diameter: float) -> tuple[Vector,
             )
         grid = np.asarray(grid[~resonant & ~damped], dtype=float)
     if len(grid) < 2:
-        raise InputError(
-            f"{record.name}: there are no waves between {shortest:.3g} m and its length of {record.length:.3g} m"
-        )
+        raise InputError(f"{record.name}: no waves lie between {shortest:.3g} m and its length {record.length:.3g} m")
     return grid, notes
 
 

@@ -69,9 +69,7 @@ class DensityProfile:
         if not callable(self.density):
             raise InputError(f"the density profile {shown(self.density)} must be a function of the radius, in kg/m^3")
         if not is_count(self.order):
-            raise InputError(
-                f"order = {shown(self.order)} of the density profile's quadrature must be a positive integer"
-            )
+            raise InputError(f"order = {shown(self.order)} of the profile's quadrature must be a positive integer")
 
     def at(self, r: Expression) -> Expression:
         """Return the density [kg/m^3] at a Lagrangian radius [m]."""
@@ -220,10 +218,7 @@ class Soil:
         cone_index = EVERY["soil.cone_index"].read(cone_index, stacklevel=2)
         check_kind("soil", soil, Soil, "the Soil to adjust")
         if soil.density_profile is not None:
-            raise InputError(
-                "a soil with a density profile cannot be adjusted to a cone index: set strength_factor to the reading"
-                " divided by po.cone_index of the soil"
-            )
+            raise InputError("a density profile cannot be adjusted: set strength_factor to reading/po.cone_index(soil)")
         check_named("adjust = {}", adjust, get_args(Adjust))
         key = adjust.replace(" ", "_")
         changed: dict[str, Any] = {key: _adjusted(cone_index, soil, adjust)}
@@ -321,8 +316,7 @@ def _adjusted(reading: Expression, soil: Soil, adjust: Adjust) -> Expression:
         return (reading / level - without) * (1.0 + yielding.mu) / (2.0 * cos(soil.friction_angle))
     strength = yielding.strength(soil.ambient_pressure)
     if not is_symbolic(strength) and np.any(as_number(strength) == 0.0):
-        raise InputError("a soil without cohesion, and without friction or pressure, has zero strength, which cannot be"
-                         " scaled: adjust the cohesion")  # fmt: skip
+        raise InputError("soil without cohesion, and without friction or pressure, has zero strength: adjust cohesion")
     if adjust == "strength factor":
         return reading / (friction * phi * strength)
     return yielding.density_ratio(reading / (soil.strength_factor * friction * strength))
@@ -402,7 +396,7 @@ def compression_test(pressure: object, compaction: object) -> tuple[Array, Array
     e = array_of(compaction, "the compaction must be a list of numbers, not {}")
     if p.ndim != 1 or p.shape != e.shape or len(p) < 2:
         raise InputError(
-            f"a compression test needs as many pressures as compactions, two or more of each, not {p.size} and {e.size}"
+            f"a test needs as many pressures as compactions, two or more of each, not {p.size} and {e.size}"
         )
     for name, values, most in (("pressure", p, LARGEST), ("compaction", e, 1.0)):
         if not (values[0] > 0.0 and values[-1] < most and np.all(np.diff(values) > 0.0)):

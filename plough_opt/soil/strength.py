@@ -254,9 +254,7 @@ class Spectrum:
             raise InputError("a spectrum's wave numbers and densities must be columns of equal length, at least two")
         valid = all(np.isfinite(values).all() and np.all(values >= 0.0) for values in columns)
         if not valid or np.any(np.diff(q) <= 0.0):
-            raise InputError(
-                "a spectrum's wave numbers must increase, and they and the densities must be finite and at least 0"
-            )
+            raise InputError("a spectrum's wave numbers must increase, all its numbers be finite and at least 0")
         for values in columns:
             values.setflags(write=False)
         self.wave_number, self.density, self.lower, self.upper = columns
@@ -488,24 +486,18 @@ class StrengthRecord:
         x, y = (array_of(given, f"{name}: positions and values must be numbers") for given in (position, value))
         check_kind("the rig", rig, Rig | None, "a Rig, or None if the values are strength itself")
         if x.ndim != 1 or x.shape != y.shape:
-            raise InputError(
-                f"{name}: positions and values must be columns of equal length, not of shapes {x.shape} and {y.shape}"
-            )
+            raise InputError(f"{name}: columns must be of equal length, not of shapes {x.shape} and {y.shape}")
         if not _FEWEST <= len(x) <= _MOST:
             raise InputError(f"{name}: it has {len(x)} points, but a spectrum needs {_FEWEST} to {_MOST}")
         if not (np.all(np.abs(x) <= LARGEST) and np.all(np.abs(y) <= LARGEST)):
-            raise InputError(
-                f"{name}: every position and value must be finite and at most {LARGEST:g} in magnitude: omit the others"
-            )
+            raise InputError(f"{name}: positions and values must be finite and at most {LARGEST:g} in magnitude")
         if np.any(np.diff(x) <= 0.0):
             place = int(np.argmax(np.diff(x) <= 0.0)) + 1
             raise InputError(f"{name}: positions must increase, but {x[place]:g} m follows {x[place - 1]:g} m")
         for key, given in (("position", x), ("value", y), ("rig", rig), ("name", name)):
             object.__setattr__(self, key, given)
         if len(x) > _MOST_UNEVEN and not self.even:
-            raise InputError(
-                f"{name}: it has {len(x)} points at uneven distances: resample it, or use at most {_MOST_UNEVEN}"
-            )
+            raise InputError(f"{name}: {len(x)} points at uneven distances: make them even, or at most {_MOST_UNEVEN}")
 
     @property
     def length(self) -> float:
@@ -539,10 +531,7 @@ class StrengthRecord:
         x = self.position - self.position[0]
         trend = np.polyval(np.polyfit(x, self.value, 1), x)
         if np.min(trend) <= 0.0:
-            raise InputError(
-                f"{self.name}: its linear trend falls to 0, so strength relative to it is not defined: use a"
-                " part of the record in which it stays positive"
-            )
+            raise InputError(f"{self.name}: its linear trend falls to 0: use a part of it in which that stays positive")
         return self.value / trend - 1.0
 
 

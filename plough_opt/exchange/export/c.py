@@ -149,10 +149,7 @@ def _casadi_code(name: str, functions: Collection[ca.Function]) -> str:
         InputError: the Functions contain a root finder, for which CasADi generates no C.
     """
     if any(inner.class_name() == "Newton" for function in functions for inner in function.find_functions()):
-        raise InputError(
-            "CasADi cannot write the solver of a periodic orbit as C: export to casadi instead, use"
-            " orbit = 'linearised', or simulate from a start (orbit = 'transient')"
-        )
+        raise InputError("CasADi writes no periodic orbit as C: export to casadi, or use orbit = 'linearised'")
     generator = ca.CodeGenerator(f"{name}_graph.c")
     for function in functions:
         generator.add(function)

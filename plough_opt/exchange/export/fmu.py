@@ -651,9 +651,7 @@ def _numeric(scene: Scene) -> Scene:
 
     def number(value: Any) -> float:
         if not is_symbolic(value) and as_number(value).size != 1:
-            raise InputError(
-                f"the scene holds an array of {as_number(value).size} values: an FMU holds one scene, so give one value"
-            )
+            raise InputError(f"an FMU holds one scene, not an array of {as_number(value).size} values: give one")
         return float(as_number(value))
 
     plain: Scene = map_expressions(scene, number, lambda value: is_casadi(value) or isinstance(value, np.ndarray))
@@ -664,10 +662,7 @@ def _platform() -> tuple[str, str]:
     """Return folder and suffix of binaries for this machine, as FMI 3.0 names them."""
     system, processor = platform.system().lower(), platform.machine().lower()
     if system not in _SYSTEMS or processor not in _PROCESSORS:
-        raise InputError(
-            f"FMI 3.0 does not define binaries for {system} on {processor}: use binary=False (--sources), and let the"
-            " importing tool compile the sources"
-        )
+        raise InputError(f"FMI 3.0 has no binaries for {system} on {processor}: export C by binary=False (--sources)")
     word, suffix = _SYSTEMS[system]
     return f"{_PROCESSORS[processor]}-{word}", suffix
 
@@ -680,9 +675,7 @@ def _compiled(source: str) -> bytes:
     """
     command = find_compiler()
     if command is None:
-        raise InputError(
-            f"{NOT_FOUND}: install one, or use binary=False (--sources) and let the importing tool compile the sources"
-        )
+        raise InputError(f"{NOT_FOUND}: install one, or leave the compilation to the tool by binary=False (--sources)")
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "share"
         optimisation = "-O0" if len(source) > _MOST_OPTIMISED else "-O1"

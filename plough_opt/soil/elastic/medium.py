@@ -408,9 +408,7 @@ def check_off_nodes(offsets: Sequence[Expression], distance: Expression) -> None
             continue
         # The squares of smaller numbers underflow.
         if np.any((np.abs(as_number(offset)) < LEAST) & (np.abs(as_number(distance)) < LEAST)):
-            raise DomainError(
-                f"a point lies on node {k + 1} of the profile, where the stresses are infinite: move it off the node"
-            )
+            raise DomainError(f"a point lies on node {k + 1} of the profile, where stresses are infinite: move it")
 
 
 def _pairs(profile: Any) -> list[tuple[Expression, Expression]]:

@@ -17,7 +17,7 @@ from helpers.problem_files import PROBLEMS, REFERENCE, STATIC, SUBSOILER, change
 import plough_opt as po
 from plough_opt.core.quantities import QUANTITIES
 from plough_opt.studies.accuracy.result import AccuracyStudy
-from plough_opt.studies.tradeoff.surface import distances
+from plough_opt.studies.tradeoff.front import distances
 
 # --- `plough-opt accuracy`: tables, advice and files ---
 

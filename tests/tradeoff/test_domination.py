@@ -3,17 +3,18 @@
 import numpy as np
 import pytest
 
-from plough_opt.studies.tradeoff.curve import uncrowded_on_curve
 from plough_opt.studies.tradeoff.front import (
     lead_over_front,
     lead_over_points,
+    parts_of,
     strongest_dominators,
     thinned,
+    uncrowded_on_curve,
+    uncrowded_on_surface,
     undominated,
     undominated_in_order,
     volume,
 )
-from plough_opt.studies.tradeoff.surface import parts_of, uncrowded_on_surface
 
 LINE = np.column_stack([np.linspace(0.0, 1.0, 11), np.linspace(1.0, 0.0, 11)])
 

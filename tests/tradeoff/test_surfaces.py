@@ -8,8 +8,7 @@ import pytest
 from helpers.small_designs import design
 
 import plough_opt as po
-from plough_opt.studies.tradeoff.front import undominated
-from plough_opt.studies.tradeoff.surface import distances
+from plough_opt.studies.tradeoff.front import distances, undominated
 
 POINTS, STEPS = 28, 6
 

@@ -1,4 +1,4 @@
-"""Archive of a trade-off's searches, with which a front is compared, and the candidates found from it.
+"""Archive of a trade-off's searches, and the tracer that compares a front with it and finds what is missing.
 
 The searches for the optimum of one objective, and for designs at a position between optima, evaluate all objectives of
 each design. So whatever design they try can show what the front misses, and where to start to find it.
@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import chain
-from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,16 @@ from plough_opt.design.search.explore import Explorer, Progress
 from plough_opt.design.search.landscape import FEASIBLE, NEEDLE, SEED, Evaluations, Landscape, evolved, sample
 from plough_opt.design.search.local import descend, point_as_found, polished
 from plough_opt.design.search.near import feasible_from, near_optimum
-from plough_opt.studies.tradeoff.front import MissingPoint, lead_over_points, thinned
+from plough_opt.studies.tradeoff.front import (
+    Arrangement,
+    FrontCandidate,
+    MissingPoint,
+    lead_over_front,
+    lead_over_points,
+    strongest_dominators,
+    thinned,
+    undominated,
+)
 from plough_opt.studies.tradeoff.program import FrontProgram
 
 # Least factor on the number of steps of a search. A share that oscillates fast on a stiff mount has errors of a few
@@ -241,10 +249,7 @@ class Archive:
 
         The median of some objective over the tolerances of a needle is worse than its own value by more than 5 % of
         that and of the objective's range over the front. If runs are integrated one by one, none is called a needle.
-
-        Args:
-            points: scaled variables, a row for each design.
-            objectives: normalised objectives, a row for each design.
+        Scaled variables and normalised objectives have a row for each design.
         """
         medians = self.medians(points)
         if medians is None:
@@ -295,82 +300,43 @@ _SAME_DESIGN = 1e-4
 _SAME_OPTIMUM = 0.05
 # Limits of the ratio of two objectives' ranges that the weights of an anchor follow.
 _LEAST_RATIO, _LARGEST_RATIO = 1e-3, 1e3
-# Each further order of a prediction must correct it by less than this fraction of the correction before.
-_SHRINKS = 0.5
+# Most rounds of sampling around the best designs, as long as each shows that the front misses something.
+_MOST_ROUNDS = 4
+# Standard deviations of the samples around the best designs, in parts of the variables' ranges.
+_SPREADS = (0.1, 0.03, 0.01, 0.003)
+# Designs in each of these samples: enough to see the dips between the ripples of a force.
+_SAMPLE = 4096
+# The same around missed designs without an optimum nearby, such as those at the edge of a needle.
+_EDGE_SPREADS = (0.03, 0.01, 0.003, 0.001)
+_EDGE_SAMPLE = 1024
+# Missed designs whose tolerances are judged at once.
+_JUDGED_AT_ONCE = 100
+# Most rounds in which the next missed designs take the place of those that turned out to be needles.
+_MOST_JUDGEMENTS = 40
+# Above this number of missed designs, those that differ by less than what matters are thinned out.
+_MANY = 10_000
 
 
-@dataclass(eq=False)
-class FrontCandidate:
-    """A local optimum on some branch, or a simulated design that is just as good; equal to itself alone.
-
-    Attributes:
-        point: as the optimiser left it.
-        p: parameters of the subproblem that it solves.
-        objectives: normalised.
-        exact: whether it was solved with exact slopes.
-        followed: numbers of the objectives that were reduced when its branch was followed from here.
-        between: whether it was sought because the front missed a design, so that it lies between positions.
-        inner_neighbour: for an end, an optimum a little inside the front, where multipliers are unique, and its p.
-        needle: whether it is a needle; None until that is judged.
-        confirmed: whether it is an optimum; otherwise it is a design of a search, near which no optimum was found.
-    """
-
-    point: Point
-    p: Array
-    objectives: Array
-    exact: bool = False
-    followed: set[int] = field(default_factory=set)
-    between: bool = False
-    inner_neighbour: tuple[Point, Array] | None = None
-    needle: bool | None = None
-    confirmed: bool = True
-
-
-def extrapolated(points: Sequence[Array]) -> Array:
-    """Return the design to which equally spaced designs lead, within the bounds.
-
-    It is the next value of the polynomial through the last of them. The degree rises as long as each further design
-    corrects the prediction by much less than the one before.
-    """
-    predicted, correction = points[-1], np.inf
-    for count in range(2, len(points) + 1):
-        weights = np.array([(-1.0) ** (k + 1) * comb(count, k) for k in range(count, 0, -1)])
-        better = weights @ np.array(points[-count:])
-        size = float(np.max(np.abs(better - predicted)))
-        if size > _SHRINKS * correction:
-            break
-        predicted, correction = better, size
-    return np.clip(predicted, 0.0, 1.0)
-
-
-@dataclass(frozen=True)
-class Arrangement:
-    """Candidates arranged as a front.
-
-    Attributes:
-        efficient: candidates that no other dominates.
-        shown: those of them that are not crowded, in order.
-        parts: for each connected part the numbers of its shown candidates.
-        holes: numbers of the two shown candidates on either side of each hole.
-    """
-
-    efficient: list[FrontCandidate]
-    shown: list[FrontCandidate]
-    parts: tuple[tuple[int, ...], ...]
-    holes: tuple[tuple[int, int], ...]
-
-
-class FrontCandidates(ABC):
-    """All candidates found, and ways to find one near another.
+class Tracer(ABC):
+    """All candidates found, ways to find one near another, and the search for those that are missing.
 
     Attributes:
         step: distance of neighbouring positions, in normalised objectives.
         anchor_weights: weights of the objectives in the anchors, a row for each order of the objectives; orders that
             begin with the same objective stand together.
+        matters: normalised lead of a design over the front below which it is not sought.
+        spacing: least distance of missed designs that are followed at once, in normalised objectives.
+        at_once: most missed designs that are followed before the archive is compared with the front again.
+        comparisons: most such comparisons before new designs are sampled around the best.
+        tried: starts that need not be tried again, as bytes.
     """
 
     step: float
     anchor_weights: Array
+    matters: float
+    spacing: float
+    at_once: int
+    comparisons: int
 
     def __init__(self, archive: Archive, progress: Progress) -> None:
         """Begin without a candidate.
@@ -382,7 +348,9 @@ class FrontCandidates(ABC):
         self.archive, self.front, self.progress = archive, archive.front, progress
         self.candidates: list[FrontCandidate] = []
         self.failures: list[MissingPoint] = []
+        self.tried: set[bytes] = set()
         self._ranges = np.ones(self.front.count)
+        self._rounds = 0
 
     # --- anchors -----------------------------------------------------------------------------------------
 
@@ -424,12 +392,7 @@ class FrontCandidates(ABC):
         return starts
 
     def anchors(self, p: Array, starts: Sequence[Array]) -> list[Point]:
-        """Return the local optima near starts, best first, needles last.
-
-        Args:
-            p: parameters of a subproblem without position constraints.
-            starts: scaled designs.
-        """
+        """Return the local optima of a subproblem without positions near starts, best first, needles last."""
         points = [minimum_from(self.front.program, p, self._polished(p, y)) for y in starts]
         solved = [point for point in points if point.solved]
         objectives = np.array([self.front.objectives(point.y) for point in solved]).reshape(-1, self.front.count)
@@ -468,12 +431,7 @@ class FrontCandidates(ABC):
         return None
 
     def no_worse_than(self, y: Array, p: Array) -> FrontCandidate | None:
-        """Return the optimum of a subproblem near a design of a search, or None if there is none as good.
-
-        Args:
-            y: scaled variables of the design.
-            p: parameters of the subproblem.
-        """
+        """Return the optimum of a subproblem near a design of a search, or None if there is none as good."""
         start = point_as_found(self.front.program, p, y)
         near = min(self.candidates, key=lambda other: float(np.max(np.abs(other.point.y - y))), default=None)
         point = self.front.solve(start if near is None else near.point, y, p)
@@ -541,3 +499,199 @@ class FrontCandidates(ABC):
     def objectives_of(self, candidates: Sequence[FrontCandidate]) -> Array:
         """Return the normalised objectives of candidates, a row each."""
         return np.array([candidate.objectives for candidate in candidates]).reshape(-1, self.front.count)
+
+    # --- what the front misses ---------------------------------------------------------------------------
+
+    @abstractmethod
+    def trace(self, anchors: Sequence[Sequence[Point]]) -> None:
+        """Find the whole front from the local optima of each anchor's subproblem."""
+
+    @abstractmethod
+    def parameters_at(self, objectives: Array) -> Array:
+        """Return the parameters of the subproblem whose position is that of normalised objectives."""
+
+    @abstractmethod
+    def follow_everywhere(self, candidate: FrontCandidate) -> None:
+        """Follow the branch of a candidate wherever it leads."""
+
+    @property
+    def _samples_around(self) -> bool:
+        """Whether to sample around the best designs, which takes too long if runs are integrated one by one."""
+        return bool(self.archive.vary) and self.archive.vectorised
+
+    def sample_around_best(self) -> None:
+        """Add designs around the undominated ones to the archive, at first far from them and then near."""
+        self.progress("sampling around the best designs", 0.0)
+        self._rounds += 1
+        rng = np.random.default_rng([SEED + self.archive.seed, self._rounds])
+        for spread in _SPREADS:
+            designs, objectives, leads = self._archive_with_leads()
+            leading = np.flatnonzero(leads > 0.0)
+            best = designs[leading[thinned(objectives[leading], THINNING)]]
+            parents = np.vstack([best, *(candidate.point.y for candidate in self.efficient())])
+            self._sample_around(parents, spread, _SAMPLE, rng)
+
+    def _sample_around(self, designs: Array, spread: float, count: int, rng: np.random.Generator) -> None:
+        """Add designs to the archive, normally distributed around some that are given."""
+        parents = designs[rng.integers(len(designs), size=count)]
+        self.archive.evaluate(np.clip(parents + spread * rng.standard_normal(parents.shape), 0.0, 1.0))
+
+    def _archive_with_leads(self) -> tuple[Array, Array, Array]:
+        """Return the archive's designs, their normalised objectives, and their leads over the efficient candidates."""
+        designs, objectives = self.archive.feasible
+        leads = self.archive.leads_over({candidate: candidate.objectives for candidate in self.efficient()})
+        return designs, objectives, leads
+
+    def candidate_beside(self, y: Array) -> FrontCandidate | None:
+        """Return an optimum near a design of the archive, or None if there is none as good.
+
+        It is sought at the position of the design, and then with each objective minimised in turn while the others are
+        limited to their values at the design. The latter finds optima in narrow dips, where no design at the position
+        itself is as good, and those that their position holds back.
+
+        Args:
+            y: scaled variables of the design.
+        """
+        front, fallback = self.front, None
+        objectives = front.objectives(y)
+        limits = [{j: float(objectives[j]) for j in range(front.count) if j != k} for k in range(front.count)]
+        limited = (front.limited(k, limit, OTHERS_WEIGHT) for k, limit in enumerate(limits))
+        for p in (self.parameters_at(objectives), *limited):
+            candidate = self.no_worse_than(y, p)
+            if candidate is not None and self.balances(candidate):
+                return candidate
+            fallback = fallback or candidate
+        return fallback
+
+    def follow_missed(self, *, sample: bool = True) -> None:
+        """Follow the designs of the archive that the front misses, until only needles are left.
+
+        Args:
+            sample: whether to sample around the best designs first. It is done again after whatever shows that the
+                front missed something.
+        """
+        for _ in range(_MOST_ROUNDS):
+            if sample and self._samples_around:
+                self.sample_around_best()
+            sample = self.cross_over() | self._follow_missed_now()
+            if not sample:
+                return
+
+    def cross_over(self) -> bool:
+        """Start from what branches have in common; return whether that gave a candidate better than all others."""
+        return False
+
+    def follow_new(self, candidate: FrontCandidate | None, before: int) -> bool:
+        """Follow the branch of a candidate if it is new.
+
+        Args:
+            candidate: the candidate, or None.
+            before: number of candidates before it was found.
+
+        Returns:
+            Whether it is new and no other candidate is as good.
+        """
+        if candidate is None or len(self.candidates) == before:
+            return False
+        candidate.between = True
+        best = not self.is_beaten(candidate)
+        self.follow_everywhere(candidate)
+        return best
+
+    def _follow_missed_now(self) -> bool:
+        """Follow the designs that the front misses now; return whether that gave a candidate better than all others."""
+        improved = False
+        for number in range(self.comparisons):
+            missed = self.missed(self.tried)
+            for k, y in enumerate(missed[: self.at_once]):
+                done = (number + k / self.at_once) / self.comparisons
+                self.progress("following designs that the front misses", done)
+                self.tried.add(y.tobytes())
+                before = len(self.candidates)
+                improved |= self.follow_new(self.candidate_beside(y), before)
+            if not missed:
+                break
+        return improved
+
+    def is_beaten(self, candidate: FrontCandidate) -> bool:
+        """Return whether some other candidate is better in one objective and, within what matters, no worse in any."""
+        others = self.objectives_of([other for other in self.candidates if other is not candidate])
+        no_worse = np.all(others <= candidate.objectives + MATTERS, axis=1)
+        return bool(np.any(no_worse & np.any(others < candidate.objectives - MATTERS, axis=1)))
+
+    def missed(self, excluded: set[bytes], *, sparse: bool = True) -> list[Array]:
+        """Return designs of the archive that would improve the front, best first and at least `spacing` apart.
+
+        Such a design leads the front, or dominates one of its points. There are none if only the basin of the guess is
+        searched.
+
+        Args:
+            excluded: designs to leave out, as bytes. Those tried in vain would hide others near them.
+            sparse: whether to add designs where the front has too few points.
+        """
+        if not self.archive.vary:
+            return []
+        designs, objectives, leads = self._archive_with_leads()
+        front = self.objectives_of(self.efficient())
+        left = np.flatnonzero(leads > SOUGHT)
+        gain = self._gains(front, objectives, leads, left, sparse)
+        best = np.empty(0, dtype=int)
+        for _ in range(_MOST_JUDGEMENTS):
+            left = left[gain[left] > self.matters]
+            best = left[undominated(objectives[left], SOUGHT if len(left) < _MANY else self.matters)]
+            best = best[[designs[k].tobytes() not in excluded for k in best]] if excluded else best
+            best = best[np.argsort(-gain[best], kind="stable")][:_JUDGED_AT_ONCE]
+            needles = self.archive.needles(designs[best], objectives[best])
+            if not np.any(needles):
+                break
+            self.archive.exclude(best[needles])
+            left, best = np.setdiff1d(left, best[needles]), best[~needles]
+        chosen: list[int] = []
+        for k in best:
+            if all(np.max(np.abs(objectives[k] - objectives[i])) > self.spacing for i in chosen):
+                chosen.append(int(k))
+        return [designs[k] for k in chosen]
+
+    def _gains(self, front: Array, objectives: Array, leads: Array, left: NDArray[np.intp], sparse: bool) -> Array:
+        """Return how much a front would gain by each design of the archive; only those left are judged.
+
+        Arguments are the normalised objectives of the front and of the designs, the designs' leads, and as in `missed`.
+        """
+        gain = np.zeros(len(objectives))
+        large = left[leads[left] > self.matters]
+        gain[large] = lead_over_front(front, objectives[large], self.step)
+        # A design that dominates a point counts too, however little it leads the line or triangle next to that.
+        strongest, by = strongest_dominators(front, objectives[left])
+        better = left[strongest[by > SOUGHT]]
+        gain[better] = np.maximum(gain[better], 2.0 * self.matters)
+        if sparse:
+            gain[left] = np.maximum(gain[left], self.uncovered(front, objectives[left]))
+        return gain
+
+    def uncovered(self, front: Array, objectives: Array) -> Array:
+        """Return how far designs lie from every point where a front has too few; 0 for a curve, which has enough."""
+        del front
+        return np.zeros(len(objectives))
+
+    def add_unconfirmed(self) -> None:
+        """Add the missed designs without an optimum nearby, as they were simulated.
+
+        Where an optimum is a needle, the best designs that can be made lie at its edge and are not optima.
+        """
+        added: set[bytes] = set()
+        rng = np.random.default_rng([SEED + self.archive.seed, 0])
+        for spread in _EDGE_SPREADS:
+            if not (missed := self.missed(added, sparse=False)):
+                return
+            if self.archive.vectorised:
+                self.progress("sampling around designs that are not optima", 0.0)
+                self._sample_around(np.array(missed), spread, _EDGE_SAMPLE, rng)
+        while missed := self.missed(added, sparse=False):
+            for y in missed:
+                added.add(y.tobytes())
+                objectives = self.front.objectives(y)
+                # The archive is integrated more roughly, and may be wrong about a design.
+                if lead_over_points(self.objectives_of(self.efficient()), objectives[None])[0] > SOUGHT:
+                    p = self.parameters_at(objectives)
+                    point = point_as_found(self.front.program, p, y)
+                    self.candidates.append(FrontCandidate(point, p, objectives, confirmed=False))

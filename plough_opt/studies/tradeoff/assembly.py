@@ -21,12 +21,11 @@ from plough_opt.design.model.optimality import PULLS, decides
 from plough_opt.design.search.effort import Search
 from plough_opt.design.search.explore import silent
 from plough_opt.motion.checks import remarks
-from plough_opt.studies.tradeoff.archive import MATTERS, Archive, FrontCandidate
-from plough_opt.studies.tradeoff.curve import CurveTracer, Tracer
-from plough_opt.studies.tradeoff.front import Axis, FrontPoint, Goal, Hole, MissingPoint
+from plough_opt.studies.tradeoff.archive import MATTERS, Archive, Tracer
+from plough_opt.studies.tradeoff.front import Axis, FrontCandidate, FrontPoint, Goal, Hole, MissingPoint
 from plough_opt.studies.tradeoff.program import FrontProgram, declarations
 from plough_opt.studies.tradeoff.result import TradeOff
-from plough_opt.studies.tradeoff.surface import SurfaceTracer
+from plough_opt.studies.tradeoff.tracers import CurveTracer, SurfaceTracer
 
 # A hole is widened by this part of its size, so that a failure at one of its ends counts as inside.
 _HOLE_EDGE = 1e-3

@@ -4,8 +4,9 @@ All objectives of the functions on domination are minimised, with a row for each
 in `volume` and `knee`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from math import comb
 
 import casadi as ca
 import numpy as np
@@ -15,6 +16,7 @@ from plough_opt.core.checks import shown
 from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Column, is_casadi
 from plough_opt.core.plain_data import Array
+from plough_opt.design.model.ipopt import Point
 
 EQUAL = 1e-7
 """Smaller differences of normalised objectives are rounding of the solves."""
@@ -390,3 +392,182 @@ class Hole:
     start: tuple[float, ...]
     end: tuple[float, ...]
     settled: bool = True
+
+
+# --- candidates for a front, and which of them are neighbours ---
+
+# Each further order of a prediction must correct it by less than this fraction of the correction before.
+_SHRINKS = 0.5
+# Neighbours on a curve closer than this many steps are shown as one point.
+_CROWDED = 0.1
+
+
+@dataclass(eq=False)
+class FrontCandidate:
+    """A local optimum on some branch, or a simulated design that is just as good; equal to itself alone.
+
+    Attributes:
+        point: as the optimiser left it.
+        p: parameters of the subproblem that it solves.
+        objectives: normalised.
+        exact: whether it was solved with exact slopes.
+        followed: numbers of the objectives that were reduced when its branch was followed from here.
+        between: whether it was sought because the front missed a design, so that it lies between positions.
+        inner_neighbour: for an end, an optimum a little inside the front, where multipliers are unique, and its p.
+        needle: whether it is a needle; None until that is judged.
+        confirmed: whether it is an optimum; otherwise it is a design of a search, near which no optimum was found.
+    """
+
+    point: Point
+    p: Array
+    objectives: Array
+    exact: bool = False
+    followed: set[int] = field(default_factory=set)
+    between: bool = False
+    inner_neighbour: tuple[Point, Array] | None = None
+    needle: bool | None = None
+    confirmed: bool = True
+
+
+def extrapolated(points: Sequence[Array]) -> Array:
+    """Return the design to which equally spaced designs lead, within the bounds.
+
+    It is the next value of the polynomial through the last of them. The degree rises as long as each further design
+    corrects the prediction by much less than the one before.
+    """
+    predicted, correction = points[-1], np.inf
+    for count in range(2, len(points) + 1):
+        weights = np.array([(-1.0) ** (k + 1) * comb(count, k) for k in range(count, 0, -1)])
+        better = weights @ np.array(points[-count:])
+        size = float(np.max(np.abs(better - predicted)))
+        if size > _SHRINKS * correction:
+            break
+        predicted, correction = better, size
+    return np.clip(predicted, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Arrangement:
+    """Candidates arranged as a front.
+
+    Attributes:
+        efficient: candidates that no other dominates.
+        shown: those of them that are not crowded, in order.
+        parts: for each connected part the numbers of its shown candidates.
+        holes: numbers of the two shown candidates on either side of each hole.
+    """
+
+    efficient: list[FrontCandidate]
+    shown: list[FrontCandidate]
+    parts: tuple[tuple[int, ...], ...]
+    holes: tuple[tuple[int, int], ...]
+
+
+def gaps(front: Array, step: float) -> list[int]:
+    """Return the rows of a front that are followed by a gap.
+
+    Args:
+        front: normalised objectives of efficient rows, in order.
+        step: distance of neighbours, the sum of both changes.
+    """
+    distance = np.sum(np.abs(np.diff(front, axis=0)), axis=1)
+    return [int(k) for k in np.flatnonzero(distance > CURVE_GAP * step)]
+
+
+def uncrowded_on_curve(front: Array, step: float) -> NDArray[np.intp]:
+    """Return the rows of a front without those too close to another; the ends of its parts stay.
+
+    Args:
+        front: normalised objectives of efficient rows, in order.
+        step: distance of neighbours, the sum of both changes.
+    """
+    begins = {0, *(k + 1 for k in gaps(front, step))}
+    chosen: list[int] = []
+    for k in range(len(front)):
+        if chosen and np.sum(np.abs(front[k] - front[chosen[-1]])) < _CROWDED * step:
+            if k + 1 not in {*begins, len(front)} or chosen[-1] in begins:
+                continue
+            chosen.pop()
+        chosen.append(k)
+    return np.array(chosen, dtype=np.intp)
+
+
+def without_needless(front: Array, between: Sequence[bool], step: float) -> NDArray[np.intp]:
+    """Return the rows of a front without those between two positions that have no gap between them.
+
+    Args:
+        front: normalised objectives of efficient rows, in order.
+        between: for each row whether it lies between positions.
+        step: distance of neighbours, the sum of both changes.
+    """
+    chosen: list[int] = []
+    for k in range(len(front)):
+        inside = chosen and k + 1 < len(front)
+        if between[k] and inside and np.sum(np.abs(front[k + 1] - front[chosen[-1]])) <= CURVE_GAP * step:
+            continue
+        chosen.append(k)
+    return np.array(chosen, dtype=np.intp)
+
+
+def distances(objectives: Array) -> Array:
+    """Return the distances between the locations of all rows, as the largest difference in any objective."""
+    locations = objectives - np.mean(objectives, axis=1, keepdims=True)
+    return np.asarray(np.max(np.abs(locations[:, None, :] - locations[None, :, :]), axis=2))
+
+
+def parts_of(objectives: Array, step: float) -> tuple[list[list[int]], list[tuple[int, int]]]:
+    """Return the connected parts of a surface, the largest first, and for each hole the two rows nearest across it.
+
+    Holes are those of the shortest tree that connects all parts.
+
+    Args:
+        objectives: normalised objectives of efficient rows.
+        step: distance of neighbouring positions.
+    """
+    from scipy.sparse import csr_array  # slow to import, and every problem file imports this module
+    from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+
+    apart = distances(objectives)
+    count, label = connected_components(csr_array(apart <= SURFACE_GAP * step), directed=False)
+    parts = sorted(([int(k) for k in np.flatnonzero(label == c)] for c in range(count)), key=len, reverse=True)
+    between_parts, ends = np.zeros((count, count)), {}
+    for a in range(count):
+        for b in range(a + 1, count):
+            between = apart[np.ix_(parts[a], parts[b])]
+            i, j = np.unravel_index(np.argmin(between), between.shape)
+            between_parts[a, b] = between[i, j]
+            ends[a, b] = parts[a][i], parts[b][j]
+    tree = minimum_spanning_tree(csr_array(between_parts)).tocoo()
+    return parts, [ends[int(a), int(b)] for a, b in zip(tree.row, tree.col, strict=True)]
+
+
+def uncrowded_on_surface(objectives: Array, rank: NDArray[np.intp], room: float) -> NDArray[np.intp]:
+    """Return the rows without those that lie too close to another row of the same or a lower rank.
+
+    Args:
+        objectives: normalised objectives.
+        rank: of each row; rows of rank 0 all stay.
+        room: least distance of a row of rank 1 or more from the others that stay.
+    """
+    apart = distances(objectives)
+    chosen: list[int] = []
+    for k in np.argsort(rank, kind="stable"):
+        if rank[k] == 0 or not chosen or np.min(apart[k, chosen]) >= room:
+            chosen.append(int(k))
+    return np.array(sorted(chosen), dtype=np.intp)
+
+
+def covering(objectives: Array, chosen: NDArray[np.intp], room: float) -> NDArray[np.intp]:
+    """Return the chosen rows, with others added until every row lies near one of them.
+
+    Args:
+        objectives: normalised objectives.
+        chosen: rows to begin with.
+        room: largest distance of a row from the nearest chosen one, in any objective.
+    """
+    rows = [int(k) for k in chosen]
+    apart = np.max(np.abs(objectives[:, None] - objectives[rows][None]), axis=2).min(axis=1)
+    while np.max(apart) > room:
+        rows.append(int(np.argmax(apart)))
+        apart = np.minimum(apart, np.max(np.abs(objectives - objectives[rows[-1]]), axis=1))
+    return np.array(sorted(rows), dtype=np.intp)

@@ -1,6 +1,9 @@
-"""Tracing of a front of three objectives, from node to neighbouring node of a lattice, as far as the front reaches.
+"""Tracing of a front: of two objectives from every optimum of either, of three from node to node of a lattice.
 
-A front is solved at the nodes that it covers, in one of two ways. If runs are integrated side by side, the archive is
+All objectives are normalised and minimised. On a curve each objective is 0 at its own optimum and 1 at the optimum of
+the other one. Between neighbouring positions of a connected curve, the sum of both changes is always the same.
+
+A surface is solved at the nodes that it covers, in one of two ways. If runs are integrated side by side, the archive is
 rich: each node is solved from the best design seen near it (`_solve_from_archive`). Otherwise the front is followed
 from a solved node to its neighbours, and from those to theirs, as a flood spreads (`_flood`). Then nodes in gaps are
 tried from every side.
@@ -13,7 +16,7 @@ dominates the other, their heights above the plane differ by no more than their 
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import chain, pairwise, permutations
 from typing import Self
 
 import numpy as np
@@ -23,9 +26,238 @@ from plough_opt.core.plain_data import Array
 from plough_opt.design.confirmation import minimum_from
 from plough_opt.design.model.ipopt import Point
 from plough_opt.design.search.explore import Progress
-from plough_opt.studies.tradeoff.archive import MATTERS, Archive, Arrangement, FrontCandidate, extrapolated
-from plough_opt.studies.tradeoff.curve import Tracer
-from plough_opt.studies.tradeoff.front import SURFACE_GAP, lead_over_points, undominated
+from plough_opt.studies.tradeoff.archive import MATTERS, OTHERS_WEIGHT, SOUGHT, Archive, Tracer
+from plough_opt.studies.tradeoff.front import (
+    Arrangement,
+    FrontCandidate,
+    covering,
+    extrapolated,
+    gaps,
+    lead_over_points,
+    parts_of,
+    uncrowded_on_curve,
+    uncrowded_on_surface,
+    undominated,
+    undominated_in_order,
+    without_needless,
+)
+
+# An optimum farther from its position is not held by it: the branch has ended.
+_OFF_POSITION = 1e-6
+# Margin by which the end of one part is sought beside an efficient point, so that the point does not dominate it.
+_CLEARANCE = 1e-6
+# Steps from an end of the front to its inner neighbour.
+_INWARD = 0.01
+# Largest difference, in a scaled variable, of a solve from its prediction on the same branch.
+_SAME_BRANCH = 0.1
+# Optima behind the current one from which the next is predicted.
+_REMEMBERED = 2
+# Positions in a row without an optimum after which a branch is given up.
+_GIVE_UP = 2
+# Neighbours on the front that differ by more than this in a scaled variable lie on different branches.
+_OTHER_BRANCH = 0.1
+# Most rounds of looking into gaps.
+_GAP_ROUNDS = 6
+# Decimals of normalised objectives by which gaps are recognised again.
+_GAP_DECIMALS = 4
+# Positions, between -1 and 1, at which evolution searches for further branches.
+_SEARCHED_POSITIONS = (-0.5, 0.0, 0.5)
+
+
+class CurveTracer(Tracer):
+    """Tracer of a front of two objectives.
+
+    A position is the difference of both normalised objectives: -1 at one anchor and 1 at the other.
+    """
+
+    anchor_weights = np.array([[1.0, OTHERS_WEIGHT], [OTHERS_WEIGHT, 1.0]])
+    matters = SOUGHT
+    at_once, comparisons = 6, 12
+
+    def __init__(self, archive: Archive, positions: int, progress: Progress) -> None:
+        """Spread positions evenly between the anchors.
+
+        Args:
+            archive: designs that the searches tried.
+            positions: their number, the anchors included.
+            progress: called with what is being done and the fraction done.
+        """
+        super().__init__(archive, progress)
+        self._positions = np.linspace(-1.0, 1.0, positions)
+        self.step = 2.0 / (positions - 1)
+        self.spacing = self.step / 2.0
+
+    def trace(self, anchors: Sequence[Sequence[Point]]) -> None:
+        """Follow every branch from every optimum both ways, then what the archive shows, then into the gaps.
+
+        Args:
+            anchors: all local optima of either objective alone.
+        """
+        parameters = self.anchor_parameters()
+        starts = [(self.recorded(point, p), 1 - k) for k, p in enumerate(parameters) for point in anchors[k]]
+        for number, (candidate, objective) in enumerate(starts):
+            self.progress(f"following branch {number + 1} of {len(starts)}", number / len(starts))
+            self.follow(candidate, objective)
+        for number, position in enumerate(_SEARCHED_POSITIONS if self.archive.vary else ()):
+            self.progress("searching between the anchors", number / len(_SEARCHED_POSITIONS))
+            self._search_at(position)
+        self.follow_missed()
+        self._fill_gaps()
+        self.follow_missed(sample=False)
+
+    def all_anchors(self, starts: Sequence[Sequence[Array]]) -> list[list[Point]]:
+        """Return the local optima of each anchor's subproblem near its starts."""
+        return [self.anchors(p, near) for p, near in zip(self.anchor_parameters(), starts, strict=True)]
+
+    # --- following a branch ------------------------------------------------------------------------------
+
+    def follow(self, candidate: FrontCandidate, objective: int) -> None:
+        """Follow a branch towards less of an objective, one position after another, until it ends.
+
+        The limit on the other objective loosens on the way, so that each optimum is a feasible start for the next.
+
+        Args:
+            candidate: on the branch.
+            objective: number of the objective to reduce.
+        """
+        behind: list[Array] = []
+        failed, first = 0, candidate
+        candidate.followed.add(objective)
+        ahead = self._positions[self._positions > self._position_of(candidate, objective) - _OFF_POSITION]
+        for position in ahead:
+            start = extrapolated([*behind, candidate.point.y])
+            p = self._parameters_for(objective, float(position))
+            # A failure at the candidate's own position is not recorded: that position has the candidate.
+            moves = position - self._position_of(candidate, objective) > _OFF_POSITION
+            optimum = self.solve(candidate, start, p, report=bool(moves))
+            if optimum is None:
+                failed, behind = failed + 1, []
+                if failed == _GIVE_UP:
+                    return
+                continue
+            failed, behind = 0, [*behind, candidate.point.y][-_REMEMBERED:]
+            candidate = optimum
+            if objective in candidate.followed and candidate is not first:
+                return
+            candidate.followed.add(objective)
+            if np.max(np.abs(optimum.point.y - start)) < _SAME_BRANCH:
+                # The way back from here is the way that led here.
+                candidate.followed.add(1 - objective)
+            if position - self._position_of(candidate, objective) > _OFF_POSITION:
+                return
+
+    def _search_at(self, position: float) -> None:
+        """Search for further branches at a position, and follow those that are new both ways."""
+        p = self._parameters_for(1, position)
+        for y in self.archive.evolved_at(p):
+            before = len(self.candidates)
+            self.follow_new(self.no_worse_than(y, p), before)
+
+    def follow_everywhere(self, candidate: FrontCandidate) -> None:
+        """Follow a branch both ways."""
+        for objective in (1, 0):
+            if objective not in candidate.followed:
+                self.follow(candidate, objective)
+
+    def cross_over(self) -> bool:
+        """Start from points of the front with one variable taken from a neighbour on another branch.
+
+        Where branches differ in one variable and the objectives ripple in another, the search may have seen the best
+        ripple of a branch on the other branch only.
+
+        Returns:
+            Whether that gave a candidate better than all others.
+        """
+        improved, front = False, self.efficient()
+        for candidate, neighbour in chain.from_iterable((pair, pair[::-1]) for pair in pairwise(front)):
+            p = self.parameters_at(candidate.objectives)
+            for j in np.flatnonzero(np.abs(neighbour.point.y - candidate.point.y) > _OTHER_BRANCH):
+                start = candidate.point.y.copy()
+                start[j] = neighbour.point.y[j]
+                if start.tobytes() not in self.tried:
+                    self.tried.add(start.tobytes())
+                    before = len(self.candidates)
+                    improved |= self.follow_new(self.solve(neighbour, start, p, report=False), before)
+        return improved
+
+    def parameters_at(self, objectives: Array) -> Array:
+        """Return the parameters of the subproblem whose position is that of normalised objectives."""
+        return self._parameters_for(1, float(objectives[0] - objectives[1]))
+
+    def _parameters_for(self, objective: int, position: float) -> Array:
+        """Return the parameters that minimise an objective with a limit on the other one's excess over it."""
+        return self.front.limited(objective, {1 - objective: position}, relative=True)
+
+    @staticmethod
+    def _position_of(candidate: FrontCandidate, objective: int) -> float:
+        """Return by how much the other objective of a candidate exceeds this one."""
+        return float(candidate.objectives[1 - objective] - candidate.objectives[objective])
+
+    # --- gaps --------------------------------------------------------------------------------------------
+
+    def efficient(self) -> list[FrontCandidate]:
+        """Return the candidates that no other dominates, from the best in the first objective to the worst."""
+        sound = self.without_needles()
+        return [sound[k] for k in undominated_in_order(self.objectives_of(sound))]
+
+    def arrange(self, candidates: Sequence[FrontCandidate]) -> Arrangement:
+        """Return candidates arranged as a front: its points in order, its parts, and the gaps between them."""
+        objectives, step = self.objectives_of(candidates), self.step
+        best = undominated_in_order(objectives)
+        needed = best[without_needless(objectives[best], [candidates[k].between for k in best], step)]
+        shown = needed[uncrowded_on_curve(objectives[needed], step)]
+        breaks = gaps(objectives[shown], step)
+        bounds = [0, *(k + 1 for k in breaks), len(shown)]
+        return Arrangement(
+            [candidates[k] for k in best],
+            [candidates[k] for k in shown],
+            tuple(tuple(range(i, j)) for i, j in pairwise(bounds)),
+            tuple((k, k + 1) for k in breaks),
+        )
+
+    def _fill_gaps(self) -> None:
+        """Follow the branches on either side of every gap into it, as far as the other side does not dominate them."""
+        tried: set[bytes] = set()
+        for number in range(_GAP_ROUNDS):
+            front = self.efficient()
+            objectives = self.objectives_of(front)
+            sides = {np.round(objectives[k : k + 2], _GAP_DECIMALS).tobytes(): k for k in gaps(objectives, self.step)}
+            fresh = [(front[k], front[k + 1]) for key, k in sides.items() if key not in tried]
+            tried.update(sides)
+            self.progress("following the front into gaps", number / _GAP_ROUNDS)
+            for left, right in fresh:
+                for candidate, objective in ((left, 1), (right, 0)):
+                    if objective not in candidate.followed:
+                        self.follow(candidate, objective)
+                if self.archive.vary:
+                    self._search_at(float(np.mean([self._position_of(side, 1) for side in (left, right)])))
+                end = self._end(left, 1, float(right.objectives[0]) - _CLEARANCE)
+                self._end(right, 0, float((end or left).objectives[1]) - _CLEARANCE)
+            if not fresh:
+                return
+
+    def _end(self, candidate: FrontCandidate, objective: int, limit: float) -> FrontCandidate | None:
+        """Return the design of a branch with the least of an objective while the other one is limited."""
+        p = self.front.limited(objective, {1 - objective: limit})
+        return self.solve(candidate, candidate.point.y, p, report=False)
+
+    # --- finishing ---------------------------------------------------------------------------------------
+
+    def find_inner_neighbours(self) -> None:
+        """Give the ends of the front a neighbour on it, for their rates: multipliers at an end are not unique."""
+        front = self.efficient()
+        for number, candidate in enumerate(front):
+            if self.front.position_decides(candidate.point):
+                continue
+            objective = 0 if number == len(front) - 1 else 1
+            p = self._parameters_for(objective, self._position_of(candidate, objective) + _INWARD * self.step)
+            point = self.front.solve(candidate.point, candidate.point.y, p, exact=candidate.exact)
+            moved = np.sum(np.abs(self.front.objectives(point.y, exact=candidate.exact) - candidate.objectives))
+            if point.solved and moved < self.step and self.front.position_decides(point):
+                candidate.inner_neighbour = (point, p)
+
+
+# --- three objectives ---
 
 Node = tuple[int, int, int]
 """A node of a lattice on the plane of utopia, in steps; its three numbers have the same sum at every node."""
@@ -77,70 +309,6 @@ def neighbours(node: Node) -> list[Node]:
     """Return the six nodes one step away."""
     i, j, k = node
     return [(i + a, j + b, k + c) for a, b, c in permutations((1, -1, 0))]
-
-
-def distances(objectives: Array) -> Array:
-    """Return the distances between the locations of all rows, as the largest difference in any objective."""
-    locations = objectives - np.mean(objectives, axis=1, keepdims=True)
-    return np.asarray(np.max(np.abs(locations[:, None, :] - locations[None, :, :]), axis=2))
-
-
-def parts_of(objectives: Array, step: float) -> tuple[list[list[int]], list[tuple[int, int]]]:
-    """Return the connected parts of a surface, the largest first, and for each hole the two rows nearest across it.
-
-    Holes are those of the shortest tree that connects all parts.
-
-    Args:
-        objectives: normalised objectives of efficient rows.
-        step: distance of neighbouring positions.
-    """
-    from scipy.sparse import csr_array  # slow to import, and every problem file imports this module
-    from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
-
-    apart = distances(objectives)
-    count, label = connected_components(csr_array(apart <= SURFACE_GAP * step), directed=False)
-    parts = sorted(([int(k) for k in np.flatnonzero(label == c)] for c in range(count)), key=len, reverse=True)
-    between_parts, ends = np.zeros((count, count)), {}
-    for a in range(count):
-        for b in range(a + 1, count):
-            between = apart[np.ix_(parts[a], parts[b])]
-            i, j = np.unravel_index(np.argmin(between), between.shape)
-            between_parts[a, b] = between[i, j]
-            ends[a, b] = parts[a][i], parts[b][j]
-    tree = minimum_spanning_tree(csr_array(between_parts)).tocoo()
-    return parts, [ends[int(a), int(b)] for a, b in zip(tree.row, tree.col, strict=True)]
-
-
-def uncrowded_on_surface(objectives: Array, rank: NDArray[np.intp], room: float) -> NDArray[np.intp]:
-    """Return the rows without those that lie too close to another row of the same or a lower rank.
-
-    Args:
-        objectives: normalised objectives.
-        rank: of each row; rows of rank 0 all stay.
-        room: least distance of a row of rank 1 or more from the others that stay.
-    """
-    apart = distances(objectives)
-    chosen: list[int] = []
-    for k in np.argsort(rank, kind="stable"):
-        if rank[k] == 0 or not chosen or np.min(apart[k, chosen]) >= room:
-            chosen.append(int(k))
-    return np.array(sorted(chosen), dtype=np.intp)
-
-
-def covering(objectives: Array, chosen: NDArray[np.intp], room: float) -> NDArray[np.intp]:
-    """Return the chosen rows, with others added until every row lies near one of them.
-
-    Args:
-        objectives: normalised objectives.
-        chosen: rows to begin with.
-        room: largest distance of a row from the nearest chosen one, in any objective.
-    """
-    rows = [int(k) for k in chosen]
-    apart = np.max(np.abs(objectives[:, None] - objectives[rows][None]), axis=2).min(axis=1)
-    while np.max(apart) > room:
-        rows.append(int(np.argmax(apart)))
-        apart = np.minimum(apart, np.max(np.abs(objectives - objectives[rows[-1]]), axis=1))
-    return np.array(sorted(rows), dtype=np.intp)
 
 
 # Weight of the other objectives at the edges of the front, where limits on them leave the minimised one open. A tail of

@@ -125,13 +125,12 @@ def work(key: str, evaluation: Evaluation, names: tuple[str, ...], values: Array
 
 
 def _together(evaluation: ManyPoints, values: Array) -> Done:
-    done = Done(len(values))
-    results, reasons, notes = evaluation.many(values)
-    done.results, done.names, done.reasons = np.asarray(results, dtype=float), tuple(evaluation.results), dict(reasons)
-    for k in np.flatnonzero(~np.isfinite(done.results).all(axis=1)).tolist():
-        if k not in done.reasons:
-            column = int(np.flatnonzero(~np.isfinite(done.results[k]))[0])
-            done.reasons[k] = _not_finite(done.names[column], float(done.results[k, column]))
+    given, reasons, notes = evaluation.many(values)
+    results, names = np.asarray(given, dtype=float), tuple(evaluation.results)
+    done = Done(len(values), results, names, dict(reasons))
+    for k, column in reversed(np.argwhere(~np.isfinite(results)).tolist()):  # of a row the first counts
+        if k not in reasons:
+            done.reasons[k] = _not_finite(names[column], float(results[k, column]))
     for place, points, texts in notes:
         count(done.notes, texts, place, points)
     return done
@@ -241,18 +240,15 @@ def packed(task: object) -> bytes:
     """
     if getattr(sys.modules["__main__"], "__file__", None) is not None and not sys.flags.interactive:
         return pickle.dumps(task)
-    try:
-        by_value = import_module("cloudpickle")
-    except ImportError:
-        data = pickle.dumps(task)
-        if b"__main__" in data:  # functions are pickled as the names of their modules
-            raise InputError(
-                "other processes cannot import a function that is defined in an interactive session or a notebook:"
-                " install cloudpickle (pip install cloudpickle), or write the function into a module and import it"
-            ) from None
-        return data
-    values: bytes = by_value.dumps(task)
-    return values
+    with contextlib.suppress(ImportError):
+        return bytes(import_module("cloudpickle").dumps(task))
+    data = pickle.dumps(task)
+    if b"__main__" in data:  # functions are pickled as the names of their modules
+        raise InputError(
+            "other processes cannot import a function that is defined in an interactive session or a notebook:"
+            " install cloudpickle (pip install cloudpickle), or write the function into a module and import it"
+        )
+    return data
 
 
 class ProcessPool(Executor):
@@ -435,13 +431,11 @@ class ProcessPool(Executor):
 
     def _waiting(self) -> list[Future[Any]]:
         """Empty the queue and return the futures of its calls."""
-        futures = []
+        calls = []
         with contextlib.suppress(queue.Empty):
             while True:
-                call = self._calls.get_nowait()
-                if call is not None:
-                    futures.append(call[0])
-        return futures
+                calls.append(self._calls.get_nowait())
+        return [call[0] for call in calls if call is not None]
 
 
 def environment(threads: int) -> dict[str, str]:

@@ -82,17 +82,17 @@ class Range:
             # As floats, so that 1, 1.0 and NumPy's 1.0 give the same question in a store.
             object.__setattr__(self, side, plain_number("the end of a range", getattr(self, side)))
         if not self.lower < self.upper:
-            raise InputError(
-                f"the range from {self.lower:g} to {self.upper:g} is empty: the first end must be the lower one"
-            )
+            empty = f"the range from {self.lower:g} to {self.upper:g} is empty"
+            raise InputError(f"{empty}: the first end must be the lower one")
         check_switch("log", self.log)
         if self.log and not self.lower > 0.0:
             raise InputError(f"a logarithmic range must begin above 0, not at {self.lower:g}")
-        if self.count is not None and (not is_count(self.count) or self.count < 2):
-            raise InputError(f"the number of values is {shown(self.count)}: it must be a whole number, at least 2")
-        if self.count is not None and self.count > MOST_VALUES:
-            given = shown(self.count)
-            raise InputError(f"the number of values is {given}: it can be at most {MOST_VALUES}; use a sample instead")
+        if self.count is not None:
+            given = f"the number of values is {shown(self.count)}"
+            if not is_count(self.count) or self.count < 2:
+                raise InputError(f"{given}: it must be a whole number, at least 2")
+            if self.count > MOST_VALUES:
+                raise InputError(f"{given}: it can be at most {MOST_VALUES}; use a sample instead")
 
     def values(self) -> tuple[float, ...]:
         """Return the values for a grid, with both ends exact.
@@ -103,10 +103,8 @@ class Range:
             (1.0, 1.5, 2.0, 2.5, 3.0)
         """
         if self.count is None:
-            raise InputError(
-                f"the range from {self.lower:g} to {self.upper:g} has no number of values, which a grid needs: add"
-                " one, or set a number of samples"
-            )
+            none = f"the range from {self.lower:g} to {self.upper:g} has no number of values"
+            raise InputError(f"{none}, which a grid needs: add one, or set a number of samples")
         steps = np.geomspace if self.log else np.linspace
         return tuple(steps(self.lower, self.upper, self.count).tolist())
 
@@ -152,9 +150,8 @@ def axis_of(name: str, given: object) -> Axis:
     if bad := [x for x in values if not math.isfinite(x)]:
         raise InputError(f"'{name}' runs over {bad[0]}: every value must be finite")
     if len(values) < 2:
-        raise InputError(
-            f"'{name}' runs over {shown(listed)}: a sweep needs two values or more; set a single one instead"
-        )
+        some = f"'{name}' runs over {shown(listed)}"
+        raise InputError(f"{some}: a sweep needs two values or more; set a single one instead")
     if len(set(values)) < len(values):
         raise InputError(f"'{name}' runs over the same value twice")
     return values
@@ -202,31 +199,24 @@ class PointSample:
         self.count = count
         self._seed = whole_number("the seed", seed)
         self._ranges: list[Range] = []
-        self._position = 0
         for name, axis in axes.items():
             if not isinstance(axis, Range):
                 raise InputError(f"'{name}' runs over single values: a sample needs a range with two ends")
             if axis.count is not None:
-                raise InputError(
-                    f"'{name}' has a number of values, {axis.count}: leave it out, because a sample fills the range"
-                )
+                given = f"'{name}' has a number of values, {axis.count}"
+                raise InputError(f"{given}: leave it out, because a sample fills the range")
             self._ranges.append(axis)
         self._restart()
 
     def block(self, first: int, last: int) -> Array:
         """Return the points from number ``first`` to before ``last``, a row each; ascending blocks are fastest."""
-        if first < self._position:
+        if first < self._engine.num_generated:
             self._restart()
-        if first > self._position:
-            self._engine.fast_forward(first - self._position)
-        parts = [np.empty((0, len(self._ranges)))]
-        if first == 0 and last > 1:
-            # SciPy warns unless the size of the first draw is a power of two.
-            parts.append(self._engine.random(1))
-            first = 1
-        parts.append(self._engine.random(last - first))
-        self._position = last
-        unit = np.concatenate(parts)
+        if ahead := first - self._engine.num_generated:
+            self._engine.fast_forward(ahead)
+        # SciPy warns unless the size of the first draw is a power of two.
+        begin = 1 if first == 0 else 0
+        unit = np.concatenate([self._engine.random(begin), self._engine.random(last - first - begin)])
         # One value at a time, because NumPy may round the last ones of a block differently (outside vector registers).
         return np.array([[r.at(u) for r, u in zip(self._ranges, row, strict=True)] for row in unit.tolist()])
 
@@ -242,7 +232,6 @@ class PointSample:
         from scipy.stats import qmc  # imported only for samples, because that is slow
 
         self._engine = qmc.Sobol(len(self._ranges), scramble=True, seed=self._seed)
-        self._position = 0
 
 
 def points_of(axes: Mapping[str, Axis], samples: int | None, seed: int) -> PointGrid | PointSample:
@@ -431,7 +420,9 @@ def _inside(item: Any) -> Iterable[Any]:
     if isinstance(item, dict | MappingProxyType) and type(item) in (dict, MappingProxyType):
         return [part for pair in item.items() for part in pair]
     if isinstance(item, CellType):
-        return _in_cell(item)
+        with contextlib.suppress(ValueError):  # empty
+            return (item.cell_contents,)
+        return ()
     if isinstance(item, MethodType):
         return item.__func__, item.__self__
     if isinstance(item, staticmethod | classmethod):
@@ -475,13 +466,6 @@ def _attributes(of: type) -> Iterator[Any]:
         if name not in _KEPT and not name.startswith("_abc_") and not isinstance(value, GetSetDescriptorType):
             yield name
             yield value
-
-
-def _in_cell(cell: CellType) -> tuple[Any, ...]:
-    try:
-        return (cell.cell_contents,)
-    except ValueError:  # empty
-        return ()
 
 
 @functools.lru_cache

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+# States of points without results.
+_LOST: Final[tuple[State, ...]] = ("failed", "undetermined")
 # Failures that a printed table quotes.
 _QUOTED: Final = 3
 # Failures that a JSON text lists.
@@ -242,18 +244,14 @@ class Sweep(Readable):
         stored, failed, undetermined = self._store.counts()
         also = f", {undetermined} undetermined" if undetermined else ""
         table = Grid.of("", "result", "least", "at", "largest", "at ", left=("at", "at "))
-        for name in self.results:
-            if (least := self.extreme(name)) and (largest := self.extreme(name, largest=True)):
-                display = self.origin.display(name, self.units.get(name, ""), least.value, largest.value)
-                texts = [display.text(end.value) for end in (least, largest)]
-                places = ["everywhere", ""] if texts[0] == texts[1] else [self._place(least), self._place(largest)]
-                table.row(_short(name), texts[0], places[0], texts[1], places[1])
+        for name, least, largest in self._ranges():
+            display = self.origin.display(name, self.units.get(name, ""), least.value, largest.value)
+            texts = [display.text(end.value) for end in (least, largest)]
+            places = ["everywhere", ""] if texts[0] == texts[1] else [self._place(least), self._place(largest)]
+            table.row(_short(name), texts[0], places[0], texts[1], places[1])
         parts: list[Part] = [table] if table.rows else []
-        for state, count, points in (
-            ("failed", failed, self.failures),
-            ("undetermined", undetermined, self.undetermined),
-        ):
-            for point in itertools.islice(points, _QUOTED):
+        for state, count in zip(_LOST, (failed, undetermined), strict=True):
+            for point in itertools.islice(self._without_results(state), _QUOTED):
                 values = ", ".join(f"{key} = {self._text(key, value)}" for key, value in point.values.items())
                 parts.append(f"{state} at {values}: {point.reason}")
             if count > _QUOTED:
@@ -261,6 +259,12 @@ class Sweep(Readable):
         there = f"; {self.already} points were stored before" if self.already else ""
         footer = f"{self.how[:1].upper()}{self.how[1:]}; stored in {self.path}{there}" if self.how else ""
         return Page(f"{stored} points, {failed} failed{also}", tuple(parts), self.notes, footer, self.origin.title)
+
+    def _ranges(self) -> Iterator[tuple[str, Extreme, Extreme]]:
+        """Yield each result with its least and largest value, if any point has results."""
+        for name in self.results:
+            if (least := self.extreme(name)) and (largest := self.extreme(name, largest=True)):
+                yield name, least, largest
 
     def _place(self, end: Extreme) -> str:
         return "\n".join(f"{_short(key)} {self._text(key, value)}" for key, value in end.values.items())
@@ -320,15 +324,10 @@ class Sweep(Readable):
             >>> json.loads(swept.to_json())["points"]
             2
         """
-        ranges = {
-            name: {"least": vars(least), "largest": vars(largest)}
-            for name in self.results
-            if (least := self.extreme(name)) and (largest := self.extreme(name, largest=True))
-        }
-        lost = {
-            state: [vars(point) for point in itertools.islice(points, _LISTED)]
-            for state, points in (("failed", self.failures), ("undetermined", self.undetermined))
-        }
+        ranges = {name: {"least": vars(least), "largest": vars(largest)} for name, least, largest in self._ranges()}
+        lost: dict[str, Any] = {}
+        for state in _LOST:
+            lost[state] = [vars(point) for point in itertools.islice(self._without_results(state), _LISTED)]
         summary = {
             "schema": 1, "kind": "sweep", "title": self.origin.title, "points": len(self), "complete": self.complete,
             "units": self.units, "results": ranges, **lost, "notes": self.notes, "question": self.question,

@@ -116,7 +116,7 @@ class SweepLoop:
             InputError: the executor fails, or the names of results differ between points.
         """
         self._stored, self._failed, _ = self._store.counts()
-        self._show()
+        self._progress(self._stored, self._points.count, self._failed)
         try:
             while self._fill():
                 self._collect(wait(self._under_way, timeout=_WAIT, return_when=FIRST_COMPLETED).done)
@@ -183,7 +183,7 @@ class SweepLoop:
         self._store.keep(task.numbers, task.values, done, without)
         self._stored += len(task.numbers)
         self._failed += len(done.reasons) if without == "failed" else 0
-        self._show()
+        self._progress(self._stored, self._points.count, self._failed)
 
     def _try_again(self, task: _Task, deaths: int, how: str) -> None:
         """Queue a task whose worker died: first whole, then in halves, and finally as points to be tried alone."""
@@ -211,9 +211,6 @@ class SweepLoop:
             self._keep(task, Done(1, reasons={0: reason}))
         else:
             self._retries.extend(task.part(slice(k, k + 1)) for k in range(len(task.numbers)))
-
-    def _show(self) -> None:
-        self._progress(self._stored, self._points.count, self._failed)
 
     def _stop(self) -> None:
         """Store the results at hand."""
@@ -346,9 +343,8 @@ def _check_arguments(evaluation: object, over: object, executor: object, workers
     check_kind("over", over, Mapping, "a dictionary with names as keys")
     check_kind("units", units, Mapping | None, "a dictionary with names as keys")
     if executor is not None and not callable(getattr(executor, "submit", None)):
-        raise InputError(
-            f"executor = {shown(executor)} must be an executor of concurrent.futures, or have a method submit"
-        )
+        what = "an executor of concurrent.futures, or have a method submit"
+        raise InputError(f"executor = {shown(executor)} must be {what}")
     if workers is not None and not is_count(workers):
         raise InputError(f"workers = {shown(workers)} must be 1 or more")
     try:

@@ -416,8 +416,7 @@ class Sweep(Readable):
                     _write_array(archive, member, "<f8", stored, column)
                 _write_array(archive, "failed", "<i8", failed, (lost.point for lost in self.failures))
                 _write_array(archive, "undetermined", "<i8", undetermined, (lost.point for lost in self.undetermined))
-                _write_array(archive, "reasons", f"<U{longest}", failed, (lost.reason for lost in self.failures),
-                             zipfile.ZIP_DEFLATED)  # fmt: skip
+                _write_array(archive, "reasons", f"<U{longest}", failed, (lost.reason for lost in self.failures))
 
         return write_file(path, "table", write)
 
@@ -481,9 +480,8 @@ def _draw_points(axes: Axes, swept: Sweep, key: str, name: str, colours: Mapping
     scale, finite = _scale(places), np.isfinite(values)
     if len(swept) > _MOST_DOTS and finite.any():
         at = places[finite], values[finite]
-        points: Any = axes.hexbin(
-            *at, gridsize=_CELLS, xscale=scale, bins="log", mincnt=1, cmap="Blues", linewidths=0.0
-        )
+        look: Any = {"bins": "log", "mincnt": 1, "cmap": "Blues", "linewidths": 0.0}
+        points: Any = axes.hexbin(*at, gridsize=_CELLS, xscale=scale, **look)
     else:
         points = axes.scatter(places, values, s=14, **colours)
         axes.set_xscale(scale)
@@ -511,17 +509,10 @@ def _members(names: Iterable[str]) -> list[str]:
     return members
 
 
-def _write_array(
-    archive: zipfile.ZipFile,
-    name: str,
-    kind: str,
-    count: int,
-    values: Iterator[Any],
-    compression: int = zipfile.ZIP_STORED,
-) -> None:
-    """Write one array of an archive, with only a part of it in memory at once."""
+def _write_array(archive: zipfile.ZipFile, name: str, kind: str, count: int, values: Iterator[Any]) -> None:
+    """Write one array of an archive, with only a part of it in memory at once; texts are compressed."""
     entry = zipfile.ZipInfo(f"{name}.npy")
-    entry.compress_type = compression
+    entry.compress_type = zipfile.ZIP_DEFLATED if kind.startswith("<U") else zipfile.ZIP_STORED
     with archive.open(entry, "w", force_zip64=True) as file:
         npy.write_array_header_1_0(file, {"descr": kind, "fortran_order": False, "shape": (count,)})
         while part := list(itertools.islice(values, _AT_ONCE)):

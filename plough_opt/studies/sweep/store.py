@@ -9,7 +9,7 @@ import json
 import shutil
 import sqlite3
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple, get_args
 
@@ -141,8 +141,8 @@ class Store:
                 columns = ", ".join(f"{_quoted(name)} REAL NOT NULL" for name in about.names)
                 for statement in _TABLES:
                     self.run(statement.format(columns=columns))
-                meta = {"layout": LAYOUT, **about.model_dump(round_trip=True)}
-                self._run_many("INSERT INTO meta VALUES (?, ?)", ((key, str(value)) for key, value in meta.items()))
+                for key, value in {"layout": LAYOUT, **about.model_dump(round_trip=True)}.items():
+                    self.run("INSERT INTO meta VALUES (?, ?)", key, str(value))
             self.about = self._read_about()
         self._check_question(about.question)
         if retry:
@@ -153,10 +153,8 @@ class Store:
         """Return the numbers of at most so many points that are neither stored nor claimed; None if there are none."""
         while self._next < self.about.count:
             first, last = self._next, min(self._next + _LOOKED_UP, self.about.count)
-            stored = [
-                row[0] for row in self.run("SELECT point FROM points WHERE point >= ? AND point < ?", first, last)
-            ]
-            missing = np.setdiff1d(np.arange(first, last), np.array(stored, dtype=np.int64))[:size]
+            stored = self.run("SELECT point FROM points WHERE point >= ? AND point < ?", first, last)
+            missing = np.setdiff1d(np.arange(first, last), np.array(stored, dtype=np.int64).ravel())[:size]
             self._next = int(missing[-1]) + 1 if len(missing) else last
             if len(missing):
                 return missing
@@ -193,7 +191,8 @@ class Store:
         columns = (*_FIXED, *self.about.columns)
         insert = f"INSERT INTO points ({', '.join(map(_quoted, columns))}) VALUES ({', '.join('?' * len(columns))})"
         with self._transaction():
-            self._run_many(insert, self._rows(numbers, values, done, without))
+            with self._naming_errors():
+                self._connection.executemany(insert, self._rows(numbers, values, done, without))
             notes = dict(self.run("SELECT kind, text FROM notes"))
             for text, place, points in done.notes.values():
                 kind = merge(notes, text)
@@ -272,10 +271,8 @@ class Store:
             raise InputError(f"'{self.path}' is a database, but not the store of a sweep: name another file")
         meta = dict(self.run("SELECT key, value FROM meta"))
         if (layout := meta.get("layout")) != str(LAYOUT):
-            raise InputError(
-                f"the store '{self.path}' has layout {layout}, but this version reads layout {LAYOUT}: sweep into"
-                " another file"
-            )
+            other = f"the store '{self.path}' has layout {layout}, but this version reads layout {LAYOUT}"
+            raise InputError(f"{other}: sweep into another file")
         try:
             about = About.model_validate(meta)
             check_columns(about.columns)
@@ -296,11 +293,8 @@ class Store:
     def _check_question(self, question: dict[str, str]) -> None:
         """Raise InputError if the store holds a sweep with another question."""
         there = self.about.question
-        differences = [
-            f"{key}: {there.get(key, 'absent')} there, {question.get(key, 'absent')} here"
-            for key in dict.fromkeys((*question, *there))
-            if there.get(key) != question.get(key)
-        ]
+        pairs = {key: (there.get(key, "absent"), question.get(key, "absent")) for key in (question | there)}
+        differences = [f"{key}: {old} there, {new} here" for key, (old, new) in pairs.items() if old != new]
         if differences:
             more = f"; and {len(differences) - 4} more" if len(differences) > 4 else ""
             raise InputError(
@@ -321,11 +315,6 @@ class Store:
         """
         with self._naming_errors():
             return self._connection.execute(statement, values).fetchall()
-
-    def _run_many(self, statement: str, rows: Iterable[tuple[object, ...]]) -> None:
-        """Execute a statement for each row of values."""
-        with self._naming_errors():
-            self._connection.executemany(statement, rows)
 
     def _tables(self) -> set[str]:
         return {row[0] for row in self.run("SELECT name FROM sqlite_master WHERE type = 'table'")}
@@ -375,10 +364,8 @@ class Store:
         except sqlite3.OperationalError as error:
             if error.sqlite_errorcode != sqlite3.SQLITE_BUSY:
                 raise
-            raise InputError(
-                f"another run fills the store '{self.path}': wait for its end, or read what it has stored"
-                " (po.Sweep.load)"
-            ) from None
+            busy = f"another run fills the store '{self.path}'"
+            raise InputError(f"{busy}: wait for its end, or read what it has stored (po.Sweep.load)") from None
         self._writing.callback(_remove, place)
 
     def _to_read(self) -> sqlite3.Connection:
@@ -442,10 +429,8 @@ def check_columns(names: Sequence[str]) -> None:
     folded = [name.casefold() for name in (*RESERVED, *names)]
     for name in names:
         if folded.count(name.casefold()) > 1:
-            raise InputError(
-                f"'{name}' cannot name a column: in upper or lower case it is used twice, or reserved"
-                f" ({', '.join(RESERVED)}); rename it"
-            )
+            twice = f"'{name}' cannot name a column: in upper or lower case it is used twice"
+            raise InputError(f"{twice}, or reserved ({', '.join(RESERVED)}); rename it")
 
 
 def _quoted(name: str) -> str:

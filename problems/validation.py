@@ -1,4 +1,4 @@
-"""Print the tables of docs/explanation/validation.md, which hold the model against others, and draw its pictures.
+"""Print the tables of docs/explanation/validation.md, which hold the model against others, and draw its picture.
 
 python problems/validation.py [--plot FOLDER]
 """
@@ -10,25 +10,25 @@ from measured import compare
 from particles import findings
 
 
+def markdown(table: list[list[str]]) -> str:
+    """Return a table, whose first row holds the headings, in Markdown."""
+    headings, *rows = table
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in (headings, ["---"] * len(headings), *rows))
+
+
 def tables() -> list[str]:
-    """Return all tables of the page in Markdown."""
-    found = []
-    for table in (*findings.TABLES, *compare.TABLES):
-        headings, *rows = table()
-        lines = [headings, ["---"] * len(headings), *rows]
-        found.append("\n".join("| " + " | ".join(cells) + " |" for cells in lines))
-    return found
+    """Return all tables of the page."""
+    return [markdown(table()) for table in (*findings.TABLES, *compare.TABLES)]
 
 
 def main() -> None:
-    """Print the tables and, on demand, draw the pictures."""
+    """Print the tables and, on demand, draw the picture."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--plot", type=Path, metavar="FOLDER", help="where to draw both pictures")
+    parser.add_argument("--plot", type=Path, metavar="FOLDER", help="where to draw the picture")
     chosen = parser.parse_args()
     print(*tables(), sep="\n\n")
     if chosen.plot:
-        findings.plot(chosen.plot / "validation_particles.png")
-        compare.plot(chosen.plot / "validation_blade.png")
+        findings.plot(chosen.plot)
 
 
 if __name__ == "__main__":

@@ -1,30 +1,21 @@
 """The toolkit's models beside measurements of others. `python problems/validation.py` prints the tables."""
 
 import dataclasses
-import functools
 import math
 import re
-from collections.abc import Mapping
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
-from numpy.typing import NDArray
-from particles.run_plan import read_rows
+from particles.run_plan import Array, read_rows
 
 import plough_opt as po
 from plough_opt.laws import McKyesAli, SwickPerumpral, UniversalEarthmoving
 
 HERE = Path(__file__).parent
-TINES = {
-    "McKyes and Ali": McKyesAli,
-    "universal earthmoving": UniversalEarthmoving,
-    "Swick and Perumpral": SwickPerumpral,
-}
-# Slower than 0.5 m/s, where inertia adds less than 1 % in every law.
-BLADE_SPEED = 0.3
+TINES = (McKyesAli, UniversalEarthmoving, SwickPerumpral)
 FITTED_WIDTH = 0.20
-Array = NDArray[np.float64]
+WEDGES = (15.0, 30.0, 45.0, 60.0)
+"""Half angles [deg]."""
 Rows = list[list[str]]
 
 
@@ -43,35 +34,33 @@ def blade() -> tuple[Array, ...]:
     return tuple(column("blade_in_sand", name) for name in ("width", "depth", "mean_draft", "sigma"))
 
 
-def published_sand(cohesion: float) -> po.Soil:
-    """Return the sand of Obermayr's bin with a cohesion [Pa]; the tines' laws use no other property."""
+def blade_scene(law: type[po.ResistanceLaw], cohesion: float, width: float, depth: float) -> po.Scene:
+    """Return the scene of a blade that slides steadily through the published sand with a cohesion [Pa].
+
+    The tines' laws use no other property of the soil, and the share only serves as a place for the law.
+    """
     sand = {"density": 1440.0, "friction_angle": po.deg(35.0), "tool_friction": 0.29, "cohesion": cohesion}
-    return dataclasses.replace(po.named_soil("loose sandy loam"), **sand)
-
-
-def blade_scene(law: type, cohesion: float, width: float, depth: float) -> po.Scene:
-    """Return the scene of a blade that slides steadily; the share only serves as a place for the law."""
+    soil = dataclasses.replace(po.named_soil("loose sandy loam"), **sand)
     tine = law(depth=depth, width=width, rake_angle=po.deg(90.0))
-    still = po.Effects(motion=False)
-    return po.Scene(published_sand(cohesion), po.Cone(po.deg(15.0), 0.1), 1e5, 10.0, BLADE_SPEED, still, medium=tine)
+    # Slower than 0.5 m/s, where inertia adds less than 1 % in every law.
+    return po.Scene(soil, po.Cone(po.deg(15.0), 0.1), 1e5, 10.0, 0.3, po.Effects(motion=False), medium=tine)
 
 
-def blade_drafts(law: type, cohesion: float) -> Array:
+def blade_drafts(law: type[po.ResistanceLaw], cohesion: float) -> Array:
     """Return the law's drafts [N] at the rows of blade_in_sand.csv."""
     widths, depths, _, _ = blade()
     return np.array([blade_scene(law, cohesion, *size).steady_resistance for size in zip(widths, depths, strict=True)])
 
 
-def fitted_cohesion(law: type) -> float:
+def fitted_cohesion(law: type[po.ResistanceLaw]) -> float:
     """Return the cohesion [Pa] that is calibrated to the blade of 20 cm."""
     width, *rest = blade()
     depth, draft, sigma = (one[width == FITTED_WIDTH] for one in rest)
     data = po.Measurements("mean_draft", draft, sigma=sigma, conditions={"share.height": depth})
 
-    def scene(values: Mapping[str, float]) -> po.Scene:
-        return blade_scene(law, values["soil.cohesion"], FITTED_WIDTH, values["share.height"])
-
-    return po.calibrate(scene, data, {"soil.cohesion": (0.0, 5e3)}).values["soil.cohesion"]
+    unknown = {"soil.cohesion": (0.0, 5e3)}
+    fit = po.calibrate(lambda x: blade_scene(law, x["soil.cohesion"], FITTED_WIDTH, x["share.height"]), data, unknown)
+    return fit.values["soil.cohesion"]
 
 
 def exponent(depth: Array, draft: Array) -> float:
@@ -83,23 +72,17 @@ def blade_table() -> Rows:
     """Return a row for each law: predictions with the published soil, and of one width after a fit to the other."""
     width, depth, measured, _ = blade()
     narrow = width == FITTED_WIDTH
-    headings = [
-        "law",
-        "published cohesion, 1 kPa",
-        "no cohesion",
-        "fitted at 20 cm",
-        "error at 30 cm",
-        "power of depth",
-    ]
+    headings = ["law", "cohesion of 1 kPa", "no cohesion", "fitted at 20 cm", "error at 30 cm", "power of depth"]
     table = [headings, ["measured", "", "", "", "", f"{exponent(depth[narrow], measured[narrow]):.2f}"]]
-    for name, law in TINES.items():
+    for law in TINES:
         ratios = [blade_drafts(law, c) / measured for c in (1e3, 0.0)]
         texts = [f"{np.mean(r):.2f} ({r.min():.2f} to {r.max():.2f})" for r in ratios]
         cohesion = fitted_cohesion(law)
         predicted = blade_drafts(law, cohesion)
         errors = predicted[~narrow] / measured[~narrow] - 1.0
         missed = f"{100 * math.sqrt(np.mean(errors**2)):.0f} %, mean {100 * np.mean(errors):+.0f} %"
-        table.append([name, *texts, f"{cohesion:.0f} Pa", missed, f"{exponent(depth[narrow], predicted[narrow]):.2f}"])
+        power = f"{exponent(depth[narrow], predicted[narrow]):.2f}"
+        table.append([law.label, *texts, f"{cohesion:.0f} Pa", missed, power])
     return table
 
 
@@ -109,13 +92,27 @@ def friction_share() -> str:
     return "; ".join(f"{a:.2f} to {b:.2f} at {n}°" for (a, b), n in zip(parts, (5, 30), strict=True))
 
 
+def over_first(values: list[float]) -> str:
+    """Return values over the first of them."""
+    return " : ".join(f"{one / values[0]:.2f}" for one in values)
+
+
 def nose_forces() -> str:
     """Return the resistance of noses of one base with apex angles of 37, 53, 90 degrees, tool friction 0.3."""
-    forces = [1.0 + 0.3 / math.tan(po.deg(apex / 2.0)) for apex in (37.0, 53.0, 90.0)]
-    return " : ".join(f"{force / forces[0]:.2f}" for force in forces)
+    return over_first([1.0 + 0.3 / math.tan(po.deg(apex / 2.0)) for apex in (37.0, 53.0, 90.0)])
 
 
-@functools.cache
+def wedge_forces() -> str:
+    """Return the resistance of wedges of one base at the half angles of WEDGES, tool friction 0.3."""
+    return over_first([1.0 + 0.3 / math.tan(po.deg(angle)) for angle in WEDGES])
+
+
+def plate_forces() -> str:
+    """Return the draft of a wedge of one base at the half angles of WEDGES, as the sum of its faces' as plates."""
+    stress = dict(zip(column("plates_in_grains", "tilt"), column("plates_in_grains", "along"), strict=True))
+    return over_first([(stress[angle] + stress[-angle]) / math.sin(po.deg(angle)) for angle in WEDGES])
+
+
 def pressure_exponent() -> str:
     """Return the power of the pressure with which the cone index of a soil without cohesion grows."""
     sand = dataclasses.replace(po.named_soil("firm sandy loam"), cohesion=0.0)
@@ -123,7 +120,6 @@ def pressure_exponent() -> str:
     return f"{math.log(high / low) / math.log(8.0):.2f}"
 
 
-@functools.cache
 def speed_share() -> str:
     """Return what the speed adds to the draft of README's share from 0.25 to 2 m/s."""
     share = po.Wedge(angle=po.deg(39.1), chisel_angle=po.deg(15.0), height=0.254)
@@ -132,7 +128,6 @@ def speed_share() -> str:
     return f"{100 * (fast / slow - 1.0):+.1f} %"
 
 
-@functools.cache
 def vibration() -> str:
     """Return how much a mount at its resonance changes the mean draft over soil of varying strength."""
     waves = po.Effects(strength_wave=po.StrengthWave(amplitude=0.3, wavelength=0.2), damping=400.0, orbit="periodic")
@@ -178,26 +173,9 @@ def narrow_point() -> str:
 def filled(name: str) -> Rows:
     """Return a table of this folder in whose cells functions of this module stand in braces."""
     rows = rows_of(name)
-    cells = [[re.sub(r"{(\w+)}", lambda found: globals()[found[1]](), cell) for cell in row.values()] for row in rows]
-    return [[*rows[0]], *cells]
+    names = re.findall(r"{(\w+)}", (HERE / f"{name}.csv").read_text(encoding="utf-8"))
+    values = {one: globals()[one]() for one in set(names)}
+    return [[*rows[0]], *([cell.format(**values) for cell in row.values()] for row in rows)]
 
 
-def plot(path: Path) -> None:
-    """Draw measured and predicted drafts of the blade over its depth, a panel for each width."""
-    figure, panels = plt.subplots(1, 2, figsize=(9.0, 4.0), sharey=True, layout="constrained")
-    width, depth, measured, sigma = blade()
-    for axes, one in zip(panels, np.unique(width), strict=True):
-        at = width == one
-        bars = depth[at] * 100, measured[at] / 1e3, 2 * sigma[at] / 1e3
-        axes.errorbar(*bars, fmt="ko", label="measured, ±2σ of reading")
-        for colour, (name, law) in enumerate(TINES.items()):
-            for cohesion, line in ((1e3, "-"), (0.0, "--")):
-                drafts = blade_drafts(law, cohesion)[at] / 1e3
-                axes.plot(bars[0], drafts, line, color=f"C{colour}", label=f"{name}, {cohesion / 1e3:g} kPa")
-        axes.set(xlabel="depth [cm]", title=f"blade of {100 * one:.0f} cm")
-    panels[0].set(ylabel="draft [kN]", ylim=(0.0, None))
-    panels[0].legend(fontsize="small")
-    figure.savefig(path, dpi=110)
-
-
-TABLES = (blade_table, lambda: filled("single_numbers"), lambda: filled("trends"))
+TABLES = (blade_table, *(lambda name=name: filled(name) for name in ("single_numbers", "trends", "to_obtain")))

@@ -5,9 +5,11 @@
 run_plan.py writes such files; README.md describes the experiment. SI units; the tool travels along x.
 """
 
+import itertools
 import json
 import math
 import sys
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,78 +21,47 @@ from yade.minieigenHP import Vector3
 
 O = Omega()  # noqa: E741 - YADE's name of the simulation, which its scripts and its documentation share
 WALLS = range(6)  # ids of the six walls, which are made first: -x, +x, -y, +y, -z, +z
-LOOSE = 0.36  # volume fraction of the cloud of spheres from which a packing is compressed
-DENSE = 0.585  # volume fraction from which the number of spheres in a box is estimated
-PACKING_FRICTION = math.radians(15.0)  # between spheres during compression: it sets the porosity
-SETTLING_DAMPING = 0.4  # share of the unbalanced force that YADE's local damping removes before a test
-REST = 0.004  # mean unbalanced force over mean contact force below which a packing is at rest
-PRESSURE_ERROR = 0.02  # relative difference from the servo's pressure that is accepted at rest
-ROLLING_STIFFNESS = 2.0  # rolling stiffness over k_s R^2
-ROLLING_LIMIT = 0.15  # largest rolling moment over normal force times radius: angular grains
-SIDE_FRICTION = 0.5  # of the box's walls during a pull, whose soil is part of a wider field
-WALL_SPEED = 0.5  # largest speed of a servo-controlled wall [m/s]
-PACKING_SPEED = 1.0  # the same while the cloud is compressed [m/s]
-VERLET = 0.15  # margin of the collision search over the smallest radius: fastest in trials
-STRAIN_RATE = 1.0  # of the triaxial test [1/s]: inertial number 0.005 at 50 kPa, nearly static
-LARGEST_STRAIN = 0.25  # axial strain at which it ends; at 200 kPa packings compact and harden beyond 0.12
-PRELOAD_PATH = 0.02  # travel before the release over which the mount's preload is averaged [m]
 DRAFT = ("working", "underside")  # groups of faces whose force is the draft, which the mount carries
-SAMPLE = 5e-4  # travel between samples of the force [m]
 
 
-def add_materials(case: dict[str, Any], friction: float, side_friction: float) -> None:
-    """Add soil, walls and tool; of two angles of friction [rad] a contact has the smaller; only soil is cohesive.
+def add_materials(case: dict[str, Any]) -> None:
+    """Add soil, walls and tool; of two angles of friction a contact has the smaller; only soil is cohesive.
 
     With bands, the soil's cohesion and tangent of friction are scaled in "strong" and "weak".
     """
     elastic = {name: case[name] for name in ("young", "poisson", "density")}
+    rolling, limit = case["rolling_stiffness"], case["rolling_limit"]
+    moment = {"alphaKr": rolling, "alphaKtw": rolling, "etaRoll": limit, "etaTwist": limit, "momentRotationLaw": True}
     for name, scale in {"soil": 1.0, **case["bands"]}.items():
         cohesion = scale * case["cohesion"]  # adhesion of a contact is this times the square of the smaller radius
-        angle = math.atan(scale * math.tan(friction))
-        moment = {"momentRotationLaw": True, "alphaKr": ROLLING_STIFFNESS, "alphaKtw": ROLLING_STIFFNESS}
-        moment |= {"etaRoll": ROLLING_LIMIT, "etaTwist": ROLLING_LIMIT}
+        angle = math.atan(scale * math.tan(math.radians(case["friction"])))
         bond = {"isCohesive": True, "normalCohesion": cohesion, "shearCohesion": cohesion, "fragile": False}
         O.materials.append(yd.CohFrictMat(frictionAngle=angle, label=name, **elastic, **moment, **bond))
-    smooth = {"isCohesive": False, "momentRotationLaw": False}
-    O.materials.append(yd.CohFrictMat(frictionAngle=math.atan(side_friction), label="wall", **elastic, **smooth))
-    tool_angle = math.atan(case["tool_friction"])
-    O.materials.append(yd.CohFrictMat(frictionAngle=tool_angle, label="tool", **elastic, **smooth))
+    for name in ("side", "tool"):
+        angle = math.atan(case[f"{name}_friction"])
+        O.materials.append(yd.CohFrictMat(frictionAngle=angle, label=name, isCohesive=False, **elastic))
 
 
-def add_walls(low: Any, high: Any) -> None:
-    """Add the box between two corners [m]."""
-    O.bodies.append(
-        utils.aabbWalls([Vector3(*low), Vector3(*high)], thickness=0.0, oversizeFactor=2.0, material="wall")
-    )
-
-
-def engines(pressure: float, wall_speed: float, smallest: float, dt_factor: float) -> tuple[Any, Any, Any]:
+def engines(case: dict[str, Any], smallest: float) -> tuple[Any, Any, Any]:
     """Set YADE's loop and time step; return the walls' servo, the integrator and the contacts' physics.
 
     Args:
-        pressure: which the servo keeps on all six walls [Pa].
-        wall_speed: the largest speed of a wall [m/s].
+        case: with the pressure that the servo keeps on all six walls.
         smallest: smallest radius of a sphere [m].
-        dt_factor: time step over that in which a P wave crosses the smallest radius.
     """
+    goal = -case["pressure"]
     servo = yd.TriaxialStressController(
-        thickness=0, stressMask=7, internalCompaction=False, goal1=-pressure, goal2=-pressure, goal3=-pressure,
-        max_vel=wall_speed, stiffnessUpdateInterval=10, computeStressStrainInterval=10,
+        thickness=0, stressMask=7, internalCompaction=False, goal1=goal, goal2=goal, goal3=goal,
+        max_vel=case["wall_speed"], stiffnessUpdateInterval=10, computeStressStrainInterval=10,
     )  # fmt: skip
-    newton = yd.NewtonIntegrator(damping=SETTLING_DAMPING, gravity=(0, 0, 0))
+    newton = yd.NewtonIntegrator(damping=case["settling_damping"], gravity=(0, 0, 0))
     physics = yd.Ip2_CohFrictMat_CohFrictMat_CohFrictPhys(setCohesionOnNewContacts=False, setCohesionNow=False)
     boxes = [yd.Bo1_Sphere_Aabb(), yd.Bo1_Box_Aabb(), yd.Bo1_Facet_Aabb()]
     contacts = [yd.Ig2_Sphere_Sphere_ScGeom6D(), yd.Ig2_Box_Sphere_ScGeom6D(), yd.Ig2_Facet_Sphere_ScGeom6D()]
     law = yd.Law2_ScGeom6D_CohFrictPhys_CohesionMoment(always_use_moment_law=True, useIncrementalForm=True)
-    O.engines = [
-        yd.ForceResetter(),
-        yd.InsertionSortCollider(boxes, verletDist=VERLET * smallest),
-        yd.InteractionLoop(contacts, [physics], [law]),
-        servo,
-        newton,
-    ]
-    material = O.materials["soil"]
-    O.dt = dt_factor * smallest * math.sqrt(material.density / material.young)
+    search = yd.InsertionSortCollider(boxes, verletDist=case["verlet"] * smallest)
+    O.engines = [yd.ForceResetter(), search, yd.InteractionLoop(contacts, [physics], [law]), servo, newton]
+    O.dt = case["dt_factor"] * smallest * math.sqrt(case["density"] / case["young"])
     return servo, newton, physics
 
 
@@ -105,76 +76,67 @@ def box() -> tuple[np.ndarray, np.ndarray]:
     return ends[::2], ends[1::2]
 
 
-def settle(servo: Any, pressure: float, chunk: int, most: int) -> None:
-    """Run chunks of steps until the packing is at rest under the pressure [Pa]; raise RuntimeError after the most."""
-    while O.iter < most:
-        O.run(chunk, True)
-        error = max(abs(p - pressure) for p in wall_pressures(servo)) / pressure
-        if utils.unbalancedForce() < REST and error < PRESSURE_ERROR:
-            return
-    raise RuntimeError(f"the packing is not at rest after {most} steps")
+def settle(case: dict[str, Any], spheres: Any, corners: Any) -> tuple[Any, Any, Any]:
+    """Fill a box with spheres and run until they are at rest under the case's pressure; return as `engines` does.
+
+    Args:
+        case: the case.
+        spheres: centres and radii [m], shape (n, 4).
+        corners: the lower and the upper corner of the box [m].
+    """
+    add_materials(case)
+    ends = [Vector3(*corners[:3]), Vector3(*corners[3:])]
+    O.bodies.append(utils.aabbWalls(ends, thickness=0.0, oversizeFactor=2.0, material="side"))
+    for x, y, z, radius in spheres:
+        strong = case["bands"] and (x / case["band_length"]) % 1.0 < 0.5
+        material = "soil" if not case["bands"] else "strong" if strong else "weak"
+        O.bodies.append(utils.sphere((x, y, z), radius, material=material))
+    found = engines(case, float(min(radius for *_, radius in spheres)))
+    while O.iter < case["most"]:
+        O.run(case["chunk"], True)
+        error = max(abs(p / case["pressure"] - 1.0) for p in wall_pressures(found[0]))
+        if utils.unbalancedForce() < case["rest"] and error < case["pressure_error"]:
+            return found
+    raise RuntimeError(f"the packing is not at rest after {O.iter} steps")
 
 
 def make_packing(case: dict[str, Any]) -> dict[str, Any]:
     """Compress a random cloud of spheres, sizes d (1 -+ spread), without cohesion, and write it as text."""
     spread, diameter = case["spread"], case["diameter"]
     size = np.array([case["length"], case["width"], case["width"]])
-    mean_volume = math.pi / 6.0 * diameter**3 * (1.0 + spread**2)  # of uniformly distributed radii
-    count = int(DENSE * size.prod() / mean_volume)
-    loose = size * (DENSE / LOOSE) ** (1.0 / 3.0)
-    add_materials(case, PACKING_FRICTION, 0.0)
-    add_walls((0, 0, 0), loose)
+    # The mean volume of spheres with uniformly distributed radii is pi/6 d^3 (1 + spread^2).
+    count = int(case["dense"] * size.prod() / (math.pi / 6.0 * diameter**3 * (1.0 + spread**2)))
+    loose = size * (case["dense"] / case["loose"]) ** (1.0 / 3.0)
     cloud = pack.SpherePack()
     cloud.makeCloud((0, 0, 0), tuple(loose), rMean=diameter / 2.0, rRelFuzz=spread, num=count, seed=case["seed"])
-    O.bodies.append([utils.sphere(centre, radius, material="soil") for centre, radius in cloud])
-    smallest = min(radius for _, radius in cloud)
-    servo, _, _ = engines(case["packing_pressure"], PACKING_SPEED, smallest, case["dt_factor"])
-    settle(servo, case["packing_pressure"], 500, 30_000)
-    spheres = [b for b in O.bodies if isinstance(b.shape, yd.Sphere)]
-    rows = [(*b.state.pos, b.shape.radius) for b in spheres]
+    settle(case, [(*centre, radius) for centre, radius in cloud], (0, 0, 0, *loose))
+    rows = [(*b.state.pos, b.shape.radius) for b in O.bodies if isinstance(b.shape, yd.Sphere)]
     corners = " ".join(repr(float(x)) for corner in box() for x in corner)
     np.savetxt(case["output"], rows, fmt="%.12g", header=corners)
     return {}
 
 
-def load_packing(case: dict[str, Any], side_friction: float) -> tuple[Any, Any, range]:
-    """Settle and bond a packing at the case's pressure; return the servo, the integrator and the spheres' ids."""
+def load_packing(case: dict[str, Any]) -> tuple[Any, range, dict[str, Any]]:
+    """Settle and bond a packing at the case's pressure; return the servo, the spheres' ids, number and porosity."""
     with Path(case["packing"]).open(encoding="utf-8") as file:
         corners = [float(x) for x in file.readline().lstrip("#").split()]
         spheres = np.loadtxt(file)
-    add_materials(case, math.radians(case["friction"]), side_friction)
-    add_walls(corners[:3], corners[3:])
-    first = len(O.bodies)
-    for x, y, z, radius in spheres:
-        material = "soil"
-        if case["bands"]:
-            material = "strong" if (x / case["band_length"]) % 1.0 < 0.5 else "weak"
-        O.bodies.append(utils.sphere((x, y, z), radius, material=material))
-    smallest = float(spheres[:, 3].min())
-    servo, newton, physics = engines(case["pressure"], WALL_SPEED, smallest, case["dt_factor"])
-    settle(servo, case["pressure"], 100, 6_000)
+    servo, newton, physics = settle(case, spheres, corners)
     # YADE bonds the contacts that exist in the next step; contacts made later in loosened soil stay without cohesion
     # unless the soil heals.
     physics.setCohesionNow, physics.setCohesionOnNewContacts = True, bool(case["heals"])
     newton.damping = case["damping"]
-    return servo, newton, range(first, len(O.bodies))
-
-
-def porosity(ids: range) -> float:
-    """Return the share of the box that the spheres leave empty [-]."""
-    low, high = box()
-    solid = sum(4.0 / 3.0 * math.pi * O.bodies[i].shape.radius ** 3 for i in ids)
-    return 1.0 - solid / float(np.prod(high - low))
+    empty = 1.0 - 4.0 / 3.0 * math.pi * np.sum(spheres[:, 3] ** 3) / abs(np.prod(np.subtract(*box())))
+    return servo, range(len(WALLS), len(O.bodies)), {"spheres": len(spheres), "porosity": empty}
 
 
 def triaxial(case: dict[str, Any]) -> dict[str, Any]:
     """Compress a packing along x at constant lateral pressure; strains are logarithmic, compression positive."""
-    servo, _, ids = load_packing(case, 0.0)
-    facts = {"spheres": len(ids), "porosity": porosity(ids)}
+    servo, _, facts = load_packing(case)
     start = np.subtract(*box()[::-1])
-    servo.stressMask, servo.goal1, servo.max_vel = 6, -STRAIN_RATE, PACKING_SPEED
+    servo.stressMask, servo.goal1, servo.max_vel = 6, -case["strain_rate"], case["compression_speed"]
     rows: list[tuple[float, ...]] = []
-    while not rows or rows[-1][0] < LARGEST_STRAIN:
+    while not rows or rows[-1][0] < case["largest_strain"]:
         O.run(25, True)
         strains = np.log(start / np.subtract(*box()[::-1]))
         pressures = wall_pressures(servo)
@@ -190,6 +152,7 @@ class Tool:
         groups: name of a group of faces -> ids of its facets; the mount carries those of DRAFT.
         speed: of the carriage [m/s].
         mount: stiffness [N/m], damping [N s/m], mass [kg] and the travel [m] at which it is released; empty if rigid.
+        mount_force: None before the release [N].
     """
 
     groups: dict[str, list[int]]
@@ -198,48 +161,41 @@ class Tool:
     travel: float = 0.0
     velocity: float = 0.0
     carriage: float = 0.0
-    mount_force: float = 0.0
-    released: bool = False
+    mount_force: float | None = None
     rows: list[tuple[float, ...]] = field(default_factory=list)
 
-    def drag(self, name: str, sync: bool) -> float:
-        """Return the force against travel on a group of faces [N]."""
-        return -sum(O.forces.f(i, sync)[0] for i in self.groups[name])
-
-    def draft(self, sync: bool) -> float:
-        """Return the force against travel on the faces that displace soil [N]."""
-        return sum(self.drag(name, sync) for name in self.groups if name in DRAFT)
+    def drag(self, *names: str) -> float:
+        """Return the force against travel on groups of faces [N]."""
+        return -sum(O.forces.f(i, True)[0] for name in names for i in self.groups.get(name, ()))
 
     def set_velocity(self, velocity: float) -> None:
         """Let all facets travel at this speed [m/s]."""
         self.velocity = velocity
-        for ids in self.groups.values():
-            for i in ids:
-                O.bodies[i].state.vel = (velocity, 0, 0)
+        for i in itertools.chain(*self.groups.values()):
+            O.bodies[i].state.vel = (velocity, 0, 0)
 
     def step(self) -> None:
         """Advance travel and mount by a time step, after the forces of the step are known."""
-        if self.mount and not self.released and self.travel > self.mount["release"]:
-            force = [row[3] for row in self.rows if row[1] > self.mount["release"] - PRELOAD_PATH]
+        if self.mount and self.mount_force is None and self.travel > self.mount["release"]:
+            force = [row[3] for row in self.rows if row[1] > self.mount["release"] - self.mount["preload_path"]]
             self.carriage = self.travel + float(np.mean(force)) / self.mount["stiffness"]
-            self.released = True
-        if self.released:
+            self.mount_force = 0.0
+        if self.mount_force is not None:
             stretch, closing = self.carriage - self.travel, self.speed - self.velocity
             self.mount_force = self.mount["stiffness"] * stretch + self.mount["damping"] * closing
-            self.set_velocity(self.velocity + O.dt * (self.mount_force - self.draft(False)) / self.mount["mass"])
+            self.set_velocity(self.velocity + O.dt * (self.mount_force - self.drag(*DRAFT)) / self.mount["mass"])
         self.travel += self.velocity * O.dt
         self.carriage += self.speed * O.dt
 
     def record(self) -> None:
         """Store time, travels, mount force and the forces on the groups of faces."""
-        draft = self.draft(True)
-        mount = self.mount_force if self.released else draft
-        self.rows.append((O.time, self.travel, self.carriage, mount, *(self.drag(k, False) for k in self.groups)))
+        mount = self.drag(*DRAFT) if self.mount_force is None else self.mount_force
+        self.rows.append((O.time, self.travel, self.carriage, mount, *map(self.drag, self.groups)))
 
 
 def pull(case: dict[str, Any]) -> dict[str, Any]:
     """Pull the tool through a packing whose side walls keep their pressure and whose end walls stand still."""
-    servo, _, ids = load_packing(case, case["side_friction"])
+    servo, ids, facts = load_packing(case)
     low, high = box()
     entry = np.array([low[0], (low[1] + high[1]) / 2.0, (low[2] + high[2]) / 2.0])
     global tool  # YADE's PyRunner reaches it by name
@@ -247,22 +203,22 @@ def pull(case: dict[str, Any]) -> dict[str, Any]:
     for name, triangles in case["faces"].items():
         corners = [[Vector3(*(entry + corner)) for corner in triangle] for triangle in triangles]
         groups[name] = O.bodies.append([utils.facet(c, dynamic=False, material="tool") for c in corners])
-    facts = {"spheres": len(ids), "porosity": porosity(ids), "half_width": float(high[1] - low[1]) / 2.0}
+    facts["half_width"] = float(high[1] - low[1]) / 2.0
     before = np.array([O.bodies[i].state.pos for i in ids]) - entry
     servo.wall_left_activated = servo.wall_right_activated = False
     for i in WALLS[:2]:
         O.bodies[i].state.vel = (0, 0, 0)
     tool = Tool(groups, case["speed"], case["mount"])
     tool.set_velocity(case["speed"])
-    every = max(1, round(SAMPLE / (case["speed"] * O.dt)))
-    O.engines += [yd.PyRunner(command="tool.step()", iterPeriod=1)]
-    O.engines += [yd.PyRunner(command="tool.record()", iterPeriod=every)]
+    every = max(1, round(case["sample"] / (case["speed"] * O.dt)))
+    calls = {"tool.step()": 1, "tool.record()": every}
+    O.engines += [yd.PyRunner(command=command, iterPeriod=period) for command, period in calls.items()]
     # A soft mount lags behind its carriage: as many steps again are allowed until the tool has covered the travel.
     last = O.iter + 2 * int(case["travel"] / (case["speed"] * O.dt))
-    while tool.travel < case["travel"] and O.iter < last:
+    while tool.travel < case["travel"]:
+        if O.iter > last:
+            raise RuntimeError(f"the tool has covered {tool.travel:.3f} m of {case['travel']} m")
         O.run(50, True)
-    if tool.travel < case["travel"]:
-        raise RuntimeError(f"the tool has covered {tool.travel:.3f} m of {case['travel']} m")
     moved = np.array([O.bodies[i].state.pos for i in ids]) - entry - before
     columns = ["time", "travel", "carriage", "mount", *groups]
     return {**facts, "series": np.array(tool.rows), "columns": columns, "before": before, "moved": moved}
@@ -272,4 +228,5 @@ if __name__ == "__main__":
     this_case = json.loads(Path(sys.argv[-1]).read_text(encoding="utf-8"))
     result = {"packing": make_packing, "triaxial": triaxial, "pull": pull}[this_case["kind"]](this_case)
     if result:
-        np.savez(this_case["output"], **result, steps=O.iter, time_step=O.dt, yade=config.version)
+        result |= {"steps": O.iter, "time_step": O.dt, "yade": config.version, "cpu": time.process_time()}
+        np.savez(this_case["output"], **result)

@@ -8,15 +8,11 @@ series of forces are kept in out/particles. README.md describes the experiment a
 
 import csv
 import dataclasses
-import io
 import json
 import math
-import resource
 import subprocess
 import sys
-import time
 import tomllib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,77 +20,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 import plough_opt as po
-from plough_opt.core.files import write_file
 
 HERE = Path(__file__).parent
-OUT = HERE.parents[1] / "out" / "particles"
-# Packings are compressed at one pressure, whatever that of a test; sizes are uniform within the spread. The stiffness
-# is 400 times the pressure: overlaps of 0.25 % of a diameter.
-MATERIAL = {"packing_pressure": 50e3, "spread": 0.3, "young": 20e6, "poisson": 0.3, "density": 2600.0}
+PLAN = tomllib.loads((HERE / "plan.toml").read_text(encoding="utf-8"))
+BAND_LENGTH = PLAN["common"]["band_length"]
 CONE_SIDES = 12  # shear history is lost from facet to facet, so facets are few and large
 CHISEL_ANGLE = math.radians(15.0)  # of the shares, as in the cotton problem
 SHAFT = 0.783  # shaft over base diameter of the standard penetrometer: 15.88 mm over 20.27 mm
 SHAFT_LENGTH = 0.3  # longer than any travel behind a penetrometer [m]
 ENTRY = 0.015  # travel beyond the tool's length after which entry no longer shows in the force [m]
 END_GAP = 0.125  # box less travel [m]: up to there, six diameters from the far wall, the force does not drift
-BANDS, BAND_LENGTH = {"strong": 1.4, "weak": 0.6}, 0.11  # strength and period [m] of the bands of a sprung pull
-# Mount [kg], [N s/m]: damping ratio 0.18 at resonance with the bands, 130 kN/m.
-MOUNT = {"mass": 10.0, "damping": 400.0}
 ZONE_SHARES = (0.01, 0.02, 0.05, 0.1)  # displacement over base radius whose radii are reported
 GROUPS = ("working", "underside", "flanks", "base", "shaft")  # of faces; the draft is that of the first two
 PACKINGS = (1, 2, 3)  # seeds; a case counts when it was run in all of them
-LONGEST_RUN = 3 * 3600.0  # after which YADE is stopped [s]
 Array = NDArray[np.float64]
 Faces = dict[str, list[list[tuple[float, float, float]]]]
+Reference = dataclasses.make_dataclass(
+    "Reference", [(k, type(v), dataclasses.field(default=v)) for k, v in PLAN["reference"].items()], frozen=True
+)
+UNIT = {name: unit for unit, names in PLAN["units"].items() for name in names.split()}
+"""Unit of each column that has one."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Case:
-    """A run: its name and question, and every parameter that distinguishes it.
-
-    Attributes:
-        case: name, shared by all packings.
-        question: what it is to show.
-        kind: cone, wedge, open_share, closed_share, penetrometer or triaxial.
-        half_angle: of the cone or of the equivalent cone [deg].
-        height: of the tool [m].
-        pressure: around the packing [Pa].
-        cohesion: adhesion of a contact over the square of its smaller radius [Pa].
-        friction: angle of friction between particles [deg].
-        heals: 1 if contacts that are made during the test are cohesive too.
-        bands: 1 if bands of strong and weak soil alternate along the path.
-        tool_friction: coefficient [-].
-        speed: [m/s].
-        stiffness: of the mount [N/m]; 0 is rigid.
-        diameter: mean diameter of the spheres [m].
-        width: of the square box [m].
-        length: of the box [m].
-        side_friction: coefficient of the box's walls [-].
-        damping: local damping of YADE [-].
-        dt_factor: time step over that in which a P wave crosses the smallest radius [-].
-        seed: of the packing.
-    """
-
-    case: str
-    question: str
-    kind: str = "cone"
-    half_angle: float = 15.0
-    height: float = 0.1
-    pressure: float = 50e3
-    cohesion: float = 100e3
-    friction: float = 30.0
-    heals: int = 0
-    bands: int = 0
-    tool_friction: float = 0.4
-    speed: float = 2.0
-    stiffness: float = 0.0
-    diameter: float = 0.02
-    width: float = 0.28
-    length: float = 0.36
-    side_friction: float = 0.5
-    damping: float = 0.2
-    dt_factor: float = 0.8
-    seed: int = 1
+class Case(Reference):
+    """A run: its name, its question, and every parameter that distinguishes it, by default the plan's reference."""
 
     @property
     def key(self) -> tuple[str, ...]:
@@ -105,19 +54,6 @@ class Case:
     def base_radius(self) -> float:
         """Base radius of the cone, or of the cone that is equivalent to the tool [m]."""
         return self.height * math.tan(math.radians(self.half_angle))
-
-
-UNITS = {
-    "deg": "half_angle friction",
-    "Pa": "pressure cohesion axial_stress residual_stress stiffness_50",
-    "m": "height base_radius diameter width length path deflection deflection_rms zone_1 zone_2 zone_5 zone_10",
-    "N": "draft scatter standard_error working underside flanks base shaft",
-    "m/s": "speed",
-    "N/m": "stiffness",
-    "s": "time_step cpu",
-}
-UNIT = {name: unit for unit, names in UNITS.items() for name in names.split()}
-"""Unit of each column that has one."""
 
 
 def shown(value: object) -> str:
@@ -132,8 +68,7 @@ def ring(x: float, radius: float) -> list[tuple[float, float, float]]:
     """Return the corners of a polygon at x whose area is that of the circle [m]."""
     step = 2.0 * math.pi / CONE_SIDES
     corner = radius * math.sqrt(step / math.sin(step))
-    angles = [(i + 0.5) * step for i in range(CONE_SIDES)]
-    return [(x, corner * math.cos(a), corner * math.sin(a)) for a in angles]
+    return [(x, corner * math.cos(a), corner * math.sin(a)) for a in ((i + 0.5) * step for i in range(CONE_SIDES))]
 
 
 def cone_faces(case: Case) -> Faces:
@@ -193,8 +128,6 @@ def standard_error(series: Array) -> float:
     x = series - series.mean()
     n = len(x)
     correlation = np.fft.irfft(np.abs(np.fft.rfft(x, 2 * n)) ** 2)[:n]
-    if correlation[0] <= 0.0:
-        return 0.0
     sums = 2.0 * np.cumsum(correlation / correlation[0]) - 1.0
     enough = np.arange(n) >= 5.0 * sums
     samples = max(1.0, float(sums[int(np.argmax(enough)) if enough.any() else n // 5]))
@@ -246,6 +179,7 @@ def pull_numbers(case: Case, result: Any) -> dict[str, object]:
         **{group: columns[group][steady].mean() if group in columns else 0.0 for group in GROUPS},
         "deflection": stretch.mean(), "deflection_rms": stretch.std(),
         **{f"zone_{100 * s:g}": r for s, r in zip(ZONE_SHARES, radii, strict=True)},
+        "carried": result["moved"][:, 0].max(),
     }  # fmt: skip
 
 
@@ -265,50 +199,36 @@ def triaxial_numbers(result: Any) -> dict[str, object]:
 # --- a run ---
 
 
-def description(case: Case, output: Path) -> dict[str, Any]:
-    """Return the content of the file that experiment.py reads: the case, the tool, and what all runs have in common."""
-    size = "_".join(f"{x:g}" for x in (case.diameter, case.width, case.length, case.seed))
-    task = {**dataclasses.asdict(case), **MATERIAL, "output": str(output), "travel": case.length - END_GAP}
-    task |= {
-        "packing": str(output.parent / f"packing_{size}.txt"),
-        "bands": BANDS if case.bands else {},
-        "band_length": BAND_LENGTH,
-    }
-    if case.kind == "triaxial":
-        return task
-    task["mount"] = {**MOUNT, "stiffness": case.stiffness, "release": case.height + ENTRY} if case.stiffness else {}
-    return {**task, "kind": "pull", "faces": faces_of(case)}
-
-
-def yade(case: dict[str, Any]) -> None:
-    """Run experiment.py; raise RuntimeError with the end of its messages if there is no result."""
-    output = Path(case["output"])
+def yade(task: dict[str, Any], output: Path) -> None:
+    """Let experiment.py write its result; raise RuntimeError with the end of its messages if there is none."""
     file = output.with_suffix(".json")
-    file.write_text(json.dumps(case), encoding="utf-8")
+    file.write_text(json.dumps({**task, "output": str(output)}), encoding="utf-8")
     command = ["yade", "-n", "-x", "-j1", str(HERE / "experiment.py"), str(file)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=LONGEST_RUN)
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0 or not output.exists():
         raise RuntimeError((done.stdout + done.stderr)[-2000:])
 
 
-def run(case: Case, folder: Path = OUT) -> dict[str, object]:
+def run(case: Case, folder: Path = HERE.parents[1] / "out" / "particles") -> dict[str, object]:
     """Run a case in YADE, its packing first if there is none, and return its row."""
     folder.mkdir(parents=True, exist_ok=True)
     output = folder / f"{case.case}_{case.seed}.npz"
     output.unlink(missing_ok=True)
-    task = description(case, output)
-    packing = Path(task["packing"])
+    size = "_".join(f"{x:g}" for x in (case.diameter, case.width, case.length, case.seed))
+    packing = folder / f"packing_{size}.txt"
+    task = {**dataclasses.asdict(case), **PLAN["common"], "packing": str(packing), "travel": case.length - END_GAP}
+    mount = {**PLAN["mount"], "release": case.height + ENTRY, "stiffness": case.stiffness}
+    task |= {"mount": mount if case.stiffness else {}, "bands": PLAN["bands"] if case.bands else {}}
     if not packing.exists():
         made = packing.with_suffix(".part")
-        yade({**task, "kind": "packing", "output": str(made), "dt_factor": Case.dt_factor})
+        yade({**task, **PLAN["packing"], "kind": "packing"}, made)
         made.replace(packing)
-    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
-    yade(task)
-    spent = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before
+    task |= PLAN["triaxial"] if case.kind == "triaxial" else {"kind": "pull", "faces": faces_of(case)}
+    yade(task, output)
     with np.load(output) as result:
         found = triaxial_numbers(result) if case.kind == "triaxial" else pull_numbers(case, result)
-        found |= {name: result[name].item() for name in ("spheres", "porosity", "steps", "time_step", "yade")}
-    return {**dataclasses.asdict(case), **found, "cpu": round(spent, 1)}
+        found |= {name: result[name].item() for name in ("spheres", "porosity", "steps", "time_step", "yade", "cpu")}
+    return {**dataclasses.asdict(case), **found}
 
 
 # --- plan and files ---
@@ -317,12 +237,12 @@ def run(case: Case, folder: Path = OUT) -> dict[str, object]:
 def series() -> list[tuple[dict[str, str], list[Case]]]:
     """Return the series of plan.toml: question -> fields that differ in the case with which one is compared."""
     found = []
-    for one in tomllib.loads((HERE / "plan.toml").read_text(encoding="utf-8"))["series"]:
-        name, over = one.pop("name"), one.pop("over", None)
-        varied = {key: values for key, values in one.items() if isinstance(values, list)}
-        every = [{**one, **dict(zip(varied, values, strict=True))} for values in zip(*varied.values(), strict=True)]
-        cases = [Case(case=f"{name}-{fields[next(iter(varied))]:g}", **fields) for fields in every]
-        found.append(({one["question"]: " ".join(varied)} if over is None else over, cases))
+    for one in PLAN["series"]:
+        given = {key: value for key, value in one.items() if key not in ("name", "over")}
+        varied = {key: values for key, values in given.items() if isinstance(values, list)}
+        every = [{**given, **dict(zip(varied, values, strict=True))} for values in zip(*varied.values(), strict=True)]
+        cases = [Case(case=f"{one['name']}-{fields[next(iter(varied))]:g}", **fields) for fields in every]
+        found.append((one.get("over", {one["question"]: " ".join(varied)}), cases))
     return found
 
 
@@ -333,10 +253,8 @@ def plan() -> list[Case]:
 
 def read_rows(path: Path) -> list[dict[str, str]]:
     """Return the rows of a file, by column name without its unit; none if the file does not exist."""
-    if not path.exists():
-        return []
-    with path.open(encoding="utf-8", newline="") as file:
-        header, *rows = csv.reader(line for line in file if not line.startswith("#"))
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    header, *rows = csv.reader([line for line in lines if not line.startswith("#")] or [""])
     return [dict(zip((column.split(" [")[0] for column in header), row, strict=True)) for row in rows]
 
 
@@ -346,33 +264,26 @@ def key_of(row: dict[str, str]) -> tuple[str, ...]:
 
 
 def append_row(path: Path, row: dict[str, object]) -> None:
-    """Write the file anew with another row, whole or not at all."""
-    rows = [*read_rows(path), {name: shown(value) for name, value in row.items()}]
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow([f"{name} [{UNIT[name]}]" if name in UNIT else name for name in row])
-    table.writerows([one[name] for name in row] for one in rows)
-    write_file(
-        path, "a table of runs", f"# Written by run_plan.py; README.md describes the columns.\n{text.getvalue()}"
-    )
+    """Append a row to a file, which begins with the headings."""
+    new = not path.exists()
+    with path.open("a", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        if new:
+            file.write("# Written by run_plan.py; README.md describes the columns.\n")
+            table.writerow(f"{name} [{UNIT[name]}]" if name in UNIT else name for name in row)
+        table.writerow(map(shown, row.values()))
 
 
 def main(arguments: list[str], folder: Path = HERE) -> None:
     """Run what the files in the folder do not hold yet; a run that fails is reported and left out."""
-    files = {kind: folder / f"{kind}.csv" for kind in ("particles", "triaxial")}
-    present = {key_of(row) for path in files.values() for row in read_rows(path)}
-    for case in plan():
-        if case.key in present:
-            continue
-        label, row = f"{time.strftime('%H:%M:%S')} {case.case} packing {case.seed}", {}
+    present = {key_of(row) for name in ("particles", "triaxial") for row in read_rows(folder / f"{name}.csv")}
+    for case in [one for one in plan() if one.key not in present]:
+        print(case.case, "packing", case.seed, flush=True)
         try:
-            row = {} if "--list" in arguments else run(case)
-        except (RuntimeError, subprocess.TimeoutExpired) as error:
-            label += f" FAILED: {error}"
-        if row:
-            append_row(files["triaxial" if case.kind == "triaxial" else "particles"], row)
-        figures = {key: shown(row[key]) for key in ("draft", "axial_stress", "cpu") if key in row}
-        print(label, figures or "", flush=True)
+            if "--list" not in arguments:
+                append_row(folder / f"{'triaxial' if case.kind == 'triaxial' else 'particles'}.csv", run(case))
+        except RuntimeError as error:
+            print("FAILED:", error, flush=True)
 
 
 if __name__ == "__main__":

@@ -343,11 +343,11 @@ def trust(report: Report) -> str:
     measured = float(scene.soil.strength_factor) != 1.0 or report.problem.readings
     level = "follows from a penetrometer's reading" if measured else "must be measured: give a cone index in [soil]"
     return (
-        f"The model predicts how draft changes with geometry, speed and mount; its level {level}. Against pulls through"
-        " bonded particles its ratios of draft over size, half angle (up to 20°), speed and pressure hold within 25 %,"
-        " but a blunt share saves no friction, a soft mount does not isolate, and the level is low by a factor of up to"
-        " three; in soil, draft grows more with speed. Nothing has been validated in a field. The model ignores working"
-        " depth, the free surface, the shank and moisture."
+        "Against pulls through bonded particles its ratios of draft over size, half angle (up to 20°), speed and"
+        f" pressure hold within 25 %, and its level, low by a factor of up to 3.3 there, {level}. A blunt share saves"
+        " no friction there, a soft mount does not isolate, and displaced soil has no front; in soil, draft grows more"
+        " with speed. Nothing has been validated in a field, and the model ignores working depth, the free surface, the"
+        " shank and moisture."
     )
 
 

@@ -148,7 +148,7 @@ class Problem:
         if not given.keys() & {_READING, "soil.strength_factor"}:
             found.append(
                 "the level of the draft was not measured: computed from the soil's properties it is low by a factor of"
-                " up to three among particles and by more in sand, so give a cone index (soil.cone_index)"
+                " up to 3.3 among particles and by more in sand, so give a cone index (soil.cone_index)"
             )
         angle = limits["half_angle"].at_most if "half_angle" in limits else None
         blunt = angle is None or Unit("rad").parse(angle) > PLANE_SECTIONS_LIMIT
@@ -166,6 +166,12 @@ class Problem:
             found.append(
                 "the draft grows by some per cent over the usual speeds, in measurements by much more: calibrate"
                 " effects.speed_term to drafts at several speeds"
+            )
+        varied = {*self.variables, *(self.table.uncertain or ())}
+        if "soil.ambient_pressure" in varied and self.table.soil.compaction is None:
+            found.append(
+                "with one density ratio the draft grows in proportion to the ambient pressure, among particles to"
+                " about its root: give a compression test (soil.compaction)"
             )
         if "loosened_radius" in wanted and "soil.density_ratio" not in given:
             ratio = (1.0 - float(as_number(self.scene().soil.density_ratio))) ** -0.5

@@ -234,11 +234,13 @@ def test_the_record_tells_what_it_was_made_of():
 
 
 SPEED = "variables.scene.tow_speed={lower='1 m/s', upper='3 m/s'}"
+VARYING = "uncertain.soil.ambient_pressure={distribution='uniform', lower='50 kPa', upper='90 kPa'}"
 RELIANCE = {
     "level": "the level of the draft was not measured",
     "blunt": "of two shares with the same base the blunter",
     "soft": "a mount softer than its resonance",
     "speed": "the draft grows by some per cent over the usual speeds",
+    "pressure": "with one density ratio the draft grows in proportion to the ambient pressure",
     "front": "loosened_radius is 2.2 times the base radius",
 }
 
@@ -253,6 +255,7 @@ RELIED_ON = [
     (["require={half_angle={at_most='21 deg'}}"], ["level", "blunt", "soft"]),
     (["require={half_angle={at_most='21 deg'}}", "share.wedge_angle=30 deg"], ["level", "soft"]),
     ([SPEED], ["level", "soft", "speed", "front"]),
+    (["require={half_angle={at_most='20 deg'}}", VARYING], ["level", "soft", "pressure"]),
     ([SPEED, "effects.rate_term=0.02 s^2/m^2"], ["level", "soft", "front"]),
     (["scene.medium={law='mckyes_ali', depth='30 cm'}", "require={}"], []),
 ]  # fmt: skip

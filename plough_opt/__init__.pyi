@@ -12,7 +12,7 @@ from .core.errors import (
     NotConverged as NotConverged,
     PloughError as PloughError,
 )
-from .core.refinement import Refinement as Refinement, refine as refine
+from .studies.accuracy.study import Refinement as Refinement, refine as refine
 from .design import Design as Design, LocalOptimum as LocalOptimum, Optimum as Optimum
 from .exchange.building import component as component
 from .exchange.component import Component as Component, Input as Input, Output as Output

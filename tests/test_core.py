@@ -16,7 +16,7 @@ import plough_opt as po
 from plough_opt.core import expressions as ex
 from plough_opt.core.checks import DomainLimit, Meanings, attach, labels_in, meaning_of
 from plough_opt.core.errors import merge
-from plough_opt.core.refinement import Refinement
+from plough_opt.studies.accuracy.study import Refinement
 
 # --- functions of floats, arrays and CasADi expressions, and ratios without cancellation ---
 

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from plough_opt.app import tables
+from plough_opt.app import plots, tables
 from plough_opt.app.main import MODELS, PART, given_quantities
 from plough_opt.app.terminal import LOG, check_outputs, console, give, progress, quiet, read, wrote
 from plough_opt.core.compiler import cache_folder
@@ -95,7 +95,7 @@ def check(options: argparse.Namespace) -> None:
     notes = (*problem.notes, *problem.cautions, *tables.warnings_of(problem), *problem.reliance)
     plain: dict[str, Any] = {"title": problem.title, "quantities": values, "notes": notes}
     page = tables.check_page(problem)
-    plot: Callable[[], Figure] | None = None if problem.shares else partial(_share_of, problem)
+    plot: Callable[[], Figure] | None = None if problem.shares else lambda: plots.plot_share(problem.scene())
     units = [EVERY[key if key in EVERY else key.partition(".")[2]].unit for key in values]
     frame: Callable[[], Any] = partial(
         data_frame, {"quantity": [*values], "value": [*values.values()], "unit": units}, {}
@@ -114,12 +114,6 @@ def check(options: argparse.Namespace) -> None:
         page = dataclasses.replace(page, parts=(*page.parts, *tables.comparison_parts(problem, comparison)))
         plain["comparison"], plot, frame = to_plain(comparison), comparison.plot, comparison.to_dataframe
     give(options, page, lambda: _json(plain), plot, frame)
-
-
-def _share_of(problem: Problem) -> Figure:
-    from plough_opt.app.plots import plot_share
-
-    return plot_share(problem.scene())
 
 
 def simulate(options: argparse.Namespace) -> None:
@@ -248,15 +242,9 @@ def sweep(options: argparse.Namespace) -> None:
     for note in notes:
         LOG.info("note: %s", note)
     with _executor(options.scheduler) as (executor, workers):
+        rest = {name: getattr(options, name) for name in ("samples", "seed", "retry", "limit")}
         found = plan.run(
-            samples=options.samples,
-            seed=options.seed,
-            store=store,
-            executor=executor,
-            workers=workers or options.workers,
-            retry=options.retry,
-            limit=options.limit,
-            progress=not quiet(),
+            store=store, executor=executor, workers=workers or options.workers, progress=not quiet(), **rest
         )
     try:
         give(options, found.page(), found.to_json, found.plot, found.to_dataframe, found.to_csv)
@@ -463,8 +451,6 @@ def _frame(numbers: Mapping[str, Mapping[str, float]]) -> Any:
 
 def _figure(saved: Mapping[str, Any]) -> Figure:
     """Return the picture of all designs, or of all runs if there are no designs."""
-    from plough_opt.app import plots
-
     designs = {name: design for name, one in saved.items() if (design := _design(one)) is not None}
     if designs:
         return plots.plot_designs(designs)

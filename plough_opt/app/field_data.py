@@ -199,16 +199,10 @@ def _page(found: RecordWaves) -> Page:
 
 def _plain(found: RecordWaves) -> dict[str, object]:
     """Return the waves and the spectrum as plain values for JSON, in SI units."""
+    names, columns = ("amplitude", "wavelength", "phase"), ("wave_number", "density", "lower", "upper")
+    waves = [{name: [getattr(one.wave, name), getattr(one, name)] for name in names} for one in found.found]
     return {
-        "waves": [
-            {name: [getattr(one.wave, name), getattr(one, name)] for name in ("amplitude", "wavelength", "phase")}
-            | {"part": one.part}
-            for one in found.found
-        ],
-        "variance": found.variance,
-        "left_out": found.left_out,
-        "notes": list(found.notes),
-        "spectrum": {
-            name: getattr(found.spectrum, name).tolist() for name in ("wave_number", "density", "lower", "upper")
-        },
+        "waves": [own | {"part": one.part} for own, one in zip(waves, found.found, strict=True)],
+        **{name: getattr(found, name) for name in ("variance", "left_out", "notes")},
+        "spectrum": {name: getattr(found.spectrum, name).tolist() for name in columns},
     }

@@ -160,16 +160,9 @@ class Quantity:
         Raises:
             DomainError: the value is not a finite number inside the domain; a symbol passes.
         """
-        return check_domain(
-            self.called,
-            value,
-            self.unit,
-            above=self.low if self.above else -math.inf,
-            at_least=-math.inf if self.above else self.low,
-            below=self.high if self.below else math.inf,
-            at_most=math.inf if self.below else self.high,
-            why=self.why,
-        )
+        ends: dict[str, Any] = {"above" if self.above else "at_least": self.low,
+                                "below" if self.below else "at_most": self.high}  # fmt: skip
+        return check_domain(self.called, value, self.unit, why=self.why, **ends)
 
 
 def _angle(name: str, meaning: str, typical: float, **more: Any) -> Quantity:

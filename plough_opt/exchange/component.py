@@ -338,8 +338,12 @@ class Component(ca.Function):
                 limit.check(value)
         results: list[Any] = self.call(x)
         if numeric:
-            results = [_float_or_array(value) for value in results]
-            self._check_finite(results, x)
+            arrays = [np.asarray(value, dtype=float).ravel() for value in results]
+            results = [float(array[0]) if array.size == 1 else array for array in arrays]
+            for port, array in zip(self.outputs, arrays, strict=True):
+                if not np.all(np.isfinite(array)):
+                    where = point_text(self.inputs, x)
+                    raise DomainError(f"'{port.name}' has no finite value at {where}: narrow the component's bounds")
         if named:
             return dict(zip((port.name for port in self.outputs), results, strict=True))
         return results[0] if len(results) == 1 else tuple(results)
@@ -377,13 +381,6 @@ class Component(ca.Function):
             )
         return plain
 
-    def _check_finite(self, results: Sequence[Any], x: Sequence[float]) -> None:
-        """Raise DomainError if a result is not finite."""
-        for port, value in zip(self.outputs, results, strict=True):
-            if not np.all(np.isfinite(value)):
-                where = point_text(self.inputs, x)
-                raise DomainError(f"'{port.name}' has no finite value at {where}: narrow the component's bounds")
-
     @cached_property
     def slopes(self) -> ca.Function:
         """Function of the same inputs that returns the derivatives of all outputs, stacked, as one dense matrix."""
@@ -404,13 +401,11 @@ class Component(ca.Function):
         """Restore a pickled state."""
         Component.__init__(self, ca.Function.deserialize(state["serialization"]), **state["own"])
 
-    def __copy__(self) -> Component:
+    def __deepcopy__(self, memo: Any = None) -> Component:
         """Return itself: it is immutable, and CasADi's copy would lose the ports."""
         return self
 
-    def __deepcopy__(self, memo: Any = None) -> Component:
-        """Return itself."""
-        return self
+    __copy__ = __deepcopy__
 
     def __str__(self) -> str:
         """Return names, units, bounds and accuracy as text."""
@@ -420,10 +415,8 @@ class Component(ca.Function):
                 shape = f"[{port.size}]" if port.size > 1 else ""
                 lines.append(f"{kind} {port.name}{shape} [{port.unit or '1'}]{_limits(port)}, value {port.value:g}")
         steps = f", {self.accuracy.steps} steps" if self.accuracy.steps else ""
-        lines.append(
-            f"{self.accuracy.method}{steps}, relative error at most {self.error_estimate:.1e} at the points tried"
-        )
-        return "\n".join([*lines, *self.warnings])
+        error = f"relative error at most {self.error_estimate:.1e} at the points tried"
+        return "\n".join([*lines, f"{self.accuracy.method}{steps}, {error}", *self.warnings])
 
 
 def _limits(port: Port) -> str:
@@ -432,8 +425,3 @@ def _limits(port: Port) -> str:
         return f" {port.lower:g} to {port.upper:g}"
     limits = (("at least", port.lower), ("at most", port.upper))
     return "".join(f" {side} {limit:g}" for side, limit in limits if math.isfinite(limit))
-
-
-def _float_or_array(value: Any) -> float | NDArray[np.float64]:
-    array = np.asarray(value, dtype=float).ravel()
-    return float(array[0]) if array.size == 1 else array

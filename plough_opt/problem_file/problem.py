@@ -628,14 +628,8 @@ def _output(name: str, table: ProblemTable, objective: Callable[[Run], Expressio
     if measure is None:  # `build` raises InputError for unknown names
         return Output(name)
     low, high = table.require.get(name, LimitTable()).ends(measure.unit)
-    own = name in table.measures
-    return Output(
-        name,
-        unit=measure.unit.symbol if own else None,
-        of=measure.of if own else None,
-        lower=-math.inf if low is None else low,
-        upper=math.inf if high is None else high,
-    )
+    ends = (-math.inf if low is None else low, math.inf if high is None else high)
+    return Output(name, *ends, measure.of, measure.unit.symbol) if name in table.measures else Output(name, *ends)
 
 
 def longest_period(values: Mapping[str, Expression]) -> Expression:

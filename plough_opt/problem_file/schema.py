@@ -1,7 +1,7 @@
 """Schema of a problem file, table by table, with quantities converted to SI; also as a JSON schema for editors."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import (
@@ -107,16 +107,14 @@ def _value(kind: type, key: str, value: Any) -> Any:
         raise InputError(f"'{key}' {error}") from None
 
 
-def checked_medium(written: object) -> object:
-    """Return a medium as written, after checking that `medium_of` can read it."""
-    medium_of(written)
-    return written
+def _readable_by(read: Callable[[Any], object]) -> AfterValidator:
+    """Return a validator that leaves a value as written, after checking that a function can read it."""
 
+    def checked(written: Any) -> Any:
+        read(written)
+        return written
 
-def checked_effects(written: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return user-defined effects as written, after checking that `own_effects_of` can read them."""
-    own_effects_of(written)
-    return written
+    return AfterValidator(checked)
 
 
 def describe_media(schema: dict[str, Any]) -> None:
@@ -170,7 +168,7 @@ class ShareTable(Table):
 class SceneTable(Table):
     """Mount, masses, speed and time."""
 
-    medium: Annotated[Any, AfterValidator(checked_medium), Field(json_schema_extra=describe_media)] = "plastic"
+    medium: Annotated[Any, _readable_by(medium_of), Field(json_schema_extra=describe_media)] = "plastic"
     """the law of resistance: its name, or a table with its name and its quantities"""
     outputs: Annotated[StrictInt, Field(ge=1, le=100_000)] = 400
     """number of equal intervals between output times"""
@@ -206,7 +204,7 @@ class EffectsTable(Table):
     """number of harmonics of a harmonic balance"""
     formulation: Literal["derived", "printed"] = "derived"
     """the corrected equations, or those of the source with its misprints"""
-    own: Annotated[list[dict[str, Any]], AfterValidator(checked_effects)] = []
+    own: Annotated[list[dict[str, Any]], _readable_by(own_effects_of)] = []
     """effects of your own classes"""
 
     def effects(

@@ -3,8 +3,11 @@
 import json
 import tempfile
 from collections.abc import Collection, Iterable, Mapping
+from dataclasses import asdict
 from importlib.metadata import version
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 from typing import Any
 
 import casadi as ca
@@ -54,13 +57,13 @@ def write_c(component: Component, path: str | Path) -> Path:
     """
     target = check_new_folder(path, "C source")
     name, functions = component.name(), _functions(component)
-    files = {
+    contents = {
         f"{name}.h": _header(component),
         f"{name}.c": _source(component, functions),
         f"{name}_test.c": _test(component, functions),
         "Makefile": _MAKEFILE.replace("NAME", name),
     }
-    return write_folder(target, "C source", files)
+    return write_folder(target, "C source", contents)
 
 
 def _header(component: Component) -> str:
@@ -186,7 +189,9 @@ def _test(component: Component, functions: Mapping[str, ca.Function]) -> str:
     points = [*interior_points(component.inputs)[:_INTERIOR_POINTS], *corners]
     rows = {verb: _rows(function(x).full().ravel(order="F") for x in points) for verb, function in functions.items()}
     name = component.name()
-    return _TEST.format(name=name, upper=name.upper(), count=len(points), points=_rows(points), most=MOST_ULP, **rows)
+    template = files("plough_opt.exchange.export").joinpath("component_test.c").read_text(encoding="utf-8")
+    filled = {"name": name, "upper": name.upper(), "count": len(points), "points": _rows(points), "most": MOST_ULP}
+    return Template(template).substitute(filled, **rows)
 
 
 def _element(port: Port, k: int) -> str:
@@ -238,65 +243,6 @@ NAME_test: NAME_test.c NAME.c NAME.h
 \t$(CC) -std=c99 -O2 -ffp-contract=off NAME_test.c NAME.c -o NAME_test -lm
 """
 
-_TEST = """\
-/* Compares the compiled component with the values that Python computed when this file was written. */
-#include <stdint.h>
-#include <stdio.h>
-#include <string.h>
-
-#include "{name}.h"
-
-#define POINTS {count}
-#define SLOPES ({upper}_OUTPUTS * {upper}_INPUTS)
-
-static const double inputs[POINTS][{upper}_INPUTS] = {{
-{points}
-}};
-static const double outputs[POINTS][{upper}_OUTPUTS] = {{
-{evaluate}
-}};
-static const double slopes[POINTS][SLOPES] = {{
-{jacobian}
-}};
-
-/* Number of doubles from one to the other. */
-static uint64_t ulps(double a, double b) {{
-  uint64_t one, other;
-  const uint64_t sign = (uint64_t) 1 << 63;
-  memcpy(&one, &a, sizeof one);
-  memcpy(&other, &b, sizeof other);
-  one = one & sign ? sign - (one & ~sign) : sign + one;
-  other = other & sign ? sign - (other & ~sign) : sign + other;
-  return one > other ? one - other : other - one;
-}}
-
-static void compare(const char *what, int point, int count, const double *found, const double *wanted,
-                    uint64_t *worst) {{
-  int k;
-  for (k = 0; k < count; ++k) {{
-    uint64_t apart = ulps(found[k], wanted[k]);
-    if (apart > {most})
-      printf("%s %d at point %d: %.17g, and %.17g in Python\\n", what, k, point, found[k], wanted[k]);
-    if (apart > *worst) *worst = apart;
-  }}
-}}
-
-int main(void) {{
-  static double found[SLOPES];
-  uint64_t worst = 0;
-  int k;
-  for (k = 0; k < POINTS; ++k) {{
-    if ({name}_evaluate(inputs[k], found)) return 2;
-    compare("output", k, {upper}_OUTPUTS, found, outputs[k], &worst);
-    if ({name}_jacobian(inputs[k], found)) return 2;
-    compare("derivative", k, SLOPES, found, slopes[k], &worst);
-  }}
-  printf("%d values, %d derivatives: at most %.0f ulp from Python\\n", POINTS * {upper}_OUTPUTS, POINTS * SLOPES,
-         (double) worst);
-  return worst > {most};
-}}
-"""
-
 
 def write_casadi(component: Component, path: str | Path, description: str | Path | None = None) -> Path:
     """Write a component as a serialised CasADi Function and, if wanted, its names, units and bounds as JSON.
@@ -331,10 +277,10 @@ def write_casadi(component: Component, path: str | Path, description: str | Path
         'share.casadi'
     """
     target = check_file(path, "serialised Function", ".casadi")
-    files: dict[Path, Content] = {target: serialised(component)}
+    contents: dict[Path, Content] = {target: serialised(component)}
     if description is not None:
-        files[check_file(description, "description", ".json")] = json.dumps(described(component), indent=2) + "\n"
-    write_files(files, "serialised Function")
+        contents[check_file(description, "description", ".json")] = json.dumps(described(component), indent=2) + "\n"
+    write_files(contents, "serialised Function")
     return target
 
 
@@ -376,12 +322,5 @@ def described(component: Component) -> dict[str, Any]:
 
 def _port_data(port: Port) -> dict[str, Any]:
     """Return a port as plain data; an infinite limit is None."""
-    return {
-        "name": port.name,
-        "argument": port.argument,
-        "unit": port.unit,
-        "lower": port.lower if np.isfinite(port.lower) else None,
-        "upper": port.upper if np.isfinite(port.upper) else None,
-        "value": port.value,
-        "size": port.size,
-    }
+    limits = {side: end if np.isfinite(end) else None for side, end in (("lower", port.lower), ("upper", port.upper))}
+    return {**asdict(port), "argument": port.argument, **limits}

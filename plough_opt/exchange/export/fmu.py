@@ -662,7 +662,7 @@ def _platform() -> tuple[str, str]:
     """Return folder and suffix of binaries for this machine, as FMI 3.0 names them."""
     system, processor = platform.system().lower(), platform.machine().lower()
     if system not in _SYSTEMS or processor not in _PROCESSORS:
-        raise InputError(f"FMI 3.0 has no binaries for {system} on {processor}: export C by binary=False (--sources)")
+        raise InputError(f"FMI 3.0 does not define binaries for {system} on {processor}: use binary=False (--sources)")
     word, suffix = _SYSTEMS[system]
     return f"{_PROCESSORS[processor]}-{word}", suffix
 

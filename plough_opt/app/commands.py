@@ -433,13 +433,7 @@ def compare(options: argparse.Namespace) -> None:
     notes = tuple(f"{name}: {origins[name].file}, changed by --set: {text}" for name, text in changed.items())
     page = Page(f"{len(saved)} results side by side", (_table(saved, numbers), *notes))
     plain = {name: {key: value for key, (value, _) in own.items()} for name, own in numbers.items()}
-    give(
-        options,
-        page,
-        lambda: json.dumps(plain, indent=2, allow_nan=False),
-        lambda: _figure(saved),
-        lambda: _frame(plain),
-    )
+    give(options, page, lambda: _json(plain), lambda: _figure(saved), lambda: _frame(plain))
 
 
 def _frame(numbers: Mapping[str, Mapping[str, float]]) -> Any:

@@ -199,10 +199,6 @@ def _init(verb: _Parser) -> None:
     verb.shared(json="print the path of the file as JSON")
 
 
-def _soils(verb: _Parser) -> None:
-    verb.results(plot=None)
-
-
 def _waves(verb: _Parser) -> None:
     record = "record: position [m] or time [s], and cone_index [kPa] or force [kN]"
     verb.add_argument("file", metavar="FILE.csv", help=record)
@@ -223,10 +219,6 @@ def _compare(verb: _Parser) -> None:
     verb.results()
 
 
-def _schema(_verb: _Parser) -> None:
-    """Add nothing."""
-
-
 def _completion(verb: _Parser) -> None:
     verb.add_argument("shell", choices=shtab.SUPPORTED_SHELLS, help="your shell")
 
@@ -239,10 +231,6 @@ def _check(verb: _Parser) -> None:
         csv="write the quantities, with --effects the costs, with --against the drafts (SI units): .csv, or .xlsx",
         plot="draw the share, or with --against the drafts: .png, .svg or .pdf",
     )
-
-
-def _simulate(verb: _Parser) -> None:
-    verb.results(csv="write the motion at every output time (SI units): .csv, or .xlsx")
 
 
 def _optimise(verb: _Parser) -> None:
@@ -389,14 +377,16 @@ class _Command:
 
 _COMMANDS: Final = {
     "init": _Command("write a commented problem file to start from", _init, reads=False),
-    "soils": _Command("list the named soils and where their values come from", _soils, reads=False),
+    "soils": _Command("list the named soils and where their values come from", partial(_Parser.results, plot=None),
+                      reads=False),
     "waves": _Command("find the strength waves in a record along a field", _waves, "field_data", reads=False),
     "show": _Command("print a saved result again, and its origin", _show, reads=False),
     "compare": _Command("print saved designs or runs side by side", _compare, reads=False),
-    "schema": _Command("print the JSON schema of problem files, for checks in an editor", _schema, reads=False),
+    "schema": _Command("print the JSON schema of problem files, for checks in an editor", lambda _: None, reads=False),
     "completion": _Command("print a script by which a shell completes this command", _completion, "main", reads=False),
     "check": _Command("check a problem file, and show what its scene contains", _check),
-    "simulate": _Command("simulate the scene with every variable at its guess", _simulate),
+    "simulate": _Command("simulate the scene with every variable at its guess",
+                         partial(_Parser.results, csv="write the motion at every output time: .csv, or .xlsx")),
     "optimise": _Command("find the best share, and the limits that decide it", _optimise),
     "tradeoff": _Command("compute the Pareto front of two or three results", _tradeoff),
     "sweep": _Command("simulate or optimise at every point of a grid or a sample", _sweep),

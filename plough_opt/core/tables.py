@@ -48,17 +48,6 @@ _MOST_BYTES: Final = 10_000_000
 _LONGEST_LINE: Final = 10_000
 
 
-def text_table(rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)) -> str:
-    """Return rows as text with aligned columns; columns with a number in `left` are aligned left, others right."""
-    columns = [*zip(*rows, strict=True)]
-    widths = [max(map(len, column)) for column in columns]
-    aligned = [
-        [f"{cell:{'<' if k in left else '>'}{width}}" for cell in column]
-        for k, (column, width) in enumerate(zip(columns, widths, strict=True))
-    ]
-    return "\n".join(f"  {'  '.join(row)}".rstrip() for row in zip(*aligned, strict=True))
-
-
 @dataclass(frozen=True)
 class Column:
     """A column of a table.
@@ -140,8 +129,12 @@ class Grid:
         """Return the table as plain text."""
         headings = [tuple(" ".join(text.split()) for text in self._headings())] if self.headed else []
         # A cell with several lines takes as many rows of text.
-        rows = [line for row in self._cells() for line in _lines(row)]
-        text = text_table([*headings, *rows], [k for k, column in enumerate(self.columns) if column.left])
+        rows = [*headings, *(line for row in self._cells() for line in _lines(row))]
+        aligned = []
+        for column, cells in zip(self.columns, zip(*rows, strict=True), strict=False):
+            side, width = "<" if column.left else ">", max(map(len, cells))
+            aligned.append([f"{cell:{side}{width}}" for cell in cells])
+        text = "\n".join(f"  {'  '.join(row)}".rstrip() for row in zip(*aligned, strict=True))
         return "\n".join(part for part in (printable(self.title), text, printable(self.caption)) if part)
 
     def _headings(self) -> list[str]:

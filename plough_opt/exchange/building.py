@@ -52,6 +52,7 @@ from plough_opt.exchange.component import (
     point_text,
     port_of,
 )
+from plough_opt.laws.law import too_blunt
 from plough_opt.motion import OUTPUTS, Run
 from plough_opt.motion.checks import refuse_runaway
 from plough_opt.motion.derivatives import derivative_error
@@ -390,9 +391,7 @@ class Box:
             wanted = self.accuracy.wanted_derivatives
             steps, derivative_error = self._refined(steps, self._derivative_error, wanted)
             if derivative_error > wanted:
-                notes.append(
-                    f"the wanted error {wanted:.1e} of derivatives was not reached: it is {derivative_error:.1e}"
-                )
+                notes.append(f"derivatives have an error of {derivative_error:.1e}, not the wanted {wanted:.1e}")
         resolution = Resolution(steps, self.outputs)
         return resolution, error, (*self._warnings(resolution), *notes)
 
@@ -481,10 +480,7 @@ class Box:
         bluntest = max(float(values["half_angle_"][0]) for values in results)
         warned = any("plane sections" in note for note in notes)
         if scene.law.slender and bluntest > PLANE_SECTIONS_LIMIT and not warned:
-            notes.append(
-                f"within the bounds the half angle reaches {math.degrees(bluntest):.1f} deg: above"
-                f" {math.degrees(PLANE_SECTIONS_LIMIT):.0f} deg the hypothesis of plane sections does not hold"
-            )
+            notes.append(f"within the bounds the half angle reaches {too_blunt(bluntest)}")
         lowest = [float(np.min(values["speed_"])) for values in results]
         slowest = int(np.argmin(lowest))
         if lowest[slowest] < -_RETREAT_IN_BOUNDS * float(np.max(np.abs(results[slowest]["speed_"]))):

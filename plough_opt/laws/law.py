@@ -13,6 +13,12 @@ from plough_opt.soil.geometry import PLANE_SECTIONS_LIMIT, Cone, Wedge
 from plough_opt.soil.soil import Soil
 
 
+def too_blunt(half_angle: float) -> str:
+    """Return the end of a warning about a half angle [rad] for which the hypothesis of plane sections does not hold."""
+    limit = f"{math.degrees(PLANE_SECTIONS_LIMIT):.0f} deg"
+    return f"{math.degrees(half_angle):.1f} deg: above {limit} the hypothesis of plane sections does not hold"
+
+
 @dataclass(frozen=True)
 class SoilReaction:
     """Coefficients of the resistance F = static + drag L'^2 + added_mass L''.
@@ -181,10 +187,7 @@ class ResistanceLaw(Protocol):
             found.append(f"{self.label} {self.lacking['added_mass']}: the share moves with its own mass alone")
         half_angle = float(as_number(at.cone.half_angle))
         if self.slender and half_angle > PLANE_SECTIONS_LIMIT:
-            found.append(
-                f"the equivalent cone's half angle is {math.degrees(half_angle):.1f} deg: above"
-                f" {math.degrees(PLANE_SECTIONS_LIMIT):.0f} deg the hypothesis of plane sections does not hold"
-            )
+            found.append(f"the equivalent cone's half angle is {too_blunt(half_angle)}")
         return tuple(found)
 
     def without_value(self, what: str) -> str:

@@ -160,19 +160,13 @@ def wedge_angles(soil: Soil, tine: Tine, speed: Expression) -> WedgeAngles:
     """
     check_soil(soil)
     check_kind("the tine", tine, Tine, "a crosscheck.Tine")
-    check_domain(
-        "friction angle", soil.friction_angle, "rad", above=0.0,
-        why="in soil without friction the weight does not determine a wedge",
-    )  # fmt: skip
-    check_domain(
-        "speed", speed, "m/s", at_least=0.0, at_most=LARGEST_SPEED,
-        why="above 3 to 5 m/s draft grows more slowly than the square of the speed",
-    )  # fmt: skip
+    why = "in soil without friction the weight does not determine a wedge"
+    check_domain("friction angle", soil.friction_angle, "rad", above=0.0, why=why)
+    why = "above 3 to 5 m/s draft grows more slowly than the square of the speed"
+    check_domain("speed", speed, "m/s", at_least=0.0, at_most=LARGEST_SPEED, why=why)
     angles = WedgeAngles(tine.rake_angle, arctan(soil.tool_friction), soil.friction_angle)
-    check_domain(
-        "rake angle, tool friction and internal friction together", angles.total, "rad", below=math.pi,
-        why="the wedge of soil would not move up the face",
-    )  # fmt: skip
+    what, why = "rake angle, tool friction and internal friction together", "the wedge would not move up the face"
+    check_domain(what, angles.total, "rad", below=math.pi, why=why)
     return angles
 
 

@@ -384,12 +384,12 @@ class _RobustDesign:
         names = {**problem.table.minimise, **problem.table.require}
         self._averages = tuple(name for name in names if not self._measures[name].everywhere)
         self._start = start
-        self._declared = self._declare()
+        self._declare()
         self._built = False
 
     def spreads(self, at: Mapping[str, float]) -> dict[str, float]:
         """Return the standard deviation of every result at a design, 0 if it does not depend on the soil."""
-        values = self._declared[1].values(at)
+        values = self._robust.values(at)
         return {
             name: float(np.std(own)) if np.ptp(own) > _ROUNDING * np.max(np.abs(own)) else 0.0
             for name, own in values.items()
@@ -402,21 +402,20 @@ class _RobustDesign:
             spreads: result -> its standard deviation, from which smoothing widths follow if the file gives none.
         """
         if self._built:
-            self._declared = self._declare()
+            self._declare()
         self._built, self._spreads, self._parameters = True, spreads, dict[str, Expression]()
-        design, robust, run = self._declared
-        tables = self._problem.table
+        design, robust, tables = self._design, self._robust, self._problem.table
         objective: Expression = 0.0
         for name, term in tables.minimise.items():
-            value = self._measure(design, robust, run, name, measure_of(term.measure or "expected"), term.width)
+            value = self._measure(name, measure_of(term.measure or "expected"), term.width)
             objective = objective + value / self._measures[name].unit.parse(term.per)
         design.minimise(objective)
         for name, limit in tables.require.items():
-            self._require(design, robust, run, name, limit)
+            self._require(name, limit)
         return design, robust, frozenset(self._parameters)
 
-    def _declare(self) -> tuple[Design, Robust, Run]:
-        """Return a design with its variables, the results over the samples, and the run in the nominal soil."""
+    def _declare(self) -> None:
+        """Make a design with its variables, the results over the samples, and the run in the nominal soil."""
         from plough_opt.design import Design
         from plough_opt.studies.uncertainty import Robust
 
@@ -434,42 +433,31 @@ class _RobustDesign:
             run = run_in(soil)
             return {name: self._measures[name].of(run) for name in self._averages}
 
-        return design, Robust(self._field, response, samples=self._samples, seed=self._table.seed), run_in(None)
+        self._design, self._run = design, run_in(None)
+        self._robust = Robust(self._field, response, samples=self._samples, seed=self._table.seed)
 
-    def _measure(
-        self,
-        design: Design,
-        robust: Robust,
-        run: Run,
-        name: str,
-        chosen: ChosenMeasure,
-        written: object,
-        low_is_bad: bool = False,
-    ) -> Expression:
+    def _measure(self, name: str, chosen: ChosenMeasure, written: object, low_is_bad: bool = False) -> Expression:
         """Return a measure of a result, of its lower tail if small values are bad.
 
         Args:
-            design: the design.
-            robust: the results over the samples.
-            run: the run in the nominal soil.
             name: name of the result.
             chosen: the measure.
             written: smoothing width as the file writes it, or None.
             low_is_bad: whether small values are bad.
         """
         if chosen.kind == "nominal" or not self._spreads.get(name):
-            return self._measures[name].of(run)
+            return self._measures[name].of(self._run)
         if chosen.kind == "expected":
-            return robust.expected(name)
+            return self._robust.expected(name)
         if chosen.kind == "mean_plus":
-            return robust.mean_plus(name, chosen.number)
-        width = self._width(design, name, written)
+            return self._robust.mean_plus(name, chosen.number)
+        width = self._width(name, written)
         tail: Tail = "lower" if low_is_bad else "upper"
         if chosen.kind == "cvar":
-            return robust.cvar(name, chosen.number, width=width, tail=tail)
-        return robust.worst(name, width=width, tail=tail)
+            return self._robust.cvar(name, chosen.number, width=width, tail=tail)
+        return self._robust.worst(name, width=width, tail=tail)
 
-    def _width(self, design: Design, name: str, written: object) -> Expression:
+    def _width(self, name: str, written: object) -> Expression:
         """Return the smoothing width of a result in SI: the file's, or one that follows from its spread."""
         if written is not None:
             return self._measures[name].unit.parse(written)
@@ -477,21 +465,21 @@ class _RobustDesign:
 
         if name not in self._parameters:
             unit = self._measures[name].unit.symbol
-            self._parameters[name] = design.parameter(spread_of(name), self._spreads[name], unit=unit)
+            self._parameters[name] = self._design.parameter(spread_of(name), self._spreads[name], unit=unit)
         return _SMOOTHING_WIDTH * self._parameters[name]
 
-    def _require(self, design: Design, robust: Robust, run: Run, name: str, limit: LimitTable) -> None:
+    def _require(self, name: str, limit: LimitTable) -> None:
         """Add one requirement to the design."""
-        unit = self._measures[name].unit
+        design, robust, unit = self._design, self._robust, self._measures[name].unit
         low, high = limit.ends(unit)
         ends: dict[str, Any] = {"at_least": low, "at_most": high, "unit": unit.symbol}
         varies = bool(self._spreads.get(name))
         if varies and limit.probability is not None:
-            width = self._width(design, name, limit.width)
+            width = self._width(name, limit.width)
             robust.require_probability(design, name, name, limit.probability, width=width, **ends)
         elif varies and limit.measure is None:
             design.require(name, robust.every(name, at_least=low, at_most=high), **ends)
         else:
             chosen = measure_of(limit.measure or "nominal")
-            value = self._measure(design, robust, run, name, chosen, limit.width, low_is_bad=low is not None)
+            value = self._measure(name, chosen, limit.width, low_is_bad=low is not None)
             design.require(name, value, **ends)

@@ -139,12 +139,9 @@ def _check_profile(front_radius: np.ndarray, soil: Soil) -> None:
     assert profile is not None
     places = np.linspace(0.0, 1.0, 2 * profile.order + 1)
     for place in places:
-        check_domain(
-            f"density profile at {place:.2g} of the front radius over the undisturbed density",
-            profile.at(front_radius * place) / soil.density,
-            above=1.0,
-            why="the soil behind the front is compacted; the profile must return rho(r) in kg/m^3",
-        )
+        what = f"density profile at {place:.2g} of the front radius over the undisturbed density"
+        why = "the soil behind the front is compacted; the profile must return rho(r) in kg/m^3"
+        check_domain(what, profile.at(front_radius * place) / soil.density, above=1.0, why=why)
 
 
 @dataclass(frozen=True)
@@ -507,9 +504,8 @@ def _check_behind(r: Expression, r_front: Expression) -> None:
     check_domain("Lagrangian radius", r, "m", at_least=0.0)
     check_domain("front radius", r_front, "m", above=0.0, why="around a cavity of radius 0 the soil has not moved")
     # A radius on the front may exceed it by rounding, or by the tolerance of the front's equation.
-    check_domain(
-        "Lagrangian radius over front radius", r / r_front, at_most=1.0 + 1e-11, why="the soil is at rest ahead of it"
-    )
+    why = "the soil is at rest ahead of it"
+    check_domain("Lagrangian radius over front radius", r / r_front, at_most=1.0 + 1e-11, why=why)
 
 
 def _pressure(r: Expression, radius: Expression, r_front: Expression, soil: Soil) -> WallPressure:

@@ -354,9 +354,7 @@ def _wave_numbers(record: StrengthRecord, base_diameter: float) -> tuple[Vector,
             )
         if np.any(damped):
             longest = 2 * math.pi / float(np.min(grid[damped]))
-            notes.append(
-                f"waves shorter than {longest:.3g} m are left out, because the rig hardly passes them on to its force"
-            )
+            notes.append(f"waves shorter than {longest:.3g} m are left out, because the rig hardly passes them on")
         grid = np.asarray(grid[~resonant & ~damped], dtype=float)
     if len(grid) < 2:
         raise InputError(f"{record.name}: no waves lie between {shortest:.3g} m and its length {record.length:.3g} m")

@@ -284,9 +284,8 @@ class Soil:
             np.max(as_number(value)) for value in (self.cohesion, self.density_ratio, self.strength_factor)
         )
         if cohesion > _MOST_COHESION:
-            warned.append(
-                f"a cohesion of {cohesion / 1e3:.4g} kPa is more than soils have ({_MOST_COHESION / 1e3:g} kPa at most)"
-            )
+            most = f"{_MOST_COHESION / 1e3:g} kPa at most"
+            warned.append(f"a cohesion of {cohesion / 1e3:.4g} kPa is more than soils have ({most})")
         if ratio > _MOST_DENSITY_RATIO and self.density_profile is None:
             warned.append(
                 f"a density ratio of {ratio:.6g} is closer to 1 than in real soils ({_MOST_DENSITY_RATIO:g} at most):"

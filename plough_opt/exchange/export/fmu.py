@@ -418,9 +418,8 @@ def documentation(model: FmuModel, name: str, description: str, notes: Iterable[
     """Return documentation/index.html: a table of the variables, and warnings about the results."""
     shown = (*model.of_kind["inputs"], *model.of_kind["parameters"], *model.visible)
     rows = [("variable", "unit", "meaning"), *((one.name, _spelled(one.unit), one.description) for one in shown)]
-    table = _tag(
-        "table", *(_tag("tr", *(_tag("td" if k else "th", cell) for cell in row)) for k, row in enumerate(rows))
-    )
+    cells = ((_tag("td" if k else "th", text) for text in row) for k, row in enumerate(rows))
+    table = _tag("table", *(_tag("tr", *row) for row in cells))
     items = _tag("ul", *(_tag("li", note) for note in notes))
     head = _tag("head", _tag("meta", charset="utf-8"), _tag("title", name))
     root = _tag("html", head, _tag("body", _tag("h1", name), _tag("p", description), items, table), lang="en")

@@ -202,13 +202,8 @@ def face_pressure(
 def state_of(soil: Soil, speed: Expression) -> Medium:
     """Return the medium at a speed below the shear wave speed, where the cone's logarithms are finite."""
     state = medium(soil, speed)
-    check_domain(
-        "speed over shear wave speed",
-        state.mach,
-        below=1.0,
-        why="the cone's potentials diverge there",
-        inside=BELOW_SHEAR_WAVES,
-    )
+    why = "the cone's potentials diverge there"
+    check_domain("speed over shear wave speed", state.mach, below=1.0, why=why, inside=BELOW_SHEAR_WAVES)
     return state
 
 

@@ -234,7 +234,9 @@ def _waves(
     check_domain("profile at its tip", tip, "m", at_least=0.0, at_most=0.0, why="a tip is sharp")
     # Integrated by parts, which avoids the profile's slope: int h' e = h(l) e(l) - i p int h e.
     weighted, end = values[:-1] * s_weights, values[-1]
-    moment = np.concatenate([np.exp(1j * np.outer(part, s)) @ weighted for part in _chunks(p, s.size)])
+    # In chunks, each of which has a matrix that fits into memory.
+    chunks = np.array_split(p, max(p.size * s.size // 4_000_000, 1))
+    moment = np.concatenate([np.exp(1j * np.outer(part, s)) @ weighted for part in chunks])
     transform = (end * np.exp(1j * p * length) - 1j * p * moment) / math.pi * weights
     return _Waves(state, np.column_stack([across.ravel(), away.ravel()]), across.shape, p, transform)
 
@@ -247,8 +249,3 @@ def _panels(length: float, width: float, order: int, graded: bool) -> tuple[Arra
     nodes, weights = (np.array(values) for values in gauss_legendre(order))
     sizes = np.diff(edges)
     return (edges[:-1, None] + sizes[:, None] * nodes).ravel(), (sizes[:, None] * weights).ravel()
-
-
-def _chunks(p: Array, other: int) -> list[Array]:
-    """Return wave numbers in chunks, so that the matrix of one chunk and the other nodes fits into memory."""
-    return np.array_split(p, max(p.size * other // 4_000_000, 1))

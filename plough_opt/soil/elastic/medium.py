@@ -205,13 +205,8 @@ def medium(soil: Soil, speed: Expression) -> Medium:
         modulus, fastest = shear_modulus(soil), shear_wave_speed(soil)
     speed = check_domain("speed", speed, "m/s", at_least=0.0)
     mach = speed / fastest
-    check_domain(
-        "speed over shear wave speed",
-        mach,
-        at_most=1.0,
-        why="the elastic medium is solved up to the shear wave speed; see elastic.shear_wave_speed(soil)",
-        inside=BELOW_SHEAR_WAVES,
-    )
+    why = "the elastic medium is solved up to the shear wave speed; see elastic.shear_wave_speed(soil)"
+    check_domain("speed over shear wave speed", mach, at_most=1.0, why=why, inside=BELOW_SHEAR_WAVES)
     _, ratio = _constants(soil)
     kappa = _kappa(ratio)
     m = mach**2
@@ -326,17 +321,10 @@ def body(profile: Profile) -> Body:
     for k, (place, height) in enumerate(pairs):
         check_domain(f"x of node {k + 1} of the profile", place, "m")
         check_domain(f"half thickness or radius at node {k + 1} of the profile", height, "m", at_least=0.0)
-    check_domain(
-        "half thickness or radius at the first node of the profile", pairs[0][1], "m", at_most=0.0, why="a tip is sharp"
-    )
+    check_domain("half thickness or radius at the first node", pairs[0][1], "m", at_most=0.0, why="a tip is sharp")
     for k, ((before, _), (after, _)) in enumerate(pairwise(pairs)):
-        check_domain(
-            f"x of node {k + 2} minus x of node {k + 1} of the profile",
-            after - before,
-            "m",
-            above=0.0,
-            why="nodes must be listed from the tip backwards",
-        )
+        apart = f"x of node {k + 2} minus x of node {k + 1} of the profile"
+        check_domain(apart, after - before, "m", above=0.0, why="nodes must be listed from the tip backwards")
     return Body(tuple(place for place, _ in pairs), tuple(height for _, height in pairs))
 
 

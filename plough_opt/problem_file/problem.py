@@ -44,7 +44,6 @@ TRADED = "[trade_off] with two or three results, such as mean_draft = {} and loo
 """An example of a [trade_off] table, for messages."""
 # Part of a wave that is missing by rounding.
 _WHOLE: Final = 1e-9
-_POINTS = 40  # on a front, if the file gives no number
 
 
 @dataclass(frozen=True)
@@ -566,7 +565,7 @@ class Problem:
             Goal(name, total_of(measures[name], [*runs.values()]), measures[name].unit.symbol, maximise)
             for name, maximise in self.table.goals.items()
         ]
-        count = self.table.trade_off.get("points", _POINTS) if points is None else points
+        count = self.table.trade_off.points if points is None else points
         found = trade_off(design, *goals, points=count, title=self.title, progress=progress)
         return replace(found, origin=self.origin)
 

@@ -20,7 +20,7 @@ from pydantic import ValidationError
 
 from plough_opt.core.checks import check_kind, path_of
 from plough_opt.core.errors import DomainError, InputError, nearest, short
-from plough_opt.core.expressions import as_number, is_count
+from plough_opt.core.expressions import as_number
 from plough_opt.core.quantities import IN_FILES, READINGS, quantities
 from plough_opt.core.units import Display, Unit, display_of, in_words
 from plough_opt.laws.law import ResistanceLaw
@@ -57,8 +57,6 @@ _SHARES: Final = "shares"
 _FRAME_KEYS: Final = ("tow_speed", "duration", "outputs", "average")
 _BY_READING: Final = "follows from the cone index: remove it, or set soil.adjust to another property"
 _EXAMPLE: Final = '[shares.front] with soil.cohesion = "15 kPa"'
-# Fewest and most positions on a front.
-_FEWEST, _MOST = 5, 1000
 
 
 def read_problem(path: str | Path, overrides: Iterable[str] = ()) -> Problem:
@@ -605,33 +603,14 @@ def _check_name(
 
 
 def check_front(source: Source, table: ProblemTable) -> None:
-    """Note every mistake in [trade_off], which must have two or three results and may have a number of points."""
-    known, front = measures_of(table), table.trade_off or {}
-    for name, entry in front.items():
+    """Note every mistake in [trade_off], which must have two or three results."""
+    known, count = measures_of(table), len(table.goals)
+    for name in table.goals:
         with source.noting(("trade_off", name)):
-            if name != "points":
-                _check_goal(source, table, known, name, entry)
-            elif isinstance(entry, bool) or not is_count(entry) or not _FEWEST <= entry <= _MOST:
-                raise InputError(f"'trade_off.points' = {entry!r} must be a whole number from {_FEWEST} to {_MOST}")
-    count = sum(name != "points" for name in front)
-    if table.trade_off is not None and count not in (2, 3) and {*front} <= {*known, "points"}:
+            _check_name(known, name, table.scene.law, "traded", "points")
+    if table.trade_off is not None and count not in (2, 3) and {*table.goals} <= {*known}:
         more = "put the others into [require]" if count > 3 else f"give {TRADED}"
         source.note(("trade_off",), f"a front needs two or three results, not {count}: {more}")
-
-
-def _check_goal(source: Source, table: ProblemTable, known: Mapping[str, Measure], name: str, entry: Any) -> None:
-    """Raise InputError if one result in [trade_off] is invalid."""
-    _check_name(known, name, table.scene.law, "traded", "points")
-    if not isinstance(entry, dict):
-        raise InputError(f"'trade_off.{name}' must be {{}} or {{ maximise = true }}, not {entry!r}")
-    for key, value in entry.items():
-        if key != "maximise":
-            wrong = f"is not a known key: {nearest(key, ['maximise'])}"
-        elif not isinstance(value, bool):
-            wrong = f"= {value!r} must be true or false"
-        else:
-            continue
-        raise source.error(("trade_off", name, key), f"'trade_off.{name}.{key}' {wrong}")
 
 
 def check_values(source: Source, problem: Problem) -> None:
@@ -654,8 +633,9 @@ def check_values(source: Source, problem: Problem) -> None:
         problem.scene()
     source.raise_noted()
     known = measures_of(problem.table)
-    for kind in ("minimise", "require", "trade_off"):
-        for name in {*(getattr(problem.table, kind) or ())} & {name for name in known if known[name].random}:
+    for kind, names in (("minimise", problem.table.minimise), ("require", problem.table.require),
+                        ("trade_off", problem.table.goals)):  # fmt: skip
+        for name in {*names} & {name for name in known if known[name].random}:
             with source.noting((kind, name), prefix=f"'{name}': "):
                 problem.scene().check_stationary()
     source.raise_noted()

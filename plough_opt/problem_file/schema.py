@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     StrictBool,
@@ -311,6 +312,29 @@ class LimitTable(Table):
         return low, high
 
 
+class GoalTable(Table):
+    """A result that a front trades."""
+
+    maximise: StrictBool = False
+    """whether it is maximised"""
+
+
+def _check_goal(written: object) -> object:
+    if isinstance(written, dict):
+        return written
+    raise InputError(f"= {shown(written)} must be {{}} or {{ maximise = true }}; the key of a number is 'points'")
+
+
+class TradeOffTable(Table):
+    """The results that a front trades, by name."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Annotated[GoalTable, BeforeValidator(_check_goal)]]
+
+    points: Annotated[StrictInt, Field(ge=5, le=1000)] = 40
+    """number of positions on the front"""
+
+
 class MeasureTable(Table):
     """A result that the file defines: an expression of other results, and its unit."""
 
@@ -346,15 +370,15 @@ class ProblemTable(Table):
     minimise: dict[str, TermTable] = {}
     require: dict[str, LimitTable] = {}
     measures: dict[str, MeasureTable] = {}
-    trade_off: dict[str, Any] | None = None
+    trade_off: TradeOffTable | None = None
     uncertain: dict[str, Any] | None = None  # read by plough_opt.problem_file.uncertain
     shares: dict[str, dict[str, Any]] = {}  # read by plough_opt.problem_file.reading
 
     @property
     def goals(self) -> dict[str, bool]:
         """Name of each result in [trade_off] -> True if it is maximised."""
-        traded = {name: entry for name, entry in (self.trade_off or {}).items() if name != "points"}
-        return {name: entry.get("maximise", False) for name, entry in traded.items()}
+        traded = {} if self.trade_off is None else self.trade_off.__pydantic_extra__
+        return {name: goal.maximise for name, goal in traded.items()}
 
 
 def _with_quantities(name: str, table: type[_T], owner: str = "", **fields: Any) -> type[_T]:
@@ -397,7 +421,9 @@ def valid_keys(path: tuple[str, ...]) -> list[str]:
     table: Any = ProblemFile
     for key in path:
         # A dictionary maps any name to tables of one class, the last argument of its annotation.
-        table = table.model_fields[key].annotation if hasattr(table, "model_fields") else get_args(table)[-1]
+        fields = {**table.model_fields} if hasattr(table, "model_fields") else {}
+        further = dict[str, GoalTable] if table is TradeOffTable else table
+        table = fields[key].annotation if key in fields else get_args(further)[-1]
         table = get_args(table)[0] if type(None) in get_args(table) else table
     return [*table.model_fields]
 
@@ -432,12 +458,7 @@ def file_schema() -> dict[str, Any]:
     tables["minimise"] = _of(single, "TermTable", others=True)
     tables["minimise"]["properties"]["over"] = {"enum": ["worst", "mean"]}
     tables["require"] = _of(MEASURES, "LimitTable", others=True)
-    goal = {"type": "object", "properties": {"maximise": {"type": "boolean"}}, "additionalProperties": False}
-    tables["trade_off"] = {
-        "type": "object",
-        "properties": dict.fromkeys(single, goal) | {"points": {"type": "integer", "minimum": 5, "maximum": 1000}},
-        "additionalProperties": goal,  # results defined in [measures]
-    }
+    definitions["TradeOffTable"]["properties"] |= _of(single, "GoalTable")["properties"]
     tables["uncertain"] = {"type": "object"}
     speeds = definitions["SceneFile"]["properties"]
     times = {"type": "array", "items": {"type": "string"}, "minItems": 2}

@@ -78,11 +78,15 @@ TRADED = [
         ("mean_draft = {}\nlosened_radius = {}", "losened", "'losened_radius' cannot be traded: did you mean"),
         ("mean_draft = {}", "[trade_off]", "a front needs two or three results, not 1: give [trade_off]"),
         ("mean_draft = {}\nforce_rms = {}\ntow_power = {}\nhalf_angle = {}", "[trade_off]", "not 4: put the others"),
-        ("mean_draft = 3\nforce_rms = {}", "mean_draft = 3", "'trade_off.mean_draft' must be {} or { maximise = true"),
+        ("mean_draft = 3\nforce_rms = {}", "mean_draft = 3", "'trade_off.mean_draft' = 3 must be {} or { maximise"),
         ("mean_draft = { maximize = true }\nforce_rms = {}", "maximize", "not a known key: did you mean 'maximise'?"),
         ('mean_draft = { maximise = "yes" }\nforce_rms = {}', "yes", "'trade_off.mean_draft.maximise' = 'yes' must be"),
-        ("mean_draft = {}\nforce_rms = {}\npoints = 2", "points", "'trade_off.points' = 2 must be a whole number"),
-        ("mean_draft = {}\nforce_rms = {}\npoint = 9", "point =", "'point' cannot be traded: did you mean 'points'"),
+        ("mean_draft = {}\nforce_rms = {}\npoints = 2", "points", "'trade_off.points' = 2 must be at least 5"),
+        (
+            "mean_draft = {}\nforce_rms = {}\npoint = 9",
+            "point =",
+            "or { maximise = true }; the key of a number is 'points'",
+        ),
     )
 ]
 # In the words of the file, and not of Python.

@@ -374,6 +374,10 @@ def levels(found):
         for one in [found.case(half_angle=angle, width=width)]
         for name in (2, 5, 10)
     }
+    boxes = [found.case(width=width) for width in (0.38, 0.5)]
+    tenths = [found.f.numbers(one, "zone_10") / one.base_radius for one in boxes]
+    # Student's t at 97.5 % with two degrees of freedom.
+    ends = np.array([np.mean(one) + side * 4.303 * found.f.error_of(one) for one in tenths for side in (-1, 1)])
     only = {key: text.split()[0] for key, text in zones.items()}
     b1 = [found.f.tested_soil(100e3, p).density_ratio for p in (200e3, 25e3)]
     named = [po.named_soil(name).density_ratio for name in po.soil_names()]
@@ -401,7 +405,8 @@ def levels(found):
         f"at {only[15.0, 0.38, 10]} and {only[15.0, 0.38, 5]} base radii at 15°",
         f"2 % at {only[8.0, 0.38, 2]} and {only[10.0, 0.38, 2]} base radii",
         f"that radius is {zones[15.0, 0.38, 10]} times the base radius, {zones[15.0, 0.5, 10]} in the widest box",
-        f'value = "{only[15.0, 0.38, 10]} * (1 - 0.794)**0.5 * loosened_radius"',
+        f"of both span {ends.min():.1f} to {ends.max():.1f}, so",
+        *(f'value = "{end:.1f} * (1 - 0.794)**0.5 * loosened_radius"' for end in (ends.min(), ends.max())),
         f"over all ratios it is {100 * found.f.pooled_error():.1f} %",
         f"porosity, {found.mean('porosity'):.3f}. b1 from {b1[0]:.3f} to {b1[1]:.3f}",
         f"named soils have {min(named):.3f} to {max(named):.3f}",
@@ -424,7 +429,7 @@ def blades(rows):
 GIVEN = {
     *{"15°", "100 mm", "28 cm", "20 mm", "50 kPa", "2 m/s"},  # the reference
     *{"38 cm", "8°", "10°", "20°", "25°", "35°", "15 mm", "25", "200 kPa"},  # cases
-    *{"30°", "0.5 m/s", "10 kg", "400 N s/m", "50", "10", "5", "5 %", "2 %"},  # penetrometer, mounts, displacements
+    *{"30°", "0.5 m/s", "10 kg", "400 N s/m", "50", "10", "5", "5 %", "2 %", "95 %", "10 %"},  # tools, parts
     *{"1", "0.794", "2013"},  # ratios of one, 1/√(1 − b1); a named soil; a year
 }
 

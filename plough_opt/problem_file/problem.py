@@ -142,44 +142,36 @@ class Problem:
             return tuple(dict.fromkeys(text for part in self.shares.values() for text in part.reliance))
         if not self.table.scene.law.slender:
             return ()
-        found, given, limits = [], self.values(), self.table.require
-        wanted = {*self.table.minimise, *self.table.goals, *limits}
-        if not given.keys() & {_READING, "soil.strength_factor"}:
-            found.append(
-                "the level of the draft was not measured: computed from the soil's properties it is low by a factor of"
-                " up to 3.3 among particles and by more in sand, so give a cone index (soil.cone_index)"
-            )
+        given, limits = self.values(), self.table.require
+        wanted, varied = (
+            {*self.table.minimise, *self.table.goals, *limits},
+            {*self.variables, *(self.table.uncertain or ())},
+        )
         angle = limits["half_angle"].at_most if "half_angle" in limits else None
         blunt = angle is None or Unit("rad").parse(angle) > PLANE_SECTIONS_LIMIT
-        if "share.wedge_angle" in self.variables and blunt:
-            found.append(
-                "of two shares with the same base the blunter has less draft here, and the same draft among particles:"
-                f" require half_angle at most {math.degrees(PLANE_SECTIONS_LIMIT):.0f} deg"
-            )
-        if "scene.stiffness" in self.variables and wanted & {"force_rms", "stationary_force_rms"}:
-            found.append(
-                "a mount softer than its resonance takes 30 to 60 % off the RMS of a rigid share's force here, and took"
-                " nothing off among particles: do not count on what a soft mount saves"
-            )
-        if "scene.tow_speed" in self.variables and not given.keys() & {"effects.speed_term", "effects.rate_term"}:
-            found.append(
-                "the draft grows by some per cent over the usual speeds, in measurements by much more: calibrate"
-                " effects.speed_term to drafts at several speeds"
-            )
-        varied = {*self.variables, *(self.table.uncertain or ())}
-        if "soil.ambient_pressure" in varied and self.table.soil.compaction is None:
-            found.append(
-                "with one density ratio the draft grows in proportion to the ambient pressure, among particles to"
-                " about its root: give a compression test (soil.compaction)"
-            )
-        if "loosened_radius" in wanted and "soil.density_ratio" not in given:
-            ratio = (1.0 - float(as_number(self.scene().soil.density_ratio))) ** -0.5
-            found.append(
-                f"loosened_radius is {ratio:.3g} times the base radius of the cone in this soil, so it measures the"
-                " size of the share; among particles displacement has no front: take soil.density_ratio from the width"
-                " of a trench across a pass"
-            )
-        return tuple(found)
+        front = "loosened_radius" in wanted and "soil.density_ratio" not in given
+        ratio = (1.0 - float(as_number(self.scene().soil.density_ratio))) ** -0.5 if front else math.nan
+        relied = {
+            "the level of the draft was not measured: computed from the soil's properties it is low by a factor of up"
+            " to 3.3 among particles and by more in sand, so give a cone index (soil.cone_index)":
+                not given.keys() & {_READING, "soil.strength_factor"},
+            "of two shares with the same base the blunter has less draft here, and the same draft among particles:"
+            f" require half_angle at most {math.degrees(PLANE_SECTIONS_LIMIT):.0f} deg":
+                blunt and "share.wedge_angle" in self.variables,
+            "a mount softer than its resonance takes 30 to 60 % off the RMS of a rigid share's force here, and took"
+            " nothing off among particles: do not count on what a soft mount saves":
+                "scene.stiffness" in self.variables and wanted & {"force_rms", "stationary_force_rms"},
+            "the draft grows by some per cent over the usual speeds, in measurements by much more: calibrate"
+            " effects.speed_term to drafts at several speeds":
+                "scene.tow_speed" in self.variables and not given.keys() & {"effects.speed_term", "effects.rate_term"},
+            "with one density ratio the draft grows in proportion to the ambient pressure, among particles to about its"
+            " root: give a compression test (soil.compaction)":
+                "soil.ambient_pressure" in varied and self.table.soil.compaction is None,
+            f"loosened_radius is {ratio:.3g} times the base radius of the cone in this soil, so it measures the size of"
+            " the share; among particles displacement has no front: take soil.density_ratio from the width of a trench"
+            " across a pass": front,
+        }  # fmt: skip
+        return tuple(sentence for sentence, relied_on in relied.items() if relied_on)
 
     @property
     def parts(self) -> Mapping[str, Problem]:

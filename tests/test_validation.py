@@ -203,6 +203,9 @@ def test_the_page_states_the_effect_of_the_box(script):
         in page
     )
     assert worst == "wide-8"
+    every = [*rows, *script.read_rows(PARTICLES / "triaxial.csv")]
+    hours = sum(float(row["cpu"]) for row in every) / 3600.0
+    assert f"The {len(every)} tests and pulls took {hours:.1f} hours" in page
 
 
 # --- comparisons with particles and measurements: arithmetic, and every number of the page from the rows on file ---

@@ -272,10 +272,8 @@ def read_result(path: str | Path, kinds: dict[str, type[_Result]]) -> _Result:
     except (ValueError, RecursionError, TypeError) as error:
         kind = next(iter(kinds)) if len(kinds) == 1 else "result"
         wanted = f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
-        raise InputError(
-            f"'{path}' is not {wanted} of this version (schema {SCHEMA}): {short(str(error), 200)}; name a file"
-            " that save or --json wrote, or save the result again"
-        ) from None
+        old = f"of this version (schema {SCHEMA}): {short(str(error), 200)}"
+        raise InputError(f"'{path}' is not {wanted} {old}; name a file that save or --json wrote") from None
 
 
 def _result_of(data: Any, kinds: dict[str, type[_Result]]) -> _Result:

@@ -102,11 +102,8 @@ class NamedScene:
         BESIDE[STEEL].check(self.steel_density)
         share = self.scene.cone.solid_mass(self.steel_density)
         if self.scene.mass < (1.0 - _ROUNDING) * share:
-            raise InputError(
-                f"a share of {self.steel_density:.6g} kg/m^3 has {share:.6g} kg, more than the whole moving mass of"
-                f" {self.scene.mass:.6g} kg: give the scene the mass of frame and share together, or leave"
-                " steel_density out"
-            )
+            given = f"a share of {self.steel_density:.6g} kg/m^3 has {share:.6g} kg, more than the whole moving mass"
+            raise InputError(f"{given} of {self.scene.mass:.6g} kg: give both together, or leave steel_density out")
 
     def _check_symbols(self) -> None:
         """Raise InputError unless the given symbols are exactly those in scene and duration."""

@@ -215,10 +215,8 @@ def _curves(names: Sequence[str], table: Vector) -> list[tuple[float, NDArray[np
 def _mean(depth: Vector, pressure: Vector, low: float, high: float) -> float:
     """Return the mean of a curve between two depths [Pa]."""
     if not (depth[0] <= low and high <= depth[-1]):
-        raise InputError(
-            f"its readings cover {100 * depth[0]:.4g} to {100 * depth[-1]:.4g} cm, but the depth is {100 * low:.4g} to"
-            f" {100 * high:.4g} cm: narrow the depth, or remove this insertion"
-        )
+        cover = f"{100 * depth[0]:.4g} to {100 * depth[-1]:.4g} cm, not {100 * low:.4g} to {100 * high:.4g} cm"
+        raise InputError(f"its readings cover {cover}: narrow the depth, or remove this insertion")
     inner = (depth > low) & (depth < high)
     places = np.r_[low, depth[inner], high]
     mean = float(np.trapezoid(np.interp(places, depth, pressure), places) / (high - low))
@@ -259,10 +257,8 @@ def read_strength_record(path: str | Path, rig: Rig | None = None, *, tow_speed:
     check_rising(path, [line for line, _ in rows], table[:, names.index(along[0])], along[0])
     found = dict(zip(names, table.T, strict=True))
     if "force" in found and rig is None:
-        raise InputError(
-            f"{path}: a measured force contains the rig's own oscillation: give the rig's mass, stiffness, damping and"
-            " tow speed, so that it can be removed"
-        )
+        needs = "give the rig's mass, stiffness and tow speed, so that it can be removed"
+        raise InputError(f"{path}: a measured force contains the rig's own oscillation: {needs}")
     if "cone_index" in found:
         rig = None
     speed = rig.tow_speed if tow_speed is None and rig is not None else tow_speed

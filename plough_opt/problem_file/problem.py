@@ -244,10 +244,8 @@ class Problem:
             0.3
         """
         if self.shares:
-            raise InputError(
-                f"{self.name} has several shares, {', '.join(self.shares)}, but this needs one: choose it by --set"
-                f" shares={next(iter(self.shares))}, in Python by problem.shares"
-            )
+            one = f"choose one by --set shares={next(iter(self.shares))}, in Python by problem.shares"
+            raise InputError(f"{self.name} has several shares, {', '.join(self.shares)}: {one}")
         values = self.values(changes)
         share = Wedge(
             angle=values["share.wedge_angle"], chisel_angle=values["share.chisel_angle"], height=values["share.height"]

@@ -99,10 +99,8 @@ def share_solid(angle: float, chisel_angle: float, height: float, opening: float
     mitre = thickness / math.tan(half)
     check_domain("thickness of the plate", thickness, "m", above=0.0)
     if mitre >= width:
-        raise InputError(
-            f"the thickness of the plate, {thickness:g} m, leaves nothing of the faces' inside: use less than"
-            f" {width * math.tan(half):.4g} m, or a larger opening"
-        )
+        most = f"{width * math.tan(half):.4g} m"
+        raise InputError(f"thickness = {thickness:g} m leaves nothing of the faces' inside: use less than {most}")
     inner = [places(u, mitre, thickness)[0] for u in (mitre / math.tan(angle), ridge)]
     vertices = np.array([*outer, *inner, *places(ridge, width, thickness)])
     # Corners: tip 0 and end 1 of the ridge, outer corners 2 and 3; 4 to 7 are the corresponding inner corners.

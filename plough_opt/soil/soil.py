@@ -258,10 +258,8 @@ class Soil:
         p, e = compression_test(pressure, compaction)
         at = soil.ambient_pressure
         if not is_symbolic(at) and not np.all((p[0] <= as_number(at)) & (as_number(at) <= p[-1])):
-            raise InputError(
-                f"ambient pressure = {shown(at)} Pa is outside the compression test, {p[0] / 1e3:g} to"
-                f" {p[-1] / 1e3:g} kPa: set the soil's ambient_pressure to one in it, or test at that pressure too"
-            )
+            test = f"the compression test, {p[0] / 1e3:g} to {p[-1] / 1e3:g} kPa"
+            raise InputError(f"ambient pressure = {shown(at)} Pa is outside {test}: set the soil's ambient_pressure")
         x, y = np.log(p), np.log(e)
         slopes = np.diff(y) / np.diff(x)
         log_e = y[0] + slopes[0] * (log(at) - x[0])
@@ -307,11 +305,8 @@ def _adjusted(reading: Expression, soil: Soil, adjust: Adjust) -> Expression:
         if not (is_symbolic(reading) or is_symbolic(level * without)):
             short = float(np.max(as_number(level * without) - as_number(reading)))
             if short > 0.0:
-                raise InputError(
-                    f"friction and ambient pressure alone give a cone index {short / 1e3:.4g} kPa above the reading, so"
-                    " it cannot be matched by cohesion: adjust the strength factor, or reduce the ambient pressure or"
-                    " the friction angle"
-                )
+                above = f"a cone index {short / 1e3:.4g} kPa above the reading, so it cannot be matched by cohesion"
+                raise InputError(f"friction and ambient pressure alone give {above}: adjust the strength factor")
         return (reading / level - without) * (1.0 + yielding.mu) / (2.0 * cos(soil.friction_angle))
     strength = yielding.strength(soil.ambient_pressure)
     if not is_symbolic(strength) and np.any(as_number(strength) == 0.0):

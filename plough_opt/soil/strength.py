@@ -93,10 +93,8 @@ def turns_of(waves: Sequence[StrengthWave]) -> tuple[int, ...]:
         turns = count * np.max(lengths) / lengths
         if np.all(np.abs(turns - np.round(turns)) <= _COMMENSURATE * turns):
             return tuple(int(turn) for turn in np.round(turns))
-    raise InputError(
-        f"the strength waves ({', '.join(f'{length:g}' for length in lengths)} m) have no common period within"
-        f" {_MOST_TURNS} of the longest, so the motion is not periodic: simulate from a start"
-    )
+    given = ", ".join(f"{length:g}" for length in lengths)
+    raise InputError(f"the strength waves ({given} m) have no common period, as an orbit needs: simulate from a start")
 
 
 def check_strength(waves: Sequence[StrengthWave], path: tuple[float, float] | None = None) -> None:

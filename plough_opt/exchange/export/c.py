@@ -70,45 +70,14 @@ def _header(component: Component) -> str:
     """Return the header: inputs, outputs and two functions."""
     name, upper = component.name(), component.name().upper()
     comment = "\n".join(f" * {line}".rstrip() for line in str(component).replace("*/", "* /").splitlines())
-    values = sum(port.size for port in component.outputs)
-    return f"""/* Written by plough_opt {version("plough_opt")}.
-{comment}
- *
- * Inputs and outputs are in this order. The values of a column follow each other without gaps.
- * Compile with -ffp-contract=off to get the same numbers as in Python.
- */
-#ifndef {upper}_H
-#define {upper}_H
+    sizes = {"inputs": len(component.inputs), "outputs": sum(port.size for port in component.outputs)}
+    return _filled("component.h", name=name, upper=upper, comment=comment, version=version("plough_opt"), **sizes)
 
-#ifdef __cplusplus
-extern "C" {{
-#endif
 
-#define {upper}_INPUTS {len(component.inputs)}
-#define {upper}_OUTPUTS {values}
-
-extern const char *const {name}_input_names[{upper}_INPUTS];
-extern const char *const {name}_input_units[{upper}_INPUTS];
-extern const double {name}_input_lower[{upper}_INPUTS];
-extern const double {name}_input_upper[{upper}_INPUTS];
-extern const double {name}_input_values[{upper}_INPUTS];
-extern const char *const {name}_output_names[{upper}_OUTPUTS];
-extern const char *const {name}_output_units[{upper}_OUTPUTS];
-
-/* Computes {upper}_OUTPUTS outputs from {upper}_INPUTS inputs. Safe in threads.
- * Returns 0 on success, 1 if memory is short, 2 if an input lies outside its bounds, for which steps and checks were
- * not chosen, and 3 if a result is not finite. Unless it returns 0 all results are NaN. */
-int {name}_evaluate(const double *inputs, double *outputs);
-
-/* Derivatives of all outputs by all inputs, row by row: jacobian[i * {upper}_INPUTS + j] = d output i / d input j.
- * Returns the same codes. */
-int {name}_jacobian(const double *inputs, double *jacobian);
-
-#ifdef __cplusplus
-}}
-#endif
-#endif
-"""
+def _filled(template: str, **values: Any) -> str:
+    """Return one of the C files beside this one with values in the places of their names."""
+    text = files("plough_opt.exchange.export").joinpath(template).read_text(encoding="utf-8")
+    return Template(text).substitute(values)
 
 
 def _functions(component: Component) -> dict[str, ca.Function]:
@@ -189,9 +158,8 @@ def _test(component: Component, functions: Mapping[str, ca.Function]) -> str:
     points = [*interior_points(component.inputs)[:_INTERIOR_POINTS], *corners]
     rows = {verb: _rows(function(x).full().ravel(order="F") for x in points) for verb, function in functions.items()}
     name = component.name()
-    template = files("plough_opt.exchange.export").joinpath("component_test.c").read_text(encoding="utf-8")
-    filled = {"name": name, "upper": name.upper(), "count": len(points), "points": _rows(points), "most": MOST_ULP}
-    return Template(template).substitute(filled, **rows)
+    made = {"name": name, "upper": name.upper(), "count": len(points), "points": _rows(points), "most": MOST_ULP}
+    return _filled("component_test.c", **made, **rows)
 
 
 def _element(port: Port, k: int) -> str:

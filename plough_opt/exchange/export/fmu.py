@@ -681,10 +681,8 @@ def _compiled(source: str) -> bytes:
         flags = ("-std=c11", optimisation, "-fvisibility=hidden", "-ffp-contract=off")
         problem = compile_library(source, (*command, *flags), made, ("-lm",))
         if problem is not None:
-            raise InputError(
-                f"{command[0]} could not compile the FMU ({problem}): set $CC to another compiler, or use binary=False"
-                " (--sources) and let the importing tool compile the sources"
-            )
+            remedy = "set $CC to another compiler, or use binary=False (--sources)"
+            raise InputError(f"{command[0]} could not compile the FMU ({problem}): {remedy}")
         return made.read_bytes()
 
 

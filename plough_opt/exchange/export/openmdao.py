@@ -89,10 +89,8 @@ class FunctionComponent(om.ExplicitComponent):  # type: ignore[misc]
         for value, port in zip(values, self._sources, strict=True):
             slack = 1e-6 * (port["upper"] - port["lower"])  # optimisers relax bounds by this
             if not port["lower"] - slack <= value <= port["upper"] + slack:
-                raise om.AnalysisError(
-                    f"{port['argument']} = {value:g} must lie between {port['lower']:g} and {port['upper']:g}, the"
-                    " bounds for which this component was made"
-                )
+                bounds = f"{port['lower']:g} and {port['upper']:g}"
+                raise om.AnalysisError(f"{port['argument']} = {value:g} must lie between {bounds}")
         return values
 
     def add_design(self, model: Any, objective: str, prefix: str = "") -> None:

@@ -303,7 +303,9 @@ class Optimisation:
     def __call__(self, values: dict[str, float]) -> WithNotes:
         """Return optimum and results at a point, with all warnings; ``values`` maps quantities to SI values."""
         problem = fixed_at(self.problem, values)
-        best, run = problem.optimise()
+        design, symbolic = problem.design()
+        best = design.solve()  # not `Problem.optimise`, which also looks for the best design in catalogue values
+        run = best(symbolic)
         assert isinstance(run, Run)  # ProblemSweep.of refuses several shares
         numbers = {
             "objective": best.objective,

@@ -14,20 +14,6 @@ from plough_opt.studies.uncertainty.result import SobolIndices, sobol_indices
 from plough_opt.studies.uncertainty.robust import Check, Robust, Verification, verify
 
 __all__ = [
-    "Check",
-    "Marginal",
-    "Robust",
-    "SobolIndices",
-    "SoilDistribution",
-    "SoilSamples",
-    "Verification",
-    "cvar",
-    "expected",
-    "mean_plus",
-    "probability",
-    "quantile",
-    "sobol_indices",
-    "standard_deviation",
-    "verify",
-    "worst",
-]
+    "Check", "Marginal", "Robust", "SobolIndices", "SoilDistribution", "SoilSamples", "Verification", "cvar",
+    "expected", "mean_plus", "probability", "quantile", "sobol_indices", "standard_deviation", "verify", "worst",
+]  # fmt: skip

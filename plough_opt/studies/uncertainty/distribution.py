@@ -91,8 +91,7 @@ class SoilSamples(ByValue):
             [11000.0, 19000.0]
         """
         check_named("{} is not an uncertain property", name, self.names)
-        column: Array = self.values[:, self.names.index(name)]
-        return column
+        return np.asarray(self.values[:, self.names.index(name)])
 
     def each(self, response: Callable[[Soil], Mapping[str, Expression]]) -> dict[str, Expression]:
         """Return name -> result of a function of the soil, as a column over the samples.
@@ -246,14 +245,11 @@ class Marginal:
                 " as stats.lognorm(0.3, scale=20e3)"
             )
         for side, bound in (("lower", self.lower), ("upper", self.upper)):
-            infinite = isinstance(bound, float) and math.isinf(bound)
-            if not infinite:
+            if not (isinstance(bound, float) and math.isinf(bound)):
                 # As a float, because SciPy cannot compute with integers of more than 63 bits.
                 object.__setattr__(self, side, plain_number(f"{self.name}: its {side} bound", bound))
         if not self.lower < self.upper:
-            raise InputError(
-                f"{self.name}: its bounds contradict each other: {self.lower:g} is not below {self.upper:g}"
-            )
+            raise InputError(f"{self.name}: its bounds contradict: {self.lower:g} must be below {self.upper:g}")
         with np.errstate(invalid="ignore"):
             middle = float(self._inverse(0.5))
         if not math.isfinite(middle):
@@ -298,8 +294,7 @@ class Marginal:
         if not np.all((numbers >= 0.0) & (numbers <= 1.0)):
             raise InputError(f"a probability = {shown(probability)} must lie from 0 to 1")
         untruncated = self._below + numbers * self._mass
-        values: Array = np.clip(np.asarray(self._inverse(untruncated), dtype=float), self.lower, self.upper)
-        return values
+        return np.asarray(np.clip(self._inverse(untruncated), self.lower, self.upper), dtype=float)
 
     def cdf(self, value: ArrayLike) -> Array:
         """Return the probability of lying below a value.
@@ -316,9 +311,8 @@ class Marginal:
             >>> float(po.uncertainty.Marginal(stats.uniform(1e4, 1e4)).cdf(12.5e3))
             0.25
         """
-        below: Array = np.asarray(self.distribution.cdf(_numbers("a value", value)), dtype=float)
-        probability: Array = np.clip((below - self._below) / self._mass, 0.0, 1.0)
-        return probability
+        below = self.distribution.cdf(_numbers("a value", value))
+        return np.asarray(np.clip((below - self._below) / self._mass, 0.0, 1.0), dtype=float)
 
     @cached_property
     def moments(self) -> tuple[float, float]:
@@ -390,13 +384,9 @@ class SoilDistribution:
         for name in bounds:
             if name not in properties:
                 raise InputError(f"within names '{name}', which has no distribution: {nearest(name, properties)}")
-        marginals = {
-            name: Marginal(distribution, *bounds.get(name, (-math.inf, math.inf)), name)
-            for name, distribution in properties.items()
-        }
-        object.__setattr__(self, "soil", soil)
-        object.__setattr__(self, "marginals", marginals)
-        object.__setattr__(self, "correlation", dict(correlation or {}))
+        ends = {name: bounds.get(name, (-math.inf, math.inf)) for name in properties}
+        marginals = {name: Marginal(given, *ends[name], name) for name, given in properties.items()}
+        vars(self).update(soil=soil, marginals=marginals, correlation=dict(correlation or {}))
         self._check_domain()
         _ = self.factor
 
@@ -524,9 +514,7 @@ class SoilDistribution:
             raise InputError(f"points of the shape {points.shape} do not have a column for each of {self.names}")
         if self.correlated:
             points = np.asarray(special.ndtr(special.ndtri(points) @ self.factor.T))
-        columns = [
-            marginal.quantile(column) for marginal, column in zip(self.marginals.values(), points.T, strict=True)
-        ]
+        columns = [m.quantile(column) for m, column in zip(self.marginals.values(), points.T, strict=True)]
         return SoilSamples(self.soil, self.names, np.stack(columns, axis=1))
 
     def in_words(self) -> str:
@@ -550,9 +538,7 @@ class SoilDistribution:
         """Raise DomainError if a distribution extends outside the model's domain."""
         for name, marginal in self.marginals.items():
             if is_casadi(getattr(self.soil, name)):
-                raise InputError(
-                    f"'{name}' is an expression in the soil, so it cannot be uncertain too: give the soil a number"
-                )
+                raise InputError(f"'{name}' is an expression in the soil, so it cannot be uncertain too: give a number")
             for end in (_TAIL, 1.0 - _TAIL):
                 value: Any = float(marginal.quantile(end))
                 try:

@@ -37,7 +37,6 @@ MOST_ROUNDING = 35.0 / 256.0
 
 # Largest value of the kernel.
 _PEAK = 35.0 / 32.0
-_NO_SAMPLES = "there are no samples: a measure needs at least one value"
 
 
 # --- step and ramp ---------------------------------------------------------------------------------------------
@@ -295,9 +294,7 @@ def _is_smoothed(what: str, column: Column, width: Expression) -> bool:
         return True
     number = plain_number(f"the width of a {what}", width)
     if number < 0.0:
-        raise InputError(
-            f"the width {shown(width)} of a {what} must be a number of at least 0, in the unit of the values"
-        )
+        raise InputError(f"the width {shown(width)} of a {what} must be at least 0, in the unit of the values")
     if 0.0 < number < LEAST:
         raise InputError(f"the width {shown(width)} of a {what} must be 0 or at least {LEAST:g}: leave it out")
     if number == 0.0 and is_casadi(column):
@@ -310,14 +307,13 @@ def _is_smoothed(what: str, column: Column, width: Expression) -> bool:
 
 def _column(values: Column) -> Column:
     """Return values as a column; raise InputError if there are none, or if some are not finite numbers."""
-    if is_casadi(values):
-        column = ca.vec(values)
-        if column.numel() == 0:
-            raise InputError(_NO_SAMPLES)
+    symbolic = is_casadi(values)
+    column = ca.vec(values) if symbolic else array_of(values, "{} are not samples: give a column of numbers").ravel()
+    if not _count(column):
+        raise InputError("there are no samples: a measure needs at least one value")
+    if symbolic:
         return column
-    numbers = array_of(values, "{} are not samples: give a column of numbers").ravel()
-    if not len(numbers):
-        raise InputError(_NO_SAMPLES)
+    numbers = np.asarray(column)
     if not np.all(np.isfinite(numbers)):
         raise InputError(f"{np.sum(~np.isfinite(numbers))} of {len(numbers)} samples are not finite: leave them out")
     if np.any(np.abs(numbers) > LARGEST):

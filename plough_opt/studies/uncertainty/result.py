@@ -158,13 +158,9 @@ def sobol_indices(
         resampled = np.reshape([getattr(resample, f"{kind}_order") for resample in again], (_RESAMPLES, -1, count))
         columns[f"{kind}_low"], columns[f"{kind}_high"] = np.quantile(resampled, (tail, 1.0 - tail), axis=0)
     note = "the properties are correlated: each counts only as far as it is independent of those before it"
-    return {
-        name: SobolIndices(
-            name, _names(field), **{key: column[k] for key, column in columns.items()},
-            note=note if field.correlated else "",
-        )
-        for k, name in enumerate(results)
-    }  # fmt: skip
+    names, note = _names(field), note if field.correlated else ""
+    parts_of = ({key: column[k] for key, column in columns.items()} for k in range(len(results)))
+    return {name: SobolIndices(name, names, **found, note=note) for name, found in zip(results, parts_of, strict=True)}
 
 
 def _names(field: SoilDistribution) -> tuple[str, ...]:
@@ -221,12 +217,11 @@ class RobustOptimum(Saveable):
         parts: list[Part] = [_soil_table(self.robust.field, self.origin), _design_table(self.best, self.nominal)]
         required = _limits_table(self.best, self.requirements, self.origin)
         parts += [required] if required.rows else []
-        if len(self.best.local_optima) > 1:
-            optima = Grid.of("All robust optima found", "", "objective", *self.best.variables)
-            for optimum in self.best.local_optima:
-                cells = (self.best.display(name).result(value) for name, value in optimum.variables.items())
-                optima.row(optimum.name, f"{optimum.objective:.{OBJECTIVE_DIGITS}g}", *cells)
-            parts.append(optima)
+        optima = Grid.of("All robust optima found", "", "objective", *self.best.variables)
+        for optimum in self.best.local_optima:
+            cells = (self.best.display(name).result(value) for name, value in optimum.variables.items())
+            optima.row(optimum.name, f"{optimum.objective:.{OBJECTIVE_DIGITS}g}", *cells)
+        parts += [optima] if len(optima.rows) > 1 else []
         parts.append(_checks_table(checks, self.nominal_fresh.checks, self.fresh.samples, self.origin))
         parts += [f"* {text}" for check in checks for text in _remarks_on(check, self.origin)]
         parts += [_indices_table(self.indices)] if self.indices else []
@@ -292,8 +287,8 @@ class RobustOptimum(Saveable):
         beside = f" {display.symbol}".rstrip()
         # A requirement in another unit limits a probability, and not the result itself.
         wanted = ("requirement", name, unit)
-        limit = next((limit for limit in self.best.limits if (limit.kind, limit.name, limit.unit) == wanted), None)
-        low, high = (None, None) if limit is None else (limit.low, limit.high)
+        limits = [limit for limit in self.best.limits if (limit.kind, limit.name, limit.unit) == wanted]
+        low, high = (limits[0].low, limits[0].high) if limits else (None, None)
         sides = [side / display.factor for side in (low, high) if side is not None]
         least, most = np.array([-np.inf if low is None else low, np.inf if high is None else high]) / display.factor
         designs = {"nominal design": self.nominal_fresh.values[name], "robust design": self.fresh.values[name]}
@@ -304,11 +299,9 @@ class RobustOptimum(Saveable):
         bins = np.linspace(first - room, last + room, _BINS + 1).tolist()
         for (design, fresh), colour in zip(designs.items(), COLOURS, strict=False):
             values = np.sort(fresh) / display.factor
+            text = f"worst tenth {np.mean(values[-max(1, len(values) // 10) :]):.4g}{beside}"
             if sides:
-                part = 100.0 * np.mean((values >= least) & (values <= most))
-                text = f"{part:.1f} % within the limit"
-            else:
-                text = f"worst tenth {np.mean(values[-max(1, len(values) // 10) :]):.4g}{beside}"
+                text = f"{100.0 * np.mean((values >= least) & (values <= most)):.1f} % within the limit"
             label = f"{design}: mean {np.mean(values):.4g}{beside}, {text}"
             weights = np.full(len(values), 100.0 / len(values))
             axes.hist(values, bins, weights=weights, color=colour, alpha=0.45, label=label)

@@ -63,7 +63,8 @@ class RequestedMeasure:
 
     def smoothed(self, values: Column) -> Expression:
         """Return the measure of the values of samples, smoothed as in the optimisation."""
-        value: Expression = self.exact(values, width=self.width) if _is_smooth(self.width) else self.exact(values)
+        smooth = is_casadi(self.width) or bool(self.width)
+        value: Expression = self.exact(values, width=self.width) if smooth else self.exact(values)
         return value
 
 
@@ -203,8 +204,8 @@ class Robust(Readable):
             True
         """
         check_choice("tail", tail, tuple(_WORST))
-        kind = _WORST[tail]
-        return self._request(name, f"{kind} of the samples", kind, _in_tail(measures.worst, tail), width)
+        text = f"{_WORST[tail]} of the samples"
+        return self._request(name, text, _WORST[tail], _in_tail(measures.worst, tail), width)
 
     def every(self, name: str, *, at_least: float | None = None, at_most: float | None = None) -> Expression:
         """Return a result as a column, to be required within limits; `verify` then estimates their probability.
@@ -286,10 +287,8 @@ class Robust(Readable):
         if (at_least is None) == (at_most is None):
             raise InputError(f"'{requirement}': give one limit, at_least or at_most; two limits are two requirements")
         self.probability(name, at_least=at_least, at_most=at_most, width=width)
-        if at_most is not None:
-            quantile = measures.quantile(self[name], probability, width=width)
-        else:
-            quantile = -measures.quantile(-self[name], probability, width=width)
+        measure = _in_tail(measures.quantile, "lower" if at_most is None else "upper")
+        quantile = measure(self[name], level=probability, width=width)
         design.require(requirement, quantile, at_least=at_least, at_most=at_most, unit=unit)
 
     def bound_from_above(
@@ -371,10 +370,6 @@ class Robust(Readable):
         value = measure.smoothed(self[measure.result])
         self.requested.append(measure)
         return value
-
-
-def _is_smooth(width: Expression) -> bool:
-    return is_casadi(width) or bool(width)
 
 
 def _within(name: str, at_least: float | None, at_most: float | None, width: Expression) -> RequestedMeasure:
@@ -489,9 +484,7 @@ def best_robust(
             failures.append(f"solved again with its own widths, from {place}: {error}")
     best, robust = min(found, key=lambda pair: pair[0].objective, default=(searched, program_for(first).robust))
     robust = copy.copy(robust)
-    robust.requested = [
-        replace(own, width=float(best(own.width))) if is_casadi(own.width) else own for own in robust.requested
-    ]
+    robust.requested = [replace(m, width=float(best(m.width))) if is_casadi(m.width) else m for m in robust.requested]
     distinct: list[LocalOptimum] = []
     every = [*(optimum.local_optima[0] for optimum, _ in found), *searched.local_optima[len(found and candidates) :]]
     for local in sorted(every, key=lambda optimum: optimum.objective):
@@ -573,16 +566,12 @@ class Check:
     @property
     def confirmed(self) -> bool:
         """Whether the optimiser's value is in the interval; for a worst case, whether no fresh sample is worse."""
-        if self.low is None or self.high is None:
-            return self.worse == 0
-        return self.low <= self.seen <= self.high
+        return self.worse == 0 if self.low is None or self.high is None else self.low <= self.seen <= self.high
 
     @property
     def verdict(self) -> str:
         """Whether fresh samples confirm the optimiser's value, and otherwise on which side of it they lie."""
-        if self.confirmed:
-            return "confirmed"
-        return f"{'larger' if self.fresh > self.seen else 'smaller'} than seen"
+        return "confirmed" if self.confirmed else f"{'larger' if self.fresh > self.seen else 'smaller'} than seen"
 
     @property
     def interval(self) -> str:
@@ -695,9 +684,7 @@ def verify(
             " truncate the distribution at the ends of the model's domain"
         )
     requested = {(measure.result, measure.text): measure for measure in robust.requested}
-    checks = tuple(
-        _checked(measure, common[measure.result], fresh.values[measure.result], seed) for measure in requested.values()
-    )
+    checks = tuple(_checked(m, common[m.result], fresh.values[m.result], seed) for m in requested.values())
     return Verification(checks, valid, fresh.failures, fresh.values, seed, time.perf_counter() - started)
 
 

@@ -64,9 +64,8 @@ def assembled(tracer: Tracer, goals: Sequence[Goal], title: str) -> TradeOff:
         raise NotConverged(f"no point of the front could be certified: {why}", "Not_Certified")
     efficient = set(arrangement.efficient)
     others = [candidate for candidate in tracer.candidates if candidate not in efficient]
-    certified |= {
-        candidate: certificate(front, candidate, beaten=True) for candidate in others if candidate not in certified
-    }
+    fresh = [candidate for candidate in others if candidate not in certified]
+    certified |= {candidate: certificate(front, candidate, beaten=True) for candidate in fresh}
     points = _with_medians(tracer, shown, certified)
     beaten = _with_medians(tracer, [candidate for candidate in others if not certified[candidate].doubt], certified)
     variables = front.program.declared.variables
@@ -91,12 +90,12 @@ def _with_medians(
 ) -> tuple[FrontPoint, ...]:
     """Return the certificates of candidates, with the medians of their objectives over the tolerances."""
     medians = tracer.archive.medians(np.array([candidate.point.y for candidate in candidates])) if candidates else None
-    if medians is None:
-        return tuple(certified[candidate] for candidate in candidates)
-    return tuple(
-        replace(certified[candidate], medians=tuple((row * tracer.front.units).tolist()), needle=bool(candidate.needle))
-        for candidate, row in zip(candidates, medians, strict=True)
-    )
+    points = [certified[candidate] for candidate in candidates]
+    if medians is not None:
+        needles, rows = (bool(candidate.needle) for candidate in candidates), (medians * tracer.front.units).tolist()
+        pairs = zip(points, rows, needles, strict=True)
+        points = [replace(point, medians=tuple(row), needle=needle) for point, row, needle in pairs]
+    return tuple(points)
 
 
 def _failures(
@@ -162,17 +161,13 @@ def certificate(front: FrontProgram, candidate: FrontCandidate, *, beaten: bool 
     """
     program, point, corrector = front.program, candidate.point, front.correctors[candidate.exact]
     scaled, values = front.tight(point.y)
-    margins, violation, active = {}, 0.0, []
-    for k, (r, value) in enumerate(zip(front.declared.requirements, values, strict=False)):
-        margin = r.margin(value.ravel())
-        pull = float(np.max(np.abs(point.lam_g[np.array(program.owner) == k])))
-        margins[r.name] = margin
-        violation = max(violation, -margin / program.scales[k])
-        if decides(margin / program.scales[k], pull):
-            active.append(r.name)
-    for v, y, multiplier in zip(program.declared.variables, point.y, point.lam_y, strict=True):
-        if decides(float(min(y, 1.0 - y)), float(abs(multiplier))):
-            active.append(v.name)
+    margins = {r.name: r.margin(x.ravel()) for r, x in zip(front.declared.requirements, values, strict=False)}
+    owner, variables = np.array(program.owner), program.declared.variables
+    relative = [margin / scale for margin, scale in zip(margins.values(), program.scales, strict=False)]
+    pulls = [float(np.max(np.abs(point.lam_g[owner == k]))) for k in range(len(margins))]
+    active = [name for name, margin, pull in zip(margins, relative, pulls, strict=True) if decides(margin, pull)]
+    active += [v.name for v, y, multiplier in zip(variables, point.y, point.lam_y, strict=True)
+               if decides(float(min(y, 1.0 - y)), float(abs(multiplier)))]  # fmt: skip
     weights = _weights(front, candidate)
     scenes = [] if beaten else front.scenes(point.y)
     waved = [scene.branch for scene in scenes if scene.effects.strength_wave]
@@ -183,13 +178,13 @@ def certificate(front: FrontProgram, candidate: FrontCandidate, *, beaten: bool 
         curvature = float(curvatures[0]) if curvatures.size else None
     return FrontPoint(
         objectives=tuple((scaled * front.units).tolist()),
-        variables={v.name: float(x) for v, x in zip(program.declared.variables, program.values(point.y), strict=True)},
+        variables={v.name: float(x) for v, x in zip(variables, program.values(point.y), strict=True)},
         margins=margins,
         active=tuple(active),
         rate=-weights[0] / weights[1] if weights is not None and front.count == 2 else None,
         branch=next(filter(None, waved), ""),
         residual=corrector.residual(point, candidate.p),
-        violation=violation,
+        violation=max((0.0, *(-margin for margin in relative))),
         gap=front.gap(point.y, exact=candidate.exact),
         curvature=curvature,
         weights=weights,
@@ -453,9 +448,7 @@ def _goals(given: Sequence[Goal | Expression]) -> list[Goal]:
         InputError: there are more than three objectives, or two have the same name.
     """
     if len(given) > len(_NAMES):
-        raise InputError(
-            f"{len(given)} objectives were given, but a front takes two or three: put the others into requirements"
-        )
+        raise InputError(f"{len(given)} objectives were given, not two or three: put the others into requirements")
     goals = [g if isinstance(g, Goal) else Goal(name, g) for g, name in zip(given, _NAMES, strict=False)]
     for k, goal in enumerate(goals):
         if goal.name in [other.name for other in goals[:k]]:

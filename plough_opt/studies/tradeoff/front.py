@@ -263,15 +263,12 @@ class Goal:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip():
-            raise InputError(
-                f"an objective's name = {shown(self.name)} must be a text that says what it is, such as 'draft'"
-            )
+            raise InputError(f"an objective's name = {shown(self.name)} must be a text, such as 'draft'")
         if not is_casadi(self.expression) or isinstance(self.expression, ca.SX):
             raise InputError(f"the objective '{self.name}' must be an expression of the design's variables")
         if self.expression.numel() != 1:
-            raise InputError(
-                f"the objective '{self.name}' must be one number, not {self.expression.numel()}: sum or average it"
-            )
+            count = self.expression.numel()
+            raise InputError(f"the objective '{self.name}' must be one number, not {count}: sum or average it")
 
     @property
     def sign(self) -> float:

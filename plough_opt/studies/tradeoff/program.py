@@ -178,10 +178,7 @@ class FrontProgram:
                 declared,
                 parameters=(*declared.parameters, *(Parameter(symbol.name(), symbol, 0.0, "") for symbol in symbols)),
                 objective=weights[0] + ca.dot(weights[1:], scaled),
-                requirements=(
-                    *declared.requirements,
-                    Requirement(_POSITION, normals @ scaled - limits, None, 0.0, ""),
-                ),
+                requirements=(*declared.requirements, Requirement(_POSITION, normals @ scaled - limits, None, 0.0, "")),
             ),
             compiled=compiled,
         )

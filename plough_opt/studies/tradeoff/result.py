@@ -175,9 +175,7 @@ class TradeOff(Saveable):
         """
         whole = all(isinstance(k, int | np.integer) and not isinstance(k, bool) for k in (number, of, by))
         if not (whole and -len(self.points) <= number < len(self.points)):
-            raise InputError(
-                f"number = {shown(number)} must be the number of a point, from 0 to {len(self.points) - 1}"
-            )
+            raise InputError(f"number = {shown(number)} must be that of a point, from 0 to {len(self.points) - 1}")
         if of == by or not {of, by} <= set(range(len(self.goals))):
             last = len(self.goals) - 1
             raise InputError(

@@ -12,16 +12,7 @@ from plough_opt.core.errors import DomainError, InputError
 from plough_opt.core.expressions import is_count
 from plough_opt.core.plain_data import Array
 from plough_opt.motion.scene import Scene
-from plough_opt.studies.calibration.estimate import (
-    ERRORS,
-    INSIDE,
-    LOSSES,
-    NOMINAL,
-    Data,
-    LeastSquares,
-    Setup,
-    estimate,
-)
+from plough_opt.studies.calibration.estimate import ERRORS, INSIDE, LOSSES, NOMINAL, Data, LeastSquares, Setup, estimate
 from plough_opt.studies.calibration.fit import Fit, reported
 from plough_opt.studies.calibration.model import (
     CalibrationModel,
@@ -266,13 +257,9 @@ def _check_numbers(setup: Setup) -> None:
     least = len(unknowns) + (0 if data.stated and not setup.problem.loss.robust else 1)
     if data.count < least:
         why = "" if data.stated else ", because the scatter is estimated too: state sigma, or measure more"
-        raise InputError(
-            f"{setup.measured[0].name}: {data.count} rows are too few for {len(unknowns)} unknowns"
-            f" ({', '.join(u.name for u in unknowns)}): at least {least} are needed{why}"
-        )
+        names, few = ", ".join(u.name for u in unknowns), f"{setup.measured[0].name}: {data.count} rows are too few"
+        raise InputError(f"{few} for {len(unknowns)} unknowns ({names}): at least {least} are needed{why}")
     values, slopes = setup.problem.at(np.clip(setup.model.guess, INSIDE, 1.0 - INSIDE))
     finite = np.isfinite(values) & np.isfinite(slopes).all(axis=1)
     if not np.all(finite):
-        raise InputError(
-            f"{setup.places[int(np.argmin(finite))]}: the model has no finite prediction at these conditions"
-        )
+        raise InputError(f"{setup.places[int(np.argmin(finite))]}: the model has no finite prediction there")

@@ -535,11 +535,9 @@ def _best(problem: LeastSquares, data: Data, guess: Array, starts: int) -> tuple
     minima = [problem.solve(y, data, centre) for y in (inside, *_starts(problem, data, starts - 1))]
     converged = sorted((minimum for minimum in minima if minimum.converged), key=lambda minimum: minimum.loss)
     if not converged:
-        raise NotConverged(
-            f"the fit did not converge from any of {len(minima)} starts ({minima[0].status}): narrow the bounds,"
-            " give guesses, or fix unknowns that the data do not determine",
-            minima[0].status,
-        )
+        failed = f"the fit did not converge from any of {len(minima)} starts ({minima[0].status})"
+        remedy = "narrow the bounds, give guesses, or fix unknowns that the data do not determine"
+        raise NotConverged(f"{failed}: {remedy}", minima[0].status)
     losses = [converged[0].loss]
     for minimum in converged[1:]:
         if minimum.loss - losses[-1] > _SAME * (1.0 + losses[-1]):

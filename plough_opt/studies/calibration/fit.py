@@ -650,11 +650,8 @@ def figure_of(title: str, rows: Sequence[Row], origin: Origin) -> Figure:
 def _draw_fit(axes: Axes, rows: Sequence[Row], kinds: Mapping[str, Display]) -> None:
     """Draw measured over predicted values with errors; several results are each divided by their largest value."""
     for (result, display), colour in zip(kinds.items(), cycle(COLOURS)):
-        like = [row for row in rows if row.result == result]
-        predicted, observed, sigma, error = (
-            np.array([getattr(row, key) for row in like]) / display.factor
-            for key in ("predicted", "observed", "sigma", "standard_error")
-        )
+        like = [(row.predicted, row.observed, row.sigma, row.standard_error) for row in rows if row.result == result]
+        predicted, observed, sigma, error = np.array(like).T / display.factor
         axes.errorbar(predicted, observed, yerr=1.96 * sigma, xerr=1.96 * error, fmt="o", markersize=4, linewidth=0.8,
                       color=colour, label=f"{called(result)}, n = {len(like)}")  # fmt: skip
     _draw_diagonal(axes, float(predicted[0]), "measured = predicted")

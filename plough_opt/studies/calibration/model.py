@@ -113,8 +113,7 @@ class Measurements(ByValue):
             check_named(f"{name}: {{}} is not a quantity of a scene", key, known)
             if key == result:
                 raise InputError(f"{name}: '{key}' is both measured and a condition")
-        for key, value in (("result", result), ("name", name), ("lines", tuple(lines))):
-            object.__setattr__(self, key, value)
+        vars(self).update(result=result, name=name, lines=tuple(lines))
         measured = self._column(result, values)
         count = len(measured)
         if not count:
@@ -122,8 +121,7 @@ class Measurements(ByValue):
         columns = {key: self._column(key, column, count) for key, column in conditions.items()}
         optional = {key: None if given is None else self._column(key, given, count)
                     for key, given in (("sigma", sigma), ("weights", weights), ("time", time))}  # fmt: skip
-        for key, column in {"values": measured, "conditions": columns, **optional}.items():
-            object.__setattr__(self, key, column)
+        vars(self).update(values=measured, conditions=columns, **optional)
         self._check_columns()
 
     @property
@@ -202,9 +200,7 @@ class Measurements(ByValue):
         if self.time is not None:
             self._check_rows("time", self.time, self.time < 0.0, "at least 0: it counts from the start of the run")
             if self.result != RECORD:
-                raise InputError(
-                    f"{self.name}, column 'time': {self.result} is one value per run: a time goes with {RECORD} only"
-                )
+                raise InputError(f"{self.name}: {self.result} is one value per run: a time goes with {RECORD} only")
         elif self.result == RECORD:
             raise InputError(f"{self.name}: {RECORD} is measured over time: a column 'time [s]' is missing")
 
@@ -467,9 +463,7 @@ def model_of(
     elif callable(given):
         build = given
     else:
-        raise InputError(
-            f"{shown(given)} must be a Problem, a Scene, or a function of values by key that returns a Scene"
-        )
+        raise InputError(f"{shown(given)} must be a Problem, a Scene, or a function of values that returns a Scene")
     bounds_of = mapping_of("unknown", unknown, "{'soil.cohesion': (1e3, 80e3)}")
     if not bounds_of:
         raise InputError("there are no unknowns: name each with its bounds, as {'soil.cohesion': (1e3, 80e3)}")
@@ -596,10 +590,8 @@ class Rows:
         for scene, duration, _ in self.scenes(self.model.guess):
             needs_run = not is_closed(scene, self.measured.result) and scene.effects.orbit == "transient"
             if needs_run and (duration is None or not duration > 0.0):
-                raise InputError(
-                    f"{self.measured.name}: {self.measured.result} of this scene needs a run: give its duration,"
-                    " in seconds"
-                )
+                run = f"{self.measured.name}: {self.measured.result} of this scene needs a run"
+                raise InputError(f"{run}: give its duration, in seconds")
         if self.measured.result == RECORD:
             value = self._record(y)
             return value, ca.jacobian(value, y), False

@@ -173,7 +173,8 @@ class Candidate:
             return self.why
         if not self.conditions:
             return f"{self.result} again"
-        return f"{self.result} at " + ", ".join(_condition(key, x) for key, x in self.conditions.items())
+        words = (f"{key} = {in_words(x, result_unit(key).symbol, 3)}" for key, x in self.conditions.items())
+        return f"{self.result} at {', '.join(words)}"
 
 
 @dataclass(frozen=True)
@@ -304,10 +305,6 @@ def _median(key: str, setup: Setup) -> float | None:
     """Return the median of a condition over all rows that count; the scene's own value if it was not varied."""
     columns = [m.conditions[key][m.counted] for m in setup.measured if key in m.conditions]
     return float(np.median(np.concatenate(columns))) if columns else setup.model.current.get(key)
-
-
-def _condition(key: str, value: float) -> str:
-    return f"{key} = {in_words(value, result_unit(key).symbol, 3)}"
 
 
 # Significance level of the tests for scatter and correlation.
@@ -573,10 +570,10 @@ def held_out(fit: Estimate, part: float, by: str | None, seed: int) -> tuple[Est
     unknowns = fit.setup.problem.unknowns
     least = unknowns + (0 if fit.normal else 1)
     if fit.data.count - len(held) < least:
-        raise InputError(
-            f"holding out {len(held)} of {len(order)} rows leaves fewer than the {least} that {unknowns} unknowns need:"
-            " hold out a smaller part, or measure more"
+        few = (
+            f"holding out {len(held)} of {len(order)} rows leaves fewer than the {least} that {unknowns} unknowns need"
         )
+        raise InputError(f"{few}: hold out a smaller part, or measure more")
     # The other rows choose their own starts, so that nothing of the rows held out enters.
     without = _without(fit, held, fit.setup.model.guess, starts=4)
     weights = fit.setup.data.at(without.predicted).weights

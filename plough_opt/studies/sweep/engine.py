@@ -157,8 +157,10 @@ class SweepLoop:
                 self._take(task, future.result())
             elif isinstance(error, WorkerDied):
                 self._try_again(task, error.deaths, str(error))
-            elif isinstance(error, OutOfTime):
-                self._single_out(task, str(error))
+            elif isinstance(error, OutOfTime) and len(task.numbers) == 1:
+                self._keep(task, Done(1, reasons={0: str(error)}))
+            elif isinstance(error, OutOfTime):  # try the points one by one
+                self._retries.extend(task.part(slice(k, k + 1)) for k in range(len(task.numbers)))
             elif isinstance(error, InputError):
                 raise error
             elif isinstance(error, BrokenExecutor):
@@ -204,13 +206,6 @@ class SweepLoop:
             self._retries.extend(task.part(which, deaths=_DEATHS_WHOLE - 1) for which in parts)
         else:
             self._single_points.append(task.part(slice(None), alone=True))
-
-    def _single_out(self, task: _Task, reason: str) -> None:
-        """Queue the points of a task that took too long one by one; a single point has failed."""
-        if len(task.numbers) == 1:
-            self._keep(task, Done(1, reasons={0: reason}))
-        else:
-            self._retries.extend(task.part(slice(k, k + 1)) for k in range(len(task.numbers)))
 
     def _stop(self) -> None:
         """Store the results at hand."""

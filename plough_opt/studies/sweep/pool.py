@@ -137,35 +137,31 @@ def _together(evaluation: ManyPoints, values: Array) -> Done:
 
 
 def _one_by_one(
-    evaluation: Callable[[dict[str, float]], Mapping[str, float]],
-    names: tuple[str, ...],
-    values: Array,
-    until: float,
+    evaluation: Callable[[dict[str, float]], Mapping[str, float]], names: tuple[str, ...], values: Array, until: float
 ) -> Done:
     done = Done(0)
-    rows: list[list[float] | None] = []
+    rows: list[dict[str, float]] = []
     for k, row in enumerate(values.tolist()):
         try:
             results = evaluation(dict(zip(names, row, strict=True)))
-            numbers = _numbers(results)
+            rows.append(_numbers(results))
         except Exception as error:
             done.reasons[k] = str(error) if isinstance(error, PloughError) else f"{type(error).__name__}: {error}"
-            rows.append(None)
+            rows.append({})
         else:
-            done.names = done.names or tuple(numbers)
-            if tuple(numbers) != done.names:
+            done.names = done.names or tuple(rows[k])
+            if tuple(rows[k]) != done.names:
+                rows.pop()
                 break  # the next task begins here, and the store refuses its names
-            rows.append(list(numbers.values()))
-            if bad := [name for name, number in numbers.items() if not math.isfinite(number)]:
-                done.reasons[k] = _not_finite(bad[0], numbers[bad[0]])
+            if bad := [name for name, number in rows[k].items() if not math.isfinite(number)]:
+                done.reasons[k] = _not_finite(bad[0], rows[k][bad[0]])
             else:
                 count(done.notes, getattr(results, "notes", ()), k)
-        done.points += 1
         if time.perf_counter() > until:
             break
+    done.points = len(rows)
     if done.names:
-        empty = [math.nan] * len(done.names)
-        done.results = np.array([empty if row is None else row for row in rows])
+        done.results = np.array([[row.get(name, math.nan) for name in done.names] for row in rows])
     return done
 
 
@@ -476,9 +472,8 @@ def _limited(seconds: float, process: subprocess.Popen[bytes]) -> Iterator[None]
         yield
     except (OSError, EOFError):
         if late.is_set():
-            raise OutOfTime(
-                f"no result after {seconds:g} s, so its worker was ended: set a longer limit (--limit, limit=...)"
-            ) from None
+            why = f"no result after {seconds:g} s, so its worker was ended"
+            raise OutOfTime(f"{why}: set a longer limit (--limit, limit=...)") from None
         raise
     finally:
         timer.cancel()
@@ -627,19 +622,15 @@ class Cluster(Executor):
 
 async def _carry(task: distributed.Future[Any], future: Future[Any]) -> None:
     """Pass the result or the error of a task to a future."""
-    error: BaseException
+    settle: Callable[[Any], None] = future.set_exception
+    outcome: Any
     try:
-        result = await task
+        settle, outcome = future.set_result, await task
     except (asyncio.CancelledError, CancelledError):
-        error = InputError(f"the cluster's scheduler is gone, or has dropped a task; {STORED}")
-    except Exception as reason:
-        error = reason
-        if type(reason).__name__ == "KilledWorker":  # it killed more workers than dask allows
-            allowed: int = reason.allowed_failures  # type: ignore[attr-defined]
-            error = WorkerDied("dask does not say how", allowed + 1)
-    else:
-        if future.set_running_or_notify_cancel():
-            future.set_result(result)
-        return
+        outcome = InputError(f"the cluster's scheduler is gone, or has dropped a task; {STORED}")
+    except Exception as error:
+        outcome = error
+        if type(error).__name__ == "KilledWorker":  # it killed more workers than dask allows
+            outcome = WorkerDied("dask does not say how", outcome.allowed_failures + 1)
     if future.set_running_or_notify_cancel():
-        future.set_exception(error)
+        settle(outcome)

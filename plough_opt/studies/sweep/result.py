@@ -24,6 +24,7 @@ from plough_opt.core.plain_data import Array
 from plough_opt.core.process import optional
 from plough_opt.core.saving import Origin
 from plough_opt.core.tables import Grid, Page, Part, Readable, data_frame, write_rows
+from plough_opt.core.units import Display
 from plough_opt.motion.vocabulary import called
 from plough_opt.studies.sweep.store import RESERVED, State, Store
 
@@ -371,11 +372,9 @@ class Sweep(Readable):
             ('point,x,y,reason', '1,3.0,9.0,')
         """
         columns = self._store.about.columns
-        headings = (f"{name} [{self.units[name]}]" if self.units.get(name) else name for name in columns)
-        rows = (
-            [*row, f"undetermined: {reason}" if state == "undetermined" else reason]
-            for *row, state, reason in self._store.rows("point", *columns, "state", "reason")
-        )
+        headings = (Display(self.units.get(name, ""), 1.0).heading(name) for name in columns)
+        rows = ([*row, f"undetermined: {reason}" if state == "undetermined" else reason]
+                for *row, state, reason in self._store.rows("point", *columns, "state", "reason"))  # fmt: skip
 
         def write(file: IO[bytes]) -> None:
             text = io.TextIOWrapper(file, encoding="utf-8", newline="")

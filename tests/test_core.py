@@ -1,6 +1,5 @@
 """Expressions, labels in graphs, notes and refinement: what every room builds on."""
 
-import dataclasses
 import itertools
 import math
 import re
@@ -8,7 +7,6 @@ import re
 import casadi as ca
 import numpy as np
 import pytest
-from helpers import small_designs
 from helpers.high_precision import assert_close, derivatives, mp
 from helpers.refusals import refusals
 
@@ -292,29 +290,6 @@ def test_other_digits_are_no_numbers(texts):
     for text in texts:
         merge(notes, text)
     assert [*notes.values()] == [*texts]
-
-
-def share_of_draft(text):
-    """Return the ends of the share of the draft that an ambient pressure carries, as a note gives them."""
-    percent = text.partition("carries ")[2].partition(" %")[0].split(" to ")
-    return float(percent[0]), float(percent[-1])
-
-
-def test_a_front_gives_the_range_over_all_its_designs():
-    design, cohesion = small_designs.design(cohesion=(1e4, 1e3, 1e5, "Pa", True))
-
-    def scene(cohesion):
-        soil = dataclasses.replace(po.named_soil("serozem"), cohesion=cohesion)
-        return po.Scene(soil, po.Cone(0.2, 0.3), 5e4, 60.0, 1.5, po.Effects(motion=False))
-
-    run = po.simulate(scene(cohesion), 0.1, outputs=1)
-    front = po.trade_off(design, run.mean_draft / 1e3, 1e4 / cohesion, points=5)
-    alone = [po.simulate(scene(point.variables["cohesion"]), 0.1).warnings for point in front.points]
-    shares = [share_of_draft(text) for texts in alone for text in texts if "carries" in text]
-    (note,) = [text for text in front.notes if "carries" in text]
-    assert note.startswith("at 5 of 5 designs")
-    assert share_of_draft(note) == (min(shares)[0], max(shares)[0])
-    assert min(shares) < max(shares)
 
 
 # --- `refine`: errors and times of quadratures whose errors are known ---

@@ -1,8 +1,8 @@
-"""Layout of the project: imports go downwards, files are short, links are valid."""
+"""Layout of the project: imports go downwards, files are short, links are valid, signatures read well."""
 
-import ast
 import csv
 import importlib.metadata
+import inspect
 import re
 import subprocess
 import sys
@@ -10,6 +10,9 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from helpers.extras import needs
+
+import plough_opt as po
 
 ROOT = Path(__file__).parents[1]
 SOURCES = sorted((ROOT / "plough_opt").rglob("*.py"))
@@ -38,9 +41,8 @@ def test_constants_of_designs_have_names_of_their_own():
 
 def test_the_list_of_thinned_tests_names_tests():
     tests = Path(__file__).parent
-    (listed,) = re.findall(r"^ONE_OF = ({.*?^})", (tests / "conftest.py").read_text(), re.DOTALL | re.MULTILINE)
-    (long,) = re.findall(r'^LONG = """(.*?)"""', (tests / "conftest.py").read_text(), re.DOTALL | re.MULTILINE)
-    for key in [*ast.literal_eval(listed), *long.split()]:
+    thinned = tomllib.loads((tests / "thinned.toml").read_text(encoding="utf-8"))
+    for key in [*thinned["long"], *thinned["one_of"]]:
         file, _, name = key.partition("::")
         assert (f"def {name}(" if name else "def test") in (tests / f"{file}.py").read_text(encoding="utf-8"), key
 
@@ -154,3 +156,51 @@ def test_the_recipe_needs_what_the_project_needs():
     assert f'python_min: "{PROJECT["requires-python"].removeprefix(">=")}"' in recipe
     assert f'version: "{PROJECT["version"]}"' in recipe
     assert f"license: {PROJECT['license']}" in recipe
+
+
+# --- signatures of public names read as a user writes them ---
+
+ODD = re.compile(r"Annotated|<function|<lambda| at 0x|_Expression|plough_opt\.|numpy\.|typing\.|Union\[|Optional\[")
+
+
+def described(thing):
+    """Yield name and signature of a public function or class and of its methods, or of all names in a module."""
+    if inspect.ismodule(thing):
+        public = [x for name, x in vars(thing).items() if not name.startswith("_") and callable(x)]
+        for value in public:
+            if getattr(value, "__module__", "").startswith("plough_opt"):
+                yield from described(value)
+        return
+    if callable(thing) and not (inspect.isclass(thing) and issubclass(thing, Exception)):
+        yield thing.__name__, str(inspect.signature(thing))
+    for name in dir(thing) if inspect.isclass(thing) else ():
+        value = inspect.getattr_static(thing, name)
+        value = getattr(value, "__func__", value)
+        if inspect.isfunction(value) and value.__module__.startswith("plough_opt"):
+            yield f"{thing.__name__}.{name}", str(inspect.signature(value))
+
+
+@pytest.mark.parametrize("name", po.__all__)
+def test_the_signature_of_a_public_name_has_no_converters(name):
+    assert [(one, text) for one, text in described(getattr(po, name)) if ODD.search(text)] == []
+
+
+def test_numbers_are_floats_and_a_class_of_ones_own_keeps_its_signature():
+    assert str(inspect.signature(po.Wedge)) == "(angle: float, chisel_angle: float, height: float) -> None"
+
+    class Mine(po.Wedge):
+        def __init__(self, size):
+            super().__init__(0.5, 0.6, size)
+
+    assert str(inspect.signature(Mine)) == "(size)"
+
+
+@pytest.mark.parametrize("name", [name for name in po.__all__ if inspect.ismodule(getattr(po, name))])
+def test_a_public_module_shows_its_public_names_alone(name):
+    if name == "export":
+        needs("openmdao.api")
+    module = getattr(po, name)
+    assert sorted(dir(module)) == sorted(module.__all__)
+    of_its_own = {key for key, x in vars(module).items() if getattr(x, "__module__", "") == module.__name__}
+    assert {key for key in of_its_own if not key.startswith("_")} <= {*module.__all__}
+    assert all(hasattr(module, key) for key in module.__all__)

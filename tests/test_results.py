@@ -389,13 +389,6 @@ def test_compare_refuses_one_file_and_an_output_that_is_an_input(saved, tmp_path
         assert told in done.said
 
 
-def test_json_of_every_command_is_strict(folder, monkeypatch):
-    monkeypatch.chdir(folder)
-    for command, *rest in (("export", "--to", "stl", "--at", "guess", "--output", "share.stl"), ("check",)):
-        strict(printed(command, "share.toml", *rest, "--json"))
-    assert strict(printed("init", "new.toml", "--json")) == {"wrote": ["new.toml"]}
-
-
 def test_a_sweep_is_shown_from_its_store(tmp_path):
     store, over = tmp_path / "s.db", {"a": [1.0, 2.0]}
     with ThreadPoolExecutor(1) as inline, po.sweep(lambda point: {"b": point["a"]}, over, store=store, executor=inline):

@@ -505,18 +505,6 @@ def test_expressions_have_the_values_of_numbers_and_exact_slopes(random, kind):
     np.testing.assert_allclose(slopes * values, wanted, rtol=1e-9)  # the error of the differences
 
 
-@pytest.mark.parametrize(("draws", "near"), [(2, 0.06), pytest.param(20, 0.02, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("random", [RANDOM, TABLE], ids=["model", "table"])
-def test_simulated_realisations_have_the_stationary_rms(random, draws, near):
-    """Sixty waves over about four hundred oscillations: a draw scatters by 3 %, the start contributes 0.5 %."""
-    own = scene(po.RandomStrength(0.02, 0.3) if random is RANDOM else random)
-    steps = po.Accuracy("dop853", steps=3000)
-    runs = [po.simulate(realisation(own, 60, seed), 40.0, accuracy=steps) for seed in range(draws)]
-    for name in ("force_rms", "displacement_rms"):
-        found = np.sqrt(np.mean([getattr(run, name) ** 2 for run in runs]))
-        assert found == pytest.approx(getattr(own, f"stationary_{name}"), rel=near), name
-
-
 def test_the_spectrum_of_a_record_gives_the_response_to_what_was_recorded():
     drawn = realisation(scene(po.RandomStrength(0.15, 0.3)), 400, 2).effects.own[0]
     path = np.arange(0.0, 200.0, 0.04)

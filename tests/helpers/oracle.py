@@ -1,10 +1,10 @@
 """The elastic medium around a thin wedge or a slender cone in 120-digit arithmetic, for comparison with the toolkit.
 
 The potentials' kernels are integrated over each straight piece in closed form. The formulas are not rearranged against
-cancellation, and the toolkit is not imported. The toolkit, and so this oracle, agrees with the independent values in
-tests/reference/elastic.json and with Fourier integrals. A body is a list of nodes (x, half thickness or radius), joined
-by straight lines and followed by a parallel shank. V0 must not be zero, because at rest the potentials coincide and
-every formula here is 0/0. The field is even and analytic in V0, so use 1e-15 c2 for rest.
+cancellation, and the toolkit is not imported. The toolkit, and so this oracle, agrees with Fourier integrals. A body is
+a list of nodes (x, half thickness or radius), joined by straight lines and followed by a parallel shank. V0 must not be
+zero, because at rest the potentials coincide and every formula here is 0/0. The field is even and analytic in V0, so
+use 1e-15 c2 for rest.
 """
 
 import itertools

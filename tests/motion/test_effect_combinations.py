@@ -1,4 +1,4 @@
-"""Combinations of all effects: correct motion, balance of energy, no trace of effects that are off, and refusals.
+"""Combinations of all effects: correct motion, energy, derivatives, costs, no trace of what is off, refusals.
 
 The balance is: tow work = change of m L'^2/2 (of m alone) + change of k0 z^2/2 + work of the damper + work on the soil,
 which includes the C L'' term and the loss at recapture. Tow work and changes come from the run, the rest from an
@@ -6,14 +6,22 @@ independent solver.
 """
 
 import itertools
+import math
+import zlib
 
 import casadi as ca
 import numpy as np
 import pytest
 from helpers import three_modes
+from helpers.differences import differences
+from helpers.scenes import scene_of
 
 import plough_opt as po
+from plough_opt.app.main import main
+from plough_opt.motion import effect_costs, integrators
 from plough_opt.motion.equation import Structure, equation_of, parameters
+from plough_opt.motion.integrators import integration
+from plough_opt.motion.steps import step
 
 SHARE = po.Wedge(po.deg(45.0), po.deg(15.0), 0.25)
 FACTORS = {
@@ -94,7 +102,7 @@ def split(rows, first, title=label):
         yield pytest.param(others[k : k + 24], id=f"others from {title(others[k])}", marks=pytest.mark.slow)
 
 
-def scene_of(soil, effects, **changes):
+def scene_in(soil, effects, **changes):
     return po.Scene(soil, SHARE, 3e4, 24.0, 1.2, po.Effects(**(effects | changes)))
 
 
@@ -126,7 +134,7 @@ def imbalance(scene, motion, books, duration):
 @pytest.mark.parametrize("combinations", list(split(VALID, COVERING)))
 def test_combinations_run_and_are_right(r1_soil, combinations):
     for effects in combinations:
-        scene = scene_of(r1_soil, effects)
+        scene = scene_in(r1_soil, effects)
         # The resistance to a share that is pushed back through a wave changes within millimetres.
         run, expected = three_modes.agreed(scene, 0.5, resistance=10.0)
         # The reference balances up to SciPy's error of about 1e-12.
@@ -141,7 +149,7 @@ def test_combinations_run_and_are_right(r1_soil, combinations):
 
 @pytest.mark.parametrize("effects", COVERING, ids=label)
 def test_effects_that_are_off_are_not_in_the_equation(r1_soil, effects):
-    scene = scene_of(r1_soil, effects)
+    scene = scene_in(r1_soil, effects)
     structure, known = Structure.of(scene), parameters(scene)
     equation = equation_of(structure)
     # The outputs always name the added mass, which is 0 if that effect is off.
@@ -167,3 +175,321 @@ def test_the_bare_equation_is_a_spring_and_a_mass(r1_scene):
     # Scenes of equal structure share one graph.
     other = r1_scene(35.0, 0.2, 1e5, inertial_drag=False, added_mass=False, ambient_pressure=False)
     assert equation_of(Structure.of(other)) is bare
+
+
+# --- first and second derivatives of every combination of effects, against differences of high order ---
+
+# Quantities of every scene, SI. About two waves pass, and the mount makes one and a half oscillations.
+SOIL = {
+    "density": 1400.0, "density_ratio": 0.8, "cohesion": 15e3, "friction_angle": po.deg(30.0), "tool_friction": 0.5,
+    "ambient_pressure": 1e4,
+}  # fmt: skip
+WEDGE = {"angle": po.deg(45.0), "chisel_angle": po.deg(15.0), "height": 0.15}
+NUMBERS = SOIL | WEDGE | {"stiffness": 8e4, "mass": 24.0, "tow_speed": 1.2, "duration": 0.2}
+# Those of effects. The ramp ends neither at an output nor at the end of a step.
+CONSTANTS = {"tow_ramp": 0.061, "damping": 120.0, "rate_term": 0.08, "speed_term": 0.2}
+OUTPUTS, INNER = 4, 2
+STEP = 3e-4
+# Intervals on which events are told apart, and the fewest of them between two events or an event and an output.
+COURSE, NEAR = 400, 8
+# A share that does not stop must keep this part of its largest speed.
+GRAZES = 0.03
+
+
+def numbers_of(effects):
+    """Return the quantities, by name, around which the scenes of a combination are drawn."""
+    found = NUMBERS | {name: value for name, value in CONSTANTS.items() if effects.get(name)}
+    if effects.get("strength_wave"):
+        found |= {"amplitude": 0.7, "wavelength": 0.1}
+    found |= {po.Smooth: {"width": 0.3}, po.StickSlip: {"breakaway": 1.2}}.get(type(effects.get("contact")), {})
+    if effects.get("formulation") == "printed":
+        # Its spring repels: two e-foldings are enough. The share starts so far ahead that a short wave turns too fast.
+        found |= {"stiffness": 2e4, "mass": 500.0} | ({"wavelength": 1.0} if "wavelength" in found else {})
+    return found
+
+
+def scene_with(effects, x):
+    """Return the scene of a combination with the quantities x, floats or expressions."""
+    effects = effects | {name: x[name] for name in CONSTANTS if name in x}
+    if "amplitude" in x:
+        effects["strength_wave"] = po.StrengthWave(x["amplitude"], x["wavelength"])
+    for name, law in (("width", po.Smooth), ("breakaway", po.StickSlip)):
+        if name in x:
+            effects["contact"] = law(x[name])
+    soil, share = po.Soil(**{name: x[name] for name in SOIL}), po.Wedge(**{name: x[name] for name in WEDGE})
+    return po.Scene(soil, share, x["stiffness"], x["mass"], x["tow_speed"], po.Effects(**effects))
+
+
+def has_events(effects):
+    return effects.get("entry", False) or isinstance(effects.get("contact"), po.StickSlip)
+
+
+def is_smooth(effects):
+    return isinstance(effects.get("contact"), po.Smooth)
+
+
+def method_of(effects):
+    if effects.get("motion") is False:
+        return None
+    if is_smooth(effects):
+        return po.Accuracy("erk", tolerance=1e-13)
+    return po.Accuracy("erk", tolerance=1e-12) if has_events(effects) else po.Accuracy("dop853", steps=200)
+
+
+def simulated(effects, x, accuracy, outputs=OUTPUTS):
+    duration = None if effects.get("orbit", "transient") != "transient" else x["duration"]
+    return po.simulate(scene_with(effects, x), duration, accuracy=accuracy, outputs=outputs)
+
+
+def results(run):
+    return [run.mean_draft, run.force_rms, run.mount_force[INNER], run.mount_force[-1]]
+
+
+def events(effects, x):
+    """Return the events of a motion in order, with the outputs between them, or None if two nearly coincide."""
+    run = simulated(effects, x, po.Accuracy("erk", tolerance=1e-9), COURSE)
+    before, here, after = run.speed[:-2], run.speed[1:-1], run.speed[2:]
+    turns = (run.mode[1:-1] == 0) & ((here - before) * (after - here) < 0.0)
+    if np.any(turns & (np.abs(here) < GRAZES * np.max(run.speed))):
+        return None
+    marks = [np.round(run.mode)]
+    if effects.get("entry"):
+        # A share that turns back while it enters leaves the soil that it has passed.
+        marks += [np.maximum.accumulate(run.travel) >= x["height"], run.speed < 0.0]
+    marks = np.column_stack(marks).astype(int)
+    at = np.flatnonzero(np.any(np.diff(marks, axis=0), axis=1))
+    outputs = [INNER * COURSE // OUTPUTS, COURSE]
+    if np.any(np.diff(np.sort([*at, *outputs])) < NEAR):
+        return None
+    return [(int(k > outputs[0]), *marks[k], *marks[k + 1]) for k in at]
+
+
+def along(at, direction, t):
+    """Return the quantities at the place t along a direction."""
+    return {name: value * (1.0 + t * direction[name]) for name, value in at.items()}
+
+
+def is_clear(effects, at, direction):
+    """Return whether the events of a motion stay the same, and apart, over the differences along a direction."""
+    if not has_events(effects):
+        return True
+    middle = events(effects, at)
+    ends = (along(at, direction, t) for t in (-4.0 * STEP, 4.0 * STEP))
+    return middle is not None and all(events(effects, end) == middle for end in ends)
+
+
+def drawn(effects):
+    """Return a place and a direction along which nothing about the events changes."""
+    for attempt in range(40):
+        base = numbers_of(effects)
+        # Some shares nearly stop in every oscillation, so their runs end before the first one.
+        base["duration"] *= (1.0, 0.8, 0.65, 0.5)[attempt // 10]
+        random = np.random.default_rng([zlib.crc32(title(effects).encode()), attempt])
+        at = {name: value * random.uniform(0.92, 1.08) for name, value in base.items()}
+        direction = {name: random.choice([-1.0, 1.0]) * random.uniform(0.3, 1.0) for name in base}
+        if is_clear(effects, at, direction):
+            return at, direction
+    pytest.fail("no place without coincidence")
+
+
+def derivatives(effects, at, direction, accuracy):
+    """Return the Functions t -> (results, slopes) and (t, weights) -> curvature of the weighted sum."""
+    t, weights = ca.MX.sym("t"), ca.MX.sym("weights", 4)
+    found = ca.vertcat(*results(simulated(effects, along(at, direction, t), accuracy)))
+    first = ca.Function("first", [t], [found, ca.jacobian(found, t)])
+    second = ca.Function("second", [t, weights], [ca.hessian(ca.dot(weights, found), t)[0]])
+    return first, second
+
+
+def title(effects):
+    """Return the name of a combination in the list of tests."""
+    if "entry" in effects:
+        return label(effects)
+    return "+".join(f"{name}={effects[name]}" for name in sorted(effects))
+
+
+def meetings(effects):
+    """Return the choices of a combination, and the pairs of those that bring events, kinks and waves."""
+    found = choices(effects)
+    meet = sorted(choice for choice in found if choice[0] in ("contact", "entry", "tow_ramp", "strength_wave"))
+    return found | set(itertools.combinations(meet, 2))
+
+
+def products(**choices):
+    return [dict(zip(choices, values, strict=True)) for values in itertools.product(*choices.values())]
+
+
+ON = {"inertial_drag": (True, False), "ambient_pressure": (True, False), "rate_term": (None, 0.08)}
+WAVE, RAMP, DAMPER, MASS = (None, po.StrengthWave(0.7, 0.1)), (None, 0.1), (None, 120.0), (True, False)
+STARTS = ("equilibrium", "rest", "towed")
+THIN = thinned(COVERING, meetings)
+STILL = products(motion=(False,), strength_wave=WAVE, tow_ramp=RAMP, **ON)
+SHAPES = ("periodic", "linearised", po.HarmonicBalance(3))
+ORBITS = products(orbit=SHAPES, strength_wave=WAVE[1:], damping=DAMPER, added_mass=MASS, **ON)
+PRINTED = products(
+    formulation=("printed",), start=STARTS, strength_wave=WAVE, tow_ramp=RAMP, damping=DAMPER, added_mass=MASS, **ON
+)
+
+
+CASES = [(VALID, THIN), *((rows, thinned(rows)) for rows in (STILL, ORBITS, PRINTED))]
+
+
+@pytest.mark.parametrize("combinations", [case for both in CASES for case in split(*both, title)])
+def test_slope_and_curvature_are_those_of_differences(combinations):
+    for effects in combinations:
+        check_slope_and_curvature(effects, *drawn(effects))
+
+
+def check_slope_and_curvature(effects, at, direction):
+    first, second = derivatives(effects, at, direction, method_of(effects))
+    values, slopes = (np.asarray(result).ravel() for result in first(0.0))
+    run = simulated(effects, at, None)
+    # A numeric run promises 1e-8.
+    assert values == pytest.approx(results(run), rel=0, abs=2e-8 * np.max(np.abs(run.mount_force)))
+    size = max(abs(values[0]), values[1])
+    weights = np.cos(np.arange(4)) / size
+
+    def beside(t):
+        value, slope = (np.asarray(result).ravel() for result in first(*t))
+        return np.append(value / size, slope @ weights)
+
+    *expected, bend = differences(beside, np.zeros(1), STEP).ravel()
+    if is_smooth(effects):
+        # Tolerance 1e-13 over the step. Where a step of integration meets an end of the smooth contact's step, a fifth
+        # derivative jumps: a local error of 1e-13, differentiated twice by its place in the step. It leaves 1e-9 to
+        # 1e-7 of the curvature, and 5e-5 for one combination in five hundred.
+        allowed = 1e-7, (1e-6 if effects in THIN else 1e-4)
+    elif has_events(effects):
+        # Tolerance 1e-12 over the step is 3e-9, which unstable motions amplify about a hundred times.
+        allowed = 2e-6, 2e-6
+    else:
+        # Rounding, about 1e-14 over the step, amplified by unstable motions.
+        allowed = 1e-9, 1e-9
+    assert np.max(np.abs(slopes / size - expected) / np.maximum(1.0, np.abs(expected))) < allowed[0]
+    assert abs(float(second(0.0, weights)) - bend) < allowed[1] * max(1.0, abs(bend))
+    if effects in THIN and not is_smooth(effects) and not effects["entry"]:
+        # The default accuracy gives derivatives to 1e-6.
+        default = derivatives(effects, at, direction, None)
+        found, truth = (
+            np.array([one(0.0)[1].full().ravel(), [float(two(0.0, unit)) for unit in np.eye(4)]])
+            for one, two in (default, (first, second))
+        )
+        assert np.max(np.abs(found - truth) / np.maximum(size, np.abs(truth))) < 1e-6
+
+
+def test_slope_and_curvature_of_a_share_that_leaves_a_gap():
+    effects = {**VALID[0], "contact": po.StickSlip(1.2), "start": "rest", "strength_wave": WAVE[1]}
+    numbers = {"angle": po.deg(25.0), "height": 0.25, "stiffness": 1e4, "tow_speed": 2.0, "wavelength": 0.6}
+    at, direction = drawn(effects)
+    at |= numbers | {"amplitude": 0.95, "duration": 0.5}
+    assert 2.0 in simulated(effects, at, None, COURSE).mode
+    assert is_clear(effects, at, direction)
+    check_slope_and_curvature(effects, at, direction)
+
+
+@pytest.mark.parametrize("law", ["resisting", po.StickSlip(1.2)], ids=["resisting", "stick_slip"])
+def test_entry_under_a_ramp_is_smooth_in_its_numbers(law):
+    # The share's speed is 0 at the start, and rounding must not make that an event.
+    effects = {**VALID[0], "contact": law, "start": "rest", "entry": True, "tow_ramp": 0.1}
+    at = numbers_of(effects)
+    direction = {name: 1.0 - 0.1 * k for k, name in enumerate(at)}
+    places = np.linspace(-1.0, 1.0, 61)
+    t = ca.MX.sym("t")
+    run = simulated(effects, along(at, direction, 2e-3 * t), po.Accuracy("erk", tolerance=1e-10))
+    value = ca.Function("value", [t], [run.mean_draft])
+    values = np.array([float(value(place)) for place in places])
+    smooth = np.polynomial.Chebyshev.fit(places, values, 8)(places)
+    assert values == pytest.approx(smooth, rel=1e-7)
+
+
+# --- cost of each effect: nodes, states and events of the equation, operations of a run, and refusals ---
+
+
+def scene(**changes):
+    return scene_of(**{"strength_wave": po.StrengthWave(0.3, 0.2), "damping": 300.0} | changes)
+
+
+@pytest.fixture(scope="module")
+def costs():
+    return {cost.name: cost for cost in effect_costs.effect_costs(scene(), 0.1)}
+
+
+def nodes(**changes):
+    equation = equation_of(Structure.of(scene(**changes)))
+    return equation.rate.n_nodes() + (0 if equation.events is None else equation.events.n_nodes())
+
+
+# Effect -> the changes that switch it on and off; one of the two is empty.
+PAIRS = {
+    "inertial drag": ({}, {"inertial_drag": False}),
+    "added mass": ({}, {"added_mass": False}),
+    "strength wave": ({}, {"strength_wave": None}),
+    "damping": ({}, {"damping": None}),
+    "speed term": ({"speed_term": 0.1}, {}),
+    "rate term": ({"rate_term": 0.01}, {}),
+    "tow ramp": ({"tow_ramp": 0.1}, {}),
+    "stick and slip": ({"contact": po.StickSlip()}, {}),
+    "entry": ({"entry": True, "start": "towed"}, {"start": "towed"}),
+}
+
+
+def test_nodes_are_those_that_the_effect_adds(costs):
+    for name, (on, off) in PAIRS.items():
+        assert (costs[name].nodes, costs[name].on) == (nodes(**on) - nodes(**off), not on), name
+
+
+def test_only_events_add_states(costs):
+    found = {name: (cost.states, cost.events) for name, cost in costs.items() if cost.states or cost.events}
+    assert found == {"stick and slip": (2, 1), "entry": (3, 2)}
+    # An adaptive method with events takes more operations than steps of order 8.
+    assert all(costs[name].operations > 1.0 for name in found)
+
+
+def operations(**changes):
+    run = po.simulate(scene(**changes), 0.1)
+    # Three quarters of the steps check.
+    steps = run.accuracy.steps + math.ceil(0.75 * run.accuracy.steps)
+    return steps * step(equation_of(Structure.of(run.scene))).n_instructions()
+
+
+def test_operations_are_those_of_the_steps_of_a_run_and_its_check(costs):
+    assert costs["strength wave"].operations == operations() / operations(strength_wave=None)
+
+
+def test_the_equation_of_motion_costs_what_a_quasi_static_run_does_not_take():
+    found = {cost.name: cost for cost in effect_costs.effect_costs(scene(damping=None), 0.1)}["equation of motion"]
+    assert (found.on, found.nodes, found.states, found.events) == (True, nodes(damping=None), 2, 0)
+    # Panels of 0.5 rad of twice the frequency of the wave, each with 10 places for the run and 16 for its check.
+    panels = math.ceil(4.0 * math.pi * 2.0 / 0.2 * 0.1 / 0.5)
+    each = effect_costs._of_resistance(Structure.of(scene(damping=None, motion=False)))
+    assert found.operations == operations(damping=None) / (26 * panels * each)
+
+
+def test_operations_of_an_adaptive_method_are_those_of_the_run_and_its_check(monkeypatch):
+    tolerances = {integrators: [], effect_costs: []}
+    for module, seen in tolerances.items():
+
+        def noted(structure, accuracy, timeline, seen=seen):
+            seen.append(accuracy.tolerance)
+            return integration(structure, accuracy, timeline)
+
+        monkeypatch.setattr(module, "integration", noted)
+    effect_costs._operations(scene(contact=po.StickSlip()), 0.1)
+    assert sorted(tolerances[effect_costs]) == pytest.approx(sorted(tolerances[integrators][-2:]), rel=1e-12)
+
+
+def test_a_periodic_orbit_is_measured_too():
+    found = {cost.name: cost for cost in effect_costs.effect_costs(scene(orbit="periodic"), None)}
+    assert found["periodic orbit"].on
+    assert not found["periodic orbit"].refused
+    assert "has no start" in found["start at rest"].refused
+
+
+def test_the_command_prints_a_row_for_each(costs, capsys, tmp_path):
+    file = tmp_path / "share.toml"
+    assert main(["init", str(file)]) == 0
+    capsys.readouterr()
+    assert main(["check", str(file), "--effects", "--set", 'scene.duration="0.1 s"']) == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in costs)
+    assert "damping needs motion" in out

@@ -16,7 +16,7 @@ def wave(amplitude, wavelength=0.6):
     return po.StrengthWave(amplitude, wavelength)
 
 
-FIFTH, DOUBLE = {"contact": po.StickSlip(1.2)}, {"contact": po.StickSlip(2.0)}
+TENTH, FIFTH, DOUBLE = ({"contact": po.StickSlip(ratio)} for ratio in (1.1, 1.2, 2.0))
 ENTERS = {"entry": True, "strength_wave": wave(0.8)}
 WEAK = {
     "soil": replace(R1_SOIL, cohesion=300.0, ambient_pressure=0.0),
@@ -39,6 +39,16 @@ SCENES = {
     ),
     "sticks while it enters": (2e4, 20.0, 1.0, 2.0, FIFTH | ENTERS | {"share": BLUNT}),
     "gap while it enters": (2e4, 22.0, 1.0, 1.0, FIFTH | ENTERS),
+    # While they enter, these stick 9, 5, 3, 2 and 3 times.
+    "soft, enters": (5e2, 24.0, 0.05, 10.0, TENTH | {"entry": True}),
+    "blunt, enters": (2e3, 24.0, 0.2, 4.0, TENTH | {"entry": True, "share": BLUNT, "strength_wave": wave(0.8, 0.05)}),
+    "gaps too, enters": (
+        3e3, 24.0, 0.1, 4.0, ENTERS | {"contact": po.StickSlip(3.0), "strength_wave": wave(1.0, 0.02), "rate_term": 0.5}
+    ),
+    "damped ramp, enters": (
+        1e3, 24.0, 0.1, 5.0, ENTERS | DOUBLE | {"strength_wave": wave(0.8, 0.05), "tow_ramp": 1.0, "damping": 20.0}
+    ),
+    "towed, enters": (1e3, 24.0, 0.1, 6.0, TENTH | {"entry": True, "start": "towed", "inertial_drag": False}),
 }  # fmt: skip
 
 

@@ -136,8 +136,19 @@ def test_the_store_of_another_sweep_is_refused_with_the_difference(inline, tmp_p
             po.sweep(function, over, executor=inline, store=store, **more)
 
 
-def test_functions_of_a_session_are_told_apart_by_their_code(inline, tmp_path):
-    one, same, other = (eval(f"lambda values: {{'x': {factor} * values['a']}}") for factor in (2, 2, 3))
+def doubled(values, k):
+    return {"x": k * values["a"]}
+
+
+ALIKE = {
+    "lambda": [eval(f"lambda values: {{'x': {factor} * values['a']}}") for factor in (2, 2, 3)],
+    "partial": [functools.partial(doubled, k=k) for k in (2.0, 2.0, 3.0)],
+}
+
+
+@pytest.mark.parametrize("kind", ALIKE)
+def test_functions_of_a_session_are_told_apart_by_their_code(inline, tmp_path, kind):
+    one, same, other = ALIKE[kind]
     options = {"executor": inline, "store": tmp_path / "sweep.db"}
     assert [po.sweep(each, {"a": [1.0, 2.0]}, **options).already for each in (one, same)] == [0, 2]
     with pytest.raises(po.InputError, match=r"belongs to another sweep \(code of the function: "):
@@ -522,14 +533,6 @@ def test_what_cannot_be_recognised_again_is_refused_with_a_store_only(inline, tm
         with pytest.raises(po.InputError, match=r"store cannot recognise .*(lock|generator).*or sweep without a store"):
             po.sweep(one, over, executor=inline, store=tmp_path / "sweep.db")
     assert not (tmp_path / "sweep.db").exists()
-
-
-def test_rows_of_another_partial_are_refused(inline, tmp_path):
-    first, other = (functools.partial(lambda values, k: {"x": k * values["a"]}, k=k) for k in (2.0, 3.0))
-    options = {"executor": inline, "store": tmp_path / "sweep.db"}
-    assert [po.sweep(first, {"a": [1.0, 2.0]}, **options).already for _ in range(2)] == [0, 2]
-    with pytest.raises(po.InputError, match=r"belongs to another sweep .*code of the function"):
-        po.sweep(other, {"a": [1.0, 2.0]}, **options)
 
 
 def test_an_edited_record_and_an_own_law_are_another_question(monkeypatch):

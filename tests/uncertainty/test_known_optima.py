@@ -5,6 +5,7 @@ import math
 import re
 import tomllib
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import casadi as ca
@@ -379,38 +380,7 @@ def test_overrides_reach_a_distribution():
     assert moments == pytest.approx((30e3, 1e3 * math.sqrt(2100 / 18)), rel=1e-8)
 
 
-MISTAKES = [
-    ('"soil.cohesion"       = {', '"soil.cohesoin" = {', 10, "'soil.cohesion'"),
-    ('"soil.cohesion"       = {', '"soil.cohesion" = 3 #', 10, "'soil.cohesion' must be a table like"),
-    ('"lognormal"', '"lognorml"', 10, "lognormal"),
-    ('"lognormal", mean = "20 kPa", std = "6 kPa"', '"triangular", mode = "4 kPa"', 10, "mode must lie between"),
-    ('std = "6 kPa"', 'std = "6 deg"', 10, "wrong unit"),
-    ('std = "6 kPa"', 'std = "0 kPa"', 10, "std must be above 0"),
-    ('std = "6 kPa"', 'std = "1e200 kPa"', 10, "too large or too small to compute with"),
-    ('mean = "20 kPa"', 'mean = "-20 kPa"', 10, "the mean of a lognormal distribution must be above 0"),
-    ('lower = "5 kPa"', 'lower = "99 kPa"', 10, "lower must be below upper"),
-    ('std = "6 kPa"', 'sdt = "6 kPa"', 10, "'std'"),
-    ('mean = "20 kPa", ', "", 10, "distribution needs mean"),
-    ('lower = "5 kPa", upper = "60 kPa"', 'upper = "1 kPa"', 10, "between its bounds"),
-    ("std = 0.02,", "std = 0.2,", 12, "beta distribution"),
-    ("std = 0.02, lower = 0.70, upper = 0.88", "std = 0.05, lower = 0.6, upper = 1.2", 12, "in a file lower = "),
-    ('"soil.friction_angle", -0.4', '"soil.density", -0.4', 13, "soil.density_ratio"),
-    (", -0.4]]", "]]", 13, "must be two names and a number"),
-    ("correlation = [[", "correlation = 3 # [[", 13, "must be a list of pairs with a number"),
-    ("[scene]", '[scene]\nmedium = "elastic"', 8, "'uncertain' has no meaning in the elastic medium"),
-    ("[minimise]", '[minimise]\nover = "worst"', 33, "'over' is for tolerances in one soil"),
-    ("samples = 64", "samples = 3", 9, "whole number from 8"),
-    ("samples = 64", "sample = 64", 9, "'samples'"),
-    ('"cvar 0.9"', '"cvar 90"', 33, "between 0 and 1"),
-    ('"cvar 0.9"', '"median"', 33, "not a measure"),
-    ('"cvar 0.9"', '"cvar 0.9", width = "100 m"', 33, "wrong unit"),
-    ('"cvar 0.9"', '"cvar 0.9", width = "0 N"', 33, "above 0"),
-    ("probability = 0.95", "probability = 1.0", 37, "between 0 and 1"),
-    ("probability = 0.95", 'probability = 0.95, measure = "worst"', 37, "both a measure and a probability"),
-    ('at_least = "0.15 m"', 'at_least = "0.15 m", at_most = "0.3 m"', 37, "one limit"),
-    ('0.15 m", probability = 0.95', '0.15 m", at_most = "0.3 m", measure = "worst"', 37, "one limit"),
-    ("loosened_radius = {", 'deflection = { at_most = "0.1 m" }\nloosened_radius = {', 37, "every output time"),
-]
+MISTAKES = tomllib.loads(Path(__file__).with_name("mistakes.toml").read_text(encoding="utf-8"))["mistakes"]
 
 
 @pytest.mark.parametrize(("old", "new", "line", "words"), MISTAKES)

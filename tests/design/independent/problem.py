@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from helpers.equations import SOIL, forces, half_angle
+from scipy.stats import qmc
 
 from independent.motion import PATHS, simulate
 
@@ -115,17 +116,12 @@ class Found:
 
 def evaluate(problem, y, phase=0.5):
     """Return objective and violations of designs at positions, a row each; see `simulate` for the phase."""
-    objective, gaps = gaps_of(problem, y, phase)
-    violations = np.array([np.max(own, axis=0) for own in gaps]).reshape(len(gaps), len(objective))
-    bad = ~(np.isfinite(objective) & np.all(np.isfinite(violations), axis=0))
-    return Found(np.where(bad, np.inf, objective), np.where(bad, np.inf, violations))
-
-
-def gaps_of(problem, y, phase):
-    """Return the objective of designs, and the violations of each requirement, a row for each output of a path."""
     measures = measure(problem, y, phase, paths=any(r.measure in PATHS for r in problem.limits))
     objective = sum(weight * measures[name] for name, weight in problem.objective.items())
-    return objective, [np.atleast_2d(r.violation(measures[r.measure])) for r in problem.limits]
+    gaps = [np.max(np.atleast_2d(r.violation(measures[r.measure])), axis=0) for r in problem.limits]
+    violations = np.array(gaps).reshape(len(gaps), len(objective))
+    bad = ~(np.isfinite(objective) & np.all(np.isfinite(violations), axis=0))
+    return Found(np.where(bad, np.inf, objective), np.where(bad, np.inf, violations))
 
 
 def measure(problem, y, phase=0.5, *, paths=False):
@@ -165,3 +161,10 @@ def objectives_of(problem, names, y, phase=1.6):
     values = np.array([sign_of(name) * measures[name] for name in names]).T
     values[~(evaluate(problem, y, phase).worst <= 1e-9) | ~np.all(np.isfinite(values), axis=1)] = np.inf
     return values
+
+
+def sample(problem, power, random):
+    """Return a scrambled Sobol sample; half of it is stretched and clipped, to include bounds and corners."""
+    y = qmc.Sobol(len(problem.variables), seed=random).random(2**power)
+    y[::2] = np.clip(0.5 + 1.15 * (y[::2] - 0.5), 0.0, 1.0)
+    return y

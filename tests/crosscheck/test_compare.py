@@ -271,12 +271,6 @@ def test_the_subsoilers_rows_by_hand(point, texture, kilonewtons):
     assert asabe_draft(0.4, speeds[0], texture, point=point, shanks=3) == pytest.approx(3e3 * found[0], rel=1e-15)
 
 
-def test_symbols_give_the_numbers():
-    x = ca.SX.sym("x", 2)
-    symbolic = ca.Function("f", [x], [asabe_draft(*ca.vertsplit(x), "medium")])
-    assert float(symbolic([0.35, 1.7])) == pytest.approx(asabe_draft(0.35, 1.7, "medium"), rel=1e-15)
-
-
 NO_ROWS = [
     ((0.4, 1.0, "fin"), {}, po.InputError, "did you mean 'fine'"),
     ((0.4, 1.0, "fine"), {"point": "wing"}, po.InputError, "did you mean 'winged'"),

@@ -449,17 +449,17 @@ def test_simulation(contest, r1_scene, r1_wave):
     _add(contest, "simulate, effects that are on", COUNTS, lambda n: lambda: po.simulate(scenes[n], 2.0), 7)
 
 
-def _solved(r1_scene, duration, requirements=0, **effects):
-    """Build and solve a design of two variables."""
+def _solved(r1_scene, duration, requirements=0, shares=1, **effects):
+    """Build and solve a design of two variables, which all shares have in common."""
     d = po.Design()
     angle = d.variable("angle", guess=25.0, lower=5.0, upper=60.0)
     height = d.variable("height", guess=0.25, lower=0.1, upper=0.5)
-    scene = r1_scene(angle, height, **effects)
-    run = po.simulate(scene, duration)
-    d.minimise((run.mean_draft + run.force_rms) / 1e3)
-    d.require("loosened radius", scene.loosened_radius, at_least=0.12)
+    scenes = [r1_scene(angle, height, 5e4 + 1e3 * k, **effects) for k in range(shares)]
+    runs = [po.simulate(scene, duration) for scene in scenes]
+    d.minimise(sum(run.mean_draft + run.force_rms for run in runs) / 1e3)
+    d.require("loosened radius", scenes[0].loosened_radius, at_least=0.12)
     for k in range(requirements):
-        d.require(f"spare {k}", run.mean_draft * (1.0 + 0.01 * k), at_most=1e5)
+        d.require(f"spare {k}", runs[0].mean_draft * (1.0 + 0.01 * k), at_most=1e5)
     return d.solve(search="local")
 
 
@@ -469,6 +469,7 @@ def test_design(contest, r1_scene, r1_wave):
     counts, horizons = (4, 8, 16, 32, 64), (2.0, 4.0, 8.0, 16.0)
     _add(contest, f"{what}, requirements", counts, lambda n: lambda: _solved(r1_scene, 2.0, n, **wave))
     _add(contest, f"{what}, seconds simulated", horizons, lambda t: lambda: _solved(r1_scene, t, **wave))
+    _add(contest, f"{what}, shares", counts[:-1], lambda n: lambda: _solved(r1_scene, 2.0, shares=n, **wave))
 
 
 def _robust(count):

@@ -19,6 +19,7 @@ from plough_opt.design.declarations import Variable
 from plough_opt.design.model.ipopt import Point, SolveOptions, Vector
 from plough_opt.design.model.optimality import FLAT_CURVATURE, PULLS, free_directions, reduced_curvatures, symmetric
 from plough_opt.design.model.program import Program, error_of_derivatives, steps_factor
+from plough_opt.design.search.effort import TimeLimit
 from plough_opt.design.search.landscape import FEASIBLE, FINER, NEEDLE, Landscape, sobol_points
 from plough_opt.design.search.local import ACTIVE, AS_FOUND, highest_accepted, solved_again
 
@@ -35,7 +36,7 @@ _SAME_ERROR = 1e-3
 
 
 def with_enough_steps(
-    program: Program, p: Vector, points: list[Point], progress: Callable[[str, float], None]
+    program: Program, p: Vector, points: list[Point], progress: Callable[[str, float], None], limit: TimeLimit
 ) -> tuple[Program, list[Point], tuple[str, ...]]:
     """Refine the steps, and solve again, until the points are accurate or more steps do not help.
 
@@ -46,6 +47,7 @@ def with_enough_steps(
         p: parameters.
         points: optima, best first.
         progress: called with what is being done and the fraction done.
+        limit: of the processor time, after which no further refinement begins.
 
     Returns:
         The program, the points, and a warning for each error that is still too large.
@@ -56,6 +58,8 @@ def with_enough_steps(
         excess = max(value_error / (wanted or math.inf), slope_error / program.wanted_of_derivatives)
         # A motion may be too sensitive for any number of steps.
         if excess <= 1.0 or excess > _PROGRESS * last or number == _MOST_REFINEMENTS:
+            break
+        if limit.passed("finer integration steps"):
             break
         progress(f"refining: error {max(value_error, slope_error):.1e}", number / _MOST_REFINEMENTS)
         factor *= steps_factor(excess)

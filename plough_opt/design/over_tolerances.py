@@ -147,6 +147,8 @@ class ToleranceBoxSolver:
             else:
                 known, missing = self._missing(landscape, best, bounds, chosen)
                 if not missing:
+                    # The others were checked above; what is asked for later is that of the best.
+                    known = replace(known, points=known.points[:1])
                     return self._with_whole_box(best, replace(request, known=known, progress=silent), bounds)
                 chosen, request = tuple(sorted({*chosen, *missing})), replace(request, known=known)
 

@@ -115,7 +115,7 @@ class _Solve:
             points = [point]
         order = ranked(landscape, self._request.judge, np.array([point.y for point in points]))
         program, points, accuracy_warnings = with_enough_steps(
-            self._program, p, [points[k] for k in order], self._progress
+            self._program, p, [points[k] for k in order], self._progress, limit
         )
         self._progress("checking", 0.0)
         best = converged_tightly(program, p, points[0])

@@ -18,6 +18,7 @@ from helpers.small_designs import design
 import plough_opt as po
 from plough_opt.design import Rounded, over_tolerances
 from plough_opt.design.confirmation import BOX_DESIGNS, boxes, corners
+from plough_opt.design.search import effort
 
 # --- the mean and the worst objective within tolerances, variables solved for in closed form, and tolerances in files
 
@@ -423,6 +424,15 @@ def test_the_best_of_a_catalogue_with_the_rest_solved_again(log):
     assert (found(x), found(x * y)) == (1.1, pytest.approx(3.0, rel=SOLVED))
     assert found.active == ("yield",)
     assert found.fixed == ("share.tip width",)
+
+
+def test_without_time_the_best_combination_so_far_is_returned(monkeypatch):
+    monkeypatch.setattr(effort, "AUTO_SECONDS", 0.0)
+    best, _, _ = _solved()
+    found = best.rounded({"share.tip width": [1.5, 0.5, 1.1]})
+    assert len(found.tried) == 1
+    assert "2 of the 3 most promising combinations were not optimised" in found.warnings[0]
+    assert found.objective == pytest.approx(2.2 + 3.0 / 1.1, rel=SOLVED)
 
 
 def test_every_choice_has_its_own_spread():

@@ -7,6 +7,7 @@ import time
 import casadi as ca
 import numpy as np
 import pytest
+from helpers.scenes import SEROZEM
 from helpers.small_designs import design, sticking
 from scipy.stats.qmc import Sobol
 
@@ -141,6 +142,17 @@ def test_an_automatic_search_without_time_names_what_it_left_out(waves, monkeypa
         assert (part in told) == (search == "auto")
     assert np.isfinite(best.objective)
     assert (best.search.designs < 100) == (search == "auto" and objective is sticking)
+
+
+def test_no_refinement_of_the_integration_begins_without_time(monkeypatch):
+    d, stiffness = design(stiffness=(5e4, 1e4, 2e5))
+    wavy = po.Effects(strength_wave=po.StrengthWave(0.6, 0.3), damping=100.0)
+    scene = po.Scene(SEROZEM, po.Wedge(po.deg(30.0), po.deg(15.0), 0.25), stiffness, 30.0, 1.0, wavy)
+    d.minimise(po.simulate(scene, 1.0, accuracy=po.Accuracy(error=1e-12, derivatives=1e-9)).force_rms / 1e3)
+    for seconds in (30.0, 0.0):
+        monkeypatch.setattr(effort, "AUTO_SECONDS", seconds)
+        told = " ".join(d.solve().warnings)
+        assert ("finer integration steps" in told) == ("was not reached" in told) == (seconds == 0.0)
 
 
 def test_a_part_of_an_automatic_search_ends_when_the_time_is_over(monkeypatch):

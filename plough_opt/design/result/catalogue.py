@@ -18,7 +18,7 @@ from plough_opt.design.model.program import Program
 from plough_opt.design.result.optimum import Choice, Rounded, values_in_words
 from plough_opt.design.result.reporting import reports
 from plough_opt.design.result.sensitivity import Solved
-from plough_opt.design.search.effort import CAN_WIN
+from plough_opt.design.search.effort import AUTO_SECONDS, CAN_WIN, TimeLimit
 from plough_opt.design.search.landscape import (
     MANY_VARIABLES,
     SEED,
@@ -369,6 +369,8 @@ def _allowed(number: int, v: Variable, catalogue: Catalogue) -> Allowed:
 
 # Screening this many combinations takes some seconds; from here on, only the optimum's neighbours are tried.
 _MOST_SCREENED = 100_000
+# The same for the runs of their designs, of which a design over its tolerances has some seventy.
+_MOST_RUNS_SCREENED = 400_000
 # Most combinations that are optimised.
 _MOST_OPTIMISED = 20
 # Most combinations of neighbours that are accepted.
@@ -395,12 +397,18 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
     fixed = [own.number for own in offered]
     landscape = Landscape(solved.program, p, fixed)
     count = math.prod(own.count for own in offered)
-    every = landscape.vectorised and count < _MOST_SCREENED
+    few = count < _MOST_SCREENED and count * solved.program.population.runs < _MOST_RUNS_SCREENED
+    every = landscape.vectorised and few
     starts = _starts(landscape, solved, offered, seed, every)
     program = solved.program.with_steps(p, starts=[start for start, _ in starts])
     reached: list[tuple[Choice, Point, Combination]] = []
     failed: list[Choice] = []
-    for start, values in starts:
+    limit, left_out = TimeLimit("auto"), tuple[str, ...]()
+    for number, (start, values) in enumerate(starts):
+        if reached and limit.passed(""):
+            rest = f"{len(starts) - number} of the {len(starts)} most promising combinations were not optimised"
+            left_out = (f"after {AUTO_SECONDS:g} s of processor time {rest}: offer fewer values",)
+            break
         names = {own.variable.name: value for own, value in zip(offered, values, strict=True)}
         point, conflicts = _solved(program, p, start, fixed)
         if point is None:
@@ -425,7 +433,7 @@ def rounded(judge: Judge, seed: int, unrounded: float, solved: Solved, catalogue
         over=program.over,
         status="unconfirmed" if point.status == AS_FOUND else "solved",
         seconds=time.perf_counter() - started,
-        warnings=warnings,
+        warnings=(*left_out, *warnings),
         solved=Solved(program, p, point, dict(zip(fixed, values, strict=True))),
         fixed=tuple(choice.values),
         unrounded=unrounded,

@@ -26,7 +26,7 @@ from plough_opt.soil.geometry import Wedge
 from plough_opt.soil.soil import named_soil, soil_names
 
 _NAME = "design.toml"  # as the page that computes calls what it writes
-# Relative difference that conversions of units leave.
+# Difference that conversions of units leave, relative and, of differences of numbers near 1, absolute.
 _ROUNDING = 1e-14
 
 
@@ -52,6 +52,13 @@ def problem_of(scene: Scene, duration: float | None, title: str) -> Problem:
     if name is not None:
         given = {key: value for key, value in given.items() if EVERY[key].owner != "soil"}
     lines = [f"title = {json.dumps(title)}", *([] if name is None else [f"soil.name = {json.dumps(name)}"])]
+    profile = scene.effects.tow_profile
+    if profile is not None and all(len(piece) <= 2 for piece in profile.pieces):  # linear between its times
+        parts = [piece[0] for piece in profile.pieces] + [sum(profile.pieces[-1])]
+        speeds = [f"{part * given['scene.tow_speed']!r} m/s" for part in parts]
+        course = {"time": [f"{time!r} s" for time in profile.times], "speed": speeds}
+        lines.append(f"scene.tow_speed = {_toml(course)}")
+        del given["scene.tow_speed"]
     lines += [f"{key} = {_with_unit(value, EVERY[key].unit)}" for key, value in given.items() if EVERY[key].in_files]
     lines += [f"effects.{key} = {_toml(value)}" for key, value in _choices(scene)]
     lines += [] if scene.medium == Scene.medium else [f"scene.medium = {_medium(scene.medium)}"]
@@ -121,7 +128,7 @@ def _differences(name: str, one: Any, other: Any) -> Iterator[str]:
         for k, pair in enumerate(zip(one, other, strict=True)):
             yield from _differences(f"{name}[{k}]", *pair)
     elif isinstance(one, float) and isinstance(other, float):
-        if not np.isclose(one, other, rtol=_ROUNDING, atol=0.0):
+        if not np.isclose(one, other, rtol=_ROUNDING, atol=_ROUNDING / 10.0):
             yield f"{name} = {one!r}"
     elif one != other:
         yield f"{name} = {shown(one)}"

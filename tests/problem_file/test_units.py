@@ -304,6 +304,7 @@ SAID = {
     "harmonics": effects(strength_wave=WAVE, damping=400.0, orbit=po.HarmonicBalance(4)),
     "random strength": effects(random_strength=po.RandomStrength(0.2, 0.3), damping=400.0),
     "another law": scene(medium=po.laws.McKyesAli(depth=0.35)),
+    "a speed over time": effects(tow_profile=po.SpeedProfile((0.0, 0.5, 1.5), ((0.5, 0.5), (1.0, -0.25)))),
     "as printed": effects(formulation="printed"),
 }  # fmt: skip
 
@@ -329,6 +330,7 @@ class Weight:
 UNSAID = {
     "a Cone": scene(share=po.Cone("10 deg", "25 cm")),
     "scene.soil.density_profile": scene(soil=SOIL.with_density_profile(lambda r: 1000.0 + r)),
+    "scene.effects.tow_profile": effects(tow_profile=po.SpeedProfile((0.0, 1.5), ((0.5, 0.25, 0.25),))),
     "Weight": effects(own=(Weight(),)),
 }
 

@@ -1,4 +1,4 @@
-"""Write docs/images/explore.png: the page of `plough-opt explore` after a move and a pin, in headless Chromium.
+"""Write docs/images/report.png, the head of the page of `plough-opt explore`, and explore.png, after a move and a pin.
 
 python .ci/explore_picture.py
 """
@@ -16,9 +16,11 @@ from helpers.browser import chromium, open_page  # noqa: E402  # the tests' help
 
 
 def main() -> None:
-    """Open the page of the shipped example, move the design, and take the picture."""
+    """Open the page of the shipped example, move the design, and take the pictures."""
     with tempfile.TemporaryDirectory() as folder, chromium() as browser:
         written = po.explore(ROOT / "problems" / "cotton_subsoiler.toml", Path(folder) / "page.html")
+        page, _, _ = open_page(browser, written, 880, 1400)
+        page.screenshot(path=ROOT / "docs" / "images" / "report.png")
         page, _, _ = open_page(browser, written, 1280, 900, "#explore")
         page.get_by_role("button", name="Pin this design").click()
         page.evaluate("ploughOpt.set({ 'share.height': 0.3, 'scene.stiffness': 8e4 })")

@@ -49,7 +49,7 @@ WORK = {
 }
 # A command -> its extra, and the file that it writes with it.
 NEED = {
-    "report FILE --no-accuracy -o report.html": ("report", "report.html"),
+    "report FILE -o report.html": ("report", "report.html"),
     "explore FILE -o page.html": ("report", "page.html"),
     "export FILE --to openmdao -o component": ("openmdao", "component"),
     "export FILE --to stl --at guess -o a.stl": ("parts", "a.stl"),

@@ -198,13 +198,12 @@ def explore(options: argparse.Namespace) -> None:
     Raises:
         InputError: as `report`.
     """
-    from plough_opt.app.report import explored_file
+    from plough_opt.app.report import write_page
 
-    optional("jinja2")
     target = _cached(options.file) if options.output is None else check_file(options.output, "page", ".html")
     problem = read(options)
     with progress() as notify:
-        path = explored_file(problem, target, notify, seed=options.seed)
+        path = write_page(problem, target, notify, seed=options.seed)
     if options.json:
         print(_json({"wrote": [str(path)]}))
     elif options.output is None:

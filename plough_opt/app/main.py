@@ -328,7 +328,6 @@ def _export(verb: _Parser) -> None:
 def _report(verb: _Parser) -> None:
     verb.add_argument("-o", "--output", required=True, metavar="FILE.html", help="page to write")
     verb.shared("over", "seed", json="print the path of the page and its provenance as JSON")
-    verb.switch("no-accuracy", "omit the comparison of integration methods")
 
 
 def _explore(verb: _Parser) -> None:

@@ -31,7 +31,6 @@ from plough_opt.problem_file.written import tables_of
 from plough_opt.soil.geometry import Solid, Wedge
 
 if TYPE_CHECKING:
-    from plough_opt.studies.accuracy.result import AccuracyStudy, MethodResult, Question
     from plough_opt.studies.tradeoff import TradeOff
     from plough_opt.studies.tradeoff.front import FrontPoint
 
@@ -49,7 +48,6 @@ class Report:
         best: the optimum, if the file has variables.
         sensitivities: sensitivities of the optimum, the largest first.
         unknown: reason why there are no sensitivities, or "".
-        study: comparison of integration methods on this scene, or None.
         provenance: heading -> text of everything that identifies how the report was made.
         text: text of the problem file.
         front: front of the traded results, if the file trades some.
@@ -60,7 +58,6 @@ class Report:
     best: Optimum | None = None
     sensitivities: tuple[Sensitivity, ...] = ()
     unknown: str = ""
-    study: AccuracyStudy | None = None
     provenance: dict[str, str] = field(default_factory=dict)
     text: str = ""
     front: TradeOff | None = None
@@ -467,42 +464,9 @@ def search(report: Report) -> list[dict[str, Any]]:
     return charts
 
 
-def study(report: Report) -> list[dict[str, Any]]:
-    """Return a chart for each question of the accuracy study: error over time of every method."""
-    if report.study is None:
-        return []
-    found = []
-    for number, question in enumerate(report.study.questions):
-        entries, front = report.study.of(question), report.study.front(question)
-        rest = [entry for entry in entries if entry not in front]
-        default = [entry for entry in entries if (entry.method, entry.setting) == question.default]
-        found.append({
-            "id": f"accuracy{number}",
-            "title": _sentence(question.title),
-            "says": _sentence(report.study.advise(question)),
-            "x": {"label": "time of one use", "unit": "ms", "log": True},
-            "y": {"label": "relative error", "unit": "", "log": True},
-            "groups": _drawn(
-                _methods("worse in both", _GREY, 6, rest, question),
-                _methods("efficient", _BLUE, 8, front, question),
-                _methods("the default", "#000000", 13, default, question),
-            ),
-            "lines": [{"label": "required", "value": report.study.wanted, "colour": _RED, "dash": "dash"}],
-        })  # fmt: skip
-    return found
-
-
 def _drawn(*groups: dict[str, Any]) -> list[dict[str, Any]]:
     """Return the groups that are not empty, so that the legend names only those."""
     return [group for group in groups if group["x"]]
-
-
-def _methods(label: str, colour: str, size: int, entries: Sequence[MethodResult], question: Question) -> dict[str, Any]:
-    """Return a group of methods as points of error over time."""
-    # A logarithmic axis cannot show an error of 0, so errors below the last digit are drawn at 1e-17.
-    errors = [max(entry.errors[question.error], 1e-17) for entry in entries]
-    names = [entry.label for entry in entries]
-    return _group(label, colour, size, [1e3 * entry.seconds for entry in entries], errors) | {"names": names}
 
 
 def _group(label: str, colour: str, size: int, x: Iterable[float], y: Iterable[float]) -> dict[str, Any]:
@@ -603,15 +567,16 @@ def page(report: Report) -> str:
     return _rendered("page.html", report=report, c=_CONTENT, data=shown, model=model, why=why)
 
 
-def design_page(best: Optimum, model: PageModel, made: str) -> str:
-    """Return the page of a design of the user's own as HTML; ``made`` identifies how it was made.
+def design_page(best: Optimum, model: PageModel, title: str, made: str) -> str:
+    """Return the page of a design as HTML; ``made`` identifies how it was made.
 
     Raises:
         InputError: jinja2 is not installed.
     """
     optima = [_marks("other optima", _GREEN, [one.variables for one in best.local_optima[1:]])]
-    shown = {"charts": [], "search": [], "accuracy": [], "front": [], "model": model.data | {"marks": optima}}
-    return _rendered("design.html", title="A design of Python", best=best, made=made, data=shown, model=model)
+    known = {"marks": optima, "best": best.variables, "error": max(best.gap, best.error_estimate)}
+    shown = {"charts": [], "search": [], "front": [], "model": model.data | known}
+    return _rendered("design.html", title=title, best=best, made=made, data=shown, model=model)
 
 
 def motion_page(run: Run, title: str) -> str:
@@ -626,8 +591,9 @@ def motion_page(run: Run, title: str) -> str:
 def explored(report: Report, model: PageModel) -> dict[str, Any]:
     """Return what the page's controls must know: its model, the best design, the file, and units over time."""
     problem, best, knee = report.problem, report.best, report.front and shown_of(report.front)
-    panels = {panel.name: {"label": panel.name, **shown_in(panel.unit)} for panel in
-              (force_of(report.run), deflection_of(report.run))}  # fmt: skip
+    panels = {panel.name: {"label": panel.name, "rows": [next(iter(panel.lines)).replace(" ", "_")],
+                           **shown_in(panel.unit)}
+              for panel in (force_of(report.run), deflection_of(report.run))}  # fmt: skip
     every = measures_of(problem.table)
     results = [
         one | shown_in(report.display(one["name"], one["unit"], float(every[one["name"]].of(report.run))))
@@ -674,7 +640,6 @@ def data(report: Report) -> dict[str, Any]:
     return {
         "charts": charts(report),
         "search": search(report),
-        "accuracy": study(report),
         "bodies": bodies(report),
         "front": front(report),
         "motion": motion(report.run),

@@ -18,7 +18,7 @@ from plough_opt.core.errors import InputError
 from plough_opt.core.expressions import Expression, stacked
 from plough_opt.core.quantities import EVERY, Quantity, wave_table
 from plough_opt.core.units import Display, customary
-from plough_opt.design import Design, Optimum
+from plough_opt.design import Design
 from plough_opt.design.declarations import Parameter, Variable
 from plough_opt.exchange.export.javascript import Source
 from plough_opt.motion import Run
@@ -28,13 +28,13 @@ from plough_opt.motion.equation import Structure, equation_of, parameters
 from plough_opt.motion.methods import DEFAULT_ERROR, Accuracy
 from plough_opt.motion.orbit import near_orbit
 from plough_opt.motion.plan import forced_rate, rates
-from plough_opt.motion.run import WITHOUT_RANDOM, Averages, assemble
+from plough_opt.motion.run import WITHOUT_RANDOM, Averages, Machine, assemble
 from plough_opt.motion.scene import Scene
 from plough_opt.motion.simulation import GAUSS_POINTS, MORE_POINTS, quasi_static
 from plough_opt.motion.steps import Timeline, step
 from plough_opt.motion.vocabulary import MEASURES, called
 from plough_opt.problem_file import Problem
-from plough_opt.problem_file.measures import measures_of
+from plough_opt.problem_file.measures import measures_of, total_of
 from plough_opt.problem_file.problem import FileVariable
 from plough_opt.problem_file.written import fixed_variables
 from plough_opt.soil.soil import compression_test
@@ -44,6 +44,9 @@ ROWS: Final = ("travel", "speed", "deflection", "mount_force", "soil_resistance"
 AVERAGES: Final = tuple(Averages.__dataclass_fields__)
 # Results that every page shows if the law of resistance gives them, besides those that the file names.
 _SHOWN: Final = (*AVERAGES, "specific_draft", "loosened_radius", "half_angle", "moving_mass")
+
+# Results over time of several shares -> their picture, unit and mean.
+_CURVES: Final = {"mount_force": ("force", "N", "mean_draft"), "deflection": ("deflection", "m", "mean_deflection")}
 
 # Combinations of switched effects on a page, all of five effects, and operations of their formulas: about 700 kB.
 _MOST_VARIANTS: Final = 31
@@ -149,52 +152,97 @@ def page_model(problem: Problem) -> PageModel:
     return PageModel(f"{source}\nconst FUNCTIONS = {{ {', '.join(listed)} }};\n", data)
 
 
-def design_model(design: Design, best: Optimum) -> PageModel:
+def design_model(
+    design: Design,
+    shown: Mapping[str, tuple[Expression, Display]] | None = None,
+    rows: Mapping[str, Expression] | None = None,
+    displays: Mapping[str, Display] | None = None,
+) -> PageModel:
     """Return objective and requirements of a design as JavaScript, with the runs as `Design.nlp` writes them.
+
+    Args:
+        design: the design.
+        shown: name -> further result, in the design's symbols, and its unit.
+        rows: name -> result over time, all at the same times.
+        displays: name of a parameter -> its unit, if not a customary one.
 
     Raises:
         InputError: the objective is minimised over tolerances, or has no JavaScript form; the message names it.
     """
-    declared, nlp = design.declared, design.nlp()
+    declared, nlp, others, over_time = design.declared, design.nlp(), shown or {}, rows or {}
     x = ca.MX.sym("x", len(declared.variables) + len(declared.parameters))
     every = ca.vertsplit(x)
     scaled = [one.scaled(value) for one, value in zip(declared.variables, every, strict=False)]
     program = ca.Function("program", [nlp.problem["x"], nlp.problem["p"]], [nlp.problem["f"], nlp.problem["g"]])
     f, g = program(stacked(*scaled), stacked(ca.MX(), *every[len(scaled) :]))
+    both: list[Variable | Parameter] = [*declared.variables, *declared.parameters]
+    columns = stacked(ca.MX(), *(value for value, _ in others.values())), stacked(ca.MX(), *over_time.values())
+    further = ca.Function("further", [one.symbol for one in both], columns)
     source = Source("the page cannot hold this design")
-    name = source.add(ca.Function("whole", [x], [nlp.objective_scale * f, nlp.scales * g]))
+    name = source.add(ca.Function("whole", [x], [nlp.objective_scale * f, nlp.scales * g, *further(*every)]))
     limits = {requirement.name: requirement for requirement in declared.requirements}
     requirements, lows, highs = [], nlp.lbg * nlp.scales, nlp.ubg * nlp.scales
-    for key, rows in itertools.groupby(range(len(lows)), key=nlp.requirements.__getitem__):
-        which, own = [*rows], limits.get(key)
+    for key, places in itertools.groupby(range(len(lows)), key=nlp.requirements.__getitem__):
+        which, own = [*places], limits.get(key)
         low, high = (None if math.isinf(end[which[0]]) else float(end[which[0]]) for end in (lows, highs))
-        shown = shown_in(own.shown if own else customary("", 1.0))
-        requirements.append({"name": key, "label": key, "low": low, "high": high, "count": len(which), **shown,
+        unit = shown_in(own.shown if own else customary("", 1.0))
+        requirements.append({"name": key, "label": called(key), "low": low, "high": high, "count": len(which), **unit,
                              "words": own.limits_text() if own else "domain of the theory"})  # fmt: skip
-    inputs = [_declared(one, best.variables[one.name]) for one in declared.variables]
+    results = [{"name": key, "label": called(key), **shown_in(unit)} for key, (_, unit) in others.items()]
     data = {
-        "inputs": inputs + [_declared(one, one.value) for one in declared.parameters],
-        "results": [{"name": "objective", "label": "objective", "symbol": "", "factor": 1.0}, *requirements],
-        "requirements": requirements, "rows": [], "variants": {"": {}}, "switches": [], "axes": [],
-        "error": max(best.gap, best.error_estimate), "best": best.variables, "known": "best", "objective": True,
-        "certifies": True, "without": "",
+        "inputs": [_declared(one, displays or {}) for one in both],
+        "results": [{"name": "objective", "label": "objective", "symbol": "", "factor": 1.0}, *results, *requirements],
+        "requirements": requirements, "further": [*others], "rows": [*over_time], "variants": {"": {}}, "switches": [],
+        "axes": [], "known": "best", "objective": True, "certifies": True, "without": "",
+        "file": "", "panels": {}, "tables": None,
     }  # fmt: skip
     return PageModel(f"{source}\nconst FUNCTIONS = {{ whole: {name} }};\n", data)
 
 
-def _declared(one: Variable | Parameter, value: float) -> dict[str, Any]:
+def frame_model(problem: Problem) -> PageModel:
+    """Return the design of a file with several shares as JavaScript, with the results of each share and of the frame.
+
+    Raises:
+        InputError: as `design_model`.
+    """
+    design, machine = problem.design(parameters=True)
+    assert isinstance(machine, Machine)  # as of every file with several shares
+    every, runs = measures_of(problem.table), machine.runs
+    found: dict[str, tuple[Expression, Display]] = {}
+    for name in _SHOWN:
+        given = {share: run for share, run in runs.items() if every[name].given_by(run.scene.law)}
+        unit = problem.origin.display(name, every[name].unit.symbol)
+        found |= {f"{share}.{name}": (every[name].of(run), unit) for share, run in given.items()}
+        if every[name].adds and given:
+            found[name] = total_of(every[name], [*given.values()]), unit
+    shown = {name: one for name, one in found.items() if name not in problem.table.require}
+    rows = {f"{share}.{name}": getattr(run, name) for name in _CURVES for share, run in runs.items()}
+    time = next(iter(runs.values())).time
+    model = design_model(design, shown, {"time": time, **rows}, problem.displays)
+    panels = {panel: {"label": name.replace("_", " "), "rows": [f"{share}.{name}" for share in runs],
+                      **shown_in(problem.origin.common(unit, dict.fromkeys((name, mean), 1.0)))}
+              for name, (panel, unit, mean) in _CURVES.items()}  # fmt: skip
+    units = {"time": "s"} | {f"{share}.{name}": unit for name, (_, unit, _) in _CURVES.items() for share in runs}
+    known = {"panels": panels, "units": units, "file": problem.origin.file, "overrides": problem.overrides}
+    return replace(model, data=model.data | known | {"command": "optimise", "prefixes": [*runs]})
+
+
+def _declared(one: Variable | Parameter, displays: Mapping[str, Display]) -> dict[str, Any]:
     """Return name, unit, bounds and domain of a variable or parameter of a design."""
     if isinstance(one, Variable):
-        display, low, high, ends = one.shown, one.lower, one.upper, (one.lower, one.upper)
+        value, display, low, high, ends = one.guess, one.shown, one.lower, one.upper, (one.lower, one.upper)
         why = "the steps of this page resolve the motion between these bounds"
     else:
-        size, ends, why = abs(value) or 1.0, one.domain, ""
-        display, low, high = customary(one.unit, value), max(ends[0], value - size / 2.0), min(ends[1], value + size)
+        value, ends, why = one.value, one.domain, ""
+        size, display = abs(value) or 1.0, displays.get(one.name) or customary(one.unit, value)
+        low, high = max(ends[0], value - size / 2.0), min(ends[1], value + size)
     limit = DomainLimit(one.name, one.unit, at_least=max(ends[0], -LARGEST), at_most=min(ends[1], LARGEST), why=why)
     chosen = isinstance(one, Variable)
+    group = "variables" if chosen else one.name.rpartition(".")[0] or "parameters"
     return {
-        "name": one.name, "label": one.name, "group": "variables" if chosen else "parameters", "unit": one.unit,
-        **shown_in(display), "lower": low, "upper": high, "log": isinstance(one, Variable) and bool(one.log),
+        "name": one.name, "label": called(one.name), "group": group,
+        "unit": one.unit, **shown_in(display), "lower": low, "upper": high,
+        "log": isinstance(one, Variable) and bool(one.log),
         "value": value, "variable": chosen, "steps": None, "limit": _limit(limit),
     }  # fmt: skip
 

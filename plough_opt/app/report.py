@@ -5,10 +5,9 @@ import json
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Final
 
 from plough_opt.app.page import Report, design_page, motion_page, page, shown_of
-from plough_opt.app.page_model import design_model
+from plough_opt.app.page_model import design_model, frame_model
 from plough_opt.app.plots import changing, gif, subject
 from plough_opt.app.terminal import progress, read, wrote
 from plough_opt.core.checks import check_domain, path_of, whole_number
@@ -24,28 +23,22 @@ from plough_opt.motion.run import Machine
 from plough_opt.motion.scene import Scene
 from plough_opt.problem_file import Problem, read_problem
 from plough_opt.problem_file.written import problem_of
-from plough_opt.studies.accuracy.study import study_accuracy
-
-# Time limit [s] of one use of an integration method: every efficient one needs less than a tenth of it.
-_ALLOWANCE: Final = 0.1
 
 
 def report(options: argparse.Namespace) -> None:
     """Optimise a file (or simulate it if it has no variables), and write the page.
 
     Raises:
-        InputError: the file has a mistake, has several shares or an uncertain soil, or the page cannot be written.
+        InputError: the file has a mistake, an uncertain soil, or several shares and nothing to minimise, or the page
+            cannot be written.
     """
-    optional("jinja2")
-    check_file(options.output, "page", ".html")
+    target = check_file(options.output, "page", ".html")
     problem = read(options)
-    _check(problem)
     with progress() as notify:
-        found = reported(problem, notify, seed=options.seed, accuracy=not options.no_accuracy)
-    found = replace(found, provenance=_provenance(problem, options.seed), text=problem.text)
-    path = write_file(options.output, "report", page(found))
+        path = write_page(problem, target, notify, seed=options.seed)
     if options.json:
-        print(json.dumps({"wrote": [str(path)], "provenance": found.provenance}, indent=2, allow_nan=False))
+        told = {"wrote": [str(path)], "provenance": _provenance(problem, options.seed)}
+        print(json.dumps(told, indent=2, allow_nan=False))
     wrote(path)
 
 
@@ -70,9 +63,9 @@ def explore(
         The path.
 
     Raises:
-        InputError: the file has a mistake, several shares or an uncertain soil, the scene holds symbols or something
-            that cannot be written as a problem file, the duration is missing or given for another question, the design
-            has no JavaScript form, or the page cannot be written.
+        InputError: the file has a mistake, an uncertain soil, or several shares and nothing to minimise, the scene
+            holds symbols or something that cannot be written as a problem file, the duration is missing or given for
+            another question, the design has no JavaScript form, or the page cannot be written.
         InfeasibleDesign, NotConverged: as `Design.solve`.
 
     Example:
@@ -88,26 +81,39 @@ def explore(
         raise InputError("only a scene needs a duration: leave it out, or change the problem or design")
     elif isinstance(question, Design):
         optional("jinja2")
-        best = question.solve(seed=seed)
-        made = f"plough_opt {versions()['plough_opt']}, seed {seed}"
-        return write_file(target, "page", design_page(best, design_model(question, best), made))
+        model = design_model(question)
+        return write_file(
+            target, "page", design_page(question.solve(seed=seed), model, "A design of Python", _made(seed))
+        )
     else:
         known = question if isinstance(question, Problem) else read_problem(question)
-    return explored_file(known, target, lambda *_: None, seed=seed)
+    return write_page(known, target, lambda *_: None, seed=seed)
 
 
-def explored_file(problem: Problem, path: Path, notify: Progress, *, seed: int) -> Path:
-    """Write the page of a problem without a comparison of integration methods; return its path."""
+def write_page(problem: Problem, path: Path, notify: Progress, *, seed: int) -> Path:
+    """Write the page of a problem; return its path. ``notify`` is told the present step and the fraction done."""
     optional("jinja2")
     _check(problem)
-    found = reported(problem, notify, seed=seed, accuracy=False)
-    return write_file(path, "page", page(replace(found, provenance=_provenance(problem, seed), text=problem.text)))
+    if problem.shares:
+        model = frame_model(problem)  # refused, if at all, before the search
+        best, _ = problem.optimise(notify, seed=seed)
+        text = design_page(best, model, problem.title, f"{problem.origin.file}, {_made(seed)}")
+    else:
+        text = page(replace(reported(problem, notify, seed), provenance=_provenance(problem, seed), text=problem.text))
+    return write_file(path, "page", text)
+
+
+def _made(seed: int) -> str:
+    return f"plough_opt {versions()['plough_opt']}, seed {seed}"
 
 
 def _check(problem: Problem) -> None:
     """Raise InputError for a file that a report does not cover."""
-    if problem.shares:
-        problem.scene()  # raises InputError: one share must be chosen
+    if problem.shares and not (problem.variables and problem.table.minimise):
+        raise InputError(
+            f"{problem.name}: the page of several shares is that of their design: add [variables] and [minimise], or"
+            f" choose one share by --set shares={next(iter(problem.shares))}"
+        )
     if problem.table.uncertain is not None:
         raise InputError(
             f"{problem.name}: a report covers one soil: remove the table [uncertain], or use plough-opt optimise"
@@ -129,14 +135,13 @@ def _provenance(problem: Problem, seed: int) -> dict[str, str]:
     }
 
 
-def reported(problem: Problem, notify: Progress, *, seed: int = 0, accuracy: bool = True) -> Report:
-    """Return the contents of a report without its provenance.
+def reported(problem: Problem, notify: Progress, seed: int = 0) -> Report:
+    """Return the contents of a report on one share, without its provenance.
 
     Args:
         problem: the file.
         notify: called with the present step in words and the fraction done.
         seed: seed of the search's samples.
-        accuracy: whether to compare integration methods.
     """
     best, unknown = None, ""
     run: Run | Machine
@@ -153,12 +158,8 @@ def reported(problem: Problem, notify: Progress, *, seed: int = 0, accuracy: boo
     else:
         notify("simulating", 0.0)
         run = problem.simulate(None if front is None else shown_of(front).variables)
-    assert isinstance(run, Run)  # the command refuses several shares
-    study = None
-    if accuracy:
-        duration: Any = problem.values().get("scene.duration")
-        study = study_accuracy(run.scene, duration, allowance=_ALLOWANCE, derivatives=False, thin=True, progress=notify)
-    return Report(problem, run, best, sensitivities, unknown, study, front=front)
+    assert isinstance(run, Run)  # several shares have a page of their own
+    return Report(problem, run, best, sensitivities, unknown, front=front)
 
 
 def write_animation(run: Run, target: str | Path, slower: float) -> Path:

@@ -129,7 +129,7 @@ def test_scripts_by_others_are_small_licensed_and_readable():
 
 def test_a_share_without_variables_that_does_not_move_has_no_empty_pictures():
     fixed = (*FIXED, "scene.stiffness=50 kN/m", "effects={motion=false}", "require={}")
-    text = page(reported(po.read_problem(SUBSOILER, fixed), lambda *_: None, accuracy=False))
+    text = page(reported(po.read_problem(SUBSOILER, fixed), lambda *_: None))
     found = Page(text)
     assert "Nothing changes over time" in found.text["response"]
     assert data_of(text)["charts"] == data_of(text)["search"] == []
@@ -144,7 +144,7 @@ def test_an_orbit_under_another_law_whose_optimum_is_not_unique(tmp_path):
     file.write_text(least + orbit.partition("[minimise]")[0], encoding="utf-8")
     fixed = ("--set", "share.chisel_angle=35 deg", "--set", "share.wedge_angle=35 deg")
     assert cells(printed("check", file, *fixed), "law of resistance") == ["McKyes-Ali"]
-    told = json.loads(printed("report", file, "-o", out, "--no-accuracy", "--json", *fixed))
+    told = json.loads(printed("report", file, "-o", out, "--json", *fixed))
     text = out.read_text(encoding="utf-8")
     found, data = Page(text).text, data_of(text)
     assert told["wrote"] == [str(out)]
@@ -159,7 +159,7 @@ def test_an_orbit_under_another_law_whose_optimum_is_not_unique(tmp_path):
 
 def test_an_objective_over_the_tolerances_is_named():
     over = po.read_problem(SUBSOILER, (*FIXED, "effects={motion=false}", "minimise.over=mean", "require={}"))
-    asked = Page(page(reported(over, lambda *_: None, accuracy=False))).text["question"]
+    asked = Page(page(reported(over, lambda *_: None))).text["question"]
     assert "The objective is the mean of 64 designs within the tolerances, all of which meet the requirements." in asked
 
 

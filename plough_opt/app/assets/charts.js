@@ -46,17 +46,12 @@ function lines(own) {
 
 /* One column of x for all groups of points, with gaps where a group has none. */
 function joined(groups) {
-  const rows = [];
-  groups.forEach((group, k) => group.x.forEach((x, i) => rows.push([x, k, group.y[i], group.names ? group.names[i] : ""])));
-  rows.sort((a, b) => a[0] - b[0]);
-  const names = groups.map(() => []);
-  const data = [rows.map((row) => row[0]), ...groups.map((_, k) => rows.map((row, i) => { if (row[1] === k) names[k][i] = row[3]; return row[1] === k ? row[2] : null; }))];
-  return { data, names };
+  const rows = groups.flatMap((group, k) => group.x.map((x, i) => [x, k, group.y[i]])).sort((a, b) => a[0] - b[0]);
+  return [rows.map(([x]) => x), ...groups.map((_, k) => rows.map(([, own, y]) => own === k ? y : null))];
 }
 
 function range(chart) {
   return (u, low, high) => {
-    if (chart.y.log) return [10 ** Math.floor(Math.log10(low)), 10 ** Math.ceil(Math.log10(high))];
     if (low == null) [low, high] = [0, 1];
     for (const line of chart.lines || []) { low = Math.min(low, line.value); high = Math.max(high, line.value); }
     const room = 0.08 * (high - low) || 0.1 * Math.abs(high) || 1;
@@ -67,10 +62,10 @@ function range(chart) {
 function build(chart) {
   const figure = /** @type {any} */ (document.getElementById(chart.id)), plot = figure.querySelector(".plot"), read = figure.querySelector(".read");
   const cloud = chart.groups && joined(chart.groups);
-  const data = cloud ? cloud.data : [chart.x.values, ...chart.series.map((one) => one.values)];
+  const data = cloud ?? [chart.x.values, ...chart.series.map((one) => one.values)];
   const series = cloud
     ? chart.groups.map((group) => ({ label: group.label, stroke: group.colour, paths: () => null,
-        points: { show: true, size: group.size, width: group.label === "the default" ? 2 : 0, fill: group.label === "the default" ? "transparent" : group.colour, stroke: group.colour } }))
+        points: { show: true, size: group.size, width: 0, fill: group.colour, stroke: group.colour } }))
     : chart.series.map((one) => ({ label: one.label, stroke: one.colour, width: 1.6, dash: one.dash ? [6, 4] : undefined, points: { show: false } }));
   /* Of many decades every second, third or so has a line and a number; of few also 2 and 5 have numbers. */
   const decades = (u, ticks) => {
@@ -88,7 +83,7 @@ function build(chart) {
   const height = () => plot.clientWidth > 600 ? 300 : 250;
   const u = new uPlot({
     width: plot.clientWidth, height: height(), legend: { show: true, live: false, markers: { width: 0, fill: (u, k) => cloud ? chart.groups[k - 1].colour : chart.series[k - 1].colour } },
-    scales: { x: { time: false, distr: chart.x.log ? 3 : 1 }, y: { distr: chart.y.log ? 3 : 1, range: range(chart) } },
+    scales: { x: { time: false, distr: chart.x.log ? 3 : 1 }, y: { range: range(chart) } },
     axes: [axis(chart.x), { ...axis(chart.y), size: 62 }],
     series: [{ label: heading(chart.x) }, ...series],
     cursor: { drag: { setScale: false }, points: { size: 9 }, focus: { prox: -1 } },
@@ -98,9 +93,7 @@ function build(chart) {
   function say(u) {
     const i = u.cursor.idx;
     if (i == null) { read.textContent = "Point at the picture, or use the arrow keys, to read values off."; return; }
-    const parts = series.map((one, k) => [one.label, data[k + 1][i], cloud && cloud.names[k][i]])
-      .filter(([, v]) => v != null)
-      .map(([label, v, name]) => `${name ? `${name} (${label})` : label} ${withUnit(v, chart.y.unit)}`);
+    const parts = series.flatMap(({ label }, k) => data[k + 1][i] == null ? [] : [`${label} ${withUnit(data[k + 1][i], chart.y.unit)}`]);
     read.textContent = `${chart.x.label} ${withUnit(data[0][i], chart.x.unit)}: ${parts.join(", ")}`;
   }
   say(u);
@@ -120,7 +113,7 @@ function build(chart) {
   return { chart, u, fit };
 }
 
-const CHARTS = [...DATA.charts, ...DATA.front, ...DATA.search, ...DATA.accuracy].map(build);
+const CHARTS = [...DATA.charts, ...DATA.front, ...DATA.search].map(build);
 
 /* Paper is narrower than most screens: A4 within its margins is 672 px wide. */
 addEventListener("beforeprint", () => CHARTS.forEach(({ chart, fit }) => fit(chart.id === "force" ? 660 : 320)));

@@ -19,13 +19,14 @@ function engine(model, functions, effects = "") {
   /* A size below this part of the motion's own scale counts as that part, as in checks.py. */
   const SMALLEST = 1e-7;
   const SHORT = 1e-9;
-  /* Phase per step and output of a rough run: some per cent of an oscillation's peak lie between two outputs. */
-  const ROUGH_PHASE = 0.8;
-
+  /* Phase per step and output of a rough run: its steps leave 1e-6, and a parabola through outputs some per cent of a peak. */
+  const ROUGH_PHASE = 1.2;
   /* Events in one step, part of a step to which they are located, and rounding of what follows from their times, as in simulation.py. */
   const MOST_EVENTS = 100, LOCATED = 1e-14, EVENT_ROUNDING = 1e-11;
   /* Newton's method for an orbit, as in orbit.py: change of a state for slopes, last step, iterations. */
   const DIFFERENCE = 1e-6, LAST_STEP = 1e-7, ITERATIONS = 60;
+  /* Wavelengths for which a share is followed from equilibrium: most have come to the orbit by then. */
+  const FOLLOWED = 200;
 
   /** What does not change over time: orders of magnitude, limited values, constants, parameters. */
   const prepared = (x) => functions.prepare(x).slice(variant.place, variant.place + 4);
@@ -110,9 +111,16 @@ function engine(model, functions, effects = "") {
   }
 
   /** The state to which one wavelength returns, and how a deviation from it has grown by then: see orbit.py. */
-  function returning(p, nodes) {
+  function returning(p, nodes, phase) {
     const [guess, unit] = f.orbit(p), scaled = (state) => state.map((v, i) => v / unit[i]);
-    const once = (start) => scaled(nodes.slice(1).reduce((state, node, k) => f.step(state, [nodes[k], node - nodes[k]], p)[0], start.map((v, i) => v * unit[i])));
+    const once = (start, ends = nodes) => scaled(ends.slice(1).reduce((state, node, k) => f.step(state, [ends[k], node - ends[k]], p)[0], start.map((v, i) => v * unit[i])));
+    /* How far a share from equilibrium is from the orbit in the end, relative to half the orbit's range. */
+    const apartFrom = (orbit) => {
+      const ends = nodesOf(1, Math.max(FEWEST, Math.ceil(phase / ROUGH_PHASE)), []);
+      let state = scaled(f.start(p.slice(0, -1))[0]);
+      for (let k = 0; k < FOLLOWED; k++) state = once(state, ends);
+      return Math.hypot(...state.map((v, i) => v - orbit[i]));
+    };
     let best = scaled(guess), change = [0, 0], nearest = Infinity, floquet = NaN;
     for (let k = 0; k < ITERATIONS; k++) {
       const tried = best.map((v, i) => v + change[i]), after = once(tried), miss = tried.map((v, i) => v - after[i]), apart = Math.hypot(...miss);
@@ -125,7 +133,7 @@ function engine(model, functions, effects = "") {
         change = [((d - 1) * miss[0] - b * miss[1]) / determinant, ((a - 1) * miss[1] - c * miss[0]) / determinant];
       } else change = change.map((v) => v / 2);
       if (Math.max(...change.map(Math.abs)) >= LAST_STEP) continue;
-      if (nearer) return { first: best.map((v, i) => (v + change[i]) * unit[i]), floquet };
+      if (nearer) return { first: best.map((v, i) => (v + change[i]) * unit[i]), floquet, unsettled: () => apartFrom(best) };
       break;
     }
     throw new RangeError("no periodic orbit was found from its linear response: damp the mount, or use orbit = 'transient'");
@@ -135,10 +143,10 @@ function engine(model, functions, effects = "") {
   const table = (outputs) => names.map(() => new Float64Array(outputs + 1));
 
   /** The five averages and the results over time of a motion, by steps of order 8. */
-  function motion(x, [, , constants, p], outputs, per, kinks) {
+  function motion(x, [[rate, , , long], , constants, p], outputs, per, kinks) {
     const nodes = nodesOf(outputs, per, kinks), duration = p[p.length - 1], rows = table(outputs);
     const mean = Array(variant.count).fill(0), square = Array(variant.squared).fill(0);
-    const { first, floquet } = f.orbit ? returning(p, nodes) : { first: f.start(p.slice(0, -1))[0], floquet: undefined };
+    const { first, ...orbit } = f.orbit ? returning(p, nodes, rate * long) : { first: f.start(p.slice(0, -1))[0] };
     let state = first, next = 0;
     for (let k = 0; k < nodes.length; k++) {
       if (next <= outputs && nodes[k] === next / outputs) {
@@ -151,7 +159,7 @@ function engine(model, functions, effects = "") {
       pool(mean, square, moments, nodes[k], size);
       state = following;
     }
-    return { rows, constants, floquet, five: f.averages(x, constants, mean, square)[0], steps: nodes.length - 1 };
+    return { rows, constants, orbit, five: f.averages(x, constants, mean, square)[0], steps: nodes.length - 1 };
   }
 
   /** The same of a share that follows the strut: quadratures of the force over panels. */
@@ -181,6 +189,15 @@ function engine(model, functions, effects = "") {
     let low = Infinity, high = -Infinity;
     for (let k = 0; k < values.length; k++) { low = Math.min(low, values[k]); high = Math.max(high, values[k]); }
     return [low, high];
+  }
+  /** The same between outputs, by the parabola through each end and its neighbours. */
+  function between(values) {
+    const ends = extent(values);
+    for (const end of [0, 1]) {
+      const k = values.indexOf(ends[end]), [before, after] = [values[k - 1] - ends[end], values[k + 1] - ends[end]];
+      if (before + after) ends[end] -= (after - before) ** 2 / (8 * (after + before));
+    }
+    return ends;
   }
   const peak = (row) => Math.max(...extent(row).map(Math.abs));
 
@@ -239,7 +256,7 @@ function engine(model, functions, effects = "") {
    * Results at values of the inputs in SI units, given in their order.
    * @param {number[]} x
    * @param {{ error?: number, sketch?: boolean, warm?: boolean }} [options] error to reach; or a single rough run without an
-   *   estimate; warm: run twice, so that the time is that of compiled functions
+   *   estimate and without its curves; warm: run twice, so that the time is that of compiled functions
    * @throws {RangeError} values outside the model's domain, or a motion without a finite result
    */
   function evaluate(x, { error: wanted = model.error, sketch = false, warm = false } = {}) {
@@ -250,17 +267,23 @@ function engine(model, functions, effects = "") {
     if (found.error === Infinity) throw new RangeError("the motion has no finite mean: the share is driven away");
     /** @type {any} */
     const results = {};
-    const [measures] = f.measures(x, found.constants, found.five);
+    const [measures] = f.measures(x, found.constants, found.five), ends = sketch ? between : extent;
     model.averages.forEach((name, k) => { results[name] = found.five[k]; });
     model.results.forEach((one, k) => { results[one.name] = measures[k]; });
-    if (f.orbit) results.floquet = found.floquet;
-    const rows = Object.fromEntries(model.rows.map((name, k) => [name, found.rows[k]]));
-    [, results.peak_force] = extent(rows.mount_force);
-    [, results.peak_deflection] = extent(rows.deflection);
-    const requirements = model.requirements.map((one) => kept(one, one.everywhere ? rows[one.name] : [results[one.name]]));
-    const last = rows.travel.length - 1, time = rows.travel.map((_, k) => k * known[0][3] / last);
-    return { ...results, rows: { time, ...rows }, requirements, error_estimate: found.error, steps: found.steps,
-      seconds: (performance.now() - began) / 1000 };
+    if (f.orbit) results.floquet = found.orbit.floquet;
+    if (f.orbit && !sketch) results.unsettled = found.orbit.unsettled();
+    const of = (name) => found.rows[model.rows.indexOf(name)];
+    [, results.peak_force] = ends(of("mount_force"));
+    [, results.peak_deflection] = ends(of("deflection"));
+    results.requirements = model.requirements.map((one) => kept(one, one.everywhere ? ends(of(one.name)) : [results[one.name]]));
+    results.error_estimate = found.error;
+    results.steps = found.steps;
+    if (!sketch) {
+      const last = found.rows[0].length - 1, time = found.rows[0].map((_, k) => k * known[0][3] / last);
+      results.rows = { time, ...Object.fromEntries(model.rows.map((name, k) => [name, found.rows[k]])) };
+    }
+    results.seconds = (performance.now() - began) / 1000;
+    return results;
   }
 
   /** The value of a requirement that is nearest to its limit, and the margin. */
@@ -275,12 +298,14 @@ function engine(model, functions, effects = "") {
     const evaluate = (x) => {
       const began = performance.now(), why = outside(x);
       if (why) throw new RangeError(why);
-      const [[objective], every] = functions.whole(x);
-      if (![objective, ...every].every(Number.isFinite)) throw new RangeError("the design has no finite value here");
+      const [[objective], every, further = [], curves = []] = functions.whole(x);
+      if (![objective, ...every, ...further].every(Number.isFinite)) throw new RangeError("the design has no finite value here");
       let from = 0;
       const requirements = model.requirements.map((one) => kept(one, every.slice(from, from += one.count)));
       const results = Object.fromEntries(model.requirements.map((one, k) => [one.name, requirements[k].value]));
-      return { ...results, objective, rows: {}, requirements, error_estimate: model.error, seconds: (performance.now() - began) / 1000 };
+      model.further.forEach((name, k) => { results[name] = further[k]; });
+      const size = curves.length / model.rows.length, rows = Object.fromEntries(model.rows.map((name, k) => [name, curves.slice(k * size, (k + 1) * size)]));
+      return { ...results, objective, rows, requirements, error_estimate: model.error, seconds: (performance.now() - began) / 1000 };
     };
     return { evaluate, refusal: outside, violation, digits };
   }

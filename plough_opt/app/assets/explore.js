@@ -11,12 +11,14 @@
   const { inputs } = model, place = (id) => /** @type {any} */ (document.getElementById(id));
   const variables = inputs.flatMap((one, k) => one.variable ? [k] : []);
   const initial = inputs.map((one) => model.best[one.name] ?? one.value);
-  /* A design of the user's own has no motion that the page knows. */
-  const moving = model.rows.length > 0, peaks = moving ? [
+  /* A design of the user's own has no motion that the page knows, and one of several shares no single scene. */
+  const single = Boolean(model.tables), panels = Object.entries(model.panels), peaks = single ? [
     { ...model.panels.force, name: "peak_force", label: `peak mount force${model.without}` }, { ...model.panels.deflection, name: "peak_deflection", label: `peak deflection${model.without}` },
-    ...(model.orbit ? [{ name: "floquet", label: "largest Floquet multiplier (below 1: the orbit is stable)", symbol: "", factor: 1 }] : [])] : [];
+    ...(model.orbit ? [{ name: "floquet", label: "largest Floquet multiplier (below 1: the orbit is stable)", symbol: "", factor: 1 },
+      { name: "unsettled", label: "distance from the orbit after 200 wavelengths from equilibrium (0 %: the share comes to it)", symbol: "%", factor: 0.01 }] : [])] : [];
   const columns = [...inputs.filter((one) => one.variable), ...model.results, ...peaks];
-  const DESIGNS = 2000, CHUNK = 50, CURVE = 61, MOST_PINS = 4, COLOURS = ["#d55e00", "#009e73", "#cc79a7", "#e69f00"];
+  /* A design as one function takes as many steps as its runs; the engine takes fewer for the landscape. */
+  const DESIGNS = single ? 2000 : 500, CHUNK = 50, CURVE = 61, MOST_PINS = 4, COLOURS = ["#d55e00", "#009e73", "#cc79a7", "#e69f00"];
   let x = [...initial], effects = "", now = null, best = null, marks = [], error = model.error, pins = [], cloud = [], curve = [], computedFor = "", refused = "";
 
   /* Workers: one answers the controls, the other samples, so that a move never waits. */
@@ -162,21 +164,21 @@
   function show(values, under, found) {
     now = { x: values, effects: under, ...found };
     refuse("");
-    place("accuracy-now").textContent = `estimated error ${found.error_estimate > 0 ? found.error_estimate.toExponential(0) : "below 1e-15"}${moving ? `, ${found.steps} steps` : " of the objective, at the best design"}, ${number(1000 * found.seconds)} ms`;
+    place("accuracy-now").textContent = `estimated error ${found.error_estimate > 0 ? found.error_estimate.toExponential(0) : "below 1e-15"}${single ? `, ${found.steps} steps` : " of the objective, at the best design"}, ${number(1000 * found.seconds)} ms`;
     place("lights").replaceChildren(...model.requirements.map((one, k) => {
       const { value: v, margin } = found.requirements[k], rounding = 1e-8 * Math.abs(v), met = margin >= -rounding;
       return make("li", {}, make("span", { className: `tag ${met ? "good" : "bad"}`, textContent: met ? "✓ met" : "✗ fails" }), ` ${one.label} ${shown(one, v)}, ${pretty(one.words)}, margin ${shown(one, Math.abs(margin) <= rounding ? 0 : margin)}`);
     }));
     draw();
-    if (moving && solid) solid(solids(values, found));
-    if (moving) place("command").value = command();
+    if (solid) solid(solids(values, found));
+    if (model.file) place("command").value = command();
     later();
   }
 
   const fixed = ({ x: values, effects: under }) => JSON.stringify([under, values.filter((_, k) => !variables.includes(k))]);
   const nowName = () => refused ? "last valid" : "now";
   /* What Python computed belongs to the question of the file. */
-  const asked = moving ? "file’s question" : "design’s parameters";
+  const asked = model.file ? "file’s question" : "design’s parameters";
   const dated = (name, words = `computed for the ${asked}`) => !variables.length || fixed(now) === fixed(best) ? name : `${name}, ${words}`;
   const of = (design, one) => design[one.name] ?? design.x[inputs.findIndex((each) => each.name === one.name)];
   function table() {
@@ -194,24 +196,24 @@
   /* Charts over time, built anew when the pins change and redrawn at each move. */
   const charts = {};
   const listed = () => [now, ...pins];
+  /* Each curve of a picture: the place of its design among those listed, and the name of the result. */
+  const curvesOf = ({ rows }) => listed().flatMap((design, k) => rows.map((name, j) => ({ k, name, design, colour: ["#0072b2", ...COLOURS][(k * rows.length + j) % 5] })));
   function rebuild() {
-    if (!moving) return;
-    for (const [id, name] of [["now_force", "mount_force"], ["now_deflection", "deflection"]]) {
+    for (const [key, panel] of panels) {
+      const id = `now_${key}`, { time } = now.rows;
       if (charts[id]) charts[id].u.destroy();
-      const panel = model.panels[name === "deflection" ? name : "force"];
-      charts[id] = { name, panel, ...build({ id, x: { label: "time", unit: "s", values: [...now.rows.time] }, y: { label: panel.label, unit: pretty(panel.symbol) },
-        lines: model.requirements.filter((one) => one.name === name).flatMap((one) => [one.low, one.high]).filter((end) => end !== null).map((end) => ({ label: "limit", value: end / panel.factor, colour: "#d55e00", dash: "" })),
-        series: listed().map((_, k) => ({ label: k ? `pin ${k}` : nowName(), colour: k ? COLOURS[k - 1] : "#0072b2", dash: k ? "dash" : "", values: [...now.rows.time] })) }) };
+      charts[id] = build({ id, x: { label: "time", unit: "s", values: [...time] }, y: { label: panel.label, unit: pretty(panel.symbol) },
+        lines: model.requirements.filter((one) => panel.rows.includes(one.name)).flatMap((one) => [one.low, one.high]).filter((end) => end !== null).map((end) => ({ label: "limit", value: end / panel.factor, colour: "#d55e00", dash: "" })),
+        series: curvesOf(panel).map(({ k, name, colour }) => ({ label: [k ? `pin ${k}` : nowName(), ...name.split(".").slice(0, -1)].join(", "), colour, dash: k ? "dash" : "", values: [...time] })) });
     }
     draw();
   }
   function draw() {
-    if (!moving) return;
-    if (!charts.now_force) { rebuild(); return; }
-    for (const { u, name, panel } of Object.values(charts).filter((one) => one.panel)) {
+    if (panels.length && !charts.now_force) { rebuild(); return; }
+    for (const [key, panel] of panels) {
       const { time } = now.rows, last = time.length - 1;
-      const along = (design) => Array.from(time, (t) => { const k = Math.round(t / design.rows.time[last] * last); return k <= last ? design.rows[name][k] / panel.factor : null; });
-      u.setData([[...time], ...listed().map(along)]);
+      const along = ({ design: { rows }, name }) => Array.from(time, (t) => { const k = Math.round(t / rows.time[last] * last); return k <= last ? rows[name][k] / panel.factor : null; });
+      charts[`now_${key}`].u.setData([[...time], ...curvesOf(panel).map(along)]);
     }
   }
 
@@ -226,7 +228,7 @@
     const scaled = (body, radius) => { const rim = Math.max(...body.vertices.filter((_, i) => i % 3 === 1)), long = Math.max(...body.vertices.filter((_, i) => i % 3 === 0)); return body.vertices.map((v, i) => i % 3 ? v / rim * radius : v / long * h); };
     return DATA.bodies.map((body) => ({ ...body, vertices: body.id === "share" ? share : scaled(body, body.id === "cone" ? h * slope : found.loosened_radius) }));
   }
-  const solid = moving && solidView(place("now_solid"), DATA.bodies);
+  const solid = single && solidView(place("now_solid"), DATA.bodies);
 
   /* The landscape: a sample of the box, computed anew when soil or scene change, and a curve through the present design. */
   const axes = [place("across"), place("up")];
@@ -281,7 +283,6 @@
       group("fails a requirement", "#b5bcc2", 3, every.filter((one) => one.violation > 1e-6)), group("meets all requirements", "#56b4e9", 4, every.filter((one) => one.violation <= 1e-6)),
       group("through the present design", "#0072b2", 3, curve), ...model.marks.map(({ label, colour }) => group(dated(label), colour, 8, marks.filter((one) => one.label === label))),
       ...(best ? [group(dated(model.known), "#000000", 11, [best])] : []), group(nowName(), "#d55e00", 10, [now])].filter((one) => one.x.length) });
-    delete charts.cloud.name;
   }
   place("now_cloud").addEventListener("click", (event) => {
     if (!(/** @type {any} */ (event.target).closest(".u-over"))) return;
@@ -294,12 +295,14 @@
   new IntersectionObserver((entries) => { if (entries.some((one) => one.isIntersecting) && !seen) { seen = true; if (now) later(); } }).observe(place("now_cloud"));
 
   /* What leaves the page: the command, the problem file, tables, the solid. */
+  /* Where a quantity stands in the file: one of a single share in that share's table. */
+  const path = ({ name }) => model.prefixes?.some((share) => name.startsWith(`${share}.`)) ? `shares.${name}` : name;
   const written = (k) => `${Number((now.x[k] / inputs[k].factor).toPrecision(15))}${inputs[k].symbol ? ` ${inputs[k].symbol}` : ""}`;
   const quoted = (word) => `'${word.replaceAll("'", "'\\''")}'`;
   /* Entries of problem files that switch effects as they are now. */
   const settings = () => switchedIn(now.effects).flatMap((k) => model.switches[k].settings);
   const command = () => [`plough-opt ${model.command} ${quoted(model.file)}`, ...model.overrides.map((one) => `--set ${quoted(one)}`),
-    ...inputs.flatMap((one, k) => !(one.variable && model.certifies) && now.x[k] !== initial[k] && !settings().some(([key]) => key === one.name) ? [`--set ${quoted(`${one.name}="${written(k)}"`)}`] : []),
+    ...inputs.flatMap((one, k) => !(one.variable && model.certifies) && now.x[k] !== initial[k] && !settings().some(([key]) => key === one.name) ? [`--set ${quoted(`${path(one)}="${written(k)}"`)}`] : []),
     ...settings().map(([key, v]) => `--set ${quoted(`${key}=${toml(v)}`)}`)].join(" ");
   const toml = (v) => Array.isArray(v) ? `[${v.map(toml).join(", ")}]` : v !== null && typeof v === "object" ? `{ ${Object.entries(v).map(([key, each]) => `${JSON.stringify(key)} = ${toml(each)}`).join(", ")} }` : JSON.stringify(v);
   function problem() {
@@ -322,14 +325,14 @@
   /** Force and deflection of the present design and the pinned ones as curves in a frame, with the ends of the axes. */
   function svg() {
     const wide = 600, high = 220, duration = now.rows.time[now.rows.time.length - 1];
-    const panels = Object.values(charts).filter((one) => one.panel).map(({ name, panel }, row) => {
-      const every = listed().flatMap((design) => [...design.rows[name]]), low = Math.min(...every), size = Math.max(...every) - low || 1;
+    const pictures = panels.map(([, panel], row) => {
+      const curves = curvesOf(panel), every = curves.flatMap(({ design, name }) => [...design.rows[name]]), low = Math.min(...every), size = Math.max(...every) - low || 1;
       const at = (t, v) => `${(60 + wide * t / duration).toFixed(1)},${(30 + row * (high + 60) + high * (1 - (v - low) / size)).toFixed(1)}`;
       const words = (px, py, anchor, label) => `<text x="${px}" y="${py}" text-anchor="${anchor}">${label}</text>`, top = 30 + row * (high + 60);
-      const curves = listed().map((design, k) => `<polyline fill="none" stroke="${k ? COLOURS[k - 1] : "#0072b2"}" points="${[...design.rows.time].flatMap((t, i) => t <= duration ? [at(t, design.rows[name][i])] : []).join(" ")}"/>`);
-      return `<rect x="60" y="${top}" width="${wide}" height="${high}" fill="none" stroke="#888"/>${curves.join("")}${words(60, top - 8, "start", `${panel.label} [${panel.symbol}]`)}${words(55, top + 12, "end", number((low + size) / panel.factor))}${words(55, top + high, "end", number(low / panel.factor))}${words(60 + wide, top + high + 18, "end", `${number(duration)} s`)}`;
+      const drawn = curves.map(({ design, name, colour }) => `<polyline fill="none" stroke="${colour}" points="${[...design.rows.time].flatMap((t, i) => t <= duration ? [at(t, design.rows[name][i])] : []).join(" ")}"/>`);
+      return `<rect x="60" y="${top}" width="${wide}" height="${high}" fill="none" stroke="#888"/>${drawn.join("")}${words(60, top - 8, "start", `${panel.label} [${panel.symbol}]`)}${words(55, top + 12, "end", number((low + size) / panel.factor))}${words(55, top + high, "end", number(low / panel.factor))}${words(60 + wide, top + high + 18, "end", `${number(duration)} s`)}`;
     });
-    return `<svg xmlns="http://www.w3.org/2000/svg" width="700" height="${panels.length * (high + 60) + 20}" font-family="sans-serif" font-size="13">${panels.join("")}</svg>\n`;
+    return `<svg xmlns="http://www.w3.org/2000/svg" width="700" height="${panels.length * (high + 60) + 20}" font-family="sans-serif" font-size="13">${pictures.join("")}</svg>\n`;
   }
   function download(name, content) {
     const link = make("a", { href: URL.createObjectURL(new Blob([content], { type: "text/plain" })), download: name });
@@ -347,12 +350,12 @@
       const { x: found, before, after, tried } = await slow("better", now.effects, now.x, variables);
       const better = after < before - 1e-9 * Math.abs(before);
       if (better) await take(found);
-      place("status").textContent = `${better ? "A better design" : "No better design"} after ${tried} tries. This search is local and certifies nothing: ${moving ? "the command below" : "design.solve()"} does.`;
+      place("status").textContent = `${better ? "A better design" : "No better design"} after ${tried} tries. This search is local and certifies nothing: ${model.file ? "the command below" : "design.solve()"} does.`;
     },
   };
   section.addEventListener("click", ({ target }) => { const what = /** @type {any} */ (target).closest("[data-do]"); if (what) DO[what.dataset.do](); });
   section.addEventListener("keydown", (event) => { if (event.ctrlKey && event.key === "z" && /** @type {any} */ (event.target).type !== "text") { event.preventDefault(); if (at) DO.undo(); } });
-  if (moving) {
+  if (single) {
     place("digits").value = String(Math.round(-Math.log10(error)));
     place("digits").addEventListener("input", () => { error = 10 ** -place("digits").value; ask(); });
   }

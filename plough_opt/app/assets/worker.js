@@ -10,10 +10,12 @@ const TASKS = {
   evaluate: (effects, x, options) => own(effects).evaluate(x, options),
 
   /** Results of designs without those over time; null for designs outside the model's domain. */
-  many: (effects, rows) => rows.map((x) => {
+  many: (effects, designs) => designs.map((x) => {
     try {
-      const { rows: _, ...found } = own(effects).evaluate(x, { sketch: true });
-      return { ...found, violation: own(effects).violation(found) };
+      const found = own(effects).evaluate(x, { sketch: true });
+      found.violation = own(effects).violation(found);
+      delete found.rows;
+      return found;
     } catch { return null; }
   }),
 

@@ -36,21 +36,15 @@ _COMMON: Final = {
     "second": {"s": 1.0, "ms": 0.001, "min": 60.0, "h": 3600.0},
     "gram": {"kg": 1e3, "g": 1.0, "t": 1e6},
     "meter / second": {"m/s": 1.0, "km/h": 0.2777777777777778, "mph": 0.44704},
-    "gram * meter / second ** 2": {
-        "N": 1e3,
-        "daN": 1e4,
-        "kN": 1e6,
-        "kgf": 9806.65,
-        "tf": 9806650.0,
-        "lbf": 4448.221615260501,
-    },
+    "gram * meter / second ** 2": {"N": 1e3, "daN": 1e4, "kN": 1e6, "kgf": 9806.65, "tf": 9806650.0,
+                                   "lbf": 4448.221615260501},
     "gram * meter ** 2 / second ** 3": {"W": 1e3, "kW": 1e6},
     "gram / meter / second ** 2": {"Pa": 1e3, "kPa": 1e6, "MPa": 1e9, "bar": 1e8, "psi": 6894757.293168363},
     "gram / meter ** 3": {"kg/m^3": 1e3, "g/cm^3": 999999.9999999999},
     "gram / second ** 2": {"N/m": 1e3, "kN/m": 1e6, "N/mm": 1e6},
     "gram / second": {"N*s/m": 1e3, "kN*s/m": 1e6},
     "second ** 2 / meter ** 2": {"s^2/m^2": 1.0},
-}
+}  # fmt: skip
 # Names of units that mean different things in different trades.
 _AMBIGUOUS: Final = {"tonf": '"tf" is the metric ton-force, "2000 lbf" the American one'}
 _ROOTS: Final = {unit: (factor, root) for root, units in _COMMON.items() for unit, factor in units.items()}

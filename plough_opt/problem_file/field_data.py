@@ -136,7 +136,12 @@ def read_penetrometer(path: str | Path, depth: tuple[float, float]) -> Penetrome
         raise InputError(f"depth = {shown(depth)} must be two depths in metres from 0 upwards, the shallower first")
     place, headings, rows = readings_of(path, _INSERTIONS)
     columns = _columns(place, headings)
-    table = table_of(path, rows, columns, lambda k, value, cell: _check(columns[k][0], value, cell))
+
+    def check(k: int, value: float, cell: str) -> None:
+        if value < 0.0 and columns[k][0] != "insertion":
+            raise InputError(f"{cell} must be at least 0")
+
+    table = table_of(path, rows, columns, check)
     names, lines = [name for name, _ in columns], np.array([line for line, _ in rows])
     means, errors = [], []
     for label, own, column in _curves(names, table):
@@ -196,11 +201,6 @@ def _columns(place: str, headings: Sequence[str]) -> list[tuple[str, float]]:
     if "insertion" in names and names.count("cone_index") > 1:
         raise InputError(f"{place}: a column insertion goes with a single column cone_index: remove one or the other")
     return found
-
-
-def _check(name: str, value: float, cell: str) -> None:
-    if value < 0.0 and name != "insertion":
-        raise InputError(f"{cell} must be at least 0")
 
 
 def _curves(names: Sequence[str], table: Vector) -> list[tuple[float, NDArray[np.bool_], int]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -61,7 +61,8 @@ def problem_of(scene: Scene, duration: float | None, title: str) -> Problem:
         del given["scene.tow_speed"]
     lines += [f"{key} = {_with_unit(value, EVERY[key].unit)}" for key, value in given.items() if EVERY[key].in_files]
     lines += [f"effects.{key} = {_toml(value)}" for key, value in _choices(scene)]
-    lines += [] if scene.medium == Scene.medium else [f"scene.medium = {_medium(scene.medium)}"]
+    medium = scene.medium if isinstance(scene.medium, str) else _fields("law", LAWS, scene.medium)
+    lines += [] if scene.medium == Scene.medium else [f"scene.medium = {_toml(medium)}"]
     try:
         problem = read_source(Source("\n".join(lines) + "\n", _NAME), Path())
     except InputError as error:
@@ -86,20 +87,13 @@ def _choices(scene: Scene) -> Iterator[tuple[str, Any]]:
         yield from {"orbit": "harmonic_balance", "harmonics": effects.orbit.harmonics}.items()
     elif effects.orbit != Effects.orbit:
         yield "orbit", effects.orbit
-    names = {kind: name for name, kind in OWN_EFFECTS.items()}
     if effects.own:
-        yield "own", [_fields("effect", names.get(type(one), type(one).__name__), one) for one in effects.own]
+        yield "own", [_fields("effect", OWN_EFFECTS, one) for one in effects.own]
 
 
-def _medium(medium: Any) -> str:
-    if isinstance(medium, str):
-        return _toml(medium)
-    names = {kind: name for name, kind in LAWS.items()}
-    return _toml(_fields("law", names.get(type(medium), type(medium).__name__), medium))
-
-
-def _fields(key: str, name: str, one: Any) -> dict[str, Any]:
+def _fields(key: str, registry: Mapping[str, type], one: Any) -> dict[str, Any]:
     """Return the fields of an effect or a law as a table that names its class."""
+    name = next((name for name, kind in registry.items() if kind is type(one)), type(one).__name__)
     given = {each.name: getattr(one, each.name) for each in fields(one)}
     units = {each.name: each.metadata.get("unit") for each in fields(one)}
     said = {k: v if units[k] is None else f"{float(v)!r} {units[k]}".strip() for k, v in given.items() if v is not None}

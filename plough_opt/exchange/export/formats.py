@@ -140,15 +140,9 @@ def _openmdao(request: Request) -> Written:
 def _fmu(request: Request) -> Written:
     from plough_opt.exchange.export.fmu import write_fmu
 
-    path = write_fmu(
-        request.scene,
-        request.path,
-        strut=request.options.get("strut") or "speed",
-        steel_density=request.steel_density,
-        duration=request.duration,
-        name=request.name,
-        binary=not request.options.get("sources"),
-    )
+    given: dict[str, Any] = {name: getattr(request, name) for name in ("steel_density", "duration", "name")}
+    binary = not request.options.get("sources")
+    path = write_fmu(request.scene, request.path, strut=request.options.get("strut") or "speed", binary=binary, **given)
     return Written((path,), "", f"fmpy simulate {shlex.quote(request.path)} --show-plot")
 
 

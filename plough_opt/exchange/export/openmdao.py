@@ -89,7 +89,7 @@ class FunctionComponent(om.ExplicitComponent):  # type: ignore[misc]
         for value, port in zip(values, self._sources, strict=True):
             slack = 1e-6 * (port["upper"] - port["lower"])  # optimisers relax bounds by this
             if not port["lower"] - slack <= value <= port["upper"] + slack:
-                bounds = f"{port['lower']:g} and {port['upper']:g}"
+                bounds = f"{port['lower']:g} and {port['upper']:g}, the bounds of the component"
                 raise om.AnalysisError(f"{port['argument']} = {value:g} must lie between {bounds}")
         return values
 

@@ -252,11 +252,8 @@ def sweep(options: argparse.Namespace) -> None:
         if found.failed == len(found):
             raise NotConverged("every point failed; the reasons are listed above and in the tables", "failed")
         if undetermined := len(list(found.undetermined)):
-            raise NotConverged(
-                f"{undetermined} of {len(found)} points are undetermined, because workers ended while computing them;"
-                " run the same command with --retry to repeat them",
-                "undetermined",
-            )
+            lost = f"{undetermined} of {len(found)} points are undetermined, because workers ended while computing them"
+            raise NotConverged(f"{lost}; run the same command with --retry to repeat them", "undetermined")
     finally:
         found.close()
 

@@ -112,9 +112,7 @@ class NamedScene:
         given = {hash(symbol) for symbol in self.symbols.values()}
         present = [symbol for one in self._expressions if is_symbolic(one) for symbol in ca.symvar(one)]
         if others := {symbol.name() for symbol in present if hash(symbol) not in given}:
-            raise InputError(
-                f"the scene holds symbols that are not inputs: make each one ({', '.join(sorted(others))})"
-            )
+            raise InputError(f"the scene holds symbols that are not inputs, {', '.join(sorted(others))}: make each one")
 
     @cached_property
     def _expressions(self) -> list[Any]:

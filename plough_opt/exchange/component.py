@@ -375,10 +375,8 @@ class Component(ca.Function):
         plain, slack = float(number.reshape(())), _SLACK * (port.upper - port.lower)
         if not port.lower - slack <= plain <= port.upper + slack:
             unit = f" {port.unit}" if port.unit else ""
-            raise DomainError(
-                f"{port.name} = {plain:g}{unit} must lie between {port.lower:g} and {port.upper:g}{unit}, the bounds"
-                " for which this component was made: make one with wider bounds"
-            )
+            bounds = f"{port.lower:g} and {port.upper:g}{unit}, the bounds for which this component was made"
+            raise DomainError(f"{port.name} = {plain:g}{unit} must lie between {bounds}: make it with wider ones")
         return plain
 
     @cached_property

@@ -389,9 +389,7 @@ def compression_test(pressure: object, compaction: object) -> tuple[Array, Array
     p = array_of(pressure, "pressure must be a list of pressures, not {}")
     e = array_of(compaction, "the compaction must be a list of numbers, not {}")
     if p.ndim != 1 or p.shape != e.shape or len(p) < 2:
-        raise InputError(
-            f"a test needs as many pressures as compactions, two or more of each, not {p.size} and {e.size}"
-        )
+        raise InputError(f"give as many pressures as compactions, two or more of each, not {p.size} and {e.size}")
     for name, values, most in (("pressure", p, LARGEST), ("compaction", e, 1.0)):
         if not (values[0] > 0.0 and values[-1] < most and np.all(np.diff(values) > 0.0)):
             raise InputError(f"{name} = {shown(values.tolist())} must rise from above 0 to below {most:g}")
